@@ -1,4 +1,4 @@
-//! What an update of the filter costs. `cargo bench -p cotorra-localization`
+//! Time of a filter update. `cargo bench -p cotorra-localization`
 
 use std::{f64::consts::PI, sync::Arc};
 
@@ -30,12 +30,12 @@ fn office() -> OccupancyGrid {
     OccupancyGrid::new(width, height, 0.05, Position::default(), cells).expect("the numbers agree")
 }
 
-/// 1,000 particles, whatever KLD-sampling would ask for.
+/// Fixes the number of particles at 1,000, regardless of KLD-sampling.
 fn fixed(parameters: Parameters) -> Parameters {
     Parameters { min_particles: 1000, max_particles: 1000, ..parameters }
 }
 
-/// One update of a robot that drives along the corridor: motion, 120 beams, weights, estimate, and drawing anew.
+/// One update of a robot that drives along the corridor: motion, 120 beams, weights, estimate and resampling.
 #[divan::bench(args = ["likelihood", "amcl"])]
 fn update_of_1000_particles_with_120_beams(bencher: Bencher<'_, '_>, mode: &str) {
     let mut parameters = fixed(if mode == "amcl" { Parameters::amcl() } else { Parameters::default() });
@@ -47,7 +47,7 @@ fn update_of_1000_particles_with_120_beams(bencher: Bencher<'_, '_>, mode: &str)
         .map(|step| {
             let pose = Pose2::new(10.0 + 0.26 * f64::from(step), 20.0, 0.1 * (f64::from(step) * 0.3).sin());
             let from = Position::new(pose.x, pose.y);
-            // 120 beams: three degrees from each to the next.
+            // 120 beams, 3° apart.
             let range = |beam: usize| {
                 let (sin, cos) = (pose.heading + beam as f64 * PI / 60.0 - PI).sin_cos();
                 world.cast(from, (cos, sin), 11.9).map_or(11.9, |range| range) as f32

@@ -1,18 +1,16 @@
 //! Evaluates localization on public lidar data sets: logs that GMapping corrected.
 //!
-//! Such logs (the "corrected" ones of the Radish collection) hold the corrected pose in each `FLASER`, and, in the
-//! `ODOM` between two of them, raw odometry set onto the first one's corrected pose. From that follow the raw odometry
-//! of the whole run, a map, and where the robot was. Even scans draw the map; only odd ones are localized, so that no
-//! scan is compared with itself.
+//! Each `FLASER` of such a log ("corrected" in the Radish collection) has the corrected pose. The `ODOM` between two of
+//! them has raw odometry, continued from the first one's corrected pose. That gives the raw odometry of the whole run, a
+//! map, and the true poses. Even scans draw the map and odd ones are localized, so that no scan is compared with itself.
 //!
 //! `cargo run --release -p cotorra-localization --example corrected_log -- [--amcl] [--seeds N] LOG[:FROM..TO]...`
-//! evaluates all logs, with several seeds each, and prints one table. FROM..TO restricts a log to these scans, where its
+//! evaluates all logs with several seeds each, and prints one table. FROM..TO restricts a log to these scans, if its
 //! correction is wrong elsewhere.
 //!
 //! Parameters were tuned on every second log in alphabetical order, from the first: acapulco, belgioioso, edmonton,
 //! freiburg-079, freiburg-campus, intel and seattle. The others are for testing: aces, csail, fhw, freiburg-101,
-//! infinite-corridor and orebro. Of these, three showed
-//! defects that were mended; docs/localization.md says which.
+//! infinite-corridor and orebro. Three of these revealed defects that were fixed; docs/localization.md names them.
 
 use std::{env, error::Error, fmt, fs::File, io::BufReader, ops::Range, path::Path, sync::Arc, thread};
 
@@ -26,24 +24,24 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Side of a cell, metres.
 const RESOLUTION: f64 = 0.05;
-/// Farther readings do not make the map, metres.
+/// Longest range that is used for the map, metres.
 const REACH: f64 = 30.0;
-/// A cell is a wall if this share of the beams that came to it ended there (GMapping's threshold).
+/// Share of the beams reaching a cell that must end there to make it a wall (GMapping's threshold).
 const OCCUPIED: f64 = 0.25;
-/// How well the first place is known: the variances that AMCL begins with, m² and rad² (15°).
+/// Covariance of the first pose: AMCL's initial variances, m² and rad² (15°).
 const ABOUT: [f64; 9] = [0.25, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0, 0.0685];
 /// 95 % quantile of χ² with three degrees of freedom: x, y and heading.
 const INSIDE: f64 = 7.815;
 /// Kidnappings for each log and seed.
 const KIDNAPPINGS: usize = 10;
-/// A robot is followed so far before it is carried away, metres, and so far after.
+/// Distances that a robot is followed before and after it is carried away, metres.
 const BEFORE: f64 = 10.0;
 const AFTER: f64 = 30.0;
-/// It is carried at least so far, metres.
+/// Smallest distance that it is carried, metres.
 const CARRIED: f64 = 5.0;
-/// It has recovered when its error stays below that until the end, metres.
+/// Error below which a robot has recovered, if it stays so until the end, metres.
 const RECOVERED: f64 = 0.5;
-/// While it has not, a smaller deviation than that, √(var x + var y), claims too much, metres.
+/// Smallest honest deviation, √(var x + var y), of a robot that has not recovered, metres.
 const WIDE: f64 = 0.3;
 
 type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
@@ -77,17 +75,17 @@ fn main() -> Result<()> {
     })
 }
 
-/// A scan, and raw odometry at that time.
+/// A scan with the raw odometry at its time.
 struct Seen {
     laser: Laser,
     odometry: Pose2,
 }
 
-/// What a log says: a map of its even scans, and its odd ones to be localized.
+/// A problem made from a log: a map of the even scans, and the odd ones to localize.
 struct Problem {
     map: OccupancyGrid,
     scans: Vec<Seen>,
-    /// How far the robot had gone at each of them, metres.
+    /// Distance gone up to each scan, metres.
     gone: Vec<f64>,
 }
 
@@ -133,7 +131,7 @@ impl Problem {
                 let start = self.scans[before.start].laser.robot;
                 let mut localizer = Localizer::at(Arc::clone(&field), *parameters, seed, start, &ABOUT)?;
                 self.follow(&mut localizer, before.clone(), Pose2::default(), |_, _, _| {})?;
-                // Its wheels do not turn while it is carried.
+                // The wheels do not turn while the robot is carried.
                 let (from, to) = (&self.scans[before.end - 1], &self.scans[after.start]);
                 let carried = from.odometry * to.odometry.inverse();
                 let mut trial = Vec::new();
@@ -147,7 +145,7 @@ impl Problem {
         Ok(outcome)
     }
 
-    /// Where a robot is followed, and where it is followed after it was carried there.
+    /// Draws the scans before and after a kidnapping.
     fn kidnapping(&self, random: &mut impl Rng) -> Option<[Range<usize>; 2]> {
         let reach = |begin: usize, way: f64| {
             let end = self.gone.partition_point(|gone| *gone < self.gone[begin] + way) + 1;
@@ -177,17 +175,17 @@ impl Problem {
     }
 }
 
-/// What came of a log.
+/// Results of a log.
 #[derive(Default)]
 struct Outcome {
     positions: Vec<f64>,
     squares: f64,
     inside: usize,
     nees: f64,
-    /// Scans of robots that have not recovered, and how many of those claim to know where it is.
+    /// Scans of robots that have not recovered, and those among them with too small a deviation.
     lost: usize,
     claimed: usize,
-    /// How far each kidnapped robot went until it was found; infinite if it was not.
+    /// Distance that each kidnapped robot went until it was found; infinite if it was not.
     recovery: Vec<f64>,
 }
 
@@ -226,7 +224,7 @@ impl Outcome {
     }
 }
 
-/// A row of the table, without its ends.
+/// Formats a row of the table, without its ends.
 impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let count = self.positions.len() as f64;
@@ -245,7 +243,7 @@ impl fmt::Display for Outcome {
     }
 }
 
-/// The scans of a log, with odometry as it was before it was corrected.
+/// Reads the scans of a log with their odometry before the correction.
 fn read(path: &str) -> Result<Vec<Seen>> {
     let mut scans: Vec<Seen> = Vec::new();
     let mut after: Option<Pose2> = None;
@@ -267,7 +265,7 @@ fn read(path: &str) -> Result<Vec<Seen>> {
     Ok(scans)
 }
 
-/// A map of what the beams met; `None` if they met nothing.
+/// Draws a map of the places that beams hit; `None` if they hit nothing.
 fn draw(scans: &[Laser]) -> Option<OccupancyGrid> {
     let beams = || {
         scans.iter().flat_map(|scan| {
@@ -289,7 +287,7 @@ fn draw(scans: &[Laser]) -> Option<OccupancyGrid> {
     let origin = (low.0 - 1.0, low.1 - 1.0);
     let size = |low: f64, high: f64| ((high - low + 2.0) / RESOLUTION) as usize;
     let (width, height) = (size(low.0, high.0), size(low.1, high.1));
-    // Of each cell: how many beams ended there, and how many went through.
+    // For each cell, the beams that ended there and those that went through.
     let mut met = vec![(0_u32, 0_u32); width * height];
     let cell = |(x, y): (f64, f64)| {
         ((y - origin.1) / RESOLUTION) as usize * width + ((x - origin.0) / RESOLUTION) as usize

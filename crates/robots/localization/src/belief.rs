@@ -1,4 +1,4 @@
-//! What is believed of a robot's place: a pose and its covariance, moved on by odometry, compared with the truth.
+//! A pose with its covariance: moved on by odometry, and compared with the true pose.
 
 use crate::{
     geometry::{Pose2, wrapped},
@@ -6,26 +6,25 @@ use crate::{
     parameters::MotionNoise,
 };
 
-/// A pose and how far off it may be.
+/// An estimated pose and its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Belief {
-    /// Where the robot is, on average.
+    /// The mean.
     pub pose: Pose2,
     /// The covariance of x, y and heading, row by row; m², m·rad, rad².
     pub covariance: [f64; 9],
 }
 
 impl Belief {
-    /// What is believed after a step of odometry with that noise, without looking. A long way is to be gone in steps:
-    /// the noise of each is independent of that of the others.
+    /// Returns the belief after a step of odometry with this noise, without a scan. Apply a long way in several steps,
+    /// because the noise of each step is independent.
     pub fn moved_on(&self, step: Pose2, noise: &MotionNoise) -> Self {
         let covariance = Motion::new(step, noise).propagate(self.pose.heading, &self.covariance);
         Self { pose: self.pose * step, covariance }
     }
 
-    /// How far it is off, as its own covariance sees it: eᵀ·C⁻¹·e, which is 3 on average for a belief that knows how good
-    /// it is (normalized estimation error squared; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). `None` if the
-    /// covariance has no inverse.
+    /// Returns the normalized estimation error squared, eᵀ·C⁻¹·e (Bar-Shalom, Li and Kirubarajan 2001, section 5.4). It is
+    /// 3 on average where the covariance matches the errors. `None` if the covariance has no inverse.
     pub fn nees(&self, truth: Pose2) -> Option<f64> {
         let error =
             [self.pose.x - truth.x, self.pose.y - truth.y, wrapped(self.pose.heading - truth.heading)];
@@ -43,7 +42,7 @@ impl Belief {
     }
 }
 
-/// The lower root of a covariance; where rounding left one without, the diagonal's.
+/// Returns the lower Cholesky factor of a covariance. Variances that rounding made negative count as 0.
 pub(crate) fn cholesky(c: &[f64; 9]) -> [f64; 9] {
     let mut root = [0.0; 9];
     for row in 0..3 {
@@ -68,7 +67,7 @@ mod tests {
     use crate::Parameters;
 
     #[test]
-    fn what_is_not_looked_at_is_known_less_with_each_step() {
+    fn uncertainty_grows_with_each_step_without_a_scan() {
         let noise = Parameters::turtlebot2().motion;
         let mut belief = Belief { pose: Pose2::new(1.0, 2.0, 0.5), covariance: [0.0; 9] };
         let mut before = 0.0;
@@ -84,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_of_one_deviation_in_each_direction_counts_three() {
+    fn nees_is_3_for_an_error_of_one_deviation_in_each_direction() {
         let covariance = [0.04, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.0025];
         let belief = Belief { pose: Pose2::default(), covariance };
         let nees = belief.nees(Pose2::new(0.2, -0.1, 0.05)).unwrap();

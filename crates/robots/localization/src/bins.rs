@@ -1,4 +1,4 @@
-//! Bins of poses: KLD-sampling counts them to know how many particles it takes.
+//! Bins of poses. KLD-sampling derives the number of particles from the number of bins.
 
 use std::{
     collections::HashMap,
@@ -14,17 +14,17 @@ use crate::{
 /// Column, row and heading of a bin.
 pub(crate) type Bin = [i32; 3];
 
-/// How many bins a full turn has.
+/// Bins of a full turn.
 const HEADINGS: i32 = 36;
 
-/// How places become bins.
+/// Maps places to bins.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Binning {
     bins_per_cell: f32,
 }
 
 impl Binning {
-    /// For cells of that side, metres.
+    /// Bins for a map with cells of side `resolution`, metres.
     pub fn new(resolution: f64) -> Self {
         Self { bins_per_cell: (resolution / BIN[0]) as f32 }
     }
@@ -39,17 +39,17 @@ impl Binning {
     }
 }
 
-/// The whole number below; `f32::floor` is a call of a function on processors of the common denominator.
+/// Rounds down. On baseline x86-64, `f32::floor` is a function call.
 fn floor(value: f32) -> i32 {
     let towards_zero = value as i32;
     towards_zero - i32::from(towards_zero as f32 > value)
 }
 
-/// Bins, numbered as they come.
+/// Bins, numbered in the order of insertion.
 #[derive(Debug, Default)]
 pub(crate) struct Bins {
     numbers: HashMap<Bin, usize, BuildHasherDefault<Mix>>,
-    /// Particles come in flocks: most are in the bin of the one before.
+    /// The last bin inserted. Most particles fall into the bin of the particle before.
     last: Option<(Bin, usize)>,
 }
 
@@ -58,7 +58,7 @@ impl Bins {
         self.numbers.len()
     }
 
-    /// The bin's number, a new one if it is new.
+    /// Returns the number of a bin, and assigns the next one to a new bin.
     pub fn insert(&mut self, bin: Bin) -> usize {
         if let Some((last, number)) = self.last
             && last == bin
@@ -72,7 +72,7 @@ impl Bins {
     }
 }
 
-/// Mixes three small numbers; nobody chooses them to collide.
+/// A fast hash of three small numbers, without protection against chosen collisions.
 #[derive(Default)]
 pub(crate) struct Mix(u64);
 
@@ -91,8 +91,9 @@ impl Hasher for Mix {
     }
 }
 
-/// How many particles keep the divergence from what they stand for below ε, with the quantile's probability, if they
-/// are in `bins` bins: the χ² quantile by Wilson and Hilferty (Fox 2003, equation 7), within the limits that are set.
+/// Returns the number of particles in `bins` bins that keeps the divergence from the true distribution below ε with the
+/// quantile's probability. It is the χ² quantile by Wilson and Hilferty (Fox 2003, equation 7), within the configured
+/// limits.
 pub(crate) fn kld_bound(bins: usize, parameters: &Parameters) -> usize {
     let (least, most) = (parameters.min_particles, parameters.max_particles);
     if bins < 2 {
@@ -104,7 +105,7 @@ pub(crate) fn kld_bound(bins: usize, parameters: &Parameters) -> usize {
     ((k / (2.0 * parameters.kld_error) * x.powi(3)).ceil() as usize).clamp(least, most)
 }
 
-/// For each bin the number of its cluster: bins that touch, be it at a corner, belong together.
+/// Returns the cluster number of each bin. Bins that touch, even at a corner, are in one cluster.
 pub(crate) fn connected(all: &[Bin], bins: &Bins) -> Vec<usize> {
     let mut cluster = vec![usize::MAX; all.len()];
     let mut stack = Vec::new();

@@ -1,7 +1,7 @@
-//! Logs of CARMEN, the format of most public lidar data sets: a message a line, its name first.
+//! Reader of CARMEN logs, the format of most public lidar data sets: one message per line, its name first.
 //!
-//! Read are `ODOM`, `FLASER` (the older laser message, of a SICK that looks forward) and `ROBOTLASER1`, which says how
-//! its laser sits. Other messages are passed over.
+//! It reads `ODOM`, `FLASER` (the older laser message, of a SICK that looks forward) and `ROBOTLASER1`, which includes the
+//! laser's mount. It skips other messages.
 
 use std::{f64::consts::PI, io::BufRead, num::ParseFloatError};
 
@@ -13,115 +13,115 @@ use crate::{
 /// A message of a log.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Message {
-    /// Where odometry says that the robot is.
+    /// A pose by odometry.
     Odometry {
-        /// Seconds, from whenever the log counts.
+        /// Seconds since an epoch of the log's own.
         at: f64,
-        /// Where.
+        /// The robot's pose.
         pose: Pose2,
     },
     /// A scan.
     Laser(Laser),
 }
 
-/// A scan, and where the robot then believed to be.
+/// A scan, with the robot's pose at that time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Laser {
-    /// Seconds, from whenever the log counts.
+    /// Seconds since an epoch of the log's own.
     pub at: f64,
-    /// Where the robot is: by its odometry, or, in a corrected log, where it was found to have been.
+    /// The robot's pose: by odometry, or the corrected one in a corrected log.
     pub robot: Pose2,
-    /// The same of the laser.
+    /// The laser's pose.
     pub laser: Pose2,
     /// Direction of the first beam in the laser's frame, radians.
     pub angle_min: f64,
-    /// From one beam to the next, radians.
+    /// Angle between neighbouring beams, radians.
     pub angle_increment: f64,
-    /// The laser's reach, metres, where the log says so.
+    /// The laser's maximum range, metres, if the log has it.
     pub range_max: Option<f64>,
-    /// Metres.
+    /// Ranges of all beams, metres.
     pub ranges: Vec<f32>,
 }
 
 impl Laser {
-    /// As the filter takes it.
+    /// Returns the scan as the filter takes it.
     pub fn scan(&self) -> Scan<'_> {
         let &Self { angle_min, angle_increment, ref ranges, .. } = self;
-        // A SICK turns 75 times a second.
+        // A SICK turns 75 times a second, so that the robot hardly moves during a turn.
         let (mount, sweep) = (self.robot.step_to(self.laser), Pose2::default());
         Scan { angle_min, angle_increment, ranges, mount, sweep }
     }
 }
 
-/// Why a log cannot be read on.
+/// An error in a log.
 #[derive(Debug, thiserror::Error)]
 #[error("line {line}: {problem}")]
 pub struct LogError {
-    /// Counted from 1.
+    /// The line, counted from 1.
     pub line: usize,
-    /// What is wrong there.
+    /// The cause.
     pub problem: LogProblem,
 }
 
-/// What is wrong with a line of a log.
+/// A mistake in a line of a log.
 #[derive(Debug, thiserror::Error)]
 pub enum LogProblem {
-    /// The file cannot be read, or is no text.
+    /// The file cannot be read, or is not text.
     #[error("it cannot be read: {0}")]
     Unreadable(#[from] std::io::Error),
     /// A message ends too early.
     #[error("`{message}` ends before its {field}")]
     Short {
-        /// Its name.
+        /// The message's name.
         message: &'static str,
-        /// What is missing.
+        /// The missing field.
         field: &'static str,
     },
-    /// No number where one belongs.
+    /// A field is not a number.
     #[error("the {field} of `{message}` is `{found}`, which is no number")]
     NoNumber {
-        /// Its name.
+        /// The message's name.
         message: &'static str,
-        /// What should be there.
+        /// The field.
         field: &'static str,
-        /// What is there.
+        /// Its text.
         found: String,
     },
-    /// A pose that is on no map.
+    /// A pose is beyond any map.
     #[error("the {field} of `{message}` is ({x:?}, {y:?}), but no map reaches beyond {FARTHEST:e} m")]
     TooFar {
-        /// Its name.
+        /// The message's name.
         message: &'static str,
-        /// Which pose.
+        /// The pose's name.
         field: &'static str,
         /// Metres.
         x: f64,
         /// Metres.
         y: f64,
     },
-    /// A number of readings that is not whole, or below zero.
+    /// The number of readings is negative or not whole.
     #[error("`{message}` announces {count} {field}, which is no count")]
     NoCount {
-        /// Its name.
+        /// The message's name.
         message: &'static str,
-        /// Of what.
+        /// The list's name.
         field: &'static str,
-        /// How many.
+        /// The number.
         count: f64,
     },
-    /// More readings than any laser has.
+    /// The number of readings exceeds that of any laser.
     #[error("`{message}` announces {count} {field}, but no laser has more than {MAX_READINGS}")]
     TooMany {
-        /// Its name.
+        /// The message's name.
         message: &'static str,
-        /// Of what.
+        /// The list's name.
         field: &'static str,
-        /// How many.
+        /// The number.
         count: f64,
     },
 }
 
-/// No laser has more beams than so many.
+/// Largest number of beams of any laser.
 const MAX_READINGS: usize = 1 << 20;
 
 /// Reads a log line by line.
@@ -134,18 +134,18 @@ pub struct Log<R> {
 }
 
 impl<R: BufRead> Log<R> {
-    /// Reads from there.
+    /// Creates a reader of this source.
     pub fn new(source: R) -> Self {
         Self { source, text: String::new(), line: 0, failed: false }
     }
 
-    /// How many lines were read.
+    /// Returns the number of lines read so far.
     pub fn line(&self) -> usize {
         self.line
     }
 }
 
-/// The messages that are known; nothing follows an error.
+/// Yields the known messages, and ends at the first error.
 impl<R: BufRead> Iterator for Log<R> {
     type Item = Result<Message, LogError>;
 
@@ -171,7 +171,7 @@ impl<R: BufRead> Iterator for Log<R> {
     }
 }
 
-/// Reads one line; `None` if it says nothing of odometry or laser.
+/// Parses one line; `None` for messages other than odometry and laser.
 fn message(line: &str) -> Result<Option<Message>, LogProblem> {
     let mut fields = line.split_ascii_whitespace();
     Ok(match fields.next() {
@@ -196,8 +196,8 @@ fn front_laser(mut fields: Fields<'_>) -> Result<Message, LogProblem> {
     let ranges = fields.list("ranges")?;
     let (laser, robot) = (fields.pose("laser's pose")?, fields.pose("robot's pose")?);
     let at = fields.number("time")?;
-    // The message does not say it: 180 or 181 beams are a degree apart, 360 or 361 half a degree, and so on. All of
-    // them look forward over half a turn, the first one to the right.
+    // The message lacks the angle: 180 or 181 beams are a degree apart, 360 or 361 half a degree, and so on. They cover the
+    // half turn ahead, the first one to the right.
     let angle_increment = match ranges.len() {
         0 => 0.0,
         beams if beams % 10 == 1 && beams > 1 => PI / (beams - 1) as f64,
@@ -229,7 +229,7 @@ fn robot_laser(mut fields: Fields<'_>) -> Result<Message, LogProblem> {
     Ok(Message::Laser(Laser { at, robot, laser, angle_min, angle_increment, range_max, ranges }))
 }
 
-/// What follows a message's name.
+/// The fields after a message's name.
 struct Fields<'a> {
     message: &'static str,
     fields: std::str::SplitAsciiWhitespace<'a>,
@@ -251,7 +251,7 @@ impl Fields<'_> {
         valid(self.message, field, Pose2::new(x, y, heading))
     }
 
-    /// How many, then each. A range may be NaN or infinite: that beam hit nothing.
+    /// Parses a count and as many numbers. A range may be NaN or infinite: that beam hit nothing.
     fn list(&mut self, field: &'static str) -> Result<Vec<f32>, LogProblem> {
         let message = self.message;
         let count = self.number(field)?;
@@ -269,7 +269,7 @@ impl Fields<'_> {
     }
 }
 
-/// The pose, if a robot can be there.
+/// Returns the pose if it is valid ([`Pose2::is_valid`]).
 pub(crate) fn valid(message: &'static str, field: &'static str, pose: Pose2) -> Result<Pose2, LogProblem> {
     let Pose2 { x, y, .. } = pose;
     if pose.is_valid() { Ok(pose) } else { Err(LogProblem::TooFar { message, field, x, y }) }
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn both_laser_messages_and_odometry() {
+    fn laser_messages_and_odometry_are_read() {
         let text = "# CARMEN Logfile\nPARAM robot_width 0.5 nohost 0\n\n\
             ODOM 1 2 0.5 0.1 0 0 7.25 host 7.3\n\
             FLASER 3 1.0 2.0 inf 1.1 2 0.5 1 2 0.5 7.5 host 7.6\n\
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_told_with_their_line() {
+    fn errors_name_their_line() {
         assert_eq!(wrong("\nODOM 1 2\n"), "line 2: `ODOM` ends before its pose");
         assert_eq!(wrong("FLASER 3 1 2"), "line 1: `FLASER` ends before its ranges");
         assert_eq!(wrong("FLASER 2 1 x"), "line 1: the ranges of `FLASER` is `x`, which is no number");
@@ -341,13 +341,13 @@ mod tests {
             wrong("ODOM 1e8 2 3 0 0 0 1 h 1"),
             "line 1: the pose of `ODOM` is (100000000.0, 2.0), but no map reaches beyond 1e7 m"
         );
-        // Nothing follows a mistake.
+        // Nothing follows an error.
         assert_eq!(read("ODOM\nODOM 1 2 3 0 0 0 1 h 1\n").len(), 1);
     }
 
     proptest! {
         #[test]
-        fn no_log_panics(text in "(ODOM|FLASER|ROBOTLASER1)( -?[0-9.einf]{1,4}){0,30}\n?") {
+        fn arbitrary_logs_never_panic(text in "(ODOM|FLASER|ROBOTLASER1)( -?[0-9.einf]{1,4}){0,30}\n?") {
             read(&text).into_iter().for_each(|message| if let Ok(Message::Laser(laser)) = message {
                 _ = laser.scan();
             });

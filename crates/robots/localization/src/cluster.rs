@@ -1,4 +1,4 @@
-//! Particles in bins that touch are a cluster, of which the heaviest is the estimate.
+//! Clusters of particles: those in bins that touch. The heaviest cluster is the estimate.
 
 use crate::{
     bins::{Bin, Binning, Bins, connected},
@@ -17,12 +17,12 @@ pub(crate) struct Cluster {
     pub heading: f64,
     /// Covariance of column, row and heading, row by row.
     pub covariance: [f64; 9],
-    /// Its share of all weight.
+    /// Share of the total weight.
     pub share: f64,
 }
 
 impl Cluster {
-    /// The heaviest of the clusters in which no bin is away from all others (AMCL's way to tell hypotheses apart).
+    /// Finds the heaviest cluster of connected bins, as AMCL separates hypotheses.
     pub fn heaviest(particles: &Particles, binning: &Binning) -> Self {
         let mut bins = Bins::default();
         let mut all: Vec<Bin> = Vec::new();
@@ -78,7 +78,7 @@ impl Cluster {
         mean
     }
 
-    /// Second moments of these particles about the mean of this cluster.
+    /// Returns the second moments of these particles about this cluster's mean, row by row.
     pub fn second_moments(&self, particles: &Particles, members: impl Iterator<Item = usize>) -> [f64; 9] {
         let places = &particles.places;
         let (mut weight, mut moments) = (0.0, [0.0; 9]);
@@ -112,19 +112,19 @@ mod tests {
     }
 
     #[test]
-    fn the_estimate_is_the_heaviest_hypothesis_not_the_mean_of_all() {
+    fn estimate_is_the_heaviest_hypothesis_not_the_overall_mean() {
         let mut particles = Particles::default();
         flock(&mut particles, (100.0, 100.0, 0.5), 0.02);
         flock(&mut particles, (300.0, 100.0, 0.5), 0.03);
         let cluster = Cluster::heaviest(&particles, &Binning::new(0.05));
         assert!((cluster.column - 300.0).abs() < 1e-3 && (cluster.heading - 0.5).abs() < 1e-6);
-        // Column and row go against each other, heading with the column.
+        // Column and row are correlated negatively, column and heading positively.
         assert!(cluster.covariance[0] > 0.0 && cluster.covariance[1] < 0.0 && cluster.covariance[2] > 0.0);
         assert_eq!(cluster.covariance[1], cluster.covariance[3]);
     }
 
     #[test]
-    fn headings_around_half_a_turn_are_one_cluster() {
+    fn headings_on_both_sides_of_pi_form_one_cluster() {
         use std::f32::consts::PI;
         let mut particles = Particles::default();
         flock(&mut particles, (100.0, 100.0, PI - 0.05), 0.02);

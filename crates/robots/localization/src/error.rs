@@ -1,20 +1,20 @@
-//! Why localization is impossible.
+//! The crate's error type.
 
 use crate::geometry::{FARTHEST, Pose2};
 
-/// Why a filter cannot begin, or go on.
+/// An error of a filter's inputs.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum LocalizationError {
-    /// A robot can be nowhere.
-    #[error("the map has no free cell, on which a robot could be")]
+    /// The map has no free cell.
+    #[error("the map has no free cell for a robot to stand on")]
     NoFreeSpace,
-    /// All scans would look alike.
-    #[error("the map has no wall, by which a robot could be found")]
+    /// The map has no wall: all scans would look alike.
+    #[error("the map has no wall to locate a robot by")]
     NoWall,
     /// A pose is not finite, or so far away that computing with it overflows.
-    #[error("({:?}, {:?}) m and {:?} rad is no pose: not finite, or beyond {FARTHEST:e} m", .0.x, .0.y, .0.heading)]
+    #[error("({:?}, {:?}) m and {:?} rad is not a valid pose: it is not finite, or beyond {FARTHEST:e} m", .0.x, .0.y, .0.heading)]
     NoPose(Pose2),
     /// A covariance is not finite, or so large that computing with it overflows.
-    #[error("a variance of {0} is no use: not finite, or above ({FARTHEST:e} m)²")]
+    #[error("a variance of {0} is not valid: it is not finite, or above ({FARTHEST:e} m)²")]
     NoCovariance(f64),
 }

@@ -1,15 +1,15 @@
-//! Sine, cosine and exponential in single precision, as plain arithmetic: loops over them become vector instructions, and
-//! their last bits are the same on every machine. Polynomials as in Cephes (Moshier 1989), good to some 1e-7.
+//! Sine, cosine and exponential in single precision, as plain arithmetic. Loops over them vectorize, and results are the
+//! same to the bit on every machine. The polynomials are those of Cephes (Moshier 1989), with errors of some 1e-7.
 
 use std::f32::consts::{FRAC_2_PI, LOG2_E};
 
-/// Added to a number and taken away again, it leaves the nearest whole one. Its lowest bits, before that, are its own.
+/// Adding and subtracting it rounds a number to the nearest integer. After the addition, the lowest bits are that integer.
 const ROUND: f32 = 12_582_912.0; // 1.5 · 2²³
 
-/// Sine and cosine of an angle of some hundred turns at most.
+/// Returns sine and cosine of an angle of at most some hundred turns, radians.
 #[inline(always)]
 pub(crate) fn sin_cos(angle: f32) -> (f32, f32) {
-    // π/2 in three parts, of which the first two have few bits: what is taken away is exact.
+    // π/2 in three parts. The first two have few bits, so that their products are exact.
     const PARTS: [f32; 3] = [1.570_312_5, 4.837_513e-4, 7.549_79e-8];
     let shifted = angle * FRAC_2_PI + ROUND;
     let quarters = shifted - ROUND;
@@ -25,11 +25,11 @@ pub(crate) fn sin_cos(angle: f32) -> (f32, f32) {
     (negative(sine, quadrant >> 1 & 1), negative(cosine, (quadrant >> 1 ^ quadrant) & 1))
 }
 
-/// e to a power of 0 or less; 0 below -87.
+/// Returns e to a power of at most 0; 0 below -87.
 #[inline(always)]
 pub(crate) fn exp(power: f32) -> f32 {
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
-    // Plain comparisons become one instruction each; a power that is no number becomes 0.
+    // A plain comparison is a single instruction. NaN counts as -87.
     let power = if power > -87.0 { power } else { -87.0 };
     let shifted = power * LOG2_E + ROUND;
     let twos = shifted - ROUND;

@@ -1,5 +1,5 @@
-//! The likelihood field: what the end of a beam says at each place of the map, looked up and summed as fast as memory
-//! allows (Probabilistic Robotics, ch. 6.4, table 6.3).
+//! The likelihood field: scores of a beam's end at each place of the map (Probabilistic Robotics, ch. 6.4, table 6.3).
+//! Scores are looked up in a table and summed at the speed of memory.
 
 use std::f64::consts::PI;
 
@@ -15,37 +15,37 @@ use crate::{
     scan::Beams,
 };
 
-/// A map, prepared for a filter with certain parameters. Share it between the filters of robots that are alike.
+/// A map that is prepared for a filter's parameters. Share it between the filters of robots of the same kind.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LikelihoodField {
     resolution: f64,
     /// The lower left corner, metres.
     origin: (f64, f64),
-    /// Cells in a row, and rows.
+    /// Columns and rows.
     size: (usize, usize),
-    /// What a beam that ends in a cell adds to a particle's score; with a border, to which all that is off the map is
-    /// moved, and rows of 2^`shift` cells and [`BETWEEN_ROWS`] more.
+    /// Score of a beam that ends in each cell. A border stands for all places off the map. Rows have 2^`shift` +
+    /// [`BETWEEN_ROWS`] cells.
     table: Vec<f32>,
     shift: u32,
-    /// What a beam adds at a wall, and far from all walls.
+    /// Scores of a beam at a wall, and far from all walls.
     range: [f32; 2],
-    /// Free cells, as stretches of a row: index of the first, and how many there are up to this stretch's end.
+    /// Runs of free cells in rows: index of the first, and number of free cells up to the run's end.
     free: Vec<(usize, u64)>,
-    /// The same map in larger cells and with wider walls, on which a search of all of it begins.
+    /// The map in larger cells and with wider walls, for searches of the whole map.
     coarse: Option<Box<Self>>,
 }
 
-/// So many cells are one of the coarse map, in each direction, and so wide are its walls, as deviation in metres.
+/// Cells per cell of the coarse map, in each direction, and the deviation of its walls, metres.
 const COARSER: usize = 4;
 const COARSE_SIGMA: f64 = 0.25;
 
-/// An `f32` from 2²³ to 2²⁴ counts ones: added to a number, this leaves its whole part in the lowest bits, without the
-/// checks of a conversion. A number on the border between two cells may go to either.
+/// Adding it to a number leaves the integer part in the lowest bits, because an `f32` from 2²³ to 2²⁴ counts ones. That
+/// avoids the checks of a conversion. A number on the border between two cells may go to either.
 const WHOLE: f32 = 8_388_608.0 - 0.5;
 const WHOLE_BITS: u32 = 0x007f_ffff;
 
 impl LikelihoodField {
-    /// Prepares a map: some 30 ms per million cells.
+    /// Prepares a map. It takes some 30 ms per million cells.
     pub fn new(map: &OccupancyGrid, parameters: &Parameters) -> Self {
         let mut wider = *parameters;
         wider.beams.sigma_hit = wider.beams.sigma_hit.max(COARSE_SIGMA);
@@ -63,14 +63,14 @@ impl LikelihoodField {
             let distance = f64::from(squared_cells).sqrt() * resolution;
             let distance = distance.min(model.likelihood_max_dist);
             let hit = (-distance.powi(2) / (2.0 * model.sigma_hit.powi(2))).exp();
-            // AMCL leaves out the normalization of the Gaussian; so it is only a matter of z_hit and z_rand.
+            // Like AMCL, without the normalization of the Gaussian.
             let p = model.z_hit * hit + model.z_rand / model.range_max;
             match parameters.weighing {
                 Weighing::Likelihood { .. } => p.ln() as f32,
                 Weighing::Amcl => p.powi(3) as f32,
             }
         };
-        // Squares of distances between cells are whole numbers, and from `likelihood_max_dist` on all are alike.
+        // Squared distances between cells are integers, and scores are constant from `likelihood_max_dist` on.
         let most = (model.likelihood_max_dist / resolution).powi(2).ceil() as usize;
         let scores: Vec<f32> = (0..=most).map(|squared| score(squared as f32)).collect();
         let row_length = (1 << shift) + BETWEEN_ROWS as usize;
@@ -90,7 +90,7 @@ impl LikelihoodField {
                 if is_free {
                     count += 1;
                     match free.last_mut() {
-                        Some(stretch) if inside => stretch.1 = count,
+                        Some(run) if inside => run.1 = count,
                         _ => free.push((row * width + column, count)),
                     }
                 }
@@ -110,8 +110,8 @@ impl LikelihoodField {
         }
     }
 
-    /// Places all over the map where the scan fits best, as far as the coarse map tells, and no more than so many. All
-    /// free cells are looked at, in so many directions.
+    /// Returns the `most` places where the scan fits best on the coarse map. It tries each free cell with `headings`
+    /// headings.
     pub(crate) fn search(&self, beams: &Beams, headings: usize, most: usize) -> Places {
         let mut found = Vec::new();
         if let Some(coarse) = &self.coarse {
@@ -127,8 +127,8 @@ impl LikelihoodField {
         places
     }
 
-    /// The same on this map. In one direction, a beam ends so many rows and columns off, whatever the cell: what is
-    /// looked up for neighbours are neighbours.
+    /// Searches this map. With one heading, a beam ends at the same offset from each cell, so that lookups for neighbouring
+    /// cells are neighbours in memory.
     fn search_each_cell(&self, beams: &Beams, headings: usize, most: usize, found: &mut Vec<(f32, Place)>) {
         let (width, height) = self.size;
         let row_length = (1 << self.shift) + BETWEEN_ROWS as usize;
@@ -154,7 +154,7 @@ impl LikelihoodField {
                     if row < 1 || row > height as isize {
                         continue;
                     }
-                    // From where to where the beam ends on the map.
+                    // Cells of the run from which the beam ends on the map.
                     let begin = (1 - column as isize - x).max(0);
                     let end = (width as isize + 1 - column as isize - x).min(scores.len() as isize);
                     if begin >= end {
@@ -167,7 +167,7 @@ impl LikelihoodField {
                     }
                 }
                 for (nth, &score) in scores.iter().enumerate() {
-                    // The best of its neighbours stands for them.
+                    // Only local maxima count.
                     let beside = |nth: usize| scores.get(nth).is_some_and(|beside| *beside > score);
                     if score > least && !beside(nth.wrapping_sub(1)) && !beside(nth + 1) {
                         let column = (column + nth) as f32 + 0.5;
@@ -185,7 +185,7 @@ impl LikelihoodField {
         found.truncate(most);
     }
 
-    /// Whether a robot can be found on it.
+    /// Checks that a robot can be localized on the map.
     ///
     /// # Errors
     /// [`LocalizationError::NoWall`] or [`LocalizationError::NoFreeSpace`].
@@ -197,13 +197,13 @@ impl LikelihoodField {
         if walls { Ok(()) } else { Err(LocalizationError::NoWall) }
     }
 
-    /// A pose on free space, all alike; `None` if there is no free space.
+    /// Draws a pose uniformly from free space; `None` if there is none.
     pub(crate) fn anywhere(&self, random: &mut Stream) -> Option<Place> {
         let all = self.free.last()?.1;
         let nth = random.below(all);
-        let stretch = self.free.partition_point(|stretch| stretch.1 <= nth);
-        let before = stretch.checked_sub(1).map_or(0, |before| self.free[before].1);
-        let cell = self.free[stretch].0 + (nth - before) as usize;
+        let run = self.free.partition_point(|run| run.1 <= nth);
+        let before = run.checked_sub(1).map_or(0, |before| self.free[before].1);
+        let cell = self.free[run].0 + (nth - before) as usize;
         let mut within = || random.uniform() as f32;
         Some(Place {
             column: (cell % self.size.0) as f32 + 1.0 + within(),
@@ -212,13 +212,13 @@ impl LikelihoodField {
         })
     }
 
-    /// The share of the votes at walls that gives this score, if each is at one or far from all.
+    /// Returns the share of the votes at walls that gives this score, if all others are far from walls.
     pub(crate) fn hit_share(&self, score: f32, votes: f32) -> f64 {
         let [hit, miss] = self.range;
         f64::from((score / votes - miss) / (hit - miss))
     }
 
-    /// Second moments of column, row and heading about a place, for a robot that may be anywhere on the map; in cells.
+    /// Returns the second moments of column, row and heading about a place, in cells, for a robot anywhere on the map.
     pub(crate) fn anywhere_about(&self, column: f64, row: f64) -> [f64; 9] {
         let (width, height) = (self.size.0 as f64, self.size.1 as f64);
         let (x, y) = (width / 2.0 + 1.0 - column, height / 2.0 + 1.0 - row);
@@ -246,10 +246,10 @@ impl LikelihoodField {
         )
     }
 
-    /// Writes Σ ωᵢ · table[end of beam i] for the robot at each of these places; the beams' ends are in cells.
+    /// Writes Σ ωᵢ · table[end of beam i] for the robot at each place; the beams' ends are in cells.
     ///
-    /// Beam by beam, because the ends of one beam lie near each other for all particles: what is looked up stays in the
-    /// fastest memory.
+    /// It goes beam by beam. The ends of one beam are near each other for all particles, so that lookups stay in the
+    /// fastest cache.
     pub(crate) fn score(&self, places: &Places, beams: &Beams, scores: &mut Vec<f32>) {
         scores.clear();
         scores.resize(places.len(), 0.0);
@@ -285,14 +285,13 @@ impl LikelihoodField {
         }
     }
 
-    /// Whether no beam can end off the map from any of these columns or rows.
+    /// Whether all beams end on the map from all of these columns or rows.
     fn is_inside(&self, values: &[f32], size: usize, longest: f32) -> bool {
         let last = size as f32 + 1.0 - longest;
         values.iter().all(|&value| value > longest + 1.0 && value < last)
     }
 
-    /// Writes in which cells a beam ends, of robots at these places; those off the map, where there can be any, are on
-    /// the border.
+    /// Writes the cells in which a beam ends for robots at these places. With `CLAMPED`, ends off the map go to the border.
     #[inline(always)]
     fn ends<const CLAMPED: bool>(
         &self,
@@ -301,7 +300,7 @@ impl LikelihoodField {
         cells: &mut [u32],
     ) {
         let last = (self.size.0 as f32 + 1.5, self.size.1 as f32 + 1.5);
-        // Plain comparisons become one instruction each, which `clamp`, with its care for NaN, does not.
+        // A plain comparison is a single instruction; `clamp` takes more, because it handles NaN.
         let within = |value: f32, last: f32| {
             if !CLAMPED {
                 return value;
@@ -318,20 +317,22 @@ impl LikelihoodField {
     }
 }
 
-/// So many beams are looked up at once.
+/// Beams that are looked up at once.
 const AT_ONCE: usize = 4;
-/// So many particles go through all beams before the next ones do.
+/// Particles that go through all beams before the next ones do.
 const BLOCK: usize = 512;
-/// Cells between the rows of the table beyond a power of two, a cache line: in rows of a power of two alone, all cells of
-/// a column would compete for the same few cache lines.
+/// Cells added to each row of the table: one cache line. With rows of a power of two, all cells of a column would compete
+/// for the same few cache lines.
 const BETWEEN_ROWS: u32 = 16;
 
-/// The square of the distance from each cell's centre to that of the nearest occupied one - beside a free one, if only
-/// `surfaces` count - in cells, row by row from the lower left. It is exact: up and down each column at once, then lower
-/// envelopes of parabolas along the rows (Felzenszwalb and Huttenlocher 2012).
+/// Returns the squared distance from each cell's centre to that of the nearest occupied cell, in cells, row by row from the
+/// lower left. With `surfaces`, only occupied cells beside a free one count.
+///
+/// The distances are exact: a pass along the columns, then lower envelopes of parabolas along the rows (Felzenszwalb and
+/// Huttenlocher 2012).
 fn squared_distances(map: &OccupancyGrid, surfaces: bool) -> Vec<f32> {
     let (width, height) = (map.width(), map.height());
-    // Off the map, all is unknown.
+    // Cells off the map are unknown.
     let is_free = |column: usize, row: usize| map.cell(column, row) == Cell::Free;
     let beside_free = |column: usize, row: usize| {
         is_free(column.wrapping_sub(1), row)
@@ -346,7 +347,7 @@ fn squared_distances(map: &OccupancyGrid, surfaces: bool) -> Vec<f32> {
         .flat_map(|row| (0..width).map(move |column| (column, row)))
         .map(|(column, row)| if is_wall(column, row) { 0.0 } else { f32::INFINITY })
         .collect();
-    // Whole rows, so that each step is one of many columns.
+    // Whole rows at a time, so that the loop vectorizes over columns.
     let mut nearer = |from: usize, to: usize| {
         let (low, high) = distance.split_at_mut(from.max(to) * width);
         let (low, high) = (&mut low[from.min(to) * width..][..width], &mut high[..width]);
@@ -363,7 +364,7 @@ fn squared_distances(map: &OccupancyGrid, surfaces: bool) -> Vec<f32> {
     distance
 }
 
-/// A map of larger cells: each is a wall if there is one in it, and else free if there is free space in it.
+/// Returns the map in larger cells. A cell is a wall if it has any, and else free if it has free space.
 fn coarser(map: &OccupancyGrid) -> Option<OccupancyGrid> {
     let (width, height) = (map.width().div_ceil(COARSER), map.height().div_ceil(COARSER));
     let mut cells = vec![Cell::Unknown; width * height];
@@ -380,12 +381,12 @@ fn coarser(map: &OccupancyGrid) -> Option<OccupancyGrid> {
     OccupancyGrid::new(width, height, COARSER as f64 * map.resolution(), map.origin(), cells)
 }
 
-/// Parabolas, each with its place and from where on it is the lowest.
+/// A lower envelope of parabolas: place, height, and start of the interval where each is the lowest.
 #[derive(Default)]
 struct Envelope(Vec<(usize, f32, f64)>);
 
 impl Envelope {
-    /// Replaces each value f(q) by the least (q - p)² + f(p).
+    /// Replaces each value f(q) by the minimum over p of (q - p)² + f(p).
     fn lower(&mut self, line: &mut [f32]) {
         self.0.clear();
         for (place, &height) in line.iter().enumerate() {
@@ -434,7 +435,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn distances_are_those_of_the_nearest_wall(
+        fn distances_match_an_exhaustive_search(
             width in 1_usize..12,
             cells in prop::collection::vec(prop::bool::weighted(0.2), 12..150),
         ) {
@@ -452,7 +453,7 @@ mod tests {
             }
         }
 
-        /// The fast sum is the plain one, on the map and far off it.
+        /// The fast sum equals the plain one, on the map and far off it.
         #[test]
         fn scores_are_sums_over_the_table(
             cells in prop::collection::vec(prop::bool::weighted(0.3), 63),
@@ -470,7 +471,7 @@ mod tests {
             }
             let place = field.place(Pose2::new(x, y, heading));
             let mut places = Places::default();
-            // More than a block, and no whole number of lanes.
+            // More than a block, and not a whole number of lanes.
             (0..1030).for_each(|_| places.push(place));
             let distances = squared_distances(&map, true);
             let (sin, cos) = place.heading.sin_cos();
@@ -496,14 +497,14 @@ mod tests {
     }
 
     #[test]
-    fn no_beam_ends_within_a_wall() {
+    fn only_surfaces_of_walls_count() {
         let map = grid(5, &[false, true, true, true, false]);
         assert_eq!(squared_distances(&map, false), [1.0, 0.0, 0.0, 0.0, 1.0]);
         assert_eq!(squared_distances(&map, true), [1.0, 0.0, 1.0, 0.0, 1.0]);
     }
 
     #[test]
-    fn anywhere_is_every_free_cell_alike_and_no_other() {
+    fn anywhere_draws_free_cells_uniformly() {
         let walls = [true, false, false, true, false, true, true, false];
         let field = LikelihoodField::new(&grid(4, &walls), &Parameters::default());
         let mut random = Stream::new(1);
@@ -520,7 +521,7 @@ mod tests {
     }
 
     #[test]
-    fn the_search_of_the_whole_map_finds_where_a_scan_is_from() {
+    fn search_finds_the_place_of_a_scan() {
         // An L of walls and a pillar, in cells of 0.05 m.
         let size = 120;
         let wall = |column: usize, row: usize| {

@@ -1,12 +1,11 @@
-//! Poses in the plane as a group: what odometry says is a step from pose to pose, and a step is applied by
-//! composition, wherever the pose is.
+//! Poses in the plane, which form a group: odometry gives a step from pose to pose, and composition applies it to any pose.
 
 use std::{
     f64::consts::{PI, TAU},
     ops::Mul,
 };
 
-/// A position and a heading, or the step from one such to another.
+/// A position and a heading, or the step from one pose to another.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pose2 {
     /// Metres.
@@ -17,39 +16,39 @@ pub struct Pose2 {
     pub heading: f64,
 }
 
-/// Coordinates beyond that are mistakes, metres: products of larger ones overflow sooner or later.
+/// Largest valid coordinate, metres. Products of larger ones overflow sooner or later.
 pub const FARTHEST: f64 = 1e7;
 
 impl Pose2 {
-    /// A pose, its heading brought into (-π, π].
+    /// Creates a pose, and wraps its heading into (-π, π].
     pub fn new(x: f64, y: f64, heading: f64) -> Self {
         Self { x, y, heading: wrapped(heading) }
     }
 
-    /// Whether it is a pose that can be computed with: a finite heading, and no coordinate beyond [`FARTHEST`].
+    /// Whether the heading is finite and no coordinate is beyond [`FARTHEST`].
     pub fn is_valid(self) -> bool {
-        // NaN is not within either.
+        // NaN fails the comparisons.
         self.x.abs() <= FARTHEST && self.y.abs() <= FARTHEST && self.heading.is_finite()
     }
 
-    /// The step back: `p * p.inverse()` is the origin.
+    /// Returns the inverse step: `p * p.inverse()` is the origin.
     pub fn inverse(self) -> Self {
         let (sin, cos) = self.heading.sin_cos();
         Self::new(-cos * self.x - sin * self.y, sin * self.x - cos * self.y, -self.heading)
     }
 
-    /// The step that leads from here to there: `a * a.step_to(b)` is `b`.
+    /// Returns the step from this pose to another: `a * a.step_to(b)` is `b`.
     pub fn step_to(self, there: Self) -> Self {
         self.inverse() * there
     }
 
-    /// Metres between two positions.
+    /// Returns the distance between two positions, metres.
     pub fn distance(self, there: Self) -> f64 {
         (there.x - self.x).hypot(there.y - self.y)
     }
 }
 
-/// Goes a step, given in the frame of the pose.
+/// Applies a step that is given in the frame of the pose.
 impl Mul for Pose2 {
     type Output = Self;
 
@@ -63,9 +62,9 @@ impl Mul for Pose2 {
     }
 }
 
-/// The same angle in (-π, π].
+/// Wraps an angle into (-π, π].
 pub(crate) fn wrapped(angle: f64) -> f64 {
-    // Most angles are there already; the remainder would cost their last bits.
+    // Most angles are in range already; the remainder would change their last bits.
     if angle > -PI && angle <= PI {
         return angle;
     }
@@ -89,7 +88,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_step_leads_there_and_back(a in pose(), b in pose()) {
+        fn steps_and_their_inverses_cancel(a in pose(), b in pose()) {
             prop_assert!(same(a * a.step_to(b), b));
             prop_assert!(same(a * a.inverse(), Pose2::default()));
             prop_assert!(same((a * b) * b.inverse(), a));

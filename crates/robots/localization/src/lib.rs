@@ -1,8 +1,4 @@
-//! Monte Carlo localization: where a robot is on a map, from its odometry and its lidar, with the covariance of that.
-//! σ_p(r) of a robot that no simulator knows the place of.
-//!
-//! [`Localizer`] is the way in: a state machine without clock or sockets, seeded, the same to the bit each time.
-//! [`carmen`] reads recorded logs, and [`trajectory`] compares what came of them with a reference.
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 

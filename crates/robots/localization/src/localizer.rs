@@ -1,4 +1,4 @@
-//! The filter: odometry and scans go in, poses with their covariance come out.
+//! The particle filter of one robot: odometry and scans go in, poses with their covariance come out.
 
 use std::sync::Arc;
 
@@ -17,22 +17,22 @@ use crate::{
     track::{Bench, Track},
 };
 
-/// Where the filter believes the robot to be.
+/// Estimated pose of a robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
     /// The mean of the heaviest hypothesis.
     pub pose: Pose2,
-    /// Its covariance: of x, y and heading, row by row; m², m·rad, rad².
+    /// Covariance of x, y and heading, row by row; m², m·rad, rad².
     pub covariance: [f64; 9],
-    /// How many particles there are.
+    /// Number of particles.
     pub particles: usize,
-    /// Whether the scan was used: the robot had moved far enough since the last one that was. If not, the estimate is
-    /// that of the last one, moved on by odometry.
+    /// Whether the scan was used, because the robot had moved far enough since the last used one. If not, this is the last
+    /// estimate, moved on by odometry.
     pub updated: bool,
 }
 
 impl Estimate {
-    /// Where, and how sure.
+    /// Returns the pose with its covariance.
     pub fn belief(&self) -> Belief {
         Belief { pose: self.pose, covariance: self.covariance }
     }
@@ -41,13 +41,13 @@ impl Estimate {
 /// Monte Carlo localization of one robot (Probabilistic Robotics, ch. 8.3), with KLD-sampling, augmented recovery and
 /// global localization.
 ///
-/// It reads no clock and draws from one seed: the same calls give the same estimates, to the bit.
+/// It draws from one seed: the same calls give the same estimates, to the bit.
 #[derive(Debug, Clone)]
 pub struct Localizer {
     bench: Bench,
-    /// Its heaviest cluster is the estimate.
+    /// The hypothesis whose heaviest cluster is the estimate.
     followed: Track,
-    /// Where else the robot may be, if scans have fitted badly.
+    /// Other hypotheses, created when scans fit badly.
     others: Vec<Track>,
     usual: Usual,
     /// Odometry at the last update; `None` before the first.
@@ -55,42 +55,42 @@ pub struct Localizer {
     /// Second moments about the estimate as of the last update, in cells.
     about: [f64; 9],
     updates: u32,
-    /// Nothing is known of where it is before the first scan.
+    /// Whether the first scan is still to locate the robot on the whole map.
     anywhere: bool,
 }
 
-/// Of the beams, as many are enough to find candidates.
+/// Number of beams by which candidates are sought.
 const CANDIDATE_BEAMS: usize = 40;
-/// Logarithm of the odds that a robot whose scan fits badly slipped to the one place near by that fits best.
+/// Log odds that a robot with a badly fitting scan slipped to the place near by that fits best.
 const SLIPPED: f64 = -11.5;
-/// A scan says no more of where near by the robot is than so many votes would: the place was chosen to fit.
+/// Largest number of votes of a scan for a place near by, because the place was chosen to fit.
 const MOST_VOTES: f64 = 25.0;
-/// Better places near by are looked for after a scan that fits worse than that.
+/// Relative fit below which better places near by are sought.
 const NEAR: f64 = 0.8;
-/// A place far away is one to be followed if the scan fits so much better there.
+/// Smallest advantage in relative fit that makes a distant place a hypothesis.
 const BETTER: f64 = 0.1;
-/// A robot that stands is looked for anew if its scan fits so much worse than the last.
+/// Drop in relative fit at which a standing robot is sought anew.
 const WORSE: f64 = 0.2;
-/// No odds need a larger logarithm.
+/// Cap of log odds before they are exponentiated.
 const LARGEST: f64 = 50.0;
-/// Less likely places are left out.
+/// Probability below which places are left out.
 const NEGLIGIBLE: f64 = 1e-4;
-/// So many other places are kept, with their surroundings.
+/// Largest number of other hypotheses.
 const OTHERS: usize = 2;
-/// An other place is followed instead when the logarithm of its odds is that much larger, also than that of a place that
-/// nobody knows of, and when such a share of its particles is in one cluster.
+/// Advantage in log odds at which another hypothesis is followed instead: over the followed one, and over no known
+/// hypothesis at all (0). It also needs the share [`CLEAR`] of its weight in one cluster.
 const TAKES_OVER: f64 = 2.0;
 const CLEAR: f64 = 0.7;
-/// It is given up when the logarithm is that much smaller.
+/// Deficit in log odds at which a hypothesis is given up.
 const GIVEN_UP: f64 = 15.0;
-/// Clusters that near each other are the same place, metres.
+/// Distance between clusters below which they are the same place, metres.
 const SAME: f64 = 0.5;
 
 impl Localizer {
-    /// A filter that knows about where the robot is: a normal distribution, its covariance row by row.
+    /// Creates a filter for a robot with a known start: a normal distribution with this covariance, row by row.
     ///
     /// # Errors
-    /// [`LocalizationError`] if the map, the pose or the covariance is no use.
+    /// [`LocalizationError`] if the map, the pose or the covariance is not usable.
     pub fn at(
         field: Arc<LikelihoodField>,
         parameters: Parameters,
@@ -100,7 +100,7 @@ impl Localizer {
     ) -> Result<Self, LocalizationError> {
         valid(pose)?;
         let most = FARTHEST * FARTHEST;
-        // NaN is not within either.
+        // NaN is not in the range either.
         if let Some(entry) = covariance.iter().find(|entry| !(-most..=most).contains(*entry)) {
             return Err(LocalizationError::NoCovariance(*entry));
         }
@@ -113,7 +113,7 @@ impl Localizer {
         Ok(Self::new(bench, followed))
     }
 
-    /// A filter that knows nothing: the robot may be on any free cell, and look anywhere.
+    /// Creates a filter for a robot that may be on any free cell, with any heading.
     ///
     /// # Errors
     /// [`LocalizationError::NoFreeSpace`] and [`LocalizationError::NoWall`].
@@ -154,11 +154,10 @@ impl Localizer {
         localizer
     }
 
-    /// Takes in where odometry says that the robot is, in whatever frame it began, and what its lidar sees there.
+    /// Updates the estimate with the robot's pose by odometry, in any fixed frame, and the scan taken there.
     ///
     /// # Errors
-    /// [`LocalizationError::NoPose`] if odometry, or what the scan says of its mount or sweep, is none; nothing has
-    /// changed then.
+    /// [`LocalizationError::NoPose`] if the odometry or the scan's mount or sweep is not valid. The filter is unchanged then.
     pub fn observe(&mut self, odometry: Pose2, scan: &Scan<'_>) -> Result<Estimate, LocalizationError> {
         for pose in [odometry, scan.mount, scan.sweep] {
             valid(pose)?;
@@ -178,14 +177,14 @@ impl Localizer {
         let beams = &mut self.bench.beams;
         beams.take(scan, &parameters.beams, parameters.weighing);
         if beams.votes == 0.0 {
-            // A lidar that sees nothing says nothing; the motion is sampled with the next scan that does.
+            // Nothing was seen. The motion is sampled with the next usable scan.
             self.odometry = self.odometry.or(Some(odometry));
             return Ok(self.moved_on(step.unwrap_or_default()));
         }
         let per_cell = self.bench.field.resolution().recip() as f32;
         beams.x.iter_mut().chain(&mut beams.y).for_each(|end| *end *= per_cell);
         if let Some(step) = near
-            && !self.startles(step)
+            && !self.is_unexpected(step)
         {
             return Ok(self.moved_on(step));
         }
@@ -194,8 +193,8 @@ impl Localizer {
         Ok(self.estimate(true))
     }
 
-    /// Whether the scan of a robot that has hardly moved no longer fits: it may have been carried away.
-    fn startles(&mut self, step: Pose2) -> bool {
+    /// Whether the scan of a robot that has hardly moved no longer fits, as when it was carried away.
+    fn is_unexpected(&mut self, step: Pose2) -> bool {
         let Place { column, row, heading } = self.followed.place();
         let pose = self.bench.field.pose(column.into(), row.into(), heading.into()) * step;
         let mut places = Places::default();
@@ -205,11 +204,11 @@ impl Localizer {
         fit < neutral(self.bench.beams.votes.into()) && fit < self.followed.fit - WORSE
     }
 
-    fn update(&mut self, step: Option<Pose2>, startled: bool) {
+    fn update(&mut self, step: Option<Pose2>, is_unexpected: bool) {
         let step = step.unwrap_or_default();
         let motion = Motion::new(step, &self.bench.parameters.motion);
         for track in std::iter::once(&mut self.followed).chain(&mut self.others) {
-            track.go(&motion, &mut self.bench);
+            track.advance(&motion, &mut self.bench);
         }
         if std::mem::take(&mut self.anywhere) && self.bench.weighs_by_likelihood() {
             self.scatter();
@@ -217,31 +216,31 @@ impl Localizer {
         let [evidence, score] = self.followed.weigh(&mut self.bench);
         self.updates += 1;
         if self.bench.weighs_by_likelihood() {
-            // A scan that no longer fits where the robot stands is news.
-            let way = if startled { f64::INFINITY } else { step.x.hypot(step.y) + step.heading.abs() };
+            // An unexpected scan counts in full, although the robot has not moved.
+            let way = if is_unexpected { f64::INFINITY } else { step.x.hypot(step.y) + step.heading.abs() };
             self.judge(evidence, score, way);
         }
         self.followed.settle(&self.bench);
         self.about = self.mixture();
-        // Else their number would grow with each look near by.
+        // Each search near by adds particles.
         let crowded = self.followed.particles.len() > self.bench.parameters.max_particles;
         let due = match self.bench.parameters.resample_interval {
             Some(interval) => self.updates.is_multiple_of(interval.max(1)),
             None => self.followed.particles.effective() < 0.5 * self.followed.particles.len() as f64,
         };
         if due || crowded {
-            self.followed.draw(&mut self.bench);
+            self.followed.resample(&mut self.bench);
         }
     }
 
-    /// Takes in how well the scan fits where the robot is followed and elsewhere, and whether it is followed elsewhere
-    /// from now on.
+    /// Updates the odds of all hypotheses by the scan, seeks others if none fits, and follows another one if it is clearly
+    /// better.
     fn judge(&mut self, evidence: f64, score: f64, way: f64) {
         let votes = self.bench.beams.votes.into();
         let neutral = neutral(votes);
         let share = self.bench.hit_share(score);
         let fit = self.usual.relative(share);
-        self.followed.odds.see(fit, votes, way);
+        self.followed.odds.record(fit, votes, way);
         if self.followed.odds.is_followed() && self.others.is_empty() {
             self.usual.learn(share, fit < neutral);
         }
@@ -251,10 +250,10 @@ impl Localizer {
             let [_, score] = track.weigh(&mut self.bench);
             let fit = self.usual.relative(self.bench.hit_share(score));
             track.fit = fit;
-            track.odds.see(fit, votes, way);
+            track.odds.record(fit, votes, way);
             explained |= fit >= neutral;
             track.settle(&self.bench);
-            track.draw(&mut self.bench);
+            track.resample(&mut self.bench);
         }
         self.limit();
         if fit < NEAR {
@@ -275,7 +274,7 @@ impl Localizer {
         }
     }
 
-    /// Takes from the odds of all others what those of one are too large.
+    /// Caps the odds of each hypothesis, and lowers those of the others by the excess.
     fn limit(&mut self) {
         let excess = self.followed.odds.limit();
         self.others.iter_mut().for_each(|track| track.odds.lower(excess));
@@ -287,7 +286,7 @@ impl Localizer {
         }
     }
 
-    /// Gives up other places that are far less likely than the one that is followed, or the same as another.
+    /// Drops hypotheses that are far less likely than the followed one, or at the same place as another.
     fn weed(&mut self) {
         let resolution = self.bench.field.resolution();
         let same = |a: &Track, b: &Track| {
@@ -304,7 +303,7 @@ impl Localizer {
         self.others = kept;
     }
 
-    /// The estimate as of the last update, with what odometry says since.
+    /// Returns the last estimate, moved on by odometry.
     fn moved_on(&self, step: Pose2) -> Estimate {
         let last = self.estimate(false);
         let Belief { pose, covariance } = last.belief().moved_on(step, &self.bench.parameters.motion);
@@ -316,7 +315,8 @@ impl Localizer {
         let resolution = self.bench.field.resolution();
         let mut covariance = in_cells(&self.about, resolution.recip());
         if self.bench.weighs_by_likelihood() {
-            // Walls are anywhere in their cells, alike for all scans: a uniform error, which no number of beams lessens.
+            // A wall may be anywhere in its cell: a uniform error that all scans share, so that more beams do not reduce
+            // it.
             let cell = resolution.powi(2) / 12.0;
             let [way, turn] = self.bench.parameters.systematic;
             covariance[0] += cell + way * way;
@@ -331,8 +331,8 @@ impl Localizer {
         }
     }
 
-    /// Second moments about the estimate: of where the robot is followed, of other places, and of a robot that may be
-    /// anywhere on the map, each with its probability.
+    /// Returns the second moments about the estimate: of all hypotheses and of a robot anywhere on the map, weighted by
+    /// their probabilities.
     fn mixture(&self) -> [f64; 9] {
         let cluster = &self.followed.cluster;
         let all = |track: &Track| cluster.second_moments(&track.particles, 0..track.particles.len());
@@ -351,13 +351,12 @@ impl Localizer {
         moments.map(|moment| moment / sum)
     }
 
-    /// Adds places near by from which the scan could have been taken, with the probability that they have beside the
-    /// particles, whose evidence is given. They get half of it at most: the next scan, by which they were not chosen,
-    /// decides.
+    /// Adds particles at places near by that fit the scan, with their probability against the present particles, whose
+    /// evidence is given. They get at most half of it, because they were chosen by this scan; the next one decides.
     fn look_near(&mut self, evidence: f64) {
         let trust = (MOST_VOTES / f64::from(self.bench.beams.votes)).min(1.0);
         let beams = self.bench.beams.some(CANDIDATE_BEAMS);
-        // The particles' mean is not known anew yet.
+        // The cluster is still that of the last update.
         self.followed.settle(&self.bench);
         let place = self.followed.place();
         let found = Candidates::near(place, &self.bench.field, &beams, &mut self.bench.random);
@@ -371,7 +370,7 @@ impl Localizer {
         }
     }
 
-    /// Looks everywhere for places that the scan fits far better than where the robot is followed.
+    /// Searches the map for places with a clearly better fit, and makes them a hypothesis.
     fn look_elsewhere(&mut self, fit: f64) {
         let Some(found) = self.candidates() else { return };
         let score = self.bench.best(found.places());
@@ -389,7 +388,7 @@ impl Localizer {
         self.others.push(other);
     }
 
-    /// Puts all particles where the scan could have been taken.
+    /// Replaces all particles by places that fit the scan.
     fn scatter(&mut self) {
         let Some(found) = self.candidates() else { return };
         let count = self.bench.parameters.max_particles.min(10 * self.bench.parameters.min_particles);
@@ -406,7 +405,7 @@ fn valid(pose: Pose2) -> Result<(), LocalizationError> {
     if pose.is_valid() { Ok(()) } else { Err(LocalizationError::NoPose(pose)) }
 }
 
-/// A covariance with its lengths divided by `unit`.
+/// Divides the lengths of a covariance by `unit`.
 fn in_cells(covariance: &[f64; 9], unit: f64) -> [f64; 9] {
     let scale = [unit.recip(), unit.recip(), 1.0];
     std::array::from_fn(|i| covariance[i] * scale[i / 3] * scale[i % 3])

@@ -1,4 +1,4 @@
-//! What odometry says, and how far it may be off: the odometry motion model of Probabilistic Robotics, ch. 5.4.
+//! The odometry motion model of Probabilistic Robotics, ch. 5.4: a step of odometry with its noise.
 
 use std::f64::consts::PI;
 
@@ -10,10 +10,10 @@ use crate::{
     random::Stream,
 };
 
-/// Below that, the direction of a step is noise, metres (as in AMCL).
+/// Shortest step whose direction is meaningful, metres (as in AMCL).
 const LEAST_STEP: f64 = 0.01;
 
-/// A step of odometry - turn, go straight, turn - with the deviations of its three parts.
+/// A step of odometry as turn, straight way and turn, with the deviation of each part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Motion {
     turn: f64,
@@ -25,12 +25,12 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// Takes a step apart (table 5.6).
+    /// Decomposes a step (table 5.6).
     pub fn new(step: Pose2, noise: &MotionNoise) -> Self {
         let way = step.x.hypot(step.y);
         let turn = if way < LEAST_STEP { 0.0 } else { step.y.atan2(step.x) };
         let turn_after = wrapped(step.heading - turn);
-        // A robot that drives backwards has not turned round twice (as in AMCL).
+        // Driving backwards is not two half turns (as in AMCL).
         let rotation = |turn: f64| turn.abs().min(PI - turn.abs());
         let (first, second) = (rotation(turn), rotation(turn_after));
         let [a1, a2, a3, a4] = noise.alpha;
@@ -45,7 +45,7 @@ impl Motion {
         }
     }
 
-    /// Moves each particle by a step drawn from the model; `resolution` is the side of a cell, metres.
+    /// Moves each particle by a random step of the model; `resolution` is the side of a cell, metres.
     pub fn sample(&self, places: &mut Places, resolution: f64, random: &mut Stream) {
         let in_cells = resolution.recip() as f32;
         let [turn, way, turn_after] = [self.turn, self.way, self.turn_after].map(|mean| mean as f32);
@@ -63,10 +63,10 @@ impl Motion {
         }
     }
 
-    /// The covariance of a pose after the step, from that before it: to first order, row by row.
+    /// Returns the covariance of a pose after the step, to first order, row by row.
     pub fn propagate(&self, heading: f64, covariance: &[f64; 9]) -> [f64; 9] {
         let (sin, cos) = (heading + self.turn).sin_cos();
-        // How the pose after depends on that before, and on the two turns and the way.
+        // Jacobians of the pose after the step: by the pose before it, and by turn, way and turn.
         let before = [1.0, 0.0, -self.way * sin, 0.0, 1.0, self.way * cos, 0.0, 0.0, 1.0];
         let within = [-self.way * sin, cos, 0.0, self.way * cos, sin, 0.0, 1.0, 0.0, 1.0];
         let squares = [self.turn_deviation, self.way_deviation, self.turn_after_deviation].map(|d| d * d);
@@ -76,7 +76,7 @@ impl Motion {
     }
 }
 
-/// J·C·Jᵀ, all row by row.
+/// Returns J·C·Jᵀ; all matrices row by row.
 fn congruent(j: &[f64; 9], c: &[f64; 9]) -> [f64; 9] {
     std::array::from_fn(|i| {
         let (row, column) = (i / 3, i % 3);
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn without_noise_every_particle_goes_the_step() {
+    fn particles_follow_the_step_exactly_without_noise() {
         let noise = MotionNoise { alpha: [0.0; 4], variance_as_deviation: false };
         for step in [Pose2::new(1.0, 0.5, 0.7), Pose2::new(-0.4, 0.0, 0.0), Pose2::new(0.001, 0.0, -3.0)] {
             let there = moved(step, &noise, 1);
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_spread_as_the_covariance_says() {
+    fn samples_have_the_propagated_covariance() {
         let step = Pose2::new(1.0, 0.2, 0.3);
         let noise = Parameters::default().motion;
         let there = moved(step, &noise, 50_000);
@@ -125,14 +125,14 @@ mod tests {
     }
 
     #[test]
-    fn amcl_takes_the_variance_for_the_deviation() {
+    fn amcl_uses_the_variance_as_deviation() {
         let step = Pose2::new(0.25, 0.0, 0.0);
         let motion = Motion::new(step, &Parameters::amcl().motion);
         assert!((motion.way_deviation - 0.2 * 0.25 * 0.25).abs() < 1e-12);
     }
 
     #[test]
-    fn driving_backwards_is_no_turn() {
+    fn driving_backwards_is_not_a_turn() {
         let noise = Parameters::default().motion;
         let [back, forth] = [-0.3, 0.3].map(|way| Motion::new(Pose2::new(way, 0.0, 0.0), &noise));
         assert!((back.turn_deviation - forth.turn_deviation).abs() < 1e-12);

@@ -1,85 +1,87 @@
-//! All that can be set of a filter, and its two modes.
+//! Parameters of a filter, and its two modes.
 
 use std::f64::consts::PI;
 
-/// How particles are weighed.
+/// Weighing of particles by a scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Weighing {
-    /// The likelihood itself: Σ ωᵢ ln pᵢ, each beam with a share ωᵢ of a vote, so that beams that see the same stretch
-    /// of wall count as one. See [`crate::Scan`] and docs/localization.md for where that is from.
+    /// The log-likelihood Σ ωᵢ ln pᵢ. Each beam has a share ωᵢ of a vote, so that beams that hit the same stretch of wall
+    /// count as one. docs/localization.md gives the sources.
     Likelihood {
-        /// Beams whose ends are that far apart err independently, metres.
+        /// Distance between the ends of two beams from which their errors are independent, metres.
         correlation_length: f64,
     },
-    /// ROS AMCL's `1 + Σ pᵢ³`. It is no likelihood; it fits only AMCL's motion model, whose noise is far too small.
+    /// ROS AMCL's `1 + Σ pᵢ³`. It is not a likelihood, and works only with AMCL's motion model, whose noise is far too
+    /// small.
     Amcl,
 }
 
-/// How the noise of odometry follows from a step.
+/// Noise of odometry as a function of the step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionNoise {
     /// α₁ to α₄ of Probabilistic Robotics, table 5.6: rotation from rotation, rotation from translation (rad²/m²),
     /// translation from translation, translation from rotation (m²/rad²).
     pub alpha: [f64; 4],
-    /// ROS AMCL gives the variance to a function that asks for the standard deviation.
+    /// Whether the variance is used as standard deviation, as ROS AMCL does.
     pub variance_as_deviation: bool,
 }
 
-/// The beams and what is expected of them: the likelihood field of Probabilistic Robotics, ch. 6.4.
+/// The beam model: the likelihood field of Probabilistic Robotics, ch. 6.4.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeamModel {
-    /// No more beams than so many are used, evenly spaced.
+    /// Largest number of beams used of a scan, evenly spaced.
     pub max_beams: usize,
-    /// Nothing farther is seen, metres. A beam of that length or more hit nothing, and is left out.
+    /// Maximum range of the lidar, metres. Beams of that length or more hit nothing and are left out.
     pub range_max: f64,
     /// Share of beams that end at a wall of the map.
     pub z_hit: f64,
     /// Share of beams that end anywhere.
     pub z_rand: f64,
-    /// Deviation of a beam's end from the wall, metres.
+    /// Standard deviation of a beam's end from the wall, metres.
     pub sigma_hit: f64,
-    /// Farther from a wall than that, all places are alike, metres.
+    /// Distance from a wall beyond which the likelihood is constant, metres.
     pub likelihood_max_dist: f64,
 }
 
-/// All that can be set of a filter.
+/// Parameters of a filter.
 ///
 /// [`Parameters::default`] weighs by likelihood; [`Parameters::amcl`] behaves as ROS AMCL does with its defaults.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Parameters {
-    /// Never fewer particles.
+    /// Smallest number of particles.
     pub min_particles: usize,
-    /// Never more particles.
+    /// Largest number of particles.
     pub max_particles: usize,
-    /// ε of KLD-sampling (Fox 2003): the divergence allowed between the particles and what they stand for.
+    /// ε of KLD-sampling (Fox 2003): the allowed divergence between the particles and the true distribution.
     pub kld_error: f64,
-    /// Quantile of the standard normal distribution up to which that holds: 2.33 is 99 %.
+    /// Quantile of the standard normal distribution with which ε holds: 2.33 for 99 %.
     pub kld_quantile: f64,
-    /// Beams.
+    /// Beam model.
     pub beams: BeamModel,
-    /// How particles are weighed.
+    /// Weighing of particles.
     pub weighing: Weighing,
-    /// Odometry.
+    /// Noise of odometry.
     pub motion: MotionNoise,
-    /// Errors that all scans share, deviations in metres and radians: those of the map, of where the lidar sits, and of
-    /// the beams' directions. No number of beams lessens them.
+    /// Standard deviations of the errors that all scans share, metres and radians: of the map, the lidar's mount and the
+    /// beams' directions. No number of beams reduces them.
     pub systematic: [f64; 2],
-    /// A scan is used when the robot went so far since the last one that was, metres.
+    /// Distance from the last used scan at which the next one is used, metres.
     pub update_distance: f64,
-    /// Or when it turned so far, radians.
+    /// Turn since the last used scan at which the next one is used, radians.
     pub update_angle: f64,
-    /// Particles are drawn anew at every so many updates, or, with `None`, when fewer than half of them count.
+    /// Number of updates between two resamplings; with `None`, resample when the effective number of particles falls below
+    /// half.
     pub resample_interval: Option<u32>,
 }
 
 impl Parameters {
-    /// ROS AMCL with its defaults: `likelihood_field`, odometry model `diff`, no recovery.
+    /// Returns ROS AMCL's defaults: `likelihood_field`, odometry model `diff`, no recovery.
     pub fn amcl() -> Self {
         Self {
             min_particles: 500,
             max_particles: 2000,
             kld_error: 0.05,
-            // Its documentation means 99 %; its code takes the number for the quantile.
+            // AMCL documents this as 99 %, but its code uses the number as the quantile.
             kld_quantile: 0.99,
             beams: BeamModel {
                 max_beams: 120,
@@ -98,14 +100,15 @@ impl Parameters {
         }
     }
 
-    /// The default for a TurtleBot 2 with an RPLIDAR A2: a reach of 12 m, and odometry whose heading is a gyro's.
+    /// Returns parameters for a TurtleBot 2 with an RPLIDAR A2: a range of 12 m, and odometry with a gyro's heading.
     pub fn turtlebot2() -> Self {
         let default = Self::default();
         Self {
             beams: BeamModel { range_max: 12.0, ..default.beams },
-            // Its wheels are a percent off for good. As noise that is drawn anew each 0.25 m, 7 % makes as much of 10 m.
+            // The wheels have a constant error of 1 %. Over 10 m, noise of 7 % that is drawn anew each 0.25 m adds up to as
+            // much.
             motion: MotionNoise { alpha: [0.005, 0.000_5, 0.006, 0.000_5], variance_as_deviation: false },
-            // In a testbed, the map is the world that its lidar sees.
+            // In a testbed, the map is exactly what the lidar sees.
             systematic: [0.01, 0.002],
             ..default
         }
@@ -137,5 +140,5 @@ impl Default for Parameters {
     }
 }
 
-/// Side of a bin of KLD-sampling, metres and radians: as AMCL has it.
+/// Size of a bin of KLD-sampling, metres and radians (as in AMCL).
 pub(crate) const BIN: [f64; 2] = [0.5, PI / 18.0];

@@ -1,5 +1,5 @@
-//! The particles: columns side by side, so that each step of the filter runs through what it needs alone, and drawing
-//! them anew with as many as KLD-sampling asks for.
+//! Particles as a structure of arrays, so that each step of the filter reads only what it needs. Resampling draws as many
+//! as KLD-sampling asks for.
 
 use crate::{
     bins::{Binning, Bins, kld_bound},
@@ -8,7 +8,7 @@ use crate::{
     random::Stream,
 };
 
-/// Weighted places. Weights sum to 1 but while they are being changed.
+/// Weighted places. Weights sum to 1 except while they are being changed.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Particles {
     pub places: Places,
@@ -30,25 +30,24 @@ impl Particles {
         self.weight.push(weight);
     }
 
-    /// Scales the weights to sum to 1. If all are 0, or one is no number, all become alike.
+    /// Scales the weights to a sum of 1. If the sum is 0 or not finite, all become equal.
     pub fn normalize(&mut self) {
         let sum: f64 = self.weight.iter().map(|&weight| f64::from(weight)).sum();
-        let alike = (self.len() as f64).recip() as f32;
+        let equal = (self.len() as f64).recip() as f32;
         let scale = sum.recip() as f32;
         let proper = sum > 0.0 && sum.is_finite() && scale.is_finite();
-        self.weight.iter_mut().for_each(|weight| *weight = if proper { *weight * scale } else { alike });
+        self.weight.iter_mut().for_each(|weight| *weight = if proper { *weight * scale } else { equal });
     }
 
-    /// As many particles of one weight would say as much: 1/Σw² (Kong, Liu and Wong 1994).
+    /// Returns the effective number of particles, 1/Σw² (Kong, Liu and Wong 1994).
     pub fn effective(&self) -> f64 {
         self.weight.iter().map(|&weight| f64::from(weight).powi(2)).sum::<f64>().recip()
     }
 
-    /// Draws particles anew into `drawn`, as many as KLD-sampling asks for (Fox 2003), and of one weight.
+    /// Resamples into `drawn`: as many particles as KLD-sampling asks for (Fox 2003), of equal weight.
     ///
-    /// The draws are the points of an additive recurrence with the golden ratio: however many are taken, they are
-    /// spread nearly as evenly as those of low-variance resampling (Probabilistic Robotics, table 4.4), which has to
-    /// know their number beforehand.
+    /// Draws are the points of an additive recurrence with the golden ratio. Any number of them is spread nearly as evenly
+    /// as in low-variance resampling (Probabilistic Robotics, table 4.4), which needs to know the number beforehand.
     pub fn draw(&self, drawn: &mut Self, parameters: &Parameters, binning: &Binning, random: &mut Stream) {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let parents = Parents::new(&self.weight);
@@ -64,7 +63,7 @@ impl Particles {
             point -= if point < 1.0 { 0.0 } else { 1.0 };
             let parent = parents.at(point);
             children[parent] += 1;
-            // Only a first child can be in a new bin.
+            // Only the first child can open a new bin.
             if children[parent] > 1 {
                 continue;
             }
@@ -81,10 +80,10 @@ impl Particles {
     }
 }
 
-/// Finds the particle at a share of the cumulative weight (the method of cutpoints; Chen and Asau 1974).
+/// Finds particles by their share of the cumulative weight, by the method of cutpoints (Chen and Asau 1974).
 struct Parents {
     cumulative: Vec<f64>,
-    /// Of each of as many even stretches as there are particles: the first particle that reaches into it.
+    /// The first particle that reaches into each of `len` equal intervals of [0, 1).
     cutpoints: Vec<u32>,
 }
 
@@ -114,7 +113,7 @@ impl Parents {
         Self { cumulative, cutpoints }
     }
 
-    /// The particle at a share in [0, 1).
+    /// Returns the particle at a share in [0, 1).
     fn at(&self, share: f64) -> usize {
         let stretch = ((share * self.cutpoints.len() as f64) as usize).min(self.cutpoints.len() - 1);
         let mut particle = self.cutpoints[stretch] as usize;
@@ -148,9 +147,8 @@ mod tests {
     }
 
     proptest! {
-        /// Each is drawn as often as its weight says, to within a few: that is what low variance means.
         #[test]
-        fn draws_are_as_many_as_weights_say(weights in prop::collection::vec(0.0..1.0_f32, 1..8)) {
+        fn particles_are_drawn_in_proportion_to_their_weights(weights in prop::collection::vec(0.0..1.0_f32, 1..8)) {
             prop_assume!(weights.iter().sum::<f32>() > 0.1);
             let particles = weighted(&weights);
             let parameters = Parameters { min_particles: 1000, max_particles: 1000, ..Parameters::default() };
@@ -163,7 +161,7 @@ mod tests {
         }
 
         #[test]
-        fn the_particle_at_a_share_is_where_the_weights_reach_it(
+        fn cutpoints_find_the_same_particle_as_a_search(
             weights in prop::collection::vec(0.0..1.0_f32, 1..50), share in 0.0..1.0_f64,
         ) {
             prop_assume!(weights.iter().sum::<f32>() > 0.1);
@@ -175,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wider_they_spread_the_more_are_drawn() {
+    fn more_particles_are_drawn_when_they_spread() {
         let parameters = Parameters::default();
         assert_eq!(drawn(&weighted(&[1.0]), &parameters).len(), 500);
         let many = drawn(&weighted(&[1.0; 300]), &parameters).len();
@@ -185,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_that_are_none_become_alike() {
+    fn invalid_weights_become_equal() {
         for wrong in [[0.0, 0.0], [f32::NAN, 1.0], [f32::INFINITY, 1.0]] {
             let mut particles = weighted(&[1.0, 3.0]);
             particles.weight.copy_from_slice(&wrong);

@@ -1,8 +1,8 @@
-//! Poses in cells of the field's table.
+//! Poses in cells of the likelihood field's table.
 
 use crate::random::Stream;
 
-/// A pose in the table's frame: in cells, the border included.
+/// A pose in the table's frame, in cells; the border counts.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Place {
     pub column: f32,
@@ -11,7 +11,7 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// Somewhere about it, with these deviations of column and row, and of heading.
+    /// Returns a random place near this one, with these standard deviations of column and row, and of heading.
     pub fn moved(self, way: f32, turn: f32, random: &mut Stream) -> Self {
         Self {
             column: self.column + way * random.bell(),
@@ -21,7 +21,7 @@ impl Place {
     }
 }
 
-/// Places, in cells of the field's table.
+/// Places as a structure of arrays.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Places {
     pub column: Vec<f32>,

@@ -1,4 +1,4 @@
-//! The filter's randomness: one stream from one seed, so that the same log gives the same trajectory.
+//! Random numbers of a filter: one stream from one seed, so that the same log gives the same trajectory.
 
 use cotorra_graph::seed;
 use rand::{Rng, SeedableRng};
@@ -13,19 +13,19 @@ impl Stream {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed::split(seed, "localization")))
     }
 
-    /// Uniform in [0, 1).
+    /// Draws a number uniformly from [0, 1).
     pub fn uniform(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
     }
 
-    /// Uniform in 0..count.
+    /// Draws an integer uniformly from 0..count.
     pub fn below(&mut self, count: u64) -> u64 {
-        // Lemire 2019 without its rejection: biased by count/2^64.
+        // Lemire 2019 without the rejection step: biased by count/2^64.
         ((u128::from(self.0.next_u64()) * u128::from(count)) >> 64) as u64
     }
 
-    /// Mean 0, deviation 1: the sum of four uniforms (Probabilistic Robotics, table 5.4, sums twelve), at a tenth of the
-    /// cost of an exact normal.
+    /// Draws from a bell curve with mean 0 and deviation 1: the sum of four uniforms (Probabilistic Robotics, table 5.4,
+    /// sums twelve). It takes a tenth of the time of an exact normal deviate.
     pub fn bell(&mut self) -> f32 {
         const MEAN: f32 = 2.0 * 65_535.0;
         // √(4 · (65536² - 1) / 12)
@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn every_number_below_is_drawn_alike() {
+    fn integers_are_drawn_uniformly() {
         let mut stream = Stream::new(7);
         let mut counts = [0; 7];
         (0..70_000).for_each(|_| counts[stream.below(7) as usize] += 1);

@@ -1,6 +1,8 @@
-//! Where a scan could have been taken, asked of the whole map: for a robot that does not know where it is, and for one
-//! that was carried away. Uniform particles would need luck, because the likelihood is sharp: the best of many are
-//! moved uphill before they become particles (sensor resetting; Lenser and Veloso 2000).
+//! Search for places where a scan could have been taken: for a robot with an unknown start, and for one that was carried
+//! away.
+//!
+//! The likelihood is too sharp for uniform particles. The best of many places are moved uphill before they become particles
+//! (sensor resetting; Lenser and Veloso 2000).
 
 use crate::{
     field::LikelihoodField,
@@ -10,20 +12,20 @@ use crate::{
     weights,
 };
 
-/// Directions in which each cell is looked at.
+/// Headings that are tried in each cell.
 const HEADINGS: usize = 72;
-/// So many places about one are looked at, and how far they are from it: deviations, metres and radians.
+/// Places that are tried near an expected one, and their standard deviations from it, metres and radians.
 const MOST_NEAR: usize = 4000;
 const NEAR: [f32; 2] = [0.4, 0.3];
-/// So many of the best are moved uphill.
+/// Number of best places that are moved uphill.
 const KEPT: usize = 1000;
 const KEPT_NEAR: usize = 400;
-/// Steps uphill, and the deviation of the first, metres and radians; each next one is a little shorter.
+/// Steps uphill, the standard deviation of the first, metres and radians, and the factor from each step to the next.
 const STEPS: usize = 40;
 const FIRST_STEP: [f32; 2] = [0.15, 0.1];
 const SHORTER: f32 = 0.95;
 
-/// Places from which a scan would have looked like that, each with its share.
+/// Places where a scan could have been taken, with their cumulative weights.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Candidates {
     places: Places,
@@ -31,13 +33,13 @@ pub(crate) struct Candidates {
 }
 
 impl Candidates {
-    /// Looks for them on all of the map; `None` if there is none.
+    /// Searches the whole map; `None` if nothing fits.
     pub fn find(field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Option<Self> {
         let found = field.search(beams, HEADINGS, KEPT);
         (found.len() > 0).then(|| Self::uphill(found, field, beams, random))
     }
 
-    /// Looks for them about a place, to which odometry has led, but badly.
+    /// Searches near a place that odometry led to.
     pub fn near(place: Place, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
         let [way, turn] = [NEAR[0] / field.resolution() as f32, NEAR[1]];
         let mut off = |deviation: f32| deviation * random.bell();
@@ -58,7 +60,7 @@ impl Candidates {
         Self::uphill(best, field, beams, random)
     }
 
-    /// Moves each of these places to where the scan fits better.
+    /// Moves each place to where the scan fits better.
     fn uphill(places: Places, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
         let kept = places.len();
         let mut best: Vec<(f32, Place)> = (0..kept).map(|nth| (f32::NEG_INFINITY, places.at(nth))).collect();
@@ -77,14 +79,13 @@ impl Candidates {
             for (nth, best) in best.iter_mut().enumerate().filter(|(nth, best)| scores[*nth] > best.0) {
                 *best = (scores[nth], steps.at(nth));
             }
-            // The first is none, but tells how well each place fits.
+            // The first step has length 0: it only scores the places.
             length = if step == 0 { 1.0 } else { length * SHORTER };
         }
-        // How likely one is beside another is not trusted far: one scan says little of which corridor it was.
+        // Differences between places are tempered: one scan hardly distinguishes corridors.
         let scores: Vec<f32> = best.iter().map(|(score, _)| *score).collect();
-        let alike = vec![(kept as f32).recip(); kept];
-        let share = weights::tempered(&alike, &scores, kept as f64 / 8.0);
-        let mut weight = alike;
+        let mut weight = vec![(kept as f32).recip(); kept];
+        let share = weights::tempered(&weight, &scores, kept as f64 / 8.0);
         weights::multiply(&mut weight, &scores, share);
         let mut sum = 0.0;
         let cumulative = weight
@@ -99,12 +100,11 @@ impl Candidates {
         Self { places, cumulative }
     }
 
-    /// All of them.
     pub fn places(&self) -> &Places {
         &self.places
     }
 
-    /// Draws one.
+    /// Draws a place by its weight.
     pub fn draw(&self, random: &mut Stream) -> Place {
         let share = random.uniform() * self.cumulative.last().copied().unwrap_or(1.0);
         let nth = self.cumulative.partition_point(|&reached| reached <= share);

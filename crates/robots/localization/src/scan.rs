@@ -1,4 +1,4 @@
-//! What a lidar saw, and the beams of it that are used: ends in the robot's frame, each with its share of a vote.
+//! Scans of a lidar, and the beams of them that are used: ends in the robot's frame, each with its share of a vote.
 
 use crate::{
     geometry::Pose2,
@@ -10,24 +10,24 @@ use crate::{
 pub struct Scan<'a> {
     /// Direction of the first beam in the lidar's frame, radians.
     pub angle_min: f64,
-    /// From one beam to the next, radians; negative for a lidar that turns clockwise.
+    /// Angle between neighbouring beams, radians; negative for a lidar that turns clockwise.
     pub angle_increment: f64,
-    /// Metres. What is not finite, not above zero, or not below the lidar's reach hit nothing that can be used.
+    /// Ranges, metres. Ranges that are not finite, not above 0, or not below the lidar's maximum are ignored.
     pub ranges: &'a [f32],
-    /// Where the lidar sits on the robot.
+    /// The lidar's pose on the robot.
     pub mount: Pose2,
-    /// How far the robot went from the first beam to the last, at which its odometry is told: a lidar that turns ten
-    /// times a second, on a robot that turns once in eight, is 4.5° off at its first beam.
+    /// The robot's motion from the first beam to the last, whose time is that of the odometry. Without it, the first beam
+    /// of a lidar with 10 turns a second is 4.5° off on a robot that turns once in 8 s.
     pub sweep: Pose2,
 }
 
 impl Scan<'_> {
-    /// Whether any of its beams can be used by a lidar of that reach, metres.
+    /// Whether any beam is usable with this maximum range, metres.
     pub fn is_usable(&self, range_max: f64) -> bool {
         self.ranges.iter().any(|&range| range > 0.0 && f64::from(range) < range_max)
     }
 
-    /// Where the robot was at a beam, as it sees it from where it was at the last one.
+    /// Returns the robot's pose at a beam, relative to its pose at the last beam.
     fn before_the_last(&self, beam: usize) -> Pose2 {
         let left = 1.0 - beam as f64 / self.ranges.len().saturating_sub(1).max(1) as f64;
         let Pose2 { x, y, heading } = self.sweep;
@@ -35,7 +35,7 @@ impl Scan<'_> {
     }
 }
 
-/// The beams of a scan that are used.
+/// The used beams of a scan.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Beams {
     /// Ends in the robot's frame, metres.
@@ -43,16 +43,16 @@ pub(crate) struct Beams {
     pub y: Vec<f32>,
     /// Shares of a vote.
     pub weight: Vec<f32>,
-    /// Their sum: as many independent beams would say as much.
+    /// Sum of the weights: the effective number of independent beams.
     pub votes: f32,
 }
 
 impl Beams {
-    /// Takes evenly spaced beams of a scan, and leaves out those that hit nothing.
+    /// Selects evenly spaced beams of a scan, and leaves out those that hit nothing.
     pub fn take(&mut self, scan: &Scan<'_>, model: &BeamModel, weighing: Weighing) {
         self.x.clear();
         self.y.clear();
-        // As AMCL does: the first beam and the last, and steps of the same length between.
+        // As in AMCL: from the first beam in equal steps.
         let step = (scan.ranges.len().saturating_sub(1) / (model.max_beams.max(2) - 1)).max(1);
         for (beam, &range) in scan.ranges.iter().enumerate().step_by(step) {
             let range = f64::from(range);
@@ -77,7 +77,7 @@ impl Beams {
         self.votes = self.weight.iter().sum();
     }
 
-    /// About so many of them, evenly spaced.
+    /// Returns about `count` of the beams, evenly spaced.
     pub fn some(&self, count: usize) -> Self {
         let step = (self.x.len() / count.max(1)).max(1);
         let every = |values: &[f32]| -> Vec<f32> { values.iter().copied().step_by(step).collect() };
@@ -85,18 +85,21 @@ impl Beams {
         Self { x: every(&self.x), y: every(&self.y), votes: weight.iter().sum(), weight }
     }
 
-    /// Beams that end near each other err alike: the map is off there, or something stands before the wall. With the
-    /// correlation ρ(d) = max(0, 1 - d/ℓ) of errors at ends d apart, a beam counts as ωᵢ = 1 / Σⱼ ρᵢⱼ: n beams on one
-    /// spot count as one, n beams far from each other as n (the design effect of cluster sampling; Kish 1965, ch. 5).
+    /// Weighs beams by how independent their errors are. Beams that end near each other have common errors: the map is off
+    /// there, or something stands before the wall.
+    ///
+    /// With the correlation ρ(d) = max(0, 1 - d/ℓ) of errors at ends d apart, a beam has the weight ωᵢ = 1 / Σⱼ ρᵢⱼ. Then n
+    /// beams on one spot count as one, and n beams far apart as n (the design effect of cluster sampling; Kish 1965, ch.
+    /// 5).
     fn share_votes(&mut self, length: f32) {
         let beams = self.x.len();
         self.weight.resize(beams, 1.0);
         for i in 0..beams {
             for j in i + 1..beams {
                 let (x, y) = (self.x[i] - self.x[j], self.y[i] - self.y[j]);
-                // No overflow is to be feared, which is what `hypot` takes care of.
+                // Nothing overflows here, so that `hypot` is not needed.
                 let distance = (x * x + y * y).sqrt();
-                // Beams go round: once the ends part, those behind part more, but for corners that hide nothing much.
+                // Ends of later beams are farther still, except at corners, which matter little.
                 if distance >= length {
                     break;
                 }
@@ -130,11 +133,11 @@ mod tests {
     }
 
     #[test]
-    fn beams_are_spaced_as_amcl_spaces_them() {
+    fn beams_are_spaced_as_in_amcl() {
         // 361 beams in steps of ⌊360/119⌋ = 3: 121.
         let beams = taken(&[3.0; 361], Weighing::Amcl);
         assert_eq!((beams.votes, beams.x.len()), (121.0, 121));
-        // A scan of few beams gives them all.
+        // All beams of a small scan are used.
         assert_eq!(taken(&[3.0; 90], Weighing::Amcl).votes, 90.0);
         assert_eq!(taken(&[], Weighing::Amcl).votes, 0.0);
     }
@@ -150,8 +153,8 @@ mod tests {
     }
 
     #[test]
-    fn what_was_seen_on_the_way_is_told_from_its_end() {
-        // Half a metre on and a quarter turn to the left; the first beam saw a place 2 m ahead of where the way began.
+    fn ends_are_relative_to_the_pose_at_the_last_beam() {
+        // The robot drives 0.5 m and turns left by 90°. The first beam ends 2 m ahead of its initial pose.
         let sweep = Pose2::new(0.5, 0.0, PI / 2.0);
         let ranges = [2.0, f32::NAN, 2.0];
         let scan =
@@ -164,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn beams_on_one_spot_have_one_vote_and_beams_apart_have_one_each() {
+    fn beams_on_one_spot_share_a_vote_and_distant_beams_have_one_each() {
         let weighing = Weighing::Likelihood { correlation_length: 0.25 };
         // A degree apart at 1 cm, and at 20 m (0.35 m).
         let near = taken(&[0.01; 100], weighing);

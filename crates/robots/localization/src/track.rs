@@ -1,4 +1,4 @@
-//! A hypothesis: particles about places where a robot may be, and what is needed to carry them on.
+//! A hypothesis of a robot's place: particles with the odds that the robot is among them.
 
 use std::sync::Arc;
 
@@ -18,14 +18,14 @@ use crate::{
     weights,
 };
 
-/// Of the particles, no more than this share are lost to one step of weighing: a sharp likelihood is taken in steps.
+/// Smallest effective share of the particles after one step of weighing. Sharper likelihoods are applied in several steps.
 const LEAST_EFFECTIVE: f64 = 0.05;
-/// So many steps at most.
+/// Largest number of these steps.
 const STEPS: usize = 5;
-/// Deviation of particles about a candidate, metres and radians.
+/// Standard deviation of particles about a candidate, metres and radians.
 const ABOUT_CANDIDATE: [f64; 2] = [0.05, 0.02];
 
-/// What all hypotheses share: the map, the scan, and room to compute in.
+/// State that all hypotheses share: the map, the scan and buffers.
 #[derive(Debug, Clone)]
 pub(crate) struct Bench {
     pub field: Arc<LikelihoodField>,
@@ -34,7 +34,7 @@ pub(crate) struct Bench {
     pub beams: Beams,
     pub scores: Vec<f32>,
     binning: Binning,
-    /// What the last drawing left over: room for the next.
+    /// Buffer for resampling.
     spare: Particles,
 }
 
@@ -55,13 +55,13 @@ impl Bench {
         matches!(self.parameters.weighing, Weighing::Likelihood { .. })
     }
 
-    /// The best score of the scan at these places.
+    /// Returns the best score of the scan at these places.
     pub fn best(&mut self, places: &Places) -> f64 {
         self.score(places);
         best(&self.scores).into()
     }
 
-    /// Which share of the votes is at walls, for a score.
+    /// Returns the share of the votes at walls for a score.
     pub fn hit_share(&self, score: f64) -> f64 {
         self.field.hit_share(score as f32, self.beams.votes)
     }
@@ -71,20 +71,20 @@ impl Bench {
     }
 }
 
-/// Particles, of which the heaviest cluster is the pose.
+/// A hypothesis. The heaviest cluster of its particles is the pose.
 #[derive(Debug, Clone)]
 pub(crate) struct Track {
     pub particles: Particles,
-    /// As of the last update.
+    /// The heaviest cluster as of the last update.
     pub cluster: Cluster,
-    /// That the robot is there.
+    /// Odds that the robot is there.
     pub odds: Odds,
-    /// How well the last scan fits there, beside what is usual.
+    /// Fit of the last scan, relative to the usual one.
     pub fit: f64,
 }
 
 impl Track {
-    /// Particles that are at these places, all alike.
+    /// Creates particles of equal weight at these places.
     pub fn new(places: impl Iterator<Item = Place>, odds: Odds, bench: &Bench) -> Self {
         let mut particles = Particles::default();
         places.for_each(|place| particles.push(place, 1.0));
@@ -92,7 +92,7 @@ impl Track {
         Self { cluster: Cluster::heaviest(&particles, &bench.binning), particles, odds, fit: 1.0 }
     }
 
-    /// So many particles about places that fit the scan.
+    /// Creates `count` particles about candidates.
     pub fn about(candidates: &Candidates, count: usize, odds: Odds, bench: &mut Bench) -> Self {
         let [way, turn] = [ABOUT_CANDIDATE[0] / bench.field.resolution(), ABOUT_CANDIDATE[1]];
         let random = &mut bench.random;
@@ -101,18 +101,18 @@ impl Track {
         Self::new(places.into_iter(), odds, bench)
     }
 
-    /// Goes a step of odometry.
-    pub fn go(&mut self, motion: &Motion, bench: &mut Bench) {
+    /// Moves the particles by a step of odometry.
+    pub fn advance(&mut self, motion: &Motion, bench: &mut Bench) {
         motion.sample(&mut self.particles.places, bench.field.resolution(), &mut bench.random);
     }
 
-    /// Normalizes the weights, and finds the heaviest hypothesis.
+    /// Normalizes the weights and finds the heaviest cluster.
     pub fn settle(&mut self, bench: &Bench) {
         self.particles.normalize();
         self.cluster = Cluster::heaviest(&self.particles, &bench.binning);
     }
 
-    /// Weighs the particles by the scan. Returns its evidence, and the score where it fits best.
+    /// Weighs the particles by the scan. Returns its evidence, and the score of the best particle.
     pub fn weigh(&mut self, bench: &mut Bench) -> [f64; 2] {
         bench.score(&self.particles.places);
         if !bench.weighs_by_likelihood() {
@@ -139,7 +139,7 @@ impl Track {
         [evidence, f64::from(best(&bench.scores) / rest)]
     }
 
-    /// Adds particles, which have that probability together.
+    /// Adds particles with this total probability.
     pub fn add(&mut self, added: &Self, probability: f64) {
         self.particles.normalize();
         self.particles.weight.iter_mut().for_each(|weight| *weight *= (1.0 - probability) as f32);
@@ -149,29 +149,32 @@ impl Track {
         }
     }
 
-    /// Draws particles anew: as many as KLD-sampling asks for.
-    pub fn draw(&mut self, bench: &mut Bench) {
+    /// Resamples the particles, as many as KLD-sampling asks for.
+    pub fn resample(&mut self, bench: &mut Bench) {
         let parameters = bench.parameters;
-        self.draw_with(&parameters, bench);
+        self.resample_with(&parameters, bench);
     }
 
-    fn draw_with(&mut self, parameters: &Parameters, bench: &mut Bench) {
+    fn resample_with(&mut self, parameters: &Parameters, bench: &mut Bench) {
         self.particles.draw(&mut bench.spare, parameters, &bench.binning, &mut bench.random);
         std::mem::swap(&mut self.particles, &mut bench.spare);
     }
 
-    /// Draws as many particles as there are, each a little off its parent: the kernel of a regularized filter (Musso,
-    /// Oudjane and Le Gland 2001, section 12.2.2), shaped as the heaviest hypothesis.
+    /// Resamples the same number of particles, and moves each by the kernel of a regularized filter (Musso, Oudjane and Le
+    /// Gland 2001, section 12.2.2), which has the shape of the heaviest cluster.
     fn spread(&mut self, bench: &mut Bench) {
         let count = self.particles.len();
-        self.draw_with(&Parameters { min_particles: count, max_particles: count, ..bench.parameters }, bench);
+        self.resample_with(
+            &Parameters { min_particles: count, max_particles: count, ..bench.parameters },
+            bench,
+        );
         // Silverman's bandwidth in three dimensions, (4 / 5n)^(1/7).
         let bandwidth = (0.8 / count as f64).powf(1.0 / 7.0);
         let kernel = self.cluster.covariance.map(|entry| entry * bandwidth * bandwidth);
         self.jitter(&cholesky(&kernel), bench);
     }
 
-    /// Moves each particle by a normal deviate, given the lower root of its covariance, in cells.
+    /// Moves each particle by a normal deviate, given the lower Cholesky factor of its covariance, in cells.
     pub fn jitter(&mut self, root: &[f64; 9], bench: &mut Bench) {
         let root = root.map(|entry| entry as f32);
         let Places { column, row, heading } = &mut self.particles.places;
@@ -183,7 +186,7 @@ impl Track {
         }
     }
 
-    /// Where it most likely is.
+    /// Returns the mean of the heaviest cluster.
     pub fn place(&self) -> Place {
         let Cluster { column, row, heading, .. } = self.cluster;
         Place { column: column as f32, row: row as f32, heading: heading as f32 }

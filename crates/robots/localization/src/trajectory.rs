@@ -1,4 +1,4 @@
-//! Trajectories to compare with: read from what public data sets have, and by how much an estimate is off them.
+//! Reference trajectories of public data sets, and errors of estimates against them.
 
 use std::{fmt, io::BufRead};
 
@@ -8,25 +8,25 @@ use crate::{
     geometry::{Pose2, wrapped},
 };
 
-/// Where a robot was, over time.
+/// Poses of a robot over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trajectory {
-    /// Seconds, and where the robot then was.
+    /// Times in seconds, with the robot's poses.
     poses: Vec<(f64, Pose2)>,
-    /// Of a CARMEN log there is one for each scan, whatever its clock said.
+    /// Whether there is a pose for each scan, as in a CARMEN log. Times are ignored then.
     per_scan: bool,
 }
 
-/// Poses farther apart in time do not say where the robot was between, seconds.
+/// Longest interval between two poses that is interpolated, seconds.
 const GAP: f64 = 2.0;
 
 impl Trajectory {
-    /// Reads a trajectory: a corrected CARMEN log (the robot's pose in its laser messages), or lines of
-    /// `time x y heading`, or of `time x y z qx qy qz qw` (TUM), divided by commas or blanks. Lines that begin with `#`
-    /// and a first line of words are passed over.
+    /// Reads a trajectory: a corrected CARMEN log (the robot's pose in its laser messages), or lines of `time x y heading`,
+    /// or of `time x y z qx qy qz qw` (TUM), separated by commas or blanks. Lines that begin with `#` and a header line are
+    /// skipped.
     ///
     /// # Errors
-    /// The first line that is none of it.
+    /// [`LogError`] at the first line in none of these formats.
     pub fn read(source: impl BufRead) -> Result<Self, LogError> {
         let mut text = String::new();
         let mut source = source;
@@ -58,23 +58,22 @@ impl Trajectory {
         Ok(Self { poses, per_scan: false })
     }
 
-    /// The first pose.
+    /// Returns the first pose.
     pub fn first(&self) -> Option<Pose2> {
         self.poses.first().map(|(_, pose)| *pose)
     }
 
-    /// How many poses there are.
+    /// Returns the number of poses.
     pub fn len(&self) -> usize {
         self.poses.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no poses.
     pub fn is_empty(&self) -> bool {
         self.poses.is_empty()
     }
 
-    /// Where the robot was at scan number `nth` of `scans`, taken at that time; `None` where the trajectory does not
-    /// say so.
+    /// Returns the pose at scan number `nth` of `scans`, taken at `time`; `None` if the trajectory does not cover it.
     pub fn at(&self, nth: usize, scans: usize, time: f64) -> Option<Pose2> {
         if self.per_scan && self.poses.len() == scans {
             return self.poses.get(nth).map(|(_, pose)| *pose);
@@ -111,23 +110,25 @@ fn row(text: &str) -> Result<(f64, Pose2), LogProblem> {
             let heading = (2.0 * (qw * qz + qx * qy)).atan2(1.0 - 2.0 * (qy * qy + qz * qz));
             Ok((at, valid(message, "row", Pose2::new(x, y, heading))?))
         }
-        // Whatever follows is not looked at, such as a covariance.
+        // Further columns, such as a covariance, are ignored.
         [at, x, y, heading, ..] => Ok((at, valid(message, "row", Pose2::new(x, y, heading))?)),
         _ => Err(LogProblem::Short { message, field: "heading" }),
     }
 }
 
-/// Farther off than that, a robot is lost, metres.
+/// Error from which a robot counts as lost, metres.
 pub const LOST: f64 = 1.0;
 
-/// So many errors are kept at most.
+/// Largest number of errors kept.
 const KEPT: usize = 1 << 16;
 
-/// How far estimates were off a reference. The memory is bounded: from 65,536 estimates on, quantiles are those of every
-/// second, every fourth and so on. Everything else counts each estimate.
+/// Errors of estimates against a reference.
+///
+/// The memory is bounded: from 65,536 estimates on, quantiles are those of every second estimate, then of every fourth and
+/// so on. All other figures count each estimate.
 #[derive(Debug, Clone, Default)]
 pub struct Errors {
-    /// Of the position: of the first estimate and of each 2^`thinned`-th from there.
+    /// Errors of the position of every 2^`thinned`-th estimate.
     kept: Vec<f64>,
     thinned: u32,
     count: usize,
@@ -140,7 +141,7 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Counts what was believed.
+    /// Counts an estimate.
     pub fn push(&mut self, believed: &Belief, reference: Pose2) {
         let position = believed.pose.distance(reference);
         let heading = wrapped(believed.pose.heading - reference.heading);
@@ -163,32 +164,32 @@ impl Errors {
         }
     }
 
-    /// How many were counted.
+    /// Returns the number of estimates.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether none was.
+    /// Whether no estimate was counted.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// The errors of the position that are kept, metres, in the order in which they were counted.
+    /// Returns the kept errors of the position, metres, in the order of the estimates.
     pub fn positions(&self) -> &[f64] {
         &self.kept
     }
 
-    /// The largest error of the position, metres.
+    /// Returns the largest error of the position, metres.
     pub fn farthest(&self) -> f64 {
         self.farthest
     }
 
-    /// Root mean square error of the position, metres.
+    /// Returns the root mean square error of the position, metres.
     pub fn position_rmse(&self) -> f64 {
         (self.position_squares / self.count as f64).sqrt()
     }
 
-    /// The error of the position that this share of those kept stays below, metres.
+    /// Returns this quantile of the kept errors of the position, metres.
     pub fn position_quantile(&self, share: f64) -> f64 {
         let mut sorted = self.kept.clone();
         sorted.sort_by(f64::total_cmp);
@@ -198,23 +199,23 @@ impl Errors {
             .unwrap_or(f64::NAN)
     }
 
-    /// Root mean square error of the heading, radians.
+    /// Returns the root mean square error of the heading, radians.
     pub fn heading_rmse(&self) -> f64 {
         (self.heading_squares / self.count as f64).sqrt()
     }
 
-    /// Share of estimates more than [`LOST`] off.
+    /// Returns the share of estimates with an error above [`LOST`].
     pub fn lost(&self) -> f64 {
         self.lost as f64 / self.count as f64
     }
 
-    /// Mean of [`Belief::nees`]: 3 if the covariance is as large as the errors, more if it is too small.
+    /// Returns the mean of [`Belief::nees`]: 3 if the covariance matches the errors, more if it is too small.
     pub fn mean_nees(&self) -> f64 {
         self.nees / self.nees_count as f64
     }
 }
 
-/// One line.
+/// Formats the figures as one line.
 impl fmt::Display for Errors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let heading = self.heading_rmse().to_degrees();
@@ -237,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_many_estimates_take_bounded_memory() {
+    fn memory_for_errors_is_bounded() {
         let mut errors = Errors::default();
         let count = 5 * KEPT + 1;
         let belief = |x: usize| Belief { pose: Pose2::new(x as f64, 0.0, 0.0), covariance: [0.0; 9] };
@@ -248,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_and_tum_say_the_same() {
+    fn tables_and_tum_files_give_the_same_trajectory() {
         let table = read("time,x,y,heading\n# a remark\n1,2,3,1.0\n2,4,3,1.5\n");
         let (sin, cos) = 0.5_f64.sin_cos();
         let (sin_after, cos_after) = 0.75_f64.sin_cos();
@@ -263,8 +264,8 @@ mod tests {
     }
 
     #[test]
-    fn a_corrected_log_of_as_many_scans_is_taken_scan_by_scan() {
-        // Many public logs have clocks that stand, or lack digits.
+    fn corrected_log_with_as_many_scans_is_matched_by_number() {
+        // Clocks of many public logs stand still or lack digits.
         let log = "FLASER 1 2 5 6 0 5 6 0 0 h 0\nFLASER 1 2 7 6 0 7 6 0 0 h 0\n";
         let trajectory = read(log);
         assert_eq!(trajectory.at(1, 2, 0.0), Some(Pose2::new(7.0, 6.0, 0.0)));
@@ -272,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mistake_is_told_with_its_line() {
+    fn errors_name_their_line() {
         let wrong = |text: &str| Trajectory::read(text.as_bytes()).unwrap_err().to_string();
         assert_eq!(wrong("1,2,3,4\n2,x,3,4\n"), "line 2: the row of `trajectory` is `x`, which is no number");
         let far = "line 1: the row of `trajectory` is (20000000.0, 0.0), but no map reaches beyond 1e7 m";
@@ -281,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_told_with_their_root_mean_square_and_consistency() {
+    fn errors_have_a_root_mean_square_and_consistency() {
         let mut errors = Errors::default();
         let covariance = [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01];
         for x in [0.1, -0.1, 3.0] {

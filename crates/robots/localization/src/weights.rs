@@ -1,9 +1,9 @@
-//! Weights from log-likelihoods, without overflow, and how much of a likelihood the particles can bear at once.
+//! Weights from log-likelihoods without overflow, and tempering of sharp likelihoods.
 
 use crate::fast::exp;
 
-/// Multiplies each weight by exp(share · score), up to a common factor. Returns the logarithm of how their sum changes
-/// together with that factor: the evidence.
+/// Multiplies each weight by exp(share · score), up to a common factor. Returns the evidence: the logarithm of the sum's
+/// change, that factor included.
 pub(crate) fn multiply(weights: &mut [f32], scores: &[f32], share: f32) -> f64 {
     let best = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let (mut before, mut after) = (0.0, 0.0);
@@ -15,17 +15,17 @@ pub(crate) fn multiply(weights: &mut [f32], scores: &[f32], share: f32) -> f64 {
     f64::from(share * best) + (after / before).ln()
 }
 
-/// So many weights are computed at once.
+/// Weights that are computed at once.
 const LANES: usize = 8;
 
-/// The largest share in (0, 1] of the log-likelihood that leaves as many effective particles as said, found to 1 %:
-/// one step of an annealed filter (Del Moral, Doucet and Jasra 2006, section 3.3).
+/// Returns the largest share in (0, 1] of the log-likelihood that leaves at least `least` effective particles, to within 1
+/// %. It is one step of an annealed filter (Del Moral, Doucet and Jasra 2006, section 3.3).
 pub(crate) fn tempered(weights: &[f32], scores: &[f32], least: f64) -> f32 {
     let best = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let (chunks, left) = (weights.as_chunks::<LANES>(), scores.as_chunks::<LANES>());
     let ((weights, weights_left), (scores, scores_left)) = (chunks, left);
     let bearable = |share: f32| {
-        // Each lane has its own sums, which are so added up at once.
+        // Separate sums per lane let the loop vectorize.
         let (mut sums, mut squares) = ([0.0; LANES], [0.0; LANES]);
         for (weights, scores) in weights.iter().zip(scores) {
             for lane in 0..LANES {
@@ -58,14 +58,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn weights_survive_likelihoods_that_no_float_holds() {
+    fn weights_survive_likelihoods_beyond_the_range_of_floats() {
         let mut weights = [0.5, 0.5];
         multiply(&mut weights, &[-5000.0, -5001.0], 1.0);
         assert!((weights[1] / weights[0] - (-1.0_f32).exp()).abs() < 1e-6);
     }
 
     #[test]
-    fn no_more_of_a_likelihood_is_taken_than_particles_bear() {
+    fn tempering_keeps_the_wanted_number_of_effective_particles() {
         let weights = [0.01; 100];
         let scores: Vec<f32> = (0..100).map(|i| -(i as f32)).collect();
         let share = tempered(&weights, &scores, 20.0);

@@ -1,5 +1,5 @@
-//! What localization promises of a robot on the corridor's map and in rooms: it is followed, found when nothing is
-//! known of it, found again when it was carried away, and its covariance is as large as its errors.
+//! Localization of a simulated robot in the corridor and in rooms: it is followed, found without a known start, and found
+//! again when it was carried away. Its covariance matches its errors.
 
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
@@ -16,7 +16,7 @@ use cotorra_robot_middleware::{RobotDriver, SimulatedRobot, World};
 use cotorra_testbed_file::map_server;
 
 const WALK: [(f64, f64); 5] = [(27.1, -12.4), (27.2, -9.4), (27.5, -6.2), (25.5, -4.3), (22.5, -2.4)];
-/// From a scan to the next.
+/// Interval between scans.
 const PERIOD: Duration = Duration::from_millis(100);
 const SEEDS: std::ops::Range<u64> = 1..3;
 
@@ -42,15 +42,15 @@ fn rooms() -> OccupancyGrid {
     OccupancyGrid::new(width, height, 0.05, Position::default(), cells).unwrap()
 }
 
-/// A simulated robot that drives to one place after the other, and back again.
+/// A simulated robot that drives from place to place, and back.
 struct Drive {
     robot: SimulatedRobot,
     places: Vec<(f64, f64)>,
     next: usize,
     now: Timestamp,
-    /// A robot that is carried away keeps its odometry.
+    /// Offset of the odometry after the robot was carried away.
     carried: Pose2,
-    /// How far it went during the last scan, by its odometry.
+    /// Motion during the last scan, by odometry.
     sweep: Pose2,
 }
 
@@ -96,7 +96,7 @@ impl Drive {
         self.carried * Pose2::new(pose.x, pose.y, pose.heading)
     }
 
-    /// Drives on until the next scan; false at the end.
+    /// Drives until the next scan. Returns false at the end.
     fn go_on(&mut self) -> bool {
         let at = self.truth();
         let Some(&(x, y)) = self.places.get(self.next) else { return false };
@@ -117,7 +117,7 @@ impl Drive {
         self.observe_past(localizer, 0.0)
     }
 
-    /// The same while people stand half a metre off and hide such a share of the beams.
+    /// Observes while people at a distance of 0.5 m hide this share of the beams.
     fn observe_past(&self, localizer: &mut Localizer, share: f64) -> Option<Estimate> {
         let turn = self.robot.scan()?;
         let mut ranges = turn.ranges.clone();
@@ -154,7 +154,7 @@ fn amcl() -> Parameters {
 const ABOUT: [f64; 9] = [0.04, 0.0, 0.0, 0.0, 0.04, 0.0, 0.0, 0.0, 0.01];
 
 #[test]
-fn a_robot_is_followed_along_the_corridor() {
+fn robot_is_followed_along_the_corridor() {
     let (map, parameters) = (corridor(), Parameters::turtlebot2());
     let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
     for seed in SEEDS {
@@ -165,13 +165,13 @@ fn a_robot_is_followed_along_the_corridor() {
         assert!(errors.len() > 500, "{}", errors.len());
         assert!(errors.position_rmse() < 0.07 && errors.farthest() < 0.25, "seed {seed}: {errors}");
         assert!(errors.heading_rmse() < 0.02, "seed {seed}: {errors}");
-        // Neither vain nor timid.
+        // The covariance matches the errors.
         assert!((0.5..6.0).contains(&errors.mean_nees()), "seed {seed}: {errors}");
     }
 }
 
 #[test]
-fn amcl_follows_it_too() {
+fn amcl_parameters_follow_a_robot() {
     let (map, parameters) = (rooms(), amcl());
     let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
     let mut drive = Drive::new(&world, 1, &[(2.0, 6.0), (18.0, 6.0)]);
@@ -181,14 +181,14 @@ fn amcl_follows_it_too() {
 }
 
 #[test]
-fn a_robot_is_found_when_nothing_is_known_of_it() {
+fn robot_is_found_without_a_known_start() {
     let (map, parameters) = (rooms(), Parameters::turtlebot2());
     let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
     for seed in SEEDS {
         let mut drive =
             Drive::new(&world, seed, &[(15.0, 8.5), (18.0, 10.5), (15.0, 9.0), (15.0, 6.0), (8.0, 6.0)]);
         let mut localizer = Localizer::anywhere(Arc::clone(&field), parameters, seed).unwrap();
-        // The first 4 m are for finding it.
+        // The filter has the first 4 m to find the robot.
         for _ in 0..200 {
             assert!(drive.go_on());
             drive.observe(&mut localizer);
@@ -199,7 +199,7 @@ fn a_robot_is_found_when_nothing_is_known_of_it() {
 }
 
 #[test]
-fn a_robot_that_was_carried_away_is_found_again() {
+fn robot_is_found_again_after_it_was_carried_away() {
     let (map, parameters) = (rooms(), Parameters::turtlebot2());
     let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
     for seed in SEEDS {
@@ -209,7 +209,7 @@ fn a_robot_that_was_carried_away_is_found_again() {
         let errors = drive.follow(&mut localizer);
         assert_eq!(errors.lost(), 0.0, "seed {seed}: {errors}");
         let before = drive.odometry();
-        // Into a room 14 m away. Its wheels did not turn.
+        // It is carried into a room 14 m away; its wheels do not turn.
         let mut drive = Drive::new(&world, seed, &[(18.0, 10.5), (15.0, 9.0), (15.0, 6.0), (8.0, 6.0)]);
         drive.carried = before * drive.odometry().inverse();
         for _ in 0..250 {
@@ -221,8 +221,8 @@ fn a_robot_that_was_carried_away_is_found_again() {
     }
 }
 
-/// The rooms with walls up to 20 cm off, here to one side, there to the other. How far was chosen so that errors are about
-/// as large as the deviation of [`Parameters::systematic`]: with 5 or 10 cm, every pose is inside the ellipse.
+/// The rooms with walls up to 20 cm off, to varying sides. The offset was chosen so that errors are about as large as
+/// [`Parameters::systematic`]: with 5 or 10 cm, every pose is inside the ellipse.
 fn roughly_mapped_rooms() -> OccupancyGrid {
     let rooms = rooms();
     let (width, height) = (rooms.width(), rooms.height());
@@ -237,7 +237,7 @@ fn roughly_mapped_rooms() -> OccupancyGrid {
 }
 
 #[test]
-fn the_true_pose_is_inside_the_95_percent_ellipse_as_often_as_that() {
+fn true_pose_is_inside_the_95_percent_ellipse_95_percent_of_the_time() {
     let parameters = Parameters { systematic: Parameters::default().systematic, ..Parameters::turtlebot2() };
     let world = Arc::new(World::new(&rooms()));
     let field = Arc::new(LikelihoodField::new(&roughly_mapped_rooms(), &parameters));
@@ -260,7 +260,7 @@ fn the_true_pose_is_inside_the_95_percent_ellipse_as_often_as_that() {
 }
 
 #[test]
-fn a_lost_robot_claims_no_small_deviation_and_is_found_within_some_metres() {
+fn lost_robot_has_a_large_deviation_and_is_found_within_some_metres() {
     let (map, parameters) = (rooms(), Parameters::turtlebot2());
     let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
     let places: [&[(f64, f64)]; 4] = [
@@ -297,7 +297,7 @@ fn a_lost_robot_claims_no_small_deviation_and_is_found_within_some_metres() {
     assert!(recovery[4] <= 3.0 && recovery[7] <= 10.0, "{recovery:?}");
 }
 
-/// Two rooms alike, 8 m × 5 m, with a corridor along both; only the second has a cupboard, but for the world.
+/// Two equal rooms, 8 m × 5 m, with a corridor along both. With one cupboard, it is in the second room; with two, in both.
 fn twins(cupboards: usize) -> OccupancyGrid {
     let (width, height) = (340, 160);
     let wall = |row: usize, column: usize| {
@@ -314,9 +314,9 @@ fn twins(cupboards: usize) -> OccupancyGrid {
 }
 
 #[test]
-fn what_the_map_does_not_know_and_a_room_alike_do_not_make_the_estimate_jump() {
+fn estimate_does_not_jump_to_a_similar_room_that_fits_better() {
     let parameters = Parameters::turtlebot2();
-    // Since the map was drawn, a cupboard came to the first room, where the second had one.
+    // The first room has a cupboard that is not on the map, where the second room has one.
     let (map, world) = (twins(1), Arc::new(World::new(&twins(2))));
     let field = Arc::new(LikelihoodField::new(&map, &parameters));
     for seed in SEEDS {
@@ -327,7 +327,7 @@ fn what_the_map_does_not_know_and_a_room_alike_do_not_make_the_estimate_jump() {
         while drive.go_on() {
             gone += last.distance(drive.truth());
             last = drive.truth();
-            // People hide half of all beams for half a metre of each three, and then leave.
+            // In each 3 m, people hide half of all beams for 0.5 m.
             let hidden = if gone % 3.0 > 2.5 { 0.5 } else { 0.0 };
             let Some(estimate) = drive.observe_past(&mut localizer, hidden) else { continue };
             let off = estimate.pose.distance(last);
@@ -338,7 +338,7 @@ fn what_the_map_does_not_know_and_a_room_alike_do_not_make_the_estimate_jump() {
 }
 
 #[test]
-fn a_robot_that_is_carried_away_while_it_stands_is_looked_for_at_once() {
+fn standing_robot_that_is_carried_away_is_sought_at_once() {
     let (map, parameters) = (rooms(), Parameters::turtlebot2());
     let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
     let mut drive = Drive::new(&world, 1, &[(2.0, 6.0), (4.0, 6.0)]);
@@ -353,12 +353,12 @@ fn a_robot_that_is_carried_away_while_it_stands_is_looked_for_at_once() {
     drive.carried = before * drive.odometry().inverse();
     let carried = drive.observe(&mut localizer).unwrap();
     assert!(carried.updated && deviation(&carried) > 1.0, "{carried:?}");
-    // Once: it says no more when it is told again.
+    // The same scan again changes nothing.
     assert!(!drive.observe(&mut localizer).unwrap().updated);
 }
 
 #[test]
-fn the_same_seed_is_the_same_trajectory() {
+fn same_seed_gives_the_same_trajectory() {
     let (map, parameters) = (rooms(), Parameters::turtlebot2());
     let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
     let trajectory = |seed| {
@@ -376,7 +376,7 @@ fn the_same_seed_is_the_same_trajectory() {
 }
 
 #[test]
-fn what_is_no_pose_changes_nothing() {
+fn invalid_poses_and_maps_are_rejected() {
     let (map, parameters) = (rooms(), Parameters::turtlebot2());
     let field = Arc::new(LikelihoodField::new(&map, &parameters));
     let mut localizer = Localizer::at(field, parameters, 1, Pose2::new(2.0, 6.0, 0.0), &ABOUT).unwrap();
@@ -392,12 +392,12 @@ fn what_is_no_pose_changes_nothing() {
     assert!(localizer.observe(nowhere, &scan).is_err());
     let after = localizer.observe(Pose2::default(), &scan).unwrap();
     assert_eq!((before.pose, after.updated), (after.pose, false));
-    // Finite, but beyond what can be computed with.
+    // Finite, but beyond the valid range.
     let far = Pose2 { x: 1e300, y: 0.0, heading: 0.0 };
     assert_eq!(localizer.observe(far, &scan), Err(LocalizationError::NoPose(far)));
     let mounted = Scan { mount: far, ..scan };
     assert!(localizer.observe(Pose2::default(), &mounted).is_err());
-    // A lidar that sees nothing, and maps without room or walls.
+    // A lidar that sees nothing, and maps without free space or walls.
     let blind = Scan { ranges: &[f32::INFINITY; 60], ..scan };
     assert!(!localizer.observe(Pose2::new(1.0, 0.0, 0.0), &blind).unwrap().updated);
     for (cell, reason) in
@@ -412,7 +412,7 @@ fn what_is_no_pose_changes_nothing() {
 }
 
 #[test]
-fn a_first_scan_that_sees_nothing_leaves_the_next_one_to_find_the_robot() {
+fn blind_first_scan_leaves_the_next_one_to_find_the_robot() {
     let (map, parameters) = (rooms(), Parameters::turtlebot2());
     let field = Arc::new(LikelihoodField::new(&map, &parameters));
     let start = Pose2::new(2.0, 6.0, 0.0);

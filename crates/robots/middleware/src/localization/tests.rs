@@ -282,7 +282,7 @@ fn scans_without_beams_and_odometry_that_is_none_get_no_answer() {
     let blind = ScanPacket { ranges: vec![0; sent.ranges.len()], ..sent.clone() };
     assert_eq!(told(&blind), "scan 0 has no beam that hit anything in reach");
     let nowhere = ScanPacket { odometry: [1e300, 0.0, 0.0], ..sent.clone() };
-    assert!(told(&nowhere).ends_with("is no pose: not finite, or beyond 1e7 m"));
+    assert!(told(&nowhere).ends_with("is not a valid pose: it is not finite, or beyond 1e7 m"));
     // Neither keeps the robot from being localized.
     answered(&mut vnf, &sent);
 }
@@ -298,9 +298,9 @@ fn a_map_without_walls_or_room_is_an_error() {
         LocalizationVnf::new(&testbed, &id("robot1"), 1).unwrap_err().to_string()
     };
     let begin = "testbed `test` cannot localize `robot1`: the map has no ";
-    assert_eq!(told(cotorra_graph::Cell::Free), format!("{begin}wall, by which a robot could be found"));
+    assert_eq!(told(cotorra_graph::Cell::Free), format!("{begin}wall to locate a robot by"));
     let solid = told(cotorra_graph::Cell::Occupied);
-    assert_eq!(solid, format!("{begin}free cell, on which a robot could be"));
+    assert_eq!(solid, format!("{begin}free cell for a robot to stand on"));
 }
 
 #[test]
