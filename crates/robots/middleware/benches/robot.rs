@@ -1,4 +1,4 @@
-//! What a simulated robot costs, and what encoding adds to a service time. `cargo bench -p cotorra-robot-middleware`
+//! Times of a simulated robot, and of encoding in a service time. `cargo bench -p cotorra-robot-middleware`
 
 use std::{sync::Arc, time::Duration};
 
@@ -29,7 +29,7 @@ fn corridor() -> OccupancyGrid {
     OccupancyGrid::new(width, height, 0.05, Position::default(), cells).expect("the numbers agree")
 }
 
-/// A hall without a wall in reach: the longest rays.
+/// A hall without walls in range, for the longest rays.
 fn hall() -> OccupancyGrid {
     OccupancyGrid::new(1200, 800, 0.05, Position::default(), vec![Cell::Free; 1200 * 800])
         .expect("the numbers agree")
@@ -70,7 +70,7 @@ fn cast_360_rays(bencher: Bencher<'_, '_>, place: &str) {
     });
 }
 
-/// Fifty steps of physics, ten turns of the lidar.
+/// 50 steps of physics and 10 turns of the lidar.
 #[divan::bench]
 fn one_robot_second(bencher: Bencher<'_, '_>) {
     let world = Arc::new(World::new(&corridor()));
@@ -111,7 +111,7 @@ fn prepare_a_million_cells(bencher: Bencher<'_, '_>) {
     bencher.bench_local(|| World::new(black_box(&map)));
 }
 
-/// All that encoding adds to a service time: both packets, out and in again.
+/// All encoding in a service time: both packets, encoded and decoded.
 #[divan::bench]
 fn encode_and_decode_position_and_navigation(bencher: Bencher<'_, '_>) {
     let now = Timestamp::from_nanos(1_400_000_123);

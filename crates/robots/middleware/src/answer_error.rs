@@ -1,32 +1,32 @@
-//! Answers that a robot does not follow, and why.
+//! Reasons for which a robot rejects answers.
 
 use cotorra_graph::AnswersRejected;
 
-/// Why a robot does not follow a packet that arrived.
+/// The reason for which a robot rejects an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum AnswerError {
-    /// It answers a packet that was given up.
+    /// The request had timed out.
     #[error("the answer is late")]
     Late,
-    /// It answers a packet, but has not its nonce, or comes from elsewhere than where that was sent.
+    /// The nonce or the sender's address does not match the request.
     #[error("the answer is forged")]
     Forged,
-    /// It answers a packet that was answered.
+    /// The request was answered before.
     #[error("the answer is repeated")]
     Repeated,
-    /// It answers a packet that went to several instances, of which another answered first.
+    /// Another recipient of the request answered first.
     #[error("another instance answered first")]
     Redundant,
-    /// It answers no packet of this robot's.
+    /// The robot sent no such request.
     #[error("the answer is to no packet that is known")]
     Unknown,
-    /// It is no packet, or says what cannot be.
+    /// The packet is malformed or its content is impossible.
     #[error("the answer is invalid")]
     Invalid,
 }
 
 impl AnswerError {
-    /// Counts it.
+    /// Increments the counter of this reason.
     pub(crate) fn count(self, counts: &mut AnswersRejected) {
         *match self {
             Self::Late => &mut counts.late,

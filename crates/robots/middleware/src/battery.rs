@@ -1,6 +1,6 @@
-//! The battery of a TurtleBot 2: what standing and driving take from it, and the voltage that is left.
+//! Battery of a simulated TurtleBot 2: its charge and voltage as the robot stands and drives.
 //!
-//! Figures are those of Kobuki's documentation and of its driver (`kobuki_core`). A robot whose battery is empty goes on.
+//! Figures are from Kobuki's documentation and its driver (`kobuki_core`). A robot with an empty battery keeps moving.
 
 use std::time::Duration;
 
@@ -8,23 +8,22 @@ use cotorra_graph::Velocity;
 
 use crate::kobuki::{MAX_SPEED, WHEEL_BASE};
 
-/// Of the small pack, four lithium-ion cells in a row: 14.8 V · 2.2 Ah, watt hours.
+/// Energy of the small pack, four lithium-ion cells in series: 14.8 V · 2.2 Ah, watt hours.
 const ENERGY: f64 = 14.8 * 2.2;
-/// A full pack lasts so long, hours; taken for one that drives at full speed all the time.
+/// Operating time of a full pack, hours. It is taken for driving at full speed.
 const OPERATING: f64 = 3.0;
-/// Of both wheels' motors at full speed without a load: 12 V · 0.21 A each, watts.
+/// Power of both motors at full speed without load: 12 V · 0.21 A each, watts.
 const MOTORS: f64 = 2.0 * 12.0 * 0.21;
-/// Of everything else, watts.
+/// Power of all other parts, watts.
 const STANDBY: f64 = ENERGY / OPERATING - MOTORS;
-/// Volts of a full pack, and of one that is as good as empty.
+/// Voltages of a full and of an empty pack, volts.
 const VOLTAGES: (f64, f64) = (16.5, 13.2);
-/// The base tells the voltage in such steps, volts.
+/// Resolution of the reported voltage, volts.
 const RESOLUTION: f64 = 0.1;
 
-/// The battery.
 #[derive(Debug, Clone)]
 pub(crate) struct Battery {
-    /// Share of [`ENERGY`] that is left.
+    /// Remaining share of [`ENERGY`].
     charge: f64,
 }
 
@@ -33,7 +32,7 @@ impl Battery {
         Self { charge }
     }
 
-    /// The robot moves so for a step.
+    /// Discharges the battery by a step at this velocity.
     pub fn advance(&mut self, velocity: Velocity, step: Duration) {
         let half = velocity.angular * WHEEL_BASE / 2.0;
         let wheels = (velocity.linear - half).abs() + (velocity.linear + half).abs();
@@ -41,7 +40,7 @@ impl Battery {
         self.charge = (self.charge - watts * step.as_secs_f64() / 3600.0 / ENERGY).max(0.0);
     }
 
-    /// Charge and voltage.
+    /// Returns charge and voltage.
     pub fn read(&self) -> Vec<f64> {
         let voltage = VOLTAGES.1 + (VOLTAGES.0 - VOLTAGES.1) * self.charge;
         vec![self.charge, ((voltage / RESOLUTION).round() / 10.0)]
@@ -54,7 +53,7 @@ mod tests {
 
     const SECOND: Duration = Duration::from_secs(1);
 
-    /// Charge and voltage after so many hours.
+    /// Returns charge and voltage after `hours`.
     fn after(hours: u64, velocity: Velocity) -> Vec<f64> {
         let mut battery = Battery::new(1.0);
         (0..hours * 3600).for_each(|_| battery.advance(velocity, SECOND));
@@ -62,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pack_lasts_three_hours_at_full_speed() {
+    fn pack_lasts_three_hours_at_full_speed() {
         let fast = Velocity::planar(MAX_SPEED, 0.0);
         assert_eq!(Battery::new(1.0).read(), [1.0, 16.5]);
         let [charge, voltage] = after(1, fast)[..] else { panic!("there are two") };
@@ -73,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn standing_takes_less_than_driving_and_turning_takes_what_its_wheels_do() {
+    fn power_follows_the_speed_of_the_wheels() {
         let charge = |velocity| after(1, velocity)[0];
         let (still, slow) = (charge(Velocity::default()), charge(Velocity::planar(0.35, 0.0)));
         let fast = charge(Velocity::planar(MAX_SPEED, 0.0));

@@ -1,8 +1,8 @@
-//! What a simulated camera sees: the map's walls between a floor and a ceiling.
+//! Images of a simulated camera: the map's walls between a floor and a ceiling.
 //!
-//! One ray is cast for each column of an image. Distances count along the optical axis, so that straight walls stay
-//! straight. Surfaces are the darker the farther they are; walls that face east and west are brighter than the others.
-//! Pixels are square, and there is no noise and no blur. Other robots are not seen.
+//! Each column of an image casts one ray. Distances count along the optical axis, so that straight walls stay straight.
+//! Surfaces darken with distance, and walls that face east and west are brighter than the others. Pixels are square. There
+//! is no noise and no blur, and other robots are invisible.
 
 use std::sync::{Arc, OnceLock};
 
@@ -12,16 +12,16 @@ use crate::world::World;
 
 /// Height of all walls, and of the ceiling, metres.
 const WALL: f64 = 2.5;
-/// Of the camera above the robot's lowest point, metres.
+/// Height of the camera above the robot's lowest point, metres.
 const EYE: f64 = 0.3;
-/// Farther walls are not seen, metres.
+/// Visibility of walls, metres.
 const REACH: f64 = 50.0;
-/// A surface so far away is half as bright as one right ahead, metres.
+/// Distance at which the brightness of a surface is halved, metres.
 const FADE: f64 = 5.0;
-/// No wall is nearer, metres: inside one, all is wall.
+/// Smallest distance of a wall, metres. It fills the image from inside a wall.
 const NEAREST: f64 = 0.01;
 
-/// A surface: its brightness right ahead, and its share of red, green and blue in 255.
+/// Brightness of a surface at distance 0, and its shares of red, green and blue in 255.
 struct Surface {
     brightness: f64,
     tint: [u8; 3],
@@ -35,8 +35,7 @@ const WALLS: [Surface; 2] = [
 const FLOOR: Surface = Surface { brightness: 120.0, tint: [255, 229, 194] };
 const CEILING: Surface = Surface { brightness: 160.0, tint: [224, 236, 255] };
 
-/// What a camera has in front of it, which is drawn when somebody wants to see it. The camera looks along the robot's
-/// heading, and is held level.
+/// The view of a camera, which is drawn on demand. The camera looks along the robot's heading and is level.
 #[derive(Debug, Clone, PartialEq)]
 pub struct View {
     world: Arc<World>,
@@ -46,11 +45,11 @@ pub struct View {
     height: u16,
     is_coloured: bool,
     field_of_view: f64,
-    /// Row by row from the top left; empty until somebody wants to see it.
+    /// The image, once it is drawn.
     image: OnceLock<Arc<[u8]>>,
 }
 
-/// What is seen from a height at a distance along the axis: a shade, and its share of each colour.
+/// Shade of a surface at a distance, with its share of each colour.
 #[derive(Clone, Copy)]
 struct Shade {
     grey: u8,
@@ -69,17 +68,17 @@ impl Shade {
     }
 }
 
-/// What a column shows of a wall.
+/// The wall in a column of an image.
 struct Column {
-    /// The first row.
+    /// First row of the wall.
     top: usize,
-    /// The first row below.
+    /// First row below the wall.
     bottom: usize,
     shade: Shade,
 }
 
 impl View {
-    /// What this camera sees from a robot with that pose.
+    /// Creates the view of this camera from a robot with this pose.
     pub(crate) fn new(camera: &Camera, world: Arc<World>, pose: &Pose) -> Self {
         let Position { x, y, z } = pose.position();
         Self {
@@ -94,7 +93,7 @@ impl View {
         }
     }
 
-    /// Bytes of the image.
+    /// Returns the size of the image, bytes.
     pub fn len(&self) -> usize {
         usize::from(self.width) * usize::from(self.height) * if self.is_coloured { 3 } else { 1 }
     }
@@ -110,7 +109,7 @@ impl View {
     }
 
     fn draw(&self) -> Vec<u8> {
-        // From the image's centre in pixels to the tangent of an angle.
+        // Focal length in pixels.
         let focal = f64::from(self.width) / 2.0 / (self.field_of_view / 2.0).tan();
         let columns: Vec<_> = (0..self.width).map(|column| self.column(column, focal)).collect();
         let mut image = Vec::with_capacity(self.len());
@@ -132,7 +131,7 @@ impl View {
     fn column(&self, column: u16, focal: f64) -> Column {
         let left = (f64::from(self.width) / 2.0 - f64::from(column) - 0.5) / focal;
         let (sin, cos) = self.heading.sin_cos();
-        // How much longer the ray is than its part along the axis.
+        // Length of the ray per distance along the axis.
         let slant = left.hypot(1.0);
         let towards = ((cos - left * sin) / slant, (sin + left * cos) / slant);
         let Some(range) = self.world.cast(self.eye, towards, REACH) else {
@@ -152,11 +151,11 @@ impl View {
         }
     }
 
-    /// What a row shows where there is no wall.
+    /// Returns the shade of floor or ceiling in a row.
     fn behind(&self, row: usize, focal: f64) -> Shade {
         let up = (f64::from(self.height) / 2.0 - row as f64 - 0.5) / focal;
         if up > 0.0 {
-            // Above the walls there is no ceiling, but the open sky.
+            // A camera above the walls sees the sky.
             CEILING.at(((WALL - self.eye.z) / up).max(0.0))
         } else {
             FLOOR.at(self.eye.z / -up)
@@ -177,9 +176,10 @@ mod tests {
         Camera { width, height, format, field_of_view: FRAC_PI_2, to: None, keep_bytes: 0 }
     }
 
-    /// From 2 m east of the western wall of a room of 12 m by 6 m and 3 m south of the northern one, if it looks there.
+    /// Draws a room of 12 m × 6 m from 2 m east of the western wall. A camera that looks north is 3 m off the northern
+    /// wall.
     fn seen(camera: &Camera, heading: f64, height: f64) -> Vec<u8> {
-        // A ray between two cells meets a corner, which has no side.
+        // A ray along the border of two cells would hit a corner.
         let aside = 0.02;
         let [x, y] = if heading == FRAC_PI_2 { [2.0 + aside, 3.0] } else { [2.0, 3.0 + aside] };
         let pose = Pose::planar(x, y, heading, [0.0; 9], PoseSource::Simulator);
@@ -189,28 +189,28 @@ mod tests {
         image
     }
 
-    /// First row of the wall and first row below, in a column.
+    /// Returns the first row of the wall and the first row below, in a column.
     fn wall(image: &[u8], width: usize, column: usize) -> (usize, usize) {
         let rows: Vec<_> = image.chunks(width).map(|row| row[column]).collect();
-        // The wall is what has the shade of the row of the horizon.
+        // The wall is at the horizon.
         let shade = rows[rows.len() / 2];
         let top = rows.iter().position(|&grey| grey == shade).unwrap();
         (top, top + rows[top..].iter().position(|&grey| grey != shade).unwrap_or(rows.len() - top))
     }
 
     #[test]
-    fn a_wall_ahead_covers_the_rows_of_its_height_and_stays_straight_to_the_edges() {
-        // A right angle over 400 columns: 200 pixels by metre at a distance of 1 m.
+    fn wall_ahead_covers_the_same_rows_in_all_columns() {
+        // A right angle over 400 columns: 200 pixels per metre at a distance of 1 m.
         let camera = camera(400, 600, DataFormat::Mono8);
         let image = seen(&camera, PI, 0.0);
-        // At 2 m, 2.2 m above the eye are 220 pixels above the horizon, and 0.3 m below it are 30.
+        // At 2 m, 2.2 m above the camera are 220 pixels above the horizon, and 0.3 m below it are 30.
         for column in [0, 1, 100, 200, 399] {
             assert_eq!(wall(&image, 400, column), (300 - 220, 300 + 30), "column {column}");
         }
     }
 
     #[test]
-    fn what_is_nearer_is_higher_and_brighter_and_sides_are_told_apart() {
+    fn nearer_walls_are_higher_and_brighter_and_sides_differ() {
         let camera = camera(101, 101, DataFormat::Mono8);
         let (west, east, north) =
             (seen(&camera, PI, 0.0), seen(&camera, 0.0, 0.0), seen(&camera, FRAC_PI_2, 0.0));
@@ -226,7 +226,7 @@ mod tests {
             [(240.0 * 5.0 / 7.0) as u8, (190.0 * 5.0 / 8.0) as u8],
             "2 m and 3 m away"
         );
-        // The floor is the brighter the nearer it is, and so is the ceiling.
+        // Floor and ceiling are brighter where they are nearer.
         let column: Vec<_> = east.chunks(101).map(|row| row[50]).collect();
         let (top, bottom) = wall(&east, 101, 50);
         assert!(column[..top].is_sorted_by(|a, b| a >= b) && column[0] > column[top - 1]);
@@ -234,8 +234,8 @@ mod tests {
     }
 
     #[test]
-    fn left_is_left() {
-        // Looking east 1 m off the northern wall, which is then on the left.
+    fn wall_on_the_left_is_on_the_left_of_the_image() {
+        // The camera looks east, 1 m off the northern wall, which is on the left.
         let pose = Pose::planar(2.0, 5.0, 0.0, [0.0; 9], PoseSource::Simulator);
         let camera = camera(100, 100, DataFormat::Mono8);
         let image = View::new(&camera, Arc::new(World::new(&room(12.0, 6.0))), &pose).draw();
@@ -245,18 +245,18 @@ mod tests {
     }
 
     #[test]
-    fn from_higher_up_walls_begin_lower() {
+    fn walls_are_lower_in_the_image_from_higher_up() {
         let camera = camera(400, 600, DataFormat::Mono8);
-        // The eye is 1.3 m above the floor.
+        // The camera is 1.3 m above the floor.
         assert_eq!(wall(&seen(&camera, PI, 1.0), 400, 200), (300 - 120, 300 + 130));
-        // From above the walls their top is below the horizon, and the sky above it.
+        // From above the walls, their top is below the horizon, and the sky above it.
         let image = seen(&camera, PI, 3.0);
         assert_eq!((image[299 * 400], image[0]), (160, 160));
         assert!(image[(300 + 79) * 400] < image[(300 + 80) * 400], "the wall begins 0.8 m below the eye");
     }
 
     #[test]
-    fn images_have_the_size_of_their_format_and_colours_the_shades() {
+    fn images_have_the_size_and_shades_of_their_format() {
         let [mono, rgb] = [DataFormat::Mono8, DataFormat::Rgb8].map(|f| seen(&camera(32, 24, f), 0.5, 0.0));
         assert_eq!((mono.len(), rgb.len()), (32 * 24, 32 * 24 * 3));
         for (grey, colour) in mono.iter().zip(rgb.chunks(3)) {

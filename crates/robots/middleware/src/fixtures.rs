@@ -1,4 +1,4 @@
-//! Rooms and robots that the tests of several modules share.
+//! Rooms and robots for tests of several modules.
 
 use std::{
     net::{Ipv4Addr, SocketAddrV4},
@@ -13,10 +13,11 @@ use cotorra_graph::{
 /// Side of a cell, metres.
 pub const CELL: f64 = 0.05;
 
-/// Where the robots' VNFs listen.
+/// Socket of the robots' VNFs.
 pub const SERVER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 9), 7711);
 
-/// An empty room with walls of one cell; (0, 0) is its inner lower left corner, and its inside is that large.
+/// Creates an empty room with walls of one cell. Its inner size is `width` × `height`, metres, and (0, 0) its inner lower
+/// left corner.
 pub fn room(width: f64, height: f64) -> OccupancyGrid {
     let (columns, rows) = ((width / CELL).round() as usize + 2, (height / CELL).round() as usize + 2);
     let wall =

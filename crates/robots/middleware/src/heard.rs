@@ -1,32 +1,30 @@
-//! A topic of a robot, as a link listens to it: no flood keeps the link busy, and what is lost on the way is
-//! counted.
+//! Subscription of a link to a robot's topic. It bounds the work per call and counts lost messages.
 
 use cotorra_graph::Timestamp;
 
 use crate::{ros_robot::RosRobot, watch::Topic};
 
-/// Messages of a topic that wait until they are taken in.
+/// Length of a topic's queue, messages.
 pub(crate) const QUEUE: usize = 32;
 
-/// Where the messages of a topic come from.
+/// Source of a topic's messages.
 pub(crate) trait Source {
-    /// What comes.
     type Message;
 
-    /// The next one, if there is one.
+    /// Returns the next message that waits.
     fn next(&self) -> Option<Self::Message>;
 
-    /// The next one, once there is one; `None` if there will be none.
+    /// Waits for the next message; `None` once the source has ended.
     fn wait(&self) -> Option<Self::Message>;
 
-    /// How many were dropped so far, because they were not taken.
+    /// Returns the number of messages dropped so far because the queue was full.
     fn dropped(&self) -> u64;
 
-    /// How many came so far that are none.
+    /// Returns the number of malformed messages so far.
     fn malformed(&self) -> u64;
 }
 
-/// A topic, and what of it was lost so far.
+/// A topic with the numbers of its lost messages so far.
 #[derive(Debug)]
 pub(crate) struct Heard<S> {
     source: S,
@@ -40,7 +38,7 @@ impl<S: Source> Heard<S> {
         Self { source, topic, dropped: 0, malformed: 0 }
     }
 
-    /// Takes in what came.
+    /// Takes the messages that wait, and reports lost ones to the robot.
     pub fn hear(
         &mut self,
         now: Timestamp,
@@ -52,7 +50,7 @@ impl<S: Source> Heard<S> {
             robot.missed(now, self.topic, dropped - self.dropped);
             self.dropped = dropped;
         }
-        // No more than can have waited: a flood does not keep anyone here.
+        // At most the queue's length, so that a flood cannot keep the link busy.
         for _ in 0..QUEUE {
             let Some(message) = self.source.next() else { break };
             take(robot, message);

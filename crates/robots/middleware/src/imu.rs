@@ -1,6 +1,6 @@
-//! An inertial measurement unit on the robot: what moves it, with the errors of such a device.
+//! Simulated inertial measurement unit with the errors of a real one.
 //!
-//! The gyro is that of the Kobuki, an ST L3G4200D, after calibration. A Kobuki has no accelerometer: this is the one of an
+//! The gyro is the Kobuki's, an ST L3G4200D, after calibration. A Kobuki has no accelerometer; this one is that of an
 //! InvenSense MPU-9250, which many TurtleBots have.
 
 use std::time::Duration;
@@ -15,12 +15,13 @@ use crate::{
 
 /// m/s².
 const GRAVITY: f64 = 9.81;
-/// Noise of the accelerometer (300 µg/√Hz), m/s² by √Hz.
+/// Noise of the accelerometer (300 µg/√Hz), m/s² per √Hz.
 const ACCELERATION_NOISE: f64 = 300e-6 * GRAVITY;
-/// Deviation between robots of the accelerometer's bias: its data sheet's 60 mg are taken for three times that, m/s².
+/// Standard deviation of the accelerometer's bias between robots, m/s²: the data sheet's 60 mg are taken as three
+/// deviations.
 const ACCELERATION_BIAS: f64 = 0.02 * GRAVITY;
 
-/// The device. Its axes are the robot's: ahead, to the left, upwards.
+/// The device. Its axes are the robot's: forward, left, up.
 #[derive(Debug, Clone)]
 pub(crate) struct Imu {
     noise: Stream,
@@ -30,14 +31,14 @@ pub(crate) struct Imu {
     acceleration_bias: [f64; 3],
     /// The pose after the last step, and the velocity on the map in it, m/s.
     before: (Pose, [f64; 3]),
-    /// Without error, in the last step: rad/s.
+    /// True angular velocity in the last step, rad/s.
     angular: [f64; 3],
-    /// Without error, in the last step, as it is felt: m/s².
+    /// True proper acceleration in the last step, m/s².
     acceleration: [f64; 3],
 }
 
 impl Imu {
-    /// That of a robot which stands there.
+    /// Creates the device of a robot that stands at `start`.
     pub fn new(seed: u64, robot: &NodeId, start: Pose) -> Self {
         let mut noise = Stream::new(seed, &format!("{robot}/imu"));
         let gyro_bias = [(); 3].map(|()| GYRO_BIAS * noise.bell());
@@ -53,7 +54,7 @@ impl Imu {
         }
     }
 
-    /// The robot has come to that pose in a step.
+    /// Moves the device to a pose in a step.
     pub fn advance(&mut self, pose: &Pose, step: Duration) {
         let seconds = step.as_secs_f64();
         let (before, velocity) = self.before;
@@ -72,7 +73,7 @@ impl Imu {
         self.before = (*pose, moved);
     }
 
-    /// What it reads, one reading an interval: white noise is the louder the faster it is read.
+    /// Reads angular velocity and acceleration. White noise increases with the rate of readings.
     pub fn read(&mut self, interval: Duration) -> Vec<f64> {
         let band = 1.0 / interval.as_secs_f64().sqrt();
         let mut erred = |value: f64, bias: f64, noise: f64| value + bias + noise * band * self.noise.bell();
@@ -83,7 +84,7 @@ impl Imu {
     }
 }
 
-/// A vector on the map along the axes of a robot.
+/// Rotates a vector from the map's axes to the robot's.
 fn felt(pose: &Pose, [x, y, z]: [f64; 3]) -> [f64; 3] {
     let (sin, cos) = pose.heading.sin_cos();
     let [x, y] = [x * cos + y * sin, y * cos - x * sin];
@@ -106,7 +107,7 @@ mod tests {
         Pose::planar(x, y, heading, [0.0; 9], PoseSource::Simulator)
     }
 
-    /// The exact device after these poses.
+    /// Returns the device after these poses.
     fn after(poses: &[Pose]) -> Imu {
         let mut imu = Imu::new(1, &id("robot1"), poses[0]);
         poses[1..].iter().for_each(|pose| imu.advance(pose, STEP));
@@ -118,14 +119,14 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_stands_feels_its_weight_alone() {
+    fn standing_robot_measures_gravity_alone() {
         let imu = after(&[pose(1.0, 2.0, 0.5), pose(1.0, 2.0, 0.5)]);
         assert_close(imu.angular, [0.0; 3], 1e-12);
         assert_close(imu.acceleration, [0.0, 0.0, GRAVITY], 1e-12);
     }
 
     #[test]
-    fn a_robot_on_a_circle_feels_its_turn_and_what_holds_it_on_the_circle() {
+    fn robot_on_a_circle_measures_its_turn_and_centripetal_acceleration() {
         // 2 m/s at 0.5 rad/s: 1 m/s² to the left.
         let circle = |step: i32| {
             let angle = 0.01 * f64::from(step);
@@ -137,11 +138,11 @@ mod tests {
     }
 
     #[test]
-    fn a_quadrotor_that_hovers_with_its_nose_down_feels_its_weight_ahead() {
+    fn tilted_quadrotor_measures_gravity_along_its_axes() {
         let tilted = |roll, pitch| Pose { roll, pitch, ..pose(0.0, 0.0, 1.0) };
         let imu = after(&[tilted(0.0, 0.1), tilted(0.0, 0.1)]);
         assert_close(imu.acceleration, [-GRAVITY * 0.1_f64.sin(), 0.0, GRAVITY * 0.1_f64.cos()], 1e-12);
-        // As it turns about itself, it turns about the vertical.
+        // A change of pitch alone is a turn about the lateral axis.
         let level = after(&[tilted(0.0, 0.0), tilted(0.0, 0.02)]);
         assert_close(level.angular, [0.0, 1.0, 0.0], 1e-9);
         let imu = after(&[tilted(0.3, 0.0), tilted(0.3, 0.0)]);
@@ -149,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_those_of_the_data_sheets_and_of_the_seed() {
+    fn errors_match_the_data_sheets_and_depend_on_the_seed() {
         let still = pose(0.0, 0.0, 0.0);
         let read = |seed: u64, interval: Duration| {
             let mut imu = Imu::new(seed, &id("robot1"), still);
@@ -163,7 +164,7 @@ mod tests {
             [of(2), of(3)]
         };
         let [gyro, acceleration] = read(1, STEP);
-        // 0.03 °/s and 300 µg by √Hz, read at 50 Hz.
+        // 0.03 °/s and 300 µg per √Hz, read at 50 Hz.
         assert!((gyro.1 / (0.03_f64.to_radians() * 50_f64.sqrt()) - 1.0).abs() < 0.05, "{gyro:?}");
         assert!((acceleration.1 / (300e-6 * 9.81 * 50_f64.sqrt()) - 1.0).abs() < 0.05, "{acceleration:?}");
         assert!(acceleration.0 != 0.0 && acceleration.0.abs() < 0.02 * 9.81 * 3.5, "{acceleration:?}");

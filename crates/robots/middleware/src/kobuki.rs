@@ -1,6 +1,6 @@
-//! The base of a TurtleBot 2: how a Kobuki answers velocity commands, and what its wheels and its gyro say of it.
+//! The base of a simulated TurtleBot 2: a Kobuki's motion under velocity commands, and its odometry from wheels and gyro.
 //!
-//! Figures are those of Kobuki's own driver (`kobuki_core`) and its documentation.
+//! Figures are from Kobuki's driver (`kobuki_core`) and its documentation.
 
 use std::{f64::consts::PI, time::Duration};
 
@@ -8,24 +8,25 @@ use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
 
 use crate::{planar::normalised, random::Stream, world::World};
 
-/// Between the wheels, metres.
+/// Distance between the wheels, metres.
 pub const WHEEL_BASE: f64 = 0.230;
-/// Of a wheel, metres.
+/// Radius of a wheel, metres.
 const WHEEL_RADIUS: f64 = 0.035;
-/// Wheel rotation from one encoder tick to the next.
+/// Rotation of a wheel per encoder tick, radians.
 const RADIANS_PER_TICK: f64 = 0.002_436_916_871_363_93;
-/// Way of a wheel from one encoder tick to the next: 0.000 085 292 m.
+/// Way of a wheel per encoder tick: 0.000 085 292 m.
 pub const METRES_PER_TICK: f64 = WHEEL_RADIUS * RADIANS_PER_TICK;
-/// Of the body, metres.
+/// Radius of the body, metres.
 pub const RADIUS: f64 = RobotModel::Turtlebot2.radius();
-/// Without a command for so long, the base stops.
+/// Time without a command after which the base stops.
 pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(600);
-/// m/s.
+/// Largest speed, m/s.
 pub const MAX_SPEED: f64 = RobotModel::Turtlebot2.max_speed();
-/// rad/s (180 °/s).
+/// Largest angular velocity, rad/s (180 °/s).
 pub const MAX_ANGULAR_SPEED: f64 = PI;
 
-/// The part of a velocity that a robot of that speed limit, m/s, may drive, on the same curve; it does not leave the floor.
+/// Scales a velocity down to the limits of a robot with this speed limit, m/s, on the same curve. The vertical part is
+/// dropped.
 pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
     let over = (wanted.linear.abs() / speed_limit).max(wanted.angular.abs() / MAX_ANGULAR_SPEED);
     let over = over.max(1.0);
@@ -36,20 +37,20 @@ pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
 const LINEAR_RAMP: (f64, f64) = (0.5, 0.6);
 /// Acceleration and deceleration, rad/s².
 const ANGULAR_RAMP: (f64, f64) = (3.5, 4.2);
-/// A pressed bumper comes back when the wall is so far, metres.
+/// Distance of the wall at which a pressed bumper is released, metres.
 const BUMPER_RELEASE: f64 = 0.005;
 
-/// What moves: pose, velocity and bumper, without error.
+/// True state of the base: pose, velocity and bumper.
 #[derive(Debug, Clone)]
 pub(crate) struct Base {
     pub position: Position,
-    /// In (-π, π].
+    /// Radians in (-π, π].
     pub heading: f64,
     pub velocity: Velocity,
     pub bumper: bool,
 }
 
-/// What a step did: forward metres, and radians turned.
+/// Motion of a step: forward, metres, and turned, radians.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Motion {
     pub forward: f64,
@@ -61,13 +62,13 @@ impl Base {
         Self { position, heading: normalised(heading), velocity: Velocity::default(), bumper: false }
     }
 
-    /// Where it is, exactly.
+    /// Returns the true pose.
     pub fn pose(&self) -> Pose {
         let Position { x, y, z } = self.position;
         Pose { z, ..Pose::planar(x, y, self.heading, [0.0; 9], PoseSource::Simulator) }
     }
 
-    /// Moves on by `step`, towards a velocity that is wanted.
+    /// Moves for a step, with the velocity ramping towards `wanted`.
     pub fn advance(&mut self, wanted: Velocity, step: Duration, world: &World) -> Motion {
         let seconds = step.as_secs_f64();
         self.velocity = Velocity::planar(
@@ -89,7 +90,7 @@ impl Base {
         motion
     }
 
-    /// Where an arc of constant curvature ends: its chord, at half the turn.
+    /// Returns the end of an arc of constant curvature: its chord is at half the turn.
     fn after(&self, motion: Motion) -> Position {
         let half = motion.turned / 2.0;
         let chord = motion.forward * if half.abs() < 1e-9 { 1.0 } else { half.sin() / half };
@@ -97,8 +98,8 @@ impl Base {
         Position { x: self.position.x + chord * cos, y: self.position.y + chord * sin, ..self.position }
     }
 
-    /// The share of the way, 0 to 1, that the body can go before it touches something. A step is shorter than the
-    /// body, so that nothing is jumped over. A body that is inside something may only leave it.
+    /// Returns the share of the way, 0 to 1, that the body can go before it touches a wall. A step is shorter than the
+    /// body, so that it cannot jump over walls. A body inside a wall may only leave it.
     fn free_share(&self, motion: Motion, world: &World) -> f64 {
         let now = world.distance(self.position, RADIUS);
         let free = |share: f64| {
@@ -110,7 +111,7 @@ impl Base {
             return 1.0;
         }
         let (mut low, mut high) = (0.0, 1.0);
-        // 14 mm at most, halved ten times: contact to within 14 µm.
+        // At most 14 mm, halved ten times: contact to within 14 µm.
         for _ in 0..10 {
             let middle = (low + high) / 2.0;
             if free(middle) { low = middle } else { high = middle }
@@ -119,32 +120,31 @@ impl Base {
     }
 }
 
-/// The velocity after `seconds` on the way from one to another: the first ramp speeds up, the second slows down.
+/// Returns the velocity after `seconds` on the ramp from `now` to `wanted`, given acceleration and deceleration.
 fn ramp(now: f64, wanted: f64, (faster, slower): (f64, f64), seconds: f64) -> f64 {
     let speeds_up = wanted.abs() > now.abs() && wanted * now >= 0.0;
     let change = if speeds_up { faster } else { slower } * seconds;
     now + (wanted - now).clamp(-change, change)
 }
 
-/// Deviation between robots of what their wheels say of a metre: wear, load and floor.
+/// Standard deviation of the wheels' scale between robots, from wear, load and floor.
 const WHEEL_SCALE: f64 = 0.012;
-/// The same between the two wheels of one robot.
+/// Standard deviation of the scale between the two wheels of a robot.
 const WHEEL_DIFFERENCE: f64 = 0.002;
-/// Slip of a wheel, a random walk: 1 mm after a metre, 10 mm after a hundred. Metres per √metre.
+/// Slip of a wheel, metres per √metre. It is a random walk: 1 mm after 1 m, 10 mm after 100 m.
 const SLIP: f64 = 0.001;
-/// Deviation between robots of the gyro's rest bias after calibration, rad/s (0.004 °/s).
+/// Standard deviation of the gyro's bias between robots, after calibration, rad/s (0.004 °/s).
 pub(crate) const GYRO_BIAS: f64 = 7e-5;
 /// Angle random walk of the gyro (ST L3G4200D, 0.03 °/√s), rad/√s.
 pub(crate) const GYRO_WALK: f64 = 5.2e-4;
 
-/// Where wheels and gyro say that the robot is. As in Kobuki's own node, ways come from the encoders and the heading
-/// from the gyro, and both drift.
+/// Odometry. As in Kobuki's own node, distances come from the encoders and the heading from the gyro. Both drift.
 #[derive(Debug, Clone)]
 pub(crate) struct Odometer {
     noise: Stream,
     wheel_scale: [f64; 2],
     gyro_bias: f64,
-    /// How far each wheel has turned, metres at its rim.
+    /// Way of each wheel, metres at its rim.
     turned: [f64; 2],
     ticks: [i64; 2],
     position: Position,
@@ -181,7 +181,7 @@ impl Odometer {
         let wheels = [motion.forward - half, motion.forward + half];
         let mut counted = [0; 2];
         for wheel in 0..2 {
-            // A wheel that stands does not slip.
+            // A standing wheel does not slip.
             let way = wheels[wheel];
             let slip = if way == 0.0 { 0.0 } else { SLIP * way.abs().sqrt() * self.noise.bell() };
             self.turned[wheel] += way * self.wheel_scale[wheel] + slip;
@@ -190,7 +190,7 @@ impl Odometer {
             self.ticks[wheel] = ticks;
         }
         let forward = (counted[0] + counted[1]) as f64 * METRES_PER_TICK / 2.0;
-        // Wheels that stand say that the gyro's reading is error alone: the heading holds.
+        // With standing wheels the gyro's reading is all error, so that the heading is held.
         let moving = wheels != [0.0; 2];
         let error = self.gyro_bias * seconds + GYRO_WALK * seconds.sqrt() * self.noise.bell();
         let turned = if moving { motion.turned + error } else { 0.0 };
@@ -203,13 +203,13 @@ impl Odometer {
         self.elapsed += if moving { seconds } else { 0.0 };
     }
 
-    /// What encoders and gyro saw in the last step.
+    /// Returns the velocity measured in the last step.
     pub fn velocity(&self) -> Velocity {
         self.velocity
     }
 
-    /// The pose, with a covariance that bounds its error from above: as if all the way had gone one way, and all of
-    /// the heading's error had been there from the start.
+    /// Returns the pose, with an upper bound of its covariance: as if the whole way had been straight, with the full
+    /// heading error from the start.
     pub fn pose(&self) -> Pose {
         let heading = (GYRO_BIAS * self.elapsed).powi(2) + GYRO_WALK.powi(2) * self.elapsed;
         let scale = WHEEL_SCALE.powi(2) + WHEEL_DIFFERENCE.powi(2) + heading;

@@ -1,4 +1,4 @@
-//! Large data that sensors measure, such as scans and images: a reading's event tells of it, and its bytes go apart.
+//! Large data of sensors, such as scans and images. A reading's event describes it; its bytes travel separately.
 
 use std::sync::Arc;
 
@@ -7,19 +7,19 @@ use cotorra_ros_messages::Message;
 
 use crate::{camera::View, lidar::Scan, ros};
 
-/// What large data consists of, before it is written as bytes.
+/// Content of large data, before it is encoded.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {
     /// A turn of a lidar.
     Scan(Arc<Scan>),
-    /// Bytes as they are stored.
+    /// Encoded bytes.
     Bytes(Arc<[u8]>),
-    /// What a simulated camera sees.
+    /// The view of a simulated camera.
     View(Arc<View>),
 }
 
 impl Content {
-    /// How many bytes [`Self::bytes`] gives, which is known without making them.
+    /// Returns the size of [`Self::bytes`] without encoding.
     pub fn size(&self) -> u64 {
         match self {
             Self::Scan(scan) => scan_size(scan.ranges.len()) as u64,
@@ -28,7 +28,7 @@ impl Content {
         }
     }
 
-    /// The bytes as they are stored. This may take a while: it is not for the thread that drives robots.
+    /// Returns the encoded bytes. This may take a while: do not call it on the thread that drives robots.
     pub fn bytes(&self) -> Arc<[u8]> {
         match self {
             Self::Scan(scan) => {
@@ -42,7 +42,7 @@ impl Content {
     }
 }
 
-/// Bytes of a `sensor_msgs/LaserScan` with so many ranges, in the frame of the lidar.
+/// Returns the size of a `sensor_msgs/LaserScan` in the lidar's frame, bytes.
 const fn scan_size(rays: usize) -> usize {
     const ENCAPSULATION: usize = 4;
     const STAMP: usize = 8;
@@ -52,18 +52,18 @@ const fn scan_size(rays: usize) -> usize {
     ENCAPSULATION + STAMP + FRAME + FIGURES + LENGTHS + 4 * rays
 }
 
-/// Large data that a driver gives for a sensor.
+/// Large data that a driver read from a sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Captured {
-    /// When it was measured.
+    /// Time of measurement.
     pub measured: Timestamp,
-    /// How its bytes are written.
+    /// Encoding of the bytes.
     pub format: DataFormat,
     /// Columns of an image, rays of a scan.
     pub width: u32,
     /// Rows of an image; 1 of a scan.
     pub height: u32,
-    /// What it is.
+    /// The data itself.
     pub content: Content,
 }
 
@@ -79,20 +79,20 @@ impl From<&Scan> for Captured {
     }
 }
 
-/// Large data that a sensor of a robot measured.
+/// Large data with its robot and sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensedData {
     /// The robot.
     pub robot: NodeId,
     /// Its sensor.
     pub sensor: SensorId,
-    /// When it was measured.
+    /// Time of measurement.
     pub measured: Timestamp,
-    /// When it was read.
+    /// Time of reading.
     pub at: Timestamp,
-    /// What its event says of it.
+    /// Its description in the event.
     pub data: LargeData,
-    /// What it is.
+    /// The data itself.
     pub content: Content,
 }
 
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scan_is_a_laser_scan_of_the_size_that_was_told() {
+    fn scan_is_encoded_as_a_laser_scan_of_the_announced_size() {
         for rays in [0, 1, 7, 360] {
             let scan = Scan {
                 at: Timestamp::from_nanos(5),

@@ -1,9 +1,11 @@
-//! The Robot Middleware block: drives robots, collects what they sense into κ, keeps the robot's end of the navigation and
-//! localization services, and passes instructions on. It knows no sockets and no clock: plain calls with the time as an
-//! argument, and events to poll. Only the links to robots that speak ROS have sockets, in threads of their own.
+//! The Robot Middleware block: drives robots, builds κ from their sensors, keeps the robot's end of the navigation and
+//! localization services, and applies instructions.
 //!
-//! [`RobotMiddleware`] is the way in. It drives any [`RobotDriver`]: a [`SimulatedRobot`], which needs nothing, or a
-//! [`RosDriver`], which has a [`RosRobot`] at the other end of a [`RosLink`].
+//! It has no sockets and no clock: calls take the time, and datagrams and events are polled. Only links to robots in ROS
+//! have sockets, on threads of their own.
+//!
+//! [`RobotMiddleware`] is the main type. It moves robots through any [`RobotDriver`]: a [`SimulatedRobot`], or a
+//! [`RosDriver`] for a [`RosRobot`] behind a [`RosLink`].
 #![forbid(unsafe_code)]
 
 mod answer_error;

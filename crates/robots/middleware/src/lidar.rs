@@ -1,4 +1,4 @@
-//! An RPLIDAR A2 on the robot: 360 rays a turn, ten turns a second, each ray cast from where the robot then is.
+//! Simulated RPLIDAR A2: 360 rays a turn, ten turns a second, each ray cast from the robot's pose at that time.
 
 use std::{f64::consts::PI, time::Duration};
 
@@ -6,54 +6,54 @@ use cotorra_graph::{NodeId, Position, Timestamp};
 
 use crate::{random::Stream, world::World};
 
-/// Rays a turn.
+/// Rays per turn.
 pub(crate) const RAYS: usize = 360;
-/// Nearer things are not measured, metres.
+/// Smallest range, metres.
 pub(crate) const RANGE_MIN: f64 = 0.15;
-/// Farther things are not seen, metres.
+/// Largest range, metres.
 pub(crate) const RANGE_MAX: f64 = 12.0;
-/// Deviation of a range, as its share: the data sheet's 1 % is taken for twice that.
+/// Relative standard deviation of a range: the data sheet's 1 % is taken as two deviations.
 const RELATIVE_ERROR: f64 = 0.005;
-/// It is never below the resolution at short range, metres.
+/// Smallest standard deviation, metres: the resolution at short range.
 const LEAST_ERROR: f64 = 0.0005;
 
-/// One turn of a lidar, with as many rays as it has.
+/// One turn of a lidar.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scan {
-    /// When its first ray was cast.
+    /// Time of the first ray.
     pub at: Timestamp,
     /// Direction of the first ray, radians from the robot's heading, counter-clockwise.
     pub first_angle: f64,
-    /// From each ray to the next, radians; negative if they go clockwise.
+    /// Angle between neighbouring rays, radians; negative for clockwise turns.
     pub angle_step: f64,
-    /// From each ray to the next in time.
+    /// Time between neighbouring rays.
     pub ray_interval: Duration,
-    /// From this turn to the next.
+    /// Time from this turn to the next.
     pub turn: Duration,
-    /// Nearer things are not measured, metres.
+    /// Smallest range, metres.
     pub range_min: f64,
-    /// Farther things are not seen, metres.
+    /// Largest range, metres.
     pub range_max: f64,
-    /// Metres, a ray each. +∞ where nothing is within range, -∞ where something is too near to be measured, NaN where
-    /// the measurement failed (REP 117).
+    /// Range of each ray, metres: +∞ if nothing is within range, -∞ if something is too near, NaN if the measurement failed
+    /// (REP 117).
     pub ranges: Vec<f32>,
 }
 
 impl Scan {
-    /// Direction of a ray, radians from the robot's heading, counter-clockwise.
+    /// Returns the direction of a ray, radians from the robot's heading, counter-clockwise.
     pub fn angle(&self, ray: usize) -> f64 {
         self.first_angle + ray as f64 * self.angle_step
     }
 
-    /// The nearest thing seen, metres; `None` if nothing is within range.
+    /// Returns the smallest range, metres; `None` if nothing is within range.
     pub fn nearest(&self) -> Option<f64> {
-        // Failed measurements, which are NaN, count for nothing in a minimum.
+        // `min` ignores failed measurements, which are NaN.
         let nearest = f64::from(self.ranges.iter().fold(f32::INFINITY, |nearest, range| range.min(nearest)));
         (nearest <= self.range_max).then(|| nearest.max(self.range_min))
     }
 
-    /// A turn of the simulated lidar that is still without rays: from the robot's back counter-clockwise, a degree a ray,
-    /// so that ray 180 looks forward.
+    /// Creates a turn of the simulated lidar without rays. It goes counter-clockwise from the robot's back, one degree per
+    /// ray, so that ray 180 looks forward.
     fn blank(at: Timestamp) -> Self {
         const TURN: Duration = Duration::from_millis(100);
         Self {
@@ -69,7 +69,6 @@ impl Scan {
     }
 }
 
-/// The device.
 #[derive(Debug, Clone)]
 pub(crate) struct Lidar {
     noise: Stream,
@@ -94,12 +93,12 @@ impl Lidar {
         }
     }
 
-    /// The last complete turn.
+    /// Returns the last complete turn.
     pub fn scan(&self) -> Option<&Scan> {
         self.complete.as_ref()
     }
 
-    /// Casts the next `count` rays of the turn from there.
+    /// Casts the next `count` rays of the turn from this pose.
     pub fn sweep(&mut self, now: Timestamp, count: usize, world: &World, from: Position, heading: f64) {
         if self.turning.ranges.is_empty() {
             self.turning.at = now;
@@ -115,7 +114,7 @@ impl Lidar {
             self.turning.ranges.push(range);
         }
         if self.turning.ranges.len() == RAYS {
-            // The buffers change places: no turn but the first allocates.
+            // The buffers are swapped, so that only the first turn allocates.
             std::mem::swap(self.complete.get_or_insert_with(|| Scan::blank(now)), &mut self.turning);
             self.turning.ranges.clear();
         }
@@ -144,17 +143,17 @@ mod tests {
         lidar.scan().unwrap().clone()
     }
 
-    /// The error that a range may have: the noise is bounded.
+    /// Returns the largest error of a range; the noise is bounded.
     fn tolerance(range: f64) -> f64 {
         12f64.sqrt() * (range * RELATIVE_ERROR).max(LEAST_ERROR) + 1e-6
     }
 
     #[test]
-    fn a_room_looks_as_its_geometry_says() {
+    fn ranges_in_a_room_match_its_geometry() {
         let world = World::new(&room(6.0, 4.0));
         let scan = scan(&world, Position::new(2.0, 1.5), PI / 2.0);
         assert_eq!(scan.ranges.len(), 360);
-        // Facing north: back, right, front, left, and 45° to the front left, where the western wall is nearer.
+        // Facing north: back, right, front, left, and 45° to the front left, where the western wall is nearest.
         for (ray, range) in [(0, 1.5), (90, 4.0), (180, 2.5), (270, 2.0), (225, 2.0 * 2f64.sqrt())] {
             let seen = f64::from(scan.ranges[ray]);
             assert!((seen - range).abs() < tolerance(range), "ray {ray}: {seen} m, not {range} m");
@@ -163,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_have_the_deviation_of_the_data_sheet_and_no_bias() {
+    fn errors_have_the_specified_deviation_and_no_bias() {
         let world = World::new(&room(20.0, 20.0));
         let mut lidar = Lidar::new(5, &id("robot1"));
         let mut errors = Vec::new();
@@ -178,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn out_of_range_is_infinite_on_its_side() {
+    fn ranges_beyond_the_limits_are_infinite() {
         let world = World::new(&room(30.0, 4.0));
         let seen = scan(&world, Position::new(15.0, 0.1), 0.0);
         assert_eq!(seen.ranges[180], f32::INFINITY, "the wall is 15 m ahead");
@@ -190,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_is_seen_once_it_is_complete() {
+    fn turn_is_visible_once_it_is_complete() {
         let world = World::new(&room(6.0, 4.0));
         let mut lidar = Lidar::new(5, &id("robot1"));
         for part in 0..5 {

@@ -1,5 +1,5 @@
-//! Both ends of the localization service: the robot's, which sends scans and lives between two answers by its odometry,
-//! and the VNF's, which answers each scan with a pose. What travels between them is in `cotorra_plugin::wire`.
+//! Both ends of the localization service. The robot sends scans, and moves its last answer on by odometry. The VNF answers
+//! each scan with a pose. Their packets are in `cotorra_plugin::wire`.
 
 mod endpoint;
 #[cfg(test)]
@@ -12,10 +12,11 @@ use cotorra_localization::{Belief, Parameters, Pose2};
 pub(crate) use endpoint::LocalizationEndpoint;
 pub use vnf::{LocalizationVnf, NotLocalized, PacketError};
 
-/// The filter for a kind of robot: both ends go by its motion noise and by when it wants a scan.
+/// Returns the filter's parameters for a robot model. Both ends use them: for the motion noise, and for when a scan is
+/// wanted.
 fn parameters(model: RobotModel) -> Parameters {
     match model {
-        // Both have the same lidar; the filter allows for more error of wheels than there is in the air.
+        // Both have the same lidar, and the errors of wheels that the filter allows for are larger than those in the air.
         RobotModel::Turtlebot2 | RobotModel::Quadrotor => Parameters::turtlebot2(),
     }
 }
@@ -28,6 +29,6 @@ pub(crate) fn believed(pose: &Pose) -> Belief {
     Belief { pose: planar(pose), covariance: pose.covariance }
 }
 
-fn told(Belief { pose, covariance }: &Belief) -> Pose {
+fn to_pose(Belief { pose, covariance }: &Belief) -> Pose {
     Pose::planar(pose.x, pose.y, pose.heading, *covariance, PoseSource::Localization)
 }

@@ -1,5 +1,7 @@
-//! The block itself: robots by name, κ at its interval, position packets out and navigation packets in, movement
-//! instructions to the drivers; and what happened, told as events.
+//! The Robot Middleware itself: all robots by name.
+//!
+//! It builds κ at its interval, sends position packets and scans, takes answers, passes instructions to drivers, and
+//! reports events.
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
@@ -29,15 +31,15 @@ use crate::{
     world::World,
 };
 
-/// A goal is no farther from the map's origin in any direction, metres.
+/// Largest coordinate of a goal, metres.
 const FARTHEST: f64 = 1e6;
-/// RejectedAnswers answers are told no more often.
+/// Shortest interval between two reports of rejected answers.
 const REJECTIONS: Duration = Duration::from_secs(1);
 
-/// Why a robot was not moved, or does not take a report.
+/// The reason for which an instruction to a robot is rejected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MoveError {
-    /// There is no such robot.
+    /// The testbed has no such robot.
     #[error("there is no robot `{0}`")]
     UnknownRobot(NodeId),
     /// The walk has no such waypoint.
@@ -48,58 +50,58 @@ pub enum MoveError {
         /// The waypoint.
         waypoint: u32,
     },
-    /// It is to stand still.
+    /// The robot is halted.
     #[error("robot `{0}` is halted: let it go first")]
     Halted(NodeId),
-    /// Nobody can navigate it.
+    /// No navigation VNF serves the robot.
     #[error("no navigation VNF serves robot `{0}`, and nobody else takes goals")]
     NoNavigation(NodeId),
-    /// It cannot go there.
+    /// The robot cannot reach the goal.
     #[error("robot `{robot}` cannot go to {goal}: {reason}")]
     Goal {
         /// The robot.
         robot: NodeId,
-        /// Where it was to go.
+        /// The goal.
         goal: Position,
-        /// Why not.
+        /// The cause.
         reason: String,
     },
-    /// It cannot be limited to that speed, m/s.
+    /// The speed limit, m/s, is negative or not finite.
     #[error("a speed limit is a number of m/s from 0 on, and {0} is none")]
     NotALimit(f64),
-    /// That cannot be what one of its sensors measures.
+    /// The report does not fit the sensor.
     #[error("robot `{robot}`: {reason}")]
     Report {
         /// The robot.
         robot: NodeId,
-        /// Why not.
+        /// The cause.
         reason: ReportError,
     },
-    /// The robot cannot do that.
+    /// The driver rejects the command.
     #[error("robot `{robot}`: {reason}")]
     Command {
         /// The robot.
         robot: NodeId,
-        /// Why.
+        /// The cause.
         reason: CommandError,
     },
 }
 
-/// A turn of a robot's lidar, told to whoever taps scans.
+/// A turn of a robot's lidar, for taps of scans.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensedScan {
     /// The robot.
     pub robot: NodeId,
-    /// When it was known, which is after it was complete.
+    /// Time at which it was read, after its completion.
     pub at: Timestamp,
-    /// What was seen.
+    /// The scan.
     pub scan: Scan,
 }
 
 /// The Robot Middleware.
 ///
-/// Time is an argument and never falls from call to call. After any call, [`Self::poll_event`] tells what happened
-/// and [`Self::next_deadline`] when to call [`Self::advance`] next.
+/// The time in calls never falls. After any call, poll [`Self::poll_event`] and [`Self::poll_transmit`], and call
+/// [`Self::advance`] at [`Self::next_deadline`].
 pub struct RobotMiddleware {
     robots: BTreeMap<NodeId, Managed>,
     map: Option<OccupancyGrid>,
@@ -107,16 +109,16 @@ pub struct RobotMiddleware {
     context_interval: Duration,
     next_context: Timestamp,
     nonces: Nonces,
-    /// Up to when time has come. A robot moves there when it is looked at.
+    /// The latest time so far. Robots move up to it when they are read.
     now: Timestamp,
-    /// When each service has something due, and whose it is.
+    /// Deadline of each robot that has one.
     due: BTreeSet<(Timestamp, NodeId)>,
     events: VecDeque<Stamped>,
     /// Datagrams to send at once.
     outbox: VecDeque<Datagram>,
-    /// Scans that nobody has polled; `None` while nobody taps them.
+    /// Scans to poll; `None` without a tap.
     scans: Option<VecDeque<SensedScan>>,
-    /// Large data that nobody has polled.
+    /// Large data to poll.
     data: VecDeque<SensedData>,
 }
 
@@ -126,60 +128,59 @@ struct Managed {
     attachments: Vec<Attachment>,
     servers: Servers,
     service: Option<ServiceEndpoint>,
-    /// Its model, if a navigation VNF answers its position packets.
+    /// The robot's model, if a navigation VNF answers its position packets.
     navigated: Option<RobotModel>,
     localization: Option<Localized>,
-    /// Its entry in `due`.
+    /// The robot's entry in [`RobotMiddleware::due`].
     due: Option<Timestamp>,
-    /// Whether the last command was outside what the robot can do; told once, not with every packet.
+    /// Whether the last command was beyond the robot's limits. That is reported once, not with each packet.
     flagged: bool,
-    /// What is wrong with it, as told last.
+    /// Faults as reported last.
     health: Vec<RobotFault>,
-    /// When the last scan began that was told to a tap.
-    told_scan: Option<Timestamp>,
-    /// It stands still, whatever its navigation says.
+    /// Start of the last scan passed to a tap.
+    tapped_scan: Option<Timestamp>,
+    /// Whether the robot stands still regardless of its navigation.
     halted: bool,
-    /// m/s.
+    /// Speed limit, m/s.
     speed_limit: Option<f64>,
     rejected: RejectedAnswers,
-    /// What it declares beside what its base tells.
+    /// Declared sensors.
     sensing: Sensing,
 }
 
-/// What a robot rejected, and what was told of it.
+/// Numbers of answers that a robot rejected, and their last report.
 struct RejectedAnswers {
     counts: AnswersRejected,
-    /// When it was told last, and what.
-    told: (Timestamp, AnswersRejected),
+    /// Time and content of the last report.
+    reported: (Timestamp, AnswersRejected),
 }
 
 impl RejectedAnswers {
     fn none(robot: &NodeId) -> Self {
         let counts = AnswersRejected::none(robot.clone());
-        Self { told: (Timestamp::ZERO, counts.clone()), counts }
+        Self { reported: (Timestamp::ZERO, counts.clone()), counts }
     }
 
-    /// What is to be told now, if anything is.
-    fn news(&mut self, now: Timestamp) -> Option<AnswersRejected> {
-        let (at, told) = &self.told;
-        if *told == self.counts || now.since(*at) < REJECTIONS {
+    /// Returns the numbers if they are to be reported now.
+    fn report(&mut self, now: Timestamp) -> Option<AnswersRejected> {
+        let (at, reported) = &self.reported;
+        if *reported == self.counts || now.since(*at) < REJECTIONS {
             return None;
         }
-        self.told = (now, self.counts.clone());
+        self.reported = (now, self.counts.clone());
         Some(self.counts.clone())
     }
 }
 
-/// A robot whose place a VNF finds.
+/// Localization of a robot by a VNF.
 struct Localized {
     endpoint: LocalizationEndpoint,
-    /// How far off it was each time κ was built, where somebody knows the truth.
+    /// Errors each time κ was built, where the truth is known.
     errors: Errors,
 }
 
 impl RobotMiddleware {
-    /// The middleware without robots; κ is built each `context_interval`, from the beginning of the run on. Packets have
-    /// these nonces.
+    /// Creates the middleware without robots. It builds κ every `context_interval` from the beginning of the run.
     ///
     /// # Panics
     /// If the interval is zero.
@@ -201,7 +202,7 @@ impl RobotMiddleware {
         }
     }
 
-    /// The middleware with all robots of a testbed, simulated.
+    /// Creates the middleware with all robots of a testbed, simulated.
     ///
     /// # Errors
     /// [`SimulationError`] if a robot has no place to start from.
@@ -217,13 +218,15 @@ impl RobotMiddleware {
         Self::driven(testbed, seed, context_interval, nonces, |_, simulated| Ok(Box::new(simulated)))
     }
 
-    /// The middleware with all robots of a testbed, moved by what `drive` makes for each node; it may use the simulated
-    /// robot that it is given, which stands where the robot starts. A robot has a navigation service if it has a walk
-    /// and a service of the testbed runs the robot's driver ([`Program::RobotDriver`]); it is localized by a VNF if one of
-    /// its services has one ([`Program::Localization`]), and else where its driver says that it is.
+    /// Creates the middleware with all robots of a testbed. `drive` makes the driver of each; it may use the given
+    /// simulated robot, which stands at the start.
+    ///
+    /// A robot has a navigation service if it has a walk and one of its services runs a robot driver
+    /// ([`Program::RobotDriver`]). A VNF localizes it if one of its services has one ([`Program::Localization`]); else its
+    /// pose is the driver's.
     ///
     /// # Errors
-    /// That of `drive`, or [`SimulationError`] if a robot has no place to start from.
+    /// The error of `drive`, or [`SimulationError`] if a robot has no place to start from.
     ///
     /// # Panics
     /// If the interval is zero.
@@ -265,7 +268,7 @@ impl RobotMiddleware {
         Ok(middleware)
     }
 
-    /// From now on a VNF finds a robot that is there: it stands where its driver has it.
+    /// Lets a VNF localize a robot, which stands at its driver's pose.
     fn localize(&mut self, node: &Node) {
         if let (NodeKind::Robot(robot), Some(managed)) = (&node.kind, self.robots.get_mut(&node.id)) {
             let SensorData { pose, odometry, .. } = managed.driver.sensors();
@@ -274,10 +277,10 @@ impl RobotMiddleware {
         }
     }
 
-    /// Adds a robot, in place of one of that name.
+    /// Adds a robot, and replaces one with the same name.
     pub(crate) fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
         let robot = driver.robot().clone();
-        let (health, told_scan) = (Vec::new(), None);
+        let (health, tapped_scan) = (Vec::new(), None);
         let (navigated, localization, due) = (None, None, None);
         let (flagged, halted, speed_limit) = (false, false, None);
         let rejected = RejectedAnswers::none(&robot);
@@ -293,7 +296,7 @@ impl RobotMiddleware {
             due,
             flagged,
             health,
-            told_scan,
+            tapped_scan,
             halted,
             speed_limit,
             rejected,
@@ -306,7 +309,7 @@ impl RobotMiddleware {
         self.note_due(&robot);
     }
 
-    /// Keeps `due` right after a call to a robot's service.
+    /// Updates a robot's entry in `due` after its deadline may have changed.
     fn note_due(&mut self, robot: &NodeId) {
         let Some(managed) = self.robots.get_mut(robot) else { return };
         let service = managed.service.as_ref().and_then(ServiceEndpoint::next_deadline);
@@ -319,7 +322,7 @@ impl RobotMiddleware {
         }
     }
 
-    /// Robots whose service has something due, by name.
+    /// Returns the robots with something due, by name.
     fn due_by(&self, now: Timestamp) -> Vec<NodeId> {
         let mut due: Vec<_> =
             self.due.iter().take_while(|(at, _)| *at <= now).map(|(_, robot)| robot.clone()).collect();
@@ -327,12 +330,7 @@ impl RobotMiddleware {
         due
     }
 
-    /// The robots, by name.
-    pub fn robots(&self) -> impl Iterator<Item = &NodeId> {
-        self.robots.keys()
-    }
-
-    /// σ of a robot, now.
+    /// Returns the present σ of a robot.
     pub fn sensors(&mut self, robot: &NodeId) -> Option<SensorData> {
         let managed = self.robots.get_mut(robot)?;
         managed.driver.advance(self.now);
@@ -349,7 +347,8 @@ impl RobotMiddleware {
         })
     }
 
-    /// How far off localization was each time κ was built, of each robot that a VNF localizes and whose place is known.
+    /// Returns the errors of localization each time κ was built, of each robot that a VNF localizes and whose true pose is
+    /// known.
     pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
         let localized =
             self.robots.iter().filter_map(|(robot, managed)| Some((robot, managed.localization.as_ref()?)));
@@ -358,20 +357,20 @@ impl RobotMiddleware {
             .filter(|(_, errors)| !errors.is_empty())
     }
 
-    /// The driver of a robot, for what only it knows, such as its last scan.
+    /// Returns the driver of a robot, for data that only it has, such as its last scan.
     pub fn driver(&mut self, robot: &NodeId) -> Option<&dyn RobotDriver> {
         let managed = self.robots.get_mut(robot)?;
         managed.driver.advance(self.now);
         Some(&*managed.driver)
     }
 
-    /// Whether every walk is at its end, and no robot has a goal; false where there is no walk.
+    /// Whether every walk is at its end and no robot has a goal; false without walks.
     pub fn finished(&self) -> bool {
         let mut services = self.robots.values().filter_map(|managed| managed.service.as_ref()).peekable();
         services.peek().is_some() && services.all(ServiceEndpoint::is_idle)
     }
 
-    /// When something is due: κ, a position packet, or the end of the wait for an answer.
+    /// Returns the next deadline: of κ, a position packet, an answer, a scan or a sensor.
     pub fn next_deadline(&self) -> Timestamp {
         self.due.first().map_or(self.next_context, |(at, _)| self.next_context.min(*at))
     }
@@ -404,8 +403,8 @@ impl RobotMiddleware {
             managed.read_sensors(now, &mut self.events, &mut self.data);
             if context_due {
                 managed.driver.advance(now);
-                managed.note_health(now, &mut self.events);
-                managed.look(now);
+                managed.report_health(now, &mut self.events);
+                managed.observe(now);
                 let context = RobotContext {
                     robot: robot.clone(),
                     attachments: managed.attachments.clone(),
@@ -415,7 +414,7 @@ impl RobotMiddleware {
                     speed_limit_mps: managed.speed_limit,
                 };
                 self.events.push_back(Stamped { at: now, event: Event::Robot(context) });
-                let rejected = managed.rejected.news(now).map(Event::AnswersRejected);
+                let rejected = managed.rejected.report(now).map(Event::AnswersRejected);
                 self.events.extend(rejected.map(|event| Stamped { at: now, event }));
                 if let Some(scans) = &mut self.scans {
                     scans.extend(managed.fresh_scan(now));
@@ -430,8 +429,8 @@ impl RobotMiddleware {
 
     /// Returns the next datagram to send at `now`; `None` when none is due. Its packet says `now`: send it at once.
     ///
-    /// Position packets come first. A scan goes out while no position packet of its robot is under way, if such a moment comes
-    /// soon: it is ten times as long as one, and would hold one up on the air.
+    /// Position packets come first. A scan goes out while no position packet of its robot is under way, if such a moment
+    /// comes soon: it is ten times as long as one, and would hold one up on the air.
     pub fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
         if self.outbox.is_empty() {
             let due = self.due_by(now);
@@ -487,8 +486,8 @@ impl RobotMiddleware {
         self.note_due(robot);
     }
 
-    /// A localization VNF's answer arrived at a robot from this address. It believes that, and its odometry since the scan that
-    /// was answered.
+    /// Receives an answer of a localization VNF. The robot's pose is the answer's, moved on by odometry since the answered
+    /// scan.
     pub fn localized(&mut self, now: Timestamp, robot: &NodeId, from: SocketAddrV4, packet: &PosePacket) {
         let Some(managed) = self.robots.get_mut(robot) else { return };
         let Some(Localized { endpoint, .. }) = &mut managed.localization else {
@@ -499,15 +498,15 @@ impl RobotMiddleware {
         }
     }
 
-    /// Something arrived at a robot that is no answer.
+    /// Counts a datagram that is not a valid answer.
     pub fn reject(&mut self, robot: &NodeId) {
         if let Some(managed) = self.robots.get_mut(robot) {
             managed.reject(AnswerError::Invalid);
         }
     }
 
-    /// A navigation packet arrived at a robot from this address. What it brings is told as events; the robot follows it unless
-    /// it is rejected, overtaken or beyond the robot's limits.
+    /// Receives a navigation packet. The robot follows it unless it is rejected, overtaken or beyond the robot's limits.
+    /// Results are reported as events.
     pub fn receive(&mut self, now: Timestamp, robot: &NodeId, from: SocketAddrV4, packet: &NavigationPacket) {
         let Some(managed) = self.robots.get_mut(robot) else { return };
         let Some(service) = &mut managed.service else { return managed.reject(AnswerError::Unknown) };
@@ -517,7 +516,7 @@ impl RobotMiddleware {
         };
         self.events.push_back(Stamped { at: now, event: Event::ServiceTime(answer.service_time) });
         if let Some(velocity) = answer.velocity.filter(|_| !managed.halted) {
-            // A refusal is told as a notice; the sender of a datagram cannot be told.
+            // A rejected command becomes a notice; the sender of a datagram cannot be told.
             let _ = managed.command(now, velocity, &mut self.events);
         }
         if answer.finished {
@@ -532,10 +531,10 @@ impl RobotMiddleware {
         self.note_due(robot);
     }
 
-    /// Moves a robot as an instruction says ([`cotorra_graph::Instruction::Move`]).
+    /// Moves a robot ([`cotorra_graph::Instruction::Move`]).
     ///
     /// # Errors
-    /// [`MoveError`]; the robot then goes on as before.
+    /// [`MoveError`]; the robot goes on as before.
     pub fn instruct(
         &mut self,
         now: Timestamp,
@@ -560,7 +559,7 @@ impl RobotMiddleware {
         Ok(())
     }
 
-    /// Lets a robot stand still whatever its navigation says, or follow it again.
+    /// Halts a robot regardless of its navigation, or lets it follow that again.
     ///
     /// # Errors
     /// [`MoveError::UnknownRobot`].
@@ -574,10 +573,10 @@ impl RobotMiddleware {
         Ok(())
     }
 
-    /// Gives a robot a goal in place of its walk, or takes it back ([`cotorra_graph::Instruction::NavigateTo`]).
+    /// Sets a goal in place of a robot's walk, or cancels it ([`cotorra_graph::Instruction::NavigateTo`]).
     ///
     /// # Errors
-    /// [`MoveError`]; the robot then goes where it went before.
+    /// [`MoveError`]; the robot goes on as before.
     pub fn navigate_to(
         &mut self,
         now: Timestamp,
@@ -592,16 +591,16 @@ impl RobotMiddleware {
             unreachable(goal, model, self.map.as_ref(), &self.world)
                 .map_or(Ok(()), |reason| Err(MoveError::Goal { robot: robot.clone(), goal, reason }))?;
         }
-        let told = service.set_goal(now, goal).map(|goal| Stamped { at: now, event: Event::Goal(goal) });
-        self.events.extend(told);
+        let events = service.set_goal(now, goal).map(|goal| Stamped { at: now, event: Event::Goal(goal) });
+        self.events.extend(events);
         self.note_due(robot);
         Ok(())
     }
 
-    /// Limits a robot's speed, m/s, or takes its limit back ([`cotorra_graph::Instruction::LimitSpeed`]).
+    /// Limits a robot's speed, m/s, or removes its limit ([`cotorra_graph::Instruction::LimitSpeed`]).
     ///
     /// # Errors
-    /// [`MoveError::UnknownRobot`] and [`MoveError::NotALimit`]; then the robot keeps the limit that it had.
+    /// [`MoveError::UnknownRobot`] and [`MoveError::NotALimit`]; the limit stays as it was.
     pub fn limit_speed(
         &mut self,
         now: Timestamp,
@@ -620,7 +619,7 @@ impl RobotMiddleware {
         Ok(())
     }
 
-    /// Takes what a sensor of a robot measures ([`cotorra_graph::Instruction::Report`]).
+    /// Takes a reported measurement of a robot's sensor ([`cotorra_graph::Instruction::Report`]).
     ///
     /// # Errors
     /// [`MoveError::UnknownRobot`] and [`MoveError::Report`].
@@ -636,37 +635,37 @@ impl RobotMiddleware {
         done.map_err(|reason| MoveError::Report { robot: robot.clone(), reason })
     }
 
-    /// Stops a robot, if there is one of that name.
+    /// Stops a robot, if it exists.
     pub fn stop(&mut self, now: Timestamp, robot: &NodeId) {
         if let Some(managed) = self.robots.get_mut(robot) {
             managed.driver.stop(now);
         }
     }
 
-    /// What happened, oldest first.
+    /// Returns the next event, oldest first.
     pub fn poll_event(&mut self) -> Option<Stamped> {
         self.events.pop_front()
     }
 
-    /// From now on each scan is kept until [`Self::poll_scan`] takes it: for whoever records or watches. They are no
-    /// events, because scans are many times what everything else is together.
+    /// Keeps each scan from now on for [`Self::poll_scan`]. Scans are not events, because they are many times as large as
+    /// all events together.
     pub fn tap_scans(&mut self) {
         self.scans.get_or_insert_default();
     }
 
-    /// Large data that a sensor measured, oldest first. It is kept until it is taken, as events are.
+    /// Returns the next large data of sensors, oldest first. Like events, it is kept until it is polled.
     pub fn poll_data(&mut self) -> Option<SensedData> {
         self.data.pop_front()
     }
 
-    /// A scan that was completed since the taps began, oldest first; robots are looked at when κ is built.
+    /// Returns the next scan completed since [`Self::tap_scans`], oldest first. Scans are read when κ is built.
     pub fn poll_scan(&mut self) -> Option<SensedScan> {
         self.scans.as_mut()?.pop_front()
     }
 }
 
 impl Managed {
-    /// Lets programs that drive the robot beside the testbed do no more than the testbed may.
+    /// Applies the robot's limit to programs that drive it beside the testbed.
     fn limit_others(&mut self) {
         let limit = if self.halted { Some(0.0) } else { self.speed_limit };
         self.driver.limit_others(limit);
@@ -676,7 +675,7 @@ impl Managed {
         rejection.count(&mut self.rejected.counts);
     }
 
-    /// σ: the driver's, with the place where localization has the robot.
+    /// Returns the driver's σ with the pose of localization.
     fn sensors(&self) -> SensorData {
         let sensed = self.driver.sensors();
         match &self.localization {
@@ -699,24 +698,23 @@ impl Managed {
         self.service.as_ref().is_none_or(ServiceEndpoint::is_quiet)
     }
 
-    /// When a scan is to be sent.
     fn scan_deadline(&self) -> Option<Timestamp> {
         self.localization.as_ref()?.endpoint.next_deadline(self.is_quiet())
     }
 
-    /// Localization looks at what the robot sees, and is compared with the truth.
-    fn look(&mut self, now: Timestamp) {
+    /// Feeds odometry and scan to localization, and compares its pose with the truth.
+    fn observe(&mut self, now: Timestamp) {
         let Some(Localized { endpoint, errors }) = &mut self.localization else { return };
         let odometry = self.driver.sensors().odometry;
-        // What a robot sees that is not well may be from anywhere.
+        // Data of a robot with a fault is not trusted.
         let scan = self.driver.scan().filter(|_| self.driver.health().is_empty());
-        endpoint.look(now, &odometry, scan);
+        endpoint.observe(now, &odometry, scan);
         if let Some(truth) = self.driver.truth() {
             errors.push(&believed(&endpoint.pose(&odometry)), planar(&truth));
         }
     }
 
-    /// Commands the driver, within the robot's speed limit, and tells once if it was asked for what the robot cannot do.
+    /// Commands the driver within the robot's speed limit. Reports once when commands begin to exceed the robot's limits.
     fn command(
         &mut self,
         now: Timestamp,
@@ -733,7 +731,7 @@ impl Managed {
             )),
             Err(refused) => Some(format!("refused a command: {refused}")),
         };
-        // What is wrong with it is told when it begins.
+        // Faults have their own notice.
         let flag = flag.filter(|_| !matches!(done, Err(CommandError::Unwell(_))));
         let was_flagged = std::mem::replace(&mut self.flagged, flag.is_some());
         if let Some(flag) = flag.filter(|_| !was_flagged) {
@@ -743,8 +741,8 @@ impl Managed {
         done.map(|_| ())
     }
 
-    /// Tells once what goes wrong with the robot, and when it is well again.
-    fn note_health(&mut self, now: Timestamp, events: &mut VecDeque<Stamped>) {
+    /// Reports changes of the robot's faults.
+    fn report_health(&mut self, now: Timestamp, events: &mut VecDeque<Stamped>) {
         let health = self.driver.health();
         if health == self.health {
             return;
@@ -761,7 +759,7 @@ impl Managed {
         events.push_back(Stamped { at: now, event: Event::Notice { message } });
     }
 
-    /// Reads its sensors that are due.
+    /// Reads the sensors that are due.
     fn read_sensors(
         &mut self,
         now: Timestamp,
@@ -780,14 +778,14 @@ impl Managed {
         }
     }
 
-    /// Its last scan, if it was not told before.
+    /// Returns the last scan, if it was not returned before.
     fn fresh_scan(&mut self, now: Timestamp) -> Option<SensedScan> {
-        let scan = self.driver.scan().filter(|scan| self.told_scan != Some(scan.at))?;
-        self.told_scan = Some(scan.at);
+        let scan = self.driver.scan().filter(|scan| self.tapped_scan != Some(scan.at))?;
+        self.tapped_scan = Some(scan.at);
         Some(SensedScan { robot: self.driver.robot().clone(), at: now, scan: scan.clone() })
     }
 
-    /// The end of its walk: the robot stops, whatever the last command said.
+    /// Ends the walk: stops the robot regardless of the last command.
     fn finish(&mut self, now: Timestamp, events: &mut VecDeque<Stamped>) {
         self.driver.stop(now);
         let robot = self.driver.robot().clone();
@@ -795,7 +793,7 @@ impl Managed {
     }
 }
 
-/// Why a robot of that model can never be at a place, as far as the map tells at once.
+/// Returns the reason for which a robot of this model can never be at a place, as far as the map tells without planning.
 fn unreachable(
     goal: Position,
     model: RobotModel,

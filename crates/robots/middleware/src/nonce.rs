@@ -1,8 +1,8 @@
-//! The nonces of a robot's packets.
+//! Nonces of robots' packets.
 
 use crate::random::Stream;
 
-/// Where nonces come from.
+/// Source of nonces.
 #[derive(Debug, Clone)]
 pub struct Nonces(Source);
 
@@ -13,17 +13,17 @@ enum Source {
 }
 
 impl Nonces {
-    /// Numbers that nobody can guess: the system's.
+    /// Nonces from the system's random number generator, which nobody can guess.
     pub fn unpredictable() -> Self {
         Self(Source::System)
     }
 
-    /// The same numbers for the same seed. For virtual time, where nobody else sends packets.
+    /// Nonces from a seed, for virtual time, where nobody else sends packets.
     pub fn seeded(seed: u64) -> Self {
         Self(Source::Seeded(Stream::new(seed, "nonces")))
     }
 
-    /// The next.
+    /// Draws the next nonce.
     pub(crate) fn draw(&mut self) -> u64 {
         match &mut self.0 {
             Source::System => getrandom::u64().expect("the system has random numbers"),

@@ -1,4 +1,4 @@
-//! Images of a robot's camera in ROS, as they are kept: pixels without padding, or files of JPEG and PNG.
+//! Images of a robot's camera in ROS: pixels without padding, or JPEG and PNG files.
 
 use std::sync::Arc;
 
@@ -8,23 +8,23 @@ use cotorra_ros_messages::Image;
 /// An image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
-    /// How its bytes are written.
+    /// Encoding of the bytes.
     pub format: DataFormat,
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// The bytes.
+    /// Encoded bytes.
     pub bytes: Arc<[u8]>,
 }
 
-/// Why a message is no image that can be read.
+/// The reason for which an image message cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NoPicture {
-    /// Pixels are something else.
+    /// The pixels have another encoding.
     #[error("its pixels are `{0}`, where `mono8`, `rgb8` and `bgr8` are read")]
     Encoding(String),
-    /// There are none, or fewer than it says.
+    /// The image is empty, or has too few bytes.
     #[error("an image of {width} x {height} pixels in rows of {step} bytes does not fit {bytes} bytes")]
     Size {
         /// Columns.
@@ -33,15 +33,15 @@ pub(crate) enum NoPicture {
         height: u32,
         /// Bytes from one row to the next.
         step: u32,
-        /// Bytes that there are.
+        /// Bytes in the message.
         bytes: usize,
     },
-    /// The file is something else.
+    /// The file has another format.
     #[error("its image is neither a JPEG nor a PNG file, but `{0}`")]
     File(String),
 }
 
-/// Pixels, row by row without padding. Of `bgr8`, blue and red change places.
+/// Reads pixels row by row, without padding. Swaps blue and red of `bgr8`.
 pub(crate) fn image(message: Image) -> Result<Picture, NoPicture> {
     let (format, pixel, is_bgr) = match message.encoding.as_str() {
         "mono8" | "8UC1" => (DataFormat::Mono8, 1, false),
@@ -68,7 +68,7 @@ pub(crate) fn image(message: Image) -> Result<Picture, NoPicture> {
     Ok(Picture { format, width, height, bytes: bytes.into() })
 }
 
-/// A file, whatever it is called. Its header says how large the image is.
+/// Reads a file. Format and size are those of its header; `called` is the format that the message names, for errors.
 pub(crate) fn file(bytes: Vec<u8>, called: &str) -> Result<Picture, NoPicture> {
     let png = png(&bytes).map(|size| (DataFormat::Png, size));
     let known = png.or_else(|| jpeg(&bytes).map(|size| (DataFormat::Jpeg, size)));
@@ -76,29 +76,29 @@ pub(crate) fn file(bytes: Vec<u8>, called: &str) -> Result<Picture, NoPicture> {
     Ok(Picture { format, width, height, bytes: bytes.into() })
 }
 
-/// What others wrote, for a notice.
+/// Shortens the text of a message for a notice.
 fn shortened(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(32).collect()
 }
 
-/// Columns and rows of a PNG file, which its first chunk says.
+/// Returns columns and rows of a PNG file, from its first chunk.
 fn png(bytes: &[u8]) -> Option<(u32, u32)> {
     let header = bytes.strip_prefix(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR")?;
     let (width, rest) = header.split_first_chunk()?;
     Some((u32::from_be_bytes(*width), u32::from_be_bytes(*rest.first_chunk()?)))
 }
 
-/// Columns and rows of a JPEG file, which the header of its frame says (ITU-T T.81, B.2.2).
+/// Returns columns and rows of a JPEG file, from its frame header (ITU-T T.81, B.2.2).
 fn jpeg(bytes: &[u8]) -> Option<(u32, u32)> {
     let mut rest = bytes.strip_prefix(b"\xff\xd8")?;
     loop {
         let [0xff, marker, segment @ ..] = rest else { return None };
         match marker {
-            // A marker may be filled up.
+            // Fill bytes may precede a marker.
             0xff => rest = &rest[1..],
             // These have no length.
             0x01 | 0xd0..=0xd7 => rest = segment,
-            // The pixels' data, or the end.
+            // The scan, or the end of the image.
             0xd9 | 0xda => return None,
             0xc0..=0xcf if !matches!(marker, 0xc4 | 0xc8 | 0xcc) => {
                 let [_, _, _, high, low, wide, narrow, ..] = segment else { return None };
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_lose_their_padding_and_blue_and_red_change_places() {
+    fn padding_is_removed_and_bgr_is_converted_to_rgb() {
         let read = |encoding, size, data: &[u8]| {
             image(message(encoding, size, data)).map(|picture| (picture.format, picture.bytes.to_vec()))
         };
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn images_that_are_none_are_refused() {
+    fn invalid_images_are_rejected() {
         let depth = image(message("16UC1", (1, 1, 2), &[0, 0])).unwrap_err();
         assert_eq!(depth.to_string(), "its pixels are `16UC1`, where `mono8`, `rgb8` and `bgr8` are read");
         for size in [(0, 1, 1), (1, 0, 1), (2, 1, 1), (2, 3, 2), (u32::MAX, u32::MAX, u32::MAX)] {
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn files_say_how_large_they_are() {
+    fn size_is_read_from_file_headers() {
         // The beginning of a JPEG with JFIF's segment, a filled marker and a frame of 320 x 240.
         let mut jpeg =
             b"\xff\xd8\xff\xe0\0\x04JF\xff\xff\xdb\0\x02\xff\xc2\0\x0b\x08\0\xf0\x01\x40\x01".to_vec();
@@ -165,7 +165,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_panic(
+        fn arbitrary_files_never_panic(
             rest in any::<Vec<u8>>(),
             begin in prop::sample::select(vec![&b"\xff\xd8"[..], b"\xff\xd8\xff\xc0", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b""]),
         ) {

@@ -1,8 +1,8 @@
-//! Movements in the plane and upwards, to put what a robot says in its own frames onto the map. Frames are level.
+//! Transforms between level frames, by which poses in a robot's own frames are mapped onto the map.
 
 use cotorra_graph::Pose;
 
-/// Where one frame is in another.
+/// Pose of one frame in another.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Planar {
     pub x: f64,
@@ -17,7 +17,7 @@ impl Planar {
         Self { x: pose.x, y: pose.y, z: pose.z, heading: pose.heading }
     }
 
-    /// Where `inner`, which is in this frame, is in the frame that this one is in.
+    /// Returns the pose of `inner`, which is given in this frame, in the outer frame.
     pub fn then(self, inner: Self) -> Self {
         let (sin, cos) = self.heading.sin_cos();
         Self {
@@ -28,7 +28,7 @@ impl Planar {
         }
     }
 
-    /// Where the outer frame is in this one.
+    /// Returns the pose of the outer frame in this one.
     pub fn inverse(self) -> Self {
         let (sin, cos) = self.heading.sin_cos();
         Self {
@@ -39,11 +39,11 @@ impl Planar {
         }
     }
 
-    /// A pose in this frame as it is in the frame that this one is in, its covariance turned with it.
+    /// Transforms a pose with its covariance from this frame to the outer one.
     pub fn place(self, pose: &Pose) -> Pose {
         let placed = self.then(Self::of(pose));
         let (sin, cos) = self.heading.sin_cos();
-        // R Σ Rᵀ, R turning x and y.
+        // R Σ Rᵀ, where R rotates x and y.
         let turn = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
         let covariance = std::array::from_fn(|k| {
             let (row, column) = (k / 3, k % 3);
@@ -54,7 +54,7 @@ impl Planar {
     }
 }
 
-/// The same angle in (-π, π].
+/// Wraps an angle into (-π, π].
 pub(crate) fn normalised(angle: f64) -> f64 {
     use std::f64::consts::PI;
     let turned = angle.rem_euclid(2.0 * PI);
@@ -81,7 +81,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn there_and_back_is_nowhere(a in planar(), b in planar()) {
+        fn transforms_and_their_inverses_cancel(a in planar(), b in planar()) {
             let nowhere = Planar { x: 0.0, y: 0.0, z: 0.0, heading: 0.0 };
             prop_assert!(near(a.then(a.inverse()), nowhere));
             prop_assert!(near(a.inverse().then(a.then(b)), b));
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quarter_turn_swaps_the_axes_of_a_covariance() {
+    fn quarter_turn_swaps_the_axes_of_a_covariance() {
         let quarter = Planar { x: 1.0, y: 2.0, z: 0.0, heading: PI / 2.0 };
         let covariance = [4.0, 0.5, 0.2, 0.5, 1.0, 0.1, 0.2, 0.1, 9.0];
         let pose = Pose::planar(3.0, 0.0, 0.0, covariance, PoseSource::Odometry);

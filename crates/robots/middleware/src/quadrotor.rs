@@ -1,8 +1,8 @@
-//! A quadrotor that flies by velocities: how it answers commands, and what it measures of its own motion.
+//! A simulated quadrotor under velocity commands: its motion and its odometry.
 //!
-//! Each velocity approaches what is commanded as a first-order lag does, within limits of speed and acceleration. Limits are
-//! the defaults of PX4's position control (`MPC_XY_CRUISE`, `MPC_ACC_HOR`, `MPC_Z_VEL_MAX_UP`, `MPC_Z_VEL_MAX_DN`).
-//! Roll and pitch are those that the horizontal acceleration needs: a = g tan(tilt).
+//! Each velocity follows its command with a first-order lag, within limits of speed and acceleration. The limits are the
+//! defaults of PX4's position control (`MPC_XY_CRUISE`, `MPC_ACC_HOR`, `MPC_Z_VEL_MAX_UP`, `MPC_Z_VEL_MAX_DN`). Roll and
+//! pitch follow from the horizontal acceleration: a = g tan(tilt).
 
 use std::time::Duration;
 
@@ -10,24 +10,24 @@ use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
 
 use crate::{planar::normalised, random::Stream, world::World};
 
-/// Of the outline with its propellers, metres.
+/// Radius of the outline with propellers, metres.
 const RADIUS: f64 = RobotModel::Quadrotor.radius();
-/// Upward and downward, m/s.
+/// Largest speed upward and downward, m/s.
 const CLIMB: (f64, f64) = (3.0, 1.5);
-/// rad/s.
+/// Largest angular velocity, rad/s.
 const MAX_TURN: f64 = 1.0;
 /// Time constant of each velocity, seconds.
 const LAG: f64 = 0.25;
-/// Horizontal acceleration at most, m/s².
+/// Largest horizontal acceleration, m/s².
 const ACCELERATION: f64 = 3.0;
-/// Vertical acceleration at most, m/s².
+/// Largest vertical acceleration, m/s².
 const LIFT: f64 = 3.0;
 /// m/s².
 const GRAVITY: f64 = 9.81;
-/// Slower than this is standing still, m/s or rad/s: a lag alone never ends.
+/// Velocity below which it stands still, m/s or rad/s, because a lag alone never ends.
 const STILL: f64 = 1e-3;
 
-/// The part of a velocity that it may fly at that speed limit, m/s, on the same curve.
+/// Scales a velocity down to the quadrotor's limits and the speed limit, m/s, on the same curve.
 pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
     let climb = if wanted.vertical > 0.0 { CLIMB.0 } else { CLIMB.1 };
     let shares = [
@@ -39,21 +39,21 @@ pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
     if over > 1.0 { wanted.scaled(1.0 / over) } else { wanted }
 }
 
-/// What flies: pose and velocity, without error.
+/// True state of the quadrotor: pose and velocity.
 #[derive(Debug, Clone)]
 pub(crate) struct Airframe {
     pub position: Position,
-    /// In (-π, π].
+    /// Radians in (-π, π].
     pub heading: f64,
     roll: f64,
     pitch: f64,
-    /// On the map, m/s.
+    /// Velocity on the map, m/s.
     velocity: [f64; 3],
     turn: f64,
     pub bumper: bool,
 }
 
-/// How a step changed the pose: metres on the map, and radians turned.
+/// Motion of a step: way on the map, metres, and turn, radians.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Flown {
     way: [f64; 2],
@@ -79,8 +79,7 @@ impl Airframe {
         Pose { z, roll: self.roll, pitch: self.pitch, ..level }
     }
 
-    /// Flies on by `step`, towards a velocity that is commanded. On the floor it does nothing but take off; without
-    /// commands, it hovers.
+    /// Flies for a step under this command. It hovers at a command of 0. On the floor, only taking off has an effect.
     pub fn advance(&mut self, commanded: Velocity, step: Duration, world: &World) -> Flown {
         let lands = self.position.z <= 0.0 && commanded.vertical <= 0.0;
         let wanted = if lands { Velocity::default() } else { commanded };
@@ -103,13 +102,13 @@ impl Airframe {
         let [vx, vy] = if stops { [0.0; 2] } else { [vx, vy] };
         self.velocity = [vx, vy, ends(vz, wanted.vertical)];
         self.turn = ends(turn, wanted.angular);
-        // Ahead of the nose, and to its left.
+        // Acceleration forward and to the left.
         let [ahead, left] = if stops { [0.0; 2] } else { [ax * cos + ay * sin, ay * cos - ax * sin] };
         [self.pitch, self.roll] = [(ahead / GRAVITY).atan(), -(left / GRAVITY).atan()];
 
         let way = [self.velocity[0] * seconds, self.velocity[1] * seconds];
         let there = Position { x: self.position.x + way[0], y: self.position.y + way[1], ..self.position };
-        // Inside something it may only leave.
+        // Inside a wall, it may only leave it.
         let (clear, before) = (world.distance(there, RADIUS), world.distance(self.position, RADIUS));
         self.bumper = way != [0.0; 2] && clear < RADIUS && clear <= before;
         let way = if self.bumper { [0.0; 2] } else { way };
@@ -126,7 +125,7 @@ impl Airframe {
         Flown { way, turned }
     }
 
-    /// Along its heading, upwards, and about the vertical axis.
+    /// Returns the velocity along the heading, upward, and about the vertical axis.
     pub fn velocity(&self) -> Velocity {
         let (sin, cos) = self.heading.sin_cos();
         let [x, y, vertical] = self.velocity;
@@ -134,22 +133,21 @@ impl Airframe {
     }
 }
 
-/// Deviation between airframes of what they measure of a metre.
+/// Standard deviation of the measured scale between quadrotors.
 const SCALE: f64 = 0.01;
 /// Position random walk, metres per √metre.
 const DRIFT: f64 = 0.01;
 /// Heading random walk, rad/√s.
 const TURN_WALK: f64 = 5.2e-4;
-/// Deviation of the height, metres.
+/// Standard deviation of the measured height, metres.
 const HEIGHT: f64 = 0.01;
 
-/// Where its own sensors say that it is: visual-inertial odometry, which drifts in the plane, and a range finder, which
-/// measures the height.
+/// Odometry: visual-inertial in the plane, which drifts, and the height from a range finder.
 #[derive(Debug, Clone)]
 pub(crate) struct FlightOdometer {
     noise: Stream,
     scale: f64,
-    /// How far the measured heading is off.
+    /// Error of the measured heading, radians.
     off: f64,
     pose: Pose,
     velocity: Velocity,
@@ -171,7 +169,7 @@ impl FlightOdometer {
         }
     }
 
-    /// Measures after a step.
+    /// Measures a step.
     pub fn advance(&mut self, truth: &Airframe, flown: Flown, step: Duration) {
         let seconds = step.as_secs_f64();
         let length = flown.way[0].hypot(flown.way[1]);
@@ -200,7 +198,7 @@ impl FlightOdometer {
         self.velocity
     }
 
-    /// The pose, with a covariance that bounds its error from above, as that of wheels does.
+    /// Returns the pose, with an upper bound of its covariance, like that of wheels.
     pub fn pose(&self) -> Pose {
         let heading = TURN_WALK.powi(2) * self.elapsed;
         let position = (SCALE.powi(2) + heading) * self.way.powi(2) + DRIFT.powi(2) * self.way;

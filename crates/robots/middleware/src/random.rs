@@ -1,5 +1,4 @@
-//! Randomness from the run's one seed, a stream for each use, so that drawing more for one thing leaves all others as
-//! they were.
+//! Random numbers from the run's seed: a stream for each use, so that more draws of one leave all others unchanged.
 
 use cotorra_graph::seed;
 use rand::{Rng, SeedableRng};
@@ -10,23 +9,24 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 pub(crate) struct Stream(Xoshiro256PlusPlus);
 
 impl Stream {
-    /// The stream of that label.
+    /// Creates the stream of this label.
     pub fn new(seed: u64, label: &str) -> Self {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed::split(seed, label)))
     }
 
-    /// 64 random bits.
+    /// Draws 64 bits.
     pub fn bits(&mut self) -> u64 {
         self.0.next_u64()
     }
 
-    /// Uniform in [0, 1).
+    /// Draws a number uniformly from [0, 1).
     pub fn uniform(&mut self) -> f64 {
         (self.bits() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
     }
 
-    /// Mean 0, deviation 1, bell-shaped and within ±2√3: the sum of four 16-bit uniforms (Irwin-Hall). A bounded
-    /// error cannot put a wall on the wrong side of a robot, and it costs a tenth of an exact normal.
+    /// Draws from a bell curve with mean 0 and deviation 1, within ±2√3: the sum of four 16-bit uniforms (Irwin-Hall). A
+    /// bounded error cannot put a wall on the wrong side of a robot, and takes a tenth of the time of an exact normal
+    /// deviate.
     pub fn bell(&mut self) -> f64 {
         const MEAN: f64 = 2.0 * 65_535.0;
         // √(4 · (65536² - 1) / 12)
@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_bell_has_mean_zero_deviation_one_and_an_end() {
+    fn bell_curve_is_bounded_with_mean_zero_and_deviation_one() {
         let mut stream = Stream::new(7, "bell");
         let draws: Vec<f64> = (0..100_000).map(|_| stream.bell()).collect();
         let mean = draws.iter().sum::<f64>() / 1e5;

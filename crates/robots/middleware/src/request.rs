@@ -11,7 +11,8 @@ use crate::{answer_error::AnswerError, nonce::Nonces};
 /// Servers that a robot's requests go to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Servers {
-    /// Nodes that a position packet goes to, and the sockets there; at least one node. A node without an address gets no copy.
+    /// Nodes that a position packet goes to, and the sockets there; at least one node. A node without an address gets no
+    /// copy.
     pub navigation: Vec<(NodeId, Option<SocketAddrV4>)>,
     /// Sockets that a scan goes to.
     pub localization: Vec<SocketAddrV4>,

@@ -307,7 +307,7 @@ impl RosRobot {
 
     /// Something came that is no message of its type.
     pub fn malformed(&mut self, now: Timestamp) {
-        self.watch.saw(now, RobotFault::Malformed);
+        self.watch.record(now, RobotFault::Malformed);
         self.advance(now);
     }
 
@@ -383,7 +383,7 @@ impl RosRobot {
     fn is_finite(&mut self, now: Timestamp, figures: &[f64]) -> bool {
         let finite = figures.iter().all(|figure| figure.is_finite());
         if !finite {
-            self.watch.saw(now, RobotFault::NotFinite);
+            self.watch.record(now, RobotFault::NotFinite);
         }
         finite
     }
@@ -391,7 +391,7 @@ impl RosRobot {
     /// Notes if something makes no sense.
     fn makes_sense(&mut self, now: Timestamp, sense: bool) -> bool {
         if !sense {
-            self.watch.saw(now, RobotFault::Malformed);
+            self.watch.record(now, RobotFault::Malformed);
         }
         sense
     }

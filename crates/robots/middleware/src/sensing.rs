@@ -1,4 +1,4 @@
-//! The sensors that a robot declares: when each is read, and what it reads.
+//! Declared sensors of a robot: when each is due, and its readings.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use crate::{
     large::{Captured, SensedData},
 };
 
-/// Sensors of a robot. Each is read at whole multiples of its interval; what was missed is not made up for.
+/// Sensors of a robot. Each is read at whole multiples of its interval; missed readings are skipped.
 #[derive(Debug, Default)]
 pub(crate) struct Sensing(Vec<Sensed>);
 
@@ -18,47 +18,45 @@ struct Sensed {
     sensor: Sensor,
     components: Vec<ComponentId>,
     next: Timestamp,
-    /// Of a vector: what was reported since the last reading, and when.
+    /// Report since the last reading of a vector, with its time.
     reported: Option<(Timestamp, Vec<f64>)>,
-    /// Of large data: how many readings there were, and when the last was measured.
+    /// Number of readings of large data, and time of measurement of the last.
     captured: (u64, Option<Timestamp>),
 }
 
-/// A reading, and its large data if that is what it has.
+/// A reading, with its large data if it has any.
 pub(crate) type Read = (SensorReading, Option<SensedData>);
 
-/// What a sensor measured.
 enum Measured {
     Values(Timestamp, Vec<f64>),
     Large(Captured),
 }
 
-/// Why a report is of no use.
+/// The reason for which a report is rejected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ReportError {
-    /// It has no such sensor.
+    /// The robot has no such sensor.
     #[error("it has no sensor `{0}`")]
     UnknownSensor(SensorId),
-    /// That one measures by itself.
+    /// The sensor takes no reports.
     #[error("its sensor `{0}` is no vector: nobody reports what it measures")]
     NotAVector(SensorId),
-    /// There are too many numbers, or too few.
+    /// The number of values does not match.
     #[error("its sensor `{sensor}` has {expected} numbers, and here are {found}")]
     Size {
         /// The sensor.
         sensor: SensorId,
-        /// How many it has.
+        /// Number of the sensor's values.
         expected: usize,
-        /// How many there are.
+        /// Number of reported values.
         found: usize,
     },
-    /// They are NaN or infinite.
+    /// A value is NaN or infinite.
     #[error("not all values for its sensor `{0}` are finite numbers")]
     NotFinite(SensorId),
 }
 
 impl Sensing {
-    /// These sensors, of which none was read.
     pub fn new(sensors: &[Sensor]) -> Self {
         let sensed = |sensor: &Sensor| Sensed {
             components: sensor.kind.components().into_iter().map(|(name, _)| name).collect(),
@@ -70,7 +68,7 @@ impl Sensing {
         Self(sensors.iter().map(sensed).collect())
     }
 
-    /// When a sensor is to be read.
+    /// Returns the time of the next reading.
     pub fn next_deadline(&self) -> Option<Timestamp> {
         self.0.iter().map(|sensed| sensed.next).min()
     }
@@ -86,7 +84,7 @@ impl Sensing {
             match read {
                 Measured::Values(measured, values) => {
                     let values = sensed.components.iter().cloned().zip(values);
-                    // What a sensor does not know is left out.
+                    // Unknown values are left out.
                     let values: BTreeMap<_, _> = values.filter(|(_, value)| value.is_finite()).collect();
                     let reading = SensorReading { robot, sensor, measured, values, data: None };
                     (!reading.values.is_empty()).then_some((reading, None))
@@ -111,7 +109,7 @@ impl Sensing {
         .collect()
     }
 
-    /// Takes what a vector measures; told with its next reading.
+    /// Takes a reported measurement of a vector for its next reading.
     pub fn report(&mut self, now: Timestamp, sensor: &SensorId, values: &[f64]) -> Result<(), ReportError> {
         let sensed = self.0.iter_mut().find(|sensed| sensed.sensor.id == *sensor);
         let sensed = sensed.ok_or_else(|| ReportError::UnknownSensor(sensor.clone()))?;
@@ -130,13 +128,13 @@ impl Sensing {
 }
 
 impl Sensed {
-    /// When that was measured, and what; `None` where there is nothing new.
+    /// Reads the sensor; `None` if there is no new measurement.
     fn measure(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Option<Measured> {
         let numbers = |(at, values)| Measured::Values(at, values);
         if let Some(reported) = self.reported.take() {
             return Some(numbers(reported));
         }
-        // What a robot senses that is not well may be from anywhere.
+        // Data of a robot with a fault is not trusted.
         if !driver.health().is_empty() {
             return None;
         }
@@ -167,10 +165,10 @@ mod tests {
     use super::*;
     use crate::{driver::CommandError, fixtures::id, lidar::Scan};
 
-    /// Stands, and is as well as it is told.
+    /// A standing robot with these faults and this scan.
     struct Standing(NodeId, Vec<RobotFault>, Option<Scan>);
 
-    /// Has a battery whose charge nobody knows, and a vector.
+    /// Voltage of the battery, whose charge is unknown.
     const VOLTAGE: f64 = 16.5;
 
     impl RobotDriver for Standing {
@@ -219,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn each_is_read_at_multiples_of_its_interval_and_what_was_missed_is_not_made_up_for() {
+    fn sensors_are_read_at_multiples_of_their_interval_without_catching_up() {
         let sensors = [sensor("a", 20, SensorKind::Odometry), sensor("b", 50, SensorKind::Odometry)];
         let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new(), None));
         assert_eq!(sensing.next_deadline(), Some(at(0)));
@@ -229,7 +227,7 @@ mod tests {
         let told = [("angular", 0.1), ("heading", 0.5), ("linear", 0.3), ("vertical", 0.0)];
         assert_eq!(values, [&told[..], &[("x", 1.0), ("y", 2.0), ("z", 0.0)]].concat());
         assert_eq!((sensing.next_deadline(), sensing.read(at(19), &mut driver)), (Some(at(20)), Vec::new()));
-        // It is late, and then on time again.
+        // A late reading does not delay the next.
         assert_eq!(names(&sensing.read(at(75), &mut driver)), ["a", "b"]);
         assert_eq!(sensing.next_deadline(), Some(at(80)));
         assert_eq!(names(&sensing.read(at(80), &mut driver)), ["a"]);
@@ -237,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_not_well_is_not_read_but_reports_are_told() {
+    fn robot_with_a_fault_is_not_read_but_reports_are_taken() {
         let vector = SensorKind::Vector { size: 1, unit: String::new() };
         let sensors = [
             sensor("wheels", 20, SensorKind::Odometry),
@@ -257,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_sensor_does_not_know_is_left_out_and_a_report_comes_before_what_the_robot_says() {
+    fn unknown_values_are_left_out_and_reports_win_over_the_robot() {
         let battery = SensorKind::Battery { charge: None };
         let vector = SensorKind::Vector { size: 1, unit: String::new() };
         let sensors = [
@@ -281,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lidar_is_read_where_it_turned_since_and_readings_are_counted() {
+    fn lidar_is_read_once_per_turn_and_readings_are_numbered() {
         let lidar = SensorKind::Lidar { keep_bytes: 1 };
         let sensors = [sensor("front", 100, lidar.clone()), sensor("slow", 300, lidar)];
         let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new(), None));

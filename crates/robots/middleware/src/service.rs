@@ -1,5 +1,5 @@
-//! The robot's end of the navigation service: emits position packets, decides which answers the robot follows, and
-//! measures the service time of each.
+//! The robot's end of the navigation service: emits position packets, decides which answers the robot follows, and measures
+//! service times.
 
 use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
@@ -30,11 +30,12 @@ pub(crate) struct Route {
 
 /// The robot's end of the navigation service, as a state machine.
 ///
-/// A position packet is answered within the robot's command timeout, by whom it was sent to and with its nonce, or
-/// counts as unanswered. Each is measured once: of several that were asked, the first that answers. The robot follows an
-/// answer only if it is to a newer position packet than any that it followed before: one that was overtaken is measured
-/// and not followed. So is one to a packet from before the robot was given another goal, or none. Everything else is
-/// rejected ([`AnswerError`]).
+/// An answer must come within the robot's command timeout, from a recipient of the position packet and with its nonce. Else
+/// the packet counts as unanswered, and the answer is rejected ([`AnswerError`]). Each packet is measured once, by the
+/// first answer of its recipients.
+///
+/// The robot follows an answer only to a newer packet than all that it followed before. Answers that were overtaken, or
+/// that belong to packets from before a change of goal, are measured but not followed.
 #[derive(Debug, Clone)]
 pub(crate) struct ServiceEndpoint {
     service: ServiceId,
@@ -45,17 +46,17 @@ pub(crate) struct ServiceEndpoint {
     next_emission: Timestamp,
     /// Sequence number of the next position packet.
     sequence: u32,
-    /// The next waypoint.
+    /// Index of the next waypoint.
     waypoint: u32,
     /// Replaces the walk while it is there.
     goal: Option<Goal>,
     /// Number of goal changes so far.
     goal_changes: u32,
-    /// The newest position packet whose answer was followed.
+    /// Sequence number of the newest packet whose answer was followed.
     followed: Option<u32>,
-    /// Emitted and neither answered nor given up, oldest first.
+    /// Packets under way, oldest first.
     pending: VecDeque<Pending>,
-    /// The last that were answered or given up, oldest first.
+    /// The last packets that were answered or given up, oldest first.
     past: VecDeque<Past>,
 }
 
@@ -78,27 +79,27 @@ struct Past {
     answered: bool,
 }
 
-/// What an answer brings.
+/// Result of an answer.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Answer {
-    /// What was measured.
+    /// Measured service time.
     pub service_time: ServiceTime,
-    /// How to move on; `None` if the robot does not follow this answer.
+    /// Velocity to follow; `None` if the robot does not follow this answer.
     pub velocity: Option<Velocity>,
     /// Whether the walk ended with this answer.
     pub finished: bool,
-    /// What became of the robot's goal.
+    /// Event of the robot's goal.
     pub goal: Option<GoalEvent>,
 }
 
 impl ServiceEndpoint {
-    /// So many packets that were answered or given up are remembered, to tell late answers from invented ones.
+    /// Number of past packets that are remembered, to distinguish late answers from invented ones.
     const REMEMBERED: usize = 256;
-    /// Position packets do not follow each other faster.
+    /// Shortest interval between position packets.
     pub const LEAST_INTERVAL: Duration = Duration::from_millis(1);
 
-    /// An endpoint at the start of the walk. Its first packet comes somewhere in the first interval, by the seed, so
-    /// that robots do not emit in step. An interval below [`Self::LEAST_INTERVAL`] counts as that.
+    /// Creates an endpoint at the start of the walk. The seed places its first packet within the first interval, so that
+    /// robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
     pub fn new(service: ServiceId, walk: &Walk, command_timeout: Duration, seed: u64) -> Self {
         let interval = walk.position_interval.max(Self::LEAST_INTERVAL);
         let phase = Stream::new(seed, &format!("{}/phase", walk.robot)).uniform();
@@ -119,7 +120,7 @@ impl ServiceEndpoint {
         }
     }
 
-    /// The next waypoint of the walk; its length at its end.
+    /// Returns the index of the walk's next waypoint; the number of waypoints at its end.
     pub fn waypoint(&self) -> u32 {
         self.waypoint
     }
@@ -129,13 +130,12 @@ impl ServiceEndpoint {
         self.waypoint == self.walk_length
     }
 
-    /// Whether no position packet is emitted any more: the walk is at its end, and there is no goal.
+    /// Whether the walk is at its end and there is no goal, so that no position packets are emitted.
     pub fn is_idle(&self) -> bool {
         self.finished() && self.goal.is_none()
     }
 
-    /// Gives the robot a goal in place of its walk, or takes it back. Returns what is to be told of the goal before, and of
-    /// the new one.
+    /// Sets a goal in place of the walk, or cancels it. Returns the events of the goal before and of the new one.
     pub fn set_goal(
         &mut self,
         now: Timestamp,
@@ -150,12 +150,12 @@ impl ServiceEndpoint {
         before.into_iter().chain(set)
     }
 
-    /// Whether the walk has that waypoint; its length, which says that it is at its end, included.
+    /// Whether the walk has this waypoint. The number of waypoints, which means its end, is valid, too.
     pub fn has_waypoint(&self, waypoint: u32) -> bool {
         waypoint <= self.walk_length
     }
 
-    /// The robot was navigated up to that waypoint, if the walk has it. Returns whether the walk ended with this.
+    /// Sets the next waypoint, if the walk has it. Returns whether the walk ended with this.
     pub fn reach(&mut self, waypoint: u32) -> bool {
         let finished_before = self.finished();
         if self.has_waypoint(waypoint) {
@@ -169,7 +169,7 @@ impl ServiceEndpoint {
         self.pending.is_empty()
     }
 
-    /// When a position packet is due or an unanswered one is given up.
+    /// Returns the time at which a position packet is due or an unanswered one is given up.
     pub fn next_deadline(&self) -> Option<Timestamp> {
         let emission = (!self.is_idle()).then_some(self.next_emission);
         let given_up = self.pending.front().map(|p| p.emitted + self.timeout);
@@ -181,8 +181,8 @@ impl ServiceEndpoint {
         !self.is_idle() && self.next_emission <= now
     }
 
-    /// The position packet that is due at `now`, if one is, with the robot's pose then; it takes the route given, with a
-    /// nonce for each that is asked. One that is due for more than an interval is not made up for.
+    /// Emits the position packet that is due at `now`, if any, on this route, with a nonce for each server. Missed packets
+    /// are skipped.
     pub fn emit(
         &mut self,
         now: Timestamp,
@@ -215,7 +215,7 @@ impl ServiceEndpoint {
         Some(Request { packet, copies })
     }
 
-    /// Leaves out what is due at `now`.
+    /// Skips the position packet that is due at `now`.
     pub fn skip(&mut self, now: Timestamp) {
         if !self.is_due(now) {
             return;
@@ -226,10 +226,10 @@ impl ServiceEndpoint {
             self.next_emission + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX));
     }
 
-    /// A navigation packet arrived from this address.
+    /// Receives a navigation packet.
     ///
     /// # Errors
-    /// [`AnswerError`] if the robot must not follow it; then nothing changed.
+    /// [`AnswerError`] if the answer is rejected; nothing changes then.
     pub fn receive(
         &mut self,
         now: Timestamp,
@@ -244,7 +244,7 @@ impl ServiceEndpoint {
         let by = by.ok_or(AnswerError::Forged)?;
         let took = now.since(pending.emitted);
         if took >= self.timeout {
-            // It is given up at the next `expire`.
+            // The packet is given up at the next `expire`.
             return Err(AnswerError::Late);
         }
         if packet.headway.is_some() != pending.goal.1 {
@@ -274,7 +274,7 @@ impl ServiceEndpoint {
         Ok(answer)
     }
 
-    /// Why an answer is rejected that is to no packet under way.
+    /// Returns the reason for which an answer to a packet that is not under way is rejected.
     fn reject_past(&mut self, from: SocketAddrV4, packet: &NavigationPacket) -> AnswerError {
         match self.past.iter_mut().find(|past| past.sequence == packet.sequence) {
             None => AnswerError::Unknown,
@@ -284,13 +284,14 @@ impl ServiceEndpoint {
         }
     }
 
-    /// Gives up the oldest position packet that was not answered in time; `None` if there is none.
+    /// Gives up the oldest position packet without an answer in time; `None` if there is none.
     pub fn expire(&mut self, now: Timestamp) -> Option<ServiceTime> {
         let pending = self.pending.pop_front_if(|p| now.since(p.emitted) >= self.timeout)?;
         Some(self.measured(pending, None))
     }
 
-    /// What became of a packet, which is remembered: the answer of one of those that were asked, after so long, or none.
+    /// Remembers a packet, and returns its service time: with the index of the answering server and the delay, or without
+    /// an answer.
     fn measured(&mut self, mut pending: Pending, answer: Option<(usize, Duration)>) -> ServiceTime {
         if self.past.len() == Self::REMEMBERED {
             self.past.pop_front();
@@ -308,7 +309,7 @@ impl ServiceEndpoint {
             emitted: pending.emitted,
             took,
             attachment: pending.attachment,
-            // Without an answer, the one that was preferred.
+            // Without an answer, the preferred server.
             server: pending.servers.swap_remove(by.unwrap_or(0)),
         }
     }

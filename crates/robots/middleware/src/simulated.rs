@@ -1,8 +1,8 @@
 //! A simulated robot that moves through a [`World`]: a TurtleBot 2, which is a Kobuki base with an RPLIDAR A2, or a
 //! quadrotor with the same lidar.
 //!
-//! It is a function of time, seed and commands alone. Physics goes in fixed steps of [`SimulatedRobot::STEP`], so
-//! that it does not matter how often or how late it is asked to advance.
+//! It depends on time, seed and commands alone. Physics has fixed steps of [`SimulatedRobot::STEP`], so that the times of
+//! calls to `advance` do not matter.
 
 use std::{sync::Arc, time::Duration};
 
@@ -22,18 +22,18 @@ use crate::{
     world::World,
 };
 
-/// Why a node cannot be simulated.
+/// The reason for which a node cannot be simulated.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SimulationError {
-    /// It is no robot.
-    #[error("`{0}` is no robot")]
+    /// The node is not a robot.
+    #[error("`{0}` is not a robot")]
     NotARobot(NodeId),
-    /// It has no place to start from.
+    /// The robot has no start position.
     #[error("robot `{0}` has neither a walk nor a position to start from")]
     NoStart(NodeId),
 }
 
-/// What moves, and where its own sensors say that it is.
+/// The true state with its odometry.
 #[derive(Debug, Clone)]
 enum Body {
     Turtlebot2(Base, Odometer),
@@ -69,30 +69,27 @@ pub struct SimulatedRobot {
     model: RobotModel,
     world: Arc<World>,
     speed_limit: f64,
-    /// Up to when physics was computed.
+    /// Time of the last step of physics.
     at: Timestamp,
     body: Body,
-    /// The last command, and until when it is followed.
+    /// The last command, and the time until which it is followed.
     wanted: (Velocity, Timestamp),
     lidar: Lidar,
-    /// If it has such a sensor.
     battery: Option<Battery>,
-    /// If it has such a sensor.
     imu: Option<Imu>,
 }
 
 impl SimulatedRobot {
-    /// Time from one step of physics to the next; Kobuki itself reports at this rate, 50 Hz. What the robot tells is
-    /// as of the last step.
+    /// Step of physics: 50 Hz, at which Kobuki itself reports. Readings are as of the last step.
     pub const STEP: Duration = Duration::from_millis(20);
     /// The lidar turns ten times a second.
     const STEPS_A_TURN: usize = 5;
 
-    /// The robot of that node at the start of its walk, or at the node's position if it has none, standing at the
-    /// beginning of the run. It goes no faster than the walk's speed limit, where there is one.
+    /// Creates the robot of a node, standing at the start of its walk, or at the node's position without a walk. The walk's
+    /// speed limit applies.
     ///
     /// # Errors
-    /// [`SimulationError`] if the node is no robot or has no start.
+    /// [`SimulationError`] if the node is not a robot or has no start.
     pub fn new(
         node: &Node,
         walk: Option<&Walk>,
@@ -137,12 +134,12 @@ impl SimulatedRobot {
         })
     }
 
-    /// What it simulates.
+    /// Returns the simulated model.
     pub fn model(&self) -> RobotModel {
         self.model
     }
 
-    /// Where it is: exactly known to the simulator, so with no covariance.
+    /// Returns the true pose. Its covariance is 0.
     pub fn pose(&self) -> Pose {
         self.body.pose()
     }
@@ -215,7 +212,7 @@ impl RobotDriver for SimulatedRobot {
     fn capture(&mut self, sensor: &Sensor, read: Option<Timestamp>) -> Option<Captured> {
         match &sensor.kind {
             SensorKind::Lidar { .. } => self.scan().filter(|scan| read != Some(scan.at)).map(Captured::from),
-            // What the robot does is as of its last step.
+            // The view is as of the last step.
             SensorKind::Camera(camera) => (read != Some(self.at)).then(|| Captured {
                 measured: self.at,
                 format: camera.format,

@@ -1,40 +1,40 @@
-//! Watches what a robot says, so that one that is silent, floods, or says what cannot be is known as such.
+//! Health of a robot in ROS, from its messages: detects silence, floods and impossible content.
 //!
-//! A fault lasts until nothing of its kind was seen for [`HOLD`]: it does not come and go with each message.
+//! A fault lasts until none of its kind was seen for [`HOLD`], so that it does not come and go with each message.
 
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{RobotFault, Timestamp};
 use cotorra_ros_messages::Time;
 
-/// What was heard and is not heard for so long makes a robot silent.
+/// Time without messages of a steady topic after which a robot counts as silent.
 pub(crate) const SILENCE: Duration = Duration::from_secs(1);
-/// A fault lasts so long after it was last seen.
+/// Time that a fault lasts after it was last seen.
 pub(crate) const HOLD: Duration = Duration::from_secs(1);
-/// Stamps may go back by so much: clocks are corrected in small steps.
+/// Allowed backward step of stamps, ns: clocks are corrected in small steps.
 const BACK: i128 = 100_000_000;
-/// Stamps may run ahead of time by so much from one message to the next: what a network held back comes at once.
+/// Allowed lead of stamps over time from one message to the next, ns: messages that a network held back arrive at once.
 const AHEAD: i128 = 5_000_000_000;
-/// Messages are counted over so long.
+/// Period over which messages are counted.
 const WINDOW: Duration = Duration::from_secs(1);
 
-/// What a robot says.
+/// Topics of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
-    /// Its odometry. Every robot has it.
+    /// Odometry, which every robot has.
     Odometry,
     /// Turns of its lidar.
     Scan,
-    /// Where localization has it.
+    /// Poses by localization.
     Localization,
-    /// Its coordinate frames.
+    /// Coordinate frames.
     Frames,
 }
 
 impl Topic {
     const ALL: [Self; 4] = [Self::Odometry, Self::Scan, Self::Localization, Self::Frames];
 
-    /// Messages within a second that are a flood: ten times what robots are known to send.
+    /// Returns the number of messages per second that counts as a flood: ten times that of known robots.
     const fn flood(self) -> u64 {
         match self {
             Self::Odometry | Self::Localization => 2_000,
@@ -43,32 +43,32 @@ impl Topic {
         }
     }
 
-    /// Whether a robot that said it once says it all the time.
+    /// Whether a robot that once sent the topic sends it all the time.
     const fn is_steady(self) -> bool {
         matches!(self, Self::Odometry | Self::Scan)
     }
 }
 
-/// What was heard of one topic.
+/// Messages of one topic.
 #[derive(Debug, Clone, Copy, Default)]
 struct Heard {
     last: Option<Timestamp>,
-    /// The last stamp that there was, nanoseconds, and when it arrived.
+    /// The last stamp, nanoseconds, and its time of arrival.
     stamped: Option<(i128, Timestamp)>,
     window: Timestamp,
     count: u64,
 }
 
-/// The watch over one robot.
+/// Health of one robot.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Watch {
     topics: [Heard; Topic::ALL.len()],
-    /// When each fault was last seen.
+    /// Time at which each fault was last seen.
     seen: BTreeMap<RobotFault, Timestamp>,
 }
 
 impl Watch {
-    /// Messages of a topic arrived; so many of them.
+    /// Counts messages of a topic.
     pub fn count(&mut self, now: Timestamp, topic: Topic, messages: u64) {
         let heard = &mut self.topics[topic as usize];
         if now.since(heard.window) >= WINDOW {
@@ -76,11 +76,11 @@ impl Watch {
         }
         heard.count = heard.count.saturating_add(messages);
         if heard.count > topic.flood() {
-            self.saw(now, RobotFault::Flood);
+            self.record(now, RobotFault::Flood);
         }
     }
 
-    /// A message that makes sense was heard. A stamp of zero is none.
+    /// Records a valid message. A stamp of 0 means none.
     pub fn heard(&mut self, now: Timestamp, topic: Topic, stamp: &Time) {
         let stamp = i128::from(stamp.sec) * 1_000_000_000 + i128::from(stamp.nanosec);
         let heard = &mut self.topics[topic as usize];
@@ -94,16 +94,16 @@ impl Watch {
         });
         heard.stamped = Some((stamp, now));
         if jumped {
-            self.saw(now, RobotFault::TimeJump);
+            self.record(now, RobotFault::TimeJump);
         }
     }
 
-    /// A fault was seen.
-    pub fn saw(&mut self, now: Timestamp, fault: RobotFault) {
+    /// Records a fault.
+    pub fn record(&mut self, now: Timestamp, fault: RobotFault) {
         self.seen.insert(fault, now);
     }
 
-    /// What is wrong, in order.
+    /// Returns the present faults, in order.
     pub fn faults(&self, now: Timestamp) -> Vec<RobotFault> {
         let last = |topic: Topic| self.topics[topic as usize].last;
         let is_silent = |topic: &Topic| {
@@ -118,7 +118,7 @@ impl Watch {
         RobotFault::ALL.into_iter().filter(is_there).collect()
     }
 
-    /// When the faults may be others without a message.
+    /// Returns the next time at which the faults may change without a message.
     pub fn next_deadline(&self, now: Timestamp) -> Option<Timestamp> {
         let steady = Topic::ALL.iter().filter(|topic| topic.is_steady());
         let silent = steady.filter_map(|topic| Some(self.topics[*topic as usize].last? + SILENCE));
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_is_absent_until_its_odometry_is_heard_and_silent_once_it_is_not() {
+    fn robot_is_absent_until_its_first_odometry_and_silent_after_its_last() {
         let mut watch = Watch::default();
         assert_eq!(watch.faults(at(0)), [RobotFault::Absent]);
         watch.heard(at(10), Topic::Scan, &stamp(1));
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_without_a_lidar_and_without_localization_is_well() {
+    fn lidar_and_localization_are_optional() {
         let mut watch = well();
         watch.heard(at(1000), Topic::Localization, &stamp(500_000));
         watch.heard(at(9000), Topic::Odometry, &stamp(508_000));
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn stamps_may_lag_and_catch_up_but_not_jump() {
         let mut watch = well();
-        // Held back for three seconds, then all at once.
+        // Messages are held back for 3 s and then arrive at once.
         for ms in [3900, 3901, 3902] {
             watch.heard(at(ms), Topic::Odometry, &stamp(503_000));
         }
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_is_counted_by_the_second() {
+    fn floods_are_counted_per_second() {
         let mut watch = well();
         for second in 1..5 {
             watch.count(at(second * 1000), Topic::Scan, Topic::Scan.flood());

@@ -1,28 +1,27 @@
-//! What stands where: the map, prepared for the two questions that a simulated robot asks of it many times a second -
-//! what does a ray hit, and how near is the nearest wall.
+//! The map, prepared for fast ray casts and distances to the nearest wall.
 //!
-//! For rays, each cell holds a box of free cells in each of the four diagonal directions, with itself in the corner. A
-//! ray leaves the box in its direction in one step, and so hits exactly what a walk from cell to cell (Amanatides and
-//! Woo 1987) hits. Boxes of any shape fit corridors, along which a ray goes far beside a wall.
+//! For rays, each cell has a box of free cells in each of the four diagonal directions, with itself in the corner. A ray
+//! leaves the box of its direction in one step, and hits exactly the cell that a walk from cell to cell (Amanatides and Woo
+//! 1987) hits. Boxes of any shape fit corridors, where rays go far along a wall.
 
 use cotorra_graph::{Cell, OccupancyGrid, Position};
 
-/// What stands where. Cells that nobody looked at and everything off the map count as free.
+/// Obstacles of a map. Unknown cells and places off the map count as free.
 #[derive(Debug, Clone, PartialEq)]
 pub struct World {
     width: i32,
     height: i32,
     resolution: f64,
     origin: Position,
-    /// The chessboard distance to the nearest occupied cell, in cells, row by row from the lower left; 0 is occupied,
-    /// 255 is that far or farther.
+    /// Chessboard distance to the nearest occupied cell, in cells, row by row from the lower left; 0 is occupied, 255 is
+    /// that far or farther.
     clearance: Vec<u8>,
     /// Width and height of a cell's free box, in cells, for each direction; 0 is occupied, 255 is that far or farther.
     boxes: [Vec<[u8; 2]>; 4],
 }
 
 impl World {
-    /// Open space.
+    /// Creates open space.
     pub fn open() -> Self {
         Self {
             width: 0,
@@ -34,7 +33,7 @@ impl World {
         }
     }
 
-    /// The world that a map shows. Takes a few milliseconds per million cells; share it between robots.
+    /// Prepares a map, in a few milliseconds per million cells. Share the result between robots.
     ///
     /// # Panics
     /// With more than 2³¹ cells in a row or column.
@@ -52,17 +51,17 @@ impl World {
         world
     }
 
-    /// A large free box of each cell in each direction, in one pass against it: the box of the cell beside it, one
+    /// Finds a large free box of each cell in each direction, in one pass against it: the box of the cell beside it, one
     /// wider, or that of the cell above it, one higher, whichever is larger.
     fn free_boxes(&self) -> [Vec<[u8; 2]>; 4] {
         let (width, height) = (self.width as usize, self.height as usize);
         let mut boxes = [(); 4].map(|()| vec![[0; 2]; width * height]);
-        // Of each column: free cells from the last row upwards, and the box there.
+        // For each column, the free cells from the last row upward, and the box there.
         let mut above = [(); 4].map(|()| vec![(u8::MAX, [u8::MAX, 0]); width]);
         for i in 0..height {
             let mut beside = [(u8::MAX, [0, u8::MAX]); 4];
             for j in 0..width {
-                // Four directions in one loop: none waits for another.
+                // The four directions are independent, so that they run in parallel.
                 for direction in 0..4 {
                     let column = if direction & 1 == 0 { width - 1 - j } else { j };
                     let row = if direction & 2 == 0 { height - 1 - i } else { i };
@@ -85,7 +84,7 @@ impl World {
         boxes
     }
 
-    /// Two passes give the chessboard distance exactly (Rosenfeld and Pfaltz 1968).
+    /// Computes the exact chessboard distances in two passes (Rosenfeld and Pfaltz 1968).
     fn measure_clearance(&mut self) {
         for row in 0..self.height {
             for column in 0..self.width {
@@ -120,8 +119,8 @@ impl World {
         self.index(column, row).map(|cell| self.clearance[cell])
     }
 
-    /// Distance in metres along a ray, given by a unit vector, to the first occupied cell; `None` if there is none
-    /// within `reach` metres. Zero from inside an occupied cell.
+    /// Returns the distance along a ray, given by a unit vector, to the first occupied cell, metres; `None` if there is
+    /// none within `reach` metres. It is 0 from inside an occupied cell.
     pub fn cast(&self, from: Position, direction: (f64, f64), reach: f64) -> Option<f64> {
         let x = (from.x - self.origin.x) / self.resolution;
         let y = (from.y - self.origin.y) / self.resolution;
@@ -154,7 +153,7 @@ impl World {
         None
     }
 
-    /// Whether the face of a cell that a ray hit there looks east or west, and not north or south.
+    /// Whether the face of a cell at a hit looks east or west, rather than north or south.
     pub(crate) fn faces_across(&self, hit: Position) -> bool {
         let off_border = |at: f64, origin: f64| {
             let cells = (at - origin) / self.resolution;
@@ -163,7 +162,8 @@ impl World {
         off_border(hit.x, self.origin.x) <= off_border(hit.y, self.origin.y)
     }
 
-    /// Where a ray from off the map enters it, in cells along the ray; `None` if it misses it (slab method).
+    /// Returns the place where a ray from off the map enters it, in cells along the ray; `None` if it misses the map (slab
+    /// method).
     fn entry(&self, x: f64, y: f64, direction: (f64, f64)) -> Option<f64> {
         let slab = |start: f64, step: f64, cells: i32| {
             if step == 0.0 {
@@ -179,12 +179,12 @@ impl World {
         (enter < leave).then_some(enter)
     }
 
-    /// Distance in metres from a place to the nearest occupied cell, or `within` if none is nearer.
+    /// Returns the distance from a place to the nearest occupied cell, metres, or `within` if none is nearer.
     pub fn distance(&self, place: Position, within: f64) -> f64 {
         let x = (place.x - self.origin.x) / self.resolution;
         let y = (place.y - self.origin.y) / self.resolution;
         let reach = within / self.resolution;
-        // From within a cell of that clearance, what is occupied is at least one cell less away.
+        // From anywhere in a cell, occupied cells are at least its clearance minus one away.
         let clear = self.clearance(x.floor() as i32, y.floor() as i32);
         if clear.is_some_and(|clear| f64::from(clear) - 1.0 >= reach) {
             return within;
@@ -205,7 +205,7 @@ impl World {
     }
 }
 
-/// A ray's way along one axis, in cells.
+/// Motion of a ray along one axis, in cells.
 struct Axis {
     start: f64,
     step: f64,
@@ -214,7 +214,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// How far along the ray it leaves the cells nearer than `clear`.
+    /// Returns the distance along the ray at which it leaves the cells nearer than `clear`.
     fn exit(&self, clear: i32) -> f64 {
         if self.step > 0.0 {
             (f64::from(self.cell + clear) - self.start) * self.inverse
@@ -225,15 +225,15 @@ impl Axis {
         }
     }
 
-    /// Goes to the first cell that is not nearer than `clear`.
+    /// Moves to the first cell that is not nearer than `clear`.
     fn cross(&mut self, clear: i32) {
         self.cell += if self.step > 0.0 { clear } else { -clear };
     }
 
-    /// Goes to the cell at that distance along the ray. It never goes back, nor out of the free cells: where
-    /// rounding would have it otherwise, the ray still ends.
+    /// Moves to the cell at this distance along the ray. It never moves back nor out of the free cells, so that the ray
+    /// ends despite rounding.
     fn follow(&mut self, travelled: f64, clear: i32) {
-        // Truncation, one cell up, is the floor without its call; any place off the map stays off it.
+        // Truncation one cell up replaces a call of `floor`. Places off the map stay off it.
         let cell = (self.start + travelled * self.step + 1.0) as i32 - 1;
         self.cell = if self.step >= 0.0 {
             cell.clamp(self.cell, self.cell + clear - 1)
@@ -256,7 +256,7 @@ mod tests {
         (angle.cos(), angle.sin())
     }
 
-    /// A grid of 1 m cells, `#` occupied, the last line at the bottom.
+    /// Creates a grid of 1 m cells; `#` is occupied, the last line is at the bottom.
     fn drawn(lines: &[&str]) -> OccupancyGrid {
         let cell = |c| match c {
             b'#' => Cell::Occupied,
@@ -267,7 +267,7 @@ mod tests {
         OccupancyGrid::new(lines[0].len(), lines.len(), 1.0, Position::default(), cells).unwrap()
     }
 
-    /// What a ray hits, found the slow way: from cell border to cell border.
+    /// Casts a ray the slow way, from cell border to cell border.
     fn walked(map: &OccupancyGrid, from: Position, (dx, dy): (f64, f64), reach: f64) -> Option<f64> {
         let cell = |at: f64, origin: f64| ((at - origin) / map.resolution()).floor();
         let (mut column, mut row) = (cell(from.x, map.origin().x), cell(from.y, map.origin().y));
@@ -312,13 +312,13 @@ mod tests {
     }
 
     #[test]
-    fn rays_end_at_their_reach_and_at_the_map() {
+    fn rays_end_at_their_reach_and_at_the_edge_of_the_map() {
         let world = World::new(&room(20.0, 4.0));
         let from = Position::new(1.0, 2.0);
         assert_eq!(world.cast(from, (1.0, 0.0), 12.0), None);
         assert!((world.cast(from, (1.0, 0.0), 19.01).unwrap() - 19.0).abs() < 1e-9);
         assert_eq!(World::open().cast(from, (1.0, 0.0), 12.0), None);
-        // From off the map, the outer face of the wall.
+        // From off the map, a ray hits the outer face of the wall.
         let outside = Position::new(-3.0, 2.0);
         assert!((world.cast(outside, (1.0, 0.0), 12.0).unwrap() - 2.95).abs() < 1e-9);
         assert_eq!(world.cast(outside, (-1.0, 0.0), 12.0), None);
@@ -326,14 +326,14 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_known_to_be_there_stops_a_ray() {
+    fn only_occupied_cells_stop_a_ray() {
         let world = World::new(&drawn(&[".?..#"]));
         assert_eq!(world.cast(Position::new(0.5, 0.5), (1.0, 0.0), 9.0), Some(3.5));
         assert_eq!(world.cast(Position::new(4.5, 0.5), (1.0, 0.0), 9.0), Some(0.0));
     }
 
     #[test]
-    fn no_ray_slips_between_two_cells_that_touch_at_a_corner() {
+    fn rays_do_not_slip_between_cells_that_touch_at_a_corner() {
         let world = World::new(&drawn(&["#..", ".#.", "..."]));
         for step in 0..100 {
             let from = Position::new(0.1 + f64::from(step) * 0.002, 1.1 + f64::from(step) * 0.002);
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ray_that_leaves_the_map_hits_nothing_at_its_edge() {
+    fn ray_that_leaves_the_map_hits_nothing_at_its_edge() {
         let world = World::new(&drawn(&["....", "....", "....", "....", "#..."]));
         let length = 20f64.sqrt();
         assert_eq!(world.cast(Position::new(1.5, 4.5), (-2.0 / length, -4.0 / length), 12.0), None);
@@ -371,7 +371,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn skipping_free_cells_hits_what_walking_through_them_hits(
+        fn casts_match_the_slow_walk(
             occupied in proptest::collection::vec(proptest::bool::weighted(0.06), 24 * 17),
             x in 0.0f64..24.0, y in 0.0f64..17.0, angle in -3.0f64..3.0, reach in 0.0f64..40.0,
         ) {
@@ -387,7 +387,7 @@ mod tests {
         }
 
         #[test]
-        fn distance_is_that_of_the_nearest_of_all_cells(
+        fn distances_match_an_exhaustive_search(
             occupied in proptest::collection::vec(proptest::bool::weighted(0.03), 20 * 20),
             x in -3.0f64..23.0, y in -3.0f64..23.0, within in 0.0f64..8.0,
         ) {

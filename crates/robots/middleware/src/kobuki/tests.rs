@@ -5,7 +5,7 @@ use crate::fixtures::{id, room};
 
 const STEP: Duration = Duration::from_millis(20);
 
-/// Drives so many steps at a velocity.
+/// Drives for a number of steps.
 fn drive(base: &mut Base, velocity: Velocity, steps: u32, world: &World) {
     for _ in 0..steps {
         base.advance(velocity, STEP, world);
@@ -17,12 +17,12 @@ fn velocity(linear: f64, angular: f64) -> Velocity {
 }
 
 #[test]
-fn a_tick_is_85_292_nanometres() {
+fn tick_is_85_292_nanometres() {
     assert!((METRES_PER_TICK - 0.000_085_292).abs() < 1e-9);
 }
 
 #[test]
-fn a_ground_robot_never_leaves_the_floor() {
+fn ground_robot_never_leaves_the_floor() {
     let rising = |linear: f64, angular: f64| Velocity { vertical: 0.4, ..velocity(linear, angular) };
     assert_eq!(limited(rising(0.3, 1.0), 0.7), velocity(0.3, 1.0), "within its limits");
     assert_eq!(limited(rising(1.4, 1.0), 0.7), velocity(0.7, 0.5), "over its limits");
@@ -58,7 +58,7 @@ fn speed_follows_the_ramps() {
 }
 
 #[test]
-fn a_wall_stops_the_base_and_presses_its_bumper() {
+fn wall_stops_the_base_and_presses_its_bumper() {
     let world = World::new(&room(4.0, 2.0));
     let mut base = Base::new(Position::new(2.0, 1.0), 0.0);
     drive(&mut base, velocity(0.5, 0.0), 300, &world);
@@ -77,7 +77,7 @@ fn a_wall_stops_the_base_and_presses_its_bumper() {
 }
 
 #[test]
-fn a_base_inside_a_wall_can_only_leave_it() {
+fn base_inside_a_wall_can_only_leave_it() {
     let world = World::new(&room(4.0, 2.0));
     let mut base = Base::new(Position::new(3.9, 1.0), 0.0);
     drive(&mut base, velocity(0.3, 0.0), 20, &world);
@@ -105,7 +105,7 @@ fn straight(seed: u64, metres: f64) -> Odometer {
 }
 
 #[test]
-fn encoders_count_whole_ticks_and_lose_none() {
+fn encoders_count_whole_ticks_without_loss() {
     let odometer = straight(3, 1.0);
     for wheel in 0..2 {
         let ticks = odometer.turned[wheel] / METRES_PER_TICK;
@@ -114,13 +114,13 @@ fn encoders_count_whole_ticks_and_lose_none() {
     }
     let counted = (odometer.ticks[0] + odometer.ticks[1]) as f64 * METRES_PER_TICK / 2.0;
     assert!((odometer.way - counted).abs() < 1e-9);
-    // What is seen of a step is a whole number of half ticks.
+    // The measured way of a step is a whole number of half ticks.
     let halves = odometer.velocity().linear * STEP.as_secs_f64() / (METRES_PER_TICK / 2.0);
     assert!((halves - halves.round()).abs() < 1e-6);
 }
 
 #[test]
-fn a_robot_that_stands_does_not_drift() {
+fn standing_robot_does_not_drift() {
     let mut odometer = straight(3, 1.0);
     let before = odometer.pose();
     for _ in 0..1000 {
@@ -130,7 +130,7 @@ fn a_robot_that_stands_does_not_drift() {
 }
 
 #[test]
-fn ways_drift_by_one_or_two_percent_and_headings_little() {
+fn distances_drift_by_about_a_percent_and_headings_little() {
     const WAY: f64 = 20.0;
     let robots: Vec<Pose> = (0..200).map(|seed| straight(seed, WAY).pose()).collect();
     let rms = |error: fn(&Pose) -> f64| {
@@ -168,7 +168,7 @@ fn the_covariance_bounds_the_error() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
-    fn no_command_drives_through_a_wall(
+    fn commands_never_drive_through_a_wall(
         commands in proptest::collection::vec((-0.7f64..0.7, -PI..PI, 1u32..80), 1..30),
         heading in -PI..PI,
     ) {

@@ -1,4 +1,4 @@
-//! The robot's end: when a scan is sent, and where the robot believes to be between the answers.
+//! The robot's end of the localization service: decides when a scan is sent, and estimates the pose between answers.
 
 use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
@@ -6,44 +6,44 @@ use cotorra_graph::{NodeId, Pose, RobotModel, Timestamp};
 use cotorra_localization::{Belief, Parameters, Pose2};
 use cotorra_plugin::wire::{MAX_BEAMS, PosePacket, ScanPacket};
 
-use super::{believed, parameters, planar, told};
+use super::{believed, parameters, planar, to_pose};
 use crate::{answer_error::AnswerError, lidar::Scan, request::Recipients};
 
-/// A scan without an answer for so long is followed by the next, however little the robot went since.
+/// Time without an answer after which the next scan is sent, however little the robot moved.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// An answer that comes later than that is no use any more.
+/// Time after which an answer is rejected as late.
 const GIVEN_UP: Duration = Duration::from_secs(3);
-/// A scan waits so long at most for a moment in which no position packet is under way.
+/// Longest time that a scan waits until no position packet is under way.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
-/// How far off the place may be where a robot is put down, deviations in metres and radians.
+/// Standard deviations of a robot's initial pose, metres and radians.
 const PUT_DOWN: [f64; 2] = [0.1, 0.05];
 
 /// The robot's end of the localization service, as a state machine.
 ///
-/// A scan goes out when the robot went or turned so far, by its odometry, that the filter wants one. Between two answers,
-/// and without any, the robot goes on from the last one by odometry, and knows less and less where it is.
+/// A scan is sent when the robot has moved far enough, by its odometry, for the filter to use it. Until the next answer,
+/// odometry moves the pose of the last one on, with growing covariance.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalizationEndpoint {
     robot: NodeId,
     parameters: Parameters,
-    /// What is known, and since then each scan without an answer.
+    /// The last accepted answer, and all later scans without an answer.
     pub(super) trail: VecDeque<Mark>,
-    /// The number of the scan whose answer is believed.
+    /// Sequence number of the scan whose answer was accepted last.
     since: Option<u32>,
-    /// Number of the next scan.
+    /// Sequence number of the next scan.
     sequence: u32,
-    /// Odometry when the robot was looked at last.
-    looked: Option<(Timestamp, Pose2)>,
-    /// When the last scan that was looked at began.
+    /// Time and odometry of the last observation.
+    observed: Option<(Timestamp, Pose2)>,
+    /// Start of the last observed scan.
     seen: Option<Timestamp>,
-    /// The scan that is to be sent, and since when.
+    /// The scan to send, and the time since which it waits.
     waiting: Option<(Timestamp, ScanPacket)>,
 }
 
-/// Where the robot was when a scan was sent.
+/// The robot's state when a scan was sent.
 #[derive(Debug, Clone)]
 pub(super) struct Mark {
-    /// The scan; `None` where the robot was put down.
+    /// The scan; `None` at the start.
     scan: Option<Sent>,
     odometry: Pose2,
     believed: Belief,
@@ -58,7 +58,7 @@ struct Sent {
 }
 
 impl LocalizationEndpoint {
-    /// A robot that was put down about there.
+    /// Creates the endpoint of a robot that starts near this pose.
     pub fn new(robot: NodeId, model: RobotModel, start: &Pose, odometry: &Pose) -> Self {
         let [way, turn] = PUT_DOWN.map(|deviation| deviation * deviation);
         let covariance = [way, 0.0, 0.0, 0.0, way, 0.0, 0.0, 0.0, turn];
@@ -69,16 +69,16 @@ impl LocalizationEndpoint {
             trail: VecDeque::from([Mark { scan: None, odometry: planar(odometry), believed }]),
             since: None,
             sequence: 0,
-            looked: None,
+            observed: None,
             seen: None,
             waiting: None,
         }
     }
 
-    /// Where the robot believes to be, with odometry as it is now, which alone knows the height and the tilt.
+    /// Returns the estimated pose for the present odometry. Height, roll and pitch are those of the odometry.
     pub fn pose(&self, odometry: &Pose) -> Pose {
         let Pose { z, roll, pitch, .. } = *odometry;
-        Pose { z, roll, pitch, ..told(&self.belief(planar(odometry))) }
+        Pose { z, roll, pitch, ..to_pose(&self.belief(planar(odometry))) }
     }
 
     fn belief(&self, odometry: Pose2) -> Belief {
@@ -86,17 +86,17 @@ impl LocalizationEndpoint {
         mark.believed.moved_on(mark.odometry.step_to(odometry), &self.parameters.motion)
     }
 
-    /// The robot is looked at: its odometry, and the last turn of its lidar, which may be due to be sent.
-    pub fn look(&mut self, now: Timestamp, odometry: &Pose, scan: Option<&Scan>) {
+    /// Records the robot's odometry and the last turn of its lidar, and queues that as a scan if one is wanted.
+    pub fn observe(&mut self, now: Timestamp, odometry: &Pose, scan: Option<&Scan>) {
         let odometry = planar(odometry);
-        let before = self.looked.replace((now, odometry));
+        let before = self.observed.replace((now, odometry));
         let given_up =
             |mark: &Mark| mark.scan.as_ref().is_some_and(|sent| now.since(sent.emitted) > GIVEN_UP);
         while self.trail.get(1).is_some_and(given_up) {
             self.trail.pop_front();
         }
         let Some(scan) = scan.filter(|scan| self.seen.replace(scan.at) != Some(scan.at)) else { return };
-        // The first after a pause may be from before it.
+        // The first scan after a pause may be from before it.
         let Some((at, from)) = before.filter(|_| self.is_wanted(now, odometry)) else { return };
         let rays = scan.ranges.len().saturating_sub(1);
         let swept = scan.ray_interval * u32::try_from(rays).unwrap_or(u32::MAX);
@@ -112,7 +112,7 @@ impl LocalizationEndpoint {
             robot: self.robot.clone(),
             odometry: [odometry.x, odometry.y, odometry.heading],
             sweep: [x, y, heading].map(|part| (share * part) as f32),
-            believed: told(&self.belief(odometry)),
+            believed: to_pose(&self.belief(odometry)),
             since: self.since,
             first_angle: scan.first_angle as f32,
             angle_step: (scan.angle_step * step as f64) as f32,
@@ -121,7 +121,7 @@ impl LocalizationEndpoint {
         self.waiting = Some((now, packet));
     }
 
-    /// Whether the filter would use a scan from there.
+    /// Whether the filter would use a scan from this odometry.
     fn is_wanted(&self, now: Timestamp, odometry: Pose2) -> bool {
         let mark = self.trail.back().expect("the trail has a mark, and keeps one");
         let step = mark.odometry.step_to(odometry);
@@ -134,13 +134,13 @@ impl LocalizationEndpoint {
         self.waiting.is_none() && (far || unanswered)
     }
 
-    /// When a scan is to be sent that waits for a moment in which no position packet is under way; `quiet` if this is one.
+    /// Returns the time at which the waiting scan is to be sent. `quiet` is whether no position packet is under way.
     pub fn next_deadline(&self, quiet: bool) -> Option<Timestamp> {
         let (since, _) = self.waiting.as_ref()?;
         Some(if quiet { *since } else { *since + LONGEST_WAIT })
     }
 
-    /// The scan that is to be sent to these.
+    /// Sends the waiting scan to these recipients, if it is due.
     pub fn emit(&mut self, now: Timestamp, quiet: bool, recipients: Recipients) -> Option<ScanPacket> {
         self.next_deadline(quiet).filter(|at| *at <= now)?;
         let (_, packet) = self.waiting.take()?;
@@ -155,10 +155,10 @@ impl LocalizationEndpoint {
         Some(packet)
     }
 
-    /// An answer arrived from this address.
+    /// Receives an answer.
     ///
     /// # Errors
-    /// [`AnswerError`] if the robot must not believe it; then nothing changed.
+    /// [`AnswerError`] if the answer is rejected; nothing changes then.
     pub fn receive(
         &mut self,
         now: Timestamp,
@@ -188,7 +188,7 @@ impl LocalizationEndpoint {
         self.trail.drain(..place);
         let mut last = (self.trail[0].odometry, believed(&packet.pose));
         self.trail[0].believed = last.1;
-        // What was sent since then is believed from there.
+        // Later scans are re-estimated from this answer.
         for mark in self.trail.iter_mut().skip(1) {
             let step = last.0.step_to(mark.odometry);
             mark.believed = last.1.moved_on(step, &self.parameters.motion);

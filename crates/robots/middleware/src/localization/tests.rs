@@ -18,7 +18,7 @@ fn at(ms: u64) -> Timestamp {
     Timestamp::from_nanos(ms * 1_000_000)
 }
 
-/// A testbed with a robot in a room; nobody navigates it.
+/// A testbed with a robot in a room, without navigation.
 fn testbed() -> Testbed {
     let graph = HardwareGraph {
         domains: vec![DomainId::new("main").unwrap()],
@@ -39,7 +39,7 @@ fn recipients() -> Recipients {
     Recipients::new([Some(SERVER)].into_iter(), &mut Nonces::seeded(7))
 }
 
-/// A robot that drives in a circle, looked at each 100 ms, as the middleware does.
+/// A robot that drives in a circle and is observed every 100 ms, as by the middleware.
 struct Drive {
     robot: SimulatedRobot,
     endpoint: LocalizationEndpoint,
@@ -58,17 +58,17 @@ impl Drive {
         Self { robot, endpoint, ms: 0 }
     }
 
-    /// Goes on to the next look, and gives the scan that is then sent.
-    fn look(&mut self) -> Option<ScanPacket> {
-        self.look_and_send(recipients())
+    /// Drives on to the next observation, and returns the scan that is sent then.
+    fn observe(&mut self) -> Option<ScanPacket> {
+        self.observe_and_send(recipients())
     }
 
-    fn look_and_send(&mut self, recipients: Recipients) -> Option<ScanPacket> {
+    fn observe_and_send(&mut self, recipients: Recipients) -> Option<ScanPacket> {
         let circle = Velocity::planar(0.3, 0.3);
         self.robot.command(at(self.ms), circle).unwrap();
         self.ms += 100;
         self.robot.advance(at(self.ms));
-        self.endpoint.look(at(self.ms), &self.robot.sensors().odometry, self.robot.scan());
+        self.endpoint.observe(at(self.ms), &self.robot.sensors().odometry, self.robot.scan());
         self.endpoint.emit(at(self.ms), true, recipients)
     }
 
@@ -86,7 +86,7 @@ impl Drive {
     }
 }
 
-/// What an instance answers to a scan, by way of bytes.
+/// Returns an instance's answer to a scan, encoded and decoded.
 fn answered(vnf: &mut LocalizationVnf, packet: &ScanPacket) -> PosePacket {
     let (mut bytes, mut answer) = (Vec::new(), Vec::new());
     packet.encode(&mut bytes);
@@ -95,11 +95,11 @@ fn answered(vnf: &mut LocalizationVnf, packet: &ScanPacket) -> PosePacket {
 }
 
 #[test]
-fn a_scan_goes_out_when_the_robot_went_far_enough_and_its_answer_is_believed() {
+fn scan_is_sent_when_the_robot_has_moved_and_its_answer_is_used() {
     let (mut drive, mut vnf) = (Drive::new(1), vnf());
     let mut emitted = Vec::new();
     for _ in 0..600 {
-        if let Some(packet) = drive.look() {
+        if let Some(packet) = drive.observe() {
             emitted.push(packet.emitted);
             let answer = answered(&mut vnf, &packet);
             drive.endpoint.receive(at(drive.ms), SERVER, &answer).unwrap();
@@ -108,16 +108,16 @@ fn a_scan_goes_out_when_the_robot_went_far_enough_and_its_answer_is_believed() {
         assert!(drive.error() < 0.15, "{} m off after {} ms", drive.error(), drive.ms);
         assert!(drive.spread() < 0.2 || emitted.len() < 3, "{} m", drive.spread());
     }
-    // 0.25 m or 0.2 rad, whichever comes first: at 0.3 rad/s that is each 0.7 s.
+    // 0.25 m or 0.2 rad, whichever comes first: every 0.7 s at 0.3 rad/s.
     assert!((80..90).contains(&emitted.len()), "{}", emitted.len());
 }
 
 #[test]
-fn without_an_answer_the_robot_goes_by_odometry_and_knows_less_and_less() {
+fn without_answers_odometry_goes_on_with_growing_covariance() {
     let mut drive = Drive::new(1);
     let (mut headings, mut sent, start) = (Vec::new(), 0, drive.spread());
     for _ in 0..600 {
-        sent += usize::from(drive.look().is_some());
+        sent += usize::from(drive.observe().is_some());
         headings.push(drive.believed().covariance[8]);
     }
     assert!(headings.windows(2).all(|pair| pair[0] <= pair[1]), "it never knows more of its heading");
@@ -129,33 +129,33 @@ fn without_an_answer_the_robot_goes_by_odometry_and_knows_less_and_less() {
 }
 
 #[test]
-fn a_robot_that_stands_asks_again_until_it_is_answered() {
+fn standing_robot_asks_again_until_it_is_answered() {
     let mut drive = Drive::new(1);
     let mut look = |ms: u64| {
         drive.robot.advance(at(ms));
-        drive.endpoint.look(at(ms), &drive.robot.sensors().odometry, drive.robot.scan());
+        drive.endpoint.observe(at(ms), &drive.robot.sensors().odometry, drive.robot.scan());
         (drive.endpoint.emit(at(ms), true, recipients()), drive.endpoint.clone())
     };
     let sent: Vec<_> = (0..=35).filter_map(|i| look(100 * i).0).collect();
     assert_eq!(sent.iter().map(|packet| packet.emitted).collect::<Vec<_>>(), [100, 1100, 2100, 3100].map(at));
-    // The answer to any of them will do.
+    // An answer to any of them is enough.
     let answer = answered(&mut vnf(), &sent[3]);
     drive.endpoint.receive(at(3500), SERVER, &answer).unwrap();
     let more = (36..80).filter_map(|i| {
         drive.robot.advance(at(100 * i));
-        drive.endpoint.look(at(100 * i), &drive.robot.sensors().odometry, drive.robot.scan());
+        drive.endpoint.observe(at(100 * i), &drive.robot.sensors().odometry, drive.robot.scan());
         drive.endpoint.emit(at(100 * i), true, recipients())
     });
     assert_eq!(more.count(), 0);
 }
 
 #[test]
-fn an_answer_that_comes_late_is_believed_as_of_its_scan() {
+fn late_answer_counts_as_of_its_scan() {
     let (mut drive, mut vnf) = (Drive::new(1), vnf());
     let mut under_way: VecDeque<PosePacket> = VecDeque::new();
     let mut longest = 0;
     for _ in 0..600 {
-        if let Some(packet) = drive.look() {
+        if let Some(packet) = drive.observe() {
             under_way.push_back(answered(&mut vnf, &packet));
         }
         longest = longest.max(drive.endpoint.trail.len());
@@ -171,12 +171,12 @@ fn an_answer_that_comes_late_is_believed_as_of_its_scan() {
 }
 
 #[test]
-fn another_instance_takes_over_and_the_first_one_comes_back() {
+fn instances_take_over_from_each_other() {
     let (mut drive, mut instances) = (Drive::new(1), [vnf(), vnf()]);
     for look in 0..900 {
-        // Each serves for 10 s, with nothing said between them.
+        // Each serves for 10 s. The instances do not communicate.
         let serving = usize::from(look / 100 % 2 == 1);
-        if let Some(packet) = drive.look() {
+        if let Some(packet) = drive.observe() {
             let answer = answered(&mut instances[serving], &packet);
             drive.endpoint.receive(at(drive.ms), SERVER, &answer).unwrap();
         }
@@ -185,10 +185,10 @@ fn another_instance_takes_over_and_the_first_one_comes_back() {
 }
 
 #[test]
-fn answers_that_are_none_change_nothing() {
+fn rejected_answers_change_nothing() {
     let (mut drive, mut vnf) = (Drive::new(1), vnf());
     let packet = loop {
-        if let Some(packet) = drive.look() {
+        if let Some(packet) = drive.observe() {
             break packet;
         }
     };
@@ -211,7 +211,7 @@ fn answers_that_are_none_change_nothing() {
     drive.endpoint.receive(now, SERVER, &answer).unwrap();
     let after = drive.believed();
     assert_ne!(after, before);
-    // Once is enough.
+    // A second answer is rejected.
     for again in [PosePacket { pose: impossible, ..answer.clone() }, answer] {
         assert_eq!(drive.endpoint.receive(now, SERVER, &again), Err(AnswerError::Repeated));
         assert_eq!(drive.believed(), after);
@@ -219,12 +219,12 @@ fn answers_that_are_none_change_nothing() {
 }
 
 #[test]
-fn a_scan_waits_for_a_quiet_moment_but_not_for_long() {
+fn scan_waits_for_a_quiet_moment_up_to_a_limit() {
     let mut drive = Drive::new(1);
     let emitted = loop {
         drive.ms += 100;
         drive.robot.advance(at(drive.ms));
-        drive.endpoint.look(at(drive.ms), &drive.robot.sensors().odometry, drive.robot.scan());
+        drive.endpoint.observe(at(drive.ms), &drive.robot.sensors().odometry, drive.robot.scan());
         if drive.endpoint.next_deadline(true).is_some() {
             break drive.ms;
         }
@@ -238,11 +238,11 @@ fn a_scan_waits_for_a_quiet_moment_but_not_for_long() {
 }
 
 #[test]
-fn an_instance_answers_its_robot_once_and_in_order() {
+fn instance_answers_its_own_robot_in_order() {
     let (mut drive, mut vnf) = (Drive::new(1), vnf());
     let mut sent = Vec::new();
     while sent.len() < 2 {
-        sent.extend(drive.look());
+        sent.extend(drive.observe());
     }
     let (mut bytes, mut answer) = (Vec::new(), Vec::new());
     assert!(matches!(vnf.answer(b"hello", &mut answer), Err(PacketError::Malformed(_))));
@@ -258,7 +258,7 @@ fn an_instance_answers_its_robot_once_and_in_order() {
 }
 
 #[test]
-fn a_robot_that_is_nowhere_and_a_map_that_is_none_are_errors() {
+fn missing_robot_and_missing_map_are_errors() {
     let unknown = LocalizationVnf::new(&testbed(), &id("robot2"), 1).unwrap_err();
     assert_eq!(unknown.to_string(), "there is no robot `robot2`");
     let nowhere = Testbed { map: None, ..testbed() };
@@ -267,10 +267,10 @@ fn a_robot_that_is_nowhere_and_a_map_that_is_none_are_errors() {
 }
 
 #[test]
-fn scans_without_beams_and_odometry_that_is_none_get_no_answer() {
+fn blind_scans_and_invalid_odometry_get_no_answer() {
     let (mut drive, mut vnf) = (Drive::new(1), vnf());
     let sent = loop {
-        if let Some(packet) = drive.look() {
+        if let Some(packet) = drive.observe() {
             break packet;
         }
     };
@@ -283,12 +283,12 @@ fn scans_without_beams_and_odometry_that_is_none_get_no_answer() {
     assert_eq!(told(&blind), "scan 0 has no beam that hit anything in reach");
     let nowhere = ScanPacket { odometry: [1e300, 0.0, 0.0], ..sent.clone() };
     assert!(told(&nowhere).ends_with("is not a valid pose: it is not finite, or beyond 1e7 m"));
-    // Neither keeps the robot from being localized.
+    // The next valid scan is answered all the same.
     answered(&mut vnf, &sent);
 }
 
 #[test]
-fn a_map_without_walls_or_room_is_an_error() {
+fn map_without_walls_or_free_space_is_an_error() {
     let map = |cell| {
         let cells = vec![cell; 100];
         cotorra_graph::OccupancyGrid::new(10, 10, 0.5, cotorra_graph::Position::default(), cells)
@@ -304,11 +304,11 @@ fn a_map_without_walls_or_room_is_an_error() {
 }
 
 #[test]
-fn of_several_instances_the_first_answer_is_believed_and_the_other_is_redundant() {
+fn first_answer_of_several_instances_counts_and_the_other_is_redundant() {
     const OTHER: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(10, 0, 0, 99), 7712);
     let both = || Recipients::new([Some(SERVER), Some(OTHER)].into_iter(), &mut Nonces::seeded(9));
     let mut drive = Drive::new(1);
-    let packet = std::iter::repeat_with(|| drive.look_and_send(both())).flatten().next().unwrap();
+    let packet = std::iter::repeat_with(|| drive.observe_and_send(both())).flatten().next().unwrap();
     let now = at(drive.ms);
     let nonces = both().copies();
     let [by_first, by_second] =

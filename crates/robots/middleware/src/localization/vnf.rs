@@ -1,7 +1,7 @@
-//! The VNF's end: keeps a particle filter for one robot, and answers its scans.
+//! The VNF's end of the localization service: a particle filter for one robot, which answers its scans.
 //!
-//! An instance that starts on another node, or comes back after another one served, begins from what the robot believes:
-//! it says so in each scan.
+//! Each scan carries the robot's own estimate. An instance that starts on another node, or resumes after another one
+//! served, starts from that.
 
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
@@ -9,33 +9,33 @@ use cotorra_graph::{NodeId, OccupancyGrid, Pose, Program, RobotModel, Testbed};
 use cotorra_localization::{LikelihoodField, LocalizationError, Localizer, Parameters, Pose2, Scan};
 use cotorra_plugin::wire::{PosePacket, ScanPacket, WireError};
 
-use super::{believed, parameters, told};
+use super::{believed, parameters, to_pose};
 
-/// Why a robot cannot be localized.
+/// The reason for which a robot cannot be localized.
 #[derive(Debug, thiserror::Error)]
 pub enum NotLocalized {
-    /// There is no such robot.
+    /// The testbed has no such robot.
     #[error("there is no robot `{0}`")]
     NoRobot(NodeId),
-    /// There is nothing to be localized on.
+    /// The testbed has no map.
     #[error("testbed `{0}` has no map")]
     NoMap(String),
-    /// The map cannot serve to find it.
+    /// The map is not usable.
     #[error("testbed `{testbed}` cannot localize `{robot}`: {reason}")]
     Map {
-        /// Of this name.
+        /// The testbed.
         testbed: String,
-        /// Which robot.
+        /// The robot.
         robot: NodeId,
-        /// Why not.
+        /// The cause.
         reason: LocalizationError,
     },
 }
 
-/// Why a datagram gets no answer.
+/// The reason for which a datagram gets no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum PacketError {
-    /// It is no scan.
+    /// It is not a scan.
     #[error(transparent)]
     Malformed(#[from] WireError),
     /// It is from another robot than the one that is served.
@@ -44,10 +44,10 @@ pub enum PacketError {
     /// A later scan was answered before.
     #[error("scan {0} was overtaken")]
     Overtaken(u32),
-    /// Nothing can be learned from it; the robot goes on by its odometry.
+    /// It has no usable beam. The robot goes on by odometry.
     #[error("scan {0} has no beam that hit anything in reach")]
     Blind(u32),
-    /// What the robot believes is no place.
+    /// The robot's own estimate is not valid.
     #[error(transparent)]
     Nowhere(#[from] LocalizationError),
 }
@@ -63,11 +63,11 @@ pub struct LocalizationVnf {
     ranges: Vec<f32>,
 }
 
-/// What came of the scans so far.
+/// State after the scans so far.
 #[derive(Clone)]
 struct Served {
     localizer: Localizer,
-    /// The last scan.
+    /// Sequence number of the last scan.
     sequence: u32,
     answer: Pose,
 }
@@ -83,7 +83,7 @@ impl fmt::Debug for LocalizationVnf {
 }
 
 impl LocalizationVnf {
-    /// Prepares the map for the robot's filter, which takes some milliseconds.
+    /// Creates the VNF of a robot. Preparing the map takes some milliseconds.
     ///
     /// # Errors
     /// [`NotLocalized`].
@@ -99,7 +99,7 @@ impl LocalizationVnf {
         Self { robot, field, parameters: parameters(model), seed, served: None, ranges: Vec::new() }
     }
 
-    /// The localization VNF of each robot that has one; none without a map. They share what is prepared of it.
+    /// Creates the localization VNF of each robot that has one; none without a map. They share the prepared map.
     ///
     /// # Errors
     /// [`NotLocalized::Map`].
@@ -127,15 +127,15 @@ impl LocalizationVnf {
         Ok(all)
     }
 
-    /// Which robot it serves.
+    /// Returns the served robot.
     pub fn robot(&self) -> &NodeId {
         &self.robot
     }
 
-    /// Writes the answer to a datagram to `answer`, in place of what it held.
+    /// Replaces the content of `answer` by the answer to a datagram.
     ///
     /// # Errors
-    /// [`PacketError`] if there is none.
+    /// [`PacketError`] if there is no answer.
     pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), PacketError> {
         let packet = ScanPacket::decode(datagram)?;
         if packet.robot != self.robot {
@@ -168,7 +168,7 @@ impl LocalizationVnf {
         if !scan.is_usable(self.parameters.beams.range_max) {
             return Err(PacketError::Blind(packet.sequence));
         }
-        // Whoever answered last knows best; an answer of this one that got lost is no less true for that.
+        // Continue unless another instance has answered since. An own answer that was lost still counts.
         let continues = |served: &Served| packet.since.is_none_or(|since| since <= served.sequence);
         let mut localizer = match self.served.take().filter(continues) {
             Some(served) => served.localizer,
@@ -179,13 +179,13 @@ impl LocalizationVnf {
             }
         };
         let [x, y, heading] = packet.odometry;
-        let answer = told(&localizer.observe(Pose2::new(x, y, heading), &scan)?.belief());
+        let answer = to_pose(&localizer.observe(Pose2::new(x, y, heading), &scan)?.belief());
         self.served = Some(Served { localizer, sequence: packet.sequence, answer });
         Ok(answer)
     }
 }
 
-/// The map, prepared for a kind of robot.
+/// Prepares the map for a robot model.
 fn prepared(
     testbed: &Testbed,
     robot: &NodeId,

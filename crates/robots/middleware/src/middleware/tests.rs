@@ -94,7 +94,7 @@ fn position(middleware: &mut RobotMiddleware, now: Timestamp) -> Option<Position
     middleware.poll_transmit(now).map(|datagram| PositionPacket::decode(&datagram.bytes).unwrap())
 }
 
-/// Runs the loop in virtual time against a brain that drives straight on and answers after `delay`.
+/// Runs in virtual time against a brain that drives straight on and answers after `delay`.
 fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<Stamped>) {
     let mut middleware = simulated(&testbed(), seed);
     let mut answers = VecDeque::new();
@@ -131,12 +131,12 @@ fn service_times(told: &[Stamped]) -> Vec<&ServiceTime> {
 }
 
 #[test]
-fn a_walk_is_walked_and_every_answer_measured() {
+fn walk_ends_and_every_answer_is_measured() {
     let (middleware, told) = run(at(60_000), ms(11), 1);
     assert!(middleware.finished());
     let end = told.last().unwrap();
     assert_eq!(end.event, Event::WalkFinished { robot: id("robot1") });
-    // 3.9 m at 0.3 m/s, and the ramp.
+    // 3.9 m at 0.3 m/s, plus the ramp.
     assert!((13.0..14.5).contains(&end.at.as_secs_f64()), "{}", end.at);
     let times = service_times(&told);
     assert!((64..=72).contains(&times.len()), "{}", times.len());
@@ -146,22 +146,21 @@ fn a_walk_is_walked_and_every_answer_measured() {
 }
 
 #[test]
-fn the_same_seed_tells_the_same() {
+fn same_seed_gives_the_same_events() {
     assert_eq!(run(at(5000), ms(11), 1).1, run(at(5000), ms(11), 1).1);
     assert_ne!(run(at(5000), ms(11), 1).1, run(at(5000), ms(11), 2).1);
 }
 
 #[test]
-fn answers_that_come_too_late_are_given_up() {
+fn late_answers_count_as_missing() {
     let (_, told) = run(at(5000), ms(700), 1);
     let times = service_times(&told);
     assert!(times.len() >= 20);
     assert!(times.iter().all(|t| t.took.is_none()));
 }
 
-/// The robot goes on for its command timeout after the last answer in time, and not a step further.
 #[test]
-fn answers_that_are_older_than_the_command_timeout_move_nothing_and_are_counted() {
+fn answers_older_than_the_command_timeout_are_counted_and_ignored() {
     let (mut middleware, told) = run(at(15_000), ms(3000), 1);
     let pose = middleware.sensors(&id("robot1")).unwrap().pose;
     assert_eq!((pose.x, pose.y), (1.0, 1.0), "it stands where it began");
@@ -177,7 +176,7 @@ fn answers_that_are_older_than_the_command_timeout_move_nothing_and_are_counted(
 }
 
 #[test]
-fn what_arrives_and_is_no_answer_is_counted_by_reason() {
+fn rejected_datagrams_are_counted_by_reason() {
     let mut middleware = middleware();
     let robot = id("robot1");
     middleware.advance(at(900));
@@ -206,7 +205,7 @@ fn what_arrives_and_is_no_answer_is_counted_by_reason() {
 }
 
 #[test]
-fn without_answers_the_robot_stops() {
+fn robot_stops_when_answers_stop() {
     let mut middleware = middleware();
     let packet = loop {
         let now = middleware.next_deadline();
@@ -228,7 +227,7 @@ fn without_answers_the_robot_stops() {
 }
 
 #[test]
-fn contexts_come_at_their_interval_with_the_attachments_of_then() {
+fn contexts_come_at_their_interval_with_the_attachments() {
     let mut middleware = middleware();
     let mut contexts = Vec::new();
     for now in (0..=1000).step_by(10) {
@@ -249,7 +248,7 @@ fn contexts_come_at_their_interval_with_the_attachments_of_then() {
 }
 
 #[test]
-fn contexts_that_were_missed_are_not_made_up_for() {
+fn missed_contexts_are_skipped() {
     let mut middleware = middleware();
     middleware.advance(at(1050));
     let contexts = events(&mut middleware).into_iter().filter(|s| matches!(s.event, Event::Robot(_))).count();
@@ -259,7 +258,7 @@ fn contexts_that_were_missed_are_not_made_up_for() {
 }
 
 #[test]
-fn instructions_move_a_robot_and_say_why_not() {
+fn instructions_move_a_robot_or_give_a_reason() {
     let mut middleware = middleware();
     let drive = |linear| Velocity::planar(linear, 0.0);
     middleware.instruct(at(0), &id("idle"), drive(0.2), 0).unwrap();
@@ -284,7 +283,7 @@ fn instructions_move_a_robot_and_say_why_not() {
 }
 
 #[test]
-fn a_refused_instruction_leaves_the_waypoint() {
+fn rejected_instruction_keeps_the_waypoint() {
     let mut middleware = middleware();
     middleware.instruct(at(0), &id("robot1"), Velocity::default(), 1).unwrap();
     let wrong = Velocity::planar(f64::NAN, 0.0);
@@ -297,7 +296,7 @@ fn a_refused_instruction_leaves_the_waypoint() {
 }
 
 #[test]
-fn an_instruction_to_the_end_of_the_walk_ends_it_once() {
+fn instruction_to_the_end_of_the_walk_ends_it_once() {
     let mut middleware = middleware();
     for _ in 0..2 {
         middleware.instruct(at(0), &id("robot1"), Velocity::planar(0.3, 0.0), 3).unwrap();
@@ -309,7 +308,7 @@ fn an_instruction_to_the_end_of_the_walk_ends_it_once() {
 }
 
 #[test]
-fn what_a_robot_cannot_do_is_told_once_until_it_can_again() {
+fn commands_beyond_the_limits_are_reported_once() {
     let mut middleware = middleware();
     let mut told = |linear| {
         let _ = middleware.instruct(at(0), &id("idle"), Velocity::planar(linear, 0.0), 0);
@@ -323,7 +322,7 @@ fn what_a_robot_cannot_do_is_told_once_until_it_can_again() {
 }
 
 #[test]
-fn robots_are_where_they_say() {
+fn positions_are_those_of_the_robots() {
     let mut middleware = middleware();
     let positions: Vec<_> = middleware.positions().map(|(robot, p)| (robot.as_str(), p)).collect();
     assert_eq!(positions, [("idle", Position::new(1.0, 3.0)), ("robot1", Position::new(1.0, 1.0))]);
@@ -332,7 +331,7 @@ fn robots_are_where_they_say() {
 }
 
 #[test]
-fn a_tap_is_told_each_scan_once_and_nothing_is_kept_without_one() {
+fn tap_gets_each_scan_once_and_nothing_is_kept_without_one() {
     let mut untapped = middleware();
     untapped.advance(at(1000));
     assert_eq!(untapped.poll_scan(), None);
@@ -355,7 +354,7 @@ fn a_tap_is_told_each_scan_once_and_nothing_is_kept_without_one() {
 }
 
 #[test]
-fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
+fn halted_robot_stands_still_until_it_is_released() {
     let mut middleware = middleware();
     let robot = id("robot1");
     let forward = Velocity::planar(0.3, 0.0);
@@ -382,7 +381,7 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     assert_eq!(middleware.halt(at(2_500), &id("nobody"), true), Err(MoveError::UnknownRobot(id("nobody"))));
 }
 
-/// What was told of goals: the state and the goal's x.
+/// Returns the goal events: state and x of the goal.
 fn goals(middleware: &mut RobotMiddleware) -> Vec<(GoalState, f64)> {
     let told = events(middleware).into_iter().filter_map(|stamped| match stamped.event {
         Event::Goal(goal) => Some((goal.state, goal.goal.x)),
@@ -392,7 +391,7 @@ fn goals(middleware: &mut RobotMiddleware) -> Vec<(GoalState, f64)> {
 }
 
 #[test]
-fn a_goal_is_told_of_until_it_ends_once_and_the_robot_stands_then() {
+fn goal_is_reported_until_it_ends_and_then_the_robot_stands() {
     let mut middleware = middleware();
     let robot = id("robot1");
     let (near, far) = (Position::new(2.0, 1.0), Position::new(4.0, 1.0));
@@ -419,7 +418,7 @@ fn a_goal_is_told_of_until_it_ends_once_and_the_robot_stands_then() {
     }
     assert_eq!(goals(&mut middleware), [(Reached, 4.0)]);
     assert_eq!(middleware.sensors(&id("robot1")).unwrap().velocity, Velocity::default());
-    // Whatever answers say now, it stands, until it is given another goal or none.
+    // It stands, whatever answers say, until its goal changes.
     for _ in 0..3 {
         answered(&mut middleware, Some(Headway::Left(1.0)));
     }
@@ -441,7 +440,7 @@ fn a_goal_is_told_of_until_it_ends_once_and_the_robot_stands_then() {
 }
 
 #[test]
-fn goals_that_cannot_be_are_refused_with_the_reason() {
+fn unreachable_goals_are_rejected_with_the_reason() {
     let mut middleware = middleware();
     let mut refused = |robot: &str, goal: Position| {
         middleware.navigate_to(at(0), &id(robot), Some(goal)).unwrap_err().to_string()
@@ -465,7 +464,7 @@ fn goals_that_cannot_be_are_refused_with_the_reason() {
 }
 
 #[test]
-fn a_robot_with_a_goal_has_not_finished() {
+fn robot_with_a_goal_has_not_finished() {
     let mut middleware = middleware();
     let robot = id("robot1");
     middleware.instruct(at(0), &robot, Velocity::default(), 3).unwrap();
@@ -481,10 +480,10 @@ fn a_robot_with_a_goal_has_not_finished() {
     assert_eq!(position(&mut middleware, at(1600)), None);
 }
 
-/// Keeps what it is told.
-struct Told(NodeId, std::sync::mpsc::Sender<Velocity>);
+/// A driver that passes on its commands.
+struct Probe(NodeId, std::sync::mpsc::Sender<Velocity>);
 
-impl RobotDriver for Told {
+impl RobotDriver for Probe {
     fn robot(&self) -> &NodeId {
         &self.0
     }
@@ -510,8 +509,8 @@ impl RobotDriver for Told {
 }
 
 #[test]
-fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
-    let (tell, told) = std::sync::mpsc::channel();
+fn speed_limit_slows_instructions_and_answers_on_the_same_curve() {
+    let (commands, received) = std::sync::mpsc::channel();
     let robot = id("robot1");
     let service = ServiceEndpoint::new(
         ServiceId::new("navigation").unwrap(),
@@ -520,7 +519,7 @@ fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
         1,
     );
     let mut middleware = RobotMiddleware::new(ms(100), Nonces::seeded(1));
-    middleware.add(Box::new(Told(robot.clone(), tell)), Some(service));
+    middleware.add(Box::new(Probe(robot.clone(), commands)), Some(service));
     connect(&mut middleware);
     let wanted = Velocity { linear: 0.3, vertical: 0.4, angular: 1.0 };
     let mut now = 0;
@@ -528,13 +527,8 @@ fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
         now += 200;
         middleware.instruct(at(now), &robot, wanted, 1).unwrap();
         let packet = position(middleware, at(now)).unwrap();
-        middleware.receive(
-            at(now),
-            &robot,
-            SERVER,
-            &NavigationPacket::answering(&packet, 1, to_twist(wanted)),
-        );
-        [told.try_recv().unwrap(), told.try_recv().unwrap()]
+        middleware.receive(at(now), &robot, SERVER, &NavigationPacket::answering(&packet, 1, to_twist(wanted)));
+        [received.try_recv().unwrap(), received.try_recv().unwrap()]
     };
     assert_eq!(follows(&mut middleware), [wanted; 2]);
     middleware.limit_speed(at(0), &robot, Some(0.25)).unwrap();
@@ -554,7 +548,7 @@ fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
 }
 
 #[test]
-fn a_robot_that_is_limited_to_0_stands_at_once_and_does_not_turn() {
+fn speed_limit_of_0_stops_a_robot_at_once_and_keeps_it_from_turning() {
     let mut middleware = middleware();
     let robot = id("robot1");
     let limits = |middleware: &mut RobotMiddleware| -> Vec<_> {
@@ -579,7 +573,7 @@ fn a_robot_that_is_limited_to_0_stands_at_once_and_does_not_turn() {
 }
 
 #[test]
-fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it_is() {
+fn localized_robot_reports_its_estimate_and_the_radio_uses_its_true_position() {
     let mut testbed = testbed();
     let localization = Service {
         id: ServiceId::new("localization").unwrap(),
@@ -596,7 +590,7 @@ fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it
             .collect(),
         ..testbed.services[0].clone()
     };
-    // Whichever service is first.
+    // The order of services does not matter.
     testbed.services.insert(0, localization);
     let mut middleware = simulated(&testbed, 1);
     let (mut scans, mut last) = (Vec::new(), None);
@@ -623,7 +617,7 @@ fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it
     assert_ne!(believed.position(), truth.position());
     let positions: BTreeMap<_, _> = middleware.positions().collect();
     assert_eq!(positions[&id("robot1")], truth.position());
-    // The other robot has nobody who localizes it.
+    // No VNF localizes the other robot.
     assert_eq!(middleware.sensors(&id("idle")).unwrap().pose.source, PoseSource::Simulator);
     let errors: Vec<_> =
         middleware.localization_errors().map(|(robot, errors)| (robot.clone(), errors.len())).collect();

@@ -7,7 +7,7 @@ use crate::fixtures::{id, room};
 
 const STEP: Duration = Duration::from_millis(20);
 
-/// Flies so many steps at a velocity.
+/// Flies for a number of steps.
 fn fly(airframe: &mut Airframe, world: &World, steps: u32, wanted: Velocity) {
     for _ in 0..steps {
         airframe.advance(wanted, STEP, world);
@@ -19,12 +19,12 @@ fn hovering(height: f64) -> Airframe {
 }
 
 #[test]
-fn a_velocity_is_approached_as_a_first_order_lag_does() {
+fn velocity_follows_a_first_order_lag() {
     let mut airframe = hovering(1.0);
     let wanted = Velocity { linear: 0.5, vertical: 0.2, angular: 0.4 };
     fly(&mut airframe, &World::open(), 13, wanted);
     let velocity = airframe.velocity();
-    // After 0.26 s, a little more than one time constant: 1 - (1 - 0.02 / 0.25)^13 = 0.66.
+    // After 0.26 s, slightly more than one time constant: 1 - (1 - 0.02 / 0.25)^13 = 0.66.
     for (found, wanted) in [(velocity.vertical, 0.2), (velocity.angular, 0.4)] {
         assert!((found / wanted - 0.662).abs() < 0.01, "{velocity:?}");
     }
@@ -34,7 +34,7 @@ fn a_velocity_is_approached_as_a_first_order_lag_does() {
 }
 
 #[test]
-fn it_tilts_as_its_acceleration_needs_and_levels_out() {
+fn tilt_follows_the_acceleration() {
     let mut airframe = hovering(1.0);
     let forward = Velocity::planar(3.0, 0.0);
     fly(&mut airframe, &World::open(), 1, forward);
@@ -43,13 +43,13 @@ fn it_tilts_as_its_acceleration_needs_and_levels_out() {
     assert_eq!(pose.roll, 0.0);
     fly(&mut airframe, &World::open(), 399, forward);
     assert!(airframe.pose().pitch.abs() < 1e-3);
-    // In a turn to the left it leans to the left, which is a negative roll.
+    // It leans into a turn to the left, which is a negative roll.
     fly(&mut airframe, &World::open(), 20, Velocity::planar(3.0, 1.0));
     assert!(airframe.pose().roll < -0.1, "{:?}", airframe.pose());
 }
 
 #[test]
-fn it_rises_and_descends_and_never_below_the_floor() {
+fn quadrotor_never_descends_below_the_floor() {
     let mut airframe = Airframe::new(Position::new(2.0, 2.0), FRAC_PI_2);
     let up = Velocity { vertical: 1.0, ..Velocity::default() };
     fly(&mut airframe, &World::open(), 100, up);
@@ -60,14 +60,14 @@ fn it_rises_and_descends_and_never_below_the_floor() {
 }
 
 #[test]
-fn on_the_floor_it_only_takes_off() {
+fn quadrotor_on_the_floor_only_takes_off() {
     let mut airframe = Airframe::new(Position::new(2.0, 2.0), 0.0);
     fly(&mut airframe, &World::open(), 50, Velocity::planar(1.0, 1.0));
     assert_eq!(airframe.pose(), Airframe::new(Position::new(2.0, 2.0), 0.0).pose());
 }
 
 #[test]
-fn without_commands_it_hovers() {
+fn quadrotor_hovers_without_commands() {
     let mut airframe = hovering(1.5);
     fly(&mut airframe, &World::open(), 100, Velocity { linear: 2.0, vertical: 0.5, angular: 0.5 });
     fly(&mut airframe, &World::open(), 300, Velocity::default());
@@ -77,7 +77,7 @@ fn without_commands_it_hovers() {
 }
 
 #[test]
-fn what_is_over_a_limit_is_scaled_on_the_same_curve() {
+fn velocity_over_a_limit_is_scaled_on_the_same_curve() {
     let over = Velocity { linear: 0.5, vertical: 6.0, angular: 0.4 };
     assert_eq!(limited(over, 5.0), over.scaled(0.5));
     assert_eq!(limited(over.scaled(-0.5), 5.0), over.scaled(-0.25), "it descends half as fast as it rises");
@@ -87,7 +87,7 @@ fn what_is_over_a_limit_is_scaled_on_the_same_curve() {
 }
 
 #[test]
-fn odometry_drifts_in_the_plane_and_knows_the_height() {
+fn odometry_drifts_in_the_plane_but_not_in_height() {
     let mut airframe = hovering(1.0);
     let mut odometer = FlightOdometer::new(7, &id("uav"), &airframe);
     let world = World::open();
@@ -119,7 +119,7 @@ proptest! {
                 prop_assert!(pose.z >= 0.0 && pose.roll.abs() < FRAC_PI_4 && pose.pitch.abs() < FRAC_PI_4);
                 let [vx, vy, vz] = airframe.velocity;
                 prop_assert!(vx.hypot(vy) <= 5.0 + 1e-9 && vz <= CLIMB.0 + 1e-9 && vz >= -CLIMB.1 - 1e-9);
-                // What touches a wall or the floor stops at once.
+                // Contact with a wall or the floor stops it at once.
                 if !airframe.bumper && pose.z > 0.0 {
                     let change = (vx - before[0]).hypot(vy - before[1]);
                     prop_assert!(change <= ACCELERATION * STEP.as_secs_f64() + STILL, "{change}");

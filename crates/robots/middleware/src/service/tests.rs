@@ -42,7 +42,7 @@ fn answer(position: &PositionPacket, waypoint: u32) -> NavigationPacket {
 }
 
 #[test]
-fn packets_begin_at_a_phase_of_the_seed_and_come_at_the_interval() {
+fn packets_start_at_a_phase_of_the_seed_and_follow_the_interval() {
     let phases: Vec<Timestamp> = (0..50).map(|seed| endpoint(seed).next_deadline().unwrap()).collect();
     assert!(phases.iter().all(|phase| *phase < Timestamp::ZERO + ms(200)));
     assert!(phases.iter().any(|phase| *phase > Timestamp::ZERO + ms(150)));
@@ -57,15 +57,14 @@ fn packets_begin_at_a_phase_of_the_seed_and_come_at_the_interval() {
 }
 
 #[test]
-fn a_packet_says_who_where_when_and_what_is_next() {
+fn packet_has_robot_waypoint_and_pose() {
     let packet = emit(&mut endpoint(1));
     assert_eq!((packet.robot.as_str(), packet.waypoint), ("robot1", 0));
     assert_eq!(from_pose(&packet.pose, PoseSource::Simulator), pose());
 }
 
-/// An answer would drive the robot to where it shall go no more.
 #[test]
-fn answers_to_packets_from_before_another_goal_are_measured_and_not_followed() {
+fn answers_from_before_a_change_of_goal_are_measured_but_not_followed() {
     let mut endpoint = endpoint(1);
     let goal = Some(Position::new(1.0, 1.0));
     let walks = emit(&mut endpoint);
@@ -81,7 +80,7 @@ fn answers_to_packets_from_before_another_goal_are_measured_and_not_followed() {
 
     let asked = emit(&mut endpoint);
     assert_eq!((walks.goal, asked.goal), (None, goal));
-    // Who knows nothing of goals would drive on along the walk.
+    // An answer that ignores the goal would follow the walk.
     assert_eq!(receive(&mut endpoint, &asked, None), Err(AnswerError::Invalid));
     let another = Some(Position::new(2.0, 1.0));
     let told: Vec<_> = endpoint.set_goal(asked.emitted, another).map(|goal| goal.state).collect();
@@ -106,7 +105,7 @@ fn answers_to_packets_from_before_another_goal_are_measured_and_not_followed() {
 }
 
 #[test]
-fn packets_that_were_missed_are_not_made_up_for() {
+fn missed_packets_are_skipped() {
     let mut endpoint = endpoint(1);
     let due = endpoint.next_deadline().unwrap();
     let late = emit_at(&mut endpoint, due + ms(450)).unwrap();
@@ -116,7 +115,7 @@ fn packets_that_were_missed_are_not_made_up_for() {
 }
 
 #[test]
-fn an_answer_is_measured_on_the_route_of_its_packet_and_followed() {
+fn answer_is_measured_on_its_packets_route_and_followed() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
     let answer = endpoint.receive(packet.emitted + ms(11), SERVER, &answer(&packet, 2)).unwrap();
@@ -129,7 +128,7 @@ fn an_answer_is_measured_on_the_route_of_its_packet_and_followed() {
 }
 
 #[test]
-fn a_duplicate_changes_nothing() {
+fn duplicate_answer_changes_nothing() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
     endpoint.receive(packet.emitted + ms(11), SERVER, &answer(&packet, 2)).unwrap();
@@ -139,7 +138,7 @@ fn a_duplicate_changes_nothing() {
 }
 
 #[test]
-fn an_answer_that_was_overtaken_is_measured_and_not_followed() {
+fn overtaken_answer_is_measured_but_not_followed() {
     let mut endpoint = endpoint(1);
     let (first, second) = (emit(&mut endpoint), emit(&mut endpoint));
     endpoint.receive(second.emitted + ms(10), SERVER, &answer(&second, 2)).unwrap();
@@ -150,21 +149,21 @@ fn an_answer_that_was_overtaken_is_measured_and_not_followed() {
 }
 
 #[test]
-fn without_an_answer_in_time_it_is_given_up() {
+fn packet_without_an_answer_in_time_is_given_up() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
     assert!(endpoint.expire(packet.emitted + ms(599)).is_none());
     let missing = endpoint.expire(packet.emitted + ms(600)).unwrap();
     assert_eq!((missing.sequence, missing.took), (0, None));
     assert!(endpoint.expire(packet.emitted + ms(600)).is_none());
-    // It comes after all, and what the robot should do now is not what it says.
+    // A late answer is not followed.
     let late = endpoint.receive(packet.emitted + ms(700), SERVER, &answer(&packet, 1));
     assert_eq!(late, Err(AnswerError::Late));
     assert_eq!(endpoint.waypoint(), 0);
 }
 
 #[test]
-fn an_answer_at_the_timeout_is_given_up_whoever_looks_first() {
+fn answer_at_the_timeout_is_late_before_and_after_expiry() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
     let late = endpoint.receive(packet.emitted + ms(600), SERVER, &answer(&packet, 1));
@@ -173,7 +172,7 @@ fn an_answer_at_the_timeout_is_given_up_whoever_looks_first() {
 }
 
 #[test]
-fn deadlines_are_the_next_packet_and_the_end_of_a_wait() {
+fn deadlines_are_those_of_packets_and_answers() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
     assert_eq!(endpoint.next_deadline(), Some(packet.emitted + ms(200)));
@@ -183,7 +182,7 @@ fn deadlines_are_the_next_packet_and_the_end_of_a_wait() {
 }
 
 #[test]
-fn only_an_answer_to_a_pending_packet_with_its_nonce_from_where_it_was_sent_is_followed() {
+fn answers_with_wrong_sequence_nonce_time_or_sender_are_rejected() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
     let right = answer(&packet, 1);
@@ -200,9 +199,9 @@ fn only_an_answer_to_a_pending_packet_with_its_nonce_from_where_it_was_sent_is_f
     assert!(endpoint.receive(packet.emitted + ms(5), SERVER, &right).unwrap().velocity.is_some());
 }
 
-/// What a node that sees nothing of a robot's packets can do to it.
+/// The attack of a node that cannot see the robot's packets.
 #[test]
-fn a_sweep_of_sequence_numbers_moves_nothing() {
+fn sweep_of_sequence_numbers_moves_nothing() {
     let mut endpoint = endpoint(1);
     let packets: Vec<_> = (0..40).map(|_| emit(&mut endpoint)).collect();
     let now = packets[39].emitted + ms(5);
@@ -217,7 +216,7 @@ fn a_sweep_of_sequence_numbers_moves_nothing() {
 }
 
 #[test]
-fn the_walk_ends_once_and_packets_with_it() {
+fn walk_ends_once_and_packets_end_with_it() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
     let beyond = endpoint.receive(packet.emitted + ms(5), SERVER, &answer(&packet, 4)).unwrap();
@@ -231,10 +230,10 @@ fn the_walk_ends_once_and_packets_with_it() {
     assert_eq!(again, Err(AnswerError::Repeated));
 }
 
-/// Another server than that of [`SERVER`].
+/// The socket of another server.
 const OTHER: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(10, 0, 0, 99), 7711);
 
-/// Emits a packet to two instances; gives it as each of them receives it.
+/// Emits a packet to two instances, and returns it as each receives it.
 fn emit_to_both(endpoint: &mut ServiceEndpoint) -> [PositionPacket; 2] {
     let servers = vec![(id("cloud"), Some(SERVER)), (id("edge"), Some(OTHER))];
     let route = Route { attachment: Some(id("R1")), servers };
@@ -246,13 +245,13 @@ fn emit_to_both(endpoint: &mut ServiceEndpoint) -> [PositionPacket; 2] {
 }
 
 #[test]
-fn the_first_answer_of_several_is_measured_and_followed_and_the_others_are_redundant() {
+fn first_answer_of_several_counts_and_the_others_are_redundant() {
     let mut endpoint = endpoint(1);
     let [first, second] = emit_to_both(&mut endpoint);
     assert_ne!(first.nonce, second.nonce, "nobody answers for another");
     let [by_first, by_second] = [&first, &second].map(|packet| answer(packet, 1));
     let at = |millis| first.emitted + ms(millis);
-    // Each has its own nonce.
+    // A nonce is valid for one instance only.
     assert_eq!(endpoint.receive(at(5), SERVER, &by_second), Err(AnswerError::Forged));
     assert_eq!(endpoint.receive(at(5), OTHER, &by_first), Err(AnswerError::Forged));
     let taken = endpoint.receive(at(7), OTHER, &by_second).unwrap();
@@ -267,7 +266,7 @@ fn the_first_answer_of_several_is_measured_and_followed_and_the_others_are_redun
 }
 
 #[test]
-fn a_packet_is_unanswered_once_if_none_of_several_answers() {
+fn packet_without_any_answer_of_several_is_given_up_once() {
     let mut endpoint = endpoint(1);
     let [first, second] = emit_to_both(&mut endpoint);
     let given_up = endpoint.expire(first.emitted + COMMAND_TIMEOUT).unwrap();

@@ -27,7 +27,7 @@ fn forward(linear: f64) -> Velocity {
 }
 
 #[test]
-fn a_robot_starts_where_its_walk_does_or_where_it_stands() {
+fn robot_starts_at_its_walk_or_its_position() {
     let world = Arc::new(World::open());
     let here = Some(Position::new(7.0, 8.0));
     let start = |node: &Node, walk: Option<&Walk>| {
@@ -42,7 +42,7 @@ fn a_robot_starts_where_its_walk_does_or_where_it_stands() {
 }
 
 #[test]
-fn the_pose_says_that_the_simulator_knows_it_and_odometry_that_it_drifts() {
+fn pose_is_exact_and_odometry_drifts() {
     let mut robot = in_room(1);
     robot.command(Timestamp::ZERO, forward(0.3)).unwrap();
     robot.advance(millis(600));
@@ -55,7 +55,7 @@ fn the_pose_says_that_the_simulator_knows_it_and_odometry_that_it_drifts() {
 }
 
 #[test]
-fn without_a_command_for_600_ms_a_robot_stops() {
+fn robot_stops_without_a_command_for_600_ms() {
     let mut robot = in_room(1);
     robot.command(Timestamp::ZERO, Velocity::planar(0.2, 1.0)).unwrap();
     robot.advance(millis(600));
@@ -67,7 +67,7 @@ fn without_a_command_for_600_ms_a_robot_stops() {
 }
 
 #[test]
-fn what_it_does_depends_on_time_and_not_on_how_often_it_is_asked() {
+fn motion_does_not_depend_on_the_times_of_calls() {
     let drive = |seed: u64, every: u64| {
         let mut robot = in_room(seed);
         for ms in (0..3000).filter(|ms| ms % every == 0 || ms % 500 == 0) {
@@ -87,7 +87,7 @@ fn what_it_does_depends_on_time_and_not_on_how_often_it_is_asked() {
 }
 
 #[test]
-fn what_is_no_number_is_refused_and_the_command_before_goes_on() {
+fn velocities_that_are_not_finite_are_rejected_and_the_last_command_goes_on() {
     let mut robot = in_room(1);
     robot.command(Timestamp::ZERO, forward(0.2)).unwrap();
     for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
@@ -102,7 +102,7 @@ fn what_is_no_number_is_refused_and_the_command_before_goes_on() {
 }
 
 #[test]
-fn what_is_over_a_limit_is_scaled_on_the_same_curve() {
+fn velocity_over_a_limit_is_scaled_on_the_same_curve() {
     let mut robot = in_room(1);
     let mut done =
         |linear, angular| robot.command(Timestamp::ZERO, Velocity::planar(linear, angular)).unwrap();
@@ -114,7 +114,7 @@ fn what_is_over_a_limit_is_scaled_on_the_same_curve() {
 }
 
 #[test]
-fn a_stop_stops_within_its_ramp() {
+fn stop_takes_effect_within_the_ramp() {
     let mut robot = in_room(1);
     robot.command(Timestamp::ZERO, forward(0.3)).unwrap();
     robot.stop(millis(590));
@@ -126,7 +126,7 @@ fn a_stop_stops_within_its_ramp() {
 }
 
 #[test]
-fn the_lidar_turns_ten_times_a_second() {
+fn lidar_turns_ten_times_a_second() {
     let mut robot = in_room(1);
     robot.advance(millis(99));
     assert!(robot.scan().is_none() && robot.sensors().nearest_obstacle_m.is_none());
@@ -139,7 +139,7 @@ fn the_lidar_turns_ten_times_a_second() {
 }
 
 #[test]
-fn the_bumper_tells_of_the_wall() {
+fn wall_presses_the_bumper() {
     let mut robot = in_room(1);
     for ms in (0..20_000).step_by(200) {
         robot.command(millis(ms), forward(0.3)).unwrap();
@@ -149,7 +149,7 @@ fn the_bumper_tells_of_the_wall() {
 }
 
 #[test]
-fn ros_messages_tell_what_the_robot_senses() {
+fn ros_messages_match_the_sensors() {
     let mut robot = in_room(1);
     robot.command(Timestamp::ZERO, forward(0.3)).unwrap();
     robot.advance(millis(400));
@@ -174,7 +174,7 @@ fn any_speed() -> impl Strategy<Value = f64> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
-    fn no_command_ever_makes_a_figure_that_is_none(
+    fn commands_never_make_readings_that_are_not_finite(
         commands in proptest::collection::vec((any_speed(), any_speed(), 0u64..900), 1..20), seed: u64,
     ) {
         let mut robot = in_room(seed);
