@@ -527,7 +527,12 @@ fn speed_limit_slows_instructions_and_answers_on_the_same_curve() {
         now += 200;
         middleware.instruct(at(now), &robot, wanted, 1).unwrap();
         let packet = position(middleware, at(now)).unwrap();
-        middleware.receive(at(now), &robot, SERVER, &NavigationPacket::answering(&packet, 1, to_twist(wanted)));
+        middleware.receive(
+            at(now),
+            &robot,
+            SERVER,
+            &NavigationPacket::answering(&packet, 1, to_twist(wanted)),
+        );
         [received.try_recv().unwrap(), received.try_recv().unwrap()]
     };
     assert_eq!(follows(&mut middleware), [wanted; 2]);
