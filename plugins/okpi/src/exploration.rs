@@ -13,8 +13,8 @@ use cotorra_graph::Placement;
 
 use crate::{
     model::{Infrastructure, Node, Service},
-    paths::{Figures, Paths, Shortest, Tree},
-    placement::{Infeasible, Placed, Search, Slack},
+    paths::{Figures, Paths, Shortest, Tree, fits},
+    search::{Infeasible, Placed, Search, Slack},
 };
 
 /// Service time and unreliability: a figure of each.
@@ -586,9 +586,4 @@ impl Node {
     fn carries(&self, cpus: f64, memory_bytes: u64) -> bool {
         fits(self.cpus, cpus) && memory_bytes <= self.memory_bytes
     }
-}
-
-/// Whether so much is free, but for rounding errors of sums.
-pub(crate) fn fits(free: f64, needed: f64) -> bool {
-    needed <= free + free.abs().min(1e12) * 1e-9
 }

@@ -11,6 +11,7 @@ mod model;
 mod network_view;
 mod paths;
 mod placement;
+mod search;
 mod settings;
 
 use std::collections::BTreeMap;
@@ -23,7 +24,8 @@ use cotorra_plugin::{Actions, Plugin, client::Client, settings::InvalidSettings}
 
 pub use crate::{
     model::{Infrastructure, Link, Node, Queue, Service as Chain, Vnf},
-    placement::{Infeasible, Placed, Search, Slack, place},
+    placement::place,
+    search::{Infeasible, Placed, Search, Slack},
 };
 use crate::{
     network_view::NetworkView,

@@ -7,10 +7,7 @@ use std::{
     rc::Rc,
 };
 
-use crate::{
-    exploration::fits,
-    model::{Infrastructure, Link},
-};
+use crate::model::{Infrastructure, Link};
 
 /// Delay and reliability of some links in a row.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -230,4 +227,9 @@ impl<'a> Paths<'a> {
         }
         Tree(reached)
     }
+}
+
+/// Whether so much is free, but for rounding errors of sums.
+pub(crate) fn fits(free: f64, needed: f64) -> bool {
+    needed <= free + free.abs().min(1e12) * 1e-9
 }

@@ -7,7 +7,7 @@ use cotorra_plugin::settings::{self, Figure, InvalidSettings};
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::{Map, Value};
 
-use crate::{coverage::Coverage, model::Queue, placement::Search};
+use crate::{coverage::Coverage, model::Queue, search::Search};
 
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Settings {
