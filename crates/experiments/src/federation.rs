@@ -121,7 +121,7 @@ impl Comparison {
             write_file(folder, figure, &drawn::draw(runs[runs.len() / 2], &self.ledger))?;
         }
         write_file(folder, table, &self.to_markdown())?;
-        let json = serde_json::to_string_pretty(self).expect("a comparison holds only what JSON can");
+        let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");
         write_file(folder, data, &(json + "\n"))?;
         let mut rows = String::from("block_period_s,run,seed");
         STEPS.iter().for_each(|step| rows += &format!(",{}_s", step.as_str().replace(' ', "_")));

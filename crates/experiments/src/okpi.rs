@@ -298,7 +298,7 @@ impl Comparison {
         let [figure, tables, data, samples] = FILES;
         write_file(folder, figure, &draw(&panels))?;
         write_file(folder, tables, &self.to_markdown(how))?;
-        let json = serde_json::to_string_pretty(self).expect("a comparison holds only what JSON can");
+        let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");
         write_file(folder, data, &(json + "\n"))?;
         let mut csv = String::from("contender,emitted_ns,service_time_ms,theory_ms,attachment,server\n");
         for (contender, report) in CONTENDERS.iter().zip([soa, okpi]) {

@@ -4,7 +4,7 @@
     clippy::disallowed_types,
     clippy::disallowed_methods,
     clippy::unwrap_used,
-    reason = "a benchmark reads the clock, and what fails here is to be seen"
+    reason = "a benchmark reads the clock, and panics on failures"
 )]
 
 use std::{

@@ -23,7 +23,7 @@ pub(crate) const PORT: &str = "COTORRA_PORT";
 #[derive(Debug, thiserror::Error)]
 pub enum VnfError {
     /// A variable is missing: the VNF was started by hand.
-    #[error("{0} is not set, or none: VNFs are started by `cotorra run`, not by hand")]
+    #[error("{0} is not set or invalid: VNFs are started by `cotorra run`, not by hand")]
     Environment(&'static str),
     /// The robot's name is invalid.
     #[error(transparent)]

@@ -46,7 +46,7 @@ pub(crate) fn seen(view: Option<&DomainView>, event: &Arc<Stamped>) -> Option<Ar
 /// An instruction for nodes of another domain.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what} is not of the domain `{domain}`, whose orchestrator changes its own nodes only")]
-pub(crate) struct NotOwn {
+pub(crate) struct NotOwnError {
     what: String,
     domain: DomainId,
 }
@@ -213,8 +213,8 @@ impl DomainView {
 
     /// Checks that an instruction is for the domain's nodes. Whether a robot may attach is decided by the radio unit's
     /// domain.
-    pub(crate) fn check(&self, instruction: &Instruction) -> Result<(), NotOwn> {
-        let not_own = |what: String| Err(NotOwn { what, domain: self.domain.clone() });
+    pub(crate) fn check(&self, instruction: &Instruction) -> Result<(), NotOwnError> {
+        let not_own = |what: String| Err(NotOwnError { what, domain: self.domain.clone() });
         let node = |node: &NodeId| if self.owns(node) { Ok(()) } else { not_own(format!("`{node}`")) };
         let own_link = |link: &LinkId| {
             let own = self.ends(link).is_some_and(|ends| ends.iter().all(|end| self.owns(end)));

@@ -57,7 +57,7 @@ pub enum RunError {
     #[error("the testbed has no walk that would end the run: say how long it is to be, as in `--until 60s`")]
     Endless,
     /// The core's thread panicked, which is a bug.
-    #[error("the run broke off; please report this as a bug, with the run's folder")]
+    #[error("the run's core panicked; please report this as a bug, with the run's folder")]
     Panicked,
 }
 

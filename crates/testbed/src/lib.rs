@@ -1,12 +1,13 @@
-//! Puts a testbed together and runs it: the core of the three blocks, the API, the plug-in host, and what a run leaves.
+//! Puts a testbed together and runs it: the core of the three blocks, the API, the plug-in host, and the report.
 //!
-//! [`Run::start`] is the way in, [`Run::finish`] the way out.
+//! [`Run::start`] brings a testbed up in real time, and [`Run::finish`] takes it down. [`simulate`] does both in virtual
+//! time. [`Replay`](replay::Replay) plays a recorded run. [`Report`] and [`Summary`] are the results. Experiments of many
+//! runs are in `cotorra-experiments`.
 #![forbid(unsafe_code)]
 
 mod answerers;
 mod api;
 mod bundled;
-mod carried;
 mod clock;
 mod confined;
 mod core;
@@ -24,19 +25,20 @@ mod message;
 mod options;
 mod plugins;
 mod previous_run;
+mod pruner;
 mod real_links;
 mod real_network;
 mod recorded;
-mod reflected;
+mod reflectors;
 mod rehearse;
 pub mod replay;
 mod report;
-mod retaining;
 mod robots;
 mod run;
 mod run_info;
 mod script;
 mod simulate;
+mod traffic;
 
 pub use api::{ApiError, Token, Tokens, TokensError, openapi};
 pub use bundled::{VnfError, localization, navigation};
@@ -50,7 +52,7 @@ pub use plugins::{PluginError, panic_text};
 pub use previous_run::{CannotGoOn, PreviousRun, orchestrators};
 pub use real_links::RealLinkError;
 pub use recorded::{Recorded, RecordedError};
-pub use reflected::ReflectorError;
+pub use reflectors::ReflectorError;
 pub use rehearse::{interface_plans, rehearse};
 pub use report::{
     DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, LocalizationSummary, Panel,

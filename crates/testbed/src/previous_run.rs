@@ -23,11 +23,11 @@ pub enum CannotGoOn {
         now: String,
     },
     /// No plug-in could continue.
-    #[error("this testbed has no plug-in `federation`, and no other goes on after a run")]
+    #[error("this testbed has no plug-in `federation`, and no other plug-in can continue a run")]
     Nobody,
     /// The ledger ended with the previous run.
     #[error(
-        "plug-in `{0}`: its ledger begins with the run, and knows nothing of another: only one of the kind `ethereum` outlives it"
+        "plug-in `{0}`: its ledger begins with the run, and does not know previous runs: only one of the kind `ethereum` does"
     )]
     Ledger(PluginId),
     /// The ledgers have different contracts.
@@ -218,22 +218,25 @@ mod tests {
                 noted(26, "orchestrator-2", "nonsense", Some("it was refused")),
             ],
         );
-        let earlier = PreviousRun::read(&history, &first, &on, |_| Ok(on.clone())).unwrap();
-        let notes: Vec<_> = earlier.notes_before(BEGAN + 60 * second).collect();
+        let previous = PreviousRun::read(&history, &first, &on, |_| Ok(on.clone())).unwrap();
+        let notes: Vec<_> = previous.notes_before(BEGAN + 60 * second).collect();
         assert!(notes.iter().all(|note| note.at == Timestamp::ZERO));
         assert_eq!(steps(notes.clone().into_iter()), [("announced".into(), 40), ("bid sent".into(), 35)]);
-        let by = earlier.noted_by(&"orchestrator-2".parse().unwrap());
+        let by = previous.noted_by(&"orchestrator-2".parse().unwrap());
         let bid = Noted { process: "service-1".into(), step: "bid sent".into(), reason: Some("why".into()) };
         assert_eq!(by, [bid]);
 
         // The next run is killed, too.
         let more = [noted(3, "orchestrator-1", "winner chosen", None)];
         let next = keep(&history, BEGAN + 60 * second, notes.into_iter().chain(more));
-        let earlier = PreviousRun::read(&history, &next, &on, |_| Ok(on.clone())).unwrap();
-        let told = steps(earlier.notes_before(BEGAN + 100 * second));
-        assert_eq!(told, [("announced".into(), 80), ("bid sent".into(), 75), ("winner chosen".into(), 37)]);
+        let previous = PreviousRun::read(&history, &next, &on, |_| Ok(on.clone())).unwrap();
+        let kept_steps = steps(previous.notes_before(BEGAN + 100 * second));
+        assert_eq!(
+            kept_steps,
+            [("announced".into(), 80), ("bid sent".into(), 75), ("winner chosen".into(), 37)]
+        );
         // A clock that was set back.
-        assert_eq!(steps(earlier.notes_before(0))[0].1, 0);
+        assert_eq!(steps(previous.notes_before(0))[0].1, 0);
     }
 
     #[test]

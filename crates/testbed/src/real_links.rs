@@ -12,8 +12,8 @@ use cotorra_netem::{ConditionsError, Confirmed, Hold, HoldError, Netem, Network,
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::{
-    carried::{Carried, Counted},
-    reflected::{Reflected, ReflectorError},
+    reflectors::{LinkProbes, ReflectorError},
+    traffic::{Traffic, TrafficCounters},
 };
 
 /// Error of a link over an interface of this machine. Nothing has changed then.
@@ -38,11 +38,11 @@ pub enum RealLinkError {
 pub(crate) struct RealLinks {
     links: HashMap<LinkId, Place>,
     hold: Mutex<Hold>,
-    carried: Carried,
+    traffic: Traffic,
     /// Whether all links of the testbed are such links.
     alone: bool,
     /// `None` if the testbed is not probed.
-    probes: Option<Reflected>,
+    probes: Option<LinkProbes>,
 }
 
 /// The place of a link in the real network.
@@ -142,16 +142,16 @@ impl RealLinks {
         let mut hold = Hold::new().map_err(HoldError::from)?;
         for (name, rules) in rules(graph, &fabric.link_contexts(Timestamp::ZERO))? {
             hold.take(name, &rules, confirmed)?;
-            tracing::info!("{name} has the conditions of its links");
+            tracing::info!("applied the conditions of links to {name}");
         }
         let reflectors = links.iter().filter(|(_, place)| place.reached.reflector);
         let reflectors = reflectors.filter_map(|(link, place)| {
-            let asked = fabric.effective(link)?.map(Conditions::clone);
-            Some((link.clone(), place.reached.address?.address(), place.there_and_back(asked)))
+            let configured = fabric.effective(link)?.map(Conditions::clone);
+            Some((link.clone(), place.reached.address?.address(), place.there_and_back(configured)))
         });
-        let probes = probing.map(|probing| Reflected::begin(reflectors, probing)).transpose()?;
+        let probes = probing.map(|probing| LinkProbes::begin(reflectors, probing)).transpose()?;
         let alone = links.len() == graph.links.len();
-        Ok(Some(Self { links, hold: Mutex::new(hold), carried: Carried::default(), alone, probes }))
+        Ok(Some(Self { links, hold: Mutex::new(hold), traffic: Traffic::default(), alone, probes }))
     }
 
     /// Whether there are no other links, so that only probes measure lateness.
@@ -190,7 +190,7 @@ impl RealLinks {
 
     /// Returns how much longer probes took than configured. The lateness of other packets is unknown.
     pub(crate) fn lateness(&self) -> Lateness {
-        self.probes.as_ref().map(Reflected::lateness).unwrap_or_default()
+        self.probes.as_ref().map(LinkProbes::lateness).unwrap_or_default()
     }
 
     /// Completes the contexts of such links. λ and the counters are those of the interface. Delays come from probes if a
@@ -200,12 +200,12 @@ impl RealLinks {
             return contexts;
         }
         let hold = self.hold();
-        let mut counted = Counted::new();
+        let mut counted = TrafficCounters::new();
         for (link, place) in &self.links {
             let rules = match hold.rules(&place.reached.interface) {
                 Ok(rules) => rules,
                 Err(error) => {
-                    tracing::warn!("`{link}` does not tell what it carried: {error}");
+                    tracing::warn!("cannot read the counters of `{link}`: {error}");
                     continue;
                 }
             };
@@ -222,7 +222,7 @@ impl RealLinks {
             (context.delay, context.probed) = (None, probed.map(|ways| ways[way]));
             found += 1;
         }
-        self.carried.complete(now, &mut contexts, &counted, found == 2 * self.links.len());
+        self.traffic.complete(now, &mut contexts, &counted, found == 2 * self.links.len());
         contexts
     }
 
@@ -234,7 +234,7 @@ impl RealLinks {
 impl Drop for RealLinks {
     fn drop(&mut self) {
         for (interface, error) in self.hold().release() {
-            tracing::error!("{} is not put back, which `cotorra clean` tries again: {error}", interface.name);
+            tracing::error!("cannot restore {}, which `cotorra clean` tries again: {error}", interface.name);
         }
     }
 }

@@ -14,14 +14,14 @@ use cotorra_network_control::{
     InstructionError, Network, NetworkGone, change_fabric, test_fabric_throughput,
 };
 
-use crate::{carried::Carried, real_links::RealLinks};
+use crate::{real_links::RealLinks, traffic::Traffic};
 
 /// The network of a datapath.
 pub(crate) struct RealNetwork {
     handle: Handle,
     kernel: Option<Arc<KernelNetwork>>,
     real: Option<RealLinks>,
-    carried: Carried,
+    traffic: Traffic,
 }
 
 /// Returns the kernel's network, if the testbed wants it. If the kernel cannot emulate the testbed, this logs the reason,
@@ -49,7 +49,7 @@ pub(crate) fn kernel_network(
 
 impl RealNetwork {
     pub(crate) fn new(datapath: &Datapath, real: Option<RealLinks>) -> Self {
-        Self { handle: datapath.handle(), kernel: datapath.kernel(), real, carried: Carried::default() }
+        Self { handle: datapath.handle(), kernel: datapath.kernel(), real, traffic: Traffic::default() }
     }
 
     /// Returns the carrier of a link's packets, if it is not the fabric.
@@ -154,7 +154,7 @@ impl Network for RealNetwork {
         let observed = match kernel.observe() {
             Ok(observed) => observed,
             Err(error) => {
-                tracing::warn!("the kernel does not tell what links carried: {error}");
+                tracing::warn!("cannot read the kernel's counters of links: {error}");
                 return contexts;
             }
         };
@@ -165,7 +165,7 @@ impl Network for RealNetwork {
         }
         let all = contexts.len() >= observed.len();
         let counted = observed.into_iter().map(|(key, observed)| (key, observed.counters)).collect();
-        self.carried.complete(now, &mut contexts, &counted, all);
+        self.traffic.complete(now, &mut contexts, &counted, all);
         contexts
     }
 }

@@ -90,7 +90,7 @@ impl Recorded {
             Location::Server(_) => location.to_string(),
         };
         let note = serde_json::to_string_pretty(&Self { history: name, run: Some(run) });
-        write_file(folder.path(), NOTE, &(note.expect("a note holds only what JSON can") + "\n"))?;
+        write_file(folder.path(), NOTE, &(note.expect("a note is valid JSON") + "\n"))?;
         Ok((history, run))
     }
 }

@@ -42,7 +42,7 @@ pub enum ScriptError {
     #[error(transparent)]
     Export(#[from] ExportError),
     /// The recorded run has no link of this testbed.
-    #[error("the run in {} tells of no link that this testbed has: it has {there}", folder.display())]
+    #[error("the run in {} has no link of this testbed; its links: {there}", folder.display())]
     OtherLinks {
         /// The run's folder.
         folder: PathBuf,
@@ -50,7 +50,7 @@ pub enum ScriptError {
         there: String,
     },
     /// A link rejects a change.
-    #[error("{what}: `{link}` cannot do that: {refusal}")]
+    #[error("{what}: `{link}` rejects the change: {refusal}")]
     Refused {
         /// Part of the script.
         what: String,
@@ -295,15 +295,15 @@ mod tests {
         let finished = simulate(testbed.clone(), "", &options, |_| true).unwrap();
         let history = History::open(finished.folder.join("history.sqlite")).unwrap();
         let page = history.events(finished.run, &[Kind::Link], .., PageRequest::first(STEP)).unwrap();
-        let mut told: Vec<(f64, f64, f64, f64)> = Vec::new();
+        let mut changes: Vec<(f64, f64, f64, f64)> = Vec::new();
         for Stamped { at, event } in page.items {
             let Event::Link(context) = event else { continue };
             let Scale { delay_scale, drop_scale } = context.scale;
             let ms = context.effective.delay.as_secs_f64() * 1e3;
             let now = (at.as_secs_f64(), delay_scale, drop_scale, ms);
-            let is_new = told.last().is_none_or(|last| (last.1, last.2, last.3) != (now.1, now.2, now.3));
+            let is_new = changes.last().is_none_or(|last| (last.1, last.2, last.3) != (now.1, now.2, now.3));
             if context.direction == Direction::Forward && is_new {
-                told.push(now);
+                changes.push(now);
             }
         }
         let decided = history.events(finished.run, &[Kind::Decision], .., PageRequest::first(STEP)).unwrap();
@@ -311,7 +311,7 @@ mod tests {
             let Event::Decision(Decision { plugin, refused, .. }) = event else { continue };
             assert_eq!((plugin.as_str(), refused), ("schedule", None));
         }
-        (finished.folder, told)
+        (finished.folder, changes)
     }
 
     #[test]
@@ -322,9 +322,9 @@ mod tests {
              - { at: 1250 ms, links: [a-b], set: { delay: 8 ms, delay_scale: 2.5, drop_scale: 4 } }\n");
         let rehearsed = Rehearsal { timed: 2, areas: 0, replayed: 0 };
         assert_eq!(rehearse(&scripted).unwrap(), rehearsed);
-        let (folder, told) = run(&scripted, 6, out.path());
+        let (folder, changes) = run(&scripted, 6, out.path());
         let expected = [(0.0, 1.0, 1.0, 1.0), (1.25, 2.5, 4.0, 20.0), (4.5, 1.0, 1.0, 8.0)];
-        assert_eq!(told, expected);
+        assert_eq!(changes, expected);
 
         let replay = lab(&format!("conditions: {{ replay: {} }}\n", folder.display()));
         // Both directions, twice.
@@ -365,12 +365,12 @@ mod tests {
         let refused = |more: &str| rehearse(&lab(more)).unwrap_err().to_string();
         assert_eq!(
             refused("schedule:\n  - { at: 1 s, links: a-b, set: { delay_scale: 10000000 } }\n"),
-            "entry 1 of the schedule, at 1s: `a-b` cannot do that: a delay of 10000000 ms cannot be: it is between 0 ms \
+            "entry 1 of the schedule, at 1s: `a-b` rejects the change: a delay of 10000000 ms cannot be: it is between 0 ms \
              and one hour, before and after scaling"
         );
         let empty = tempfile::tempdir().unwrap();
-        let said = refused(&format!("conditions: {{ replay: {} }}\n", empty.path().display()));
-        assert!(said.contains("neither the folder of a run nor that of an export"), "{said}");
+        let error = refused(&format!("conditions: {{ replay: {} }}\n", empty.path().display()));
+        assert!(error.contains("neither the folder of a run nor that of an export"), "{error}");
         let out = tempfile::tempdir().unwrap();
         let other = cotorra_testbed_file::parse(
             "o.yaml",
@@ -378,7 +378,7 @@ mod tests {
             Path::new(""),
         );
         let (folder, _) = run(&other.unwrap(), 2, out.path());
-        let said = refused(&format!("conditions: {{ replay: {} }}\n", folder.display()));
-        assert!(said.contains("tells of no link that this testbed has: it has other"), "{said}");
+        let error = refused(&format!("conditions: {{ replay: {} }}\n", folder.display()));
+        assert!(error.contains("has no link of this testbed; its links: other"), "{error}");
     }
 }

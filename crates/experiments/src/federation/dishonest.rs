@@ -55,7 +55,7 @@ enum Defence {
 
 /// The result for one robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct Met {
+struct Outcome {
     /// Number of halts.
     halted: u64,
     /// Wei that the dishonest providers lost.
@@ -129,7 +129,7 @@ impl World {
         }
         let price = match attack {
             Some(_) => DUMPING,
-            None => Price::new(80 + u128::from(self.random.below(61))).expect("it is low"),
+            None => Price::new(80 + u128::from(self.random.below(61))).expect("a low price is valid"),
         };
         let secret = Secret::new(secret, self.chain.deployment());
         Operator { ledger, secret, price, attack, service: None, is_known: false }
@@ -155,8 +155,8 @@ impl World {
     }
 
     /// Returns the result of the attack.
-    fn met(&self, halted: u64, said: &[Event], bond: u64) -> Met {
-        let by_dishonest = said.iter().filter(|event| match event {
+    fn outcome(&self, halted: u64, events: &[Event], bond: u64) -> Outcome {
+        let by_dishonest = events.iter().filter(|event| match event {
             Event::OperatorRegistered { operator: by, .. }
             | Event::BidPlaced { provider: by, .. }
             | Event::ServiceDeployed { provider: by, .. }
@@ -167,7 +167,7 @@ impl World {
         let contract = self.chain.contract();
         let kept: u128 = self.dishonest.iter().map(|account| contract.balance(*account).0).sum();
         let lost = u128::from(bond) * bids as u128 - kept;
-        Met { halted, lost, transactions: by_dishonest.count() as u64 }
+        Outcome { halted, lost, transactions: by_dishonest.count() as u64 }
     }
 }
 
@@ -181,14 +181,14 @@ impl Operator {
             {
                 let offer = Offer { price: self.price, endpoint: String::new(), deploys_within: 10 };
                 self.service =
-                    Provider::new(account, self.secret.clone(), event, offer).expect("the key is sound");
+                    Provider::new(account, self.secret.clone(), event, offer).expect("the key is valid");
             }
             if let Some(service) = &mut self.service {
                 service.handle(now, &notice);
             }
         }
         let Some(service) = &mut self.service else { return };
-        service.submit(now, &mut self.ledger).expect("the key is sound");
+        service.submit(now, &mut self.ledger).expect("the key is valid");
         while let Some(step) = service.poll_step() {
             if step != ProviderStep::Won {
                 continue;
@@ -207,7 +207,7 @@ impl Operator {
                 pmk_r1: self.secret.ft_key(service.id()),
             });
         }
-        service.submit(now, &mut self.ledger).expect("the key is sound");
+        service.submit(now, &mut self.ledger).expect("the key is valid");
     }
 
     fn is_done(&self) -> bool {
@@ -216,13 +216,13 @@ impl Operator {
 }
 
 /// Simulates a robot among providers.
-fn meet(percent: u64, attack: Attack, defence: Defence, lead: Duration, seed: u64) -> Met {
+fn simulate_robot(percent: u64, attack: Attack, defence: Defence, lead: Duration, seed: u64) -> Outcome {
     let mut world = World::new(percent, attack, seed);
     let mut ledger = world.chain.ledger(CONSUMER);
     ledger.submit(Timestamp::ZERO, Call::Register { name: "consumer".to_owned() });
     let secret = Secret::new([0xc0; 32], world.chain.deployment());
     let mut record = Record::new(CONSUMER);
-    let (mut said, mut halted) = (Vec::new(), 0);
+    let (mut events, mut halted) = (Vec::new(), 0);
     let bond = if defence == Defence::All { BOND } else { 0 };
     let mut now = Timestamp::ZERO;
     for crossing in 0..CROSSINGS {
@@ -240,7 +240,7 @@ fn meet(percent: u64, attack: Attack, defence: Defence, lead: Duration, seed: u6
                 record.handle(&notice);
                 creator.handle(now, &notice);
                 if let Notice::Event(event) = notice {
-                    said.push(event);
+                    events.push(event);
                 }
             }
             if unusable_at.is_some_and(|at| at <= now) {
@@ -275,7 +275,7 @@ fn meet(percent: u64, attack: Attack, defence: Defence, lead: Duration, seed: u6
         world.operators.iter_mut().for_each(|operator| operator.service = None);
         world.renew();
     }
-    world.met(halted, &said, bond)
+    world.outcome(halted, &events, bond)
 }
 
 fn request(defence: Defence, lead: Duration, bond: u64, record: Record) -> Request {
@@ -324,19 +324,20 @@ pub fn table(robots: u32) -> String {
 }
 
 fn row(percent: u64, lead: Duration, robots: u32) -> String {
-    let column = |attack, defence| -> Vec<Met> {
-        (1..=u64::from(robots)).map(|seed| meet(percent, attack, defence, lead, seed)).collect()
+    let column = |attack, defence| -> Vec<Outcome> {
+        (1..=u64::from(robots)).map(|seed| simulate_robot(percent, attack, defence, lead, seed)).collect()
     };
     let before = column(Attack::Idle, Defence::None);
     let now = [Attack::Idle, Attack::IdleAnew, Attack::LyingAnew].map(|attack| column(attack, Defence::All));
-    let shares: Vec<String> = [&before].into_iter().chain(&now).map(|met| share(met)).collect();
-    let costs = now.map(|met| cost(&met));
+    let shares: Vec<String> = [&before].into_iter().chain(&now).map(|outcome| share(outcome)).collect();
+    let costs = now.map(|outcome| cost(&outcome));
     format!("| {percent} % | {} | {} |", shares.join(" | "), costs.join(" | "))
 }
 
 /// Returns the share of halted crossings with its interval over robots, because the crossings of one robot are correlated.
-fn share(met: &[Met]) -> String {
-    let shares: Vec<f64> = met.iter().map(|met| 100.0 * met.halted as f64 / CROSSINGS as f64).collect();
+fn share(outcome: &[Outcome]) -> String {
+    let shares: Vec<f64> =
+        outcome.iter().map(|outcome| 100.0 * outcome.halted as f64 / CROSSINGS as f64).collect();
     let Some(Interval { mean, high, .. }) = Interval::of(&shares) else { return String::new() };
     match high {
         Some(high) if high > mean => format!("{mean:.1} ± {:.1} %", high - mean),
@@ -345,13 +346,13 @@ fn share(met: &[Met]) -> String {
 }
 
 /// Returns the attacker's cost of a halt, in bonds and transactions.
-fn cost(met: &[Met]) -> String {
-    let halted: u64 = met.iter().map(|met| met.halted).sum();
+fn cost(outcome: &[Outcome]) -> String {
+    let halted: u64 = outcome.iter().map(|outcome| outcome.halted).sum();
     if halted == 0 {
         return "no halt".to_owned();
     }
-    let bonds = met.iter().map(|met| met.lost).sum::<u128>() as f64 / BOND as f64;
-    let transactions: u64 = met.iter().map(|met| met.transactions).sum();
+    let bonds = outcome.iter().map(|outcome| outcome.lost).sum::<u128>() as f64 / BOND as f64;
+    let transactions: u64 = outcome.iter().map(|outcome| outcome.transactions).sum();
     format!("{:.1} bonds, {:.0} tx", bonds / halted as f64, transactions as f64 / halted as f64)
 }
 
@@ -359,13 +360,13 @@ fn cost(met: &[Met]) -> String {
 mod tests {
     use super::*;
 
-    fn all(percent: u64, attack: Attack, defence: Defence) -> Met {
-        (1..=4).map(|seed| meet(percent, attack, defence, LEADS[1], seed)).fold(
-            Met::default(),
-            |Met { halted, lost, transactions }, met| Met {
-                halted: halted + met.halted,
-                lost: lost + met.lost,
-                transactions: transactions + met.transactions,
+    fn all(percent: u64, attack: Attack, defence: Defence) -> Outcome {
+        (1..=4).map(|seed| simulate_robot(percent, attack, defence, LEADS[1], seed)).fold(
+            Outcome::default(),
+            |Outcome { halted, lost, transactions }, outcome| Outcome {
+                halted: halted + outcome.halted,
+                lost: lost + outcome.lost,
+                transactions: transactions + outcome.transactions,
             },
         )
     }
@@ -374,7 +375,11 @@ mod tests {
     fn honest_providers_halt_nobody_and_lose_nothing() {
         for lead in LEADS {
             for (attack, defence) in [(Attack::Idle, Defence::None), (Attack::LyingAnew, Defence::All)] {
-                assert_eq!(meet(0, attack, defence, lead, 1), Met::default(), "{attack:?} {lead:?}");
+                assert_eq!(
+                    simulate_robot(0, attack, defence, lead, 1),
+                    Outcome::default(),
+                    "{attack:?} {lead:?}"
+                );
             }
         }
     }

@@ -144,7 +144,7 @@ impl Federated {
     }
 
     pub(super) fn at(&self, step: Step) -> f64 {
-        let place = STEPS.iter().position(|other| *other == step).expect("it is one of them");
+        let place = STEPS.iter().position(|other| *other == step).expect("one of the steps");
         self.steps_s[place]
     }
 

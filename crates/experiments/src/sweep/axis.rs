@@ -20,13 +20,13 @@ pub enum InvalidAxis {
     #[error("`{0}` has no values: write it like links.*.delay_scale=1..4 or plugin=probing,okpi")]
     Form(String),
     /// The steps of a range never reach its end.
-    #[error("`{0}` leads nowhere: a range goes up, by a step above 0")]
+    #[error("`{0}` never reaches its end: a range goes up, by a step above 0")]
     Range(String),
     /// A range has too many values.
-    #[error("`{0}` are more than {MOST} values")]
+    #[error("`{0}` has more than {MOST} values")]
     Many(String),
     /// A value appears twice.
-    #[error("`{0}` is there twice")]
+    #[error("`{0}` appears twice")]
     Twice(String),
 }
 
@@ -155,10 +155,10 @@ mod tests {
             ("a", "has no values"),
             ("=1", "has no values"),
             ("a=1,,2", "has no values"),
-            ("a=4..1", "leads nowhere"),
-            ("a=1..4:0", "leads nowhere"),
+            ("a=4..1", "never reaches its end"),
+            ("a=1..4:0", "never reaches its end"),
             ("a=1..100000", "more than"),
-            ("a=1..3,2", "`2` is there twice"),
+            ("a=1..3,2", "`2` appears twice"),
         ] {
             let wrong = text.parse::<Axis>().unwrap_err().to_string();
             assert!(wrong.contains(said), "{text}: {wrong}");

@@ -97,7 +97,7 @@ impl SweepFolder {
     /// Adds a run to the journal. The run survives any end of the process after this returns.
     pub(crate) fn keep(&self, run: &str, measured: &Measured) -> Result<(), FolderError> {
         let line = Line { run: run.to_owned(), measured };
-        let mut line = serde_json::to_string(&line).expect("what is measured holds only what JSON can");
+        let mut line = serde_json::to_string(&line).expect("results are valid JSON");
         line.push('\n');
         (&self.journal).write_all(line.as_bytes()).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
     }

@@ -228,11 +228,11 @@ impl Sweep {
         let missing: Vec<usize> = (0..points.len()).filter(|&i| done[i].is_none()).collect();
         let (total, resumed) = (points.len(), points.len() - missing.len());
         let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(!go_on(resumed, total)));
-        let (tell, results) = mpsc::channel();
+        let (sender, results) = mpsc::channel();
         let mut failed = None;
         std::thread::scope(|scope| {
             for _ in 0..jobs.get().min(missing.len()) {
-                let (tell, points, missing, next, stop) = (tell.clone(), &points, &missing, &next, &stop);
+                let (sender, points, missing, next, stop) = (sender.clone(), &points, &missing, &next, &stop);
                 scope.spawn(move || {
                     while !stop.load(Ordering::Relaxed)
                         && let Some(&place) = missing.get(next.fetch_add(1, Ordering::Relaxed))
@@ -241,13 +241,13 @@ impl Sweep {
                         let Some(result) = self.measure(&points[place], &run, stop).transpose() else {
                             return;
                         };
-                        if tell.send((place, result)).is_err() {
+                        if sender.send((place, result)).is_err() {
                             return;
                         }
                     }
                 });
             }
-            drop(tell);
+            drop(sender);
             let mut count = resumed;
             for (place, result) in &results {
                 let result = result.and_then(|measured| {

@@ -70,15 +70,15 @@ fn a_stopped_sweep_continues_and_ends_with_the_same_bytes() {
     fs::write(&journal, text).unwrap();
 
     let folder = open("stopped");
-    let mut told = Vec::new();
+    let mut progress = Vec::new();
     let rest = sweep
         .run(&folder, JOBS, |done, of| {
-            told.push((done, of));
+            progress.push((done, of));
             true
         })
         .unwrap();
     assert_eq!((rest.done.len(), rest.resumed), (6, lines));
-    assert_eq!(told.first(), Some(&(lines, 6)));
+    assert_eq!(progress.first(), Some(&(lines, 6)));
     assert_eq!(rest.done, runs.done);
     folder.write(&sweep, &rest).unwrap();
     assert_eq!(files(&folder), files(&whole));

@@ -72,7 +72,7 @@ pub struct Tokens {
 pub enum TokensError {
     /// The operator has no token, so every caller without one would be the operator.
     #[error(
-        "domains have tokens, and the operator has none: whoever shows no token would be the operator; give it one, too"
+        "domains have tokens, and the operator has none: callers without a token would be the operator; give it one, too"
     )]
     NoOperator,
     /// Two callers have the same secret.

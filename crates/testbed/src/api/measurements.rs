@@ -83,7 +83,7 @@ async fn ask<T: Send + 'static>(
         let present = if is_played { context.live.read(|now| now.at) } else { Timestamp::MAX };
         question(&context.history, run, present)
     };
-    let permit = QUESTIONS.acquire().await.expect("it is never closed");
+    let permit = QUESTIONS.acquire().await.expect("never closed");
     let ask = move || {
         let answer = ask();
         drop(permit);
@@ -95,7 +95,7 @@ async fn ask<T: Send + 'static>(
             Err(Failure::not_found(error.to_string()))
         }
         Ok(Err(error)) => Err(Failure::unavailable(error.to_string())),
-        Err(broken) => Err(Failure::unavailable(format!("the question broke off: {broken}"))),
+        Err(broken) => Err(Failure::unavailable(format!("the query failed: {broken}"))),
     }
 }
 

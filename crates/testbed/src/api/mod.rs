@@ -46,10 +46,10 @@ pub enum ApiError {
         source: std::io::Error,
     },
     /// A token is for a domain that does not exist.
-    #[error("there is no domain `{0}` that a token could be for")]
+    #[error("a token is for the domain `{0}`, which the testbed does not have")]
     NoSuchDomain(cotorra_graph::DomainId),
     /// The limit of open files cannot be read.
-    #[error("cannot tell how many connections the API may have: {0}")]
+    #[error("cannot read the limit of open files, which bounds the API's connections: {0}")]
     OpenFiles(cotorra_datapath::Error),
     /// A thread or a runtime cannot be started.
     #[error("cannot start the API's server: {0}")]

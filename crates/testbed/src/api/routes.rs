@@ -194,7 +194,8 @@ async fn give(
     if let Some(view) = &caller.view {
         view.check(&body.instruction).map_err(|reason| Failure::not_own(reason.to_string()))?;
     }
-    let plugin = plugin(context, caller, headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a name"));
+    let plugin =
+        plugin(context, caller, headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a valid name"));
     let (reply, answer) = tokio::sync::oneshot::channel();
     let message = Message::Instruct {
         plugin,

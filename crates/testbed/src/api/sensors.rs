@@ -146,7 +146,7 @@ pub(super) async fn large_data(
         _ => return Err(Failure::not_found(format!("sensor `{name}` has no such reading yet"))),
     };
     let turns = TURNS.lock().entry(caller.whose()).or_insert_with(|| Arc::new(Semaphore::new(GIVEN))).clone();
-    let turn = turns.acquire_owned().await.expect("it is never closed");
+    let turn = turns.acquire_owned().await.expect("never closed");
     let read = tokio::task::spawn_blocking(move || keeper.read(&id, &name, wanted)).await;
     let broken = |error: &dyn std::fmt::Display| Failure::unavailable(format!("it cannot be read: {error}"));
     let stored = read.map_err(|error| broken(&error))?.map_err(|error| broken(&error))?;

@@ -202,7 +202,8 @@ async fn read(body: Body) -> Result<Bytes, Failure> {
     }
     let (mut parts, mut all) = (body.into_data_stream(), Vec::new());
     while let Some(part) = parts.next().await {
-        let part = part.map_err(|error| Failure::bad_request(format!("the request broke off: {error}")))?;
+        let part =
+            part.map_err(|error| Failure::bad_request(format!("the request's body broke off: {error}")))?;
         if all.len() + part.len() > LONGEST_BODY {
             return Err(too_long());
         }

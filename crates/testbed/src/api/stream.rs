@@ -130,7 +130,7 @@ pub(super) fn parse_kinds(names: &str) -> Result<Vec<Kind>, Failure> {
 }
 
 fn encode(event: &Arc<Stamped>) -> SseEvent {
-    let json = serde_json::to_string(event).expect("an event holds only what JSON can");
+    let json = serde_json::to_string(event).expect("an event is valid JSON");
     SseEvent::default().data(json)
 }
 

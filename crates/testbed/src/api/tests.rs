@@ -287,7 +287,7 @@ fn a_stalled_reader_loses_the_oldest_learns_the_number_and_slows_nobody() {
         served.events.send(Arc::new(notice(at))).unwrap();
         if at % 1000 == 999 {
             // Meanwhile other readers receive every event, and requests are answered.
-            (0..1000).for_each(|_| drop(all.try_recv().expect("one who reads misses nothing")));
+            (0..1000).for_each(|_| drop(all.try_recv().expect("a reader in time misses nothing")));
         }
     }
     assert_eq!(served.answer("measurements/runs").as_array().unwrap().len(), 2);
@@ -311,7 +311,7 @@ fn a_stalled_reader_loses_the_oldest_learns_the_number_and_slows_nobody() {
                 _ => {}
             }
         }
-        assert_eq!(told + missed, EVENTS, "each is told or counted as missed");
+        assert_eq!(told + missed, EVENTS, "each is received or counted as missed");
         assert_eq!(last, Some(Timestamp::from_nanos(EVENTS - 1)), "the newest is not what is lost");
         assert!(missed > 0 && losses > 0);
     }

@@ -25,7 +25,7 @@ pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delive
     let settings = &context.testbed.wais;
     let WaisOptions { epoch, callbacks, .. } = &context.wais;
     let allowed = Allowed::new(settings.callbacks.iter().chain(callbacks).copied());
-    let testbed: Arc<dyn Testbed> = Arc::new(Known(context.clone()));
+    let testbed: Arc<dyn Testbed> = Arc::new(ApiState(context.clone()));
     // A domain may not make this machine post to other services on it.
     let of_scope = |scope: &Scope| match scope {
         Scope::Testbed => allowed.clone().and_loopback(),
@@ -57,9 +57,9 @@ pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delive
 }
 
 /// The API's state, in the form that the service needs.
-struct Known(Context);
+struct ApiState(Context);
 
-impl Testbed for Known {
+impl Testbed for ApiState {
     fn now(&self) -> Timestamp {
         match &self.0.wais.clock {
             Some(clock) => clock(),

@@ -56,7 +56,7 @@ fn stamped(event: Event) -> Stamped {
 }
 
 /// Returns an event as each of the two domains sees it.
-fn told(event: Event) -> [Option<Event>; 2] {
+fn seen_by_domains(event: Event) -> [Option<Event>; 2] {
     let stamped = stamped(event);
     views().map(|view| view.event(&stamped).map(|seen| seen.into_owned().event))
 }
@@ -107,10 +107,10 @@ fn events_of_other_domains_are_not_seen() {
         decision("api", Instruction::Scan { robot: id("r1") }),
         decision("okpi", Instruction::Note { process: "p".into(), step: "s".into(), ago: None }),
     ] {
-        assert_eq!(told(event.clone()), [Some(event), None]);
+        assert_eq!(seen_by_domains(event.clone()), [Some(event), None]);
     }
     let message = String::from("r2 stands still");
-    assert_eq!(told(Event::Notice { message }), [None, None], "whose it is cannot be known");
+    assert_eq!(seen_by_domains(Event::Notice { message }), [None, None], "whose it is cannot be known");
 }
 
 #[test]
@@ -120,7 +120,7 @@ fn a_domain_sees_the_instances_of_anothers_vnf_on_its_nodes() {
         Event::Placement(Placement { vnf: id("nav1"), node })
     };
     let both = placement(&["s2", "s1"]);
-    assert_eq!(told(both.clone()), [Some(both), Some(placement(&["s2"]))]);
+    assert_eq!(seen_by_domains(both.clone()), [Some(both), Some(placement(&["s2"]))]);
 }
 
 fn decision(plugin: &str, instruction: Instruction) -> Event {
@@ -149,11 +149,13 @@ fn a_robots_context_has_the_other_domains_radio_units_that_it_hears() {
         health: Vec::new(),
         speed_limit_mps: None,
     };
-    let [one, two] =
-        told(Event::Robot(context(vec![attachment("A", true, Some(-50.0)), attachment("B", false, None)])));
+    let [one, two] = seen_by_domains(Event::Robot(context(vec![
+        attachment("A", true, Some(-50.0)),
+        attachment("B", false, None),
+    ])));
     assert_eq!((one, two), (Some(Event::Robot(context(vec![attachment("A", true, Some(-50.0))]))), None));
     let both = context(vec![attachment("A", false, None), attachment("B", true, Some(-60.0))]);
-    assert_eq!(told(Event::Robot(both.clone()))[0], Some(Event::Robot(both)));
+    assert_eq!(seen_by_domains(Event::Robot(both.clone()))[0], Some(Event::Robot(both)));
 }
 
 #[test]
@@ -168,12 +170,12 @@ fn a_visiting_robot_arrives_and_departs() {
         })
     };
     assert_eq!(
-        told(handover(Some("A"), "B")),
+        seen_by_domains(handover(Some("A"), "B")),
         [Some(handover(Some("A"), "B")), Some(handover(None, "B"))],
         "where it came from is its domain's business"
     );
     let left = Event::Detached { robot: id("r1"), from: id("B") };
-    assert_eq!(told(handover(Some("B"), "A")), [Some(handover(Some("B"), "A")), Some(left)]);
+    assert_eq!(seen_by_domains(handover(Some("B"), "A")), [Some(handover(Some("B"), "A")), Some(left)]);
 }
 
 #[test]

@@ -337,7 +337,7 @@ pub(super) struct Decided {
 
 impl Decided {
     /// Records an instruction and its returned rejection, if any.
-    pub(super) fn asked(&mut self, who: &PluginId, number: usize, refused: Option<String>) {
+    pub(super) fn given(&mut self, who: &PluginId, number: usize, refused: Option<String>) {
         self.undecided = Some((who.clone(), number, refused));
     }
 
@@ -367,7 +367,7 @@ impl Decided {
                     && (number != expected || told != *refused)
                 {
                     return broken(format!(
-                        "`{name}` of {who}, number {number}: the decision says {refused:?}, who asked was told {told:?}"
+                        "`{name}` of {who}, number {number}: the decision has {refused:?}, the sender received {told:?}"
                     ));
                 }
             }
@@ -391,15 +391,15 @@ impl Decided {
     }
 
     /// Checks, at the end, that a plug-in's instructions were decided up to the host's bound.
-    pub(super) fn all_of(&self, who: &PluginId, asked: usize) -> Result<(), Broken> {
+    pub(super) fn all_of(&self, who: &PluginId, given: usize) -> Result<(), Broken> {
         let decided = self.decided_for(who);
         // The bound in docs/plugins.md.
-        let expected = asked.min(1000);
-        let enough = if asked > expected { decided >= expected } else { decided == expected };
+        let expected = given.min(1000);
+        let enough = if given > expected { decided >= expected } else { decided == expected };
         if enough {
             return Ok(());
         }
-        Err(Broken(Invariant::Decided, format!("of {asked} instructions of {who}, {decided} were decided")))
+        Err(Broken(Invariant::Decided, format!("of {given} instructions of {who}, {decided} were decided")))
     }
 }
 

@@ -52,7 +52,7 @@ pub(super) struct Saboteur {
     pub(super) how: Sabotage,
 }
 
-/// How a plug-in misbehaves.
+/// Misbehaviour of a plug-in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Sabotage {
     Panic,
@@ -186,7 +186,7 @@ impl Plan {
         }
         for number in 1..=draw.whole(0..=2) {
             let how = *draw.one(&[Sabotage::Panic, Sabotage::Hang, Sabotage::Flood]);
-            let id = PluginId::new(&format!("{SABOTEUR}{number}")).expect("it is a name");
+            let id = PluginId::new(&format!("{SABOTEUR}{number}")).expect("a valid name");
             let at = Timestamp::ZERO + draw.duration(1.0, until.as_secs_f64() - 2.0);
             let robot = draw.one(&names.robots).clone();
             insert(&mut faults, (at, Fault::Sabotage(Saboteur { id, robot, how })));
@@ -332,7 +332,7 @@ impl Names {
 
     /// Draws an instruction that is invalid in every testbed.
     fn nonsense(&self, draw: &mut Draw) -> Instruction {
-        let nobody = NodeId::new("nobody").expect("it is a name");
+        let nobody = NodeId::new("nobody").expect("a valid name");
         let change = ConditionChange { delay_ms: Some(-1.0), ..ConditionChange::default() };
         match draw.whole(0..=5) {
             0 => Instruction::Attach { robot: nobody, radio_unit: draw.one(&self.units).clone() },

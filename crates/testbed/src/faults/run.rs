@@ -107,7 +107,7 @@ struct Run<'a> {
     /// Number of events that the history has acknowledged.
     acknowledged: usize,
     injected: BTreeMap<&'static str, u64>,
-    asked: usize,
+    given: usize,
     now: Timestamp,
 }
 
@@ -140,7 +140,7 @@ impl<'a> Run<'a> {
             events: Vec::new(),
             acknowledged: 0,
             injected: BTreeMap::new(),
-            asked: 0,
+            given: 0,
             now: Timestamp::ZERO,
         })
     }
@@ -162,7 +162,7 @@ impl<'a> Run<'a> {
             }
         }
         for (plugin, deeds) in &self.deeds {
-            self.watch.decided.all_of(plugin, deeds.asked())?;
+            self.watch.decided.all_of(plugin, deeds.given())?;
         }
         self.crash(plan.on_disk)
     }
@@ -206,10 +206,10 @@ impl<'a> Run<'a> {
         let simulation = &mut self.simulation;
         match fault {
             Fault::Instruct { instruction, .. } => {
-                let (who, number) = (PluginId::new(OURS).expect("it is a name"), self.asked);
-                self.asked += 1;
+                let (who, number) = (PluginId::new(OURS).expect("a valid name"), self.given);
+                self.given += 1;
                 let told = simulation.instruct(who.clone(), instruction.clone(), Some(number.to_string()));
-                self.watch.decided.asked(&who, number, told.err().map(|refused| refused.0));
+                self.watch.decided.given(&who, number, told.err().map(|refused| refused.0));
             }
             Fault::Kill(vnf) => simulation.serving().kill(vnf),
             Fault::Hang(vnf) => simulation.serving().set_mood(vnf, Mood::Hung),

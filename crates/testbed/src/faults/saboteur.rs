@@ -23,14 +23,14 @@ const FLOOD: usize = 1500;
 #[derive(Clone, Default)]
 pub(super) struct Deeds {
     /// Number of instructions that it gave.
-    asked: Arc<AtomicUsize>,
+    given: Arc<AtomicUsize>,
     /// Whether the call that just returned simulates one that never returns.
     hangs: Arc<AtomicBool>,
 }
 
 impl Deeds {
-    pub(super) fn asked(&self) -> usize {
-        self.asked.load(Ordering::Relaxed)
+    pub(super) fn given(&self) -> usize {
+        self.given.load(Ordering::Relaxed)
     }
 
     pub(super) fn take_hang(&self) -> bool {
@@ -54,7 +54,7 @@ impl Misbehaving {
 
     /// Gives an instruction; its reason is its number.
     fn ask(&self, instruction: Instruction, actions: &mut Actions) {
-        let number = self.deeds.asked.fetch_add(1, Ordering::Relaxed);
+        let number = self.deeds.given.fetch_add(1, Ordering::Relaxed);
         actions.instruct_because(instruction, number.to_string());
     }
 }

@@ -182,8 +182,8 @@ fn a_robot_that_moves_without_fresh_commands_is_found() {
     let moved = |commands: Event, seconds: f64, linear: f64, angular: f64| {
         let (mut stops, mut checked) = (Stops::default(), Checked::default());
         stops.event(&stamped(1.0, commands), &mut checked).unwrap();
-        let told = found(stops.event(&stamped(seconds, context(linear, angular)), &mut checked));
-        (told.is_some(), checked.exercised)
+        let found_violation = found(stops.event(&stamped(seconds, context(linear, angular)), &mut checked));
+        (found_violation.is_some(), checked.exercised)
     };
     let answered = || sample(Some(Duration::from_millis(20)));
     // Within the timeout it may follow its command, and the check counts as not exercised.
@@ -215,12 +215,12 @@ fn a_robot_that_moves_without_fresh_commands_is_found() {
 fn a_robot_above_its_speed_limit_is_found() {
     let limited = |limit: Option<f64>, speeds: &[(f64, f64)]| {
         let (mut slow, mut checked) = (Slow::default(), Checked::default());
-        let told = speeds.iter().find_map(|(seconds, speed)| {
+        let found_violation = speeds.iter().find_map(|(seconds, speed)| {
             let Event::Robot(context) = context(*speed, 0.0) else { return None };
             let event = Event::Robot(RobotContext { speed_limit_mps: limit, ..context });
             found(slow.event(&stamped(*seconds, event), &mut checked))
         });
-        (told.is_some(), checked.exercised > 0)
+        (found_violation.is_some(), checked.exercised > 0)
     };
     // It may follow its command from before the limit, and brakes then.
     assert_eq!(limited(Some(0.2), &[(1.0, 0.7), (1.6, 0.7), (2.0, 0.5), (3.0, 0.2)]), (false, true));
@@ -357,29 +357,29 @@ fn an_instruction_without_a_decision_or_with_two_is_found() {
     };
     let mut checked = Checked::default();
     let mut decided = Decided::default();
-    let mut tell = |decided: &mut Decided, event: &Stamped| found(decided.event(event, &mut checked));
-    decided.asked(&us, 0, None);
+    let mut check_event = |decided: &mut Decided, event: &Stamped| found(decided.event(event, &mut checked));
+    decided.given(&us, 0, None);
     assert_eq!(found(decided.settled()).unwrap(), "number 0 of fault-test was never decided");
-    assert_eq!(tell(&mut decided, &decision(&us, "0", None)), None);
+    assert_eq!(check_event(&mut decided, &decision(&us, "0", None)), None);
     assert_eq!(found(decided.settled()), None);
     assert_eq!(
-        tell(&mut decided, &decision(&us, "0", None)).unwrap(),
+        check_event(&mut decided, &decision(&us, "0", None)).unwrap(),
         "`scan` of fault-test, number 0, was decided in place of 1"
     );
-    decided.asked(&us, 1, None);
-    assert!(tell(&mut decided, &decision(&us, "1", Some("it is busy"))).unwrap().contains("number 1"));
+    decided.given(&us, 1, None);
+    assert!(check_event(&mut decided, &decision(&us, "1", Some("it is busy"))).unwrap().contains("number 1"));
     // A plug-in that was cut off gets no further decisions; another one gets a decision for each instruction.
     let saboteur = PluginId::new("saboteur-1").unwrap();
-    assert_eq!(tell(&mut decided, &decision(&saboteur, "0", None)), None);
+    assert_eq!(check_event(&mut decided, &decision(&saboteur, "0", None)), None);
     assert_eq!(found(decided.all_of(&saboteur, 1)), None);
     assert_eq!(
         found(decided.all_of(&saboteur, 2)).unwrap(),
         "of 2 instructions of saboteur-1, 1 were decided"
     );
     let fault = Event::PluginFault { plugin: saboteur.clone(), reason: "by design".to_owned() };
-    assert_eq!(tell(&mut decided, &stamped(1.0, fault)), None);
+    assert_eq!(check_event(&mut decided, &stamped(1.0, fault)), None);
     assert_eq!(
-        tell(&mut decided, &decision(&saboteur, "1", None)).unwrap(),
+        check_event(&mut decided, &decision(&saboteur, "1", None)).unwrap(),
         "saboteur-1 was cut off, but `scan` was decided for it"
     );
 }
@@ -421,7 +421,7 @@ fn the_watch_runs_every_checker() {
     let packets = Balance { sent: 1, ..Balance::default() };
     assert_eq!(broken(View { packets, ..good() }), Some(Invariant::Conserved));
     let mut watch = Watch::new(&testbed);
-    watch.decided.asked(&PluginId::new(OURS).unwrap(), 0, None);
+    watch.decided.given(&PluginId::new(OURS).unwrap(), 0, None);
     assert_eq!(watch.state(&good()).err().map(|Broken(i, _)| i), Some(Invariant::Decided));
     let moving = watch.event(&stamped(1.0, context(0.1, 0.0)));
     assert_eq!(moving.err().map(|Broken(i, _)| i), Some(Invariant::Stops));
@@ -432,8 +432,8 @@ fn the_watch_runs_every_checker() {
     let mut watch = Watch::new(&testbed);
     for second in [1.0, 2.0, 3.0] {
         watch.event(&stamped(second, sample(Some(Duration::from_millis(20))))).unwrap();
-        let told = watch.event(&fast(second + 0.1)).err().map(|Broken(i, _)| i);
-        assert_eq!(told, (second > 2.0).then_some(Invariant::Slow));
+        let found_violation = watch.event(&fast(second + 0.1)).err().map(|Broken(i, _)| i);
+        assert_eq!(found_violation, (second > 2.0).then_some(Invariant::Slow));
     }
 }
 

@@ -22,7 +22,7 @@ pub enum PluginError {
         reason: String,
     },
     /// The plug-in is a program. It needs the API, which only a whole run serves.
-    #[error("plug-in `{0}` is a program of its own: it takes part in a run, not in a bare simulation")]
+    #[error("plug-in `{0}` is a program: it takes part in a run, not in a bare simulation")]
     NeedsRun(PluginId),
     /// The plug-in's program cannot be started.
     #[error("plug-in `{plugin}`: cannot start `{program}`: {source}")]

@@ -97,9 +97,9 @@ struct Program {
 /// A stream that a program follows.
 struct Stream {
     follower: Follower,
-    untold: Vec<Arc<Stamped>>,
+    queued: Vec<Arc<Stamped>>,
     /// The last mark sent, until the program has returned it.
-    owes: Option<u64>,
+    open_mark: Option<u64>,
     wake_at: Option<Timestamp>,
     /// Whether a mark is due even without events: the stream is new, or its wake-up time has come.
     is_due: bool,
@@ -108,20 +108,20 @@ struct Stream {
 impl Program {
     /// Whether time waits for it: it does not follow yet, has unsent events, or has not returned a mark.
     fn is_waited_for(&self) -> bool {
-        let waits = |s: &Stream| s.is_due || s.owes.is_some() || !s.untold.is_empty();
+        let waits = |s: &Stream| s.is_due || s.open_mark.is_some() || !s.queued.is_empty();
         (self.streams.is_empty() && self.is_expected) || self.streams.iter().any(waits)
     }
 
     /// Sends each stream without an open mark its events and a new mark.
-    fn tell(&mut self, now: Timestamp, marks: &mut u64) {
+    fn flush(&mut self, now: Timestamp, marks: &mut u64) {
         self.streams.retain_mut(|stream| {
-            if stream.owes.is_some() || (stream.untold.is_empty() && !stream.is_due) {
+            if stream.open_mark.is_some() || (stream.queued.is_empty() && !stream.is_due) {
                 return true;
             }
             *marks += 1;
-            (stream.owes, stream.is_due) = (Some(*marks), false);
+            (stream.open_mark, stream.is_due) = (Some(*marks), false);
             let follower = &stream.follower;
-            stream.untold.drain(..).all(|event| follower.send(PluginMessage::Event(event)))
+            stream.queued.drain(..).all(|event| follower.send(PluginMessage::Event(event)))
                 && follower.send(PluginMessage::Mark { number: *marks, now })
         });
     }
@@ -287,7 +287,7 @@ impl PluginHost {
             return;
         }
         let id = follower.plugin.clone();
-        let stream = Stream { follower, untold: Vec::new(), owes: None, wake_at: None, is_due: true };
+        let stream = Stream { follower, queued: Vec::new(), open_mark: None, wake_at: None, is_due: true };
         let place = self.programs.iter().position(|program| program.id == id).unwrap_or_else(|| {
             self.members.insert(id.clone());
             self.programs.push(Program { id, streams: Vec::new(), is_expected: false });
@@ -295,20 +295,21 @@ impl PluginHost {
         });
         let program = &mut self.programs[place];
         program.streams.push(stream);
-        program.tell(now, &mut self.marks);
+        program.flush(now, &mut self.marks);
     }
 
     /// Takes a mark back from a program. Returns whether the program had been sent that mark.
     pub(crate) fn done(&mut self, plugin: &PluginId, mark: u64, wake_at: Option<Timestamp>) -> bool {
         let own = self.programs.iter_mut().filter(|program| program.id == *plugin);
-        let told = own.flat_map(|program| &mut program.streams).find(|stream| stream.owes == Some(mark));
-        told.map(|stream| (stream.owes, stream.wake_at) = (None, wake_at)).is_some()
+        let stream =
+            own.flat_map(|program| &mut program.streams).find(|stream| stream.open_mark == Some(mark));
+        stream.map(|stream| (stream.open_mark, stream.wake_at) = (None, wake_at)).is_some()
     }
 
     /// Queues an event for the programs. They are sent it with their next mark.
     pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
         for stream in self.programs.iter_mut().flat_map(|program| &mut program.streams) {
-            stream.untold.extend(stream.follower.sees(event));
+            stream.queued.extend(stream.follower.sees(event));
         }
     }
 
@@ -327,7 +328,7 @@ impl PluginHost {
     /// Sends programs their events, and returns the first program that time waits for.
     pub(crate) fn next_awaited(&mut self, now: Timestamp) -> Option<PluginId> {
         let program = self.programs.iter_mut().find(|program| program.is_waited_for())?;
-        program.tell(now, &mut self.marks);
+        program.flush(now, &mut self.marks);
         Some(program.id.clone())
     }
 
@@ -336,7 +337,7 @@ impl PluginHost {
         let program = self.programs.iter().find(|program| program.id == *plugin);
         program.is_some_and(|program| match &program.streams[..] {
             [] => program.is_expected,
-            streams => streams.iter().any(|stream| stream.owes.is_some()),
+            streams => streams.iter().any(|stream| stream.open_mark.is_some()),
         })
     }
 
@@ -344,7 +345,7 @@ impl PluginHost {
     pub(crate) fn silence(&self, plugin: &PluginId) -> Fault {
         let mut streams = self.programs.iter().filter(|p| p.id == *plugin).flat_map(|p| &p.streams);
         let patience = self.patience;
-        match streams.find_map(|stream| stream.owes) {
+        match streams.find_map(|stream| stream.open_mark) {
             Some(mark) => Fault::Undone { mark, patience },
             None => Fault::Absent(patience),
         }
@@ -446,9 +447,9 @@ mod tests {
         let (own, other): (PluginId, PluginId) = ("own".parse().unwrap(), "other".parse().unwrap());
         let mut host = PluginHost::new([], Duration::from_secs(1));
         host.expect(own.clone());
-        let (follower, mut told) = Follower::new(own.clone(), EventFilter::default());
+        let (follower, mut stream) = Follower::new(own.clone(), EventFilter::default());
         host.follow(Timestamp::ZERO, follower);
-        let Ok(PluginMessage::Mark { number, .. }) = told.try_recv() else { panic!("no mark") };
+        let Ok(PluginMessage::Mark { number, .. }) = stream.try_recv() else { panic!("no mark") };
         assert!(!host.done(&other, number, None) && host.is_busy(&own));
         assert!(host.done(&own, number, None) && !host.is_busy(&own));
     }
@@ -465,7 +466,7 @@ mod tests {
         let done = (0..3000).filter(|i| ask(format!("invented-{i}"))).count();
         assert_eq!(done, 1000);
         assert!(ask("member".into()) && ask("lab".into()), "these have their own");
-        assert!(host.budgets.len() == 2, "nothing is kept of who invents names");
+        assert!(host.budgets.len() == 2, "invented names have no budget of their own");
     }
 
     #[test]

@@ -244,7 +244,7 @@ impl<L: Lockstep> Guarded<L> {
             wanted
         };
         loop {
-            let inner = self.inner.take().expect("it is here while nothing runs");
+            let inner = self.inner.take().expect("present between runs");
             let patience = inner.patience();
             let worker = self.worker.get_or_insert_with(Worker::start);
             // If the thread is gone, `wait` returns `Panicked`.
@@ -277,13 +277,13 @@ impl<L> Deref for Guarded<L> {
     type Target = L;
 
     fn deref(&self) -> &L {
-        self.inner.as_ref().expect("it is here while nothing runs")
+        self.inner.as_ref().expect("present between runs")
     }
 }
 
 impl<L> DerefMut for Guarded<L> {
     fn deref_mut(&mut self) -> &mut L {
-        self.inner.as_mut().expect("it is here while nothing runs")
+        self.inner.as_mut().expect("present between runs")
     }
 }
 
@@ -312,7 +312,7 @@ impl<L: Lockstep> Worker<L> {
             }
         };
         let thread = thread::Builder::new().name("lockstep".to_owned()).spawn(work);
-        Self { thread: thread.expect("the system has room for a thread"), run, ran, slot }
+        Self { thread: thread.expect("a thread can be started"), run, ran, slot }
     }
 
     /// Waits until the run ends, or a call hangs.

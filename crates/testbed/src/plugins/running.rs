@@ -65,14 +65,14 @@ impl PreparedPlugins {
         self.bundled.iter_mut().for_each(|(id, plugin)| plugin.resume(earlier.noted_by(id)));
     }
 
-    /// Starts all plug-ins. Those in process send their instructions to `tell`.
+    /// Starts all plug-ins. Those in process send their instructions to `messages`.
     pub(crate) fn start(
         mut self,
         testbed: &Arc<Testbed>,
         now: &Clock,
         api: &Server,
         logs: &Path,
-        tell: &mpsc::Sender<Message>,
+        messages: &mpsc::Sender<Message>,
     ) -> Result<RunningPlugins, PluginError> {
         let domains = Domains::new(testbed);
         let members = testbed.plugins.iter().map(|spec| spec.id.clone());
@@ -87,9 +87,9 @@ impl PreparedPlugins {
                     plugins.places.insert(spec.id.clone(), Place::Process(process));
                 }
                 PluginProgram::Bundled(_) => {
-                    let plugin = self.bundled.remove(&spec.id).expect("each that is bundled was made");
+                    let plugin = self.bundled.remove(&spec.id).expect("every bundled plug-in was made");
                     let view = domains.of_plugin(&spec.id).cloned();
-                    plugins.spawn(spec.id.clone(), plugin, testbed, view, now, tell.clone());
+                    plugins.spawn(spec.id.clone(), plugin, testbed, view, now, messages.clone());
                 }
             }
         }
@@ -134,7 +134,7 @@ impl RunningPlugins {
         testbed: &Arc<Testbed>,
         view: Option<Arc<DomainView>>,
         now: &Clock,
-        tell: mpsc::Sender<Message>,
+        messages: mpsc::Sender<Message>,
     ) {
         let (events, inbox) = mpsc::sync_channel(QUEUE);
         let busy_since = Arc::new(AtomicU64::new(IDLE));
@@ -144,13 +144,13 @@ impl RunningPlugins {
             now: Arc::clone(now),
             busy_since: Arc::clone(&busy_since),
             cut: Arc::clone(&cut),
-            tell,
+            messages,
         };
         let start = Occasion::Start(Arc::clone(testbed), view.clone());
         thread::Builder::new()
             .name(format!("plugin-{id}"))
             .spawn(move || guard.run(plugin, start, &inbox))
-            .expect("the system has room for a thread a plug-in");
+            .expect("a thread can be started");
         self.places.insert(id, Place::Thread { view, events, busy_since, cut });
     }
 
@@ -225,7 +225,7 @@ struct Guard {
     now: Clock,
     busy_since: Arc<AtomicU64>,
     cut: Arc<AtomicBool>,
-    tell: mpsc::Sender<Message>,
+    messages: mpsc::Sender<Message>,
 }
 
 impl Guard {
@@ -268,7 +268,7 @@ impl Guard {
             Err(fault) => (None, Err(fault)),
         };
         let (id, at) = (self.id.clone(), (self.now)());
-        self.tell.send(Message::Returned { plugin: id, at, outcome }).ok()?;
+        self.messages.send(Message::Returned { plugin: id, at, outcome }).ok()?;
         going
     }
 }
@@ -336,9 +336,9 @@ mod tests {
     /// Starts one plug-in in process. Returns its messages, too.
     fn running(script: fn(&mut Actions)) -> (RunningPlugins, mpsc::Receiver<Message>) {
         let mut plugins = RunningPlugins::new(PluginHost::new([id()], LONGEST_CALL), Ledgers::default());
-        let (tell, said) = mpsc::channel();
+        let (messages, said) = mpsc::channel();
         let now: Clock = Arc::new(|| Timestamp::from_secs_f64(1.0));
-        plugins.spawn(id(), Box::new(Scripted(script)), &testbed(), None, &now, tell);
+        plugins.spawn(id(), Box::new(Scripted(script)), &testbed(), None, &now, messages);
         plugins.publish(&Arc::new(Stamped {
             at: Timestamp::ZERO,
             event: Event::Notice { message: String::new() },

@@ -145,10 +145,10 @@ impl Misdeed {
             };
             wall() + late
         });
-        let (tell, inbox) = mpsc::channel();
+        let (messages, inbox) = mpsc::channel();
         let host = PluginHost::new([id()], PATIENCE);
         let mut plugins = RunningPlugins::new(host, Default::default());
-        plugins.spawn(id(), plugin, &testbed, None, &now, tell.clone());
+        plugins.spawn(id(), plugin, &testbed, None, &now, messages.clone());
         let network = VirtualNetwork::new(Fabric::new(&testbed.graph, 1).unwrap());
         let network = Ticking { network, now: Arc::clone(&now) };
         let engine = VirtualEngine::new(&testbed, 1, Serving::default()).unwrap();
@@ -172,20 +172,20 @@ impl Misdeed {
         let (sockets, until) = (BTreeMap::new(), None);
         let core = CoreLoop { core, sinks, inbox, sockets, images: None, now, until };
         let core = thread::spawn(move || core.run());
-        let (mut told, mut is_cut_off) = (Vec::new(), false);
+        let (mut recorded, mut is_cut_off) = (Vec::new(), false);
         loop {
             let event = Stamped::clone(&events.blocking_recv().unwrap());
             is_cut_off |= matches!(event.event, Event::PluginFault { .. });
             let stands =
                 matches!(&event.event, Event::Robot(context) if context.sensors.velocity.linear == 0.0);
-            told.push(event);
+            recorded.push(event);
             if is_cut_off && stands {
                 break;
             }
         }
-        tell.send(Message::Stop).unwrap();
+        messages.send(Message::Stop).unwrap();
         core.join().unwrap();
-        told
+        recorded
     }
 
     fn in_virtual_time(self) -> Vec<Stamped> {
@@ -202,23 +202,23 @@ impl Misdeed {
     fn in_a_replay(self, run: &[Stamped]) -> Vec<Stamped> {
         let (plugin, hangs) = self.plugin();
         let replay = replay(run, 0, hangs).to(id(), plugin, &testbed(), PATIENCE);
-        let (told, end) = play(replay);
+        let (events, end) = play(replay);
         assert_eq!(end, ReplayEnd::Played);
-        told
+        events
     }
 
     /// Replays a run to the same plug-in as a program.
-    fn in_a_replay_apart(self, run: &[Stamped]) -> Vec<Stamped> {
+    fn in_a_replay_as_a_program(self, run: &[Stamped]) -> Vec<Stamped> {
         let (mut plugin, hangs) = self.plugin();
         let replay = replay(run, 1, hangs);
         let client = Client::new(&format!("http://{}", replay.api_address())).unwrap().named(id());
         let follower = thread::spawn(move || client.run(&mut *plugin));
-        let (told, end) = play(replay);
-        assert_eq!(end, ReplayEnd::Alone, "it was the only one who followed");
+        let (events, end) = play(replay);
+        assert_eq!(end, ReplayEnd::Alone, "it was the only follower");
         if !matches!(self, Self::Hang) {
             follower.join().unwrap().unwrap();
         }
-        told
+        events
     }
 }
 
@@ -245,14 +245,14 @@ fn replay(run: &[Stamped], followers: usize, hangs: Arc<AtomicBool>) -> Replay {
 
 /// Plays a replay; returns the events about plug-ins.
 fn play(replay: Replay) -> (Vec<Stamped>, ReplayEnd) {
-    let mut told = Vec::new();
+    let mut events = Vec::new();
     let end = replay.play(|played| {
         if let Played::Refused(event) | Played::CutOff(event) = played {
-            told.push(event.clone());
+            events.push(event.clone());
         }
         true
     });
-    (told, end.unwrap())
+    (events, end.unwrap())
 }
 
 /// A clock that stands still, and jumps ahead at each reading once a call hangs.
@@ -314,12 +314,12 @@ fn a_program_that_floods_or_hangs_is_cut_off_in_a_replay() {
         (Misdeed::Hang, "was not done with mark ", 0),
     ] {
         let played = misdeed.in_virtual_time();
-        let told = Recorded::of(&misdeed.in_a_replay_apart(&played));
+        let recorded = Recorded::of(&misdeed.in_a_replay_as_a_program(&played));
         assert!(
-            matches!(&told.faults[..], [(who, why)] if *who == id() && why.starts_with(reason)),
-            "{told:?}"
+            matches!(&recorded.faults[..], [(who, why)] if *who == id() && why.starts_with(reason)),
+            "{recorded:?}"
         );
-        assert_eq!((told.flood, told.any_later), (flood, false), "{misdeed:?}");
+        assert_eq!((recorded.flood, recorded.any_later), (flood, false), "{misdeed:?}");
     }
 }
 

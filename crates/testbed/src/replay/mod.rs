@@ -122,7 +122,7 @@ struct Audience {
 #[derive(Default)]
 struct Record {
     /// Events about plug-ins that were not published yet.
-    told: VecDeque<Stamped>,
+    events: VecDeque<Stamped>,
 }
 
 impl Controlled for Record {
@@ -135,13 +135,13 @@ impl Controlled for Record {
     ) -> Result<(), InstructionError> {
         let refused = Some(REFUSAL.to_owned());
         let event = Event::Decision(Decision { plugin, instruction, reason, refused });
-        self.told.push_back(Stamped { at: now, event });
+        self.events.push_back(Stamped { at: now, event });
         Err(InstructionError(REFUSAL.to_owned()))
     }
 
     fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, _robots: &[NodeId]) {
         let event = Event::PluginFault { plugin, reason: fault.to_string() };
-        self.told.push_back(Stamped { at: now, event });
+        self.events.push_back(Stamped { at: now, event });
     }
 }
 
@@ -295,14 +295,14 @@ impl Replay {
         self.watched.as_ref().and_then(Recording::foxglove)
     }
 
-    /// Plays the run. `tell` receives the progress, at least several times a second, and returns whether to go on.
+    /// Plays the run. `report` receives the progress, at least several times a second, and returns whether to go on.
     ///
     /// # Errors
     /// Errors of the history.
-    #[allow(clippy::disallowed_types, reason = "a replay at a speed goes by the wall clock")]
-    pub fn play(self, tell: impl FnMut(Played<'_>) -> bool) -> Result<ReplayEnd, ReplayError> {
+    #[allow(clippy::disallowed_types, reason = "a replay at a speed follows real time")]
+    pub fn play(self, report: impl FnMut(Played<'_>) -> bool) -> Result<ReplayEnd, ReplayError> {
         let Self { mut programs, audience, history, run, options, watched: _watched, tap } = self;
-        let mut playing = Playing { audience, tap, tell, stopped: false };
+        let mut playing = Playing { audience, tap, report, stopped: false };
         let awaited = match options.speed {
             Speed::Max { followers } => followers,
             Speed::Times(_) => 0,
@@ -356,7 +356,7 @@ impl Replay {
 struct Playing<T> {
     audience: Guarded<Audience>,
     tap: Option<Tap>,
-    tell: T,
+    report: T,
     /// Set once the caller returned false, because it may not do so again.
     stopped: bool,
 }
@@ -374,19 +374,19 @@ impl<T: FnMut(Played<'_>) -> bool> Playing<T> {
     fn settle(&mut self, programs: &mut ExternalPlugins) -> bool {
         self.audience.locals.wake();
         let now = self.audience.now;
-        self.stopped |= !self.audience.run(&mut || (self.tell)(Played::Time(now)));
+        self.stopped |= !self.audience.run(&mut || (self.report)(Played::Time(now)));
         self.tell_decisions();
         // Handles at least the messages that have arrived.
         !self.stopped && programs.listen(Duration::ZERO, self) && programs.settle(self)
     }
 
     fn tell_decisions(&mut self) {
-        while let Some(told) = self.audience.record.told.pop_front() {
-            let played = match told.event {
-                Event::PluginFault { .. } => Played::CutOff(&told),
-                _ => Played::Refused(&told),
+        while let Some(event) = self.audience.record.events.pop_front() {
+            let played = match event.event {
+                Event::PluginFault { .. } => Played::CutOff(&event),
+                _ => Played::Refused(&event),
             };
-            self.stopped |= !(self.tell)(played);
+            self.stopped |= !(self.report)(played);
         }
     }
 
@@ -427,30 +427,30 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
 
     fn goes_on(&mut self) -> bool {
         let now = self.audience.now;
-        self.stopped = self.stopped || !(self.tell)(Played::Time(now));
+        self.stopped = self.stopped || !(self.report)(Played::Time(now));
         !self.stopped
     }
 }
 
 /// Publishes a state as the last known one.
 fn know(live: &Live, tap: Option<&Tap>, state: GraphState) {
-    let told = |event: Stamped| {
+    let publish = |event: Stamped| {
         live.absorb(&event);
         if let Some(tap) = tap {
             tap.event(Arc::new(event));
         }
     };
-    fn each<T>(told: impl Fn(Stamped), samples: Vec<Sample<T>>, event: impl Fn(T) -> Event) {
+    fn each<T>(publish: impl Fn(Stamped), samples: Vec<Sample<T>>, event: impl Fn(T) -> Event) {
         for Sample { at, value } in samples {
-            told(Stamped { at, event: event(value) });
+            publish(Stamped { at, event: event(value) });
         }
     }
-    each(told, state.placements, Event::Placement);
-    each(told, state.virtual_links, Event::VirtualLink);
-    each(told, state.robots, Event::Robot);
-    each(told, state.radio_units, Event::Radio);
-    each(told, state.links, Event::Link);
-    each(told, state.sensors, Event::Sensor);
+    each(publish, state.placements, Event::Placement);
+    each(publish, state.virtual_links, Event::VirtualLink);
+    each(publish, state.robots, Event::Robot);
+    each(publish, state.radio_units, Event::Radio);
+    each(publish, state.links, Event::Link);
+    each(publish, state.sensors, Event::Sensor);
 }
 
 /// Error of playing a run.
@@ -464,7 +464,7 @@ pub enum ReplayError {
     Plugin(#[from] PluginError),
     /// A plug-in that is a program has to be started by the user.
     #[error(
-        "plug-in `{0}` is a program of its own: start it beside the replay, with COTORRA_API and COTORRA_PLUGIN set"
+        "plug-in `{0}` is a program: start it beside the replay, with COTORRA_API and COTORRA_PLUGIN set"
     )]
     Program(PluginId),
     /// The live viewers cannot be served.

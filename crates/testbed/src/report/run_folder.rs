@@ -51,7 +51,7 @@ impl RunFolder {
     /// # Errors
     /// [`FolderError`].
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
-        let json = serde_json::to_string_pretty(summary).expect("a summary holds only what JSON can");
+        let json = serde_json::to_string_pretty(summary).expect("a summary is valid JSON");
         write_file(&self.path, "summary.json", &(json + "\n"))?;
         let path = self.path.join("service_time.csv");
         let written = File::create(&path).and_then(|file| write_csv(report, file));

@@ -225,7 +225,7 @@ impl Summary {
 
 /// Frames whose lateness is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Known {
+enum MeasuredFrames {
     /// All frames, because the fabric carried them.
     All,
     /// The frames that the fabric carried; others crossed interfaces of this machine.
@@ -235,15 +235,15 @@ enum Known {
 }
 
 impl Fidelity {
-    fn of(known: Known, lateness: Lateness, frames_dropped: u64) -> Self {
+    fn of(measured_frames: MeasuredFrames, lateness: Lateness, frames_dropped: u64) -> Self {
         let Lateness { frames, p50_us, p99_us, max_us } = lateness;
-        let (which, what) = match known {
-            Known::All | Known::Emulated => ("", "the frames"),
-            Known::Probes => {
+        let (which, what) = match measured_frames {
+            MeasuredFrames::All | MeasuredFrames::Emulated => ("", "the frames"),
+            MeasuredFrames::Probes => {
                 ("the kernel's NetEm carried the frames, and only probes tell how late; ", "the probes")
             }
         };
-        let (valid, reason) = if known == Known::Probes && frames < VALID_PROBES {
+        let (valid, reason) = if measured_frames == MeasuredFrames::Probes && frames < VALID_PROBES {
             (
                 false,
                 format!(
@@ -251,7 +251,7 @@ impl Fidelity {
                      cannot tell)"
                 ),
             )
-        } else if frames == 0 && known == Known::Emulated {
+        } else if frames == 0 && measured_frames == MeasuredFrames::Emulated {
             (false, "the kernel's NetEm carried the frames, and tells nobody how late they were".to_owned())
         } else if frames == 0 {
             (false, "no frame crossed the emulated network".to_owned())
@@ -299,7 +299,7 @@ pub struct Losses {
 pub struct Report {
     name: String,
     seed: u64,
-    known: Known,
+    measured_frames: MeasuredFrames,
     /// The services, each with its target in milliseconds, and whether it is measured even without samples.
     services: Vec<(ServiceId, f64, bool)>,
     /// Services whose requests go to all instances.
@@ -326,9 +326,9 @@ impl Report {
         Self {
             name: testbed.name.clone(),
             seed,
-            known: match testbed.graph.real_links().next() {
-                Some(_) => Known::Emulated,
-                None => Known::All,
+            measured_frames: match testbed.graph.real_links().next() {
+                Some(_) => MeasuredFrames::Emulated,
+                None => MeasuredFrames::All,
             },
             services: testbed
                 .services
@@ -371,7 +371,7 @@ impl Report {
 
     /// Marks the kernel as the carrier of frames; lateness is then that of probes.
     pub(crate) fn by_the_kernel(self) -> Self {
-        Self { known: Known::Probes, ..self }
+        Self { measured_frames: MeasuredFrames::Probes, ..self }
     }
 
     /// Adds an event.
@@ -515,7 +515,7 @@ impl Report {
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
-            fidelity: Fidelity::of(self.known, self.lateness, losses.frames_dropped),
+            fidelity: Fidelity::of(self.measured_frames, self.lateness, losses.frames_dropped),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             driving: self.driving.summary(),
@@ -699,23 +699,23 @@ mod tests {
 
     #[test]
     fn a_run_without_frames_or_with_late_ones_is_not_valid() {
-        let fidelity = |lateness, dropped| Fidelity::of(Known::All, lateness, dropped);
+        let fidelity = |lateness, dropped| Fidelity::of(MeasuredFrames::All, lateness, dropped);
         assert!(!fidelity(Lateness::default(), 0).valid);
         let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
         assert!(fidelity(good, 0).valid);
         assert!(!fidelity(good, 1).valid);
         let late = fidelity(Lateness { p99_us: 1500.0, ..good }, 0);
         assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
-        let real = Fidelity::of(Known::Emulated, Lateness::default(), 0);
+        let real = Fidelity::of(MeasuredFrames::Emulated, Lateness::default(), 0);
         assert!(!real.valid && real.reason.contains("NetEm"), "{real:?}");
         // The fabric's own frames are known, beside real links.
-        assert!(Fidelity::of(Known::Emulated, good, 0).valid);
+        assert!(Fidelity::of(MeasuredFrames::Emulated, good, 0).valid);
     }
 
     #[test]
     fn with_the_kernel_carrying_frames_enough_probes_decide() {
         let fidelity = |frames, p99_us| {
-            Fidelity::of(Known::Probes, Lateness { frames, p50_us: 20.0, p99_us, max_us: 5000.0 }, 0)
+            Fidelity::of(MeasuredFrames::Probes, Lateness { frames, p50_us: 20.0, p99_us, max_us: 5000.0 }, 0)
         };
         for few in [0, VALID_PROBES - 1] {
             let few = fidelity(few, 300.0);

@@ -39,8 +39,8 @@ use crate::{
     live::Live,
     message::Message,
     options::Options,
+    pruner::Pruner,
     report::{End, Losses, Report, RunFolder},
-    retaining::Retaining,
     robots::Masters,
 };
 
@@ -70,7 +70,7 @@ pub struct Run {
     server: Server,
     core: Option<thread::JoinHandle<(Report, Timestamp, End)>>,
     _masters: Masters,
-    _retaining: Option<Retaining>,
+    _pruner: Option<Pruner>,
     datapath: Arc<Datapath>,
     recording: Option<Recording>,
     keeping: Option<Keeping>,
@@ -84,7 +84,7 @@ impl Run {
     /// or ledger, or an interface of this machine are at fault.
     pub fn start(testbed: Testbed, text: &str, file: &Path, options: Options) -> Result<Self, RunError> {
         for kept in clean().kept {
-            tracing::warn!("what a killed run left stays: {kept}");
+            tracing::warn!("leftovers of a killed run stay: {kept}");
         }
         let (prepared, unstarted) = Prepared::new(testbed, text, file, options)?;
         let Unstarted { confined, listener, plugins, script } = unstarted;
@@ -136,7 +136,7 @@ impl Run {
                 core_loop.run()
             })
             .map_err(system("start the core's thread"))?;
-        let retaining = Retaining::start(&testbed, &history, run, &live)
+        let pruner = Pruner::start(&testbed, &history, run, &live)
             .map_err(system("start the thread that keeps the history short"))?;
         Ok(Self {
             testbed,
@@ -149,7 +149,7 @@ impl Run {
             server,
             core: Some(core),
             _masters: masters,
-            _retaining: retaining,
+            _pruner: pruner,
             datapath,
             recording,
             keeping,

@@ -20,7 +20,7 @@ use crate::{
     plugins::running::PreparedPlugins,
     real_links::RealLinkError,
     recorded::Recorded,
-    reflected::measure_media,
+    reflectors::measure_media,
     rehearse::interface_plans,
     report::RunFolder,
     run_info::{about, run_info},

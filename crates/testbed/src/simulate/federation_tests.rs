@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use cotorra_federation::Step;
 use cotorra_graph::{Decision, Event, RobotContext, VnfState};
-use cotorra_ledger::{Account, Call, Event as Said, Ledger as _, Notice, Wei};
+use cotorra_ledger::{Account, Call, Event as LedgerEvent, Ledger as _, Notice, Wei};
 use cotorra_measurements::{History, RunInfo};
 use cotorra_testbed_file::Setting;
 
@@ -38,7 +38,7 @@ fn testbed(settings: &[&str]) -> Arc<Testbed> {
 
 /// The events of a run.
 #[derive(Default)]
-struct Told {
+struct Outcome {
     /// Service, step, plug-in and time.
     notes: Vec<(String, String, String, f64)>,
     robots: Vec<(f64, RobotContext)>,
@@ -52,16 +52,16 @@ struct Told {
     finished: bool,
 }
 
-impl Told {
+impl Outcome {
     fn of(simulation: &mut Simulation, until_s: f64) -> Self {
-        let mut told = Self::default();
+        let mut outcome = Self::default();
         while !simulation.is_finished() && simulation.step().as_secs_f64() < until_s {
             while let Some(event) = simulation.poll_event() {
-                told.absorb(event);
+                outcome.absorb(event);
             }
         }
-        told.finished = simulation.is_finished();
-        told
+        outcome.finished = simulation.is_finished();
+        outcome
     }
 
     fn absorb(&mut self, Stamped { at, event }: Stamped) {
@@ -114,37 +114,39 @@ impl Told {
 }
 
 /// Simulates 180 s with a fault.
-fn goes_wrong(settings: &[&str]) -> Told {
+fn goes_wrong(settings: &[&str]) -> Outcome {
     let mut simulation = Simulation::new(testbed(settings), 1).unwrap();
-    let told = Told::of(&mut simulation, 180.0);
-    told.assert_halted_and_put_back(&simulation);
-    told
+    let outcome = Outcome::of(&mut simulation, 180.0);
+    outcome.assert_halted_and_put_back(&simulation);
+    outcome
 }
 
 #[test]
 fn a_robot_walks_from_domain_to_domain_and_back_without_stopping() {
     let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
-    let told = Told::of(&mut simulation, 300.0);
-    let detail = told.detail();
-    assert!(told.finished && told.faults.is_empty(), "{:?}", told.faults);
+    let outcome = Outcome::of(&mut simulation, 300.0);
+    let detail = outcome.detail();
+    assert!(outcome.finished && outcome.faults.is_empty(), "{:?}", outcome.faults);
     use Step::*;
     let steps = steps_to_attachment().chain([OwnRadioUnitReleased, InUse, Returned, Ended, TakenDown]);
     let times: Vec<f64> =
-        steps.map(|step| told.when(step).unwrap_or_else(|| panic!("{step}: {detail}"))).collect();
+        steps.map(|step| outcome.when(step).unwrap_or_else(|| panic!("{step}: {detail}"))).collect();
     assert!(times.is_sorted(), "{detail}");
     // One block for the announcement, two for bid and choice, one for the confirmation. The rest is the handover.
     let total = times[10] - times[0];
     assert!((15.0..20.2).contains(&total), "{total}: {detail}");
     assert!((times[7] - times[6] - 0.4).abs() < 1e-6, "the deployment takes what the radio unit says");
     // Make before break.
-    let handovers: Vec<_> = told.handovers.iter().map(|(_, to, fast)| (to.as_str(), *fast)).collect();
-    assert_eq!((handovers, told.detached, told.lost), (vec![("n_AP", true), ("R3", true)], 0, 0));
-    let walking = told.robots.iter().filter(|(at, _)| (5.0..60.0).contains(at));
+    let handovers: Vec<_> = outcome.handovers.iter().map(|(_, to, fast)| (to.as_str(), *fast)).collect();
+    assert_eq!((handovers, outcome.detached, outcome.lost), (vec![("n_AP", true), ("R3", true)], 0, 0));
+    let walking = outcome.robots.iter().filter(|(at, _)| (5.0..60.0).contains(at));
     let slowest = walking.map(|(_, context)| context.sensors.velocity.linear).fold(f64::INFINITY, f64::min);
     assert!(slowest > 0.28, "its speed never falls: {slowest}");
-    assert_eq!(told.vaps, BTreeMap::from([("R3".to_owned(), true), ("n_AP".to_owned(), false)]));
+    assert_eq!(outcome.vaps, BTreeMap::from([("R3".to_owned(), true), ("n_AP".to_owned(), false)]));
     // The cheaper of the two bidders was paid for the use.
-    assert!(told.notes.iter().all(|(_, step, by, _)| *step != "winner received" || by == "orchestrator-2"));
+    assert!(
+        outcome.notes.iter().all(|(_, step, by, _)| *step != "winner received" || by == "orchestrator-2")
+    );
     assert_eq!(simulation.ledgers.chain().unwrap().contract().holds(), Wei(0), "all were paid out");
 }
 
@@ -168,35 +170,35 @@ fn keys_are_never_published() {
 
 #[test]
 fn nobody_bids() {
-    let told = goes_wrong(&[
+    let outcome = goes_wrong(&[
         "plugins.orchestrator-2.settings.behaviour=silent",
         "plugins.orchestrator-3.settings.behaviour=silent",
     ]);
-    assert_eq!(told.when(Step::BidSent), None);
+    assert_eq!(outcome.when(Step::BidSent), None);
 }
 
 #[test]
 fn all_bids_are_too_dear() {
-    let told = goes_wrong(&["plugins.orchestrator-1.settings.highest_price=50"]);
-    assert!(told.when(Step::BidRejected).is_some() && told.when(Step::WinnerChosen).is_none());
+    let outcome = goes_wrong(&["plugins.orchestrator-1.settings.highest_price=50"]);
+    assert!(outcome.when(Step::BidRejected).is_some() && outcome.when(Step::WinnerChosen).is_none());
 }
 
 #[test]
 fn the_winner_does_not_deploy() {
-    let told = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=idle", ALONE]);
-    assert!(told.when(Step::WinnerReceived).is_some() && told.when(Step::DeploymentStarted).is_none());
+    let outcome = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=idle", ALONE]);
+    assert!(outcome.when(Step::WinnerReceived).is_some() && outcome.when(Step::DeploymentStarted).is_none());
 }
 
 #[test]
 fn the_deployment_fails() {
-    let told = goes_wrong(&["nodes.n_AP.cpus=0", ALONE]);
-    assert!(told.when(Step::DeploymentFailed).is_some() && told.when(Step::ConfirmationSent).is_none());
+    let outcome = goes_wrong(&["nodes.n_AP.cpus=0", ALONE]);
+    assert!(outcome.when(Step::DeploymentFailed).is_some() && outcome.when(Step::ConfirmationSent).is_none());
 }
 
 #[test]
 fn the_provider_lies_about_its_deployment() {
-    let told = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=lying", ALONE]);
-    assert!(told.when(Step::ConfirmationReceived).is_some() && told.when(Step::Attached).is_none());
+    let outcome = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=lying", ALONE]);
+    assert!(outcome.when(Step::ConfirmationReceived).is_some() && outcome.when(Step::Attached).is_none());
 }
 
 #[test]
@@ -207,10 +209,10 @@ fn if_the_winner_fails_the_robot_continues_with_the_next_bid() {
         "plugins.orchestrator-2.settings.behaviour=lying",
     ] {
         let mut simulation = Simulation::new(testbed(&[failing]), 1).unwrap();
-        let told = Told::of(&mut simulation, 400.0);
-        let detail = told.detail();
-        assert!(told.finished && told.faults.is_empty(), "{failing}: {:?} {detail}", told.faults);
-        assert!(told.handovers.iter().any(|(_, to, _)| to == "n_AP3"), "{failing}: {detail}");
+        let outcome = Outcome::of(&mut simulation, 400.0);
+        let detail = outcome.detail();
+        assert!(outcome.finished && outcome.faults.is_empty(), "{failing}: {:?} {detail}", outcome.faults);
+        assert!(outcome.handovers.iter().any(|(_, to, _)| to == "n_AP3"), "{failing}: {detail}");
         assert_eq!(simulation.ledgers.chain().unwrap().contract().holds(), Wei(0), "{failing}: {detail}");
     }
 }
@@ -222,9 +224,13 @@ fn with_time_for_the_next_bid_an_idle_winner_halts_nobody() {
     let idle = ["plugins.orchestrator-2.settings.behaviour=idle"];
     for (settings, halted) in [([&idle[..], &early].concat(), false), (idle.to_vec(), true)] {
         let mut simulation = Simulation::new(testbed(&settings), 1).unwrap();
-        let told = Told::of(&mut simulation, 100.0);
-        assert_eq!(told.when(Step::Halted).is_some(), halted, "{settings:?}: {}", told.detail());
-        assert!(told.handovers.iter().any(|(_, to, _)| to == "n_AP3"), "{settings:?}: {}", told.detail());
+        let outcome = Outcome::of(&mut simulation, 100.0);
+        assert_eq!(outcome.when(Step::Halted).is_some(), halted, "{settings:?}: {}", outcome.detail());
+        assert!(
+            outcome.handovers.iter().any(|(_, to, _)| to == "n_AP3"),
+            "{settings:?}: {}",
+            outcome.detail()
+        );
     }
 }
 
@@ -243,18 +249,18 @@ fn the_ledger_never_exists() {
     let ledger =
         "plugins.orchestrator-1.settings.ledger={kind: modelled, block_period: 5 s, outage: [1 ms, 500 s]}";
     let mut simulation = Simulation::new(testbed(&[ledger]), 1).unwrap();
-    let told = Told::of(&mut simulation, 120.0);
-    assert!((15.0..EDGE_M).contains(&told.farthest()), "{}", told.farthest());
-    assert!(told.notes.is_empty() && told.vaps.is_empty(), "nothing came of it: {}", told.detail());
+    let outcome = Outcome::of(&mut simulation, 120.0);
+    assert!((15.0..EDGE_M).contains(&outcome.farthest()), "{}", outcome.farthest());
+    assert!(outcome.notes.is_empty() && outcome.vaps.is_empty(), "nothing came of it: {}", outcome.detail());
 }
 
 #[test]
 fn the_ledger_is_out_of_the_winners_reach() {
-    let told = goes_wrong(&[
+    let outcome = goes_wrong(&[
         "plugins.orchestrator-2.settings.ledger={kind: modelled, block_period: 5 s, outage: [27 s, 130 s]}",
         ALONE,
     ]);
-    assert_eq!(told.when(Step::WinnerReceived), None, "{}", told.detail());
+    assert_eq!(outcome.when(Step::WinnerReceived), None, "{}", outcome.detail());
 }
 
 #[test]
@@ -264,20 +270,20 @@ fn a_ledger_that_returns_in_time_does_no_harm() {
         1,
     )
     .unwrap();
-    let told = Told::of(&mut simulation, 300.0);
-    assert!(told.finished && told.when(Step::Returned).is_some(), "{}", told.detail());
+    let outcome = Outcome::of(&mut simulation, 300.0);
+    assert!(outcome.finished && outcome.when(Step::Returned).is_some(), "{}", outcome.detail());
 }
 
 #[test]
 fn a_replayed_announcement_changes_nothing() {
     let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
-    Told::of(&mut simulation, 21.0);
+    Outcome::of(&mut simulation, 21.0);
     let chain = simulation.ledgers.chain().unwrap().clone();
     let mut eve = chain.ledger(Account([0xee; 20]));
     let now = Timestamp::from_secs_f64(21.0);
     let heard: Vec<_> = std::iter::from_fn(|| eve.poll(now)).collect();
     let announced = heard.into_iter().find_map(|notice| match notice {
-        Notice::Event(Said::ServiceAnnounced { key, requirements, terms, .. }) => {
+        Notice::Event(LedgerEvent::ServiceAnnounced { key, requirements, terms, .. }) => {
             Some((key, requirements, terms))
         }
         _ => None,
@@ -290,10 +296,10 @@ fn a_replayed_announcement_changes_nothing() {
         let (requirements, key) = (requirements.clone(), key);
         eve.submit(now, Call::Announce { salt, key, requirements, terms });
     }
-    let told = Told::of(&mut simulation, 300.0);
-    assert!(told.finished && told.faults.is_empty(), "{:?}", told.faults);
-    assert!(told.when(Step::Returned).is_some(), "{}", told.detail());
-    assert_eq!((told.detached, told.lost), (0, 0));
+    let outcome = Outcome::of(&mut simulation, 300.0);
+    assert!(outcome.finished && outcome.faults.is_empty(), "{:?}", outcome.faults);
+    assert!(outcome.when(Step::Returned).is_some(), "{}", outcome.detail());
+    assert_eq!((outcome.detached, outcome.lost), (0, 0));
     let heard: Vec<_> = std::iter::from_fn(|| eve.poll(Timestamp::from_secs_f64(300.0))).collect();
     let refused = heard.iter().filter(|notice| matches!(notice, Notice::Refused(..))).count();
     assert_eq!(refused, 1, "the same announcement is there once");
@@ -305,8 +311,8 @@ fn a_restarted_core_continues_from_the_chain() {
     // Before the announcement, between all steps, and during the vAP's use.
     for stopped_at in [10.0, 17.0, 22.0, 27.0, 30.2, 33.0, 36.0, 42.0, 60.0] {
         let mut before = Simulation::new(testbed(&[]), 1).unwrap();
-        let told = Told::of(&mut before, stopped_at);
-        let at = told.robots.last().unwrap().1.sensors.pose.x;
+        let outcome = Outcome::of(&mut before, stopped_at);
+        let at = outcome.robots.last().unwrap().1.sensors.pose.x;
         let ledgers = std::mem::take(&mut before.ledgers);
         drop(before);
         ledgers.chain().unwrap().begin_run(Timestamp::from_secs_f64(stopped_at));
@@ -314,17 +320,17 @@ fn a_restarted_core_continues_from_the_chain() {
         let walk = format!("walks.robot.waypoints=[[{at}, 0], [34, 0]]");
         let testbed = testbed(&[&walk, "walks.robot.and_back=false"]);
         let mut after = Simulation::on(testbed, 1, ledgers, None).unwrap();
-        let told = Told::of(&mut after, 200.0);
-        let detail = told.detail();
+        let outcome = Outcome::of(&mut after, 200.0);
+        let detail = outcome.detail();
         assert!(
-            told.finished && told.faults.is_empty(),
+            outcome.finished && outcome.faults.is_empty(),
             "stopped at {stopped_at}: {:?} {detail}",
-            told.faults
+            outcome.faults
         );
-        assert!(told.when(Step::Attached).is_some(), "stopped at {stopped_at}: {detail}");
-        let services: std::collections::BTreeSet<_> = told.notes.iter().map(|(id, ..)| id).collect();
+        assert!(outcome.when(Step::Attached).is_some(), "stopped at {stopped_at}: {detail}");
+        let services: std::collections::BTreeSet<_> = outcome.notes.iter().map(|(id, ..)| id).collect();
         assert_eq!(services.len(), 1, "stopped at {stopped_at}, it was announced once: {detail}");
-        assert_eq!(told.detached, 0, "stopped at {stopped_at}: {detail}");
+        assert_eq!(outcome.detached, 0, "stopped at {stopped_at}: {detail}");
     }
 }
 
@@ -382,17 +388,17 @@ fn a_restarted_core_with_its_notes_has_the_whole_timeline_and_no_step_twice() {
                 (at, plugin.to_string(), process, step, reason)
             })
             .collect();
-        let told = format!("stopped at {stopped_at}: {timeline:#?}");
+        let outcome = format!("stopped at {stopped_at}: {timeline:#?}");
         let once: std::collections::BTreeSet<_> =
             timeline.iter().map(|(_, plugin, process, step, why)| (plugin, process, step, why)).collect();
-        assert_eq!(once.len(), timeline.len(), "{told}");
-        assert!(timeline.is_sorted_by_key(|(at, ..)| *at), "{told}");
+        assert_eq!(once.len(), timeline.len(), "{outcome}");
+        assert!(timeline.is_sorted_by_key(|(at, ..)| *at), "{outcome}");
         let first = |step: Step| {
             let found = timeline.iter().find(|(_, _, _, name, _)| *name == step.as_str());
-            found.unwrap_or_else(|| panic!("{step} is missing, {told}")).0
+            found.unwrap_or_else(|| panic!("{step} is missing, {outcome}")).0
         };
-        assert!(steps_to_attachment().chain([InUse]).map(first).is_sorted(), "{told}");
-        assert!((first(Announced) + stopped_at - 15.8).abs() < 0.5, "when it was, not now: {told}");
+        assert!(steps_to_attachment().chain([InUse]).map(first).is_sorted(), "{outcome}");
+        assert!((first(Announced) + stopped_at - 15.8).abs() < 0.5, "when it was, not now: {outcome}");
     }
 }
 
@@ -401,9 +407,9 @@ fn a_provider_that_stops_serving_stops_its_robot() {
     // The longest use ends while the robot is away.
     let mut simulation =
         Simulation::new(testbed(&["plugins.orchestrator-1.settings.use_for=20 s"]), 1).unwrap();
-    let told = Told::of(&mut simulation, 200.0);
-    let detail = told.detail();
-    assert!(told.faults.is_empty(), "{:?}", told.faults);
-    assert!(told.notes.iter().any(|(_, step, ..)| step == "ended"), "{detail}");
-    assert_eq!(told.vaps.get("n_AP"), Some(&false), "{detail}");
+    let outcome = Outcome::of(&mut simulation, 200.0);
+    let detail = outcome.detail();
+    assert!(outcome.faults.is_empty(), "{:?}", outcome.faults);
+    assert!(outcome.notes.iter().any(|(_, step, ..)| step == "ended"), "{detail}");
+    assert_eq!(outcome.vaps.get("n_AP"), Some(&false), "{detail}");
 }

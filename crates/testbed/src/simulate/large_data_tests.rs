@@ -38,8 +38,8 @@ fn large_data_precedes_its_event_and_matches_it() {
         simulation.step();
         while let Some(happened) = simulation.poll() {
             match happened {
-                Happened::Data(data) => told.push_back(data),
-                Happened::Event(event) => {
+                Output::Data(data) => told.push_back(data),
+                Output::Event(event) => {
                     let Event::Sensor(reading) = &event.event else { continue };
                     let data = told.pop_front().unwrap();
                     assert_eq!(Some(data.data), reading.data);
@@ -48,7 +48,7 @@ fn large_data_precedes_its_event_and_matches_it() {
                     assert_eq!(data.content.bytes().len() as u64, data.data.bytes);
                     readings.entry(reading.sensor.to_string()).or_default().push(reading.clone());
                 }
-                Happened::Scan(_) => panic!("nobody taps scans"),
+                Output::Scan(_) => panic!("nobody taps scans"),
             }
         }
     }

@@ -62,8 +62,8 @@ pub struct Simulation {
     /// Ledgers that orchestrators share.
     ledgers: Ledgers,
     ports: HashMap<Ipv4Addr, PortId>,
-    happened: VecDeque<Happened>,
-    /// Number of events in `happened`.
+    outputs: VecDeque<Output>,
+    /// Number of events in `outputs`.
     events: usize,
     /// Time of a step that is requested from outside.
     alarm: Option<Timestamp>,
@@ -76,7 +76,7 @@ pub struct Simulation {
 }
 
 /// An output of a simulation.
-pub(crate) enum Happened {
+pub(crate) enum Output {
     Event(Arc<Stamped>),
     Scan(SensedScan),
     Data(SensedData),
@@ -166,7 +166,7 @@ impl Simulation {
             locals,
             ledgers: bundled.into_ledgers(),
             ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),
-            happened: VecDeque::new(),
+            outputs: VecDeque::new(),
             events: 0,
             alarm: None,
             stretch: Stretch::Step,
@@ -319,17 +319,17 @@ impl Simulation {
     pub fn poll_event(&mut self) -> Option<Stamped> {
         loop {
             match self.poll()? {
-                Happened::Event(event) => return Some(Arc::unwrap_or_clone(event)),
-                Happened::Scan(_) | Happened::Data(_) => {}
+                Output::Event(event) => return Some(Arc::unwrap_or_clone(event)),
+                Output::Scan(_) | Output::Data(_) => {}
             }
         }
     }
 
     /// Returns the oldest output.
-    pub(crate) fn poll(&mut self) -> Option<Happened> {
-        let happened = self.happened.pop_front()?;
-        self.events -= usize::from(matches!(happened, Happened::Event(_)));
-        Some(happened)
+    pub(crate) fn poll(&mut self) -> Option<Output> {
+        let outputs = self.outputs.pop_front()?;
+        self.events -= usize::from(matches!(outputs, Output::Event(_)));
+        Some(outputs)
     }
 
     /// Outputs scans from now on, after the events of each step.
@@ -448,10 +448,10 @@ impl Lockstep for Simulation {
                 return None;
             }
             // The data is available when its event is published.
-            self.happened.extend(std::iter::from_fn(|| self.core.poll_data()).map(Happened::Data));
+            self.outputs.extend(std::iter::from_fn(|| self.core.poll_data()).map(Output::Data));
             let event = Arc::new(self.core.poll_event()?);
             self.locals.publish(&event);
-            self.happened.push_back(Happened::Event(event));
+            self.outputs.push_back(Output::Event(event));
             self.events += 1;
         }
     }
@@ -464,7 +464,7 @@ impl Lockstep for Simulation {
 
     fn go_on(&mut self) -> bool {
         // Scans follow the events of their step.
-        self.happened.extend(std::iter::from_fn(|| self.core.poll_scan()).map(Happened::Scan));
+        self.outputs.extend(std::iter::from_fn(|| self.core.poll_scan()).map(Output::Scan));
         let goes_on = match self.stretch {
             Stretch::Settle => false,
             Stretch::Step => true,

@@ -56,12 +56,12 @@ fn lose(simulation: &mut Simulation, link: &str, share: f64) {
 
 /// The outputs of a run: service times of navigation, and the number of answers that the robot rejected.
 #[derive(Default)]
-struct Told {
+struct Outcome {
     samples: Vec<ServiceTime>,
     rejected: Option<AnswersRejected>,
 }
 
-impl Told {
+impl Outcome {
     fn poll(&mut self, simulation: &mut Simulation) {
         while let Some(stamped) = simulation.poll_event() {
             match stamped.event {
@@ -93,15 +93,15 @@ impl Told {
 }
 
 /// Simulates 40 s in which the links between the robot and the edge lose packets.
-fn lossy(nodes: &str, requests: &str, share: f64) -> Told {
+fn lossy(nodes: &str, requests: &str, share: f64) -> Outcome {
     let mut simulation = Simulation::new(corridor(nodes, requests), 1).unwrap();
-    let mut told = Told::default();
+    let mut outcome = Outcome::default();
     simulation.step();
     ["R1-edge", "R3-edge"].iter().for_each(|link| lose(&mut simulation, link, share));
     while simulation.step().as_secs_f64() < 40.0 {
-        told.poll(&mut simulation);
+        outcome.poll(&mut simulation);
     }
-    told
+    outcome
 }
 
 #[test]
@@ -130,17 +130,17 @@ fn with_all_every_instance_is_asked_and_the_first_answer_counts() {
 #[test]
 fn a_packet_without_any_answer_is_unanswered_once() {
     let mut simulation = Simulation::new(corridor("edge, fog", "all"), 1).unwrap();
-    let mut told = Told::default();
+    let mut outcome = Outcome::default();
     let mut cut = false;
     while simulation.step().as_secs_f64() < 6.0 {
-        told.poll(&mut simulation);
+        outcome.poll(&mut simulation);
         if !cut && simulation.now().as_secs_f64() > 3.0 {
             cut = true;
             ["R1-edge", "R1-fog"].iter().for_each(|link| lose(&mut simulation, link, 1.0));
         }
     }
-    assert!(told.samples.iter().zip(0..).all(|(sample, number)| sample.sequence == number));
-    let unanswered: Vec<_> = told.samples.iter().filter(|sample| sample.took.is_none()).collect();
+    assert!(outcome.samples.iter().zip(0..).all(|(sample, number)| sample.sequence == number));
+    let unanswered: Vec<_> = outcome.samples.iter().filter(|sample| sample.took.is_none()).collect();
     assert!(unanswered.len() > 40, "{}", unanswered.len());
     assert!(unanswered.iter().all(|sample| sample.emitted.as_secs_f64() > 2.9 && sample.server == "edge"));
 }
@@ -148,11 +148,11 @@ fn a_packet_without_any_answer_is_unanswered_once() {
 #[test]
 fn after_the_first_instance_dies_the_next_packet_goes_to_another() {
     let mut simulation = Simulation::new(corridor("edge, fog", "one"), 1).unwrap();
-    let mut told = Told::default();
+    let mut outcome = Outcome::default();
     // It is restarted after 0.1 s, 0.2 s, …, and killed again as soon as it serves.
     let mut killed = 0;
     while simulation.step().as_secs_f64() < 20.0 {
-        told.poll(&mut simulation);
+        outcome.poll(&mut simulation);
         // Two instances of navigation, and one of localization.
         let serves = simulation.serving().running().len() == 3;
         if simulation.now().as_secs_f64() > 5.0 && killed < 6 && serves {
@@ -162,26 +162,30 @@ fn after_the_first_instance_dies_the_next_packet_goes_to_another() {
     }
     assert_eq!(killed, 6);
     // Each kill may lose the one packet that is under way.
-    let answered: Vec<_> = told.samples.iter().filter(|sample| sample.took.is_some()).collect();
+    let answered: Vec<_> = outcome.samples.iter().filter(|sample| sample.took.is_some()).collect();
     let gaps = answered.windows(2).map(|pair| pair[1].emitted.since(pair[0].emitted));
     assert!(gaps.max().unwrap() <= 2 * INTERVAL);
-    assert!(told.samples.len() - answered.len() <= killed, "{} of them", told.samples.len() - answered.len());
-    let by_fog = told.samples.iter().filter(|sample| sample.server == "fog").count();
+    assert!(
+        outcome.samples.len() - answered.len() <= killed,
+        "{} of them",
+        outcome.samples.len() - answered.len()
+    );
+    let by_fog = outcome.samples.iter().filter(|sample| sample.server == "fog").count();
     // 6.3 s in all.
     assert!((110..140).contains(&by_fog), "{by_fog}");
-    assert_eq!((told.servers()[0], *told.servers().last().unwrap()), ("edge", "edge"));
+    assert_eq!((outcome.servers()[0], *outcome.servers().last().unwrap()), ("edge", "edge"));
 
     // A single instance leaves the robot waiting for its restart.
     let mut alone = Simulation::new(corridor("edge", "one"), 1).unwrap();
-    let (mut told, mut killed) = (Told::default(), false);
+    let (mut outcome, mut killed) = (Outcome::default(), false);
     while alone.step().as_secs_f64() < 8.0 {
-        told.poll(&mut alone);
+        outcome.poll(&mut alone);
         if !std::mem::replace(&mut killed, alone.now().as_secs_f64() > 5.0) && killed {
             alone.serving().hold_starts(true);
             alone.serving().kill_on(&navigation(), &node("edge"));
         }
     }
-    assert!(told.samples.iter().any(|sample| sample.took.is_none()));
+    assert!(outcome.samples.iter().any(|sample| sample.took.is_none()));
 }
 
 #[test]
@@ -190,11 +194,11 @@ fn nearest_follows_the_robot_and_the_conditions_of_links() {
     let roams = |text: String| text.replace("roaming: instructed", "roaming: signal");
     let testbed = changed("cloud, edge, fog", "nearest", roams);
     let mut simulation = Simulation::new(testbed, 1).unwrap();
-    let mut told = Told::default();
+    let mut outcome = Outcome::default();
     while simulation.step().as_secs_f64() < 200.0 {
-        told.poll(&mut simulation);
+        outcome.poll(&mut simulation);
     }
-    let mut visited: Vec<_> = told
+    let mut visited: Vec<_> = outcome
         .samples
         .iter()
         .filter_map(|sample| Some((sample.attachment.as_ref()?.as_str(), sample.server.as_str())))
@@ -211,9 +215,9 @@ fn nearest_follows_the_robot_and_the_conditions_of_links() {
 
     // One link becomes slow, then another is cut: requests go elsewhere within two collections of κ.
     let mut simulation = Simulation::new(corridor("cloud, edge, fog", "nearest"), 1).unwrap();
-    let (mut told, mut changes) = (Told::default(), 0);
+    let (mut outcome, mut changes) = (Outcome::default(), 0);
     while simulation.step().as_secs_f64() < 9.0 {
-        told.poll(&mut simulation);
+        outcome.poll(&mut simulation);
         if changes == 0 && simulation.now().as_secs_f64() > 3.0 {
             changes = 1;
             let change = ConditionChange { delay_ms: Some(3.0), ..ConditionChange::default() };
@@ -227,10 +231,10 @@ fn nearest_follows_the_robot_and_the_conditions_of_links() {
     }
     let at = |seconds: f64| {
         let emitted = |sample: &&ServiceTime| sample.emitted.as_secs_f64() > seconds;
-        told.samples.iter().find(emitted).unwrap().server.as_str()
+        outcome.samples.iter().find(emitted).unwrap().server.as_str()
     };
     assert_eq!([at(2.5), at(3.2), at(6.2)], ["fog", "edge", "fog"]);
-    let lost = told.samples.iter().filter(|sample| sample.took.is_none()).count();
+    let lost = outcome.samples.iter().filter(|sample| sample.took.is_none()).count();
     assert!(lost <= 3, "{lost}");
 }
 
@@ -249,20 +253,20 @@ fn every_position_packet_is_answered_while_instances_come_and_go() {
         let mut moves = (0..96_u16)
             .map(|i| (Timestamp::from_secs_f64(1.0 + 0.1525 * f64::from(i)), all[usize::from(i % 6)]));
         let mut next = moves.next();
-        let mut told = Told::default();
+        let mut outcome = Outcome::default();
         while next.is_some() || simulation.now().as_secs_f64() < 18.0 {
             simulation.set_alarm(next.map(|(at, _)| at));
             let now = simulation.step();
-            told.poll(&mut simulation);
+            outcome.poll(&mut simulation);
             if let Some((_, nodes)) = next.filter(|(at, _)| *at <= now) {
                 place(&mut simulation, nodes);
                 next = moves.next();
             }
         }
-        assert!(told.samples.len() > 330, "{} samples", told.samples.len());
-        let unanswered = told.samples.iter().filter(|sample| sample.took.is_none()).count();
+        assert!(outcome.samples.len() > 330, "{} samples", outcome.samples.len());
+        let unanswered = outcome.samples.iter().filter(|sample| sample.took.is_none()).count();
         assert_eq!(unanswered, 0, "{requests}");
-        assert!(told.servers().len() > 20, "{requests}: {:?}", told.servers());
+        assert!(outcome.servers().len() > 20, "{requests}: {:?}", outcome.servers());
         assert_eq!(simulation.serving().running().len(), 2, "navigation and localization, once each");
     }
 }
@@ -274,10 +278,10 @@ fn localization_by_several_instances_never_loses_the_robot() {
             .replace("  localization:\n", "  localization:\n    requests: all\n")
     };
     let mut simulation = Simulation::new(changed("cloud", "one", localized), 1).unwrap();
-    let mut told = Told::default();
+    let mut outcome = Outcome::default();
     let mut killed = false;
     while simulation.step().as_secs_f64() < 60.0 {
-        told.poll(&mut simulation);
+        outcome.poll(&mut simulation);
         if !killed && simulation.now().as_secs_f64() > 20.0 {
             killed = true;
             simulation.serving().kill_on(&"localization".parse().unwrap(), &node("edge"));
@@ -286,7 +290,7 @@ fn localization_by_several_instances_never_loses_the_robot() {
     let (_, errors) = simulation.localization_errors().next().unwrap();
     assert!(errors.len() > 550);
     assert!(errors.position_rmse() < 0.1 && errors.farthest() < 0.3, "{errors}");
-    let rejected = told.rejected.unwrap();
+    let rejected = outcome.rejected.unwrap();
     assert!(rejected.redundant > 30, "{rejected:?}");
     assert_eq!(AnswersRejected { redundant: 0, ..rejected }, AnswersRejected::none(node("robot")));
 }

@@ -13,7 +13,7 @@ use cotorra_network_control::InstructionError;
 use cotorra_recording::{Pace, Recording, Tap};
 use cotorra_robot_middleware::{SensedData, SensedScan};
 
-use super::{Happened, Simulation, Stretch};
+use super::{Output, Simulation, Stretch};
 use crate::{
     api::{self, Listener, Lockstep},
     clock::{Clock, wall_clock},
@@ -88,8 +88,8 @@ pub(super) fn simulate_with(
     let history = Arc::new(history);
     let recorder = history.paced_recorder(run)?;
     let report = Report::new(&testbed, seed).on_disk(folder.path())?;
-    let books = Books { report, recorder: recorder.clone(), unwritten: 0, tap, keeper: keeper.clone() };
-    let mut underway = Underway { simulation, books, go_on, stopped: false };
+    let records = Records { report, recorder: recorder.clone(), unwritten: 0, tap, keeper: keeper.clone() };
+    let mut recorded = RecordedSimulation { simulation, records, go_on, stopped: false };
     let mut external = None;
     if programs(&testbed).next().is_some() {
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
@@ -112,46 +112,46 @@ pub(super) fn simulate_with(
         let listener = listener.announced(options.runs.as_ref(), &folder.path().to_string_lossy());
         let programs =
             external.insert(ExternalPlugins::serve(listener, options.tokens.clone(), wall, context)?);
-        programs.start(&testbed, &folder.logs(), underway.simulation.host())?;
+        programs.start(&testbed, &folder.logs(), recorded.simulation.host())?;
     }
     let end = loop {
         // Also before the first step: programs follow when it begins.
         if let Some(programs) = &mut external
-            && !programs.settle(&mut underway)
+            && !programs.settle(&mut recorded)
         {
             break End::Stopped;
         }
         if external.is_some() {
-            let alarm = underway.simulation.host().next_wake();
-            underway.simulation.set_alarm(alarm);
+            let alarm = recorded.simulation.host().next_wake();
+            recorded.simulation.set_alarm(alarm);
         }
-        if underway.simulation.is_finished() {
+        if recorded.simulation.is_finished() {
             break End::Walked;
         }
-        if until.is_some_and(|until| underway.simulation.now() >= until) {
+        if until.is_some_and(|until| recorded.simulation.now() >= until) {
             break End::Until;
         }
         // Programs receive events after each moment with events. The history is written after the same steps each time.
-        let stretch = match HISTORY_PACE.saturating_sub(underway.books.unwritten) {
+        let stretch = match HISTORY_PACE.saturating_sub(recorded.records.unwritten) {
             0 => Stretch::Step,
             _ if external.is_some() => Stretch::Events(1, until),
             room => Stretch::Events(room, until),
         };
-        if !underway.advance(stretch, external.as_mut()) {
+        if !recorded.advance(stretch, external.as_mut()) {
             break End::Stopped;
         }
-        if underway.books.unwritten >= HISTORY_PACE {
-            underway.books.catch_up()?;
-            if !underway.goes_on() {
+        if recorded.records.unwritten >= HISTORY_PACE {
+            recorded.records.catch_up()?;
+            if !recorded.goes_on() {
                 break End::Stopped;
             }
         }
     };
     drop(external);
-    let Underway { simulation, mut books, .. } = underway;
-    simulation.flow_remarks().into_iter().for_each(|remark| books.keep(Arc::new(remark)));
-    books.catch_up()?;
-    let Books { mut report, recorder, .. } = books;
+    let RecordedSimulation { simulation, mut records, .. } = recorded;
+    simulation.flow_remarks().into_iter().for_each(|remark| records.keep(Arc::new(remark)));
+    records.catch_up()?;
+    let Records { mut report, recorder, .. } = records;
     report.localized(simulation.localization_errors());
     let recording = recording.map(Recording::finish);
     let unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
@@ -165,37 +165,37 @@ pub(super) fn simulate_with(
 }
 
 /// A simulation whose events are recorded.
-struct Underway<G> {
+struct RecordedSimulation<G> {
     simulation: Guarded<Simulation>,
-    books: Books,
+    records: Records,
     go_on: G,
     /// Set once `go_on` returned false, because it may not do so again.
     stopped: bool,
 }
 
-impl<G: FnMut(Timestamp) -> bool> Underway<G> {
+impl<G: FnMut(Timestamp) -> bool> RecordedSimulation<G> {
     /// Runs a stretch, and publishes its outputs. Returns whether to go on.
     fn advance(&mut self, stretch: Stretch, mut programs: Option<&mut ExternalPlugins>) -> bool {
         self.simulation.go(stretch);
         let now = self.simulation.now();
         self.stopped |= !self.simulation.run(&mut || (self.go_on)(now));
-        while let Some(happened) = self.simulation.poll() {
-            match happened {
-                Happened::Event(event) => {
+        while let Some(output) = self.simulation.poll() {
+            match output {
+                Output::Event(event) => {
                     if let Some(programs) = &mut programs {
                         programs.publish(&event, self.simulation.host());
                     }
-                    self.books.keep(event);
+                    self.records.keep(event);
                 }
-                Happened::Scan(scan) => self.books.scan(scan),
-                Happened::Data(data) => self.books.data(data),
+                Output::Scan(scan) => self.records.scan(scan),
+                Output::Data(data) => self.records.data(data),
             }
         }
         !self.stopped
     }
 }
 
-impl<G: FnMut(Timestamp) -> bool> Stage for Underway<G> {
+impl<G: FnMut(Timestamp) -> bool> Stage for RecordedSimulation<G> {
     fn now(&self) -> Timestamp {
         self.simulation.now()
     }
@@ -228,7 +228,7 @@ impl<G: FnMut(Timestamp) -> bool> Stage for Underway<G> {
 }
 
 /// Records a simulation's outputs.
-struct Books {
+struct Records {
     report: Report,
     recorder: PacedRecorder,
     unwritten: usize,
@@ -236,7 +236,7 @@ struct Books {
     keeper: Option<Keeper>,
 }
 
-impl Books {
+impl Records {
     fn keep(&mut self, event: Arc<Stamped>) {
         self.report.absorb(&event);
         if let Some(tap) = &self.tap {

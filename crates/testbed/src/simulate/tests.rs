@@ -224,20 +224,20 @@ fn a_robot_reaches_its_goal_waits_and_continues_its_walk() {
     let instructions =
         [(left, navigate_to("robot", Some(goal))), (moved, place), (back, navigate_to("robot", None))];
     let events = instructed(corridor(), &instructions, 80.0);
-    let told = goal_events(&events);
-    let states: Vec<_> = told.iter().map(|(_, goal)| goal.state).collect();
+    let goals = goal_events(&events);
+    let states: Vec<_> = goals.iter().map(|(_, goal)| goal.state).collect();
     let progress = states.len() - 2;
-    assert_eq!((states[0], states[progress + 1]), (GoalState::Set, GoalState::Reached), "{told:?}");
-    assert!(states[1..=progress].iter().all(|state| *state == GoalState::Progress), "{told:?}");
+    assert_eq!((states[0], states[progress + 1]), (GoalState::Set, GoalState::Reached), "{goals:?}");
+    assert!(states[1..=progress].iter().all(|state| *state == GoalState::Progress), "{goals:?}");
     assert!((8..25).contains(&progress), "{progress} s of progress");
-    for pair in told[1..=progress].windows(2) {
+    for pair in goals[1..=progress].windows(2) {
         assert!((1.0..1.1).contains(&(pair[1].0 - pair[0].0)), "{pair:?}");
         // It rolls on until it has turned round.
         let turned = pair[0].0 > left + 5.0;
         assert!(!turned || pair[1].1.remaining_m < pair[0].1.remaining_m, "{pair:?}");
     }
-    let reached = told[progress + 1].0;
-    assert!(told.iter().all(|(_, told)| told.goal == goal) && reached < back - 5.0, "{reached}");
+    let reached = goals[progress + 1].0;
+    assert!(goals.iter().all(|(_, goals)| goals.goal == goal) && reached < back - 5.0, "{reached}");
     let mut waypoint = None;
     for (at, context) in contexts(&events) {
         let off = context.sensors.pose.position().distance(goal);
@@ -263,8 +263,8 @@ fn a_robot_reaches_its_goal_waits_and_continues_its_walk() {
 fn a_quadrotor_accepts_goals_above_the_floor() {
     let goal = Position::new(8.0, 2.5).at_height(5.0);
     let events = instructed(loaded("hall.yaml"), &[(5.0, navigate_to("uav", Some(goal)))], 40.0);
-    let told = goal_events(&events);
-    let (reached, last) = told.last().unwrap();
+    let goals = goal_events(&events);
+    let (reached, last) = goals.last().unwrap();
     assert_eq!((last.state, last.goal), (GoalState::Reached, goal));
     let (_, there) = contexts(&events).find(|(at, _)| at > reached).unwrap();
     assert!(there.sensors.pose.position().distance(goal) < 0.3, "{:?}", there.sensors.pose);
@@ -282,12 +282,12 @@ fn a_goal_behind_a_wall_fails_with_the_reason_and_the_robot_stops() {
     testbed.map = OccupancyGrid::new(map.width(), map.height(), map.resolution(), map.origin(), cells);
     let goal = Position::new(26.4, -18.7);
     let events = instructed(Arc::new(testbed), &[(5.0, navigate_to("robot", Some(goal)))], 12.0);
-    let told = goal_events(&events);
-    let states: Vec<_> = told.iter().map(|(_, goal)| goal.state).collect();
+    let goals = goal_events(&events);
+    let states: Vec<_> = goals.iter().map(|(_, goal)| goal.state).collect();
     assert_eq!(states, [GoalState::Set, GoalState::Failed]);
-    let reason = told[1].1.reason.as_deref().unwrap();
+    let reason = goals[1].1.reason.as_deref().unwrap();
     assert!(reason.starts_with("no way leads from ") && reason.ends_with("to (26.4, -18.7)"), "{reason}");
-    assert!(told[1].0 < 5.2, "at {}", told[1].0);
+    assert!(goals[1].0 < 5.2, "at {}", goals[1].0);
     let speed = |context: &RobotContext| context.sensors.velocity.linear;
     assert!(contexts(&events).any(|(at, context)| at < 5.0 && speed(context) > 0.2));
     assert!(contexts(&events).all(|(at, context)| at < 6.5 || speed(context) == 0.0));

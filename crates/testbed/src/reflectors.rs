@@ -24,7 +24,7 @@ use parking_lot::{Mutex, MutexGuard};
 pub enum ReflectorError {
     /// The reflector does not answer.
     #[error(
-        "{address} answers no probes of STAMP at port 862, so what the medium of `{link}` takes cannot be measured: run \
+        "{address} answers no probes of STAMP at port 862, so the medium's delay of `{link}` cannot be measured: run \
          `cotorra stamp reflect` there, or leave out `reflector` and declare a `medium_delay`"
     )]
     NoReflector {
@@ -33,7 +33,7 @@ pub enum ReflectorError {
         address: IpAddr,
     },
     /// The reflector cannot be probed.
-    #[error("what the medium of `{link}` takes cannot be measured: {source}")]
+    #[error("cannot measure the medium's delay of `{link}`: {source}")]
     Socket {
         link: LinkId,
         /// The system's error.
@@ -60,7 +60,7 @@ pub(crate) fn measure_media(graph: &mut HardwareGraph) -> Result<(), ReflectorEr
     for (link, address) in reflectors.collect::<Vec<_>>() {
         let delay = one_way(&link, address)?;
         tracing::info!(
-            "the medium of `{link}` takes {:.3} ms, half of a round trip",
+            "the medium's delay of `{link}` is {:.3} ms, half of a round trip",
             delay.as_secs_f64() * 1e3
         );
         graph.links.iter_mut().filter(|l| l.id == link).for_each(|l| l.medium_delay = delay);
@@ -94,7 +94,7 @@ fn round_trip(address: IpAddr) -> io::Result<Option<Duration>> {
 }
 
 /// The probes of real links during a run. They end when this is dropped.
-pub(crate) struct Reflected {
+pub(crate) struct LinkProbes {
     links: HashMap<LinkId, Arc<Shared>>,
     /// By how much round trips took longer than configured.
     late: Arc<Mutex<Histogram>>,
@@ -111,14 +111,14 @@ struct Shared {
 struct State {
     /// Configured conditions of the way there and back, each with the time since which they apply. The latest is last.
     /// Older ones are kept as long as the session looks back.
-    asked: VecDeque<(Utc, [Conditions; 2])>,
+    configured: VecDeque<(Utc, [Conditions; 2])>,
     /// Packets sent after this time only met the latest conditions.
     since: Utc,
     /// The last measurements, and their time.
-    told: Option<(Utc, [LinkEstimate; 2])>,
+    measured: Option<(Utc, [LinkEstimate; 2])>,
 }
 
-impl Reflected {
+impl LinkProbes {
     /// Begins to probe links with reflectors at these addresses. The conditions are those of the way there and back.
     ///
     /// # Errors
@@ -128,15 +128,15 @@ impl Reflected {
         probing: Probing,
     ) -> Result<Self, ReflectorError> {
         let mut reflected = Self { links: HashMap::new(), late: Arc::default(), threads: Vec::new() };
-        for (link, address, asked) in links {
-            let mut config = WireProbes::session(&probing, asked.each_ref());
+        for (link, address, configured) in links {
+            let mut config = WireProbes::session(&probing, configured.each_ref());
             // Another run may probe the same reflector from the same address.
             config.identifier = std::process::id() as u16;
             let sender = Sender::connect(SocketAddr::new(address, PORT), config);
             let sender = sender.map_err(|source| no_socket(&link, source))?;
             let clock = sender.clock();
             let since = clock.now();
-            let state = State { asked: [(since, asked)].into(), since, told: None };
+            let state = State { configured: [(since, configured)].into(), since, measured: None };
             let shared =
                 Arc::new(Shared { clock, stopping: AtomicBool::new(false), state: Mutex::new(state) });
             let (its, late, name) = (Arc::clone(&shared), Arc::clone(&reflected.late), link.clone());
@@ -161,25 +161,29 @@ impl Reflected {
         change()?;
         let mut state = shared.lock();
         let now = shared.clock.now();
-        let mut asked = state.asked.back().expect("there is always one").1.clone();
+        let mut configured = state.configured.back().expect("never empty").1.clone();
         // Packets sent before that time may have to wait for earlier ones, because order is kept.
-        state.since = now + asked.iter().map(|before| before.delay).sum();
+        state.since = now + configured.iter().map(|before| before.delay).sum();
         // Packets sent during the change may have met either conditions.
-        let before = std::mem::replace(&mut asked[way], conditions.clone());
-        let mut meanwhile = asked.clone();
+        let before = std::mem::replace(&mut configured[way], conditions.clone());
+        let mut meanwhile = configured.clone();
         meanwhile[way].delay = before.delay.min(conditions.delay);
-        state.asked.extend([(began, meanwhile), (now, asked)]);
+        state.configured.extend([(began, meanwhile), (now, configured)]);
         Ok(())
     }
 
     /// Returns the measurements of the way there and back of a link; `None` if it is not probed, or not yet.
     pub(crate) fn probed(&self, link: &LinkId) -> Option<[Probed; 2]> {
         let shared = self.links.get(link)?;
-        let (at, told) = shared.lock().told?;
+        let (at, measured) = shared.lock().measured?;
         let since = shared.clock.now().since(at);
-        Some(told.map(|told| {
-            let delays = told.delays.map(|(delays, age)| (delays, age + since));
-            WireProbes::estimate(LinkEstimate { delays, loss: told.loss, loss_age: told.loss_age + since })
+        Some(measured.map(|measured| {
+            let delays = measured.delays.map(|(delays, age)| (delays, age + since));
+            WireProbes::estimate(LinkEstimate {
+                delays,
+                loss: measured.loss,
+                loss_age: measured.loss_age + since,
+            })
         }))
     }
 
@@ -190,7 +194,7 @@ impl Reflected {
     }
 }
 
-impl Drop for Reflected {
+impl Drop for LinkProbes {
     fn drop(&mut self) {
         self.links.values().for_each(|shared| shared.stopping.store(true, Ordering::Relaxed));
         for thread in self.threads.drain(..) {
@@ -222,16 +226,17 @@ impl Shared {
             let mut state = self.lock();
             if let Some(took) = round_trip
                 && now - took >= state.since
-                && let Some(asked) = state.alone()
+                && let Some(configured) = state.alone()
             {
-                late.lock().record(took.saturating_sub(asked));
+                late.lock().record(took.saturating_sub(configured));
             }
-            let (_, asked) = state.asked.back().expect("there is always one");
-            let config = WireProbes::session(&probing, asked.each_ref());
+            let (_, configured) = state.configured.back().expect("never empty");
+            let config = WireProbes::session(&probing, configured.each_ref());
             sender.session_mut().pace(config);
             state.forget(now - config.window);
-            if state.told.is_none_or(|(at, _)| now.since(at) >= NOTICE) {
-                state.told = sender.session().one_way(now, |at| state.least(at)).map(|told| (now, told));
+            if state.measured.is_none_or(|(at, _)| now.since(at) >= NOTICE) {
+                state.measured =
+                    sender.session().one_way(now, |at| state.least(at)).map(|measured| (now, measured));
             }
         }
     }
@@ -240,21 +245,21 @@ impl Shared {
 impl State {
     /// Returns the shortest delay of both ways for packets sent at that time.
     fn least(&self, at: Utc) -> [Duration; 2] {
-        let until = self.asked.partition_point(|(since, _)| *since <= at);
-        let (_, asked) = &self.asked[until.saturating_sub(1)];
-        asked.each_ref().map(|way| way.alone(WireProbes::BYTES).unwrap_or(way.delay))
+        let until = self.configured.partition_point(|(since, _)| *since <= at);
+        let (_, configured) = &self.configured[until.saturating_sub(1)];
+        configured.each_ref().map(|way| way.alone(WireProbes::BYTES).unwrap_or(way.delay))
     }
 
     /// Returns the configured delay of a round trip; `None` if it is random.
     fn alone(&self) -> Option<Duration> {
-        let (_, [there, back]) = self.asked.back()?;
+        let (_, [there, back]) = self.configured.back()?;
         Some(there.alone(WireProbes::BYTES)? + back.alone(WireProbes::BYTES)?)
     }
 
     /// Drops conditions that the session does not look back to.
     fn forget(&mut self, from: Utc) {
-        while self.asked.get(1).is_some_and(|(since, _)| *since <= from) {
-            self.asked.pop_front();
+        while self.configured.get(1).is_some_and(|(since, _)| *since <= from) {
+            self.configured.pop_front();
         }
     }
 }

@@ -19,12 +19,12 @@ use crate::live::Live;
 const PERIOD: Duration = Duration::from_secs(5);
 
 /// The pruning thread. It ends when this is dropped.
-pub(crate) struct Retaining {
+pub(crate) struct Pruner {
     stop: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Retaining {
+impl Pruner {
     /// Starts the thread; returns `None` if everything is kept.
     pub fn start(
         testbed: &Testbed,
@@ -51,7 +51,7 @@ impl Retaining {
                 for (kind, kept) in &of {
                     let go_on = || stopped.try_recv() == Err(mpsc::TryRecvError::Empty);
                     if let Err(error) = history.retain(run, *kind, kept, now, false, go_on) {
-                        tracing::warn!(%error, "old samples stay as they are");
+                        tracing::warn!(%error, "cannot roll up old samples");
                     }
                 }
             }
@@ -61,7 +61,7 @@ impl Retaining {
     }
 }
 
-impl Drop for Retaining {
+impl Drop for Pruner {
     fn drop(&mut self) {
         self.stop = None;
         if let Some(thread) = self.thread.take()
