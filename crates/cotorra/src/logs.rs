@@ -21,8 +21,8 @@ const VARIABLE: &str = "COTORRA_LOG";
 pub fn begin(verbose: u8, view: &MultiProgress) -> LogFile {
     let (shown, kept) = usual(verbose);
     let filter = |usual: &str| {
-        let said = env::var(VARIABLE).ok().filter(|said| !said.is_empty());
-        targets(said.as_deref().unwrap_or(usual))
+        let value = env::var(VARIABLE).ok().filter(|value| !value.is_empty());
+        targets(value.as_deref().unwrap_or(usual))
     };
     let file = LogFile::default();
     let (to_file, view) = (file.clone(), view.clone());

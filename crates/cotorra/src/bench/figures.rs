@@ -35,8 +35,8 @@ pub const ALL: &[Benchmark] = &[
     },
     Benchmark { name: "hops", about: "TCP through three links: less than through one, by", measure: hops },
     Benchmark { name: "packets", about: "UDP packets of 64 bytes through one link", measure: packets },
-    Benchmark { name: "rate", about: "rate of a limited link against what was asked", measure: rate },
-    Benchmark { name: "loss", about: "loss of a lossy link against what was asked", measure: loss },
+    Benchmark { name: "rate", about: "rate of a limited link against its limit", measure: rate },
+    Benchmark { name: "loss", about: "loss of a lossy link against its setting", measure: loss },
     Benchmark { name: "hosts", about: "1000 hosts up and down", measure: hosts },
     Benchmark {
         name: "mininet",
@@ -61,16 +61,16 @@ fn round_trip(bench: &Bench) -> Result<Vec<Row>, Error> {
     let row = |name: &str, Percentiles { p50, p99, max }: Percentiles| {
         Row::new(name, micros(p50), format!("p99 {}, max {}", micros(p99), micros(max)))
     };
-    bench.doing("round trips of 2 ms");
+    bench.show("round trips of 2 ms");
     let usual = row(about("round-trip"), bench::round_trip(Setting::default(), ONE_WAY, ROUND_TRIPS)?);
-    bench.doing("round trips of 2 ms, with a core that spins");
+    bench.show("round trips of 2 ms, with a core that spins");
     let setting = Setting { busy_poll: BusyPoll::Always, ..Setting::default() };
     let spinning = row("  with a core that spins", bench::round_trip(setting, ONE_WAY, ROUND_TRIPS)?);
-    bench.doing("round trips of 2 ms, with cores that may sleep");
+    bench.show("round trips of 2 ms, with cores that may sleep");
     let setting = Setting { let_cores_sleep: true, ..Setting::default() };
     let sleeping = row("  with cores that may sleep", bench::round_trip(setting, ONE_WAY, ROUND_TRIPS)?);
     let peer = peers::check_rattan(bench).and_then(|()| {
-        bench.doing("round trips of 2 ms through rattan");
+        bench.show("round trips of 2 ms through rattan");
         peers::rattan_round_trips(bench, ONE_WAY, ROUND_TRIPS)
     });
     let peer = peer.map_or_else(|missing| rattan_missing(&missing), |measured| row("  rattan", measured));
@@ -132,10 +132,10 @@ fn packets(bench: &Bench) -> Result<Vec<Row>, Error> {
 
 fn rate(bench: &Bench) -> Result<Vec<Row>, Error> {
     let row = |mbps: f64| {
-        let asked = BitRate::from_mbps(mbps).expect("above zero");
-        let errors = repeat(bench, "a limited rate", || bench::rate_error(Setting::default(), asked, ONCE))?;
+        let limit = BitRate::from_mbps(mbps).expect("above zero");
+        let errors = repeat(bench, "a limited rate", || bench::rate_error(Setting::default(), limit, ONCE))?;
         let worst = errors.0.iter().copied().fold(0.0, f64::max);
-        let name = format!("error of a rate of {asked}, Ethernet header included");
+        let name = format!("error of a rate of {limit}, Ethernet header included");
         let row = Row::new(
             name,
             format!("{:.3} %", errors.median() * 100.0),
@@ -150,16 +150,16 @@ fn loss(bench: &Bench) -> Result<Vec<Row>, Error> {
     /// 99 % quantile (two-sided) of the normal distribution, which approximates the loss of a million packets.
     const Z: f64 = 2.576;
     const PACKETS: u64 = 1_000_000;
-    bench.doing("a million packets over a lossy link");
-    let asked = 0.01;
-    let counted = bench::loss(Setting::default(), Probability::new(asked).expect("a share"), PACKETS)?;
+    bench.show("a million packets over a lossy link");
+    let expected = 0.01;
+    let counted = bench::loss(Setting::default(), Probability::new(expected).expect("a share"), PACKETS)?;
     let share = counted.lost as f64 / counted.packets as f64;
-    let half = Z * (asked * (1.0 - asked) / counted.packets as f64).sqrt();
-    let verdict = if (share - asked).abs() <= half { "within" } else { "outside" };
+    let half = Z * (expected * (1.0 - expected) / counted.packets as f64).sqrt();
+    let verdict = if (share - expected).abs() <= half { "within" } else { "outside" };
     let row = Row::new(
-        format!("loss of a link that loses {} %", asked * 100.0),
+        format!("loss of a link that loses {} %", expected * 100.0),
         format!("{:.4} %", share * 100.0),
-        format!("{verdict} {:.4} to {:.4} %", (asked - half) * 100.0, (asked + half) * 100.0),
+        format!("{verdict} {:.4} to {:.4} %", (expected - half) * 100.0, (expected + half) * 100.0),
     );
     Ok(vec![row.aiming_at("within the 99 % interval")])
 }
@@ -198,7 +198,7 @@ fn mininet(bench: &Bench) -> Result<Vec<Row>, Error> {
     let highest = ours.0.iter().copied().fold(0.0, f64::max);
     let row =
         Row::new(about("mininet"), format!("{:.3} s", ours.median()), format!("highest {highest:.3} s"));
-    bench.doing("50 hosts in Mininet");
+    bench.show("50 hosts in Mininet");
     let peer = match peers::mininet(bench, HOSTS) {
         Ok(took) => {
             let took = took.as_secs_f64();
@@ -231,7 +231,7 @@ struct Samples(Vec<f64>);
 
 fn repeat<E>(bench: &Bench, what: &str, mut measure: impl FnMut() -> Result<f64, E>) -> Result<Samples, E> {
     let once = |time| {
-        bench.doing(format!("{what}, {} of {TIMES}", time + 1));
+        bench.show(format!("{what}, {} of {TIMES}", time + 1));
         measure()
     };
     (0..TIMES).map(once).collect::<Result<_, _>>().map(Samples)

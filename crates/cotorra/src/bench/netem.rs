@@ -35,7 +35,7 @@ fn rows(bench: &Bench) -> Result<Vec<Row>, KernelNetworkError> {
     for (links, path) in LINKS {
         let delay = Duration::from_millis(10);
         for (emulator, name) in EMULATORS {
-            bench.doing(format!("delay over {path}: {name}"));
+            bench.show(format!("delay over {path}: {name}"));
             let error = compare::delay_error(emulator, links, delay)?;
             rows.push(percentiles(format!("delay of 10 ms a link, {path}: {name} is late by"), error));
         }
@@ -44,7 +44,7 @@ fn rows(bench: &Bench) -> Result<Vec<Row>, KernelNetworkError> {
         let deviation = Duration::from_millis(2);
         let expected = deviation.as_secs_f64() * 1e3 * (links as f64).sqrt();
         for (emulator, name) in EMULATORS {
-            bench.doing(format!("jitter over {path}: {name}"));
+            bench.show(format!("jitter over {path}: {name}"));
             let found = compare::jitter(emulator, links, deviation)?.as_secs_f64() * 1e3;
             let error = (found / expected - 1.0) * 100.0;
             let figure = format!("jitter of 2 ms a link, {path} ({expected:.2} ms): {name}");
@@ -55,7 +55,7 @@ fn rows(bench: &Bench) -> Result<Vec<Row>, KernelNetworkError> {
         let rate = 0.05;
         let expected = (1.0 - (1.0_f64 - rate).powi(links as i32)) * 100.0;
         for (emulator, name) in EMULATORS {
-            bench.doing(format!("loss over {path}: {name}"));
+            bench.show(format!("loss over {path}: {name}"));
             let found = compare::loss(emulator, links, Probability::new(rate).expect("a share"))? * 100.0;
             let figure = format!("loss of 5 % a link, {path} ({expected:.2} %): {name}");
             rows.push(Row::new(figure, format!("{found:.2} %"), format!("{:+.2} points", found - expected)));
@@ -63,7 +63,7 @@ fn rows(bench: &Bench) -> Result<Vec<Row>, KernelNetworkError> {
     }
     for (links, path) in LINKS {
         for (emulator, name) in EMULATORS {
-            bench.doing(format!("TCP over {path}: {name}"));
+            bench.show(format!("TCP over {path}: {name}"));
             let measure = |_| compare::throughput(emulator, links, Duration::from_secs(2));
             let mut rates = (0..3).map(measure).collect::<Result<Vec<_>, _>>()?;
             rates.sort_by(f64::total_cmp);
@@ -76,7 +76,7 @@ fn rows(bench: &Bench) -> Result<Vec<Row>, KernelNetworkError> {
         }
     }
     for ((emulator, name), goal) in EMULATORS.into_iter().zip(["1 ms", "2 ms"]) {
-        bench.doing(format!("changes of a delay: {name}"));
+        bench.show(format!("changes of a delay: {name}"));
         let lag = compare::change_lag(emulator, 50)?;
         let row = percentiles(format!("a change of delay, after the call returned: {name}"), lag);
         rows.push(row.aiming_at(goal));

@@ -54,7 +54,7 @@ pub fn rattan_round_trips(bench: &Bench, one_way: Duration, count: usize) -> Res
         let nanos = last.split_whitespace().map(|word| word.parse().map(Duration::from_nanos));
         match nanos.collect::<Result<Vec<_>, _>>().as_deref() {
             Ok(&[p50, p99, max]) => Ok(Percentiles { p50, p99, max }),
-            _ => Err(Missing::Failed(format!("our probe inside it said {last:?}"))),
+            _ => Err(Missing::Failed(format!("our probe inside it errors {last:?}"))),
         }
     })
 }
@@ -104,9 +104,9 @@ pub fn mininet(bench: &Bench, hosts: usize) -> Result<Duration, Missing> {
         Ok(_) if !bench.root => return Err(Missing::NeedsRoot),
         Ok(output) => output,
     };
-    let (printed, said) = succeed(output)?;
+    let (printed, errors) = succeed(output)?;
     // Its last line is "completed in 6.543 seconds".
-    let text = printed + &said;
+    let text = printed + &errors;
     let seconds =
         text.rsplit_once("completed in ").and_then(|(_, rest)| rest.split_whitespace().next()?.parse().ok());
     let seconds = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
@@ -114,12 +114,12 @@ pub fn mininet(bench: &Bench, hosts: usize) -> Result<Duration, Missing> {
 }
 
 fn succeed(output: Output) -> Result<(String, String), Missing> {
-    let [printed, said] =
+    let [printed, errors] =
         [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     if output.status.success() {
-        return Ok((printed, said));
+        return Ok((printed, errors));
     }
-    let lines = || said.lines().map(str::trim).filter(|line| !line.is_empty());
+    let lines = || errors.lines().map(str::trim).filter(|line| !line.is_empty());
     let why =
         lines().find(|line| line.contains("annot") || line.contains("rror")).or_else(|| lines().next_back());
     Err(Missing::Failed(format!("{}: {}", output.status, why.unwrap_or("no message"))))

@@ -15,8 +15,8 @@ pub struct Bench {
 
 impl Bench {
     /// Shows the measurement that is under way.
-    pub fn doing(&self, what: impl Into<Cow<'static, str>>) {
-        self.progress.set_message(what);
+    pub fn show(&self, measurement: impl Into<Cow<'static, str>>) {
+        self.progress.set_message(measurement);
     }
 }
 

@@ -109,7 +109,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         wais_callbacks: args.wais_callbacks.clone(),
         interfaces: Confirmed { replace: args.replace, interfaces: args.allow_interface.clone() },
         history: history.clone(),
-        recording: wanted(&args),
+        recording: recording(&args),
         after: None,
     };
     if args.dry_run {
@@ -145,7 +145,7 @@ fn previous(args: &RunArgs, loaded: &Loaded) -> miette::Result<Option<PreviousRu
 }
 
 /// Returns whether the run is recorded, and served to viewers.
-fn wanted(args: &RunArgs) -> Wanted {
+fn recording(args: &RunArgs) -> Wanted {
     let file = args.record.clone().map(|file| file.map_or(RecordingPlace::Folder, RecordingPlace::File));
     Wanted { file, foxglove: args.foxglove }
 }
@@ -172,7 +172,7 @@ impl Stage {
         Ok(Self { terminal, log, interrupts })
     }
 
-    /// Runs a testbed with real packets, to its end.
+    /// Runs a testbed with real packets to its end.
     pub fn emulate(&self, loaded: &Loaded, file: &Path, options: Options) -> miette::Result<Finished> {
         let until = options.until;
         let run = Run::start(loaded.testbed.clone(), &loaded.text, file, options).map_err(Error::from)?;
@@ -190,11 +190,11 @@ impl Stage {
         Ok(finished)
     }
 
-    /// Runs a testbed in virtual time, to its end; `what` says what it is, if that needs saying.
-    pub fn simulate(&self, loaded: &Loaded, options: &Options, what: &str) -> miette::Result<Finished> {
-        let spinner = self.terminal.add(ProgressBar::new_spinner().with_prefix(what.to_owned()));
+    /// Runs a testbed in virtual time, to its end. `prefix` names the run in the progress line; it can be empty.
+    pub fn simulate(&self, loaded: &Loaded, options: &Options, prefix: &str) -> miette::Result<Finished> {
+        let spinner = self.terminal.add(ProgressBar::new_spinner().with_prefix(prefix.to_owned()));
         let finished = cotorra_testbed::simulate(loaded.testbed.clone(), &loaded.text, options, |now| {
-            spinner.set_message(format!("{what}{:.0} s of virtual time", now.as_secs_f64()));
+            spinner.set_message(format!("{prefix}{:.0} s of virtual time", now.as_secs_f64()));
             spinner.tick();
             self.interrupts.try_recv().is_err()
         })

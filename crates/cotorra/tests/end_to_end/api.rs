@@ -7,7 +7,7 @@ use crate::harness::{Run, corridor, cotorra};
 const INSTRUCTIONS: &str = "/api/v1/instructions";
 
 #[test]
-fn robots_network_and_measurements_are_told_and_mistakes_are_refused() {
+fn the_api_serves_the_state_and_rejects_invalid_requests() {
     let run = Run::start(&corridor(), &["--until", "5min"]);
     run.wait_for_service();
     let robot = run.get("/api/v1/robots/robot");
@@ -31,7 +31,7 @@ fn robots_network_and_measurements_are_told_and_mistakes_are_refused() {
     let (status, body) = run.post(INSTRUCTIONS, &attach.to_string());
     assert_eq!((status, body["refused"].is_string()), (409, true), "{body}");
 
-    // More than the medium carries, and a delay below zero, cannot be.
+    // A negative delay and a rate above the medium's are rejected.
     for change in
         [json!({ "delay_ms": -1.0 }), json!({ "rate": { "kind": "fixed", "rate_bps": 1e11 as u64 } })]
     {
@@ -46,7 +46,7 @@ fn robots_network_and_measurements_are_told_and_mistakes_are_refused() {
 }
 
 #[test]
-fn with_a_token_only_those_who_show_it_come_in() {
+fn requests_without_the_token_are_rejected() {
     const TOKEN: &str = "a-secret-of-some-length";
     let run = Run::start_with(&corridor(), &["--until", "5min"], |command| {
         command.env("COTORRA_TOKEN", TOKEN);
@@ -58,7 +58,7 @@ fn with_a_token_only_those_who_show_it_come_in() {
 }
 
 #[test]
-fn others_on_the_network_are_not_served_without_a_token() {
+fn an_api_on_the_network_needs_a_token() {
     let out = tempfile::tempdir().unwrap();
     let mut command = cotorra(["run", "--headless", "--api", "0.0.0.0:0", "--out"]);
     let refused = command.arg(out.path()).arg(corridor()).output().unwrap();

@@ -5,10 +5,10 @@ use std::fs;
 
 use crate::harness::{Run, project_file, wait_until};
 
-/// What the detector prints of an image: number, size, bytes, checksum and mean brightness.
+/// Returns the images that the detector logged: number, size, bytes, checksum and mean brightness.
 fn received(run: &Run) -> Vec<(u64, String, u64, u32, f64)> {
     let log = fs::read_to_string(run.folder.join("logs/detector.log")).unwrap_or_default();
-    // The last line may still be on its way.
+    // The last line may be incomplete.
     let whole = log.rfind('\n').map_or("", |end| &log[..end]);
     let lines = whole.lines().filter_map(|line| {
         let [number, size, bytes, checksum, mean] =
@@ -27,7 +27,7 @@ fn received(run: &Run) -> Vec<(u64, String, u64, u32, f64)> {
     lines.collect()
 }
 
-/// CRC-32 of ISO 3309, as zlib has it.
+/// Returns the CRC-32 of ISO 3309, like zlib.
 fn crc32(bytes: &[u8]) -> u32 {
     let byte = |crc: u32, byte: &u8| {
         (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 })
@@ -45,12 +45,12 @@ fn a_program_receives_whole_images_while_the_robot_is_navigated() {
         assert_eq!((size.as_str(), *bytes), ("320x240", 320 * 240));
         assert!((20.0..220.0).contains(mean), "a corridor is neither dark nor white: {mean}");
     }
-    // It drives, and sees something else.
+    // The robot drives, so that its images change.
     wait_until(|| {
         let images = received(&run);
         images.last().unwrap().3 != images[0].3
     });
-    // What crossed the network is what the run keeps.
+    // The run keeps the same images that crossed the network.
     let (number, _, _, checksum, _) = received(&run).pop().unwrap();
     let (kept, header) = run.bytes(&format!("/api/v1/robots/robot/sensors/front/{number}"));
     assert_eq!((header("x-cotorra-format").as_str(), header("x-cotorra-width").as_str()), ("mono8", "320"));

@@ -19,7 +19,7 @@ use crate::harness::project_file;
 
 const DOMAINS: [&str; 4] = ["domain-1", "domain-2", "domain-3", "domain-4"];
 
-/// A node that makes a block each second.
+/// An anvil node that makes a block each second.
 pub struct Chain {
     place: TempDir,
     settings: anvil::Settings,
@@ -30,7 +30,7 @@ pub struct Chain {
 }
 
 impl Chain {
-    /// One with the contract, and with money for each domain; `None` where there is no anvil.
+    /// Starts a node with the contract, and with money for each domain. `None` without anvil.
     pub fn start() -> Option<Self> {
         let program = cotorra_testing::anvil()?;
         let place = tempfile::tempdir().unwrap();
@@ -71,7 +71,7 @@ impl Chain {
         answer.body_mut().read_json::<Value>().unwrap()["result"].clone()
     }
 
-    /// What has the orchestrators use it, with transactions that are final after so many blocks.
+    /// Returns settings that let the orchestrators use this chain, with transactions that are final after `depth` blocks.
     pub fn settings(&self, depth: u64) -> [String; 4] {
         DOMAINS.map(|domain| {
             let ledger = json!({
@@ -84,7 +84,7 @@ impl Chain {
         })
     }
 
-    /// Keeps the chain as it is now, for [`Self::resume`].
+    /// Saves the state of the chain for [`Self::resume`].
     pub fn keep(&mut self) {
         let state = self.rpc("anvil_dumpState", &json!([]));
         let packed = self.place.path().join("packed");
@@ -101,18 +101,18 @@ impl Chain {
         self.settings.state = Some(state);
     }
 
-    /// Ends the node with SIGKILL.
+    /// Kills the node with SIGKILL.
     pub fn kill(&mut self) {
         drop(self.node.take());
     }
 
-    /// Starts it again where it was, with the chain that was kept last.
+    /// Restarts the node on the same port, with the chain as it was saved last.
     pub fn resume(&mut self) {
         self.node = Some(Anvil::start(&self.settings).unwrap());
     }
 }
 
-/// The program, with a home of its own: a node that is killed leaves files there.
+/// Wraps the program to run with its own home, where a killed node leaves files.
 fn at_home(program: &Path, folder: &Path) -> PathBuf {
     use std::os::unix::fs::PermissionsExt;
     let script = folder.join("anvil");

@@ -1,4 +1,4 @@
-//! Clients that a generator makes of the OpenAPI documents, against a live run.
+//! Clients that are generated from the OpenAPI documents, against a live run.
 
 use std::{env, ffi::OsStr, fs, path::Path, process::Command};
 
@@ -6,7 +6,7 @@ use tempfile::TempDir;
 
 use crate::harness::{Run, output, project_file, stderr, stdout};
 
-/// Runs a program of the peers; gives what it printed.
+/// Runs a program of the peers. Returns its standard output.
 #[allow(clippy::unwrap_used, reason = "clippy knows helpers of integration tests for no tests")]
 fn run<S: AsRef<OsStr>>(program: &Path, arguments: impl IntoIterator<Item = S>, packages: &OsStr) -> String {
     let done = Command::new(program).args(arguments).env("PYTHONPATH", packages).output().unwrap();
@@ -15,7 +15,7 @@ fn run<S: AsRef<OsStr>>(program: &Path, arguments: impl IntoIterator<Item = S>, 
 }
 
 #[test]
-fn generated_clients_talk_to_a_run() {
+fn generated_clients_work_against_a_run() {
     let Some(python) = cotorra_testing::peers("openapi-python-client") else { return };
     let program = |name: &str| Path::new(&python).with_file_name(name);
     let folder = TempDir::new().unwrap();
@@ -35,13 +35,13 @@ fn generated_clients_talk_to_a_run() {
             "--config".as_ref(),
             &settings,
         ];
-        let told = run(&program("openapi-python-client"), arguments, OsStr::new(""));
-        assert!(!told.contains("Warning"), "all of the document becomes a client:\n{told}");
+        let printed = run(&program("openapi-python-client"), arguments, OsStr::new(""));
+        assert!(!printed.contains("Warning"), "all of the document becomes a client:\n{printed}");
     }
     let run_of_hall = Run::start(&project_file("testbeds/hall.yaml"), &[]);
     run_of_hall.wait_for_service();
     let packages = env::join_paths([path("operator"), path("wais")]).unwrap();
     let script = project_file("crates/cotorra/tests/end_to_end/generated_client.py");
-    let told = run(Path::new(&python), [script.as_os_str(), run_of_hall.address().as_ref()], &packages);
-    assert!(told.contains("all clients work"), "{told}");
+    let printed = run(Path::new(&python), [script.as_os_str(), run_of_hall.address().as_ref()], &packages);
+    assert!(printed.contains("all clients work"), "{printed}");
 }

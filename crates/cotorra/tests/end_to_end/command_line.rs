@@ -1,4 +1,4 @@
-//! Commands that bring nothing up.
+//! Commands that start no testbed.
 
 use std::{
     fs,
@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::harness::{corridor, cotorra, output, project_file, stderr, stdout};
 
 #[test]
-fn a_good_file_is_told_in_one_line() {
+fn a_valid_file_is_summarised_in_one_line() {
     let checked = output(["check".as_ref(), corridor().as_os_str()]);
     assert!(checked.status.success(), "{}", stderr(&checked));
     let text = stdout(&checked);
@@ -30,7 +30,7 @@ fn a_good_file_is_told_in_one_line() {
 }
 
 #[test]
-fn a_bad_file_is_told_all_that_is_wrong_at_once_with_lines_and_help() {
+fn all_mistakes_of_a_file_are_reported_with_lines_and_help() {
     let folder = tempfile::tempdir().unwrap();
     let bad = folder.path().join("bad.yaml");
     let text = "name: bad\nnodes:\n  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB, colour: red }\n  \
@@ -38,7 +38,7 @@ fn a_bad_file_is_told_all_that_is_wrong_at_once_with_lines_and_help() {
     fs::write(&bad, text).unwrap();
     let checked = output(["check".as_ref(), bad.as_os_str(), corridor().as_os_str()]);
     assert_eq!(checked.status.code(), Some(1));
-    let said = stderr(&checked);
+    let errors = stderr(&checked);
     for part in [
         "bad.yaml",
         ":3:",
@@ -50,13 +50,13 @@ fn a_bad_file_is_told_all_that_is_wrong_at_once_with_lines_and_help() {
         "`5` has no unit",
         "5 mistakes",
     ] {
-        assert!(said.contains(part), "{part} is not in {said}");
+        assert!(errors.contains(part), "{part} is not in {errors}");
     }
-    assert!(stdout(&checked).contains("corridor.yaml: "), "the good one is told too");
+    assert!(stdout(&checked).contains("corridor.yaml: "), "the valid file is summarised, too");
 }
 
 #[test]
-fn a_reader_of_errors_that_went_away_does_not_change_the_exit_code() {
+fn a_closed_standard_error_does_not_change_the_exit_status() {
     let folder = tempfile::tempdir().unwrap();
     let bad = folder.path().join("bad.yaml");
     fs::write(&bad, "name: bad\n").unwrap();
@@ -77,13 +77,13 @@ fn endless_and_huge_files_are_rejected_with_their_place() {
     fs::write(&named, format!("name: {}\n", "x".repeat(30 << 20))).unwrap();
     let checked = output(["check".as_ref(), named.as_os_str()]);
     assert_eq!(checked.status.code(), Some(1));
-    let said = stderr(&checked);
-    assert!(said.contains("named.yaml:1:7: this text has more than 65536 bytes"), "{said}");
-    assert!(said.len() < 1000, "the name is repeated");
+    let errors = stderr(&checked);
+    assert!(errors.contains("named.yaml:1:7: this text has more than 65536 bytes"), "{errors}");
+    assert!(errors.len() < 1000, "the name is repeated");
 }
 
 #[test]
-fn a_file_that_is_not_there_is_an_error_with_its_name() {
+fn a_missing_file_is_an_error_with_its_name() {
     for command in ["check", "run"] {
         let checked = output([command, "no-such-file.yaml"]);
         assert_eq!(checked.status.code(), Some(1));
@@ -107,10 +107,10 @@ fn schema_and_openapi_are_the_files_in_docs() {
 }
 
 #[test]
-fn the_doctor_always_answers_and_gives_a_reason_and_a_remedy_for_what_is_missing() {
-    let told = output(["doctor"]);
-    assert!(told.status.success(), "{}", stderr(&told));
-    let text = stdout(&told);
+fn the_doctor_gives_a_reason_and_a_remedy_for_each_missing_capability() {
+    let printed = output(["doctor"]);
+    assert!(printed.status.success(), "{}", stderr(&printed));
+    let text = stdout(&printed);
     for name in ["network namespaces", "NetEm", "mac80211_hwsim", "container engine"] {
         assert!(text.contains(name), "{name} is not in {text}");
     }
@@ -130,7 +130,7 @@ fn completions_name_every_command() {
 }
 
 #[test]
-fn wrong_usage_says_what_would_be_right() {
+fn wrong_usage_is_explained() {
     let file = corridor();
     let until =
         |duration: &str| output(["run".as_ref(), file.as_os_str(), "--until".as_ref(), duration.as_ref()]);
@@ -142,15 +142,15 @@ fn wrong_usage_says_what_would_be_right() {
 }
 
 #[test]
-fn a_dry_run_names_what_it_would_bring_up_and_leaves_nothing() {
+fn a_dry_run_lists_its_plan_and_leaves_no_files() {
     let folder = tempfile::tempdir().unwrap();
     let file = corridor();
     let out = folder.path().join("runs");
     let arguments =
         ["run".as_ref(), "--dry-run".as_ref(), "--out".as_ref(), out.as_os_str(), file.as_os_str()];
-    let told = output(arguments);
-    assert!(told.status.success(), "{}", stderr(&told));
-    let text = stdout(&told);
+    let printed = output(arguments);
+    assert!(printed.status.success(), "{}", stderr(&printed));
+    let text = stdout(&printed);
     for part in
         ["robot-driver (robot driver)", "navigation (bundled brain)", "10.77.0.1", "server, cloud", "seed"]
     {
@@ -160,20 +160,21 @@ fn a_dry_run_names_what_it_would_bring_up_and_leaves_nothing() {
 }
 
 #[test]
-fn clean_says_that_nothing_is_left_or_what() {
-    let told = output(["clean", "--dry-run"]);
-    assert!(told.status.success(), "{}", stderr(&told));
+fn clean_lists_leftovers_or_reports_none() {
+    let printed = output(["clean", "--dry-run"]);
+    assert!(printed.status.success(), "{}", stderr(&printed));
     assert!(
-        stdout(&told).ends_with("left of killed runs\n") || stdout(&told).ends_with("would be removed\n")
+        stdout(&printed).ends_with("left of killed runs\n")
+            || stdout(&printed).ends_with("would be removed\n")
     );
 }
 
 #[test]
 fn exec_without_a_run_says_how_to_start_one() {
-    let told = output(["exec", "robot", "--api", "127.0.0.1:9", "--", "true"]);
-    assert_eq!(told.status.code(), Some(1));
-    let said = stderr(&told);
-    assert!(said.contains("serves its API on 127.0.0.1:9") && said.contains("with sudo"), "{said}");
+    let printed = output(["exec", "robot", "--api", "127.0.0.1:9", "--", "true"]);
+    assert_eq!(printed.status.code(), Some(1));
+    let errors = stderr(&printed);
+    assert!(errors.contains("serves its API on 127.0.0.1:9") && errors.contains("with sudo"), "{errors}");
 }
 
 #[test]
@@ -186,7 +187,7 @@ fn benchmarks_are_listed_and_an_unknown_one_is_refused() {
 }
 
 #[test]
-fn a_fault_test_that_ctrl_c_stops_prints_what_was_done() {
+fn a_fault_test_stopped_by_ctrl_c_prints_its_totals() {
     let mut command = cotorra(["fault-test", "--headless", "--runs", "100"]);
     let mut child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let pid = child.id().to_string();
@@ -203,13 +204,13 @@ fn a_fault_test_that_ctrl_c_stops_prints_what_was_done() {
 }
 
 #[test]
-fn a_fault_test_repeats_whatever_its_jobs() {
+fn the_number_of_jobs_does_not_change_a_fault_test() {
     let test = |seed: &str, jobs: &str| {
         stdout(&output(["fault-test", "--headless", "--runs", "3", "--seed", seed, "--jobs", jobs]))
     };
-    let told = test("1", "1");
-    assert!(told.starts_with("3 of 3 runs, "), "{told}");
-    assert!(told.contains("nothing acknowledged is lost"), "{told}");
-    assert_eq!(test("1", "3"), told);
-    assert_ne!(test("4", "1"), told);
+    let printed = test("1", "1");
+    assert!(printed.starts_with("3 of 3 runs, "), "{printed}");
+    assert!(printed.contains("nothing acknowledged is lost"), "{printed}");
+    assert_eq!(test("1", "3"), printed);
+    assert_ne!(test("4", "1"), printed);
 }

@@ -1,4 +1,4 @@
-//! Other people's programs in a run: VNFs with a `command` and plug-ins that are programs.
+//! External programs in a run: VNFs with a `command`, and plug-ins that are programs.
 
 use std::{
     fs,
@@ -15,7 +15,7 @@ use crate::{
 
 const ROBOT: &str = "{ kind: robot }";
 
-/// One robot, with these VNFs on the server beside its own.
+/// Writes a testbed of one robot, with further VNFs on the server.
 fn with_vnfs(vnfs: &[(&str, &str)], rest: &str, folder: &Path) -> PathBuf {
     let vnfs: String = vnfs
         .iter()
@@ -38,7 +38,7 @@ services:
 }
 
 #[test]
-fn programs_of_others_get_no_secret_of_the_run() {
+fn external_programs_get_no_secrets_of_the_run() {
     let place = TempDir::new().unwrap();
     let print = "command: [sh, -c, 'env; echo done; sleep 1000'], env: [NAMED]";
     let file =
@@ -60,7 +60,7 @@ fn programs_of_others_get_no_secret_of_the_run() {
         for (secret, _) in secrets {
             assert!(!told.contains(secret), "{name} has {secret}:\n{told}");
         }
-        // A plug-in instructs the testbed, and the API asks it for a token.
+        // A plug-in instructs the testbed, for which the API needs a token.
         assert_eq!(told.contains("COTORRA_TOKEN="), token, "{name}:\n{told}");
         for usual in ["PATH=", "ROS_DOMAIN_ID=7", "TZ=UTC", "NAMED=by the file"] {
             assert!(told.contains(usual), "{name} lacks {usual}:\n{told}");
@@ -68,7 +68,7 @@ fn programs_of_others_get_no_secret_of_the_run() {
     }
 }
 
-/// Says what it could do; waits for the file that tells it where the API is.
+/// Tries to escape, and prints the result of each attempt. Waits for the file with the API's address.
 const SPY: &str = r#"
 tried() { if "$@" >/dev/null 2>&1; then echo "$what: ESCAPED"; else echo "$what: held"; fi; }
 run=$(dirname "$(dirname "$HOME")")
@@ -91,7 +91,7 @@ exec sleep 1000
 "#;
 
 #[test]
-fn vnfs_of_others_are_kept_from_the_host_unless_they_are_trusted() {
+fn external_vnfs_are_confined_unless_trusted() {
     const TOKEN: &str = "operator-of-sixteen-characters";
     let place = TempDir::new().unwrap();
     fs::write(place.path().join("spy.sh"), SPY).unwrap();
@@ -132,7 +132,7 @@ fn vnfs_of_others_are_kept_from_the_host_unless_they_are_trusted() {
 }
 
 #[test]
-fn a_folder_that_others_share_is_not_shown_to_vnfs() {
+fn a_folder_shared_with_other_users_is_rejected_for_vnfs() {
     let place = TempDir::new().unwrap();
     let shared = place.path().join("shared");
     fs::create_dir(&shared).unwrap();

@@ -1,4 +1,4 @@
-//! A run whose disk is full: a small file system in memory, in a mount namespace of its own.
+//! A run whose disk is full: a small file system in memory, in its own mount namespace.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -16,10 +16,10 @@ use crate::{
     one_robot::{NAVIGATED, testbed},
 };
 
-/// What a command runs in: `$0` is the folder.
+/// Script that mounts a small disk on the folder `$0`, and runs a command.
 const MOUNT: &str = "mount -t tmpfs -o size=8M tmpfs \"$0\"; exec \"$@\"";
 
-/// Puts a small disk in a folder, for this command alone.
+/// Changes a command to see a small disk in a folder.
 fn on_a_small_disk(command: &mut Command, folder: &OsStr) {
     let mut inside = Command::new("unshare");
     if fs::metadata("/proc/self").unwrap().uid() != 0 {
@@ -48,7 +48,7 @@ fn a_run_on_a_full_disk_ends_with_its_summary_and_says_what_is_not_recorded() {
         assert!(env::var_os("CI").is_none(), "the kernel lets nobody make a mount namespace");
         return eprintln!("skipped: the kernel lets nobody make a mount namespace");
     }
-    // What a plug-in prints is kept on the disk of the run, which it fills.
+    // The plug-in's log is on the disk of the run, and fills it.
     let plugin = "plugins:\n  - { id: full, command: [sh, -c, 'cat /dev/zero; exec sleep 1000'] }\n";
     let file = testbed(
         place.path(),

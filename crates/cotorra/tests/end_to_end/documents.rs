@@ -1,10 +1,10 @@
-//! What the documents show is right.
+//! Examples and links in the documents.
 
 use std::fs;
 
 use crate::harness::{output, project_file, stderr};
 
-/// The YAML blocks of a document.
+/// Returns the YAML blocks of a document.
 fn yaml(text: &str) -> impl Iterator<Item = &str> {
     text.split("\n```yaml\n").skip(1).filter_map(|rest| rest.split_inclusive("\n```").next())
 }
@@ -27,7 +27,7 @@ fn testbeds_in_the_documents_pass_the_check() {
 }
 
 #[test]
-fn links_between_the_documents_lead_somewhere() {
+fn links_between_documents_resolve() {
     let folders = ["README.md", "docs/plugins.md", "examples/README.md"];
     let folders = folders.map(|document| project_file(document).parent().unwrap().to_owned());
     let files =

@@ -1,4 +1,4 @@
-//! Published experiments, repeated.
+//! Repetitions of the published experiments.
 
 use std::{env, fs, path::Path};
 
@@ -47,7 +47,7 @@ fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
 }
 
 #[test]
-fn the_halts_by_dishonest_providers_are_told_with_their_cost() {
+fn halts_by_dishonest_providers_are_listed_with_their_cost() {
     let output = cotorra(["experiment", "federation", "--dishonest"]).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let table = stdout(&output);
@@ -86,7 +86,7 @@ fn a_robot_is_handed_to_another_domain_in_virtual_time() {
         assert!(run["slowest"].as_f64().unwrap() > 0.9, "its speed never falls: {run}");
     }
 
-    // One that is served by nobody is told with how far it went.
+    // A federation without a provider is reported with its last step.
     let dear = run(&[
         "--block-period",
         "1",
@@ -96,9 +96,9 @@ fn a_robot_is_handed_to_another_domain_in_virtual_time() {
         "plugins.orchestrator-1.settings.highest_price=1",
     ]);
     assert_eq!(dear.status.code(), Some(1));
-    let said = stderr(&dear);
-    let words: Vec<_> = said.split_whitespace().filter(|word| *word != "│").collect();
-    assert!(words.join(" ").contains("bid rejected at"), "{said}");
+    let errors = stderr(&dear);
+    let words: Vec<_> = errors.split_whitespace().filter(|word| *word != "│").collect();
+    assert!(words.join(" ").contains("bid rejected at"), "{errors}");
     let real = cotorra(["run", "--simulate", "--headless", "--set", "plugins.*.settings.ledger=anvil"])
         .arg(&testbed)
         .current_dir(out.path())
@@ -108,7 +108,7 @@ fn a_robot_is_handed_to_another_domain_in_virtual_time() {
 }
 
 #[test]
-fn what_plugins_refuse_leaves_no_folder_behind() {
+fn settings_that_plugins_reject_leave_no_folder() {
     let place = tempfile::tempdir().unwrap();
     let out = place.path().join("runs");
     let testbed = corridor().with_file_name("federation.yaml");
@@ -125,14 +125,14 @@ fn what_plugins_refuse_leaves_no_folder_behind() {
     let simulated = ["run", "--headless", "--simulate"];
     let experiment = ["experiment", "federation", "--headless", "--emulate", "--testbed"];
     for words in [&run[..], &simulated, &experiment] {
-        let said = refused(words, &testbed, "plugins.orchestrator-1.settings.price=0");
-        assert!(said.contains("plug-in `orchestrator-1`: price: 0 is no price"), "{said}");
+        let errors = refused(words, &testbed, "plugins.orchestrator-1.settings.price=0");
+        assert!(errors.contains("plug-in `orchestrator-1`: price: 0 is no price"), "{errors}");
     }
     for words in [&run[..], &simulated] {
-        let said = refused(words, &with_program, "seed=2");
-        assert!(said.contains("cannot start `./no-such-program`"), "{said}");
+        let errors = refused(words, &with_program, "seed=2");
+        assert!(errors.contains("cannot start `./no-such-program`"), "{errors}");
     }
-    // `check` says the same, and reaches for no ledger.
+    // `check` reports the same, and contacts no ledger.
     let check = |file: &Path| {
         let output = cotorra(["check"]).arg(file).output().unwrap();
         (output.status.success(), stderr(&output))
@@ -145,20 +145,20 @@ fn what_plugins_refuse_leaves_no_folder_behind() {
         fs::write(&wrong, &of_ledger).unwrap();
         assert_eq!(check(&wrong).0, is_known, "{:?}", check(&wrong));
         fs::write(&wrong, of_ledger.replace("price: 140", "price: 0")).unwrap();
-        let (right, said) = check(&wrong);
+        let (right, errors) = check(&wrong);
         let told = "plug-in `orchestrator-3`: price: 0 is no price";
-        assert!(!right && (!is_known || said.contains(told)), "{said}");
+        assert!(!right && (!is_known || errors.contains(told)), "{errors}");
     }
-    let (right, said) = check(&with_program);
-    assert!(!right && said.contains("cannot start `./no-such-program`"), "{said}");
+    let (right, errors) = check(&with_program);
+    assert!(!right && errors.contains("cannot start `./no-such-program`"), "{errors}");
 
     if cfg!(not(feature = "ethereum")) {
-        let said = refused(&run, &testbed, "plugins.*.settings.ledger=anvil");
-        assert!(said.contains("`--features ethereum`"), "{said}");
+        let errors = refused(&run, &testbed, "plugins.*.settings.ledger=anvil");
+        assert!(errors.contains("`--features ethereum`"), "{errors}");
     }
 }
 
-/// On the network that `COTORRA_LEDGER` names, as scripts/ledger-network starts it.
+/// Uses the network that `COTORRA_LEDGER` names, which scripts/ledger-network starts.
 #[test]
 fn a_robot_is_handed_to_another_domain_on_a_network_that_is_there() {
     if env::var_os("COTORRA_LEDGER").is_none() {
@@ -173,19 +173,19 @@ fn a_robot_is_handed_to_another_domain_on_a_network_that_is_there() {
     };
     for (wrong, told) in [
         (["--keys", "/nowhere"], "domain-1: the key store /nowhere/domain-1.json cannot be opened"),
-        (["--ledger", "domain-9=ws://127.0.0.1:9"], "no orchestrator of `domain-9`"),
+        (["--ledger", "domain-9=ws://127.0.0.1:9"], "no orchestrator for `domain-9`"),
         (["--ledger", "ws://127.0.0.1:9"], "the ledger's node at ws://127.0.0.1:9"),
         (["--contract", "0x00000000000000000000000000000000000000aa"], "there is no contract at 0x"),
         (["--block-period", "1,2"], "a network has one block period"),
     ] {
         let refused = run(&wrong);
-        let said = stderr(&refused).split_whitespace().filter(|w| *w != "│").collect::<Vec<_>>().join(" ");
-        assert!(said.contains(told), "{wrong:?}: {said}");
+        let errors = stderr(&refused).split_whitespace().filter(|w| *w != "│").collect::<Vec<_>>().join(" ");
+        assert!(errors.contains(told), "{wrong:?}: {errors}");
         assert_eq!(fs::read_dir(out.path()).unwrap().count(), 0, "{wrong:?} left something");
     }
 
     let output = run(&[]);
-    // A busy machine may spoil the figures, but not what happens. Nobody is in a hurry here.
+    // A busy machine may make the figures invalid, but does not change the steps.
     assert!(matches!(output.status.code(), Some(0 | 3)), "{} {}", stdout(&output), stderr(&output));
     let folder = fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
     let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));

@@ -1,4 +1,4 @@
-//! docs/fields.md: each quantity has one name and one unit in everything that programs read.
+//! Names and units in docs/fields.md, against everything that programs read: each quantity has one name and one unit.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -10,16 +10,16 @@ use serde_json::Value;
 
 use crate::harness::{corridor, cotorra, project_file, stderr, stdout};
 
-/// Statistics, which stand before the unit.
+/// Statistics in names, before the unit.
 const STATISTICS: [&str; 8] = ["p50", "p95", "p99", "min", "max", "mean", "low", "high"];
-/// What a name is of, in tables that have no other place for it.
+/// Prefixes of names in flat tables.
 const OF: [&str; 9] =
     ["odometry", "probed", "tested", "jitter", "queue", "loss", "handover", "asked", "effective"];
-/// Numbers that are no quantities: places, limits and names of rows, and what statistics are made of.
+/// Names of numbers that are not quantities: positions, limits, names of rows, and inputs of statistics.
 const NO_QUANTITIES: [&str; 12] =
     ["a", "b", "after", "fast", "last", "limit", "mac", "number", "points", "quantiles", "values", "walked"];
 
-/// Units by the end of a name.
+/// Units by the suffix of a name.
 const UNITS: [(&str, &str); 10] = [
     ("_ns", "ns"),
     ("_ms", "ms"),
@@ -32,11 +32,11 @@ const UNITS: [(&str, &str); 10] = [
     ("_v", "V"),
     ("bytes", "bytes"),
 ];
-/// Units of names that have none at their end: those of poses, and bare numbers.
+/// Units of names without a suffix: those of poses, and bare numbers.
 const BARE: [&str; 10] =
     ["m", "m/s", "m/s²", "rad", "rad/s", "share", "factor", "count", "number", "m², m rad, rad²"];
 
-/// The rows of the page: units by name.
+/// Reads the page: units by name.
 fn fields() -> BTreeMap<String, String> {
     let page = fs::read_to_string(project_file("docs/fields.md")).expect("the page is there");
     let mut fields = BTreeMap::new();
@@ -48,14 +48,14 @@ fn fields() -> BTreeMap<String, String> {
     fields
 }
 
-/// The name of the page that a name comes from: without what it is of, and without statistics.
+/// Returns the documented name that a name is derived from, without prefixes and statistics.
 fn quantity(name: &str, fields: &BTreeMap<String, String>) -> Option<String> {
     let known = |name: &str| fields.contains_key(name).then(|| name.to_owned());
     let words = |name: &str| -> String {
         name.split('_').filter(|word| !STATISTICS.contains(word)).collect::<Vec<_>>().join("_")
     };
     known(name)
-        // The event `lateness` and its table have nothing but statistics of it.
+        // The event `lateness` and its table have only statistics of the lateness.
         .or_else(|| (words(name) == "us").then(|| "lateness_us".to_owned()))
         .or_else(|| known(&words(name)))
         .or_else(|| {
@@ -65,7 +65,7 @@ fn quantity(name: &str, fields: &BTreeMap<String, String>) -> Option<String> {
 }
 
 #[test]
-fn names_of_the_page_end_with_their_units_and_are_unique() {
+fn documented_names_end_with_their_units_and_are_unique() {
     let mut stems = BTreeMap::new();
     for (name, unit) in fields() {
         let end = UNITS.iter().find(|(end, _)| name.ends_with(end));
@@ -74,7 +74,7 @@ fn names_of_the_page_end_with_their_units_and_are_unique() {
             None => assert!(BARE.contains(&unit.as_str()), "{name} has the unit {unit}"),
         }
         let stem = end.map_or(name.as_str(), |(end, _)| name.strip_suffix(end).unwrap()).to_owned();
-        // `packets` and `bytes` count the same things, and so they have one stem or none.
+        // The same stem with two units would be one quantity in two units.
         if let Some(other) = stems.insert(stem, name.clone()) {
             let both = [other.as_str(), name.as_str()];
             assert!(both == ["deviation_db", "deviation_ms"], "{both:?} are one quantity in two units");
@@ -82,7 +82,7 @@ fn names_of_the_page_end_with_their_units_and_are_unique() {
     }
 }
 
-/// Names of numbers in a JSON Schema.
+/// Collects the names of numbers in a JSON Schema.
 fn in_schema(schema: &Value, all: &Value, names: &mut BTreeSet<String>) {
     fn is_number(schema: &Value, all: &Value, depth: usize) -> bool {
         let is = |schema: &Value| is_number(schema, all, depth + 1);
@@ -110,7 +110,7 @@ fn in_schema(schema: &Value, all: &Value, names: &mut BTreeSet<String>) {
     }
 }
 
-/// Names of numbers in a document; statistics count for what they are of.
+/// Collects the names of numbers in a document. An object of statistics counts as one quantity.
 fn in_document(document: &Value, names: &mut BTreeSet<String>) {
     match document {
         Value::Object(map) => {
@@ -128,7 +128,7 @@ fn in_document(document: &Value, names: &mut BTreeSet<String>) {
     }
 }
 
-/// Columns of the history's tables that hold figures with units, or other than whole numbers.
+/// Collects the columns of the history's tables that have a unit or are not integers.
 fn in_tables(sql: &str, names: &mut BTreeSet<String>) {
     for line in sql.lines().filter(|line| line.starts_with("    ")) {
         let mut words = line.split_whitespace().map(|word| word.trim_matches(['"', ',']));
@@ -140,7 +140,7 @@ fn in_tables(sql: &str, names: &mut BTreeSet<String>) {
     }
 }
 
-/// Numbers of the messages in recordings.
+/// Collects the numbers of the messages in recordings.
 fn in_messages(source: &str, names: &mut BTreeSet<String>) {
     for line in source.lines().map(str::trim) {
         if let Some(name) = line.strip_suffix(": f64,") {
@@ -150,7 +150,7 @@ fn in_messages(source: &str, names: &mut BTreeSet<String>) {
 }
 
 #[test]
-fn every_figure_has_its_name_and_unit_from_the_page() {
+fn every_figure_is_documented_with_its_unit() {
     let fields = fields();
     let mut used: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
     let read = |path: &str| fs::read_to_string(project_file(path)).unwrap();

@@ -1,4 +1,4 @@
-//! The times of programs that know nothing of cotorra, beside what these measure themselves.
+//! Service times of flows between programs without cotorra, against the programs' own measurements.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{collections::BTreeMap, fs};
@@ -11,13 +11,13 @@ use crate::{
     one_robot::testbed,
 };
 
-/// Two crossings of the air and of the wire, which delay by so much.
+/// Delay of two crossings of the air and of the wire, ms.
 const DELAYS_MS: f64 = 2.0 * (1.0 + 4.0);
 
-/// What the client measured, by request.
+/// Returns the client's own measurements by request, ms.
 fn measured_by_client(run: &Run, name: &str) -> BTreeMap<u64, f64> {
     let log = fs::read_to_string(run.folder.join("logs/client.log")).unwrap_or_default();
-    // The last line may still be on its way.
+    // The last line may be incomplete.
     let whole = log.rfind('\n').map_or("", |end| &log[..end]);
     let lines = whole.lines().filter_map(|line| {
         let mut words = line.split_whitespace();
@@ -29,7 +29,7 @@ fn measured_by_client(run: &Run, name: &str) -> BTreeMap<u64, f64> {
     lines.collect()
 }
 
-/// What each request of a service took, in ms, in order; `None` without an answer.
+/// Returns the service times of a service's requests in order, ms. `None` for requests without an answer.
 fn samples(run: &Run, service: &str) -> Vec<Option<f64>> {
     let page = run.get("/api/v1/measurements/service-times?limit=10000");
     let all = page["items"].as_array().unwrap().iter().filter(|sample| sample["service"] == service);
@@ -55,7 +55,7 @@ fn times_of_flows_lie_between_the_delays_and_what_the_client_measures() {
     let mut compared = 0;
     let mut compare = |took: Option<&Option<f64>>, itself: Option<&f64>| {
         let (Some(&Some(took)), Some(&itself)) = (took, itself) else { return };
-        // Frames are handed out up to 15 µs before the time that counts.
+        // Frames are delivered up to 15 µs before the time that counts.
         assert!((DELAYS_MS..=itself + 0.015).contains(&took), "{took} ms, by the client {itself} ms");
         compared += 1;
     };
@@ -63,7 +63,7 @@ fn times_of_flows_lie_between_the_delays_and_what_the_client_measures() {
         let place = number as usize;
         compare(echo.get(place), of_echo.get(&number));
         compare(detect.get(place), of_detect.get(&number));
-        // On one connection they take turns.
+        // Both requests alternate on one connection.
         compare(first.get(2 * place), of_detect.get(&number));
         compare(first.get(2 * place + 1), of_health.get(&number));
     }
@@ -92,7 +92,7 @@ fn times_of_flows_lie_between_the_delays_and_what_the_client_measures() {
 }
 
 #[test]
-fn a_flow_of_which_nothing_is_seen_is_told_at_the_end() {
+fn a_flow_without_requests_is_reported_at_the_end() {
     let place = TempDir::new().unwrap();
     let rest = "
 services:

@@ -1,11 +1,11 @@
-//! A run that goes on after one that was killed.
+//! Runs that continue after one that was killed.
 
 use std::{fs, path::Path};
 
 use crate::harness::{corridor, cotorra, stderr};
 
 #[test]
-fn a_run_goes_on_only_after_one_of_the_same_testbed_on_the_same_ledger() {
+fn a_run_continues_only_after_one_of_the_same_testbed_and_ledger() {
     let place = tempfile::tempdir().unwrap();
     let federation = corridor().with_file_name("federation.yaml");
     let simulated = |testbed: &Path, name: &str| {
@@ -48,10 +48,10 @@ mod on_a_ledger {
         harness::{Run, output, project_file, stderr, stdout, wait_until},
     };
 
-    /// Who noted what of which service, with the detail, and when: seconds of the run, or before it.
+    /// A note: plug-in, service, step, reason, and time in seconds of the run, negative before it.
     type Note = (String, String, String, Option<String>, f64);
 
-    /// The notes that a run has in its history, as they were kept.
+    /// Returns the notes in the history of a run, in their order.
     fn notes(folder: &Path) -> Vec<Note> {
         let folder = folder.to_str().unwrap();
         let events =
@@ -70,9 +70,9 @@ mod on_a_ledger {
     }
 
     #[test]
-    fn a_core_that_was_killed_goes_on_after_its_run() {
+    fn a_killed_core_continues_after_its_run() {
         let Some(chain) = Chain::start() else { return };
-        // From there on the robot needs another domain within 20 s: it is announced at once.
+        // From here the robot leaves coverage within 20 s, so that the service is announced at once.
         let mut arguments = vec!["--set", "walks.robot.waypoints=[[18.5, 0], [34, 0]]"];
         arguments.extend([
             "--set",
@@ -109,7 +109,7 @@ mod on_a_ledger {
                 before.iter().find(|was| (&was.0, &was.1, &was.2, &was.3) == (plugin, process, step, why));
             was.map(|was| was.4 - at)
         };
-        // All of the run before is there, each step as long before this run as it was: the runs began that far apart.
+        // All notes of the killed run are there, shifted by the time between the starts of the runs.
         let (kept, new) = timeline.split_at(before.len());
         let apart: Vec<f64> =
             kept.iter().map(|note| ago(note).unwrap_or_else(|| panic!("{note:?}: {told}"))).collect();

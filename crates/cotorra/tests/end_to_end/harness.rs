@@ -1,7 +1,7 @@
-//! Starts the real program and looks at what it leaves.
+//! Starts the real program, and examines its output and files.
 //!
-//! scripts/test runs these tests as root and, from a copy, as an ordinary user: so the program and the project's
-//! files are found through the environment.
+//! scripts/test runs these tests as root and, from a copy, as an ordinary user. The program and the project's files are
+//! therefore found through the environment.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -23,7 +23,7 @@ pub use cotorra_testing::project_file;
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// The program, with a clean environment of its own variables.
+/// Returns a command for the program, without cotorra's own environment variables.
 pub fn cotorra<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let program = env::var_os("COTORRA_BIN").unwrap_or_else(|| env!("CARGO_BIN_EXE_cotorra").into());
     let mut command = Command::new(program);
@@ -32,22 +32,22 @@ pub fn cotorra<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Comma
     command
 }
 
-/// Runs the program to its end.
+/// Runs the program to its end, and returns its output.
 pub fn output<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
     cotorra(arguments).output().unwrap()
 }
 
-/// What it printed.
+/// Returns the text on standard output.
 pub fn stdout(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
-/// What it said on standard error.
+/// Returns the text on standard error.
 pub fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// Held by the one test whose run has the machine for itself: runs beside each other would make each other late.
+/// Lock of the one test whose run has the machine for itself. Concurrent runs would make each other late.
 pub struct Alone {
     _lock: File,
 }
@@ -59,17 +59,17 @@ fn alone() -> Alone {
     Alone { _lock: lock }
 }
 
-/// A run of the program that goes on, and is killed when this is dropped.
+/// A running `cotorra run`, killed on drop.
 pub struct Run {
     child: Child,
-    /// Processes that it was seen to have.
+    /// Processes of the run that were found so far.
     seen: RefCell<BTreeSet<u32>>,
-    /// Said on standard error so far and from now on.
+    /// Lines of standard error.
     lines: mpsc::Receiver<String>,
     pub api: String,
     pub folder: PathBuf,
     out: TempDir,
-    /// `None` if another run of the same test holds it.
+    /// `None` if another run of the same test holds the lock.
     _alone: Option<Alone>,
 }
 
@@ -79,7 +79,7 @@ impl Run {
         Self::start_with(testbed, arguments, |_| {})
     }
 
-    /// The same, the command changed before.
+    /// Does the same as [`Self::start`] after `change` to the command.
     pub fn start_with(testbed: &Path, arguments: &[&str], change: impl FnOnce(&mut Command)) -> Self {
         Self::launch(testbed, arguments, change, Some(alone()))
     }
@@ -99,12 +99,12 @@ impl Run {
         let mut command = cotorra(["run", "--headless", "--api", "127.0.0.1:0", "--out"]);
         command.arg(out.path()).arg(testbed).args(arguments);
         change(&mut command);
-        // As a shell starts it, so that Ctrl-C can be sent to all that is in the foreground.
+        // In its own process group, as a shell starts it, so that Ctrl-C can be sent to the whole group.
         let mut child =
             command.process_group(0).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
-        let (tell, lines) = mpsc::channel();
-        thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| tell.send(line)));
+        let (sender, lines) = mpsc::channel();
+        thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| sender.send(line)));
         let mut before = Vec::new();
         let (api, folder) = loop {
             let Ok(line) = lines.recv() else { panic!("the run did not come up:\n{}", before.join("\n")) };
@@ -117,19 +117,19 @@ impl Run {
         Self { child, seen: RefCell::default(), lines, api, folder, out, _alone: alone }
     }
 
-    /// The API's address without its scheme.
+    /// Returns the API's address without its scheme.
     pub fn address(&self) -> &str {
         self.api.strip_prefix("http://").unwrap()
     }
 
-    /// What the API says at a path, which must be there.
+    /// Gets an existing path of the API.
     pub fn get(&self, path: &str) -> Value {
         let (status, body) = self.ask(path, None);
         assert_eq!(status, 200, "{path}: {body}");
         body
     }
 
-    /// Status and body of what the API says at a path, to whoever has that token.
+    /// Gets a path of the API with a token. Returns the status and the body.
     pub fn ask(&self, path: &str, token: Option<&str>) -> (u16, Value) {
         let mut request = agent().get(format!("{}{path}", self.api));
         if let Some(token) = token {
@@ -139,7 +139,7 @@ impl Run {
         (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
     }
 
-    /// What the API has at a path, with the value of each header.
+    /// Gets the bytes at a path of the API, and a function that returns the value of a header.
     pub fn bytes(&self, path: &str) -> (Vec<u8>, impl Fn(&str) -> String + use<>) {
         let mut answer = agent().get(format!("{}{path}", self.api)).call().unwrap();
         assert_eq!(answer.status(), 200, "{path}");
@@ -148,26 +148,26 @@ impl Run {
         (bytes, move |name| headers[name].to_str().unwrap().to_owned())
     }
 
-    /// Status and body of what the API says to a body at a path.
+    /// Posts a body to a path of the API. Returns the status and the body of the response.
     pub fn post(&self, path: &str, body: &str) -> (u16, Value) {
         let request = agent().post(format!("{}{path}", self.api)).header("Content-Type", "application/json");
         let mut answer = request.send(body).unwrap();
         (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
     }
 
-    /// What happens from now on, as the API's stream tells it.
+    /// Follows the API's stream of events from now on.
     pub fn follow(&self) -> impl Iterator<Item = Value> + use<> {
         self.follow_only("")
     }
 
-    /// The same, of what a query asks for.
+    /// Follows the API's stream of the events that a query selects.
     pub fn follow_only(&self, query: &str) -> impl Iterator<Item = Value> + use<> {
         let answer = agent().get(format!("{}/api/v1/events{query}", self.api)).call().unwrap();
         let lines = BufReader::new(answer.into_body().into_reader()).lines().map_while(Result::ok);
         lines.filter_map(|line| line.strip_prefix("data: ").map(|event| serde_json::from_str(event).unwrap()))
     }
 
-    /// The first service time of a robot; waits for it.
+    /// Waits for the first service time, and returns it.
     pub fn wait_for_service(&self) -> Value {
         let mut found = Value::Null;
         wait_until(|| {
@@ -177,17 +177,17 @@ impl Run {
         found
     }
 
-    /// Sends it a signal.
+    /// Sends a signal to the run.
     pub fn signal(&self, name: &str) {
         kill(name, &self.pid().to_string());
     }
 
-    /// Sends its process group a signal, as a terminal does at Ctrl-C.
+    /// Sends a signal to the run's process group, as a terminal does at Ctrl-C.
     pub fn signal_group(&self, name: &str) {
         kill(name, &format!("-{}", self.pid()));
     }
 
-    /// Waits until it says lines with these on standard error, in any order.
+    /// Waits until lines with these texts are on standard error, in any order.
     pub fn wait_for_lines<const N: usize>(&self, with: [&str; N]) {
         let mut left = Vec::from(with);
         let all = self.lines.iter().any(|line| {
@@ -197,7 +197,7 @@ impl Run {
         assert!(all, "it ended without: {left:?}");
     }
 
-    /// Waits for its end, and gives its exit status, what it printed, and what else it said.
+    /// Waits for the end of the run. Returns the exit status, standard output, and the rest of standard error.
     pub fn wait(&mut self) -> (ExitStatus, String, String) {
         let mut printed = String::new();
         self.child.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
@@ -205,21 +205,22 @@ impl Run {
         (status, printed, self.lines.iter().collect::<Vec<_>>().join("\n"))
     }
 
-    /// Waits for its end; its report must be there, valid figures or not.
+    /// Waits for the end of a run that must leave a report, whether its figures are valid or not. Returns the summary and
+    /// standard output.
     pub fn report(&mut self) -> (Value, String) {
-        let (status, printed, said) = self.wait();
-        assert!(matches!(status.code(), Some(0 | 3)), "{status}\n{said}");
+        let (status, printed, errors) = self.wait();
+        assert!(matches!(status.code(), Some(0 | 3)), "{status}\n{errors}");
         let summary = fs::read_to_string(self.folder.join("summary.json")).unwrap();
         (serde_json::from_str(&summary).unwrap(), printed)
     }
 
-    /// The run's process.
+    /// Returns the id of the run's process.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// Processes of this run that live, itself included: those that it, or one of them, is the parent of, and those that
-    /// were when this was last asked.
+    /// Returns the living processes of this run, including itself: its descendants, and those that were its descendants at an
+    /// earlier call.
     pub fn processes(&self) -> BTreeSet<u32> {
         let lives = |pid: &u32| parent_of(*pid).is_some();
         let is_below = |pid: &u32| {
@@ -238,7 +239,7 @@ impl Run {
         seen.clone()
     }
 
-    /// The inodes of its nodes' network namespaces.
+    /// Returns the inodes of the network namespaces of its nodes.
     pub fn namespaces(&self) -> BTreeSet<u64> {
         let testbed = self.get("/api/v1/testbed");
         let nodes = testbed["graph"]["nodes"].as_array().unwrap().iter();
@@ -249,7 +250,7 @@ impl Run {
         namespaces.collect()
     }
 
-    /// Control groups of this run.
+    /// Returns the control groups of this run.
     pub fn control_groups(&self) -> Vec<PathBuf> {
         let name = format!("cotorra-{}", self.pid());
         let trees = fs::read_dir("/sys/fs/cgroup").into_iter().flatten().flatten().map(|tree| tree.path());
@@ -261,7 +262,7 @@ impl Run {
 
 impl Drop for Run {
     fn drop(&mut self) {
-        // Most tests waited for its end.
+        // Most tests have already waited for its end.
         let _ = self.child.kill();
         let _ = self.child.wait();
         if thread::panicking() {
@@ -271,7 +272,7 @@ impl Drop for Run {
     }
 }
 
-/// Sends a signal to a process, or to the group that `-` stands before.
+/// Sends a signal to a process, or to a process group if `-` precedes its id.
 pub fn kill(signal: &str, target: &str) {
     assert!(Command::new("kill").args(["-s", signal, "--", target]).status().unwrap().success());
 }
@@ -284,7 +285,7 @@ fn all_processes() -> impl Iterator<Item = u32> {
     fs::read_dir("/proc").unwrap().flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok())
 }
 
-/// The parent of a process that lives.
+/// Returns the parent of a living process.
 fn parent_of(pid: u32) -> Option<u32> {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     let mut after_name = stat.rsplit(')').next()?.split_whitespace();
@@ -302,8 +303,10 @@ pub fn are_held(namespaces: &BTreeSet<u64>) -> bool {
     })
 }
 
-/// The report of a run, and what it printed. Runs it up to twice more while its own verdict says that the machine was too
-/// busy for its figures: a test of figures holds on a machine that can give them.
+/// Returns a run with its summary and standard output.
+///
+/// Repeats the run up to twice if its own verdict is that the machine was too busy for valid figures: a test of figures needs
+/// a machine that can produce them.
 pub fn valid_report(run: impl Fn() -> Run) -> (Run, Value, String) {
     let mut attempts = 3;
     loop {
@@ -317,7 +320,7 @@ pub fn valid_report(run: impl Fn() -> Run) -> (Run, Value, String) {
     }
 }
 
-/// Waits for what the kernel or another process does in its own time.
+/// Waits until a condition holds that depends on the kernel or another process.
 #[allow(clippy::disallowed_methods, reason = "other processes run on the wall clock")]
 pub fn wait_until(mut done: impl FnMut() -> bool) {
     while !done() {
@@ -325,12 +328,12 @@ pub fn wait_until(mut done: impl FnMut() -> bool) {
     }
 }
 
-/// The testbed that most tests run.
+/// Returns the file of the corridor, which most tests run.
 pub fn corridor() -> PathBuf {
     project_file("testbeds/corridor.yaml")
 }
 
-/// A copy of it in a folder, with this in place of its plug-ins.
+/// Writes a copy of the corridor to a folder, with `end` instead of its plug-ins.
 pub fn corridor_ending_in(end: &str, folder: &Path) -> PathBuf {
     let text = fs::read_to_string(corridor()).unwrap();
     let map = project_file("testbeds/maps/corridor.yaml");

@@ -1,4 +1,4 @@
-//! What runs recorded, asked in the terminal: each question, in a folder's own history and in one that runs share.
+//! Queries of recorded runs in the terminal, in a folder's own history and in a shared one.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -15,7 +15,7 @@ use tempfile::TempDir;
 
 use crate::harness::{corridor, cotorra, output, project_file, stderr, stdout};
 
-/// Two runs in virtual time, with folders of their own, and in one history that they share as well.
+/// Two runs in virtual time: each with its own history, and again in a shared one.
 struct Runs {
     place: TempDir,
     probing: PathBuf,
@@ -34,21 +34,22 @@ impl Runs {
             command.args(["--seed", seed]).arg("--out").arg(&out).arg(corridor()).args(arguments);
             let done = command.output().unwrap();
             assert!(done.status.success(), "{}", stderr(&done));
-            let told = stdout(&done);
-            let folder = told.lines().find_map(|line| line.strip_suffix('/')).expect("it names its folder");
-            (PathBuf::from(folder), told)
+            let printed = stdout(&done);
+            let folder =
+                printed.lines().find_map(|line| line.strip_suffix('/')).expect("it names its folder");
+            (PathBuf::from(folder), printed)
         };
-        let (probing, told) = simulate("probing", "1", &[]);
-        assert!(told.contains("history.sqlite") && !told.contains("Its history"), "{told}");
+        let (probing, printed) = simulate("probing", "1", &[]);
+        assert!(printed.contains("history.sqlite") && !printed.contains("Its history"), "{printed}");
         let (okpi, _) = simulate("okpi", "2", &[]);
         for (plugin, seed, run) in [("probing", "1", "run 1 in"), ("okpi", "2", "run 2 in")] {
-            let (folder, told) = simulate(plugin, seed, &["--history".as_ref(), shared.as_ref()]);
-            assert!(told.contains(run) && !folder.join("history.sqlite").exists(), "{told}");
+            let (folder, printed) = simulate(plugin, seed, &["--history".as_ref(), shared.as_ref()]);
+            assert!(printed.contains(run) && !folder.join("history.sqlite").exists(), "{printed}");
         }
         Self { place, probing, okpi }
     }
 
-    /// Asks from the folder that they are in.
+    /// Runs `cotorra history` in the folder of the runs.
     fn ask(&self, arguments: &[&str]) -> Output {
         cotorra(["history"]).args(arguments).current_dir(self.place.path()).output().unwrap()
     }
@@ -62,7 +63,7 @@ impl Runs {
     fn refusal(&self, arguments: &[&str]) -> String {
         let answer = self.ask(arguments);
         assert!(!answer.status.success(), "{arguments:?}: {}", stdout(&answer));
-        // As words: lines break where the terminal ends.
+        // Joined words, because the terminal breaks lines.
         stderr(&answer).split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
     }
 }
@@ -72,7 +73,7 @@ fn text(path: &Path) -> &str {
 }
 
 #[test]
-fn runs_are_listed_by_folder_and_by_number_and_lead_to_the_same_answers() {
+fn runs_are_found_by_folder_and_by_number() {
     let runs = &Runs::new();
     let listed = runs.answer(&["runs"]);
     assert_eq!(listed.lines().count(), 5, "{listed}");
@@ -87,7 +88,7 @@ fn runs_are_listed_by_folder_and_by_number_and_lead_to_the_same_answers() {
     assert!(newest.contains("3 older"), "{newest}");
     let numbered = runs.answer(&["runs", "--history", "shared.sqlite", "--limit", "1"]);
     assert!(numbered.contains("... more with --after 1"), "{numbered}");
-    // Those of an experiment are in its folder.
+    // Runs in the folder of an experiment are found, too.
     let listed = runs.answer(&["runs", "--runs", "."]);
     assert_eq!(listed.lines().count(), 5, "{listed}");
     assert!(runs.answer(&["runs", "--history", "shared.sqlite", "--after", "1"]).contains("\n2 "));
@@ -100,7 +101,7 @@ fn runs_are_listed_by_folder_and_by_number_and_lead_to_the_same_answers() {
 }
 
 #[test]
-fn a_state_a_series_and_events_are_told() {
+fn state_series_and_events_are_shown() {
     let runs = &Runs::new();
     let okpi = text(&runs.okpi);
     let state = runs.answer(&["state", okpi, "--at", "12.5s"]);
@@ -122,13 +123,13 @@ fn a_state_a_series_and_events_are_told() {
     let named = ["series", okpi, "robot:R1", "--figure", "signal", "--points", "1", "--csv"];
     assert!(runs.answer(&named).contains(",-4"));
 
-    let told = runs.ask(&["events", okpi, "--kinds", "handover,decision"]);
-    assert!(stdout(&told).contains("handover       robot from R1 to R3: "), "{}", stdout(&told));
+    let printed = runs.ask(&["events", okpi, "--kinds", "handover,decision"]);
+    assert!(stdout(&printed).contains("handover       robot from R1 to R3: "), "{}", stdout(&printed));
     let page = runs.ask(&["events", okpi, "--limit", "3", "--json"]);
     let lines: Vec<Value> = stdout(&page).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
     assert_eq!(lines.len(), 3);
-    let said = stderr(&page);
-    let cursor = said.trim().strip_prefix("... more with --after ").unwrap();
+    let errors = stderr(&page);
+    let cursor = errors.trim().strip_prefix("... more with --after ").unwrap();
     let next = runs.answer(&["events", okpi, "--limit", "1", "--json", "--after", cursor]);
     let first_four = runs.answer(&["events", okpi, "--limit", "4", "--json"]);
     assert!(first_four.ends_with(&next), "pages join without a seam");
@@ -136,15 +137,15 @@ fn a_state_a_series_and_events_are_told() {
 }
 
 #[test]
-fn two_runs_are_set_side_by_side_wherever_they_are() {
+fn two_runs_are_compared_across_histories() {
     let runs = &Runs::new();
     let (probing, okpi) = (text(&runs.probing), text(&runs.okpi));
-    let told = runs.answer(&["diff", probing, okpi]);
+    let printed = runs.answer(&["diff", probing, okpi]);
     for part in ["okpi: attach", "robot from R1 to R3", "navigation on cloud", "median differs"] {
-        assert!(told.contains(part), "{part} is not in {told}");
+        assert!(printed.contains(part), "{part} is not in {printed}");
     }
     assert!(
-        told.contains("R1-cloud forward") && !told.contains("R1-fog"),
+        printed.contains("R1-cloud forward") && !printed.contains("R1-fog"),
         "links that nothing crossed are left out"
     );
     let json = |arguments: &[&str]| -> Value {
@@ -158,7 +159,7 @@ fn two_runs_are_set_side_by_side_wherever_they_are() {
 }
 
 #[test]
-fn what_is_not_there_is_told_with_what_is() {
+fn unknown_names_list_the_known_ones() {
     let runs = &Runs::new();
     let okpi = text(&runs.okpi);
     for (arguments, parts) in [
@@ -175,14 +176,14 @@ fn what_is_not_there_is_told_with_what_is() {
         (&["events", okpi, "--from", "12"], ["it has no unit", "12s"]),
         (&["events", okpi, "--after", "12"], ["`12` is not a cursor", "--after"]),
     ] {
-        let said = runs.refusal(arguments);
-        assert!(parts.iter().all(|part| said.contains(part)), "{arguments:?}: {said}");
+        let errors = runs.refusal(arguments);
+        assert!(parts.iter().all(|part| errors.contains(part)), "{arguments:?}: {errors}");
     }
     assert!(!runs.place.path().join("none.sqlite").exists(), "a question makes no history");
 }
 
 #[test]
-fn a_server_keeps_histories_and_its_password_is_told_nowhere() {
+fn a_server_keeps_histories_and_no_output_shows_its_password() {
     let Some(server) = MariaDb::start() else { return };
     let place = TempDir::new().unwrap();
     let url = server.fresh();
@@ -208,8 +209,8 @@ fn a_server_keeps_histories_and_its_password_is_told_nowhere() {
 
     let (_, password) = url.split_once("cotorra:").unwrap();
     let (password, _) = password.split_once('@').unwrap();
-    for told in [&first, &second, &events, &of_folder, &dry, &without, &wrong] {
-        assert!(!(stdout(told) + &stderr(told)).contains(password));
+    for printed in [&first, &second, &events, &of_folder, &dry, &without, &wrong] {
+        assert!(!(stdout(printed) + &stderr(printed)).contains(password));
     }
     let mut folders = vec![place.path().to_owned()];
     while let Some(folder) = folders.pop() {
@@ -230,26 +231,26 @@ fn an_exported_run_is_imported_with_the_same_answers() {
     let runs = &Runs::new();
     let okpi = text(&runs.okpi);
     let events = |run: &[&str]| {
-        let told = runs.ask(&[&["events"], run, &["--json", "--limit", "10000"]].concat());
-        assert!(told.status.success() && stderr(&told).is_empty(), "{}", stderr(&told));
-        stdout(&told)
+        let printed = runs.ask(&[&["events"], run, &["--json", "--limit", "10000"]].concat());
+        assert!(printed.status.success() && stderr(&printed).is_empty(), "{}", stderr(&printed));
+        stdout(&printed)
     };
     let formats = [("csv", "1"), ("parquet", "2"), ("arrow", "3")];
     let (built, others) = formats.split_at(if cfg!(feature = "arrow") { 3 } else { 1 });
     for (format, number) in built {
-        let told = runs.answer(&["export", okpi, "--format", format, "--out", format]);
-        assert!(told.contains(" events in "), "{told}");
+        let printed = runs.answer(&["export", okpi, "--format", format, "--out", format]);
+        assert!(printed.contains(" events in "), "{printed}");
         let robots = runs.place.path().join(format!("{format}/robot.{format}"));
         assert!(fs::metadata(robots).unwrap().len() > 1000);
-        let told = runs.answer(&["import", format, "--history", "imported.sqlite"]);
-        assert!(told.contains(&format!("are run {number} in imported.sqlite")), "{told}");
+        let printed = runs.answer(&["import", format, "--history", "imported.sqlite"]);
+        assert!(printed.contains(&format!("are run {number} in imported.sqlite")), "{printed}");
         let imported = [*number, "--history", "imported.sqlite"];
         assert!(events(&[okpi]) == events(&imported), "{format}");
         assert!(runs.refusal(&["export", okpi, "--out", format]).contains("is there already"));
     }
     for (format, _) in others {
-        let said = runs.refusal(&["export", okpi, "--format", format, "--out", format]);
-        assert!(said.contains("--features arrow"), "{said}");
+        let errors = runs.refusal(&["export", okpi, "--format", format, "--out", format]);
+        assert!(errors.contains("--features arrow"), "{errors}");
     }
     let csv = fs::read_to_string(runs.place.path().join("csv/handover.csv")).unwrap();
     assert!(csv.starts_with("n,at_ns,robot,from_radio_unit,to_radio_unit,fast,gap_ms\n"), "{csv}");
@@ -262,7 +263,7 @@ fn an_exported_run_is_imported_with_the_same_answers() {
     assert!(runs.refusal(&["import", ".", "--history", "imported.sqlite"]).contains("it has no run.json"));
 }
 
-/// Follows the stream, tells what it hears, and asks for a scan and what is known, now and then.
+/// Follows the stream and prints its events. At a handover, it queries the history and requests a scan.
 const LISTENER: &str = r#"
 import json, sys
 from cotorra import Client, Refused
@@ -282,7 +283,7 @@ assert scans == 1, scans
 "#;
 
 #[test]
-fn a_replay_tells_a_plugin_the_same_each_time_and_changes_nothing() {
+fn a_replay_sends_a_plugin_the_same_events_each_time() {
     let runs = &Runs::new();
     let (okpi, script) = (text(&runs.okpi), runs.place.path().join("listener.py"));
     fs::write(&script, LISTENER).unwrap();
@@ -294,17 +295,17 @@ fn a_replay_tells_a_plugin_the_same_each_time_and_changes_nothing() {
         let mut command = cotorra(["replay", okpi, "--base", base, "--api", "127.0.0.1:0"]);
         let mut child =
             command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let mut said = BufReader::new(child.stderr.take().unwrap());
+        let mut errors = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
-        said.read_line(&mut line).unwrap();
+        errors.read_line(&mut line).unwrap();
         let api = line
             .strip_prefix("API on ")
             .and_then(|l| l.split_once(", replay of "))
             .expect(&line)
             .0
             .to_owned();
-        // Kept open for what it says at its end.
-        (child, api, said)
+        // Kept open, because the replay writes to it at its end.
+        (child, api, errors)
     };
     let play = || {
         let (child, api, _said) = replay(&["--speed", "max"]);
@@ -320,12 +321,12 @@ fn a_replay_tells_a_plugin_the_same_each_time_and_changes_nothing() {
     assert!((heard.clone(), asked.clone()) == play(), "each time is the same");
     let read =
         |lines: &str| -> Vec<Value> { lines.lines().map(|l| serde_json::from_str(l).unwrap()).collect() };
-    let (wakes, told): (Vec<_>, Vec<_>) =
+    let (wakes, printed): (Vec<_>, Vec<_>) =
         read(&heard).into_iter().partition(|event| event["event"] == "wake");
     let wanted =
         |event: &Value| ["robot", "handover", "decision"].contains(&event["event"].as_str().unwrap());
     let was: Vec<_> = read(&recorded).into_iter().filter(wanted).collect();
-    assert!(told == was, "what is heard is what was: {} and {}", told.len(), was.len());
+    assert!(printed == was, "what is heard is what was: {} and {}", printed.len(), was.len());
     assert!(wakes.len() > 8);
     let decisions = read(&asked);
     assert_eq!(decisions.len(), 1, "{asked}");

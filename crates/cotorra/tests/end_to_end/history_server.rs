@@ -1,5 +1,4 @@
-//! Histories in a server, as runs use them: the plug-in that reads its delays there, a real run, and who gets to know the
-//! password.
+//! Histories in a server: a plug-in that reads its delays there, a real run, and secrecy of the password.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -15,7 +14,7 @@ use tempfile::TempDir;
 
 use crate::harness::{Run, corridor, cotorra, project_file, stderr, stdout, wait_until};
 
-/// OKpi as a program of its own, started by the run of the test below.
+/// OKpi as a separate program, which the run of the test below starts.
 #[test]
 #[ignore = "is started by the test below"]
 fn okpi_as_a_program() {
@@ -25,7 +24,7 @@ fn okpi_as_a_program() {
     client.run(&mut okpi).unwrap();
 }
 
-/// The corridor with the plug-in's block in place of its own, of which `settings` are those of okpi.
+/// Writes the corridor with another block of plug-ins, in which `SETTINGS` stands for the settings of okpi.
 fn corridor_with(plugin: &str, folder: &Path) -> PathBuf {
     let text = fs::read_to_string(corridor()).unwrap();
     let map = project_file("testbeds/maps/corridor.yaml");
@@ -38,7 +37,7 @@ fn corridor_with(plugin: &str, folder: &Path) -> PathBuf {
     file
 }
 
-/// A run in virtual time; its summary, and what was decided when.
+/// Simulates a testbed. Returns the summary, and the decisions with their times.
 fn simulated(testbed: &Path, out: &Path, url: &str) -> (Value, Vec<Value>) {
     let mut command = cotorra(["run", "--simulate", "--headless", "--out"]);
     let done = command.arg(out).arg(testbed).env("COTORRA_HISTORY", url).output().unwrap();
@@ -83,7 +82,7 @@ fn okpi_reads_its_delays_from_mariadb_and_decides_as_published() {
 }
 
 #[test]
-fn a_real_run_is_kept_in_a_server_and_what_it_starts_knows_no_password() {
+fn a_real_run_is_kept_in_a_server_whose_password_its_programs_do_not_get() {
     let Some(server) = MariaDb::start() else { return };
     let place = TempDir::new().unwrap();
     let url = server.fresh();
@@ -122,14 +121,14 @@ fn a_real_run_is_kept_in_a_server_and_what_it_starts_knows_no_password() {
     assert!(kept.lines().count() as u64 >= summary["samples"].as_u64().unwrap().max(1), "{kept}");
     assert!(!ask(&["runs"]).contains("no end"));
 
-    // In the list of processes everybody sees it.
+    // A password on the command line is visible in the list of processes.
     let told = cotorra(["history", "runs", "--history", &url]).output().unwrap();
     assert!(stderr(&told).contains("COTORRA_HISTORY_PASSWORD"), "{}", stderr(&told));
     assert!(!stderr(&told).contains(password));
 }
 
 #[test]
-fn old_samples_are_rolled_up_once_that_is_wanted() {
+fn old_samples_are_rolled_up_on_request() {
     let place = TempDir::new().unwrap();
     let file = place.path().join("testbed.yaml");
     let text = fs::read_to_string(corridor_with("  - probing\n", place.path())).unwrap();

@@ -1,4 +1,4 @@
-//! Runs that do not come to their end by themselves: nothing lost, nothing left behind.
+//! Runs that are interrupted or killed: nothing acknowledged is lost, and nothing is left behind.
 
 use std::fs;
 
@@ -6,7 +6,7 @@ use rusqlite::{Connection, OpenFlags};
 
 use crate::harness::{Run, are_held, corridor, output, stdout, wait_until};
 
-/// A run with a history worth losing.
+/// Starts a run, and waits until its history has service times.
 fn run_for_a_while() -> Run {
     let run = Run::start(&corridor(), &["--until", "5min"]);
     run.wait_for_service();
@@ -19,7 +19,7 @@ fn assert_nothing_is_left(run: &Run, namespaces: &std::collections::BTreeSet<u64
 }
 
 #[test]
-fn ctrl_c_and_its_kin_end_a_run_in_order() {
+fn ctrl_c_and_sigterm_end_a_run_in_order() {
     let ctrl_c = |run: &Run| run.signal_group("INT");
     let terminate = |run: &Run| run.signal("TERM");
     for interrupt in [&ctrl_c as &dyn Fn(&Run), &terminate] {
@@ -48,7 +48,7 @@ fn kill_9_loses_nothing_that_was_kept_and_leaves_nothing_that_runs() {
     assert_eq!(status.code(), None);
     assert_nothing_is_left(&run, &namespaces);
 
-    // What was shown as kept before is still there.
+    // Everything that the API had shown before is still there.
     let history = run.folder.join("history.sqlite");
     let history = Connection::open_with_flags(history, OpenFlags::SQLITE_OPEN_READ_WRITE).unwrap();
     let integrity: String = history.query_row("PRAGMA integrity_check", [], |row| row.get(0)).unwrap();

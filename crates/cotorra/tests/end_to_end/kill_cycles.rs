@@ -1,7 +1,7 @@
-//! SIGKILL to whatever takes part in a run, at drawn points of its progress: nothing acknowledged is lost, nothing is left
-//! behind, and the next run starts.
+//! SIGKILL to each part of a run at random points of its progress: nothing acknowledged is lost, nothing is left behind, and
+//! the next run starts.
 //!
-//! `docs/history.md` says what acknowledges: an answer of the history, a `flush`, and the run's end in order.
+//! An answer of the history, a `flush`, and the orderly end of a run acknowledge events (`docs/history.md`).
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -21,14 +21,14 @@ use crate::{
     one_robot::testbed,
 };
 
-/// The environment variable that repeats a draw.
+/// The environment variable with the seed of an earlier draw, to repeat it.
 const SEED: &str = "COTORRA_KILL_SEED";
 
-/// Folders of our own, by the variable that names them to cotorra.
+/// Environment variables for cotorra, with folders of the test's own.
 const FOLDERS: [(&str, &str); 4] =
     [("TMPDIR", "tmp"), ("HOME", "home"), ("XDG_STATE_HOME", "state"), ("XDG_RUNTIME_DIR", "runtime")];
 
-/// Events between two looks, at most: some seconds of a run.
+/// Maximum number of events before the next action: some seconds of a run.
 const LONGEST: u64 = 150;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,17 +40,17 @@ enum Victim {
     Anvil,
 }
 
-/// Numbers that follow from a seed.
+/// Random numbers from a seed.
 struct Draw(u64);
 
 impl Draw {
-    /// From the environment, or another each time.
+    /// Takes the seed from the environment, or a random one.
     fn new() -> Self {
         let seed = env::var(SEED).map(|seed| seed.parse().unwrap());
         Self(seed.unwrap_or_else(|_| RandomState::new().hash_one(0)))
     }
 
-    /// Below `bound`.
+    /// Draws a number below `bound`.
     fn below(&mut self, bound: u64) -> u64 {
         self.0 = cotorra_graph::seed::split(self.0, "kill");
         self.0 % bound
@@ -67,7 +67,7 @@ impl Draw {
     }
 }
 
-/// Gives an instruction for each event, every fifth of which is refused, and notes which of them were answered.
+/// Sends an instruction for each event, every fifth of which is refused, and logs those that were answered.
 const INSTRUCTS: &str = r#"
 import os, signal, sys
 sys.path.insert(0, sys.argv[1])
@@ -84,31 +84,31 @@ for number, _ in enumerate(testbed.stream("robot", "service_time")):
     except Refused:
         pass
     os.write(answered, f"{number}\n".encode())
-# A program of others may hang when its run is gone.
+# An external program may keep running when its run is gone.
 signal.pause()
 "#;
 
-/// What all cycles share: one testbed file, one history in SQLite and one in a server.
+/// State that all cycles share: one testbed file, one history in SQLite, and one in a server.
 struct Site {
     place: TempDir,
     testbed: PathBuf,
     server: Option<MariaDb>,
     url: String,
     interfaces: BTreeSet<String>,
-    /// Control groups and the entry of the run before, which the next start removes.
+    /// Control groups and the entry of the previous run, which the next start removes.
     left: Vec<PathBuf>,
-    /// Runs in each of the two histories.
+    /// Number of runs in each of the two histories.
     runs: [u64; 2],
-    /// What was checked.
+    /// Instructions that were checked.
     answered: usize,
     rows: usize,
 }
 
-/// What an ended run has in its history.
+/// Contents of the history of an ended run.
 struct Kept {
-    /// Numbers of the plug-in's instructions, as often as they are there.
+    /// Numbers of the plug-in's instructions, with the count of each.
     instructions: BTreeMap<usize, usize>,
-    /// All events, by kind.
+    /// Number of events by kind.
     events: BTreeMap<String, usize>,
 }
 
@@ -164,7 +164,7 @@ plugins:
         run
     }
 
-    /// Instructions that the plug-in has an answer to.
+    /// Returns the number of instructions that were answered to the plug-in.
     fn answered(&self) -> usize {
         let noted = fs::read_to_string(self.place.path().join("answered")).unwrap_or_default();
         let numbers = noted.lines().map(|line| line.parse::<usize>().unwrap());
@@ -180,7 +180,7 @@ plugins:
         stdout(&done)
     }
 
-    /// All that the history has of a run.
+    /// Reads the contents of the history of a run.
     fn kept(&mut self, run: &Run, in_server: bool) -> Kept {
         let told =
             self.ask(in_server, &["events", run.folder.to_str().unwrap(), "--json", "--limit", "10000"]);
@@ -198,7 +198,7 @@ plugins:
         Kept { instructions, events }
     }
 
-    /// Environment variables with folders of our own.
+    /// Returns the environment variables with the test's own folders.
     fn folders(&self) -> [(&'static str, PathBuf); 4] {
         FOLDERS.map(|(name, folder)| (name, self.place.path().join(folder)))
     }
@@ -209,14 +209,15 @@ plugins:
         stdout(&done)
     }
 
-    /// Entries of runs, by which tools find them.
+    /// Returns the entries by which tools find runs.
     fn entries(&self) -> Vec<PathBuf> {
         let folder = self.place.path().join("runtime/cotorra");
         fs::read_dir(folder).map(|all| all.map(|entry| entry.unwrap().path()).collect()).unwrap_or_default()
     }
 
-    /// Waits until nothing of a run is left: processes, namespaces with their interfaces, the API, mounts, files. Only control
-    /// groups and an entry stay, which the next start or `clean` removes.
+    /// Waits until nothing of a run is left: processes, namespaces with their interfaces, the API, mounts, files.
+    ///
+    /// Only control groups and an entry may stay, which the next start or `clean` removes.
     fn assert_nothing_is_left(&self, run: &Run, before: &Before) {
         wait_until(|| run.processes().is_empty());
         wait_until(|| !are_held(&before.namespaces));
@@ -236,7 +237,7 @@ plugins:
     }
 }
 
-/// What a run had while it went on.
+/// Resources of a run before it ends.
 struct Before {
     namespaces: BTreeSet<u64>,
     groups: Vec<PathBuf>,
@@ -244,7 +245,7 @@ struct Before {
 
 impl Before {
     fn of(run: &Run) -> Self {
-        // Also remembers the processes: the run, and a program of it.
+        // This also records the processes: the run, and one of its programs.
         wait_until(|| run.processes().len() >= 2);
         Self { namespaces: run.namespaces(), groups: run.control_groups() }
     }
@@ -255,7 +256,7 @@ fn interfaces() -> BTreeSet<String> {
     all.map(|interface| interface.file_name().into_string().unwrap()).collect()
 }
 
-/// The process of a run that was started with these words; waits for it.
+/// Waits for the process of a run whose command line contains these words.
 fn process(run: &Run, words: &str) -> u32 {
     let mut found = None;
     wait_until(|| {
@@ -266,13 +267,13 @@ fn process(run: &Run, words: &str) -> u32 {
     found.unwrap()
 }
 
-/// Passes over so many events.
+/// Skips a number of events.
 fn pass(stream: &mut impl Iterator<Item = Value>, events: usize) {
     assert_eq!(stream.by_ref().take(events).count(), events, "the run goes on");
 }
 
 impl Site {
-    /// One run in which something is killed.
+    /// Kills the victim in one run, and checks what is kept and what is left.
     fn cycle(&mut self, victim: Victim, draw: &mut Draw) -> String {
         let in_server = self.server.is_some() && (victim == Victim::MariaDb || draw.below(2) == 0);
         let testbed = self.testbed.clone();
@@ -281,7 +282,7 @@ impl Site {
         let events = draw.events();
         let mut stream = run.follow();
         pass(&mut stream, events);
-        // Not `clean` alone: it is the next start, too, that cleans.
+        // Not always by `clean`, because the next start cleans up, too.
         let cleans = draw.below(2) == 0;
         let then = match victim {
             Victim::Core => self.kill_core(&mut run, in_server, draw.below(4) == 0),
@@ -306,7 +307,7 @@ impl Site {
         format!("{victim:?} after {events} events, history in {history}, cleaned: {cleans}; {then}")
     }
 
-    /// A run of the same file, with the same history, to its end.
+    /// Runs the same file with the same history to its end.
     fn next_run(&mut self, in_server: bool) {
         let testbed = self.testbed.clone();
         let mut run = self.start(&testbed, in_server, &[]);
@@ -316,7 +317,7 @@ impl Site {
         self.assert_all_is_kept(&run, in_server, 0);
     }
 
-    /// Of a run that came to its end: each instruction that was answered is there, and no gap.
+    /// Asserts that the history of a run that ended in order has every answered instruction and no gap.
     fn assert_all_is_kept(&mut self, run: &Run, in_server: bool, at_least: usize) -> Kept {
         let kept = self.assert_none_is_missing(run, in_server, 0);
         let (answered, there) = (self.answered(), kept.instructions.len());
@@ -326,8 +327,9 @@ impl Site {
         kept
     }
 
-    /// Each instruction is there once, up to the last that is; at least so many, and at most those that were answered, and
-    /// one that was under way.
+    /// Asserts that the history has each instruction once, up to the last one it has.
+    ///
+    /// There are at least `at_least`, and at most those that were answered plus one that was under way.
     fn assert_none_is_missing(&mut self, run: &Run, in_server: bool, at_least: usize) -> Kept {
         wait_until(|| run.processes().is_empty());
         let (answered, kept) = (self.answered(), self.kept(run, in_server));
@@ -340,7 +342,7 @@ impl Site {
         kept
     }
 
-    /// Ends a run in order: it says what was kept, and that is there.
+    /// Ends a run in order, and checks its summary against the history.
     fn end(&mut self, run: &mut Run, in_server: bool, faults: usize) -> Kept {
         let at_least = self.answered();
         run.signal("INT");
@@ -360,7 +362,7 @@ impl Site {
         let shown = |path: &str| run.get(path)["items"].as_array().unwrap().clone();
         let samples = shown("/api/v1/measurements/service-times?limit=10000");
         let decisions = shown("/api/v1/measurements/events?kinds=decision&limit=10000");
-        // Remembers those that came since.
+        // This records the processes that were started since.
         run.processes();
         if while_it_ends {
             run.signal("INT");
@@ -381,7 +383,7 @@ impl Site {
         format!("while it ended: {while_it_ends}; {answered} answered, {shown} shown as kept, {there} kept")
     }
 
-    /// It is cut off and reported, and the run goes on.
+    /// Kills the plug-in: it is cut off and reported, and the run continues.
     fn kill_plugin(
         &mut self,
         run: &mut Run,
@@ -398,7 +400,7 @@ impl Site {
         format!("{} instructions kept, then {more} events", kept.instructions.len())
     }
 
-    /// It is reported, and started again.
+    /// Kills a VNF: it is reported and restarted.
     fn kill_vnf(
         &mut self,
         run: &mut Run,
@@ -414,7 +416,7 @@ impl Site {
                 .find(|event| event["event"] == "vnf" && event["vnf"] == vnf && event["state"] == state);
             told.unwrap_or_else(|| panic!("{vnf} has not {state}"));
         }
-        // Whoever is navigated by it is again.
+        // The robot is navigated again.
         let answer =
             stream.find(|event| event["event"] == "service_time" && event["service_time_ms"].is_number());
         assert!(answer.is_some());
@@ -428,7 +430,8 @@ impl Site {
         )
     }
 
-    /// The run goes on without it. It is brought what it missed: by the run, or by whoever opens the history next.
+    /// Kills the server: the run continues without it. The missing events are delivered by the run, or by the next program that
+    /// opens the history.
     fn kill_mariadb(
         &mut self,
         run: &mut Run,
@@ -467,7 +470,7 @@ impl Site {
     }
 }
 
-/// Steps of a federation, in the order in which they come; after each the ledger may be gone.
+/// Steps of a federation in their order. The ledger may be killed after each of them.
 #[cfg(feature = "ethereum")]
 const STEPS: [&str; 12] = [
     "announced",
@@ -486,11 +489,12 @@ const STEPS: [&str; 12] = [
 
 #[cfg(feature = "ethereum")]
 impl Site {
-    /// A robot that walks out of its domain: with the ledger back it is handed over, without it it stops in coverage.
+    /// Kills the ledger while a robot walks out of its domain. If the ledger returns, the robot is handed over; otherwise the
+    /// robot stops in coverage.
     fn kill_anvil(&mut self, draw: &mut Draw) -> Option<String> {
         let mut chain = crate::chain::Chain::start()?;
         chain.keep();
-        // Deep enough for a node that lost all of the negotiation.
+        // Deep enough for a node that lost the whole negotiation.
         let mut settings = chain.settings(64).to_vec();
         settings.push("plugins.orchestrator-1.settings.collect=2 s".to_owned());
         settings.push("walks.robot.waypoints=[[21, 0], [34, 0]]".to_owned());
@@ -498,7 +502,7 @@ impl Site {
         let arguments: Vec<_> = settings.iter().flat_map(|setting| ["--set", setting]).collect();
         let mut run = self.start(&project_file("testbeds/federation.yaml"), false, &arguments);
         let before = Before::of(&run);
-        // What the history has told of is acknowledged.
+        // Events that the history has returned are acknowledged.
         let decisions = |run: &Run| {
             let told = run.get("/api/v1/measurements/events?kinds=decision&limit=10000");
             told["items"].as_array().unwrap().clone()
@@ -508,7 +512,7 @@ impl Site {
             wait_until(|| decisions(&run).iter().any(has));
         };
         let step = draw.below(STEPS.len() as u64) as usize;
-        // It may have come and gone.
+        // Later steps count, too, because the step may have passed.
         until(&STEPS[step..]);
         let then =
             ["it comes back", "it comes back as before the run", "it stays away"][draw.below(3) as usize];

@@ -1,4 +1,4 @@
-//! `cotorra link`: what the command line shows of a running testbed's links, changes and tests.
+//! `cotorra link`: shows, changes and tests links of a running testbed.
 
 use std::process::Output;
 
@@ -31,8 +31,8 @@ fn links_are_probed_changed_and_tested() {
 
     let test = link(&run, &["test", "left-lan", "--direction", "backward", "--duration", "500ms"]);
     assert!(test.status.success(), "{}", stderr(&test));
-    let told = stdout(&test);
-    assert!(told.starts_with("left-lan backward: ") && told.contains("of 8.800 Mbit/s"), "{told}");
+    let printed = stdout(&test);
+    assert!(printed.starts_with("left-lan backward: ") && printed.contains("of 8.800 Mbit/s"), "{printed}");
     let tested = context("backward")["tested"].clone();
     assert!((tested["throughput_bps"].as_f64().unwrap() / 8e6 - 1.0).abs() < 0.02, "{tested}");
     assert!(tested["age_ms"].is_number() && context("forward")["tested"].is_null(), "{tested}");
@@ -44,8 +44,8 @@ fn links_are_probed_changed_and_tested() {
         (&["show", "nothing"], "there are lan-right, left-lan"),
     ] {
         let refused = link(&run, arguments);
-        let said = stderr(&refused);
-        assert!(!refused.status.success() && said.contains(part), "{arguments:?}: {said}");
+        let errors = stderr(&refused);
+        assert!(!refused.status.success() && errors.contains(part), "{arguments:?}: {errors}");
     }
     let shown = stdout(&link(&run, &["show"]));
     assert!(shown.contains("20.000 ms, 8 Mbit/s") && shown.contains("s ago"), "{shown}");

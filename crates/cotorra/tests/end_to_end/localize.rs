@@ -1,4 +1,4 @@
-//! `cotorra localize` on a log that a robot in a room would have written.
+//! `cotorra localize` on the simulated log of a robot in a room.
 
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
@@ -6,7 +6,7 @@ use std::{f64::consts::PI, fmt::Write as _, fs, path::Path};
 
 use crate::harness::{output, stderr, stdout};
 
-/// A room of 6 m × 4 m, its walls 0.1 m thick, and the log of a way through it: odometry says 3 % more than was gone.
+/// Writes the map of a room of 6 m × 4 m with walls of 0.1 m, and the log of a walk through it. Odometry is 3 % too long.
 fn room(folder: &Path) {
     let (width, height) = (124, 84);
     let mut picture = format!("P5\n{width} {height}\n255\n").into_bytes();
@@ -57,8 +57,8 @@ fn a_log_becomes_a_trajectory_and_its_error() {
     assert_eq!(table.lines().count(), 41);
     let last: Vec<f64> = table.lines().last().unwrap().split(',').map(|cell| cell.parse().unwrap()).collect();
     assert!((last[1] - 4.9).abs() < 0.1 && (last[2] - 1.5).abs() < 0.1, "{last:?}");
-    let said = stderr(&found);
-    assert!(said.contains("40 of 40 scans") && said.contains("lost (over 1 m) 0.00 %"), "{said}");
+    let errors = stderr(&found);
+    assert!(errors.contains("40 of 40 scans") && errors.contains("lost (over 1 m) 0.00 %"), "{errors}");
     // The same seed gives the same table, another one does not.
     assert_eq!(table, stdout(&localize(folder.path(), &["--seed", "1"])));
     assert_ne!(table, stdout(&localize(folder.path(), &["--seed", "2"])));
@@ -70,7 +70,7 @@ fn a_log_becomes_a_trajectory_and_its_error() {
 }
 
 #[test]
-fn a_log_that_is_none_is_told_with_its_line() {
+fn an_invalid_log_is_rejected_with_its_line() {
     let folder = tempfile::tempdir().unwrap();
     room(folder.path());
     let log = folder.path().join("log");
@@ -85,13 +85,13 @@ fn a_log_that_is_none_is_told_with_its_line() {
     assert!(stderr(&localize(folder.path(), &[])).contains("cannot read"));
 }
 
-/// What is said, without the line breaks and bars of a diagnostic.
-fn in_one_line(said: &str) -> String {
-    said.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+/// Removes the line breaks and bars of a diagnostic.
+fn in_one_line(errors: &str) -> String {
+    errors.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
 }
 
 #[test]
-fn odometry_maps_and_scans_that_are_no_use_are_told() {
+fn unusable_odometry_maps_and_scans_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     room(folder.path());
     let at = |name: &str| folder.path().join(name);
@@ -102,13 +102,13 @@ fn odometry_maps_and_scans_that_are_no_use_are_told() {
         (found.status.code(), in_one_line(&stderr(&found)))
     };
     // The odometry of the second scan.
-    let (code, said) = told(&log.replacen(" 7.103 2 0", " 1e300 2 0", 2));
+    let (code, errors) = told(&log.replacen(" 7.103 2 0", " 1e300 2 0", 2));
     assert!(
-        code == Some(1) && said.contains("line 3: the laser's pose of `FLASER` is (1e300, 2.0)"),
-        "{said}"
+        code == Some(1) && errors.contains("line 3: the laser's pose of `FLASER` is (1e300, 2.0)"),
+        "{errors}"
     );
-    let (code, said) = told(&log.replacen("FLASER 180", "FLASER -5", 1));
-    assert!(code == Some(1) && said.contains("announces -5 ranges, which is no count"), "{said}");
+    let (code, errors) = told(&log.replacen("FLASER 180", "FLASER -5", 1));
+    assert!(code == Some(1) && errors.contains("announces -5 ranges, which is no count"), "{errors}");
     // Beams that hit nothing: in one scan, and in all.
     let blind = |line: &str| {
         let fields: Vec<&str> = line.split(' ').collect();
@@ -118,10 +118,10 @@ fn odometry_maps_and_scans_that_are_no_use_are_told() {
         format!("FLASER 180{} {}\n", " 0".repeat(180), fields[182..].join(" "))
     };
     let line = log.lines().nth(5).unwrap();
-    let (code, said) = told(&log.replacen(&format!("{line}\n"), &blind(line), 1));
-    assert!(code == Some(0) && said.contains("warning: 1 scans have no beam"), "{said}");
-    let (code, said) = told(&log.lines().map(blind).collect::<String>());
-    assert!(code == Some(1) && said.contains("has a beam that hit anything within 80 m"), "{said}");
+    let (code, errors) = told(&log.replacen(&format!("{line}\n"), &blind(line), 1));
+    assert!(code == Some(0) && errors.contains("warning: 1 scans have no beam"), "{errors}");
+    let (code, errors) = told(&log.lines().map(blind).collect::<String>());
+    assert!(code == Some(1) && errors.contains("has a beam that hit anything within 80 m"), "{errors}");
 
     fs::write(at("log"), &log).unwrap();
     for (level, missing) in [(254, "wall"), (0, "free cell")] {
@@ -130,7 +130,7 @@ fn odometry_maps_and_scans_that_are_no_use_are_told() {
         fs::write(at("room.pgm"), picture).unwrap();
         let found = localize(folder.path(), &[]);
         assert_eq!(found.status.code(), Some(1));
-        let said = in_one_line(&stderr(&found));
-        assert!(said.contains(&format!("the map has no {missing}")), "{said}");
+        let errors = in_one_line(&stderr(&found));
+        assert!(errors.contains(&format!("the map has no {missing}")), "{errors}");
     }
 }

@@ -1,4 +1,4 @@
-//! The real program, from outside: what it prints, what it leaves, and what it does not leave.
+//! End-to-end tests of the real program: its output, its files, and that it leaves nothing behind.
 
 mod api;
 mod camera;

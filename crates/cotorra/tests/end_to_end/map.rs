@@ -5,7 +5,8 @@ use serde_json::{Value, json};
 
 use crate::harness::{Run, output, project_file, stdout, wait_until};
 
-/// Service times, ms, of packets that were emitted from a number on; at least so many. One without an answer took for ever.
+/// Waits for at least `count` service times of packets from a sequence number on. Returns them sorted, in ms; a request without
+/// an answer is infinite.
 fn service_times(run: &Run, from: u64, count: usize) -> Vec<f64> {
     let mut took = Vec::new();
     wait_until(|| {
@@ -19,10 +20,10 @@ fn service_times(run: &Run, from: u64, count: usize) -> Vec<f64> {
     took
 }
 
-/// Number of the next position packet that is emitted after what was just asked for.
+/// Returns the sequence number of the next position packet that is emitted after the last instruction.
 fn next(run: &Run) -> u64 {
     let all = run.get("/api/v1/measurements/service-times?limit=1000")["items"].clone();
-    // The last that is known, one that is under way, and the next.
+    // After the last known packet, one may be under way.
     all.as_array().unwrap().last().map_or(0, |sample| sample["sequence"].as_u64().unwrap() + 2)
 }
 
@@ -31,7 +32,7 @@ fn map(run: &Run, from: &str, to: &str, links: &[&str]) -> (u16, Value) {
     run.post("/api/v1/instructions", &map.to_string())
 }
 
-/// Packets that crossed a link in both directions.
+/// Returns the number of packets that crossed a link in either direction.
 fn carried(run: &Run, link: &str) -> u64 {
     let links = run.get("/api/v1/network/links");
     let both = links.as_array().unwrap().iter().filter(|context| context["link"] == link);
@@ -43,7 +44,7 @@ fn a_mapped_path_keeps_the_target_that_the_shortest_misses() {
     const TARGET_MS: f64 = 100.0;
     let mut run = Run::start(&project_file("testbeds/two-paths.yaml"), &["--until", "600s"]);
     let slow = service_times(&run, 0, 8);
-    // 10 kbit/s alone take that time twice.
+    // The rate of 10 kbit/s alone takes twice the target.
     assert!(slow[slow.len() / 2] > TARGET_MS, "{slow:?}");
 
     let (status, body) = map(&run, "robot", "edge", &["robot~unit", "unit-narrow", "narrow-edge"]);
@@ -62,10 +63,10 @@ fn a_mapped_path_keeps_the_target_that_the_shortest_misses() {
     let before = ["unit-narrow", "unit-wide"].map(|link| carried(&run, link));
     let fast = service_times(&run, from, 15);
     assert!(fast[fast.len() / 2] < TARGET_MS, "{fast:?}");
-    // Links are told once a second.
+    // Counters of links are updated once a second.
     let wide = || carried(&run, "unit-wide") - before[1];
     wait_until(|| wide() >= 20);
-    // What is for all hosts, such as the kernels' search for neighbours, keeps to the shortest.
+    // Broadcasts, such as neighbour discovery, stay on the shortest path.
     let narrow = carried(&run, "unit-narrow") - before[0];
     assert!(narrow * 2 < wide(), "{narrow} packets on the narrow path, {} on the wide one", wide());
 

@@ -1,4 +1,4 @@
-//! `cotorra netem`, in a network namespace of its own; what the kernel does is shown where `scripts/uml` runs this.
+//! `cotorra netem` in its own network namespace. Tests that need NetEm run in the kernel of `scripts/uml`.
 
 use std::{
     path::{Path, PathBuf},
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::harness::{Run, cotorra, project_file, stderr, stdout, wait_until};
 
-/// Runs a script in a network namespace of its own; `$COTORRA` is the program.
+/// Runs a script in its own network namespace. `$COTORRA` is the program.
 pub fn script(lines: &str) -> Output {
     let program = cotorra([""; 0]).get_program().to_owned();
     Command::new("unshare")
@@ -20,22 +20,22 @@ pub fn script(lines: &str) -> Output {
         .expect("unshare is part of util-linux")
 }
 
-/// Whether this kernel has NetEm, and lets this user have a namespace in which to use it.
+/// Returns whether this kernel has NetEm, and this user may use it in a namespace.
 pub fn has_netem() -> bool {
     let tried = script("$COTORRA netem set lo --delay 1ms");
     let has = tried.status.success();
     if !has {
-        let said = stderr(&tried);
-        assert!(std::env::var_os("COTORRA_KERNEL").is_none(), "the rig's kernel has no NetEm: {said}");
-        eprintln!("skipped: {said}");
+        let errors = stderr(&tried);
+        assert!(std::env::var_os("COTORRA_KERNEL").is_none(), "the rig's kernel has no NetEm: {errors}");
+        eprintln!("skipped: {errors}");
         let reasons = ["this kernel has no sch_netem", "unshare", "/run"];
-        assert!(reasons.iter().any(|reason| said.contains(reason)), "{said}");
+        assert!(reasons.iter().any(|reason| errors.contains(reason)), "{errors}");
     }
     has
 }
 
 #[test]
-fn a_dry_run_says_in_the_words_of_tc_what_would_be_done() {
+fn a_dry_run_prints_the_commands_of_tc() {
     let done = script(
         "$COTORRA netem set lo --to 10.0.0.0/8 --delay 10ms --jitter 1ms --rate 8Mbit/s --loss 1% --dry-run
                        $COTORRA netem show lo",
@@ -55,7 +55,7 @@ no conditions
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_what_would_be_right() {
+fn invalid_arguments_are_rejected_with_a_remedy() {
     for (arguments, part) in [
         (vec!["set", "lo"], "--delay <DURATION>"),
         (vec!["set", "lo", "--delay", "10"], "write it like 10ms"),
@@ -70,10 +70,10 @@ fn what_cannot_be_is_refused_with_what_would_be_right() {
     ] {
         let refused = cotorra(["netem"].into_iter().chain(arguments.clone())).output().unwrap();
         assert!(!refused.status.success(), "{arguments:?}");
-        // Long lines are broken.
-        let said =
+        // Joined words, because long lines are broken.
+        let errors =
             stderr(&refused).replace(['│', '\n'], " ").split_whitespace().collect::<Vec<_>>().join(" ");
-        assert!(said.contains(part), "{arguments:?}: {said}");
+        assert!(errors.contains(part), "{arguments:?}: {errors}");
     }
 }
 
@@ -110,9 +110,9 @@ fn conditions_are_set_shown_and_cleared() {
     assert!(rest.starts_with("va: cleared; pfifo is back\nno conditions\nqdisc pfifo 9: root"), "{rest}");
 }
 
-/// Two hosts 2 ms apart each way and no radio: what the kernel can emulate, where it has NetEm.
+/// Two hosts that are 2 ms apart each way, without radio: NetEm emulates them if the kernel has it.
 #[test]
-fn a_testbed_runs_on_netem_or_says_why_on_the_fabric() {
+fn a_testbed_runs_on_netem_or_else_on_the_fabric() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("kernel.yaml");
     let text = std::fs::read_to_string(project_file("testbeds/two-hosts.yaml")).unwrap();
@@ -146,7 +146,7 @@ fn a_testbed_runs_on_netem_or_says_why_on_the_fabric() {
     assert_eq!(status, 409, "{body}");
     assert!(body["refused"].as_str().unwrap().contains("NetEm plays no packet-delivery traces"), "{body}");
     assert!(ping() >= 42.0, "what was refused changed nothing");
-    // Told once a second.
+    // Counters are updated once a second.
     wait_until(|| {
         let links = run.get("/api/v1/network/links");
         links[0]["counters"]["packets"].as_u64().is_some_and(|packets| packets > 0)
@@ -157,7 +157,7 @@ fn a_testbed_runs_on_netem_or_says_why_on_the_fabric() {
     assert!(stdout(&tested).starts_with("left-lan forward: "), "{}", stdout(&tested));
 }
 
-/// A testbed of two hosts that the kernel emulates where it can, with more in its file.
+/// Writes a testbed of two hosts that NetEm emulates if it can, with `more` in its file.
 fn on_the_kernel(folder: &Path, name: &str, more: &str) -> PathBuf {
     let file = folder.join(format!("{name}.yaml"));
     let text = std::fs::read_to_string(project_file("testbeds/two-hosts.yaml")).expect("it is the project's");
@@ -166,8 +166,8 @@ fn on_the_kernel(folder: &Path, name: &str, more: &str) -> PathBuf {
     file
 }
 
-/// Both carry packets in real time; whoever does, probes tell the delay that was scripted, and the verdict says how much
-/// is known.
+/// NetEm or the fabric carries packets in real time. In either case, probes measure the scripted delay, and the verdict says
+/// how much is known.
 #[test]
 fn a_schedule_and_its_replay_change_links_in_real_time() {
     let folder = tempfile::tempdir().unwrap();
@@ -180,7 +180,7 @@ fn a_schedule_and_its_replay_change_links_in_real_time() {
             let is_it = |link: &&Value| link["link"] == "left-lan" && link["direction"] == direction;
             links.as_array().unwrap().iter().find(is_it).cloned().unwrap_or_default()
         };
-        // No packet comes too soon, so that the mean is no less once the window is over.
+        // No packet is early, so that the mean reaches the delay once the window has passed.
         wait_until(|| context("forward")["probed"]["delay_ms"].as_f64().is_some_and(|delay| delay >= 60.0));
         let backward = context("backward");
         assert_eq!(backward["effective"]["delay_ms"], 1.0, "{backward}");
@@ -197,7 +197,7 @@ fn a_schedule_and_its_replay_change_links_in_real_time() {
     };
     let (first, summary) = until_slow(&scripted);
     let reason = summary["fidelity"]["reason"].as_str().unwrap();
-    // Well over 100 probes, none of which was left to chance.
+    // NetEm counts its probes as frames: well over 100.
     assert_eq!(reason.contains("only probes tell"), has_netem(), "{reason}");
     assert_eq!(summary["fidelity"]["frames"].as_u64().unwrap() >= 100, has_netem(), "{summary}");
 

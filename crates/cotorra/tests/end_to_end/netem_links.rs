@@ -1,5 +1,6 @@
-//! Links of a testbed over real interfaces, in a network namespace of their own: a virtual Ethernet pair whose far end is
-//! elsewhere. What the kernel does is shown where `scripts/uml` runs this.
+//! Links of a testbed over real interfaces: a virtual Ethernet pair between two network namespaces.
+//!
+//! Tests that need NetEm run in the kernel of `scripts/uml`.
 
 use std::process::Output;
 
@@ -19,7 +20,7 @@ links:
   - { ends: [desk, leg], forward: { loss: 100 % } }
 ";
 
-/// Runs a script beside this machine's end, `va`, of a wire whose other end has two addresses.
+/// Runs a script at this machine's end, `va`, of a wire whose far end has two addresses.
 fn on_a_wire(testbed: &str, lines: &str) -> Output {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     let file = folder.path().join("real.yaml");
@@ -54,8 +55,7 @@ fn lines(done: &Output) -> Vec<String> {
     stdout(done).lines().map(str::to_owned).collect()
 }
 
-/// Whether this user can have namespaces of their own, be it without NetEm, and look at interfaces and write down what to
-/// put back: root can.
+/// Returns whether this user can create namespaces, inspect interfaces and save records in /run, as root can.
 fn has_namespaces() -> bool {
     let tried = script("command -v tc >/dev/null && test -w /run && unshare --net ip link add va type veth");
     if !tried.status.success() {
@@ -65,7 +65,7 @@ fn has_namespaces() -> bool {
 }
 
 #[test]
-fn a_dry_run_says_what_would_be_done_to_which_interface() {
+fn a_dry_run_lists_the_changes_of_each_interface() {
     if !has_namespaces() {
         return;
     }
@@ -102,7 +102,7 @@ fn a_dry_run_says_what_would_be_done_to_which_interface() {
 }
 
 #[test]
-fn interfaces_that_are_somebody_elses_are_refused() {
+fn interfaces_in_other_use_are_rejected() {
     if !has_namespaces() {
         return;
     }
@@ -138,7 +138,7 @@ fn interfaces_that_are_somebody_elses_are_refused() {
 }
 
 #[test]
-fn a_kernel_without_netem_is_told_by_name() {
+fn a_missing_netem_module_is_named() {
     if !has_namespaces() || has_netem() {
         return;
     }
@@ -181,7 +181,7 @@ fn a_real_link_has_its_conditions_as_long_as_the_run_goes_on() {
 }
 
 #[test]
-fn an_interface_with_conditions_of_cotorras_own_is_refused() {
+fn an_interface_that_already_has_conditions_is_rejected() {
     if !has_netem() {
         return;
     }
@@ -213,7 +213,7 @@ fn an_interface_with_conditions_of_cotorras_own_is_refused() {
 }
 
 #[test]
-fn what_a_killed_run_left_is_put_back() {
+fn interfaces_of_a_killed_run_are_restored() {
     if !has_netem() {
         return;
     }
@@ -245,9 +245,9 @@ fn what_a_killed_run_left_is_put_back() {
     assert_eq!(said[6..], ["0"]);
 }
 
-/// A medium that takes 8 ms on the way back, whose half is each direction's: emulation adds what is missing to ψ·d.
+/// The medium adds 8 ms on the way back, half of which counts for each direction. Emulation adds the rest of ψ·d.
 #[test]
-fn what_the_medium_takes_is_measured_and_scaled_once() {
+fn the_delay_of_the_medium_is_measured_and_scaled_once() {
     if !has_netem() {
         return;
     }
@@ -282,8 +282,7 @@ fn what_the_medium_takes_is_measured_and_scaled_once() {
     assert!(is(figures[6], 0.5 * (d + 20.0)) && is(figures[7], 10.0 - 0.5 * d), "{said:?}");
 }
 
-/// A reflector at the other end tells of a link what it does to packets as the run goes on, each direction by itself, and
-/// whether that is what was asked. Nothing else does.
+/// A reflector at the other end measures each direction of a link during the run. Nothing else does.
 #[test]
 fn a_real_link_with_a_reflector_is_probed_as_long_as_the_run_goes_on() {
     if !has_netem() {
@@ -304,7 +303,7 @@ import json, sys
 for way in json.load(sys.stdin):
     probed = way[\"probed\"] or {}
     print(way[\"direction\"], probed.get(\"delay_ms\") or 0, probed.get(\"loss\") or 0)' | tr '\\n' ' '; echo; }
-         # What a window tells that has filled since.
+         # Waits until the window has filled since the change.
          filled() { sleep 3; }
          filled; told
          $COTORRA link set desk-arm --api $api --direction backward --delay 50ms --loss 0% >/dev/null
@@ -316,7 +315,7 @@ for way in json.load(sys.stdin):
     );
     let said = lines(&done);
     let told = |line: &str| -> Vec<f64> { line.split(' ').filter_map(|word| word.parse().ok()).collect() };
-    // Forward, backward: what was asked, what the medium takes, and what the kernel is late.
+    // Delays forward and backward: the condition, plus the medium and the lateness of the kernel.
     let [before, after] = [told(&said[0]), told(&said[1])];
     assert!((30.0..45.0).contains(&before[0]) && (10.0..25.0).contains(&before[2]), "{said:?}");
     assert!(before[1] == 0.0 && (0.05..0.4).contains(&before[3]), "the loss is the way back's: {said:?}");

@@ -1,4 +1,4 @@
-//! A testbed of one robot, one radio unit and one server, whichever way the robot is reached.
+//! A testbed of one robot, one radio unit and one server, with any driver of the robot.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -20,7 +20,7 @@ links:
   - { ends: [R1, cloud], delay: 1 ms }
 ";
 
-/// A walk that is longer than any test.
+/// Services and a walk that is longer than any test.
 pub const NAVIGATED: &str = "
 services:
   navigation:
@@ -33,14 +33,14 @@ walks:
   tb: { waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }
 ";
 
-/// Writes the testbed file of a place with one robot, `tb`, which is that, and with the rest.
+/// Writes a testbed file with the node `robot` as `tb`, and with `rest` at its end.
 pub fn testbed(folder: &Path, name: &str, robot: &str, rest: &str) -> PathBuf {
     let file = folder.join(format!("{name}.yaml"));
     fs::write(&file, format!("name: {name}\n{}{rest}", PLACE.replace("ROBOT", robot))).unwrap();
     file
 }
 
-/// κ of the robot; null while there is none.
+/// Returns κ of the robot, or null if there is none yet.
 pub fn robot(run: &Run) -> Value {
     let (status, context) = run.ask("/api/v1/robots/tb", None);
     if status == 200 { context } else { Value::Null }

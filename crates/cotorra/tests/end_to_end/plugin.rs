@@ -1,4 +1,4 @@
-//! A plug-in of anyone's: a Python script that uses the API and nothing else.
+//! External plug-ins: Python scripts that use only the API.
 
 use std::{
     fs,
@@ -20,7 +20,7 @@ fn the_python_example_runs_against_a_live_testbed() {
     let mut python = Command::new("python3");
     python.arg(script).env("COTORRA_API", &run.api).env("COTORRA_PLUGIN", "strongest-signal");
     let mut python = python.stdout(Stdio::null()).spawn().unwrap();
-    // It asks for scans, and what it asks for is done.
+    // Its scans are carried out.
     wait_until(|| {
         python.try_wait().unwrap().is_some()
             || run.get("/api/v1/robots/robot")["attachments"]
@@ -32,13 +32,13 @@ fn the_python_example_runs_against_a_live_testbed() {
                 > 1
     });
     assert!(python.try_wait().unwrap().is_none(), "it ended by itself");
-    // What virtual time waits for does nothing here.
+    // Marks, for which virtual time waits, have no effect in real time.
     assert_eq!(run.post("/api/v1/marks/1?wake_at_ns=5", "{}").0, 200);
     python.kill().unwrap();
     python.wait().unwrap();
 }
 
-/// The corridor with a script as its only plug-in.
+/// Writes the corridor with a script as its only plug-in.
 fn corridor_with(script: &str, folder: &Path) -> PathBuf {
     let script = project_file(script);
     let plugins = format!("plugins:\n  - id: mine\n    command: [python3, {}]\n", script.display());
@@ -50,7 +50,7 @@ fn virtual_time_waits_for_a_python_script_and_repeats_to_the_byte() {
     let out = TempDir::new().unwrap();
     for (script, servers) in [
         ("examples/strongest_signal.py", &["cloud"][..]),
-        // On the way to R2 the cloud is too far; on this walk nothing else is.
+        // On the way to R2 the cloud is too far; the other servers are near enough everywhere.
         ("examples/cheapest_in_time.py", &["cloud", "edge"]),
     ] {
         let testbed = corridor_with(script, out.path());
@@ -87,7 +87,7 @@ fn ctrl_c_ends_virtual_time_that_waits_for_a_program() {
     let folder = out.path().join("runs");
     let mut command = cotorra(["run", "--simulate", "--headless", "--out"].map(Path::new));
     let mut child = command.arg(&folder).arg(&testbed).stdout(Stdio::null()).spawn().unwrap();
-    // It waits once the plug-in's log is there.
+    // Virtual time waits once the plug-in's log exists.
     let started = || {
         let runs = fs::read_dir(&folder).into_iter().flatten().flatten();
         runs.map(|run| run.path().join("logs/plugin-mine.log")).any(|log| log.exists())
@@ -101,7 +101,7 @@ fn ctrl_c_ends_virtual_time_that_waits_for_a_program() {
     assert_eq!(summary["ended"], "it was stopped");
 }
 
-/// Asks what it can, by the client of `clients/python`, while virtual time waits; a failed assertion ends it early.
+/// Uses every call of the client in `clients/python` while virtual time waits. A failed assertion ends it early.
 const QUESTIONS: &str = r#"
 import sys
 from cotorra import Client, CotorraError, Refused

@@ -1,4 +1,4 @@
-//! Runs that are recorded as MCAP: what independent readers find in the file is what the run's other files say.
+//! Recordings of runs as MCAP: independent readers find the same data as in the run's other files.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 use crate::harness::{Run, corridor, cotorra, output, project_file, stderr, stdout, wait_until};
 
-/// A minute of the corridor in virtual time, recorded in the run's folder.
+/// Simulates and records a minute of the corridor. Returns the run's folder.
 fn minute(out: &Path) -> PathBuf {
     let mut command = cotorra(["run", "--simulate", "--headless", "--until", "60s", "--out"]);
     let done = command.arg(out).arg(corridor()).arg("--record").output().unwrap();
@@ -22,7 +22,7 @@ fn minute(out: &Path) -> PathBuf {
     PathBuf::from(told.lines().find_map(|line| line.strip_suffix('/')).expect("it names its folder"))
 }
 
-/// The messages of a file as independent readers see them; `None` where there are none.
+/// Reads the messages of a file by independent readers. `None` if they are not installed.
 fn read(file: &Path) -> Option<Vec<Value>> {
     let python = cotorra_testing::peers("rosbags, mcap, mcap-ros2-support")?;
     let script = project_file("crates/robots/recording/tests/peers/read.py");
@@ -68,7 +68,7 @@ fn a_run_in_virtual_time_is_recorded_to_the_same_bytes() {
         );
     }
 
-    // Afterwards, from the history, there is all of it but scans.
+    // An export from the history has all of it except scans.
     let file = place.path().join("exported.mcap");
     let export = |folder: &Path| {
         let (folder, file) = (folder.to_str().unwrap(), file.to_str().unwrap());
@@ -112,10 +112,10 @@ fn an_emulated_run_that_is_interrupted_leaves_a_whole_recording() {
 }
 
 #[test]
-fn an_emulated_run_that_is_killed_leaves_what_is_whole() {
+fn an_emulated_run_that_is_killed_leaves_its_complete_chunks() {
     let mut run = Run::start(&corridor(), &["--record"]);
     let file = run.folder.join("recording.mcap");
-    // The first chunk with messages, whose schemas stand in it.
+    // Large enough for the first chunk of messages with its schemas.
     wait_until(|| fs::read(&file).is_ok_and(|bytes| bytes.len() > 20_000));
     run.signal("KILL");
     run.wait();
@@ -129,7 +129,7 @@ fn an_emulated_run_that_is_killed_leaves_what_is_whole() {
 }
 
 #[test]
-fn what_cannot_be_recorded_or_served_is_said_before_anything_begins() {
+fn invalid_recordings_are_rejected_before_the_run() {
     let refused = |arguments: &[&str]| {
         let place = TempDir::new().unwrap();
         let mut command = cotorra(["run", "--headless", "--out"]);

@@ -8,7 +8,7 @@ use tempfile::TempDir;
 
 use crate::harness::{Run, corridor_ending_in, kill, wait_until};
 
-/// Processes of a run that run navigation on a node, and the number of each as an instance.
+/// Returns the processes that run navigation on a node, with their instance numbers.
 fn brains(run: &Run, node: &str) -> Vec<(u32, String)> {
     let brain = |pid: u32| {
         let environment = fs::read_to_string(format!("/proc/{pid}/environ")).ok()?;
@@ -19,7 +19,7 @@ fn brains(run: &Run, node: &str) -> Vec<(u32, String)> {
     run.processes().into_iter().filter_map(brain).collect()
 }
 
-/// Waits until so many position packets in a row were answered by that server.
+/// Waits until a server has answered five position packets in a row.
 fn wait_for_answers(events: &mut impl Iterator<Item = Value>, server: &str) {
     let mut answered = 0;
     for event in events.filter(|event| event["event"] == "service_time" && event["service"] == "navigation") {
@@ -43,7 +43,7 @@ fn the_robot_goes_on_when_one_of_two_brains_is_killed() {
     let mut events = run.follow();
     wait_for_answers(&mut events, "edge");
     assert_eq!(["edge", "fog"].map(|node| brains(&run, node)[0].1.clone()), ["0", "1"]);
-    // It is killed each time it is back, so that it stays away for some time.
+    // It is killed after each restart, so that it stays away for some time.
     let mut killed = Vec::new();
     while killed.len() < 5 {
         if let Some((pid, _)) = brains(&run, "edge").into_iter().find(|(pid, _)| !killed.contains(pid)) {
@@ -52,12 +52,12 @@ fn the_robot_goes_on_when_one_of_two_brains_is_killed() {
         }
     }
     wait_for_answers(&mut events, "fog");
-    // It is started again, and is asked again.
+    // It is restarted, and is asked again.
     wait_for_answers(&mut events, "edge");
     for log in ["navigation.log", "navigation@1.log"] {
         assert!(run.folder.join("logs").join(log).exists(), "{log}");
     }
-    // One by one, by the API.
+    // Instances are placed by the API, too.
     let place = |node: &str| {
         let body = format!(r#"{{"instruction":{{"instruction":"place","vnf":"navigation","node":{node}}}}}"#);
         let (status, said) = run.post("/api/v1/instructions", &body);

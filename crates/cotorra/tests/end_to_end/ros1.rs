@@ -1,5 +1,5 @@
-//! Robots in ROS 1: one run offers a simulated robot, another drives it as if it were out there; and programs of ROS,
-//! which nobody changed, speak to each other across the emulated network.
+//! Robots in ROS 1: one run offers a simulated robot, and another drives it like a real one. Unmodified ROS programs
+//! communicate across the emulated network.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{collections::BTreeSet, path::Path};
@@ -13,7 +13,7 @@ use crate::{
 };
 use cotorra_testing::ros1::Ros;
 
-/// All keys of a context, with the way to each.
+/// Collects the paths of all keys of a value.
 fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
     match value {
         Value::Object(object) => object.iter().for_each(|(key, value)| {
@@ -46,7 +46,7 @@ fn a_robot_that_another_run_offers_is_driven_like_any_and_stops_when_either_run_
     let offered = testbed(folder.path(), "offered", &offered, "");
     let driven = testbed(folder.path(), "driven", &driven, NAVIGATED);
 
-    // The one that drives is there first: its robot is absent until it is offered.
+    // The driving run starts first: its robot is absent until it is offered.
     let driver = Run::start(&driven, &[]);
     wait_until(|| robot(&driver)["health"] == serde_json::json!(["absent"]));
     let mut offer = driver.another(&offered, &[]);
@@ -62,16 +62,16 @@ fn a_robot_that_another_run_offers_is_driven_like_any_and_stops_when_either_run_
     let sample = driver.wait_for_service().to_string();
     assert!(sample.contains(r#""robot":"tb""#), "{sample}");
 
-    // The testbed's time, which began with the run.
+    // The clock has the time of the testbed, which began with the run.
     let clock = ros.run("rostopic", &["echo", "-n", "1", "/clock"]);
     let (_, seconds) = clock.split_once("secs:").unwrap();
     assert!(seconds.trim().split('\n').next().unwrap().trim().parse::<u32>().unwrap() < 1000, "{clock}");
 
-    // What was wrong with it was told, and that it is over.
+    // The fault was reported, and its end.
     wait_until(|| notices(&driver).contains("robot tb is well"));
     assert!(notices(&driver).contains("robot tb stands still: it was never heard"), "{}", notices(&driver));
 
-    // An instruction moves it as any other.
+    // An instruction moves the robot.
     let forward = |run: &Run| {
         let velocity = r#"{ "linear": 0.1, "angular": 0.0 }"#;
         let wanted =
@@ -81,14 +81,14 @@ fn a_robot_that_another_run_offers_is_driven_like_any_and_stops_when_either_run_
     let (status, answer) = forward(&driver);
     assert_eq!(status, 200, "{answer}");
 
-    // A driver that is killed leaves no robot running, and the next one finds it.
+    // The robot stops when its driver is killed, and the next driver finds it.
     driver.signal("KILL");
     let speed = |run: &Run| robot(run)["sensors"]["velocity"]["linear"].as_f64().unwrap();
     wait_until(|| speed(&offer) == 0.0);
     let driver = offer.another(&driven, &[]);
     wait_until(|| speed(&offer) > 0.2);
 
-    // A robot that is gone is silent, and refuses.
+    // A robot that is gone is silent, and rejects instructions.
     offer.signal("KILL");
     offer.wait();
     wait_until(|| robot(&driver)["health"] == serde_json::json!(["silent"]));
@@ -99,7 +99,7 @@ fn a_robot_that_another_run_offers_is_driven_like_any_and_stops_when_either_run_
 }
 
 #[test]
-fn programs_of_ros_that_nobody_changed_speak_across_the_emulated_network() {
+fn unmodified_ros_programs_communicate_across_the_emulated_network() {
     if Ros::with_master(0).is_none() {
         return;
     }
@@ -120,9 +120,9 @@ fn programs_of_ros_that_nobody_changed_speak_across_the_emulated_network() {
     assert!(measured.status.success(), "{}", stderr(&measured));
     let said = stdout(&measured);
     let median = said.split_once("median ").and_then(|(_, rest)| rest.split_once(" ms")).unwrap().0;
-    // Both ways 1 ms over the air and 4.5 ms to the cloud: no scan is back before.
+    // Each way takes 1 ms over the air and 4.5 ms to the cloud, so that no scan is back earlier.
     assert!(median.parse::<f64>().unwrap() > 11.0, "{said}");
-    // The same is measured of the same scans where they leave and enter the robot.
+    // The flow measures the same scans at the robot's port.
     let page = run.get("/api/v1/measurements/service-times?limit=10000");
     let flow = page["items"].as_array().unwrap().iter().filter(|sample| sample["service"] == "relay");
     let mut took: Vec<_> = flow.filter_map(|sample| sample["service_time_ms"].as_f64()).collect();

@@ -1,4 +1,4 @@
-"""A robot in ROS 1, in the namespace /tb2, that stands and tells what its sensors measure, ten times a second."""
+"""A robot in ROS 1, in the namespace /tb2, that stands still and publishes its sensors ten times a second."""
 
 import rospy
 from nav_msgs.msg import Odometry
@@ -20,7 +20,7 @@ camera = Image(height=480, width=640, encoding="bgr8", step=1924, data=b"".join(
 depth = Image(height=1, width=1, encoding="16UC1", step=2, data=b"\0\0")
 png = CompressedImage(format="png", data=b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x02\x80\0\0\x01\xe0\x08\x02\0\0\0")
 turn = LaserScan(angle_min=-1, angle_max=1, angle_increment=1, range_min=0.1, range_max=20, ranges=[2.5, 3.5, 4.5])
-said = [
+published = [
     (topic("odom", Odometry), base),
     (topic("imu", Imu), imu),
     (topic("power", BatteryState), battery),
@@ -32,7 +32,7 @@ said = [
     (topic("scan", LaserScan), turn),
 ]
 while not rospy.is_shutdown():
-    for publisher, message in said:
+    for publisher, message in published:
         if hasattr(message, "header"):
             message.header.stamp = rospy.Time.now()
         publisher.publish(message)

@@ -1,6 +1,6 @@
 """A service of ROS 1 and its client, which know nothing of cotorra: python3 ros1_service.py client|server
 
-The client prints what each call took, in ms: on one connection for the first six, then each on its own.
+The client prints the time of each call in ms. The first six calls share one connection; each later one has its own.
 """
 
 import itertools

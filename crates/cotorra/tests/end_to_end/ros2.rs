@@ -1,5 +1,5 @@
-//! Robots in ROS 2: one run offers a simulated robot, another drives it as if it were out there, and Cyclone DDS listens
-//! to it and drives it as well, on this machine and across the emulated network.
+//! Robots in ROS 2: one run offers a simulated robot, and another drives it like a real one. Cyclone DDS also subscribes to
+//! it and drives it, on this machine and across the emulated network.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::path::Path;
@@ -19,7 +19,7 @@ fn velocity(run: &Run) -> (f64, f64) {
 }
 
 #[test]
-fn a_robot_that_another_run_offers_is_driven_and_so_it_is_by_cyclone_dds() {
+fn an_offered_robot_is_driven_by_another_run_and_by_cyclone_dds() {
     let meeting = Meeting::new();
     let Some(listener) = meeting.cyclone("print", "LaserScan", "scan", "sensors") else { return };
     let folder = TempDir::new().unwrap();
@@ -33,7 +33,7 @@ fn a_robot_that_another_run_offers_is_driven_and_so_it_is_by_cyclone_dds() {
     let offered = testbed(folder.path(), "offered", &offered, "");
     let driven = testbed(folder.path(), "driven", &driven, NAVIGATED);
 
-    // The one that drives is there first: its robot is absent until it is offered.
+    // The driving run starts first: its robot is absent until it is offered.
     let driver = Run::start(&driven, &[]);
     wait_until(|| robot(&driver)["health"] == json!(["absent"]));
     let mut offer = driver.another(&offered, &[]);
@@ -47,7 +47,7 @@ fn a_robot_that_another_run_offers_is_driven_and_so_it_is_by_cyclone_dds() {
     assert!(sample.contains(r#""robot":"tb""#), "{sample}");
     listener.prints("frame_id='laser'");
 
-    // A driver that is killed leaves no robot running, and whoever comes next drives it.
+    // The robot stops when its driver is killed, and the next driver takes over.
     driver.signal("KILL");
     wait_until(|| velocity(&offer).0 == 0.0);
     let another = meeting.cyclone("publish", "TwistStamped", "cmd_vel", "commands").unwrap();
@@ -79,7 +79,7 @@ fn programs_in_another_node_find_an_offered_robot_across_the_emulated_network() 
     drop(driver);
     wait_until(|| velocity(&run).0 == 0.0);
 
-    // The testbed's time began with the run, and stamps count that.
+    // Clock and stamps have the time of the testbed, which began with the run.
     let clock = start("print", "Clock", "rt/clock", "sensors").unwrap();
     clock.prints("Clock(clock=Time(sec=");
     listener.prints("frame_id='laser'");

@@ -1,8 +1,8 @@
 """Programs over Cyclone DDS that know nothing of cotorra: python3 ros2_flows.py DOMAIN ROLE
 
-ROLE: `client` sends images, calls a service and an action, and prints what each took, in ms; `server` answers all of
-them; `follow` answers each scan of an offered robot with a command; `watch` only looks at images. Calls and goals are as rmw_cyclonedds has them: the
-client and the number of its call stand in front of them.
+ROLE: `client` sends images, calls a service and an action, and prints the time of each in ms; `server` answers all of
+them; `follow` answers each scan of an offered robot with a command; `watch` only subscribes to images. Calls and goals have
+the format of rmw_cyclonedds: they begin with the client and the number of its call.
 """
 
 import itertools

@@ -1,5 +1,5 @@
-"""A robot in ROS 2, over Cyclone DDS, that stands and tells what its sensors measure, ten times a second:
-python3 ros2_sensors.py DOMAIN NAMESPACE. It says the same as ros1_sensors.py."""
+"""A robot in ROS 2, over Cyclone DDS, that stands still and publishes its sensors ten times a second:
+python3 ros2_sensors.py DOMAIN NAMESPACE. It publishes the same as ros1_sensors.py."""
 
 import sys
 import time

@@ -1,4 +1,4 @@
-//! The times of programs in ROS 2, and of services of ROS 1, beside what these measure themselves.
+//! Service times of programs in ROS 2 and of services of ROS 1, against the programs' own measurements.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{collections::BTreeMap, fs, path::Path, process::Command};
@@ -16,12 +16,12 @@ use crate::{
     one_robot::testbed,
 };
 
-/// Two crossings of the air and of the wire, which delay by so much.
+/// Delay of two crossings of the air and of the wire, ms.
 const DELAYS_MS: f64 = 2.0 * (1.0 + 4.0);
-/// Frames are handed out up to 15 µs before the time that counts.
+/// Time by which frames may be delivered before the time that counts: up to 15 µs, in ms.
 const EARLY_MS: f64 = 0.015;
 
-/// A robot and a server, and these flows by their services, all of which may take a second.
+/// Runs a robot and a server with services for flows, each with a target of one second.
 fn flows(folder: &Path, flows: &[(&str, &str)]) -> Run {
     let service = |(name, flow): &(&str, &str)| {
         format!(
@@ -44,22 +44,22 @@ services:
     Run::start(&file, &["--until", "5min"])
 }
 
-/// A command that runs what follows it in a node.
+/// Returns a command that runs its arguments in a node.
 fn inside(run: &Run, node: &str) -> Command {
     cotorra(["exec", "--api", run.address(), node, "--"])
 }
 
-/// A program over Cyclone DDS in a node: see `ros2_flows.py`.
+/// Starts a program over Cyclone DDS in a node: see `ros2_flows.py`.
 fn cyclone(python: &Path, run: &Run, meeting: &Meeting, node: &str, role: &str) -> Process {
     let mut command = inside(run, node);
     command.arg(python).args(["-u", "-c", include_str!("ros2_flows.py")]);
     start(command.args([&meeting.domain().to_string(), role]))
 }
 
-/// What a client measured, by name and number.
+/// Returns the measurements that a client printed for a name, by number.
 fn measured(client: &Process, name: &str) -> BTreeMap<u64, f64> {
     let said = client.output();
-    // The last line may still be on its way.
+    // The last line may be incomplete.
     let whole = said.rfind('\n').map_or("", |end| &said[..end]);
     let lines = whole.lines().filter_map(|line| {
         let mut words = line.split_whitespace();
@@ -69,7 +69,7 @@ fn measured(client: &Process, name: &str) -> BTreeMap<u64, f64> {
     lines.collect()
 }
 
-/// What the requests of a service took, in ms, by number; without those that were lost.
+/// Returns the service times of a service by number, in ms, without lost requests.
 fn samples(run: &Run, service: &str) -> BTreeMap<u64, f64> {
     let page = run.get("/api/v1/measurements/service-times?limit=10000");
     let all = page["items"].as_array().unwrap().iter().filter(|sample| sample["service"] == service);
@@ -82,7 +82,7 @@ fn samples(run: &Run, service: &str) -> BTreeMap<u64, f64> {
     answered.collect()
 }
 
-/// Waits for times of a service, each of which lies between that of the network and what the client measured.
+/// Waits for service times, each of which must lie between the network's delay `least` and the client's measurement.
 fn compare(run: &Run, service: &str, client: &Process, name: &str, least: f64) {
     let mut both = Vec::new();
     wait_until(|| {
@@ -130,9 +130,9 @@ fn topics_services_and_actions_over_cyclone_dds_are_measured() {
     assert!(printed.contains("because the server refused them"), "{printed}");
 }
 
-/// Images to several subscribers go to a group. Who answers is their server.
+/// Images to several subscribers go to a multicast group. The subscriber that answers is the server.
 #[test]
-fn images_that_several_subscribe_to_are_measured_to_who_answers() {
+fn images_to_several_subscribers_are_measured_to_the_one_that_answers() {
     let meeting = Meeting::new();
     let Some(python) = python("cyclonedds", "Cyclone DDS") else { return };
     let folder = TempDir::new().unwrap();
@@ -203,6 +203,6 @@ fn calls_of_a_service_of_ros_1_are_measured() {
     let program = include_str!("ros1_service.py");
     let _server = start("edge", &["/usr/bin/python3", "-u", "-c", program, "server"]);
     let client = start("robot", &["/usr/bin/python3", "-u", "-c", program, "client"]);
-    // One connection for all calls, then one for each. What opening it takes is not part of the call.
+    // One connection for several calls, then one for each. The time to open a connection does not count.
     compare(&run, "plan", &client, "plan", DELAYS_MS);
 }

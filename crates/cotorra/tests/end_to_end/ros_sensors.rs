@@ -1,4 +1,4 @@
-//! Robots in ROS tell what their sensors measure: programs of ROS 1 and Cyclone DDS publish, and a run reads.
+//! Sensors of robots in ROS: programs of ROS 1 and Cyclone DDS publish, and a run reads.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{path::Path, process::Command};
@@ -12,7 +12,7 @@ use crate::{
     one_robot::testbed,
 };
 
-/// A testbed with a robot that is reached there.
+/// Runs a testbed with a robot behind a driver.
 fn driven(folder: &Path, driver: &str) -> Run {
     let sensors = "
       imu: { kind: imu }
@@ -29,14 +29,14 @@ fn driven(folder: &Path, driver: &str) -> Run {
     Run::start(&testbed(folder, "sensing", &robot, walk), &[])
 }
 
-/// The last reading of each sensor, by its name; null without one.
+/// Returns the last reading of a sensor, or null if there is none.
 fn last(run: &Run, sensor: &str) -> Value {
     let all = run.get("/api/v1/robots/tb/sensors");
     all.as_array().unwrap().iter().find(|one| one["declared"]["sensor"] == sensor).unwrap()["last"].clone()
 }
 
-/// What is read of a robot that tells what `ros1_sensors.py` and `ros2_sensors.py` do.
-fn is_read(run: &Run) {
+/// Asserts the readings of a robot that runs `ros1_sensors.py` or `ros2_sensors.py`.
+fn assert_readings(run: &Run) {
     for sensor in ["imu", "pack", "front", "camera", "small", "fingers"] {
         wait_until(|| last(run, sensor).is_object());
     }
@@ -66,7 +66,7 @@ fn is_read(run: &Run) {
     let (bytes, header) = run.bytes("/api/v1/robots/tb/sensors/small/latest");
     assert_eq!(bytes, b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x02\x80\0\0\x01\xe0\x08\x02\0\0\0");
     assert_eq!(header("Content-Type"), "image/png");
-    // It goes on, at the sensor's rate, and says when it came.
+    // Readings continue at the sensor's rate, with their times.
     let sequence = |sensor: &str| read(sensor)["data"]["sequence"].as_u64().unwrap();
     let before = sequence("camera");
     wait_until(|| sequence("camera") > before + 3);
@@ -79,7 +79,7 @@ fn is_read(run: &Run) {
     assert!(images.len() > 3, "{images:?}");
     let seconds = at(images[images.len() - 1]) - at(images[0]);
     assert!(images.len() as u64 <= seconds + 2, "five a second at most: {images:?}");
-    // What cannot be read is told once, and the rest goes on.
+    // A sensor that cannot be read is reported once, and the others continue.
     assert_eq!([read("depth"), read("toes"), read("nobody")], [Value::Null, Value::Null, Value::Null]);
     let notices = run.get("/api/v1/measurements/events?kinds=notice")["items"].to_string();
     for notice in [
@@ -91,17 +91,17 @@ fn is_read(run: &Run) {
 }
 
 #[test]
-fn a_robot_in_ros_1_tells_what_its_sensors_measure() {
+fn sensors_of_a_robot_in_ros_1_are_read() {
     let Some(ros) = Ros::start() else { return };
     let folder = TempDir::new().unwrap();
     let master = format!("http://127.0.0.1:{}", ros.port());
     let run = driven(folder.path(), &format!("{{ kind: ros1, master: '{master}', namespace: /tb2 }}"));
     let _robot = ros.python("sensors.py", include_str!("ros1_sensors.py"));
-    is_read(&run);
+    assert_readings(&run);
 }
 
 #[test]
-fn a_robot_in_ros_2_tells_what_its_sensors_measure() {
+fn sensors_of_a_robot_in_ros_2_are_read() {
     let Some(python) = python("cyclonedds", "Cyclone DDS") else { return };
     let (meeting, folder) = (Meeting::new(), TempDir::new().unwrap());
     let driver =
@@ -113,5 +113,5 @@ fn a_robot_in_ros_2_tells_what_its_sensors_measure() {
     robot.args(["-u", "-c", include_str!("ros2_sensors.py"), &meeting.domain().to_string(), "/tb2"]);
     let robot = Process::spawn(robot.env("CYCLONEDDS_URI", only_loopback)).unwrap();
     robot.prints("ready");
-    is_read(&run);
+    assert_readings(&run);
 }

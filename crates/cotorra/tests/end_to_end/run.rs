@@ -1,10 +1,10 @@
-//! A run from its beginning to its end, and what it leaves.
+//! Complete runs, and their files.
 
 use std::{fs, io::ErrorKind, net::TcpListener, process::Command};
 
 use crate::harness::{Run, corridor, cotorra, project_file, stderr, stdout, valid_report, wait_until};
 
-/// R1 and the cloud: twice 1 ms over the air and 4.5 ms over the wire (corridor.yaml).
+/// Round trip between the robot at R1 and the cloud: twice 1 ms over the air and 4.5 ms over the wire (corridor.yaml).
 const THEORY_MS: f64 = 11.0;
 
 #[test]
@@ -30,7 +30,7 @@ fn the_corridor_is_walked_and_measured() {
         regions.iter().filter_map(|region| region["samples"].as_u64()).sum::<u64>(),
         summary["samples"]
     );
-    // The model's part is exact; what comes on top is the machine's, which is not tested here.
+    // The model's part is exact. The rest is the machine's, which is not tested here.
     let median = regions[0]["service_time_p50_ms"].as_f64().unwrap();
     assert!((THEORY_MS..THEORY_MS + 50.0).contains(&median), "{median} ms");
     let placed = summary["placements"].as_array().unwrap();
@@ -72,7 +72,7 @@ fn localization_moves_to_another_server_while_the_robot_walks() {
     assert_eq!(log.matches("localizing `robot`").count(), 2, "{log}");
 }
 
-/// Each VNF has a port of its own.
+/// Each VNF has its own port.
 #[test]
 fn one_server_carries_the_vnfs_of_many_robots() {
     let folder = tempfile::tempdir().unwrap();
@@ -112,7 +112,7 @@ services:\n{services}\nwalks:\n{walks}",
     fs::write(&file, text).unwrap();
     let mut run = Run::start(&file, &["--until", "5min"]);
     for robot in robots {
-        // Its own VNF navigates it, and its own VNF tells it where it is.
+        // Each robot has its own navigation and its own localization.
         let navigated = || {
             let times = run.get("/api/v1/measurements/service-times?limit=1000");
             times["items"].as_array().unwrap().iter().any(|sample| sample["service"] == robot)
@@ -150,8 +150,8 @@ fn nodes_answer_a_ping_by_name_over_the_emulated_links() {
     assert!(String::from_utf8_lossy(&nobody.stderr).contains("no node `nobody`"));
 }
 
-/// Sends a navigation packet that drives backwards, for each of the first sequence numbers, to all UDP ports of the robot:
-/// `ROBOT PORT…`.
+/// Sends a navigation packet that drives backwards, for each of the first sequence numbers, to all UDP ports of the robot.
+/// Arguments: `ROBOT PORT…`.
 const FORGER: &str = r#"
 import socket, struct, sys
 robot, ports = sys.argv[1], [int(port) for port in sys.argv[2:]]
@@ -192,7 +192,7 @@ fn a_robot_counts_forged_answers_and_follows_none() {
 }
 
 #[test]
-fn a_second_run_gets_a_folder_and_a_port_of_its_own() {
+fn a_second_run_gets_its_own_folder_and_port() {
     let run = Run::start(&corridor(), &["--until", "5min"]);
     let out = tempfile::tempdir().unwrap();
     let second = |api: &[&str]| {
@@ -207,7 +207,7 @@ fn a_second_run_gets_a_folder_and_a_port_of_its_own() {
 }
 
 #[test]
-fn tools_talk_to_the_run_and_to_nobody_who_listens_on_a_port() {
+fn tools_talk_to_the_run_and_not_to_a_program_on_its_port() {
     const TOKEN: &str = "a-secret-of-some-length";
     let squatter = TcpListener::bind("127.0.0.1:0").unwrap();
     squatter.set_nonblocking(true).unwrap();

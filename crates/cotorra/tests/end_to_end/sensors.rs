@@ -1,4 +1,4 @@
-//! A robot that declares sensors, with real packets and in virtual time.
+//! Robots with declared sensors, with real packets and in virtual time.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -15,7 +15,7 @@ use crate::harness::{Run, cotorra, output, project_file, stderr, stdout, wait_un
 const SENSORS: &str = "pack: { kind: battery, rate: 5 Hz, charge: 50 % }, imu: { kind: imu },
     gripper: { kind: vector, size: 2, unit: N }";
 
-/// `testbeds/two-paths.yaml` with sensors, in a folder.
+/// Writes `testbeds/two-paths.yaml` with sensors to a folder.
 fn testbed(folder: &tempfile::TempDir, sensors: &str) -> PathBuf {
     let text = fs::read_to_string(project_file("testbeds/two-paths.yaml")).unwrap();
     let robot = format!("robot: {{ kind: robot, sensors: {{ {sensors} }} }}");
@@ -111,7 +111,7 @@ fn readings_are_listed_drawn_exported_and_rolled_up() {
     assert!(state.contains("charge 0.49"), "{state}");
 }
 
-/// Bytes of all files in a folder; one that went meanwhile has none.
+/// Returns the size of all files in a folder in bytes. A file that is removed meanwhile counts as empty.
 fn on_disk(folder: &Path) -> u64 {
     let files = fs::read_dir(folder).into_iter().flatten().flatten();
     files.map(|file| file.metadata().map_or(0, |file| file.len())).sum()
@@ -133,7 +133,7 @@ else:
     sys.exit("it is not gone")
 "#;
 
-/// Runs a program against an API.
+/// Runs a Python program against an API.
 fn python(program: &str, api: &str) {
     let mut python = Command::new("python3");
     python.args(["-c", program, api]).env("PYTHONPATH", project_file("clients/python"));
@@ -157,7 +157,7 @@ fn scans_of_a_lidar_are_followed_fetched_and_kept_within_their_bound() {
         assert_eq!((sensor, data["format"].as_str(), &data["bytes"]), ("front", Some("scan"), &json!(1500)));
         assert!(before.is_none_or(|before| before + 1 == sequence), "{before:?}, {sequence}");
         before = Some(sequence);
-        // It is there as soon as its event is.
+        // The data is available as soon as its event is.
         let (bytes, header) = run.bytes(&path(&sequence.to_string()));
         assert_eq!(bytes.len(), 1500);
         for (name, value) in [
@@ -174,7 +174,7 @@ fn scans_of_a_lidar_are_followed_fetched_and_kept_within_their_bound() {
         let size = on_disk(&folder);
         assert!(size <= KEEP, "{size} bytes are kept");
     }
-    // 25 readings have room, and the first was one of the first that were read.
+    // There is room for 25 readings, so that the first is gone.
     assert_eq!(run.ask(&path("0"), None).0, 410);
     assert_eq!(run.ask(&path("1000000"), None).0, 404);
     let (_, header) = run.bytes(&path("latest"));

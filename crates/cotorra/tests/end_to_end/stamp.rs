@@ -1,4 +1,4 @@
-//! `cotorra stamp` against Scapy, which knows STAMP's packets from another hand.
+//! `cotorra stamp` against Scapy, an independent implementation of STAMP's packets.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
@@ -10,11 +10,11 @@ use serde_json::Value;
 
 use crate::harness::{cotorra, output, project_file, stderr, stdout};
 
-/// Ends what a test started.
-struct Ended(Child);
+/// A process that is killed on drop.
+struct KilledOnDrop(Child);
 
-impl Ended {
-    /// The last word of the first line that it prints.
+impl KilledOnDrop {
+    /// Returns the address in the first line that it prints.
     fn address(&mut self) -> String {
         let mut line = String::new();
         BufReader::new(self.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
@@ -22,14 +22,14 @@ impl Ended {
     }
 }
 
-impl Drop for Ended {
+impl Drop for KilledOnDrop {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// The peer; `None`, and a message, where it is not installed. In CI, that is a failure.
+/// Returns a command for the peer, if it is installed.
 fn scapy(arguments: &[&str]) -> Option<Command> {
     let python = cotorra_testing::peers("Scapy")?;
     let mut command = Command::new(python);
@@ -37,9 +37,9 @@ fn scapy(arguments: &[&str]) -> Option<Command> {
     Some(command)
 }
 
-fn reflector() -> (Ended, String) {
+fn reflector() -> (KilledOnDrop, String) {
     let mut command = cotorra(["stamp", "reflect", "--listen", "127.0.0.1:0", "--synchronized"]);
-    let mut reflector = Ended(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut reflector = KilledOnDrop(command.stdout(Stdio::piped()).spawn().unwrap());
     let address = reflector.address();
     (reflector, address)
 }
@@ -61,9 +61,9 @@ fn both_sides_measure_each_other() {
 
 #[test]
 fn another_reflector_is_measured() {
-    // It loses each fifth packet on its way there, and rests for 20 ms before it answers the others.
+    // The peer loses every fifth packet on its way there, and answers the others after 20 ms.
     let Some(mut command) = scapy(&["reflect"]) else { return };
-    let mut peer = Ended(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut peer = KilledOnDrop(command.stdout(Stdio::piped()).spawn().unwrap());
     let address = peer.address();
     let arguments =
         ["stamp", "send", &address, "--count", "21", "--interval", "30ms", "--length", "100", "--json"];
@@ -80,18 +80,18 @@ fn another_reflector_is_measured() {
 fn another_sender_is_answered() {
     let Some(mut command) = scapy(&["send"]) else { return };
     let (_reflector, address) = reflector();
-    let said = command.arg(&address).output().unwrap();
-    assert!(said.status.success(), "{}", stderr(&said));
-    assert_eq!(stdout(&said), "answered as RFC 8762 and RFC 8972 say\n");
+    let done = command.arg(&address).output().unwrap();
+    assert!(done.status.success(), "{}", stderr(&done));
+    assert_eq!(stdout(&done), "answered as RFC 8762 and RFC 8972 say\n");
 }
 
 #[test]
 fn silence_is_an_error_that_says_what_to_do() {
-    // Bound, and silent.
+    // The socket is bound, but nothing answers.
     let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = socket.local_addr().unwrap().to_string();
-    let said = output(["stamp", "send", &address, "--count", "2", "--interval", "1ms", "--patience", "10ms"]);
-    assert_eq!(said.status.code(), Some(1));
-    assert!(stderr(&said).contains(&format!("no answer from {address}")), "{}", stderr(&said));
+    let done = output(["stamp", "send", &address, "--count", "2", "--interval", "1ms", "--patience", "10ms"]);
+    assert_eq!(done.status.code(), Some(1));
+    assert!(stderr(&done).contains(&format!("no answer from {address}")), "{}", stderr(&done));
     assert_eq!(output(["stamp", "send", &address, "--length", "43"]).status.code(), Some(2));
 }

@@ -1,4 +1,4 @@
-"""STAMP by Scapy: `reflect` answers test packets, but loses each fifth; `send HOST:PORT` checks the answers it gets."""
+"""STAMP by Scapy: `reflect` answers test packets, but loses every fifth; `send HOST:PORT` checks the replies."""
 
 import socket
 import sys

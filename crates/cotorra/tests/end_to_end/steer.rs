@@ -1,4 +1,4 @@
-//! A robot whose speed is limited, and that is sent to a goal, with real packets.
+//! Speed limits and goals of a robot, with real packets.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use serde_json::{Value, json};
@@ -9,10 +9,10 @@ fn instruct(run: &Run, instruction: Value) -> (u16, Value) {
     run.post("/api/v1/instructions", &json!({ "instruction": instruction }).to_string())
 }
 
-/// Whether a robot's context is so, now.
-fn is(run: &Run, so: impl Fn(&Value) -> bool) -> bool {
+/// Returns whether the robot's context satisfies a condition now.
+fn is(run: &Run, condition: impl Fn(&Value) -> bool) -> bool {
     let (status, context) = run.ask("/api/v1/robots/robot", None);
-    status == 200 && so(&context)
+    status == 200 && condition(&context)
 }
 
 #[test]

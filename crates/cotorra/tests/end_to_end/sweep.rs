@@ -1,4 +1,4 @@
-//! Sweeps: stopped, and gone on with.
+//! Sweeps that are stopped and resumed.
 
 use std::{
     fs,
@@ -16,7 +16,7 @@ fn sweep(out: &std::path::Path, seeds: &str) -> Command {
 }
 
 #[test]
-fn a_sweep_that_ctrl_c_stops_is_gone_on_with() {
+fn a_sweep_stopped_by_ctrl_c_is_resumed() {
     let out = tempfile::tempdir().unwrap();
     let folder = out.path().join("sweep");
     let mut child = sweep(&folder, "30").stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
@@ -34,7 +34,7 @@ fn a_sweep_that_ctrl_c_stops_is_gone_on_with() {
     let kept = runs();
     assert!((4..60).contains(&kept.lines().count()), "{kept}");
 
-    // With fewer seeds, so that the rest is soon done.
+    // With fewer seeds, so that the rest takes less time.
     let dry = sweep(&folder, "3").arg("--dry-run").output().unwrap();
     assert!(
         stdout(&dry).contains("6 runs") && stdout(&dry).contains("the runs that it has are not repeated")

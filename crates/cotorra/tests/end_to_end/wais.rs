@@ -1,5 +1,5 @@
-//! The WLAN Access Information Service of a live run: a MEC application that uses it, and a property-based tester that
-//! tries to break it, and the testbed's own API.
+//! The WLAN Access Information Service of a live run: a MEC application uses it, and a property-based tester tries to break
+//! it and the testbed's own API.
 
 use std::{
     fs,
@@ -13,7 +13,7 @@ use tempfile::TempDir;
 use crate::harness::{Run, corridor, corridor_ending_in, output, project_file, stderr, stdout, wait_until};
 
 #[test]
-fn a_mec_application_hands_a_robot_over_by_what_wais_alone_tells_it() {
+fn a_mec_application_hands_a_robot_over_by_wais_alone() {
     let folder = TempDir::new().unwrap();
     let testbed =
         corridor_ending_in("wais: { origin: { latitude: 41.5, longitude: 2.25 } }\n", folder.path());
@@ -32,7 +32,7 @@ fn a_mec_application_hands_a_robot_over_by_what_wais_alone_tells_it() {
     let decision = decided().unwrap();
     assert_eq!(decision["plugin"], "wais-handover");
     assert!(decision["reason"].as_str().unwrap().starts_with("WAIS reports"), "{decision}");
-    // What it asked for is what the service tells in the end.
+    // The service reports the attachment that the application instructed.
     let to = decision["instruction"]["radio_unit"].as_str().unwrap();
     let mac = run.get(&format!("/api/v1/network/nodes/{to}"))["address"]["mac"].clone();
     let octets = mac.as_array().unwrap().iter().map(|octet| format!("{:02x}", octet.as_u64().unwrap()));
@@ -48,7 +48,7 @@ fn a_mec_application_hands_a_robot_over_by_what_wais_alone_tells_it() {
 }
 
 #[test]
-fn the_token_is_needed_and_its_absence_is_a_problem_of_the_standards() {
+fn a_missing_token_is_reported_as_a_problem_of_the_standard() {
     const TOKEN: &str = "a-secret-of-some-length";
     let run = Run::start_with(&corridor(), &["--until", "5min"], |command| {
         command.env("COTORRA_TOKEN", TOKEN);
@@ -62,8 +62,8 @@ fn the_token_is_needed_and_its_absence_is_a_problem_of_the_standards() {
     assert_eq!((status, &problem["status"]), (404, &json!(404)));
 }
 
-/// No 5xx, and nothing that the documents do not say, whatever is asked: requests that fit the documents and requests
-/// that do not, the same each time.
+/// No request causes a 5xx or a response outside the documents. The requests conform to the documents or do not, and are the
+/// same each time.
 #[test]
 fn no_request_breaks_the_apis() {
     let Some(python) = cotorra_testing::peers("schemathesis") else { return };
@@ -89,11 +89,11 @@ fn no_request_breaks_the_apis() {
         let done = command.current_dir(folder.path()).output().unwrap();
         let report = stdout(&done);
         assert!(done.status.success(), "{report}{}", stderr(&done));
-        // Parts of a document that it could not read would not have been tested.
+        // Parts of a document that the tester cannot read would not be tested.
         assert!(!report.contains("Unresolvable"), "{report}");
         let tested = report.lines().skip_while(|line| !line.contains("SUMMARY")).collect::<Vec<_>>();
         eprintln!("{}", tested.join("\n"));
     }
-    // The run has survived it.
+    // The run has survived.
     assert_eq!(run.get("/api/v1/testbed")["name"], "corridor");
 }

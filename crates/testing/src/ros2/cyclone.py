@@ -1,8 +1,8 @@
 """A peer that is Cyclone DDS: python3 cyclone.py DOMAIN ACTION TYPE TOPIC QOS
 
-ACTION: print (what comes, a line each), publish (the same, again and again), latch (once), echo (what comes, to TOPIC_back),
-pitch (2000 scans to an echo, 100 each second; prints how long they took).
-QOS: sensors, commands or latched, as ROS 2 has them.
+ACTION: print (each message on a line), publish (one message repeatedly), latch (one message once), echo (each message to
+TOPIC_back), pitch (2000 scans to an echo, 100 each second; prints their round-trip times).
+QOS: sensors, commands or latched, as in ROS 2.
 """
 
 import sys

@@ -1,8 +1,8 @@
 // A peer that is Fast DDS 2: fastdds DOMAIN ACTION TYPE TOPIC QOS, as cyclone.py has them. Its types are declared here, so
 // that no code generator is needed.
 //
-// Besides, on all interfaces: serve (the service TOPIC, whose requests and replies are of the type) and call (it, again and
-// again; prints the number and the ms of each), as rmw_fastrtps does.
+// Further actions, on all interfaces and as rmw_fastrtps has them: serve (the service TOPIC, whose requests and replies are
+// of the type) and call (that service repeatedly; prints the number and the ms of each call).
 
 #include <chrono>
 #include <cstdint>
