@@ -11,7 +11,7 @@ use std::{
 
 use parking_lot::Mutex;
 
-/// Deadline of every wait: far more than anything takes, even on a busy machine.
+/// Deadline of every wait, far beyond what a busy machine needs.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Waits until the condition holds.
@@ -34,7 +34,7 @@ pub fn contains(text: &str, parts: &[&str]) {
     }
 }
 
-/// A process with its children and its output. Killed on drop.
+/// A process with its children and its output. Killed when dropped.
 pub struct Process {
     child: Child,
     output: Arc<Mutex<Vec<u8>>>,
@@ -58,17 +58,17 @@ impl Process {
         Ok(Self { child, output })
     }
 
-    /// Returns the output so far, of both streams.
+    /// Returns its output so far.
     pub fn output(&self) -> String {
         String::from_utf8_lossy(&self.output.lock()).into_owned()
     }
 
-    /// Waits until the process has printed a text.
+    /// Waits until it printed a text.
     pub fn prints(&self, what: &str) {
         until(&format!("it prints `{what}`"), || self.output().contains(what));
     }
 
-    /// Sends Ctrl-C, and waits until the process and its children have ended.
+    /// Sends Ctrl-C, and waits until the process and its children ended.
     pub fn interrupt(mut self) {
         let group = self.child.id();
         signal("INT", group);
@@ -76,7 +76,7 @@ impl Process {
     }
 }
 
-/// Signals a process group. Returns whether it has any process.
+/// Signals a process and its children. Returns whether there is any.
 fn signal(name: &str, group: u32) -> bool {
     let group = format!("-{group}");
     let status = Command::new("kill").args(["-s", name, "--", &group]).stderr(Stdio::null()).status();

@@ -1,4 +1,4 @@
-//! Debian's ROS 1 for tests: a master on a port of its own, tools and nodes. All of them end with the test.
+//! Debian's ROS 1 for tests: a master on a port of its own, tools and nodes, all of which end with the test.
 
 use std::{
     env, fs,
@@ -35,15 +35,17 @@ impl Ros {
         panic!("no master on any of ten ports");
     }
 
-    /// Returns ROS's tools and nodes for a master that already runs on a port.
+    /// ROS's tools and nodes, with a master that runs already.
     pub fn with_master(port: u16) -> Option<Self> {
         Self::is_installed().then(|| Self { port, directory: tempfile::tempdir().unwrap(), core: None })
     }
 
+    /// Whether ROS is installed. Prints a message if not, and fails in CI.
     fn is_installed() -> bool {
         crate::found(Path::new("/usr/bin/rosmaster").exists(), "ROS 1", "scripts/test names the packages")
     }
 
+    /// Returns the master's port.
     pub fn port(&self) -> u16 {
         self.port
     }
@@ -53,14 +55,13 @@ impl Ros {
         self.core = None;
     }
 
-    /// Stops the master, and starts another without its registrations.
-    ///
-    /// The master is started without roscore, whose other processes would outlive a test that fails.
+    /// Ends the master, and starts an empty one: the program that roscore starts, without the processes around it,
+    /// which would outlive a failed test.
     pub fn restart(&mut self) {
         self.try_restart().unwrap();
     }
 
-    /// Fails if the port is taken. The master reports that, and then hangs instead of ending.
+    /// Starts the master. Fails if the port is taken: the master reports that, and hangs instead of ending.
     fn try_restart(&mut self) -> Result<(), String> {
         self.core = None;
         let core = self.spawn("rosmaster", &["--core", "-p", &self.port.to_string()]);
@@ -80,7 +81,7 @@ impl Ros {
 
     fn command(&self, program: &str, args: &[&str]) -> Command {
         let path = format!("/usr/bin:{}", env::var("PATH").unwrap_or_default());
-        // Without the script's first line, which could find another Python.
+        // Its first line would start another Python.
         let mut command = if program.contains('/') {
             Command::new(program)
         } else {
@@ -101,7 +102,7 @@ impl Ros {
         command
     }
 
-    /// Starts a tool of ROS by its name, or a program by its path.
+    /// Starts a tool of ROS, or a program by path.
     pub fn spawn(&self, program: &str, args: &[&str]) -> Process {
         Process::spawn(&mut self.command(program, args)).unwrap()
     }
@@ -113,7 +114,7 @@ impl Ros {
         self.spawn("/usr/bin/python3", &["-u", file.to_str().unwrap()])
     }
 
-    /// Runs a tool of ROS. Returns what it prints; if it fails, with its standard error.
+    /// Runs a tool of ROS. Returns its output, or its errors if it fails.
     pub fn try_run(&self, tool: &str, args: &[&str]) -> Result<String, String> {
         let output = self.command(tool, args).stdin(Stdio::null()).output().unwrap();
         let printed = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -121,17 +122,17 @@ impl Ros {
         if output.status.success() { Ok(printed) } else { Err(printed + &complained) }
     }
 
-    /// Runs a tool of ROS that must succeed. Returns what it prints.
+    /// Runs a tool of ROS and returns its output.
     pub fn run(&self, tool: &str, args: &[&str]) -> String {
         self.try_run(tool, args).unwrap_or_else(|complaint| panic!("{tool} {args:?}: {complaint}"))
     }
 
-    /// Starts a node of `cotorra-ros1`.
+    /// Starts a node of this crate.
     pub fn node(&self, name: &str, namespace: &str) -> Node {
         self.node_with(name, namespace, &[])
     }
 
-    /// Starts a node of `cotorra-ros1` with arguments.
+    /// Starts a node of this crate, with arguments.
     pub fn node_with(&self, name: &str, namespace: &str, args: &[&str]) -> Node {
         let config = NodeConfig {
             namespace: namespace.to_owned(),

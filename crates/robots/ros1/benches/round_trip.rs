@@ -1,9 +1,9 @@
-//! How long a 360-beam scan takes to a peer and back over loopback, 100 times a second: the peer being a node of this
-//! crate, one of rospy, and, to tell what those cost, a bare socket in Rust and in Python.
+//! Measures the round trip of a 360-beam scan to a peer over loopback, 100 times a second. Peers are a node of this crate
+//! and one of rospy. Bare sockets in Rust and in Python show what these add.
 //!
 //! `cargo bench -p cotorra-ros1 --bench round_trip`
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
-#![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a failed benchmark ends")]
 
 use std::{
     io::{Read, Write},
@@ -34,7 +34,7 @@ fn scan() -> LaserScan {
     }
 }
 
-/// Times `round_trip`, given the number of each, and prints its percentiles.
+/// Measures `round_trip`, which gets a running number, and prints percentiles.
 fn measure(peer: &str, mut round_trip: impl FnMut(u32)) {
     let mut took = Histogram::<u64>::new(3).unwrap();
     let mut due = Instant::now();
@@ -51,7 +51,7 @@ fn measure(peer: &str, mut round_trip: impl FnMut(u32)) {
     println!("| {peer} | {:.3} ms | {:.3} ms | {:.3} ms |", at(0.5), at(0.99), at(1.0));
 }
 
-/// To a bare socket that sends back what it reads.
+/// Measures the round trip to a bare socket that returns what it reads.
 fn measure_socket(peer: &str, mut stream: TcpStream) {
     let mut bytes = Vec::new();
     scan().encode_ros1(&mut bytes);

@@ -1,5 +1,4 @@
-//! What a node is called and where its master is: said by the program, by ROS's environment variables, and by
-//! remapping arguments.
+//! Name and master of a node, from the program, ROS's environment variables and remapping arguments.
 //!
 //! Source: ROS wiki, "ROS/EnvironmentVariables" and "Remapping Arguments".
 
@@ -13,36 +12,36 @@ use crate::{
     xmlrpc::Value,
 };
 
-/// Why a configuration is none.
+/// Reason why a configuration is invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
-    /// The master's address is none.
+    /// The master's address is invalid.
     #[error("ROS_MASTER_URI or __master: {0}")]
     Master(#[from] UriError),
-    /// `name:=` without a value, or the other way round.
-    #[error("`{0}` is no remapping such as scan:=/robot/scan or _rate:=10")]
+    /// `name:=` without a value, or a value without a name.
+    #[error("`{0}` is not a remapping such as scan:=/robot/scan or _rate:=10")]
     Remapping(String),
 }
 
-/// What a node is called, where its master is, and how it is reached.
+/// Name, master and address of a node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeConfig {
-    /// Its name, without namespace.
+    /// The name, without namespace.
     pub name: String,
-    /// The namespace in which its names are.
+    /// The namespace of its names.
     pub namespace: String,
-    /// Where its master is.
+    /// Address of its master.
     pub master: Endpoint,
-    /// Name or address under which others reach it; by default the address of the interface towards the master.
+    /// Host name or address under which others reach it. By default, the address of the interface towards the master.
     pub host: Option<String>,
-    /// What names become: from, to.
+    /// Remapped names: from, to.
     pub remappings: Vec<(String, String)>,
-    /// Private parameters that are set at the start.
+    /// Private parameters to set at the start.
     pub params: Vec<(String, Value)>,
 }
 
 impl NodeConfig {
-    /// A node of that name in the namespace `/`, with a master on this host.
+    /// A node in the namespace `/`, with a master on this host.
     pub fn new(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -54,11 +53,11 @@ impl NodeConfig {
         }
     }
 
-    /// A node of that name, with what `ROS_MASTER_URI`, `ROS_HOSTNAME`, `ROS_IP` and `ROS_NAMESPACE` say. The
-    /// hostname wins over the address, as in ROS.
+    /// A node configured by `ROS_MASTER_URI`, `ROS_HOSTNAME`, `ROS_IP` and `ROS_NAMESPACE`. The host name takes
+    /// precedence over the address, as in ROS.
     ///
     /// # Errors
-    /// [`ConfigError::Master`] if the master's address is none.
+    /// [`ConfigError::Master`] if the master's address is invalid.
     pub fn from_env(name: &str) -> Result<Self, ConfigError> {
         Self::new(name).with_variables(|variable| env::var(variable).ok())
     }
@@ -75,12 +74,12 @@ impl NodeConfig {
         Ok(self)
     }
 
-    /// With the remappings among a program's arguments, `from:=to`; all others are ignored. `__name`, `__ns`,
-    /// `__master`, `__hostname` and `__ip` say what the names tell, `_param:=value` sets a private parameter, which
-    /// is a number or a flag if it looks like one.
+    /// Applies the remappings among a program's arguments, `from:=to`, and ignores other arguments. `__name`, `__ns`,
+    /// `__master`, `__hostname` and `__ip` set the fields of these names. `_param:=value` sets a private parameter: a
+    /// number or a flag if it looks like one, else text.
     ///
     /// # Errors
-    /// [`ConfigError`] if a remapping is none.
+    /// [`ConfigError`] if a remapping is invalid.
     pub fn with_args(mut self, args: impl IntoIterator<Item = impl AsRef<str>>) -> Result<Self, ConfigError> {
         for arg in args {
             let Some((from, to)) = arg.as_ref().split_once(":=") else { continue };
@@ -93,7 +92,7 @@ impl NodeConfig {
                 "__ns" => self.namespace = to,
                 "__master" => self.master = to.parse()?,
                 "__hostname" | "__ip" => self.host = Some(to),
-                // Others of that kind, such as __log, are for the tools that start nodes.
+                // Others, such as __log, are for the tools that start nodes.
                 _ if from.starts_with("__") => {}
                 _ => match from.strip_prefix('_') {
                     Some(param) => self.params.push((format!("~{param}"), scalar(&to))),
@@ -104,13 +103,13 @@ impl NodeConfig {
         Ok(self)
     }
 
-    /// Under which name or address others reach the node.
+    /// Returns the host name or address under which others reach the node.
     pub(crate) fn reachable_host(&self) -> String {
         let towards_master = || {
             let master = (self.master.host.as_str(), self.master.port).to_socket_addrs().ok()?.next()?;
             let any: IpAddr = if master.is_ipv4() { [0; 4].into() } else { [0u16; 8].into() };
             let socket = UdpSocket::bind((any, 0)).ok()?;
-            // Sends nothing: it only chooses a route.
+            // Sends nothing, and only chooses a route.
             socket.connect(master).ok()?;
             Some(socket.local_addr().ok()?.ip().to_string())
         };
@@ -118,7 +117,7 @@ impl NodeConfig {
     }
 }
 
-/// The number or flag that a text says, as YAML has them.
+/// Parses a number or a flag as YAML does; other text stays text.
 fn scalar(text: &str) -> Value {
     match (text.parse(), text.parse()) {
         (Ok(value), _) => Value::Int(value),
@@ -134,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_environment_says_where_everything_is() {
+    fn environment_variables_set_master_host_and_namespace() {
         let variables = |name: &str| match name {
             "ROS_MASTER_URI" => Some("http://master:11312/".to_owned()),
             "ROS_IP" => Some("10.0.0.7".to_owned()),
@@ -149,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn arguments_remap_and_set() {
+    fn arguments_remap_names_and_set_parameters() {
         let args = [
             "-v",
             "scan:=/lidar",
@@ -170,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_master_on_this_host_is_reached_by_loopback() {
+    fn master_on_this_host_is_reached_by_loopback() {
         let master = Endpoint { host: "127.0.0.1".to_owned(), port: 11311 };
         assert_eq!(NodeConfig { master, ..NodeConfig::new("n") }.reachable_host(), "127.0.0.1");
     }

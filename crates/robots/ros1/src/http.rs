@@ -1,42 +1,42 @@
-//! As much of HTTP/1.1 as XML-RPC needs: `POST` with a length and its answer, as functions of bytes.
+//! The part of HTTP/1.1 that XML-RPC needs, as functions of bytes: `POST` with a length, and its response.
 //!
 //! Source: RFC 9112.
 
-/// A head is no longer.
+/// Longest head, bytes.
 const MAX_HEAD: usize = 16 << 10;
-/// A head has no more fields.
+/// Most fields of a head.
 const MAX_FIELDS: usize = 64;
 
-/// Why bytes are no message of HTTP that XML-RPC uses.
+/// Reason why bytes are not an HTTP message that XML-RPC uses.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum HttpError {
-    /// Not HTTP.
-    #[error("no HTTP: {0}")]
+    /// The bytes are not HTTP.
+    #[error("not HTTP: {0}")]
     Syntax(#[from] httparse::Error),
-    /// A head without end.
+    /// The head is too long.
     #[error("a head is {MAX_HEAD} bytes long at most")]
     LongHead,
-    /// A request other than `POST`.
-    #[error("XML-RPC is asked by POST, not by {0}")]
+    /// The request is not a `POST`.
+    #[error("XML-RPC needs POST, not {0}")]
     Method(String),
-    /// No length, or none that is a number.
+    /// The length is missing, or not a number.
     #[error("a request needs a Content-Length")]
     NoLength,
-    /// A length over what is let in.
+    /// The body is longer than the limit.
     #[error("a body of {length} bytes is over the limit of {limit}")]
     LongBody {
-        /// What it says.
+        /// Its length.
         length: usize,
-        /// What is let in.
+        /// The limit.
         limit: usize,
     },
-    /// A transfer coding.
-    #[error("a transfer coding such as `chunked` is not understood")]
+    /// The body has a transfer coding.
+    #[error("transfer codings such as `chunked` are not supported")]
     Coding,
-    /// The other side refuses.
-    #[error("the other side answers with status {0}")]
+    /// The peer answered with an error status.
+    #[error("the peer answers with status {0}")]
     Status(u16),
-    /// The connection ended before the message did.
+    /// The connection ended within the message.
     #[error("the connection ends within the message")]
     Short,
 }
@@ -44,11 +44,11 @@ pub enum HttpError {
 /// A request that arrived in full.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Request<'a> {
-    /// What was posted.
+    /// The body.
     pub body: &'a [u8],
-    /// How many bytes it took, head included.
+    /// Its length with the head, bytes.
     pub len: usize,
-    /// Whether more may follow on the connection.
+    /// Whether another request may follow on the connection.
     pub keep_alive: bool,
 }
 
@@ -76,10 +76,10 @@ fn read_fields(fields: &[httparse::Header<'_>], limit: usize) -> Result<Fields, 
     Ok(read)
 }
 
-/// The request at the beginning of `bytes`; `None` if more of it is to come.
+/// Parses the request at the beginning of `bytes`. Returns `None` if it is incomplete.
 ///
 /// # Errors
-/// [`HttpError`]; the connection is of no use from then on.
+/// [`HttpError`]. The connection cannot be used any more.
 pub fn parse_request(bytes: &[u8], limit: usize) -> Result<Option<Request<'_>>, HttpError> {
     let mut fields = [httparse::EMPTY_HEADER; MAX_FIELDS];
     let mut request = httparse::Request::new(&mut fields);
@@ -97,10 +97,10 @@ pub fn parse_request(bytes: &[u8], limit: usize) -> Result<Option<Request<'_>>, 
     Ok(bytes.get(head..len).map(|body| Request { body, len, keep_alive }))
 }
 
-/// The body of the response in `bytes`; `None` if more of it is to come. `ended` says that nothing more comes.
+/// Returns the body of the response in `bytes`, or `None` if it is incomplete. `ended` says that no byte follows.
 ///
 /// # Errors
-/// [`HttpError`] if it is none, or one that refuses.
+/// [`HttpError`] if it is not a response, or one with an error status.
 pub fn parse_response(bytes: &[u8], ended: bool, limit: usize) -> Result<Option<&[u8]>, HttpError> {
     let mut fields = [httparse::EMPTY_HEADER; MAX_FIELDS];
     let mut response = httparse::Response::new(&mut fields);
@@ -127,7 +127,7 @@ pub fn parse_response(bytes: &[u8], ended: bool, limit: usize) -> Result<Option<
     }
 }
 
-/// A request that posts XML to a host, `name:port`.
+/// Builds a request that posts XML to a host, `name:port`.
 pub fn request(host: &str, xml: &str) -> Vec<u8> {
     format!(
         "POST / HTTP/1.1\r\nHost: {host}\r\nUser-Agent: cotorra\r\nConnection: close\r\n\
@@ -137,7 +137,7 @@ pub fn request(host: &str, xml: &str) -> Vec<u8> {
     .into_bytes()
 }
 
-/// A response with XML in it.
+/// Builds a response with an XML body.
 pub fn response(xml: &str, keep_alive: bool) -> Vec<u8> {
     let connection = if keep_alive { "keep-alive" } else { "close" };
     format!(
@@ -148,7 +148,7 @@ pub fn response(xml: &str, keep_alive: bool) -> Vec<u8> {
     .into_bytes()
 }
 
-/// A response that refuses a request, and the connection with it.
+/// Builds a response that rejects a request and closes the connection.
 pub fn refusal() -> Vec<u8> {
     b"HTTP/1.1 400 Bad Request\r\nServer: cotorra\r\nConnection: close\r\nContent-Length: 0\r\n\r\n".to_vec()
 }
@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_is_read_whole_and_not_before() {
+    fn request_is_parsed_once_complete() {
         let bytes = request("localhost:11311", "<a/>");
         for len in 0..bytes.len() {
             assert_eq!(parse_request(&bytes[..len], 100), Ok(None));
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_response_is_read_whole_and_not_before() {
+    fn response_is_parsed_once_complete() {
         let bytes = response("<a/>", true);
         for len in 0..bytes.len() {
             assert_eq!(parse_response(&bytes[..len], false, 100), Ok(None));
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_understood_is_refused() {
+    fn unsupported_messages_are_rejected() {
         assert_eq!(parse_request(b"GET / HTTP/1.1\r\n\r\n", 9), Err(HttpError::Method("GET".to_owned())));
         assert_eq!(parse_request(b"POST / HTTP/1.1\r\n\r\n", 9), Err(HttpError::NoLength));
         let long = b"POST / HTTP/1.1\r\nContent-Length: 10\r\n\r\n";
@@ -199,7 +199,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_panic(head in "(POST / HTTP/1.1|HTTP/1.1 200 OK)?\r\n", bytes in any::<Vec<u8>>(), ended: bool) {
+        fn parsing_never_panics(head in "(POST / HTTP/1.1|HTTP/1.1 200 OK)?\r\n", bytes in any::<Vec<u8>>(), ended: bool) {
             let bytes = [head.as_bytes(), &bytes].concat();
             let _ = (parse_request(&bytes, 50), parse_response(&bytes, ended, 50));
         }

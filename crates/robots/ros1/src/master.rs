@@ -1,4 +1,4 @@
-//! The master's API and parameter server, as its clients see them; and the shell that asks another node one thing.
+//! A client of the master and its parameter server, and of other nodes' slave APIs.
 //!
 //! Source: ROS wiki, "ROS/Master_API" and "ROS/Parameter Server API".
 
@@ -14,51 +14,51 @@ use crate::{
     xmlrpc::{self, Call, Fault, Value, XmlRpcError},
 };
 
-/// An answer is no longer: parameters may hold much.
+/// Longest response, bytes. Parameters may be large.
 const MAX_ANSWER: usize = 16 << 20;
 
-/// How long another side may take to connect, and to answer.
+/// Deadline for a peer to accept a connection, and to answer.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Why another node, or the master, did not do what it was asked for.
+/// Reason why a call to a node or the master failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RpcError {
-    /// It is not there, or does not answer.
+    /// The peer cannot be reached, or does not answer.
     #[error("{endpoint} does not answer: {reason}")]
     Unreachable {
-        /// Who was asked.
+        /// Address of the peer.
         endpoint: Endpoint,
-        /// What is wrong.
+        /// The cause.
         reason: io::Error,
     },
-    /// It answers something else than HTTP.
+    /// The response is not HTTP.
     #[error(transparent)]
     Http(#[from] HttpError),
-    /// It answers something else than XML-RPC.
+    /// The response is not XML-RPC.
     #[error(transparent)]
     XmlRpc(#[from] XmlRpcError),
-    /// It does not know the method, or failed in it.
+    /// The peer does not know the method, or failed in it.
     #[error(transparent)]
     Fault(#[from] Fault),
-    /// It answers that it could not, or will not.
+    /// The peer rejected the call.
     #[error("{method}: {message}")]
     Refused {
-        /// What it was asked for.
+        /// The called method.
         method: &'static str,
-        /// What it says.
+        /// The reason that it gave.
         message: String,
     },
-    /// It answers with something that the method does not have.
-    #[error("{method} is answered with something else than {expected}")]
+    /// The response has another form than the method requires.
+    #[error("the answer to {method} is not {expected}")]
     Answer {
-        /// What it was asked for.
+        /// The called method.
         method: &'static str,
-        /// What would be right.
+        /// The required form.
         expected: &'static str,
     },
 }
 
-/// Connects to the first of an endpoint's addresses that lets it.
+/// Connects to the first of an endpoint's addresses that accepts.
 pub(crate) fn connect(endpoint: &Endpoint) -> io::Result<TcpStream> {
     let mut result = Err(io::Error::new(io::ErrorKind::NotFound, "the host has no address"));
     for address in (endpoint.host.as_str(), endpoint.port).to_socket_addrs()? {
@@ -89,7 +89,7 @@ fn exchange(endpoint: &Endpoint, request: &[u8]) -> io::Result<Result<Vec<u8>, H
     }
 }
 
-/// Asks a node or a master for something, in the form that both use: `[code, message, value]`.
+/// Calls a method of a node or a master. Both answer with `[code, message, value]`; returns the value.
 pub(crate) fn ask(
     endpoint: &Endpoint,
     method: &'static str,
@@ -101,7 +101,7 @@ pub(crate) fn ask(
     read_status(method, xmlrpc::answer_from_xml(&body)??)
 }
 
-/// The value in `[code, message, value]`, if the code says that there is one.
+/// Returns the value of `[code, message, value]` if the code means success.
 fn read_status(method: &'static str, answer: Value) -> Result<Value, RpcError> {
     let wrong = RpcError::Answer { method, expected: "[code, message, value]" };
     let Value::Array(answer) = answer else { return Err(wrong) };
@@ -113,7 +113,7 @@ fn read_status(method: &'static str, answer: Value) -> Result<Value, RpcError> {
     }
 }
 
-/// Who publishes, subscribes and serves: of each topic or service its name, and the nodes' names.
+/// Publishers, subscribers and servers: the name of each topic or service, with the names of the nodes.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SystemState {
     /// Topics and their publishers.
@@ -124,12 +124,12 @@ pub struct SystemState {
     pub services: Vec<(String, Vec<String>)>,
 }
 
-/// A master, as one of its nodes asks it. Each call blocks until the answer is there, or for some seconds if none is.
-/// Names are global ones.
+/// A client of the master, on behalf of a node. Each call blocks until the answer arrives, for some seconds at most.
+/// All names are global.
 #[derive(Debug, Clone)]
 pub struct Master {
     endpoint: Endpoint,
-    /// The asking node's name.
+    /// Name of the calling node.
     caller: String,
 }
 
@@ -155,15 +155,15 @@ fn state(value: &Value) -> Option<SystemState> {
     })
 }
 
-/// All methods fail with [`RpcError`] if the master is not there, refuses, or answers something else.
-#[expect(clippy::missing_errors_doc, reason = "the same for all, said once")]
+/// All methods fail with [`RpcError`] if the master cannot be reached, rejects the call, or answers in another form.
+#[expect(clippy::missing_errors_doc, reason = "the same for all methods")]
 impl Master {
-    /// The master there, as the node of that name asks it.
+    /// A client of the master at `endpoint`, on behalf of the node `caller`.
     pub fn new(endpoint: Endpoint, caller: &str) -> Self {
         Self { endpoint, caller: caller.to_owned() }
     }
 
-    /// Where it is.
+    /// Address of the master.
     pub fn endpoint(&self) -> &Endpoint {
         &self.endpoint
     }
@@ -192,22 +192,22 @@ impl Master {
         read(&value).ok_or(RpcError::Answer { method, expected })
     }
 
-    /// Registers a publisher at `node`; answers with the addresses of the topic's subscribers.
+    /// Registers a publisher at `node`. Returns the addresses of the topic's subscribers.
     pub fn register_publisher(&self, topic: &str, kind: &str, node: &str) -> Result<Vec<String>, RpcError> {
         self.read("registerPublisher", [topic, kind, node], "addresses", strings)
     }
 
-    /// Takes a publisher back.
+    /// Unregisters a publisher.
     pub fn unregister_publisher(&self, topic: &str, node: &str) -> Result<(), RpcError> {
         self.ask("unregisterPublisher", [topic, node]).map(drop)
     }
 
-    /// Registers a subscriber at `node`; answers with the addresses of the topic's publishers.
+    /// Registers a subscriber at `node`. Returns the addresses of the topic's publishers.
     pub fn register_subscriber(&self, topic: &str, kind: &str, node: &str) -> Result<Vec<String>, RpcError> {
         self.read("registerSubscriber", [topic, kind, node], "addresses", strings)
     }
 
-    /// Takes a subscriber back.
+    /// Unregisters a subscriber.
     pub fn unregister_subscriber(&self, topic: &str, node: &str) -> Result<(), RpcError> {
         self.ask("unregisterSubscriber", [topic, node]).map(drop)
     }
@@ -217,27 +217,27 @@ impl Master {
         self.ask("registerService", [name, service, node]).map(drop)
     }
 
-    /// Takes a service back.
+    /// Unregisters a service.
     pub fn unregister_service(&self, name: &str, service: &str) -> Result<(), RpcError> {
         self.ask("unregisterService", [name, service]).map(drop)
     }
 
-    /// The address of a node.
+    /// Returns the address of a node.
     pub fn lookup_node(&self, name: &str) -> Result<String, RpcError> {
         self.read("lookupNode", [name], "an address", |value| value.as_str().map(str::to_owned))
     }
 
-    /// The address of a service.
+    /// Returns the address of a service.
     pub fn lookup_service(&self, name: &str) -> Result<String, RpcError> {
         self.read("lookupService", [name], "an address", |value| value.as_str().map(str::to_owned))
     }
 
-    /// Who publishes, subscribes and serves.
+    /// Returns all publishers, subscribers and servers.
     pub fn system_state(&self) -> Result<SystemState, RpcError> {
         self.read("getSystemState", [], "publishers, subscribers and services", state)
     }
 
-    /// Topics and their types.
+    /// Returns topics and their types.
     pub fn topic_types(&self) -> Result<Vec<(String, String)>, RpcError> {
         self.read("getTopicTypes", [], "topics and types", |value| {
             let entry = |entry| {
@@ -247,7 +247,7 @@ impl Master {
         })
     }
 
-    /// A parameter, or a whole namespace of them; `None` if it is not set.
+    /// Returns a parameter, or a whole namespace of them; `None` if it is not set.
     pub fn param(&self, name: &str) -> Result<Option<Value>, RpcError> {
         match self.ask("getParam", [name]) {
             Ok(value) => Ok(Some(value)),
@@ -266,12 +266,12 @@ impl Master {
         self.read("hasParam", [name], "a flag", Value::as_bool)
     }
 
-    /// Removes a parameter; refused if it is not set.
+    /// Removes a parameter. Fails if it is not set.
     pub fn delete_param(&self, name: &str) -> Result<(), RpcError> {
         self.ask("deleteParam", [name]).map(drop)
     }
 
-    /// The global name of the parameter of that relative name that is nearest, going up from the node.
+    /// Searches a relative name upwards from the node. Returns the global name of the nearest parameter.
     pub fn search_param(&self, name: &str) -> Result<Option<String>, RpcError> {
         match self.ask("searchParam", [name]) {
             Ok(found) => Ok(found.as_str().map(str::to_owned)),
@@ -280,18 +280,17 @@ impl Master {
         }
     }
 
-    /// Names of all parameters.
+    /// Returns the names of all parameters.
     pub fn param_names(&self) -> Result<Vec<String>, RpcError> {
         self.read("getParamNames", [], "names", strings)
     }
 
-    /// Has changes of a parameter told to the node at `node`; answers with its value, an empty struct if it is not
-    /// set.
+    /// Subscribes the node at `node` to changes of a parameter. Returns its value, an empty struct if it is not set.
     pub fn subscribe_param(&self, name: &str, node: &str) -> Result<Value, RpcError> {
         self.ask("subscribeParam", [node, name])
     }
 
-    /// Has them told no longer.
+    /// Unsubscribes the node at `node` from changes of a parameter.
     pub fn unsubscribe_param(&self, name: &str, node: &str) -> Result<(), RpcError> {
         self.ask("unsubscribeParam", [node, name]).map(drop)
     }
@@ -306,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn the_code_says_whether_there_is_a_value() {
+    fn only_a_success_code_has_a_value() {
         assert_eq!(read_status("m", status(1, "", "x")).unwrap(), "x".into());
         assert_eq!(
             read_status("m", status(-1, "unknown node", 0)).unwrap_err().to_string(),
@@ -317,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn the_state_is_read_from_nested_lists() {
+    fn system_state_is_read_from_nested_lists() {
         let topic = Value::Array(vec!["/scan".into(), vec!["/robot", "/stage"].into()]);
         let value = Value::Array(vec![Value::Array(vec![topic]), Value::Array(vec![]), Value::Array(vec![])]);
         let scan = ("/scan".to_owned(), vec!["/robot".to_owned(), "/stage".to_owned()]);

@@ -1,4 +1,4 @@
-//! A master of one's own, for where there is no roscore: sockets and threads around a [`Registry`].
+//! A master for networks without roscore: sockets and threads around a [`Registry`].
 
 use std::{
     io::{self, Read, Write},
@@ -21,17 +21,17 @@ use crate::{
     xmlrpc::{self, Call, Fault},
 };
 
-/// A call is no longer: parameters may hold much.
+/// Longest call, bytes. Parameters may be large.
 const MAX_CALL: usize = 16 << 20;
-/// More connections are refused: each has a thread.
+/// Most open connections. Each has a thread.
 const MAX_CONNECTIONS: usize = 256;
-/// A connection over which nobody asks anything for so long is closed.
+/// Time after which an idle connection is closed.
 const IDLE: Duration = Duration::from_secs(60);
 
 /// A ROS master with its parameter server. Ends when it is dropped.
 ///
-/// It serves some robots where no roscore is. Nodes are told of changes one after another, so that one that does not
-/// answer delays the others by some seconds.
+/// It suits a few robots. It notifies nodes one after another: one that does not answer delays the others by some
+/// seconds.
 #[derive(Debug)]
 pub struct MasterServer {
     endpoint: Endpoint,
@@ -40,10 +40,10 @@ pub struct MasterServer {
 }
 
 impl MasterServer {
-    /// Starts a master that is reached under that name or address; on any free port if `port` is 0.
+    /// Starts a master that others reach under a host name or address, on any free port if `port` is 0.
     ///
     /// # Errors
-    /// If it cannot listen there, or there are no threads.
+    /// If it cannot listen there or start threads.
     pub fn start(host: &str, port: u16) -> io::Result<Self> {
         let listener = crate::node::listen(host, port)?;
         let endpoint = Endpoint { host: host.to_owned(), port: listener.local_addr()?.port() };
@@ -57,7 +57,7 @@ impl MasterServer {
         Ok(Self { endpoint, stopped, thread })
     }
 
-    /// Where it is.
+    /// Address of the master.
     pub fn endpoint(&self) -> &Endpoint {
         &self.endpoint
     }
@@ -66,9 +66,9 @@ impl MasterServer {
 impl Drop for MasterServer {
     fn drop(&mut self) {
         self.stopped.store(true, Ordering::Release);
-        // It waits for connections, and finds out with the next.
+        // It waits for connections, and sees the flag at the next one.
         if TcpStream::connect((self.endpoint.host.as_str(), self.endpoint.port)).is_ok() {
-            // A thread that panicked has ended, too.
+            // A panicked thread has ended, too.
             let _ = self.thread.take().map(JoinHandle::join);
         }
     }
@@ -80,7 +80,7 @@ fn tell(notices: &mpsc::Receiver<Notice>) {
             master::ask(&endpoint, method, arguments).map_err(|error| error.to_string())
         });
         if let Err(error) = told {
-            tracing::debug!("{node} was not told of {method}: {error}");
+            tracing::debug!("{node} was not notified by {method}: {error}");
         }
     }
 }
@@ -128,7 +128,7 @@ fn serve(
     let (mut input, mut piece) = (Vec::new(), vec![0; 16 << 10]);
     loop {
         match http::parse_request(&input, MAX_CALL) {
-            // Those who still ask are to see that it ended.
+            // Callers see that the master ended.
             Ok(Some(_)) if stopped.load(Ordering::Acquire) => return Ok(()),
             Ok(Some(request)) => {
                 let call = Call::from_xml(request.body).map_err(|error| Fault::from(&error));
@@ -136,7 +136,7 @@ fn serve(
                 let answer = {
                     let mut registry = registry.lock();
                     let answer = call.and_then(|call| registry.answer(&call, &mut to_tell));
-                    // Within the lock, so that nodes are told in the order in which things happened.
+                    // Within the lock, so that notices keep the order of changes.
                     to_tell.into_iter().for_each(|notice| drop(notices.send(notice)));
                     answer
                 };
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_find_each_other_where_no_ros_is() {
+    fn nodes_find_each_other_without_roscore() {
         let master = MasterServer::start("127.0.0.1", 0).unwrap();
         let (talker, listener) = (node(&master, "talker"), node(&master, "listener"));
         let heard = listener.subscribe::<Text>("words", SubscribeOptions::default()).unwrap();
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_is_back_after_its_master_is() {
+    fn nodes_register_again_after_the_master_restarts() {
         let master = MasterServer::start("127.0.0.1", 0).unwrap();
         let (talker, listener) = (node(&master, "talker"), node(&master, "listener"));
         let words = talker.publish::<Text>("words", PublishOptions { queue: 1, latch: true }).unwrap();

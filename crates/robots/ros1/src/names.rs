@@ -1,17 +1,17 @@
-//! Names of the ROS graph: how a node's own names become global ones, and how they are remapped.
+//! Names of the ROS graph: resolving a node's names to global ones, and remapping them.
 //!
 //! Source: ROS wiki, "Names" and "Remapping Arguments".
 
 use std::collections::BTreeMap;
 
-/// Why a name is none of the ROS graph.
+/// A name that the ROS graph does not allow.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is no name: names begin with a letter, `/` or `~`, and have letters, digits, `_` and `/` after that"
 )]
 pub struct NameError(pub String);
 
-/// Who a node is, and what its names become.
+/// The names of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Names {
     /// The node's global name.
@@ -23,10 +23,10 @@ pub struct Names {
 }
 
 impl Names {
-    /// Of the node of that name (without namespace) in that namespace, with remappings of its names.
+    /// The names of the node `name` (without namespace) in `namespace`, with its remappings.
     ///
     /// # Errors
-    /// [`NameError`] if one of them is no name.
+    /// [`NameError`] if one of them is invalid.
     pub fn new<'a>(
         node: &str,
         namespace: &str,
@@ -51,11 +51,11 @@ impl Names {
         &self.node
     }
 
-    /// The global name that is meant: `/a` is global, `a` in the node's namespace, `~a` private to the node; after
-    /// that, remapping.
+    /// Resolves a name to its global one: `/a` is global, `a` is in the node's namespace, `~a` is private to the node.
+    /// Then applies remappings.
     ///
     /// # Errors
-    /// [`NameError`] if it is no name.
+    /// [`NameError`] if `name` is invalid.
     pub fn resolve(&self, name: &str) -> Result<String, NameError> {
         let global = self.global(name)?;
         Ok(self.remapped.get(&global).cloned().unwrap_or(global))
@@ -71,7 +71,7 @@ impl Names {
     }
 }
 
-/// Without doubled slashes, or one at the end.
+/// Removes doubled slashes, and one at the end.
 fn joined(base: &str, name: &str) -> String {
     let parts = base.split('/').chain(name.split('/')).filter(|part| !part.is_empty());
     let joined: String = parts.flat_map(|part| ["/", part]).collect();
@@ -90,8 +90,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_resolve_as_the_specification_says() {
-        // The table of the wiki's "Names", 1.2.
+    fn names_resolve_as_specified() {
+        // Source: the table of the wiki's "Names", 1.2.
         for (node, namespace, name, expected) in [
             ("node1", "/", "bar", "/bar"),
             ("node1", "/", "/bar", "/bar"),
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn remapping_holds_for_what_a_name_means() {
+    fn remapping_applies_to_resolved_names() {
         let names =
             Names::new("n", "/robot", [("scan", "/lidar"), ("~rate", "hz"), ("/map", "map")]).unwrap();
         assert_eq!(names.node(), "/robot/n");
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_name_is_refused() {
+    fn invalid_names_are_rejected() {
         for name in ["1a", "a b", "a:=b", "ä", "a~b", "_a"] {
             assert_eq!(Names::new("n", "/", []).unwrap().resolve(name), Err(NameError(name.to_owned())));
         }

@@ -1,5 +1,5 @@
-//! A node: what a program publishes, subscribes to, serves and asks. It owns sockets, threads and a clock; protocols
-//! are elsewhere.
+//! A node: the topics, services and parameters of a program. It owns sockets, threads and a clock; protocols are in
+//! other modules.
 
 mod engine;
 mod keeper;
@@ -46,7 +46,7 @@ pub use shared::NodeError;
 pub use subscription::SubscribeOptions;
 pub use topics::{Publisher, Subscriber};
 
-/// A ROS 1 node. Clones are the same node; when the last is dropped, it unregisters and ends.
+/// A ROS 1 node. Clones share the node. It unregisters and ends when the last is dropped.
 #[derive(Debug, Clone)]
 pub struct Node(Arc<Running>);
 
@@ -57,11 +57,11 @@ struct Running {
 }
 
 impl Node {
-    /// Starts a node. It is registered with the master as soon as it publishes, subscribes or serves; private
-    /// parameters are set now.
+    /// Starts a node and sets its private parameters. It registers with the master as soon as it publishes, subscribes
+    /// or serves.
     ///
     /// # Errors
-    /// [`NodeError`] if a name is none, the node cannot listen, or its parameters cannot be set.
+    /// [`NodeError`] if a name is invalid, the node cannot listen, or its parameters cannot be set.
     pub fn new(config: NodeConfig) -> Result<Self, NodeError> {
         let remappings = config.remappings.iter().map(|(from, to)| (from.as_str(), to.as_str()));
         let names = Names::new(&config.name, &config.namespace, remappings)?;
@@ -94,7 +94,7 @@ impl Node {
             io::Result::Ok(())
         };
         let keeper = Arc::clone(&shared);
-        // First the one that ends the other.
+        // The keeper first: it ends the engine.
         spawn("ros1-keeper", Box::new(move || keeper::run(&keeper, &to_keep)))?;
         spawn("ros1", Box::new(move || engine.run(&shared)))?;
         for (name, value) in config.params {
@@ -103,39 +103,39 @@ impl Node {
         Ok(node)
     }
 
-    /// The node's global name.
+    /// Returns the node's global name.
     pub fn name(&self) -> &str {
         self.shared().names.node()
     }
 
-    /// The global name that a name means in this node.
+    /// Resolves a name of this node to its global one.
     ///
     /// # Errors
-    /// [`NameError`] if it is no name.
+    /// [`NameError`] if `name` is invalid.
     pub fn resolve(&self, name: &str) -> Result<String, NameError> {
         self.shared().names.resolve(name)
     }
 
-    /// The master, for what is not of this node. Its names are global ones.
+    /// Returns the client of the master, for queries about other nodes. Its names are global.
     pub fn master(&self) -> &Master {
         &self.shared().master
     }
 
-    /// Unregisters everything and ends. Publishers then publish to nobody, subscribers receive
-    /// [`RecvError::ShutDown`]. Returns when it is done: some seconds at most, if the master does not answer.
+    /// Unregisters everything and ends the node. Publishers then drop messages, and subscribers receive
+    /// [`RecvError::ShutDown`]. Blocks until that is done: for some seconds, if the master does not answer.
     pub fn shut_down(&self) {
         self.0.shut_down();
     }
 
-    /// Whether the node was shut down: by [`Self::shut_down`], by `rosnode kill`, or by another node of that name.
+    /// Whether the node was shut down: by [`Self::shut_down`], by `rosnode kill`, or by another node of its name.
     pub fn is_shut_down(&self) -> bool {
         self.shared().is_stopped()
     }
 
-    /// A parameter, or a whole namespace of them; `None` if it is not set.
+    /// Returns a parameter, or a whole namespace of them; `None` if it is not set.
     ///
     /// # Errors
-    /// [`NodeError`] if `name` is none, or the master fails.
+    /// [`NodeError`] if `name` is invalid, or the master fails.
     pub fn param(&self, name: &str) -> Result<Option<Value>, NodeError> {
         Ok(self.master().param(&self.resolve(name)?)?)
     }
@@ -143,11 +143,11 @@ impl Node {
     /// Sets a parameter; a struct sets a whole namespace.
     ///
     /// # Errors
-    /// [`NodeError`] if `name` is none, or the master fails.
+    /// [`NodeError`] if `name` is invalid, or the master fails.
     pub fn set_param(&self, name: &str, value: impl Into<Value>) -> Result<(), NodeError> {
         let (name, value) = (self.resolve(name)?, value.into());
         self.master().set_param(&name, value.clone())?;
-        // The master tells all but who set it.
+        // The master notifies all watchers but the author of a change.
         self.shared().state.lock().watches.values().for_each(|watch| watch.update(&name, &value));
         Ok(())
     }
@@ -155,7 +155,7 @@ impl Node {
     /// Publishes a topic.
     ///
     /// # Errors
-    /// [`NodeError`] if `topic` is no name, the node publishes it already, or the master fails.
+    /// [`NodeError`] if `topic` is invalid, the node publishes it already, or the master fails.
     pub fn publish<M: Message>(
         &self,
         topic: &str,
@@ -164,11 +164,11 @@ impl Node {
         Publisher::advertise(self.shared(), self.resolve(topic)?, options)
     }
 
-    /// Subscribes to a topic. Publishers are connected to in the background, and again whenever they return. Each
+    /// Subscribes to a topic. Connects to publishers in the background, and again whenever they return. Each
     /// subscriber has connections of its own.
     ///
     /// # Errors
-    /// [`NodeError`] if `topic` is no name, or the master fails.
+    /// [`NodeError`] if `topic` is invalid, or the master fails.
     pub fn subscribe<M: Message>(
         &self,
         topic: &str,
@@ -177,12 +177,12 @@ impl Node {
         Subscriber::subscribe(self.shared(), self.resolve(topic)?, options)
     }
 
-    /// Offers a service. `answer` gives the response to each request, or the reason why not; requests are answered
-    /// one at a time, on a thread of the service's own. If it holds a clone of the node, that lives as long as the
-    /// service does.
+    /// Offers a service. `answer` returns the response to each request, or the reason of a failure. It takes requests
+    /// one at a time, on a thread of the service's own. A clone of the node in it keeps the node alive as long as the
+    /// service.
     ///
     /// # Errors
-    /// [`NodeError`] if `name` is none, the node offers it already, or the master fails.
+    /// [`NodeError`] if `name` is invalid, the node offers it already, or the master fails.
     pub fn service<S: Service>(
         &self,
         name: &str,
@@ -191,10 +191,10 @@ impl Node {
         ServiceServer::offer::<S>(self.shared(), self.resolve(name)?, answer)
     }
 
-    /// Calls a service, and waits for its response so long.
+    /// Calls a service, and waits for its response until `timeout`.
     ///
     /// # Errors
-    /// [`CallError`] if there is no such service, it does not answer in time, or it answers that it failed.
+    /// [`CallError`] if the service does not exist, does not answer in time, or fails.
     pub fn call<S: Service>(
         &self,
         name: &str,
@@ -207,7 +207,7 @@ impl Node {
     /// Watches a parameter, or a whole namespace of them.
     ///
     /// # Errors
-    /// [`NodeError`] if `name` is none, or the master fails.
+    /// [`NodeError`] if `name` is invalid, or the master fails.
     pub fn watch_param(&self, name: &str) -> Result<ParamWatch, NodeError> {
         ParamWatch::start(self.shared(), self.resolve(name)?)
     }
@@ -221,7 +221,7 @@ impl Running {
     fn shut_down(&self) {
         self.shared.errand(Errand::Stop);
         for thread in self.threads.lock().drain(..) {
-            // A thread that panicked has ended, too.
+            // A panicked thread has ended, too.
             let _ = thread.join();
         }
     }
@@ -233,7 +233,7 @@ impl Drop for Running {
     }
 }
 
-/// Listens where a host of that name is reached: on loopback only if it is that.
+/// Listens on loopback if `host` is a loopback address, else on all addresses.
 pub(crate) fn listen(host: &str, port: u16) -> io::Result<TcpListener> {
     let any: SocketAddr = match host.parse::<IpAddr>() {
         Ok(ip) if ip.is_loopback() => (ip, port).into(),

@@ -1,5 +1,5 @@
-//! A master's memory: who publishes, subscribes, serves and watches, and the parameters. Calls go in; answers, and
-//! what is to be told to nodes, come out.
+//! The state of a master: publishers, subscribers, services, watches and parameters. It takes calls, and returns answers
+//! and notices to nodes.
 //!
 //! Source: ROS wiki, "ROS/Master_API" and "ROS/Parameter Server API".
 
@@ -10,7 +10,7 @@ use crate::{
     xmlrpc::{Call, Fault, Value},
 };
 
-/// What a node is to be told.
+/// A call that the master owes a node.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Notice {
     /// The node's address.
@@ -19,10 +19,10 @@ pub(crate) struct Notice {
     pub arguments: Vec<Value>,
 }
 
-/// Of each name, the nodes that are registered for it.
+/// Nodes registered for each name.
 type Entries = BTreeMap<String, BTreeSet<String>>;
 
-/// A master's memory.
+/// The state of a master.
 #[derive(Debug)]
 pub(crate) struct Registry {
     /// The master's address.
@@ -38,7 +38,7 @@ pub(crate) struct Registry {
     params: Value,
 }
 
-/// The name under which a master calls nodes.
+/// Caller name of a master.
 const MASTER: &str = "/master";
 
 fn unknown(what: &str, name: &str) -> Value {
@@ -49,7 +49,7 @@ fn path(name: &str) -> impl Iterator<Item = &str> {
     name.split('/').filter(|part| !part.is_empty())
 }
 
-/// The name in its one form: with a slash before each part, and none at the end.
+/// Normalizes a name: a slash before each part, and none at the end.
 fn canonical(name: &str) -> String {
     path(name).flat_map(|part| ["/", part]).collect()
 }
@@ -61,7 +61,7 @@ fn find<'a>(params: &'a Value, name: &str) -> Option<&'a Value> {
     })
 }
 
-/// The members of the namespace of that name, which is made if it is not there.
+/// Returns the members of a namespace. Creates it if it is missing.
 fn namespace<'a>(mut at: &'a mut Value, parts: &[&str]) -> &'a mut BTreeMap<String, Value> {
     for part in parts {
         at = members(at).entry((*part).to_owned()).or_insert_with(empty);
@@ -114,7 +114,7 @@ fn remove(entries: &mut Entries, name: &str, node: &str) -> bool {
 }
 
 impl Registry {
-    /// A master at that address that knows nobody.
+    /// An empty master at an address.
     pub fn new(uri: String) -> Self {
         Self {
             uri,
@@ -128,10 +128,10 @@ impl Registry {
         }
     }
 
-    /// Does what a call asks for; nodes that are to be told of it are added to `notices`.
+    /// Carries out a call. Appends the notices to other nodes to `notices`.
     ///
     /// # Errors
-    /// The fault to answer with, if masters have no such method or it has other arguments.
+    /// The fault to return, if masters have no such method or it has other arguments.
     pub fn answer(&mut self, call: &Call, notices: &mut Vec<Notice>) -> Result<Value, Fault> {
         let texts: Option<Vec<&str>> = call.arguments.iter().map(Value::as_str).collect();
         let caller = call.arguments.first().and_then(Value::as_str).unwrap_or_default();
@@ -247,7 +247,7 @@ impl Registry {
         Ok(answer)
     }
 
-    /// A node registers from that address. If it did from another one, that one is told to end.
+    /// Notes the address of a node. A node of the same name at another address is told to shut down.
     fn meet(&mut self, node: &str, api: &str, notices: &mut Vec<Notice>) {
         let before = self.nodes.insert(node.to_owned(), api.to_owned());
         let Some(before) = before.filter(|before| before != api) else { return };
@@ -277,7 +277,7 @@ impl Registry {
         self.nodes.get(node).is_some_and(|known| known == api)
     }
 
-    /// Forgets a node that is registered for nothing any more.
+    /// Removes a node without registrations.
     fn part(&mut self, node: &str) {
         let mut entries = [&self.publishers, &self.subscribers, &self.watchers].into_iter();
         let registered = entries.any(|entries| entries.values().any(|nodes| nodes.contains(node)))
@@ -287,7 +287,7 @@ impl Registry {
         }
     }
 
-    /// `*` says that whoever registers does not know the type.
+    /// Notes the type of a topic. `*` stands for an unknown type.
     fn learn_type(&mut self, topic: &str, kind: &str) {
         let known = self.types.entry(topic.to_owned()).or_insert_with(|| kind.to_owned());
         if kind != "*" {
@@ -325,7 +325,7 @@ impl Registry {
         }
     }
 
-    /// Tells who watches a parameter that changed, one above it or one in it; not who changed it.
+    /// Notifies the watchers of a changed parameter, of those above it and of those in it, but not its author.
     fn tell_watchers(&self, changed: &str, caller: &str, notices: &mut Vec<Notice>) {
         let changed = canonical(changed);
         for (watched, nodes) in &self.watchers {
@@ -349,7 +349,7 @@ impl Registry {
         }
     }
 
-    /// The parameter whose first part is found nearest, going up from the caller.
+    /// Finds the parameter whose first part is nearest, going up from the caller.
     fn search_param(&self, caller: &str, name: &str) -> Option<String> {
         let first = path(name).next()?;
         let mut above = if name.starts_with('/') { String::new() } else { canonical(caller) };
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn subscribers_are_told_of_publishers() {
+    fn subscribers_are_notified_of_publishers() {
         let registry = &mut Registry::new("http://m:1/".to_owned());
         let (publishers, _) = call(registry, "registerSubscriber", &["/s", "/scan", "*", "http://s:1/"]);
         assert_eq!(publishers, Value::Array(vec![]));
@@ -395,12 +395,12 @@ mod tests {
     }
 
     #[test]
-    fn a_name_has_one_node() {
+    fn second_node_of_a_name_replaces_the_first() {
         let registry = &mut Registry::new("http://m:1/".to_owned());
         call(registry, "registerPublisher", &["/p", "/scan", "a/B", "http://p:1/"]);
         let (_, notices) = call(registry, "registerPublisher", &["/p", "/odom", "a/B", "http://p:2/"]);
         assert_eq!((notices[0].node.as_str(), notices[0].method), ("http://p:1/", "shutdown"));
-        // What the first says when it ends changes nothing.
+        // The first unregisters when it ends, which changes nothing.
         assert_eq!(call(registry, "unregisterPublisher", &["/p", "/odom", "http://p:1/"]).0, 0.into());
         assert_eq!(call(registry, "lookupNode", &["/x", "/p"]).0, "http://p:2/".into());
         assert_eq!(
@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_are_a_tree_and_watchers_hear_of_it() {
+    fn watchers_are_notified_of_changes_in_the_parameter_tree() {
         let registry = &mut Registry::new("http://m:1/".to_owned());
         assert_eq!(call(registry, "subscribeParam", &["/w", "http://w:1/", "/a"]).0, empty());
         let (_, notices) = call(registry, "setParam", &["/x", "/a/b/c", "1"]);
@@ -426,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn what_masters_do_not_have_is_a_fault() {
+    fn unknown_methods_of_a_master_are_faults() {
         let registry = &mut Registry::new("http://m:1/".to_owned());
         for (method, arguments) in
             [("explode", vec![]), ("setParam", vec!["/x".into()]), ("lookupNode", vec![1.into()])]

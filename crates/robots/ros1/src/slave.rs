@@ -1,63 +1,63 @@
-//! What a node is asked by its master, by other nodes and by tools: calls to requests, and the form of answers.
+//! The slave API, by which the master, other nodes and tools call a node: requests, and the form of answers.
 //!
 //! Source: ROS wiki, "ROS/Slave_API".
 
 use crate::xmlrpc::{Call, Fault, Value};
 
-/// What a node is asked for.
+/// A call of the slave API.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Request {
-    /// How much went over each connection.
+    /// Traffic of each connection.
     BusStats,
-    /// Which connections there are.
+    /// The open connections.
     BusInfo,
-    /// Where its master is.
+    /// Address of the master.
     MasterUri,
-    /// To end.
+    /// Shuts the node down.
     Shutdown {
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// Its process.
+    /// Process number of the node.
     Pid,
-    /// Topics that it subscribes to, with their types.
+    /// Subscribed topics, with their types.
     Subscriptions,
-    /// Topics that it publishes, with their types.
+    /// Published topics, with their types.
     Publications,
-    /// A parameter changed.
+    /// A watched parameter changed.
     ParamUpdate {
         /// Its global name.
         name: String,
         /// Its value; an empty struct if it is no longer set.
         value: Value,
     },
-    /// These are a topic's publishers now.
+    /// The publishers of a topic changed.
     PublisherUpdate {
         /// The topic.
         topic: String,
         /// Addresses of their nodes.
         publishers: Vec<String>,
     },
-    /// How to subscribe to a topic.
+    /// Returns the protocol and address for a subscription.
     Topic {
         /// The topic.
         topic: String,
-        /// Protocols that the subscriber knows.
+        /// Protocols that the subscriber supports.
         protocols: Vec<String>,
     },
 }
 
-/// XML-RPC's own numbers for what is wrong have no source that all follow; rospy answers with 1, too.
+/// Fault code. XML-RPC defines none that all follow; rospy uses 1, too.
 const FAULT: i32 = 1;
 
 impl Request {
-    /// What a call asks for.
+    /// Reads a call.
     ///
     /// # Errors
-    /// The fault to answer with, if nodes have no such method or it has other arguments.
+    /// The fault to return, if nodes have no such method or it has other arguments.
     pub fn read(call: Call) -> Result<Self, Fault> {
         let Call { method, arguments } = call;
-        // The first is the caller's name.
+        // The first argument is the caller's name.
         let mut arguments = arguments.into_iter().skip(1);
         let mut next = || arguments.next();
         let request = match method.as_str() {
@@ -91,12 +91,12 @@ fn text(value: &Value) -> Option<String> {
     value.as_str().map(str::to_owned)
 }
 
-/// It was done; this is what was asked for.
+/// The answer to a successful call.
 pub fn done(value: impl Into<Value>) -> Value {
     Value::Array(vec![1.into(), "".into(), value.into()])
 }
 
-/// It could not be done.
+/// The answer to a failed call.
 pub fn refused(message: &str) -> Value {
     Value::Array(vec![0.into(), message.into(), 0.into()])
 }
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn calls_are_requests() {
+    fn calls_are_read_as_requests() {
         let update = call("publisherUpdate", vec!["/scan".into(), vec!["http://a:1/"].into()]);
         let publishers = vec!["http://a:1/".to_owned()];
         assert_eq!(
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nodes_do_not_have_is_a_fault() {
+    fn unknown_methods_of_a_node_are_faults() {
         assert!(Request::read(call("system.listMethods", vec![])).is_err());
         assert!(Request::read(call("publisherUpdate", vec!["/scan".into(), vec![1].into()])).is_err());
         assert!(Request::read(call("paramUpdate", vec!["/a".into()])).is_err());

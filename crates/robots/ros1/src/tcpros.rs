@@ -1,56 +1,56 @@
-//! TCPROS, in which messages and service calls travel: connection headers, and frames out of a stream of bytes.
+//! TCPROS, the protocol of messages and service calls: connection headers, and frames in a stream of bytes.
 //!
 //! Source: ROS wiki, "ROS/TCPROS" and "ROS/Connection Header".
 
 use std::{collections::BTreeMap, io, ops::Range};
 
-/// A connection header is no longer.
+/// Longest connection header, bytes.
 pub const MAX_HEADER_LEN: usize = 1 << 20;
-/// A message is no longer; a map of 8,000 × 8,000 cells still fits.
+/// Longest message, bytes. A map of 8,000 × 8,000 cells fits.
 pub const MAX_MESSAGE_LEN: usize = 64 << 20;
-/// Bytes of the length before each frame.
+/// Size of the length before each frame, bytes.
 pub const LENGTH_LEN: usize = 4;
 
-/// Why bytes are no TCPROS.
+/// Reason why bytes are not TCPROS.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TcprosError {
-    /// A frame is longer than is let in.
+    /// A frame is longer than the limit.
     #[error("a frame of {length} bytes is over the limit of {limit}")]
     LongFrame {
-        /// What it claims.
+        /// Claimed length, bytes.
         length: usize,
-        /// What is let in.
+        /// The limit, bytes.
         limit: usize,
     },
-    /// A header's field ends beyond the header.
+    /// A field of the header ends beyond it.
     #[error("a field of the connection header ends beyond it")]
     FieldLength,
-    /// A header's field has no `=`.
-    #[error("a field of the connection header is no `name=value`")]
+    /// A field of the header has no `=`.
+    #[error("a field of the connection header is not `name=value`")]
     Field,
 }
 
-/// The fields of a connection header. Values that are no UTF-8 are replaced, as in messages.
+/// The fields of a connection header. Bytes that are not UTF-8 are replaced, as in messages.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Header(BTreeMap<String, String>);
 
 impl Header {
-    /// A header of those fields.
+    /// A header with these fields.
     pub fn new<const N: usize>(fields: [(&str, &str); N]) -> Self {
         Self(fields.into_iter().map(|(name, value)| (name.to_owned(), value.to_owned())).collect())
     }
 
-    /// The value of a field.
+    /// Returns the value of a field.
     pub fn get(&self, name: &str) -> Option<&str> {
         self.0.get(name).map(String::as_str)
     }
 
-    /// Whether a field says yes, which it does by `1`.
+    /// Whether a field is `1`.
     pub fn flag(&self, name: &str) -> bool {
         self.get(name) == Some("1")
     }
 
-    /// As a frame, with its length.
+    /// Encodes the header as a frame, with its length.
     pub fn to_frame(&self) -> Vec<u8> {
         frame(|buffer| {
             for (name, value) in &self.0 {
@@ -63,10 +63,10 @@ impl Header {
         })
     }
 
-    /// From a frame, without its length.
+    /// Decodes a frame without its length.
     ///
     /// # Errors
-    /// [`TcprosError`] if it is none.
+    /// [`TcprosError`] if it is not a connection header.
     pub fn from_bytes(mut bytes: &[u8]) -> Result<Self, TcprosError> {
         let mut fields = BTreeMap::new();
         while !bytes.is_empty() {
@@ -82,7 +82,7 @@ impl Header {
     }
 }
 
-/// A frame: what `write` appends, behind its length.
+/// Builds a frame of the bytes that `write` appends, with their length in front.
 pub fn frame(write: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
     let mut buffer = vec![0; LENGTH_LEN];
     write(&mut buffer);
@@ -92,12 +92,12 @@ pub fn frame(write: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
     buffer
 }
 
-/// Frames out of a stream of bytes. Memory grows with what arrived, not with what a length claims.
+/// Splits a stream of bytes into frames. Memory grows with received bytes, not with claimed lengths.
 #[derive(Debug)]
 pub struct FrameReader {
-    /// Zeroed, so that there is always room to read into.
+    /// Zeroed, so that there is always room for reading.
     buffer: Vec<u8>,
-    /// What of it arrived and was not taken.
+    /// Received bytes that were not taken.
     filled: Range<usize>,
     limit: usize,
 }
@@ -105,24 +105,24 @@ pub struct FrameReader {
 impl FrameReader {
     const ROOM: usize = 16 << 10;
 
-    /// From the beginning of a stream; frames are no longer than `limit`.
+    /// Starts at the beginning of a stream. Frames have `limit` bytes at most.
     pub fn new(limit: usize) -> Self {
         Self { buffer: Vec::new(), filled: 0..0, limit }
     }
 
-    /// From now on, frames are no longer than that.
+    /// Changes the limit for the next frames.
     pub fn set_limit(&mut self, limit: usize) {
         self.limit = limit;
     }
 
-    /// Reads once, as much as `source` gives at once. Returns how much that was; zero at its end.
+    /// Reads from `source` once. Returns the number of bytes; zero at its end.
     ///
     /// # Errors
-    /// What `source` fails with.
+    /// The error of `source`.
     pub fn read_from(&mut self, source: &mut impl io::Read) -> io::Result<usize> {
         if self.filled.is_empty() {
             self.filled = 0..0;
-            // What a long message took is not kept for short ones.
+            // Frees the memory of a long message.
             if self.buffer.len() > 64 * Self::ROOM {
                 self.buffer = Vec::new();
             }
@@ -140,10 +140,10 @@ impl FrameReader {
         Ok(read)
     }
 
-    /// The next frame, without its length; `None` if more of it is to come.
+    /// Returns the next frame without its length, or `None` if it is incomplete.
     ///
     /// # Errors
-    /// [`TcprosError::LongFrame`]; the stream is of no use from then on.
+    /// [`TcprosError::LongFrame`]. The stream cannot be used any more.
     pub fn next_frame(&mut self) -> Result<Option<&[u8]>, TcprosError> {
         let bytes = &self.buffer[self.filled.clone()];
         let Some((length, rest)) = bytes.split_first_chunk() else { return Ok(None) };
@@ -167,8 +167,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_header_is_the_one_of_the_specification() {
-        // The example of the wiki's "ROS/Connection Header", its first two fields.
+    fn header_equals_that_of_the_specification() {
+        // Source: the first two fields of the example in the wiki's "ROS/Connection Header".
         let header = Header::new([("callerid", "/a"), ("topic", "/b")]);
         let bytes = b"\x1b\0\0\0\x0b\0\0\0callerid=/a\x08\0\0\0topic=/b";
         assert_eq!(header.to_frame(), bytes);
@@ -176,26 +176,26 @@ mod tests {
     }
 
     #[test]
-    fn a_value_may_hold_what_separates() {
+    fn values_may_contain_the_separator() {
         let header = Header::new([("message_definition", "uint8 A=1\nuint8 b\n")]);
         assert_eq!(Header::from_bytes(&header.to_frame()[4..]), Ok(header));
     }
 
     #[test]
-    fn headers_that_lie_are_refused() {
+    fn headers_with_false_lengths_are_rejected() {
         assert_eq!(Header::from_bytes(b"\xff\xff\xff\xffa=b"), Err(TcprosError::FieldLength));
         assert_eq!(Header::from_bytes(b"\x03\0"), Err(TcprosError::FieldLength));
         assert_eq!(Header::from_bytes(b"\x03\0\0\0abc"), Err(TcprosError::Field));
     }
 
     #[test]
-    fn a_long_frame_is_refused_before_it_arrives() {
+    fn long_frames_are_rejected_before_they_arrive() {
         let mut frames = FrameReader::new(10);
         frames.read_from(&mut [11, 0, 0, 0].as_slice()).unwrap();
         assert_eq!(frames.next_frame(), Err(TcprosError::LongFrame { length: 11, limit: 10 }));
     }
 
-    /// A stream that gives so many bytes at a time.
+    /// A stream that returns a number of bytes at a time.
     struct Pieces<'a>(&'a [u8], std::iter::Cycle<std::slice::Iter<'a, usize>>);
 
     impl io::Read for Pieces<'_> {

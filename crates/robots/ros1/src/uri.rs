@@ -2,15 +2,15 @@
 
 use std::{fmt, net::Ipv6Addr, str::FromStr};
 
-/// Why text is no address of a node.
+/// Text that is not an address of a node.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no address such as http://localhost:11311")]
+#[error("`{0}` is not an address such as http://localhost:11311")]
 pub struct UriError(pub String);
 
-/// Where a node, a master or a service listens.
+/// Address on which a node, a master or a service listens.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Endpoint {
-    /// A name or an address; IPv6 without brackets.
+    /// Host name or address; IPv6 without brackets.
     pub host: String,
     /// The port.
     pub port: u16,
@@ -44,12 +44,12 @@ impl fmt::Display for Endpoint {
 }
 
 impl Endpoint {
-    /// As the address of a node or a master.
+    /// Returns the address of a node or a master as text.
     pub fn http(&self) -> String {
         format!("http://{self}/")
     }
 
-    /// As the address of a service.
+    /// Returns the address of a service as text.
     pub fn rosrpc(&self) -> String {
         format!("rosrpc://{self}")
     }
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_read_and_written() {
+    fn addresses_survive_parsing_and_printing() {
         for (uri, host, port) in [
             ("http://localhost:11311", "localhost", 11311),
             ("http://10.0.0.1:1/", "10.0.0.1", 1),
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_is_refused() {
+    fn invalid_addresses_are_rejected() {
         for uri in ["", "localhost:11311", "http://a", "http://:1", "ftp://a:1", "http://a:70000"] {
             assert_eq!(uri.parse::<Endpoint>(), Err(UriError(uri.to_owned())));
         }

@@ -1,5 +1,5 @@
-//! XML-RPC, in which ROS 1 nodes and their master speak to each other: calls, answers and faults, to text and back.
-//! What is read comes from anyone: it never panics, follows no entities and nests no deeper than it may.
+//! XML-RPC, the protocol between ROS 1 nodes and their master: calls, answers and faults, to text and back.
+//! Input is not trusted: parsing never panics, follows no entities, and bounds nesting.
 //!
 //! Source: xmlrpc.com/spec.md.
 
@@ -8,12 +8,12 @@ use std::{collections::BTreeMap, fmt::Write};
 use base64::{Engine, prelude::BASE64_STANDARD};
 use roxmltree::{Document, Node, ParsingOptions};
 
-/// Values do not nest deeper.
+/// Deepest nesting of values.
 const MAX_DEPTH: usize = 32;
-/// What an element costs as a node of the tree is many times its text; so their number is bounded, too.
+/// Most elements. An element takes many times the memory of its text.
 const MAX_NODES: u32 = 4_000_000;
 
-/// A value of XML-RPC: what calls carry, and what parameters are.
+/// A value of XML-RPC, in calls and parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
     /// `boolean`.
@@ -26,26 +26,26 @@ pub enum Value {
     String(String),
     /// `base64`.
     Bytes(Vec<u8>),
-    /// `dateTime.iso8601`, as it is written.
+    /// `dateTime.iso8601`, as text.
     DateTime(String),
     /// `array`.
     Array(Vec<Value>),
-    /// `struct`: a namespace of parameters, for one.
+    /// `struct`, such as a namespace of parameters.
     Struct(BTreeMap<String, Value>),
 }
 
 impl Value {
-    /// The text, if it is one.
+    /// Returns the text, if it is one.
     pub fn as_str(&self) -> Option<&str> {
         if let Self::String(text) = self { Some(text) } else { None }
     }
 
-    /// The integer, if it is one.
+    /// Returns the integer, if it is one.
     pub fn as_int(&self) -> Option<i32> {
         if let Self::Int(value) = self { Some(*value) } else { None }
     }
 
-    /// The number, if it is one.
+    /// Returns the number, if it is one.
     pub fn as_f64(&self) -> Option<f64> {
         match self {
             Self::Double(value) => Some(*value),
@@ -54,12 +54,12 @@ impl Value {
         }
     }
 
-    /// The flag, if it is one.
+    /// Returns the flag, if it is one.
     pub fn as_bool(&self) -> Option<bool> {
         if let Self::Bool(value) = self { Some(*value) } else { None }
     }
 
-    /// The elements, if it is an array.
+    /// Returns the elements, if it is an array.
     pub fn as_array(&self) -> Option<&[Value]> {
         if let Self::Array(values) = self { Some(values) } else { None }
     }
@@ -126,35 +126,35 @@ pub struct Call {
     pub arguments: Vec<Value>,
 }
 
-/// A call that failed, as the other side says.
+/// A failed call, as the peer reports it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{message} (fault {code})")]
 pub struct Fault {
-    /// The other side's own number for it.
+    /// The peer's number for the failure.
     pub code: i32,
-    /// What it says.
+    /// The description of the failure.
     pub message: String,
 }
 
-/// Why bytes are no XML-RPC.
+/// Reason why bytes are not XML-RPC.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum XmlRpcError {
-    /// No XML, or none of what XML-RPC may use of it.
-    #[error("no well-formed XML: {0}")]
+    /// The bytes are not XML, or use parts of XML that are not allowed here.
+    #[error("not well-formed XML: {0}")]
     Xml(String),
-    /// Well-formed, but another document.
-    #[error("no XML-RPC: {0}")]
+    /// The XML is another document.
+    #[error("not XML-RPC: {0}")]
     Shape(&'static str),
 }
 
 impl From<&XmlRpcError> for Fault {
-    /// What a call that is none is answered with.
+    /// The answer to an invalid call.
     fn from(error: &XmlRpcError) -> Self {
         Self { code: 1, message: error.to_string() }
     }
 }
 
-/// Only these characters have a meaning of their own; what XML cannot have at all is replaced.
+/// Escapes the characters that have a meaning in XML. Replaces those that XML does not allow.
 fn escaped(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
@@ -162,7 +162,7 @@ fn escaped(text: &str) -> String {
             '&' => escaped.push_str("&amp;"),
             '<' => escaped.push_str("&lt;"),
             '>' => escaped.push_str("&gt;"),
-            // Readers make a line feed of it otherwise.
+            // Readers would turn it into a line feed.
             '\r' => escaped.push_str("&#13;"),
             '\t' | '\n' => escaped.push(c),
             '\0'..='\x1f' | '\u{fffe}' | '\u{ffff}' => escaped.push('\u{fffd}'),
@@ -175,12 +175,12 @@ fn escaped(text: &str) -> String {
 const PROLOGUE: &str = "<?xml version=\"1.0\"?>\n";
 
 impl Call {
-    /// A call of that method.
+    /// A call of a method.
     pub fn new(method: &str, arguments: Vec<Value>) -> Self {
         Self { method: method.to_owned(), arguments }
     }
 
-    /// As a document.
+    /// Writes the call as a document.
     pub fn to_xml(&self) -> String {
         let mut xml =
             format!("{PROLOGUE}<methodCall><methodName>{}</methodName><params>", escaped(&self.method));
@@ -193,10 +193,10 @@ impl Call {
         xml
     }
 
-    /// From a document.
+    /// Reads a call from a document.
     ///
     /// # Errors
-    /// [`XmlRpcError`] if it is no call.
+    /// [`XmlRpcError`] if it is not a call.
     pub fn from_xml(xml: &[u8]) -> Result<Self, XmlRpcError> {
         with_root(xml, |root| {
             if !root.has_tag_name("methodCall") {
@@ -215,7 +215,7 @@ impl Call {
     }
 }
 
-/// An answer to a call, as a document.
+/// Writes the answer to a call as a document.
 pub fn answer_to_xml(answer: &Result<Value, Fault>) -> String {
     let mut xml = format!("{PROLOGUE}<methodResponse>");
     match answer {
@@ -235,10 +235,10 @@ pub fn answer_to_xml(answer: &Result<Value, Fault>) -> String {
     xml
 }
 
-/// An answer to a call, from a document.
+/// Reads the answer to a call from a document.
 ///
 /// # Errors
-/// [`XmlRpcError`] if it is no answer.
+/// [`XmlRpcError`] if it is not an answer.
 pub fn answer_from_xml(xml: &[u8]) -> Result<Result<Value, Fault>, XmlRpcError> {
     with_root(xml, |root| {
         if !root.has_tag_name("methodResponse") {
@@ -283,7 +283,7 @@ fn only_value<'a, 'input>(parent: Node<'a, 'input>) -> Option<Node<'a, 'input>> 
     child(parent, "value")
 }
 
-/// All text of an element; comments may stand in between.
+/// Returns all text of an element, without comments.
 fn text(node: Node<'_, '_>) -> String {
     node.children().filter(Node::is_text).filter_map(|part| part.text()).collect()
 }

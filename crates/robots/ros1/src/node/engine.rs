@@ -1,6 +1,5 @@
-//! The thread that moves a node's bytes: what others ask the node, what its publishers have to send still, what its
-//! subscribers receive, and requests to its services. It never waits for anyone; what may take time, connecting to a
-//! publisher, has a thread of its own for as long as it takes.
+//! The thread that moves a node's bytes: calls of the slave API, queued messages of publishers, messages to subscribers,
+//! and requests to services. It never blocks on a peer: connecting to a publisher has a thread of its own.
 
 #![allow(clippy::disallowed_types, reason = "a shell that owns a clock")]
 
@@ -38,20 +37,20 @@ const SLAVE: Token = Token(1);
 const TCPROS: Token = Token(2);
 const FIRST: usize = 3;
 
-/// More connections are refused: each is a file descriptor and memory.
+/// Most open connections. Each takes a file descriptor and memory.
 const MAX_CONNECTIONS: usize = 1024;
-/// A connection says what it is for within this time.
+/// Deadline for a connection to state its purpose.
 const HANDSHAKE: Duration = Duration::from_secs(10);
-/// One over which nobody asks anything for so long is closed; the next call opens another.
+/// Time after which an idle connection of the slave API is closed; the next call opens another.
 const IDLE: Duration = Duration::from_secs(60);
-/// A publisher that could not be connected to is tried again after this time, doubled each time up to the longest.
+/// First retry interval for a publisher that cannot be reached, doubled each time up to the last.
 const FIRST_RETRY: Duration = Duration::from_millis(100);
 const LAST_RETRY: Duration = Duration::from_secs(2);
-/// The way to one publisher of one subscription.
+/// The connection to one publisher of one subscription.
 #[derive(Debug)]
 struct Link {
     state: LinkState,
-    /// After how long to try again.
+    /// Interval before the next attempt.
     retry: Duration,
 }
 
@@ -63,9 +62,9 @@ enum LinkState {
 }
 
 enum Timer {
-    /// Ends a connection that does not say what it is for, or nothing any more.
+    /// Ends a connection that stays silent.
     Silence(Token),
-    /// Connects to a publisher again.
+    /// Retries the connection to a publisher.
     Retry { subscription: u64, publisher: String },
 }
 
@@ -76,9 +75,9 @@ pub(super) struct Engine {
     commands: mpsc::Receiver<Command>,
     connections: HashMap<Token, Connection>,
     next_token: usize,
-    /// Connections that have more to do.
+    /// Connections with work left in the next turn.
     again: VecDeque<Token>,
-    /// Of each subscription, by the publishers' addresses.
+    /// Links of each subscription, by the publishers' addresses.
     links: HashMap<u64, BTreeMap<String, Link>>,
     timers: BTreeMap<(Instant, usize), Timer>,
     next_timer: usize,
@@ -127,7 +126,7 @@ impl Engine {
         }
     }
 
-    /// Returns whether the node goes on.
+    /// Waits for events and handles them. Returns whether the node goes on.
     fn turn(&mut self, shared: &Arc<Shared>, events: &mut Events) -> bool {
         let due =
             self.timers.first_key_value().map(|((at, _), _)| at.saturating_duration_since(Instant::now()));
@@ -231,13 +230,13 @@ impl Engine {
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return,
                 Err(error) if error.kind() == ErrorKind::Interrupted => continue,
                 Err(error) => {
-                    // Such as a connection that was gone at once, or no more file descriptors.
+                    // The peer is gone already, or file descriptors ran out, for example.
                     tracing::warn!("a connection could not be accepted: {error}");
                     return;
                 }
             };
             if self.connections.len() >= MAX_CONNECTIONS {
-                tracing::warn!("a connection was refused: {MAX_CONNECTIONS} are open");
+                tracing::warn!("a connection was rejected: {MAX_CONNECTIONS} are open");
                 continue;
             }
             let opened = self.open(stream, |stream| match from {
@@ -267,9 +266,9 @@ impl Engine {
         Ok(token)
     }
 
-    /// Does what there is to do for a connection.
+    /// Handles the events of a connection.
     fn serve(&mut self, shared: &Arc<Shared>, token: Token) {
-        // Out of the map, so that it can be told of all others.
+        // Out of the map, so that the handler can use the other connections.
         let Some(connection) = self.connections.remove(&token) else { return };
         let next = match connection {
             Connection::Caller { stream, input, output, last, heard } => {
@@ -290,7 +289,7 @@ impl Engine {
             Connection::Ending { stream, mut output } => {
                 let mut ended = output.flush(&mut &stream).is_err();
                 if output.is_empty() {
-                    // The peer ends it. If this side did, with bytes from the peer unread, the peer might lose the last.
+                    // The peer closes it. If this side did, with unread bytes, the peer might lose the last ones.
                     ended |= stream.shutdown(net::Shutdown::Write).is_err() || is_over(&stream);
                 }
                 let connection = Connection::Ending { stream, output };
@@ -313,7 +312,7 @@ impl Engine {
         }
     }
 
-    /// A connection is over; dropping it closes it.
+    /// Cleans up after a connection. Dropping it closes it.
     fn ended(&mut self, shared: &Arc<Shared>, token: Token, connection: Connection) {
         match connection {
             Connection::Subscriber { outgoing, publication } => publication.disconnect(&outgoing),
@@ -341,7 +340,7 @@ impl Engine {
         }
     }
 
-    /// Connects to publishers that are new, and leaves those that are no longer.
+    /// Connects to new publishers, and leaves those that are gone.
     fn set_publishers(&mut self, shared: &Arc<Shared>, subscription: u64, publishers: &[String]) {
         if !shared.state.lock().subscriptions.contains_key(&subscription) {
             return;
@@ -355,7 +354,7 @@ impl Engine {
         }
     }
 
-    /// Connects to a publisher, on a thread of its own: names are looked up, and peers may not answer.
+    /// Connects to a publisher, on a thread of its own: name resolution and silent peers block.
     fn connect(&mut self, shared: &Arc<Shared>, subscription: u64, publisher: &str) {
         let Some(subscribed) = shared.state.lock().subscriptions.get(&subscription).cloned() else { return };
         let links = self.links.entry(subscription).or_default();
@@ -389,7 +388,7 @@ impl Engine {
         publisher: String,
         stream: Result<StdStream, String>,
     ) {
-        // It may no longer be wanted, or have been made twice.
+        // The connection may be obsolete, or made twice.
         let wanted = self.link(id, &publisher).is_some_and(|link| link.state == LinkState::Connecting);
         let subscription = shared.state.lock().subscriptions.get(&id).cloned();
         let Some(subscription) = subscription.filter(|_| wanted) else { return };
@@ -413,13 +412,13 @@ impl Engine {
                 }
             }
             Err(error) => {
-                tracing::debug!("{} does not reach {called}: {error}", shared.names.node());
+                tracing::debug!("{} cannot reach {called}: {error}", shared.names.node());
                 self.retry(id, &called);
             }
         }
     }
 
-    /// Messages from a publisher, behind its connection header.
+    /// Receives the connection header and the messages of a publisher.
     fn receive(
         &mut self,
         stream: TcpStream,
@@ -445,7 +444,7 @@ impl Engine {
                 Ok(Some(header)) => {
                     if let Err(reason) = check_publisher(&subscription, header) {
                         tracing::warn!("{publisher} does not fit {}: {reason}", subscription.topic);
-                        // Its type does not change by trying often.
+                        // Frequent retries do not change its type.
                         self.link(subscription.id, &publisher)
                             .into_iter()
                             .for_each(|link| link.retry = LAST_RETRY);
@@ -486,7 +485,7 @@ impl Engine {
     }
 }
 
-/// A connection to the publisher at that address, with the connection header sent.
+/// Connects to the publisher at an address, and sends the connection header.
 fn dial(shared: &Shared, subscription: &Subscription, publisher: &str) -> Result<StdStream, String> {
     let node: Endpoint = publisher.parse().map_err(|error| format!("{error}"))?;
     let protocols = Value::Array(vec![vec!["TCPROS"].into()]);
@@ -514,7 +513,7 @@ fn dial(shared: &Shared, subscription: &Subscription, publisher: &str) -> Result
     Ok(stream)
 }
 
-/// Whether a publisher's connection header fits.
+/// Checks that a publisher's connection header fits the subscription.
 fn check_publisher(subscription: &Subscription, header: &[u8]) -> Result<(), String> {
     let header = Header::from_bytes(header).map_err(|error| error.to_string())?;
     if let Some(error) = header.get("error") {

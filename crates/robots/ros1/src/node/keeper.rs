@@ -1,5 +1,5 @@
-//! What a node tells its master in the background: what is no longer offered, all of it again when the master came
-//! back without knowing, and the end.
+//! Background calls to the master: it unregisters ended topics and services, registers everything again after the master
+//! restarted, and unregisters the node at its end.
 
 use std::{
     sync::{Arc, atomic::Ordering, mpsc},
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::master::RpcError;
 
-/// How often the master is asked whether it still knows the node.
+/// Interval between checks whether the master still knows the node.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// Runs errands until the node ends.
@@ -26,7 +26,7 @@ pub(super) fn run(shared: &Arc<Shared>, errands: &mpsc::Receiver<Errand>) {
         }
     }
     {
-        // After this, nothing new is registered.
+        // No registration begins after this.
         let _state = shared.state.lock();
         shared.stopped.store(true, Ordering::Release);
     }
@@ -35,14 +35,14 @@ pub(super) fn run(shared: &Arc<Shared>, errands: &mpsc::Receiver<Errand>) {
     shared.command(Command::Stop);
 }
 
-/// A master that is away is heard of once it is back.
+/// Logs a failed call. The heartbeat repairs it once the master is back.
 fn note(result: &Result<(), RpcError>) {
     if let Err(error) = result {
         tracing::debug!("master: {error}");
     }
 }
 
-/// Tells that something ended, unless it began anew in the meantime.
+/// Unregisters something that ended, unless it was registered again in the meantime.
 fn unregister(shared: &Shared, errand: &Errand) -> Result<(), RpcError> {
     let _order = shared.registrar.lock();
     let (master, api, service) = (&shared.master, &shared.api, shared.tcpros.rosrpc());
@@ -64,7 +64,7 @@ fn unregister(shared: &Shared, errand: &Errand) -> Result<(), RpcError> {
     }
 }
 
-/// What is registered, by name.
+/// Everything that is registered.
 struct Registered {
     publications: Vec<(String, &'static str)>,
     subscriptions: Vec<Arc<Subscription>>,
@@ -85,7 +85,7 @@ impl Registered {
     }
 }
 
-/// Stops at the first call that gets no answer: then the others get none either.
+/// Unregisters everything. Stops at the first failed call: the others would fail, too.
 fn unregister_all(shared: &Shared) -> Result<(), RpcError> {
     let registered = Registered::of(shared);
     let (master, api, service) = (&shared.master, &shared.api, shared.tcpros.rosrpc());
@@ -104,7 +104,7 @@ fn unregister_all(shared: &Shared) -> Result<(), RpcError> {
     Ok(())
 }
 
-/// Registers all anew if the master does not know the node any more.
+/// Registers everything again if the master no longer knows the node.
 fn heartbeat(shared: &Shared) -> Result<(), RpcError> {
     if shared.state.lock().is_empty() {
         return Ok(());
@@ -112,11 +112,11 @@ fn heartbeat(shared: &Shared) -> Result<(), RpcError> {
     let _order = shared.registrar.lock();
     match shared.master.lookup_node(shared.names.node()) {
         Err(RpcError::Refused { .. }) => {}
-        // If another node took the name, the master tells this one to shut down.
+        // If another node took the name, the master shuts this one down.
         known => return known.map(drop),
     }
     tracing::info!(
-        "the master at {} does not know {}: registering anew",
+        "the master at {} does not know {}: registering again",
         shared.master.endpoint(),
         shared.names.node()
     );

@@ -15,12 +15,12 @@ pub(super) struct Offer {
     pub request_kind: &'static str,
     pub response_kind: &'static str,
     pub md5sum: String,
-    /// Requests, and whose they are, to the service's thread.
+    /// Requests and their clients, to the service's thread.
     pub requests: mpsc::Sender<(Token, Vec<u8>)>,
 }
 
 impl Offer {
-    /// What a client's connection header is answered with.
+    /// The answer to a client's connection header.
     pub fn header(&self, node: &str) -> Header {
         Header::new([
             ("callerid", node),
@@ -33,7 +33,7 @@ impl Offer {
     }
 }
 
-/// What a service answers: whether it worked, then the response or the reason, with its length.
+/// Encodes a service's answer: whether it succeeded, then the response or the reason, with its length.
 pub(super) fn response<M: Message>(answer: Result<M, String>) -> Vec<u8> {
     let framed = match &answer {
         Ok(response) => tcpros::frame(|buffer| response.encode_ros1(buffer)),

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::xmlrpc::Value;
 
-/// A parameter whose changes are told; no longer once it is dropped.
+/// Watches a parameter until it is dropped.
 #[derive(Debug)]
 pub struct ParamWatch {
     shared: Arc<Shared>,
@@ -19,7 +19,7 @@ pub struct ParamWatch {
 }
 
 impl ParamWatch {
-    /// Watches a parameter of that global name.
+    /// Watches the parameter of a global name.
     pub(super) fn start(shared: &Arc<Shared>, name: String) -> Result<Self, NodeError> {
         let watch = Arc::new(Watch::new(name));
         let id = shared.next_id();
@@ -35,15 +35,15 @@ impl ParamWatch {
         Ok(Self { shared: Arc::clone(shared), id, watch })
     }
 
-    /// Its value; `None` if it is not set.
+    /// Returns the value; `None` if it is not set.
     pub fn value(&self) -> Option<Value> {
         self.watch.value()
     }
 
-    /// Its value at its next change. A change since the last call counts.
+    /// Waits for the next change, and returns the new value. A change since the last call counts.
     ///
     /// # Errors
-    /// [`RecvError`] if none comes in time.
+    /// [`RecvError`] if it does not change in time.
     pub fn changed(&self, timeout: Duration) -> Result<Option<Value>, RecvError> {
         self.watch.changed(timeout)
     }

@@ -8,12 +8,12 @@ use parking_lot::Mutex;
 use super::kind::Kind;
 use crate::{queue::SendQueue, tcpros::Header};
 
-/// How a topic is published.
+/// Options of a published topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PublishOptions {
-    /// How many messages wait for each subscriber that takes them too slowly; then the oldest are dropped.
+    /// Messages that are queued for a slow subscriber. If there are more, the oldest are dropped.
     pub queue: usize,
-    /// Whether who subscribes later gets the last message at once: for maps, say.
+    /// Whether new subscribers get the last message at once, such as a map.
     pub latch: bool,
 }
 
@@ -33,7 +33,7 @@ pub(super) struct Publication {
     pub connections: Mutex<Connections>,
 }
 
-/// Its subscribers.
+/// Connections to the subscribers of a topic.
 #[derive(Debug, Default)]
 pub(super) struct Connections {
     pub open: Vec<Arc<Outgoing>>,
@@ -56,17 +56,17 @@ impl Outgoing {
         let mut queue = self.queue.lock();
         queue.push(Arc::clone(frame));
         if queue.flush(&mut &self.stream).is_err() {
-            // The engine sees that, and forgets the connection.
+            // The engine sees that, and removes the connection.
             let _ = self.stream.shutdown(Shutdown::Both);
         }
     }
 
-    /// Sends what waits, once there is room.
+    /// Sends queued frames.
     pub fn flush(&self) -> io::Result<()> {
         self.queue.lock().flush(&mut &self.stream)
     }
 
-    /// How many bytes and frames were sent.
+    /// Returns the number of sent bytes and frames.
     pub fn sent(&self) -> (u64, u64) {
         let queue = self.queue.lock();
         (queue.bytes, queue.frames)
@@ -74,8 +74,8 @@ impl Outgoing {
 }
 
 impl Publication {
-    /// Takes in a subscriber, whose connection header fits. It gets the header's answer, what is latched, and all
-    /// that is published from now on.
+    /// Adds a subscriber whose connection header fits. It gets the answer to its header, the latched message, and all
+    /// messages from now on.
     pub fn connect(&self, stream: TcpStream, subscriber: &str, node: &str) -> Arc<Outgoing> {
         let header = Header::new([
             ("callerid", node),
@@ -89,12 +89,12 @@ impl Publication {
         let mut connections = self.connections.lock();
         let mut queue = SendQueue::new(self.options.queue, Some(header.to_frame()));
         connections.latched.iter().for_each(|latched| queue.push(Arc::clone(latched)));
-        // A failure shows at the next event.
+        // The next event reports a failure.
         let _ = queue.flush(&mut &stream);
         let outgoing =
             Arc::new(Outgoing { stream, subscriber: subscriber.to_owned(), queue: Mutex::new(queue) });
         if connections.closed {
-            // The engine sees that, and forgets the connection.
+            // The engine sees that, and removes the connection.
             let _ = outgoing.stream.shutdown(Shutdown::Both);
         } else {
             connections.open.push(Arc::clone(&outgoing));
@@ -102,12 +102,12 @@ impl Publication {
         outgoing
     }
 
-    /// Forgets a connection.
+    /// Removes a connection.
     pub fn disconnect(&self, outgoing: &Arc<Outgoing>) {
         self.connections.lock().open.retain(|open| !Arc::ptr_eq(open, outgoing));
     }
 
-    /// Ends all connections. What the kernel has taken still arrives.
+    /// Ends all connections. Bytes that the kernel has taken still arrive.
     pub fn close(&self) {
         let mut connections = self.connections.lock();
         connections.closed = true;

@@ -23,14 +23,14 @@ use crate::{
     uri::{Endpoint, UriError},
 };
 
-/// A service that the node offers; no longer once it is dropped.
+/// Offers a service until it is dropped.
 pub struct ServiceServer {
     shared: Arc<Shared>,
     name: String,
 }
 
 impl ServiceServer {
-    /// Offers a service of that global name.
+    /// Offers a service under a global name.
     pub(super) fn offer<S: Service>(
         shared: &Arc<Shared>,
         name: String,
@@ -46,7 +46,7 @@ impl ServiceServer {
             requests,
         };
         let answerer = Arc::clone(shared);
-        // Ends when the last sender, the offer's, is dropped.
+        // Ends when the only sender, in the offer, is dropped.
         thread::Builder::new().name("ros1-service".to_owned()).spawn(move || {
             for (client, request) in received {
                 let answered = S::Request::decode_ros1(&request).map_err(|error| error.to_string()).and_then(
@@ -88,29 +88,29 @@ impl Drop for ServiceServer {
     }
 }
 
-/// Why a service was not called, or failed.
+/// Reason why a call of a service failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
-    /// Its name is none.
+    /// Its name is invalid.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The master does not know it, or is not there.
+    /// The master does not know it, or cannot be reached.
     #[error("the master: {0}")]
     Master(#[from] RpcError),
-    /// The master knows an address that is none.
+    /// The master returned an invalid address.
     #[error(transparent)]
     Address(#[from] UriError),
-    /// It is not there, or does not answer in time.
+    /// The service cannot be reached, or does not answer in time.
     #[error("the service does not answer: {0}")]
     Unreachable(#[from] io::Error),
-    /// It does not accept the connection: it has another type, for one.
-    #[error("the service refuses the connection: {0}")]
+    /// The service rejected the connection, for example because of another type.
+    #[error("the service rejects the connection: {0}")]
     Refused(String),
-    /// It answers that it failed.
+    /// The service reported a failure.
     #[error("the service failed: {0}")]
     Failed(String),
-    /// It answers with something else than its type says.
-    #[error("the service answers with something else: {0}")]
+    /// The response does not fit the type.
+    #[error("the response does not fit the type: {0}")]
     Response(#[from] DecodeError),
 }
 
@@ -123,12 +123,12 @@ fn read_frame(stream: &mut impl Read, limit: usize) -> io::Result<Vec<u8>> {
         return Err(io::Error::new(io::ErrorKind::InvalidData, error));
     }
     let mut frame = Vec::new();
-    // Grows with what arrives.
+    // Grows with received bytes.
     stream.take(length as u64).read_to_end(&mut frame)?;
     if frame.len() == length { Ok(frame) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
 }
 
-/// Calls a service of that global name.
+/// Calls the service of a global name.
 pub(super) fn call<S: Service>(
     shared: &Shared,
     name: &str,
@@ -150,7 +150,7 @@ pub(super) fn call<S: Service>(
     if let Some(error) = answered.get("error") {
         return Err(CallError::Refused(error.to_owned()));
     }
-    // Zero would mean that it does not matter.
+    // Zero would mean no timeout.
     stream.set_read_timeout(Some(timeout.max(Duration::from_millis(1))))?;
     stream.write_all(&tcpros::frame(|buffer| request.encode_ros1(buffer)))?;
     let mut worked = [0];

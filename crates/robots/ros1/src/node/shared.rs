@@ -21,37 +21,37 @@ use crate::{
     uri::Endpoint,
 };
 
-/// Why a node, a topic or a service could not be set up.
+/// Reason why a node, a topic or a service could not be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
-    /// A name is none.
+    /// A name is invalid.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The master is not there, or refuses.
+    /// The master cannot be reached, or rejects the call.
     #[error("the master: {0}")]
     Master(#[from] RpcError),
-    /// No sockets or threads.
+    /// A socket or a thread could not be created.
     #[error("the node cannot run: {0}")]
     Io(#[from] io::Error),
     /// The node has that topic or service already.
-    #[error("this node publishes or serves {0} already; clone the publisher for more of it")]
+    #[error("this node publishes or serves {0} already; clone the publisher to use it twice")]
     Taken(String),
     /// The node was shut down.
     #[error("the node was shut down")]
     ShutDown,
 }
 
-/// What a node's threads, publishers, subscribers and servers have in common.
+/// State of a node that its threads, publishers, subscribers and servers share.
 #[derive(Debug)]
 pub(super) struct Shared {
     pub names: Names,
     pub master: Master,
     /// Address of the slave API.
     pub api: String,
-    /// Where TCPROS listens.
+    /// Address of the TCPROS listener.
     pub tcpros: Endpoint,
     pub state: Mutex<State>,
-    /// Held while the master is told of registrations, so that they arrive in their order.
+    /// Held during registrations with the master, so that they arrive in order.
     pub registrar: Mutex<()>,
     pub commands: mpsc::Sender<Command>,
     pub waker: mio::Waker,
@@ -60,7 +60,7 @@ pub(super) struct Shared {
     pub stopped: AtomicBool,
 }
 
-/// What a node is registered for.
+/// Registered topics, services and watches.
 #[derive(Debug, Default)]
 pub(super) struct State {
     pub publications: BTreeMap<String, Arc<Publication>>,
@@ -88,14 +88,14 @@ impl State {
 
 impl Shared {
     pub fn command(&self, command: Command) {
-        // Without an engine, there is nothing left to do.
+        // Without an engine, the node has ended.
         if self.commands.send(command).is_ok() {
             let _ = self.waker.wake();
         }
     }
 
     pub fn errand(&self, errand: Errand) {
-        // Without a keeper, all is unregistered.
+        // Without a keeper, everything is unregistered.
         let _ = self.errands.send(errand);
     }
 
@@ -107,7 +107,7 @@ impl Shared {
         self.next_id.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Adds something to the state and tells the master, or takes it back.
+    /// Adds something to the state and registers it with the master. Takes it back if the master fails.
     pub fn register<T>(
         &self,
         add: impl FnOnce(&mut State) -> Result<(), NodeError>,
@@ -129,12 +129,12 @@ impl Shared {
     }
 }
 
-/// What the node's other threads have for this one.
+/// A command to the engine from other threads.
 #[derive(Debug)]
 pub(super) enum Command {
-    /// These are a subscription's publishers, says the master; unless it said otherwise since.
+    /// The master returned the publishers of a subscription. A newer notice from the master takes precedence.
     Publishers { subscription: u64, publishers: Vec<String> },
-    /// A connection to a publisher was made, with the header sent; or not.
+    /// The connection to a publisher was made and the header sent, or that failed.
     Connected { subscription: u64, publisher: String, stream: Result<TcpStream, String> },
     /// A service answered.
     Response { client: Token, response: Vec<u8> },
@@ -146,17 +146,17 @@ pub(super) enum Command {
     Stop,
 }
 
-/// What is to be told.
+/// A task of the keeper: unregister something.
 #[derive(Debug)]
 pub(super) enum Errand {
     /// A topic is no longer published.
     Unpublished(String),
-    /// A topic has a subscriber less.
+    /// A subscriber of a topic was dropped.
     Unsubscribed(String),
     /// A service is no longer served.
     Unserved(String),
-    /// A parameter has a watch less.
+    /// A watch of a parameter was dropped.
     Unwatched(String),
-    /// All of it, and then the end.
+    /// Unregister everything, then end the node.
     Stop,
 }

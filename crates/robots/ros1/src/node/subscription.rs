@@ -6,10 +6,10 @@ use cotorra_ros_messages::queue::Inbox;
 
 use super::kind::Kind;
 
-/// How a topic is subscribed to.
+/// Options of a subscription.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SubscribeOptions {
-    /// How many messages wait to be taken; then the oldest are dropped.
+    /// Messages that are queued for the program. If there are more, the oldest are dropped.
     pub queue: usize,
 }
 
@@ -27,8 +27,8 @@ pub(super) struct Subscription {
     pub topic: String,
     pub kind: Kind,
     pub inbox: Inbox<Vec<u8>>,
-    /// How many publishers are connected.
+    /// Number of connected publishers.
     pub connected: AtomicUsize,
-    /// Whether the master told of its publishers since it was asked to: that is newer than its answer.
+    /// Whether the master sent its publishers since the registration. That is newer than the answer to it.
     pub told: AtomicBool,
 }

@@ -24,8 +24,7 @@ use super::{
 };
 use crate::tcpros;
 
-/// Publishes messages of one type to one topic. Clones publish to the same; when the last is dropped, the topic is
-/// unregistered.
+/// Publishes messages of one type to one topic. Clones share the topic, which is unregistered when the last is dropped.
 pub struct Publisher<M> {
     advertised: Arc<Advertised>,
     message: PhantomData<fn(&M)>,
@@ -58,17 +57,17 @@ impl<M> fmt::Debug for Publisher<M> {
 }
 
 impl<M> Publisher<M> {
-    /// The topic's global name.
+    /// Returns the topic's global name.
     pub fn topic(&self) -> &str {
         &self.advertised.publication.topic
     }
 
-    /// How many subscribers are connected.
+    /// Returns the number of connected subscribers.
     pub fn subscribers(&self) -> usize {
         self.advertised.publication.connections.lock().open.len()
     }
 
-    /// How many messages were dropped because a connected subscriber takes them too slowly.
+    /// Returns the number of messages that were dropped because a connected subscriber is too slow.
     pub fn dropped(&self) -> u64 {
         let connections = self.advertised.publication.connections.lock();
         connections.open.iter().map(|outgoing| outgoing.queue.lock().dropped()).sum()
@@ -76,7 +75,7 @@ impl<M> Publisher<M> {
 }
 
 impl<M: Message> Publisher<M> {
-    /// Publishes a topic of that global name.
+    /// Publishes a topic under a global name.
     pub(super) fn advertise(
         shared: &Arc<Shared>,
         topic: String,
@@ -103,7 +102,7 @@ impl<M: Message> Publisher<M> {
         Ok(Self { advertised, message: PhantomData })
     }
 
-    /// Publishes a message. Never waits: what a subscriber's connection does not take at once is queued.
+    /// Publishes a message. Never blocks: bytes that a connection does not take at once are queued.
     pub fn publish(&self, message: &M) {
         let publication = &self.advertised.publication;
         let mut connections = publication.connections.lock();
@@ -118,7 +117,7 @@ impl<M: Message> Publisher<M> {
     }
 }
 
-/// Receives the messages of one topic; no longer once it is dropped.
+/// Receives the messages of one topic until it is dropped.
 pub struct Subscriber<M> {
     shared: Arc<Shared>,
     subscription: Arc<Subscription>,
@@ -141,29 +140,29 @@ impl<M> Drop for Subscriber<M> {
 }
 
 impl<M> Subscriber<M> {
-    /// The topic's global name.
+    /// Returns the topic's global name.
     pub fn topic(&self) -> &str {
         &self.subscription.topic
     }
 
-    /// How many publishers are connected.
+    /// Returns the number of connected publishers.
     pub fn publishers(&self) -> usize {
         self.subscription.connected.load(Ordering::Relaxed)
     }
 
-    /// How many messages were dropped because they were not taken.
+    /// Returns the number of messages that were dropped because the program is too slow.
     pub fn dropped(&self) -> u64 {
         self.subscription.inbox.dropped()
     }
 
-    /// How many messages were none of the type that they were said to be.
+    /// Returns the number of messages that could not be decoded.
     pub fn malformed(&self) -> u64 {
         self.malformed.load(Ordering::Relaxed)
     }
 }
 
 impl<M: Message> Subscriber<M> {
-    /// Subscribes to a topic of that global name.
+    /// Subscribes to the topic of a global name.
     pub(super) fn subscribe(
         shared: &Arc<Shared>,
         topic: String,
@@ -199,12 +198,12 @@ impl<M: Message> Subscriber<M> {
         let message = M::decode_ros1(bytes);
         if let Err(error) = &message {
             self.malformed.fetch_add(1, Ordering::Relaxed);
-            tracing::warn!("a message on {} is no {}: {error}", self.topic(), M::ROS1_NAME);
+            tracing::warn!("a message on {} is not a {}: {error}", self.topic(), M::ROS1_NAME);
         }
         message.ok()
     }
 
-    /// The next message, once there is one; `None` if the node was shut down.
+    /// Waits for the next message. Returns `None` if the node was shut down.
     pub fn recv(&self) -> Option<M> {
         loop {
             if let Some(message) = self.read(&self.subscription.inbox.pop(None).ok()?) {
@@ -213,10 +212,10 @@ impl<M: Message> Subscriber<M> {
         }
     }
 
-    /// The next message, once there is one. The time begins anew after one that is malformed.
+    /// Waits for the next message. The timeout begins again after a malformed one.
     ///
     /// # Errors
-    /// [`RecvError`] if none comes in time.
+    /// [`RecvError`] if none arrives in time, or the node was shut down.
     pub fn recv_timeout(&self, timeout: Duration) -> Result<M, RecvError> {
         loop {
             if let Some(message) = self.read(&self.subscription.inbox.pop(Some(timeout))?) {
@@ -225,7 +224,7 @@ impl<M: Message> Subscriber<M> {
         }
     }
 
-    /// The next message, if there is one.
+    /// Returns the next message, if there is one.
     pub fn try_recv(&self) -> Option<M> {
         loop {
             if let Some(message) = self.read(&self.subscription.inbox.try_pop()?) {

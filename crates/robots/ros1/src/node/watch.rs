@@ -7,7 +7,7 @@ use parking_lot::{Condvar, Mutex};
 
 use crate::xmlrpc::Value;
 
-/// A parameter that is watched.
+/// A watched parameter.
 #[derive(Debug)]
 pub(super) struct Watch {
     pub name: String,
@@ -52,7 +52,7 @@ impl Watch {
         }
     }
 
-    /// A parameter changed: this one, one above it or one in it.
+    /// Applies the change of a parameter: this one, one above it or one in it.
     pub fn update(&self, name: &str, value: &Value) {
         let name = name.trim_end_matches('/');
         let mut state = self.state.lock();
@@ -85,12 +85,12 @@ fn member<'a>(value: &'a Value, name: &str) -> Option<&'a Value> {
     if let Value::Struct(members) = value { members.get(name) } else { None }
 }
 
-/// The master says by an empty struct that a parameter is not set.
+/// The value of a parameter. The master returns an empty struct if it is not set.
 fn set(value: &Value) -> Option<&Value> {
     (*value != Value::Struct([].into())).then_some(value)
 }
 
-/// Puts a value where the path leads.
+/// Puts a value at a path.
 fn put<'a>(mut at: &mut Value, path: impl Iterator<Item = &'a str>, value: &Value) {
     for part in path {
         if !matches!(at, Value::Struct(_)) {
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_watch_follows_its_parameter_and_what_is_above_it() {
+    fn watch_follows_its_parameter_and_those_above_it() {
         let speed = watch("/robot/speed");
         speed.update("/robot/speed/", &1.into());
         assert_eq!(speed.value(), Some(1.into()));
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_watch_follows_what_is_in_it() {
+    fn watch_follows_parameters_in_it() {
         let robot = watch("/robot");
         robot.update("/robot/arm/speed/", &1.into());
         let arm = Value::Struct([("speed".to_owned(), 1.into())].into());

@@ -21,8 +21,8 @@ fn value() -> impl Strategy<Value = Value> {
 }
 
 #[test]
-fn what_others_write_is_read() {
-    // Python's xmlrpc.client, untyped text, an empty value, comments, and CDATA.
+fn documents_of_other_writers_are_read() {
+    // As Python's xmlrpc.client writes it, with untyped text, an empty value, comments and CDATA.
     let xml = b"<?xml version='1.0'?>\n<methodCall>\n<methodName>m</methodName>\n<params>\n\
         <param>\n<value><array><data>\n<value><int>1</int></value>\n<value> a &amp; b </value><value/>\
         <value><string>x<!-- y -->z</string></value><value><![CDATA[<]]></value><value><i4> -7 </i4></value>\
@@ -44,7 +44,7 @@ fn what_others_write_is_read() {
 }
 
 #[test]
-fn faults_are_answers() {
+fn faults_are_read_as_answers() {
     let fault = Fault { code: -1, message: "<nothing> & no one".to_owned() };
     assert_eq!(answer_from_xml(answer_to_xml(&Err(fault.clone())).as_bytes()), Ok(Err(fault)));
 }
@@ -57,7 +57,7 @@ fn entities_are_not_followed() {
 }
 
 #[test]
-fn nesting_has_a_bound() {
+fn nesting_is_bounded() {
     for (depth, fits) in [(31, true), (32, false), (100_000, false)] {
         let (open, close) = ("<value><array><data>".repeat(depth), "</data></array></value>".repeat(depth));
         let xml = format!(
@@ -68,7 +68,7 @@ fn nesting_has_a_bound() {
 }
 
 #[test]
-fn other_documents_are_refused() {
+fn other_documents_are_rejected() {
     let answers = [
         "",
         "<methodCall/>",

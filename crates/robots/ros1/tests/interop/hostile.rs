@@ -1,4 +1,4 @@
-//! The node and peers that lie, stall, flood or talk nonsense.
+//! The node against peers that send false lengths, stall, flood or send garbage.
 
 use std::{
     io::{Read, Write},
@@ -16,7 +16,7 @@ use cotorra_testing::{
 };
 use proptest::{prelude::*, test_runner::TestRunner};
 
-/// What a node answers to a call of its slave API; empty if it ends the connection.
+/// Returns a node's answer to a call of its slave API; empty if it ends the connection.
 fn ask(node: &Node, body: &str) -> String {
     let endpoint = api(node);
     let mut stream = TcpStream::connect((endpoint.host.as_str(), endpoint.port)).unwrap();
@@ -31,7 +31,7 @@ fn api(node: &Node) -> Endpoint {
     node.master().lookup_node(node.name()).unwrap().parse().unwrap()
 }
 
-/// Where the node's TCPROS listens.
+/// Returns the address of the node's TCPROS listener.
 fn tcpros(node: &Node, topic: &str) -> (String, u16) {
     let answer = ask(
         node,
@@ -63,7 +63,7 @@ fn works(words: &Publisher<Text>, node: &Node) {
 }
 
 #[test]
-fn no_bytes_from_anyone_end_a_node() {
+fn garbage_does_not_end_a_node() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let words = node.publish::<Text>("words", PublishOptions::default()).unwrap();
@@ -84,7 +84,7 @@ fn no_bytes_from_anyone_end_a_node() {
         .run(&strategy, |(prefix, bytes, to_slave)| {
             let mut stream =
                 TcpStream::connect((host.as_str(), if to_slave { slave } else { port })).unwrap();
-            // The node may end the connection before all is said.
+            // The node may end the connection before everything is sent.
             let _ = stream.write_all(&prefix).and_then(|()| stream.write_all(&bytes));
             Ok(())
         })
@@ -93,7 +93,7 @@ fn no_bytes_from_anyone_end_a_node() {
 }
 
 #[test]
-fn calls_that_nodes_do_not_have_are_faults() {
+fn unknown_methods_are_faults() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let words = node.publish::<Text>("words", PublishOptions::default()).unwrap();
@@ -108,7 +108,7 @@ fn calls_that_nodes_do_not_have_are_faults() {
 }
 
 #[test]
-fn a_subscriber_that_stalls_gets_the_newest_and_makes_nobody_wait() {
+fn stalled_subscriber_gets_the_newest_and_delays_nobody() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let options = PublishOptions { queue: 2, latch: false };
@@ -126,12 +126,12 @@ fn a_subscriber_that_stalls_gets_the_newest_and_makes_nobody_wait() {
     for seq in 0..=LAST {
         map.header.seq = seq;
         maps.publish(&map);
-        // The one that does not stall hears each.
+        // The subscriber that does not stall receives each message.
         assert_eq!(heard.recv_timeout(PATIENCE).unwrap().header.seq, seq);
     }
     assert!(maps.dropped() > u64::from(LAST) / 2, "{}", maps.dropped());
 
-    // Now it reads: first what the kernel held, then the newest, nothing of what was between.
+    // Now it reads: first what the kernel held, then the newest messages, and none between.
     let mut read = || {
         let mut length = [0; 4];
         stalled.read_exact(&mut length).unwrap();
@@ -151,7 +151,7 @@ fn a_subscriber_that_stalls_gets_the_newest_and_makes_nobody_wait() {
 }
 
 #[test]
-fn a_service_that_lies_about_its_length_is_an_error() {
+fn false_length_of_a_response_is_an_error() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let liar = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -163,7 +163,7 @@ fn a_service_that_lies_about_its_length_is_an_error() {
         let (mut client, _) = liar.accept().unwrap();
         client.write_all(&header(&["md5sum=*"])).unwrap();
         client.write_all(&[1, 0xff, 0xff, 0xff, 0xff, 0]).unwrap();
-        // Until the client ends.
+        // Until the client closes it.
         let _ = client.read_to_end(&mut Vec::new());
     });
     let called = node.call::<EmptyService>("liar", &EmptyRequest {}, PATIENCE);

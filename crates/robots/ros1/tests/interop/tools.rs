@@ -1,4 +1,4 @@
-//! The node and ROS's tools and nodes.
+//! The node against ROS's tools and nodes.
 
 use std::{env, fs, time::Duration};
 
@@ -24,7 +24,7 @@ fn scan(seq: u32) -> LaserScan {
     }
 }
 
-/// Publishes over and over until the condition holds.
+/// Publishes repeatedly until the condition holds.
 fn publishing_until(mut publish: impl FnMut(), what: &str, mut condition: impl FnMut() -> bool) {
     until(what, || {
         publish();
@@ -90,7 +90,7 @@ fn messages_are_printed_and_their_rate_is_measured() {
 }
 
 #[test]
-fn what_tools_publish_is_received() {
+fn messages_of_the_tools_are_received() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let commands = node.subscribe::<Twist>("cmd_vel", SubscribeOptions::default()).unwrap();
@@ -101,14 +101,14 @@ fn what_tools_publish_is_received() {
     assert_eq!(commands.publishers(), 1);
     drop(publisher);
     until("the publisher is gone", || commands.publishers() == 0);
-    // Another one, at another address.
+    // Another publisher, at another address.
     let _publisher =
         ros.spawn("rostopic", &["pub", "-r", "50", "/cmd_vel", "geometry_msgs/Twist", "{linear: {x: 1.0}}"]);
     until("the new one is heard", || commands.try_recv().is_some_and(|command| command.linear.x == 1.0));
 }
 
 #[test]
-fn latched_messages_reach_who_comes_later() {
+fn latched_messages_reach_later_subscribers() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let latch = PublishOptions { latch: true, ..PublishOptions::default() };
@@ -117,7 +117,7 @@ fn latched_messages_reach_who_comes_later() {
     (map.info.width, map.info.height, map.data) = (2, 1, vec![-1, 100]);
     maps.publish(&map);
     contains(&ros.run("rostopic", &["echo", "-n", "1", "/map"]), &["width: 2", "data: [-1, 100]"]);
-    // And theirs reach us.
+    // Latched messages of ROS reach our subscribers, too.
     let _latched = ros.spawn("rostopic", &["pub", "-l", "/words", "std_msgs/String", "data: later"]);
     let words = node.subscribe::<Text>("words", SubscribeOptions::default()).unwrap();
     assert_eq!(words.recv_timeout(PATIENCE).unwrap().data, "later");
@@ -191,7 +191,7 @@ fn services_are_called_from_both_sides() {
     assert!(matches!(failed, Err(CallError::Failed(_))), "{failed:?}");
 }
 
-/// A node of rospy's with a service that raises on true, and calls of a service of ours over one connection.
+/// A rospy node. It offers a service that raises on true, and calls a service of ours over one connection.
 const TALKER: &str = r#"
 import rospy
 from std_srvs.srv import Empty, SetBool, SetBoolResponse
@@ -214,7 +214,7 @@ rospy.spin()
 "#;
 
 #[test]
-fn rospy_calls_over_one_connection_again_and_again() {
+fn rospy_calls_repeatedly_over_one_connection() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let (calls, counted) = std::sync::mpsc::channel();
@@ -273,7 +273,7 @@ fn a_node_unregisters_when_it_ends() {
     drop((scans, again));
 }
 
-/// Not a test, but a program of its own for the next one: prints what it hears, until Ctrl-C.
+/// Not a test, but the program of the next one: prints received messages until Ctrl-C.
 #[test]
 #[ignore = "a program that another test runs"]
 fn listener() {
@@ -287,7 +287,7 @@ fn listener() {
 }
 
 #[test]
-fn ctrl_c_ends_a_program_that_asks_for_it() {
+fn ctrl_c_ends_a_program_that_handles_it() {
     let Some(ros) = Ros::start() else { return };
     let this = env::current_exe().unwrap();
     let echo = ros.spawn(this.to_str().unwrap(), &["--exact", "tools::listener", "--ignored", "--nocapture"]);
@@ -302,7 +302,7 @@ fn ctrl_c_ends_a_program_that_asks_for_it() {
 }
 
 #[test]
-fn rosnode_kill_ends_a_node_and_so_does_another_of_its_name() {
+fn rosnode_kill_or_a_second_node_of_its_name_ends_a_node() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let _scans = node.publish::<LaserScan>("scan", PublishOptions::default()).unwrap();
@@ -319,7 +319,7 @@ fn rosnode_kill_ends_a_node_and_so_does_another_of_its_name() {
 }
 
 #[test]
-fn a_master_that_restarts_is_told_everything_anew() {
+fn nodes_register_again_with_a_restarted_master() {
     let Some(mut ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let scans = node.publish::<LaserScan>("scan", PublishOptions::default()).unwrap();
@@ -340,7 +340,7 @@ fn a_master_that_restarts_is_told_everything_anew() {
 }
 
 #[test]
-fn another_type_is_refused_and_said_so() {
+fn another_type_is_rejected_with_its_reason() {
     let Some(ros) = Ros::start() else { return };
     let node = ros.node("robot", "/");
     let words = node.publish::<Text>("words", PublishOptions::default()).unwrap();
@@ -356,7 +356,7 @@ fn another_type_is_refused_and_said_so() {
 }
 
 #[test]
-fn the_tools_take_our_master_for_theirs() {
+fn tools_accept_our_master() {
     let master = MasterServer::start("127.0.0.1", 0).unwrap();
     let Some(ros) = Ros::with_master(master.endpoint().port) else { return };
     let node = ros.node("robot", "/r1");
@@ -378,7 +378,7 @@ fn the_tools_take_our_master_for_theirs() {
 }
 
 #[test]
-fn an_absent_master_is_an_error() {
+fn absent_master_is_an_error() {
     let config = NodeConfig { master: "http://127.0.0.1:1".parse().unwrap(), ..NodeConfig::new("lonely") };
     let node = Node::new(config).unwrap();
     assert!(matches!(node.publish::<Text>("words", PublishOptions::default()), Err(NodeError::Master(_))));

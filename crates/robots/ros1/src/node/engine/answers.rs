@@ -1,4 +1,4 @@
-//! What others ask a node through its slave API, and what it answers.
+//! Answers to calls of the slave API.
 
 use std::{
     collections::BTreeMap,
@@ -24,7 +24,7 @@ use crate::{
     xmlrpc::{self, Call, Value},
 };
 
-/// A call is no longer.
+/// Longest call, bytes.
 const MAX_CALL: usize = 1 << 20;
 
 impl Engine {
@@ -69,7 +69,7 @@ impl Engine {
                     }
                 }
                 Err(error) => {
-                    tracing::debug!("{} was asked in no HTTP: {error}", shared.names.node());
+                    tracing::debug!("{} received a request that is not HTTP: {error}", shared.names.node());
                     output.push(Arc::new(http::refusal()));
                     last = true;
                 }
@@ -79,7 +79,7 @@ impl Engine {
         if over { Next::End(connection) } else { Next::Wait(connection) }
     }
 
-    /// Does what the node is asked for.
+    /// Carries out a request.
     fn fulfil(&mut self, shared: &Arc<Shared>, request: Request) -> Value {
         let state = shared.state.lock();
         match request {
@@ -90,7 +90,7 @@ impl Engine {
             Request::BusInfo => slave::done(self.bus_info()),
             Request::MasterUri => slave::done(shared.master.endpoint().http()),
             Request::Shutdown { reason } => {
-                tracing::info!("{} is told to shut down: {reason}", shared.names.node());
+                tracing::info!("{} was asked to shut down: {reason}", shared.names.node());
                 shared.errand(Errand::Stop);
                 slave::done(0)
             }
@@ -153,7 +153,7 @@ impl Engine {
         self.connections.iter().filter_map(connection).collect()
     }
 
-    /// What went over the connections of each topic; numbers of 32 bits, as XML-RPC has them.
+    /// Traffic of the connections of each topic, in the 32-bit numbers of XML-RPC.
     fn bus_stats(&self, shared: &Shared) -> Value {
         let number = |count: u64| Value::Int(i32::try_from(count).unwrap_or(i32::MAX));
         let mut sent: BTreeMap<String, (u64, Vec<Value>)> = BTreeMap::new();

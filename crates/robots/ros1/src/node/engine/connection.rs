@@ -1,4 +1,4 @@
-//! A node's connections, by what they are for, and what can be done for one alone.
+//! A node's connections by purpose, and the handling that needs one alone.
 
 use std::{
     io::{self, ErrorKind, Read},
@@ -21,17 +21,17 @@ use crate::{
     tcpros::{FrameReader, Header, MAX_MESSAGE_LEN},
 };
 
-/// One connection gives way to others after so many reads.
+/// Reads of one connection before others get their turn.
 pub(super) const READS_A_TURN: usize = 16;
-/// What the kernel holds back of a connection that does not take it: what comes after it waits in a queue that drops
-/// the oldest, so that a peer gets news, not history, after its network was away.
+/// Bytes that the kernel may hold for a stalled connection. Later frames wait in a queue that drops the oldest, so that
+/// a peer gets news, not history, after its network was away.
 const UNSENT: u32 = 16 << 10;
 
-/// A connection, by what it is for.
+/// A connection, by purpose.
 pub(super) enum Connection {
-    /// Someone asks the node.
+    /// From a client of the slave API.
     Caller { stream: TcpStream, input: Vec<u8>, output: SendQueue, last: bool, heard: bool },
-    /// Someone connected to TCPROS, and has not said why.
+    /// To TCPROS, before its connection header.
     New { stream: TcpStream, frames: FrameReader },
     /// To a subscriber.
     Subscriber { outgoing: Arc<Outgoing>, publication: Arc<Publication> },
@@ -45,42 +45,42 @@ pub(super) enum Connection {
     },
     /// To a client of a service.
     Client { stream: TcpStream, frames: FrameReader, output: SendQueue, offer: Arc<Offer>, phase: Phase },
-    /// One that ends once it has been told why, or what it asked for.
+    /// Ends once its last answer is sent.
     Ending { stream: TcpStream, output: SendQueue },
 }
 
-/// What came from a publisher.
+/// Traffic from a publisher.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Flow {
-    /// Whether its connection header came.
+    /// Whether its connection header arrived.
     pub begun: bool,
     pub messages: u64,
     pub bytes: u64,
 }
 
-/// What a client of a service waits for.
+/// State of a service's client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// Nothing: its next request is to come.
+    /// Waits for nothing: its next request is due.
     Idle { persistent: bool },
-    /// For the service.
+    /// Waits for the service.
     Asked { persistent: bool },
-    /// For the last bytes of its only response.
+    /// Waits for the last bytes of its only response.
     Answered,
 }
 
-/// What becomes of a connection.
+/// Next step of a connection.
 pub(super) enum Next {
-    /// It waits for events.
+    /// Waits for events.
     Wait(Connection),
-    /// It has more to do at once.
+    /// Has work left in the next turn.
     Again(Connection),
-    /// It ends.
+    /// Ends.
     End(Connection),
 }
 
 impl Connection {
-    /// Whether it has not said what it is for, or nothing for long, or has been told to end.
+    /// Whether it has not stated its purpose, was silent for long, or is ending.
     pub fn is_undecided(&self) -> bool {
         match self {
             Self::Caller { heard, .. } => !heard,
@@ -91,8 +91,8 @@ impl Connection {
     }
 }
 
-/// What every connection needs: no waiting for more to send (Nagle's algorithm makes 10 ms of network 20 ms), and a
-/// question now and then whether a silent peer is still there.
+/// Sets the options of a connection: no Nagle's algorithm, which turns 10 ms of network into 20 ms, keepalive probes for
+/// silent peers, and a bound on unsent bytes in the kernel.
 pub(super) fn prepare(stream: &TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let socket = SockRef::from(stream);
@@ -102,7 +102,7 @@ pub(super) fn prepare(stream: &TcpStream) -> io::Result<()> {
     socket.set_tcp_notsent_lowat(UNSENT)
 }
 
-/// Whether the peer ended a connection on which it has nothing to say. What it says is dropped.
+/// Whether the peer ended a connection on which it should send nothing. Drops received bytes.
 pub(super) fn is_over(mut stream: &TcpStream) -> bool {
     let mut piece = [0; 1024];
     for _ in 0..READS_A_TURN {
@@ -114,11 +114,11 @@ pub(super) fn is_over(mut stream: &TcpStream) -> bool {
             Err(_) => return true,
         }
     }
-    // One that talks without end, where nothing is to be said.
+    // The peer floods a connection on which it should send nothing.
     true
 }
 
-/// Learns from a connection header what a connection is for.
+/// Reads a connection header, and turns the connection into that of its purpose.
 pub(super) fn introduce(shared: &Arc<Shared>, stream: TcpStream, mut frames: FrameReader) -> Next {
     loop {
         match frames.next_frame() {
@@ -127,7 +127,7 @@ pub(super) fn introduce(shared: &Arc<Shared>, stream: TcpStream, mut frames: Fra
                 return match header.and_then(|header| Purpose::of(shared, &header)) {
                     Ok(purpose) => purpose.connection(shared, stream, frames),
                     Err(reason) => {
-                        tracing::debug!("{} refuses a connection: {reason}", shared.names.node());
+                        tracing::debug!("{} rejects a connection: {reason}", shared.names.node());
                         let refusal = Header::new([("error", reason.as_str())]).to_frame();
                         Next::Again(Connection::Ending { stream, output: SendQueue::new(1, Some(refusal)) })
                     }
@@ -148,7 +148,7 @@ pub(super) fn introduce(shared: &Arc<Shared>, stream: TcpStream, mut frames: Fra
     }
 }
 
-/// What a connection to TCPROS is for.
+/// Purpose of a connection to TCPROS.
 enum Purpose {
     Subscribe {
         publication: Arc<Publication>,
@@ -158,7 +158,7 @@ enum Purpose {
         offer: Arc<Offer>,
         persistent: bool,
     },
-    /// Only to see what a service is.
+    /// Asks for the type of a service.
     Probe {
         offer: Arc<Offer>,
     },
@@ -217,7 +217,7 @@ impl Purpose {
     }
 }
 
-/// Takes requests to a service, one at a time.
+/// Passes requests to a service, one at a time.
 pub(super) fn ask_service(
     token: Token,
     stream: TcpStream,
