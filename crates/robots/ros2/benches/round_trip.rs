@@ -1,9 +1,9 @@
-//! How long a 360-beam scan takes to a peer and back over loopback, 100 times a second, with the quality of service of
-//! sensors: the peer being a node of this crate, and Cyclone DDS; and from Cyclone DDS to Cyclone DDS.
+//! Measures the round trip of a 360-beam scan over loopback, 100 times a second, with the quality of service of sensors:
+//! to a node of this crate, to Cyclone DDS, and from Cyclone DDS to itself.
 //!
 //! `cargo bench -p cotorra-ros2 --bench round_trip`
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
-#![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a failed benchmark ends")]
 
 use std::{
     thread,
@@ -23,7 +23,7 @@ use hdrhistogram::Histogram;
 const INTERVAL: Duration = Duration::from_millis(10);
 const WARM_UP: u32 = 100;
 const SAMPLES: u32 = 2000;
-/// Best effort: what does not come back by then is lost.
+/// Deadline of a scan. Best effort: a later one is lost.
 const LOST: Duration = Duration::from_secs(1);
 
 fn scan() -> LaserScan {
@@ -34,7 +34,7 @@ fn scan() -> LaserScan {
     }
 }
 
-/// Times scans to who sends them back to `scan_back`, and prints their percentiles.
+/// Measures scans to a peer that returns them on `scan_back`, and prints percentiles.
 fn measure(peer: &str, meeting: &Meeting) {
     let node = meeting.node("pitcher");
     let there = node.publish::<LaserScan>("scan", Qos::SENSORS).unwrap();
@@ -55,7 +55,7 @@ fn measure(peer: &str, meeting: &Meeting) {
         let began = Instant::now();
         scan.header.stamp = Time { sec: i32::try_from(number).unwrap(), nanosec: 0 };
         there.publish(&scan);
-        // One that was given up may come after all.
+        // A scan may arrive after its deadline.
         let came = loop {
             match back.recv_timeout(LOST) {
                 Ok(came) if came.header.stamp == scan.header.stamp => break true,

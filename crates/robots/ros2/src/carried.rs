@@ -1,40 +1,40 @@
-//! What a topic carries: a message, or one of several messages that mean the same. Robots are driven by `Twist` or by
-//! `TwistStamped`, depending on their age, and only their peers tell which.
+//! The content of a topic: a message, or one of several messages with the same meaning. Robots take `Twist` or
+//! `TwistStamped`, depending on their age; discovery shows which.
 
 use cotorra_ros_messages::{DecodeError, Header, Message, Twist, TwistStamped};
 
 use crate::names::{dds_type, ros_type};
 
-/// A type that a topic carries.
+/// A message type on a topic.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Kind {
-    /// As ROS calls it.
+    /// Its name in ROS.
     pub(crate) name: &'static str,
-    /// As DDS calls it.
+    /// Its name in DDS.
     pub(crate) dds_name: String,
-    /// What peers announce of it.
+    /// The type hash that peers announce.
     pub(crate) hash: String,
 }
 
 impl Kind {
-    /// Of messages of one type.
+    /// The type `M`.
     pub fn of<M: Message>() -> Self {
         Self { name: M::ROS2_NAME, dds_name: dds_type(M::ROS2_NAME), hash: M::description().type_hash() }
     }
 }
 
-/// What can be published and subscribed to: any [`Message`], and [`Command`].
+/// The content of a topic: any [`Message`], and [`Command`].
 pub trait Carried: Sized + Send + 'static {
-    /// The types as which it travels.
+    /// Returns the message types that it can be sent as.
     fn kinds() -> Vec<Kind>;
 
-    /// The message as the type of that number among them.
+    /// Appends the content as the message type `kind`, an index into [`Self::kinds`].
     fn encode_as(&self, kind: usize, buffer: &mut Vec<u8>);
 
-    /// Reads a message of the type of that number among them.
+    /// Reads a message of the type `kind`, an index into [`Self::kinds`].
     ///
     /// # Errors
-    /// [`DecodeError`] if it is none.
+    /// [`DecodeError`] if `bytes` are not one message of that type.
     fn decode_as(kind: usize, bytes: &[u8]) -> Result<Self, DecodeError>;
 }
 
@@ -52,11 +52,11 @@ impl<M: Message + Send + 'static> Carried for M {
     }
 }
 
-/// A velocity to drive at, as `cmd_vel` carries it: [`Twist`] or [`TwistStamped`]. A publisher speaks what its
-/// subscribers understand, as soon as they are discovered; a subscriber understands both.
+/// A velocity command on `cmd_vel`: [`Twist`] or [`TwistStamped`]. A publisher sends the types of the subscribers that it
+/// discovered; a subscriber reads both.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Command {
-    /// When and in which frame; a `Twist` has none, and reads as zero.
+    /// Time and frame of the command; default if it came as a `Twist`.
     pub header: Header,
     /// The velocity.
     pub twist: Twist,
@@ -83,7 +83,7 @@ impl Carried for Command {
     }
 }
 
-/// The ROS name of a type, or DDS's if it is none of ROS.
+/// Returns the ROS name of a type, or the DDS name if ROS has none.
 pub(crate) fn shown(dds_name: &str) -> String {
     ros_type(dds_name).unwrap_or_else(|| dds_name.to_owned())
 }
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_command_is_either_type() {
+    fn commands_are_encoded_as_either_type() {
         let twist = Twist { linear: Vector3 { x: 0.5, ..Vector3::default() }, ..Twist::default() };
         let header = Header { frame_id: "base_link".to_owned(), ..Header::default() };
         let command = Command { header, twist };

@@ -1,5 +1,4 @@
-//! What a node is called and where its peers are: said by the program, by ROS 2's environment variables, and by its
-//! arguments.
+//! Name, domain and middleware of a node, from the program, ROS 2's environment variables and its arguments.
 //!
 //! Source: ROS 2 documentation, "The ROS_DOMAIN_ID", "Improved Dynamic Discovery" and "Passing ROS arguments to nodes
 //! via the command-line".
@@ -9,32 +8,32 @@ use std::{
     net::{IpAddr, Ipv4Addr},
 };
 
-/// Beyond that, the UDP ports of a domain would be over 65535 (DDSI-RTPS 2.5, 9.6.2.3).
+/// Last domain. The UDP ports of a higher one would exceed 65535 (DDSI-RTPS 2.5, 9.6.2.3).
 const LAST_DOMAIN: u16 = 232;
 
-/// Why a configuration is none.
+/// Reason why a configuration is invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
-    /// The domain is none.
-    #[error("ROS_DOMAIN_ID: `{0}` is no number from 0 to {LAST_DOMAIN}")]
+    /// The domain is invalid.
+    #[error("ROS_DOMAIN_ID: `{0}` is not a number from 0 to {LAST_DOMAIN}")]
     Domain(String),
-    /// `from:=` without a value, or the other way round, or no remapping behind `-r`.
-    #[error("`{0}` is no remapping such as scan:=/robot/scan; after --ros-args, it follows -r")]
+    /// `from:=` without a value, a value without a name, or `-r` without a remapping.
+    #[error("`{0}` is not a remapping such as scan:=/robot/scan; after --ros-args, it follows -r")]
     Remapping(String),
 }
 
-/// What carries a node's messages, and over which it finds its peers: what ROS 2 calls its middleware, or RMW.
+/// Middleware (RMW) that carries messages and discovers peers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Middleware {
-    /// DDS, as all of ROS 2's but one.
+    /// DDS, as in all of ROS 2's middlewares but one.
     Dds {
-        /// The address of the one network interface to use for multicast, and to be reached at; by default, all are
-        /// used. Loopback, 127.0.0.1, keeps to this machine.
+        /// Address of the only network interface to use; by default, all are used. Loopback, 127.0.0.1, limits the
+        /// node to this machine.
         interface: Option<IpAddr>,
     },
-    /// Zenoh, as `rmw_zenoh` speaks it.
+    /// Zenoh, as in `rmw_zenoh`.
     Zenoh {
-        /// Zenoh's endpoint of the router, such as `tcp/192.168.0.20:7447`.
+        /// Endpoint of the Zenoh router, such as `tcp/192.168.0.20:7447`.
         router: String,
     },
 }
@@ -44,23 +43,23 @@ impl Middleware {
     pub const HAS_ZENOH: bool = cfg!(feature = "zenoh");
 }
 
-/// What a node is called, and where its peers are.
+/// Name, domain and middleware of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeConfig {
-    /// Its name, without namespace.
+    /// The name, without namespace.
     pub name: String,
-    /// The namespace in which its names are.
+    /// The namespace of its names.
     pub namespace: String,
-    /// Who is in another domain is not seen; 0 to 232.
+    /// The domain, 0 to 232. Nodes in other domains are not discovered.
     pub domain: u16,
-    /// What carries its messages.
+    /// Middleware that carries its messages.
     pub middleware: Middleware,
-    /// What names become: from, to.
+    /// Remapped names: from, to.
     pub remappings: Vec<(String, String)>,
 }
 
 impl NodeConfig {
-    /// A node of that name in the namespace `/` and in domain 0, over DDS, on all interfaces.
+    /// A node in the namespace `/` and domain 0, over DDS on all interfaces.
     pub fn new(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -71,11 +70,11 @@ impl NodeConfig {
         }
     }
 
-    /// A node of that name, with what `ROS_DOMAIN_ID` says, and `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` or
+    /// A node configured by `ROS_DOMAIN_ID`, and by `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` or
     /// `ROS_LOCALHOST_ONLY=1`.
     ///
     /// # Errors
-    /// [`ConfigError::Domain`] if the domain is none.
+    /// [`ConfigError::Domain`] if the domain is invalid.
     pub fn from_env(name: &str) -> Result<Self, ConfigError> {
         Self::new(name).with_variables(|variable| env::var(variable).ok())
     }
@@ -94,11 +93,11 @@ impl NodeConfig {
         Ok(self)
     }
 
-    /// With the remappings among a program's arguments, which follow `--ros-args`: `-r from:=to`. `__node` (or
-    /// `__name`) and `__ns` say what the names tell. All else is ignored.
+    /// Applies the remappings among a program's arguments, which follow `--ros-args`: `-r from:=to`. `__node` (or
+    /// `__name`) and `__ns` set the fields of these names. Other arguments are ignored.
     ///
     /// # Errors
-    /// [`ConfigError::Remapping`] if one is none.
+    /// [`ConfigError::Remapping`] if one is invalid.
     pub fn with_args(mut self, args: impl IntoIterator<Item = impl AsRef<str>>) -> Result<Self, ConfigError> {
         let (mut ours, mut follows) = (false, false);
         for arg in args {
@@ -134,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_environment_says_where_peers_are() {
+    fn environment_variables_set_domain_and_range() {
         let with = |set: &[(&str, &str)]| {
             let value =
                 |name: &str| set.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned());
@@ -153,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn arguments_remap() {
+    fn arguments_remap_names() {
         let args = "-v a:=b --ros-args -r scan:=/lidar --remap __node:=m -r __ns:=/robot -p x:=1 -- -r c:=d";
         let config = NodeConfig::new("n").with_args(args.split(' ')).unwrap();
         assert_eq!((config.name.as_str(), config.namespace.as_str()), ("m", "/robot"));

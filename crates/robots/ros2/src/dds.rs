@@ -1,4 +1,4 @@
-//! DDS, by RustDDS: what carries messages for all of ROS 2's middlewares but `rmw_zenoh`.
+//! DDS, by RustDDS: the protocol of all ROS 2 middlewares but `rmw_zenoh`.
 
 mod announce;
 mod codec;

@@ -1,11 +1,11 @@
-//! Names of the ROS 2 graph: how a node's own names become global ones, how they are remapped, and what DDS calls
-//! topics and types.
+//! Names of the ROS 2 graph: resolving a node's names to global ones, remapping them, and the names of topics and types in
+//! DDS.
 //!
 //! Source: ROS 2 design, "Topic and Service name mapping to DDS" and "Remapping Names".
 
 use std::collections::BTreeMap;
 
-/// Why a name is none of the ROS graph.
+/// A name that the ROS graph does not allow.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is no name: its parts, between single `/`, begin with a letter or `_`, have letters, digits and single `_` \
@@ -13,22 +13,22 @@ use std::collections::BTreeMap;
 )]
 pub struct NameError(pub String);
 
-/// Who a node is, and what its names become.
+/// The names of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Names {
     /// Without namespace.
     name: String,
-    /// Begins with `/`, and ends with none unless it is the root.
+    /// Begins with `/`, and does not end with one unless it is the root.
     namespace: String,
     /// From global name to global name.
     remapped: BTreeMap<String, String>,
 }
 
 impl Names {
-    /// Of the node of that name (without namespace) in that namespace, with remappings of its names.
+    /// The names of the node `name` (without namespace) in `namespace`, with its remappings.
     ///
     /// # Errors
-    /// [`NameError`] if one of them is no name.
+    /// [`NameError`] if one of them is invalid.
     pub fn new<'a>(
         name: &str,
         namespace: &str,
@@ -65,11 +65,11 @@ impl Names {
         joined(&self.namespace, &self.name)
     }
 
-    /// The global name that is meant: `/a` is global, `a` in the node's namespace, `~/a` private to the node; after
-    /// that, remapping.
+    /// Resolves a name to its global one: `/a` is global, `a` is in the node's namespace, `~/a` is private to the node.
+    /// Then applies remappings.
     ///
     /// # Errors
-    /// [`NameError`] if it is no name.
+    /// [`NameError`] if `name` is invalid.
     pub fn resolve(&self, name: &str) -> Result<String, NameError> {
         let global = self.global(name)?;
         Ok(self.remapped.get(&global).cloned().unwrap_or(global))
@@ -92,7 +92,7 @@ fn joined(base: &str, name: &str) -> String {
     if base == "/" { format!("/{name}") } else { format!("{base}/{name}") }
 }
 
-/// Whether this can stand between two slashes.
+/// Whether `text` is a valid part of a name, between two slashes.
 fn is_part(part: &str) -> bool {
     let mut rest = part.chars();
     rest.next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_')
@@ -100,12 +100,12 @@ fn is_part(part: &str) -> bool {
         && !part.contains("__")
 }
 
-/// What DDS calls a topic of that global name.
+/// Returns the DDS name of the topic of a global name.
 pub fn dds_topic(global: &str) -> String {
     format!("rt{global}")
 }
 
-/// What DDS calls a type: `a::msg::dds_::B_` for `a/msg/B`.
+/// Returns the DDS name of a type: `a::msg::dds_::B_` for `a/msg/B`.
 pub fn dds_type(name: &str) -> String {
     let mut parts: Vec<_> = name.split('/').map(str::to_owned).collect();
     if let Some(last) = parts.last_mut() {
@@ -114,7 +114,7 @@ pub fn dds_type(name: &str) -> String {
     parts.join("::")
 }
 
-/// The ROS name of a type, if DDS's name is that of one.
+/// Returns the ROS name of a type, if the DDS name is that of one.
 pub fn ros_type(dds: &str) -> Option<String> {
     let (package, name) = dds.strip_suffix('_')?.split_once("::dds_::")?;
     Some(format!("{}/{name}", package.replace("::", "/")))
@@ -125,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_resolve_as_the_design_says() {
+    fn names_resolve_as_specified() {
         for (node, namespace, name, expected) in [
             ("my_node", "/", "ping", "/ping"),
             ("my_node", "/my_ns", "ping", "/my_ns/ping"),
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn remapping_holds_for_what_a_name_means() {
+    fn remapping_applies_to_resolved_names() {
         let names =
             Names::new("n", "/robot", [("scan", "/lidar"), ("~/rate", "hz"), ("/map", "map")]).unwrap();
         assert_eq!(names.node(), "/robot/n");
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_name_is_refused() {
+    fn invalid_names_are_rejected() {
         for name in ["", "/", "1a", "a b", "a:=b", "ä", "a~b", "~a", "a//b", "a/", "a__b", "a/2"] {
             assert_eq!(Names::new("n", "/", []).unwrap().resolve(name), Err(NameError(name.to_owned())));
         }
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn dds_has_its_own_names() {
+    fn topics_and_types_have_names_in_dds() {
         assert_eq!(dds_topic("/r1/scan"), "rt/r1/scan");
         assert_eq!(dds_type("sensor_msgs/msg/LaserScan"), "sensor_msgs::msg::dds_::LaserScan_");
         assert_eq!(ros_type("sensor_msgs::msg::dds_::LaserScan_").unwrap(), "sensor_msgs/msg/LaserScan");

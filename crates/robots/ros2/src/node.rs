@@ -1,4 +1,4 @@
-//! A node: what a program publishes and subscribes to, over whatever carries it.
+//! A node: the topics of a program, over either middleware.
 
 use std::{fmt, io, sync::Arc};
 
@@ -12,22 +12,22 @@ use crate::{
     topics::{Carrier, Incoming, Publisher, Subscriber},
 };
 
-/// Why a node or a topic could not be set up.
+/// Reason why a node or a topic could not be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
-    /// A name is none.
+    /// A name is invalid.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// DDS refuses; ports or memory may be lacking.
+    /// DDS failed, for example because of missing ports or memory.
     #[error("DDS: {0}")]
     Dds(#[from] rustdds::dds::CreateError),
-    /// Zenoh refuses.
+    /// Zenoh failed.
     #[error("Zenoh: {0}")]
     Zenoh(String),
-    /// Zenoh is left out of this build.
+    /// The build lacks Zenoh.
     #[error("this program was built without Zenoh: build it with `--features zenoh`")]
     WithoutZenoh,
-    /// No thread, or nothing that wakes it.
+    /// The thread, or its waker, could not be created.
     #[error("the node cannot run: {0}")]
     Io(#[from] io::Error),
     /// The node was shut down.
@@ -35,7 +35,7 @@ pub enum NodeError {
     ShutDown,
 }
 
-/// A ROS 2 node. Clones are the same node; when the last is dropped, it leaves.
+/// A ROS 2 node. Clones share the node. It leaves the network when the last is dropped.
 #[derive(Debug, Clone)]
 pub struct Node(Arc<Running>);
 
@@ -51,10 +51,10 @@ impl fmt::Debug for Running {
 }
 
 impl Node {
-    /// Starts a node; peers find it, and it them, within moments.
+    /// Starts a node. Discovery of peers takes some moments.
     ///
     /// # Errors
-    /// [`NodeError`] if a name is none, or there are no sockets and threads for it.
+    /// [`NodeError`] if a name is invalid, or sockets or threads cannot be created.
     pub fn new(config: NodeConfig) -> Result<Self, NodeError> {
         let remappings = config.remappings.iter().map(|(from, to)| (from.as_str(), to.as_str()));
         let names = Names::new(&config.name, &config.namespace, remappings)?;
@@ -70,50 +70,50 @@ impl Node {
         Ok(Self(Arc::new(Running { names, carrier })))
     }
 
-    /// The node's global name.
+    /// Returns the node's global name.
     pub fn name(&self) -> String {
         self.0.names.node()
     }
 
-    /// The global name that a name means in this node.
+    /// Resolves a name of this node to its global one.
     ///
     /// # Errors
-    /// [`NameError`] if it is no name.
+    /// [`NameError`] if `name` is invalid.
     pub fn resolve(&self, name: &str) -> Result<String, NameError> {
         self.0.names.resolve(name)
     }
 
-    /// Which types others publish on a topic, and subscribe to there, as far as they were discovered.
+    /// Returns the types that discovered peers publish and subscribe to on a topic.
     ///
     /// # Errors
-    /// [`NameError`] if `topic` is no name.
+    /// [`NameError`] if `topic` is invalid.
     pub fn peers(&self, topic: &str) -> Result<Peers, NameError> {
         Ok(self.0.carrier.peers(&self.resolve(topic)?))
     }
 
-    /// Publishes a topic. What can be of several types, such as [`Command`](crate::Command), is published as those
-    /// that its subscribers have, once these are discovered.
+    /// Publishes a topic. Content of several types, such as [`Command`](crate::Command), is published as the types of the
+    /// discovered subscribers.
     ///
     /// # Errors
-    /// [`NodeError`] if `topic` is no name, or the middleware refuses.
+    /// [`NodeError`] if `topic` is invalid, or the middleware fails.
     pub fn publish<M: Carried>(&self, topic: &str, qos: Qos) -> Result<Publisher<M>, NodeError> {
         let topic = self.resolve(topic)?;
         let outlet = self.0.carrier.publish(&topic, M::kinds(), qos)?;
         Ok(Publisher::new(topic, outlet))
     }
 
-    /// Subscribes to a topic. Publishers are connected to as soon as they are discovered, whenever they come.
+    /// Subscribes to a topic. Publishers are connected as soon as they are discovered.
     ///
     /// # Errors
-    /// [`NodeError`] if `topic` is no name, or the middleware refuses.
+    /// [`NodeError`] if `topic` is invalid, or the middleware fails.
     pub fn subscribe<M: Carried>(&self, topic: &str, qos: Qos) -> Result<Subscriber<M>, NodeError> {
         let incoming = Arc::new(Incoming::new(self.resolve(topic)?, qos));
         let inlet = self.0.carrier.subscribe(Arc::clone(&incoming), M::kinds(), qos)?;
         Ok(Subscriber::new(incoming, inlet))
     }
 
-    /// Leaves. Publishers then publish to nobody, subscribers receive [`RecvError::ShutDown`]. What was published
-    /// reliably is given some tenths of a second to arrive.
+    /// Leaves the network. Publishers then drop messages, and subscribers receive [`RecvError::ShutDown`]. Waits some
+    /// tenths of a second for reliable messages to arrive.
     ///
     /// [`RecvError::ShutDown`]: crate::RecvError::ShutDown
     pub fn shut_down(&self) {

@@ -1,31 +1,31 @@
-//! Who else publishes and subscribes, and what they mean by it, whatever carries the messages.
+//! Publishers and subscribers of other nodes, and their types, over either middleware.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::carried::{Kind, shown};
 
-/// A publisher or subscriber somewhere.
+/// A publisher or subscriber.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Endpoint {
-    /// As the middleware calls it.
+    /// The topic's name in the middleware.
     pub topic: String,
-    /// As DDS calls it.
+    /// The type's name in DDS.
     pub kind: String,
-    /// Of its type, if it announces one.
+    /// Hash of its type, if it announces one.
     pub hash: Option<String>,
 }
 
-/// Types of a topic's publishers and subscribers elsewhere, by their ROS names.
+/// Types of a topic's remote publishers and subscribers, by their ROS names.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Peers {
-    /// Of publishers.
+    /// Types of publishers.
     pub published: BTreeSet<String>,
-    /// Of subscribers.
+    /// Types of subscribers.
     pub subscribed: BTreeSet<String>,
 }
 
-/// The numbers of those types as which a topic is to be published: of each participant elsewhere that subscribes to some
-/// of them, the last one.
+/// Returns the indices of the types to publish a topic as: for each remote participant that subscribes to some of them,
+/// the last one.
 pub fn wanted<'a, P: Ord>(
     subscribers: impl Iterator<Item = (P, &'a Endpoint)>,
     topic: &str,
@@ -41,16 +41,19 @@ pub fn wanted<'a, P: Ord>(
     wanted.into_values().collect()
 }
 
-/// The types of endpoints on a topic.
+/// Returns the types of endpoints on a topic.
 pub fn types<'a>(endpoints: impl Iterator<Item = &'a Endpoint>, topic: &str) -> BTreeSet<String> {
     endpoints.filter(|other| other.topic == topic).map(|other| shown(&other.kind)).collect()
 }
 
-/// Two types of one name whose fields differ are misread, or their peers not connected.
+/// Warns of two types of one name with different fields: messages are misread, or peers are not connected.
 pub fn warn_of_other_fields(own: &Endpoint, other: &Endpoint) {
     let same = own.hash == other.hash || own.hash.is_none() || other.hash.is_none();
     if own.topic == other.topic && own.kind == other.kind && !same {
         let kind = shown(&own.kind);
-        tracing::warn!("{}: a peer's {kind} has other fields than this node's, from another ROS?", own.topic);
+        tracing::warn!(
+            "{}: a peer's {kind} has other fields than this node's; is it from another version of ROS?",
+            own.topic
+        );
     }
 }

@@ -1,38 +1,37 @@
-//! How a topic is to be delivered: the profiles that ROS 2 nodes expect of each other.
+//! Quality of service of topics: the profiles that ROS 2 nodes expect of each other.
 //!
 //! Source: ROS 2 documentation, "Quality of Service settings"; `rmw/qos_profiles.h`.
 
 use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};
 
-/// How many samples may be on their way to a subscriber that has not acknowledged them, or wait to be taken from
-/// RustDDS, whatever the depth.
+/// Samples beyond the depth that may be unacknowledged by a subscriber, or wait in RustDDS.
 const IN_FLIGHT: i32 = 32;
 
-/// How a topic is delivered. A publisher that offers less than a subscriber asks for is not heard by it.
+/// Quality of service of a topic. A subscriber is not connected to a publisher that offers less than it requests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Qos {
-    /// Whether what is lost is sent again.
+    /// Whether lost messages are sent again.
     pub reliable: bool,
-    /// Whether who subscribes later gets the last messages at once, for maps, say: ROS 2's "transient local".
+    /// Whether new subscribers get the last messages at once, such as a map: ROS 2's "transient local".
     pub latched: bool,
-    /// How many messages wait for who takes them too slowly; then the oldest are dropped. At least one.
+    /// Messages that are queued for a slow receiver, at least one. If there are more, the oldest are dropped.
     pub depth: usize,
 }
 
 impl Qos {
-    /// For what is new all the time, scans and odometry: best effort, the last 5.
+    /// For frequent data such as scans and odometry: best effort, the last 5.
     pub const SENSORS: Self = Self { reliable: false, latched: false, depth: 5 };
-    /// For what is to arrive, commands and nearly all else: reliable, the last 10. ROS 2's default.
+    /// For commands and most other data: reliable, the last 10. ROS 2's default.
     pub const COMMANDS: Self = Self { reliable: true, latched: false, depth: 10 };
-    /// For what is said once, `/map` and `/tf_static`: reliable, and latched.
+    /// For data that is published once, such as `/map` and `/tf_static`: reliable, and latched.
     pub const LATCHED: Self = Self { reliable: true, latched: true, depth: 1 };
 
-    /// The depth, at least one.
+    /// Returns the depth, at least one.
     pub(crate) fn depth(self) -> usize {
         self.depth.max(1)
     }
 
-    /// RustDDS's; if `bounded`, no more than the depth and some are on their way.
+    /// Returns the policies of RustDDS. `bounded` limits unacknowledged samples to the depth and [`IN_FLIGHT`].
     pub(crate) fn policies(self, bounded: bool) -> QosPolicies {
         let depth = i32::try_from(self.depth()).unwrap_or(i32::MAX);
         let max_samples = depth.saturating_add(IN_FLIGHT);
@@ -45,7 +44,7 @@ impl Qos {
         } else {
             policy::Durability::Volatile
         });
-        // Without waiting: what does not go at once is queued by the publisher.
+        // Without blocking: the publisher queues what cannot be sent at once.
         let max_blocking_time = Duration::ZERO;
         builder
             .reliability(if self.reliable {

@@ -1,4 +1,4 @@
-//! Publishers and subscribers, and what they ask of whatever carries their messages: DDS, or Zenoh.
+//! Publishers and subscribers, and the traits of the middleware that carries their messages: DDS or Zenoh.
 
 use std::{
     fmt,
@@ -19,15 +19,15 @@ use crate::{
     qos::Qos,
 };
 
-/// A message is no longer, as in ROS 1: an image of 4096 × 4096 pixels in colour still fits.
+/// Longest message, bytes, as in ROS 1. A colour image of 4096 × 4096 pixels fits.
 const MAX_MESSAGE_LEN: usize = 64 << 20;
 
-/// What carries a node's messages. Topics have their global names.
+/// Middleware of a node. Topic names are global.
 pub trait Carrier: Send + Sync {
-    /// Publishes a topic as some of those types, until the outlet is dropped.
+    /// Publishes a topic as some of the types, until the outlet is dropped.
     fn publish(&self, topic: &str, kinds: Vec<Kind>, qos: Qos) -> Result<Box<dyn Outlet>, NodeError>;
 
-    /// Has what comes as any of those types go in there, until the inlet is dropped.
+    /// Passes messages of any of the types to `incoming`, until the inlet is dropped.
     fn subscribe(
         &self,
         incoming: Arc<Incoming>,
@@ -35,51 +35,51 @@ pub trait Carrier: Send + Sync {
         qos: Qos,
     ) -> Result<Box<dyn Inlet>, NodeError>;
 
-    /// Types of others on a topic.
+    /// Returns the types of peers on a topic.
     fn peers(&self, topic: &str) -> Peers;
 
-    /// Leaves, once; closes all that is incoming.
+    /// Leaves the network, once, and closes all subscriptions.
     fn shut_down(&self);
 
-    /// Whether it left.
+    /// Whether it left the network.
     fn is_shut_down(&self) -> bool;
 }
 
-/// Where messages go.
+/// Sends the messages of a topic.
 pub trait Outlet: Send + Sync {
-    /// Sends a message as all types that are wanted, of which `encode` makes it what travels. Never waits.
+    /// Sends a message as every type that is wanted. `encode` returns its bytes as a type. Never blocks.
     fn send(&self, encode: &dyn Fn(usize) -> Vec<u8>);
 
-    /// How many subscribers are connected.
+    /// Returns the number of connected subscribers.
     fn subscribers(&self) -> usize;
 
-    /// How many messages were dropped on the way out.
+    /// Returns the number of messages that were dropped before sending.
     fn dropped(&self) -> u64;
 }
 
-/// Where messages come from.
+/// Receives the messages of a topic.
 pub trait Inlet: Send + Sync {
-    /// How many publishers are connected.
+    /// Returns the number of connected publishers.
     fn publishers(&self) -> usize;
 }
 
-/// What came on a topic.
+/// Received messages of a topic.
 #[derive(Debug)]
 pub struct Incoming {
-    /// The topic's global name.
+    /// Returns the topic's global name.
     pub topic: String,
-    /// Encoded, with the number of its type.
+    /// Encoded messages, each with the index of its type.
     pub inbox: Inbox<(usize, Vec<u8>)>,
     malformed: AtomicU64,
 }
 
 impl Incoming {
-    /// Of a topic of that global name.
+    /// An empty queue for the topic of a global name.
     pub fn new(topic: String, qos: Qos) -> Self {
         Self { topic, inbox: Inbox::new(qos.depth()), malformed: AtomicU64::new(0) }
     }
 
-    /// A message came as the type of that number.
+    /// Adds a message of the type with that index.
     pub fn push(&self, number: usize, message: Vec<u8>) {
         let length = message.len();
         if length > MAX_MESSAGE_LEN {
@@ -89,14 +89,14 @@ impl Incoming {
         }
     }
 
-    /// A message was none.
+    /// Counts and logs a malformed message.
     pub fn count_malformed(&self, reason: &str) {
         self.malformed.fetch_add(1, Ordering::Relaxed);
         tracing::warn!("{}: a message cannot be read: {reason}", self.topic);
     }
 }
 
-/// Publishes to one topic. Clones publish to the same; when the last is dropped, the topic is published no more.
+/// Publishes to one topic. Clones share the topic, which ends when the last is dropped.
 pub struct Publisher<M> {
     topic: String,
     outlet: Arc<dyn Outlet>,
@@ -120,24 +120,24 @@ impl<M> Publisher<M> {
         Self { topic, outlet: outlet.into(), message: PhantomData }
     }
 
-    /// The topic's global name.
+    /// Returns the topic's global name.
     pub fn topic(&self) -> &str {
         &self.topic
     }
 
-    /// How many subscribers are connected.
+    /// Returns the number of connected subscribers.
     pub fn subscribers(&self) -> usize {
         self.outlet.subscribers()
     }
 
-    /// How many messages were dropped because subscribers do not acknowledge them in time.
+    /// Returns the number of messages that were dropped because subscribers acknowledge too slowly.
     pub fn dropped(&self) -> u64 {
         self.outlet.dropped()
     }
 }
 
 impl<M: Carried> Publisher<M> {
-    /// Publishes a message. Never waits: what is not sent at once is queued.
+    /// Publishes a message. Never blocks: a message that cannot be sent at once is queued.
     pub fn publish(&self, message: &M) {
         self.outlet.send(&|kind| {
             let mut encoded = Vec::new();
@@ -147,7 +147,7 @@ impl<M: Carried> Publisher<M> {
     }
 }
 
-/// Receives the messages of one topic; no longer once it is dropped.
+/// Receives the messages of one topic until it is dropped.
 pub struct Subscriber<M> {
     incoming: Arc<Incoming>,
     inlet: Box<dyn Inlet>,
@@ -165,22 +165,22 @@ impl<M> Subscriber<M> {
         Self { incoming, inlet, message: PhantomData }
     }
 
-    /// The topic's global name.
+    /// Returns the topic's global name.
     pub fn topic(&self) -> &str {
         &self.incoming.topic
     }
 
-    /// How many publishers are connected.
+    /// Returns the number of connected publishers.
     pub fn publishers(&self) -> usize {
         self.inlet.publishers()
     }
 
-    /// How many messages were dropped because they were not taken.
+    /// Returns the number of messages that were dropped because the program is too slow.
     pub fn dropped(&self) -> u64 {
         self.incoming.inbox.dropped()
     }
 
-    /// How many messages were none of the type that they were said to be.
+    /// Returns the number of messages that could not be decoded.
     pub fn malformed(&self) -> u64 {
         self.incoming.malformed.load(Ordering::Relaxed)
     }
@@ -192,7 +192,7 @@ impl<M: Carried> Subscriber<M> {
         message.inspect_err(|error| self.incoming.count_malformed(&error.to_string())).ok()
     }
 
-    /// The next message, once there is one; `None` if the node was shut down.
+    /// Waits for the next message. Returns `None` if the node was shut down.
     pub fn recv(&self) -> Option<M> {
         loop {
             if let Some(message) = self.read(self.incoming.inbox.pop(None).ok()?) {
@@ -201,10 +201,10 @@ impl<M: Carried> Subscriber<M> {
         }
     }
 
-    /// The next message, once there is one. The time begins anew after one that is malformed.
+    /// Waits for the next message. The timeout begins again after a malformed one.
     ///
     /// # Errors
-    /// [`RecvError`] if none comes in time.
+    /// [`RecvError`] if none arrives in time, or the node was shut down.
     pub fn recv_timeout(&self, timeout: Duration) -> Result<M, RecvError> {
         loop {
             if let Some(message) = self.read(self.incoming.inbox.pop(Some(timeout))?) {
@@ -213,7 +213,7 @@ impl<M: Carried> Subscriber<M> {
         }
     }
 
-    /// The next message, if there is one.
+    /// Returns the next message, if there is one.
     pub fn try_recv(&self) -> Option<M> {
         loop {
             if let Some(message) = self.read(self.incoming.inbox.try_pop()?) {
@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn long_messages_are_not_let_in() {
+    fn long_messages_are_rejected() {
         let incoming = Incoming::new("/camera".to_owned(), Qos::SENSORS);
         incoming.push(0, vec![0; MAX_MESSAGE_LEN + 1]);
         incoming.push(1, vec![7]);

@@ -1,7 +1,7 @@
-//! Zenoh, as ROS 2's `rmw_zenoh` uses it: a session that finds its peers by a router, topics as key expressions, what
-//! there is as liveliness tokens, and messages with what `rmw_zenoh` attaches to them.
+//! Zenoh, as ROS 2's `rmw_zenoh` uses it: a session that finds its peers through a router, topics as key expressions, nodes
+//! and endpoints as liveliness tokens, and messages with `rmw_zenoh`'s attachments.
 //!
-//! Source: `rmw_zenoh`'s design document, and what its versions since ROS 2 Jazzy's 0.2.4 put on the wire.
+//! Source: `rmw_zenoh`'s design document, and the wire format of its versions since ROS 2 Jazzy's 0.2.4.
 
 mod names;
 mod session;

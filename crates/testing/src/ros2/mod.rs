@@ -19,7 +19,7 @@ use crate::{
     python,
 };
 
-/// Returns a scan whose values no other test uses.
+/// A scan with recognizable values.
 pub fn scan() -> LaserScan {
     LaserScan {
         header: Header::new(Time { sec: 3, nanosec: 9 }, "laser"),
@@ -30,7 +30,7 @@ pub fn scan() -> LaserScan {
     }
 }
 
-/// Publishes over and over until the peer prints a text.
+/// Publishes repeatedly until the peer prints a text.
 pub fn publishing_until_printed(mut publish: impl FnMut(), peer: &Process, what: &str) {
     until(&format!("it prints `{what}`"), || {
         publish();
@@ -38,7 +38,7 @@ pub fn publishing_until_printed(mut publish: impl FnMut(), peer: &Process, what:
     });
 }
 
-/// A DDS domain and namespace for the nodes of one test, on loopback only.
+/// A domain and namespace of one test, on loopback only.
 pub struct Meeting {
     domain: u16,
     namespace: String,
@@ -55,7 +55,7 @@ impl Meeting {
     pub fn new() -> Self {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        // The ports of these domains lie below those that the kernel hands out. Tests that share a domain by chance have
+        // The ports of these domains are below the ephemeral ports of the kernel. Tests that share a domain by chance have
         // other topics.
         let domain = u16::try_from(1 + process % 100).unwrap();
         Self { domain, namespace: format!("/test_{process}_{count}") }
@@ -65,11 +65,12 @@ impl Meeting {
         self.domain
     }
 
+    /// Returns the namespace.
     pub fn namespace(&self) -> &str {
         &self.namespace
     }
 
-    /// Starts a node of `cotorra-ros2`.
+    /// Starts a node of this crate.
     pub fn node(&self, name: &str) -> Node {
         let config = NodeConfig {
             domain: self.domain,
@@ -80,7 +81,8 @@ impl Meeting {
         Node::new(config).unwrap()
     }
 
-    /// Starts Cyclone DDS: see `cyclone.py`. The topic is in the meeting's namespace, unless it is one of DDS's own.
+    /// Starts Cyclone DDS: see `cyclone.py`. A topic is in the namespace, unless it is one of DDS's own. Returns `None`,
+    /// and prints a message, if it is not installed.
     pub fn cyclone(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
         let only_loopback = "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>\
             </General><Discovery><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery>";
@@ -89,7 +91,7 @@ impl Meeting {
         self.cyclone_by(command, action, kind, &self.dds_topic(topic), qos)
     }
 
-    /// Starts Cyclone DDS on all interfaces, through a command that runs its arguments. The topic has its DDS name.
+    /// The same, behind a command that runs its arguments, on all interfaces. The topic has its DDS name.
     pub fn cyclone_by(
         &self,
         mut command: Command,
@@ -103,12 +105,12 @@ impl Meeting {
         Some(start(&mut command))
     }
 
-    /// Starts Fast DDS: see `fastdds.cpp`.
+    /// Starts Fast DDS: see `fastdds.cpp`. Returns `None`, and prints a message, if it is not installed.
     pub fn fast_dds(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
         self.fast_dds_by(Command::new("/usr/bin/env"), action, kind, &self.dds_topic(topic), qos)
     }
 
-    /// Starts Fast DDS through a command that runs its arguments. A topic has its DDS name, a service its ROS name.
+    /// The same, behind a command that runs its arguments. The topic has its DDS name, the service its ROS name.
     pub fn fast_dds_by(
         &self,
         mut command: Command,

@@ -1,4 +1,4 @@
-//! What the node tells ROS's tools of itself: which endpoints of its DDS participant are a node's, and its name.
+//! The node's announcement to ROS's tools: its name, and the endpoints of its DDS participant.
 //!
 //! Source: `rmw_dds_common`'s messages, of ROS 2 Iron and later.
 
@@ -15,21 +15,21 @@ pub const TYPE_NAME: &str = "rmw_dds_common/msg/ParticipantEntitiesInfo";
 /// `ParticipantEntitiesInfo`: the nodes of a participant.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ParticipantEntitiesInfo {
-    /// Of the participant.
+    /// Identifier of the participant.
     pub gid: Gid,
     /// Its nodes.
     pub nodes: Vec<NodeEntitiesInfo>,
 }
 
-/// `NodeEntitiesInfo`: a node and what it has.
+/// `NodeEntitiesInfo`: a node and its endpoints.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct NodeEntitiesInfo {
     /// Begins with `/`.
     pub namespace: String,
     /// Without namespace.
     pub name: String,
-    /// Of its subscribers.
+    /// Identifiers of its subscribers.
     pub readers: Vec<Gid>,
-    /// Of its publishers.
+    /// Identifiers of its publishers.
     pub writers: Vec<Gid>,
 }

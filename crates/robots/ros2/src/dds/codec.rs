@@ -1,5 +1,4 @@
-//! Messages as DDS carries them: encoded, so that types are read and written by this project's own codec, and only
-//! once they are known to be what they should be.
+//! Passes encoded messages through RustDDS. They are decoded by `cotorra-ros-messages`, after their type was checked.
 
 use std::convert::Infallible;
 
@@ -9,19 +8,19 @@ use rustdds::{
     no_key::{DataWriter, Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter, SimpleDataReader},
 };
 
-/// Length of the header that says how the rest is encoded.
+/// Length of the encapsulation header, which names the encoding.
 const ENCAPSULATION_LEN: usize = 4;
 
 /// Reads messages from RustDDS.
 pub type Reader = SimpleDataReader<Vec<u8>, Plain>;
-/// Gives messages to RustDDS.
+/// Writes messages to RustDDS.
 pub type Writer = DataWriter<Bytes, Plain>;
 
 /// Passes encoded messages through, with their encapsulation header.
 #[derive(Debug, Clone, Copy)]
 pub struct Plain;
 
-/// What RustDDS sends of an encoded message: all but its encapsulation header, which it writes itself.
+/// Returns an encoded message without its encapsulation header, which RustDDS writes itself.
 pub fn body(encoded: Vec<u8>) -> Bytes {
     Bytes::from(encoded).slice(ENCAPSULATION_LEN..)
 }

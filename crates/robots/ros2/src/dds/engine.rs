@@ -1,4 +1,4 @@
-//! The node's thread: takes in what discovery tells and what peers publish, and sends what had to wait.
+//! The node's thread: it handles discovery, receives messages of peers, and sends queued messages.
 
 use std::{io, sync::Arc, time::Duration};
 
@@ -11,20 +11,20 @@ use super::participant::Shared;
 
 const WAKER: Token = Token(0);
 const DISCOVERY: Token = Token(1);
-/// The first number of what else the thread waits for.
+/// First identifier of other event sources.
 pub const FIRST_ID: usize = 2;
 
-/// How soon what had to wait is tried again: no longer than commands are apart.
+/// Retry interval for queued messages, no longer than the interval of commands.
 pub const RETRY: Duration = Duration::from_millis(20);
 
-/// What the thread waits with, and what wakes it.
+/// Returns the thread's poll and its waker.
 pub fn poll() -> io::Result<(Poll, Waker)> {
     let poll = Poll::new()?;
     let waker = Waker::new(poll.registry(), WAKER)?;
     Ok((poll, waker))
 }
 
-/// The thread.
+/// The node's thread.
 pub struct Engine {
     poll: Poll,
     discovery: DomainParticipantStatusListener,
@@ -48,10 +48,10 @@ impl Engine {
             if let Err(error) = self.poll.poll(&mut events, timeout)
                 && error.kind() != io::ErrorKind::Interrupted
             {
-                tracing::error!("{}: no more messages: {error}", self.shared.names.node());
+                tracing::error!("{}: stops receiving: {error}", self.shared.names.node());
                 return;
             }
-            // First who publishes, then what.
+            // First discovery, then messages.
             while let Some(event) = self.discovery.try_recv_status() {
                 self.shared.graph.lock().apply(event);
             }

@@ -1,5 +1,5 @@
-//! Who else publishes and subscribes, as discovery tells. DDS matches by topic, quality of service and type; RustDDS
-//! leaves the type out, so that it is compared here.
+//! Publishers and subscribers of other nodes, by discovery. DDS matches by topic, quality of service and type. RustDDS
+//! does not compare the type, which this module does.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,10 +12,10 @@ use crate::{
 
 /// Identifies an endpoint: twelve bytes of its participant, four of its own.
 pub type Gid = [u8; 16];
-/// How many of these are its participant's.
+/// Bytes that identify the participant.
 const PARTICIPANT: usize = 12;
 
-/// What is known of the others.
+/// Discovered endpoints, and their matches with those of the node.
 #[derive(Debug, Default)]
 pub struct Graph {
     publishers: BTreeMap<Gid, Endpoint>,
@@ -27,20 +27,20 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// An endpoint of the node itself.
+    /// Adds an endpoint of the node itself.
     pub fn add_own(&mut self, gid: Gid, endpoint: Endpoint) {
         let others = self.publishers.values().chain(self.subscribers.values());
         others.for_each(|other| warn_of_other_fields(&endpoint, other));
         self.own.insert(gid, endpoint);
     }
 
-    /// It is no more.
+    /// Removes an endpoint of the node itself.
     pub fn remove_own(&mut self, gid: Gid) {
         self.own.remove(&gid);
         self.matches.remove(&gid);
     }
 
-    /// Takes in what RustDDS tells.
+    /// Applies a discovery event of RustDDS.
     pub fn apply(&mut self, event: Event) {
         match event {
             Event::ReaderDetected { reader } => {
@@ -88,12 +88,12 @@ impl Graph {
         self.matches.values_mut().for_each(|matched| matched.retain(|gid| !lost(gid)));
     }
 
-    /// Whether messages of that publisher can be of that type: it is, or nothing is known of it.
+    /// Whether messages of a publisher can be of a type: the publisher has that type, or is unknown.
     pub fn publishes(&self, gid: &Gid, kind: &str) -> bool {
         self.publishers.get(gid).is_none_or(|publisher| publisher.kind == kind)
     }
 
-    /// How many remote endpoints a local one is connected to: that match and have its type.
+    /// Returns the number of remote endpoints that match a local one and have its type.
     pub fn connected(&self, gid: &Gid) -> usize {
         let Some(own) = self.own.get(gid) else { return 0 };
         let same = |remote: &&Gid| {
@@ -103,26 +103,26 @@ impl Graph {
         self.matches.get(gid).map_or(0, |matched| matched.iter().filter(same).count())
     }
 
-    /// The numbers of those types as which a topic is to be published: of each node elsewhere that subscribes to some
-    /// of them, the last one.
+    /// Returns the indices of the types to publish a topic as: for each remote node that subscribes to some of them, the
+    /// last one.
     pub fn wanted(&self, topic: &str, kinds: &[Kind]) -> BTreeSet<usize> {
         let others = self.subscribers.iter().filter(|(gid, _)| !self.own.contains_key(*gid));
         wanted(others.map(|(gid, other)| (&gid[..PARTICIPANT], other)), topic, kinds)
     }
 
-    /// Whether someone else subscribes to an endpoint's topic as another type.
+    /// Whether a peer subscribes to an endpoint's topic as another type.
     pub fn is_subscribed_otherwise(&self, own: &Endpoint) -> bool {
         self.subscribers
             .values()
             .any(|subscriber| subscriber.topic == own.topic && subscriber.kind != own.kind)
     }
 
-    /// Whether RustDDS connected a local endpoint to one of another type.
+    /// Whether RustDDS matched a local endpoint with one of another type.
     pub fn meets_others(&self, gid: &Gid) -> bool {
         self.matches.get(gid).is_some_and(|matched| matched.len() > self.connected(gid))
     }
 
-    /// The types of others on a topic.
+    /// Returns the types of peers on a topic.
     pub fn peers(&self, topic: &str) -> Peers {
         let kinds = |endpoints: &BTreeMap<Gid, Endpoint>| {
             let others = endpoints.iter().filter(|(gid, _)| !self.own.contains_key(*gid));
@@ -133,7 +133,7 @@ impl Graph {
 }
 
 fn endpoint(topic: String, kind: String, user_data: &[u8]) -> Endpoint {
-    // rmw's form: key=value; and so on.
+    // In rmw's form, `key=value;` for each entry.
     let text = String::from_utf8_lossy(user_data);
     let hash = text.split(';').find_map(|item| item.strip_prefix("typehash="));
     Endpoint { topic, kind, hash: hash.map(str::to_owned) }
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_lost_is_forgotten() {
+    fn lost_peers_are_removed() {
         let reason = LostReason::Disposed;
         let (mut one, local, remote) = graph();
         one.apply(Event::ReaderLost { guid: remote[0], reason: reason.clone() });
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn each_node_is_told_as_it_understands() {
+    fn each_node_gets_the_type_that_it_subscribes_to() {
         let mut graph = Graph::default();
         for (guid, kind) in [(guid(2, 1), TWIST), (guid(3, 1), TWIST), (guid(3, 2), STAMPED)] {
             graph.apply(Event::ReaderDetected { reader: description(guid, kind) });
@@ -214,14 +214,14 @@ mod tests {
     }
 
     #[test]
-    fn hashes_are_read_from_what_peers_announce() {
+    fn hashes_are_read_from_announcements() {
         let found = endpoint(String::new(), String::new(), b"a=b;typehash=RIHS01_ff;");
         assert_eq!(found.hash.as_deref(), Some("RIHS01_ff"));
         assert_eq!(endpoint(String::new(), String::new(), b"\xff;").hash, None);
     }
 
     #[test]
-    fn messages_of_another_type_are_told_by_their_publisher() {
+    fn messages_of_another_type_are_recognized_by_their_publisher() {
         let mut graph = Graph::default();
         let writer = guid(3, 1);
         assert!(graph.publishes(&writer.to_bytes(), TWIST));

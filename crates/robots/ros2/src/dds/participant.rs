@@ -1,4 +1,4 @@
-//! A node in DDS: RustDDS's participant and a thread.
+//! A node in DDS: a participant of RustDDS and a thread.
 
 use std::{
     collections::BTreeMap,
@@ -38,10 +38,10 @@ pub struct Dds {
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// What a node's thread, publishers and subscribers have in common.
+/// State of a node that its thread, publishers and subscribers share.
 pub struct Shared {
     pub names: Names,
-    /// None once it was shut down.
+    /// `None` after shutdown.
     participant: Mutex<Option<Participant>>,
     pub state: Mutex<State>,
     pub graph: Mutex<Graph>,
@@ -51,20 +51,20 @@ pub struct Shared {
     stopped: AtomicBool,
 }
 
-/// What a node has.
+/// Topics of a node.
 #[derive(Default)]
 pub struct State {
     pub publications: BTreeMap<usize, Arc<Publication>>,
-    /// Each reader's subscription, and which of its types it is.
+    /// Subscription of each reader, with the index of its type.
     pub readers: BTreeMap<usize, (Arc<Subscription>, usize)>,
 }
 
-/// The node in DDS.
+/// A DDS participant with its endpoints.
 pub struct Participant {
     dds: DomainParticipant,
     pub publisher: rustdds::Publisher,
     pub subscriber: rustdds::Subscriber,
-    /// Tells others which endpoints are the node's.
+    /// Announces the endpoints of the node.
     announcer: DataWriterCdr<ParticipantEntitiesInfo>,
     pub readers: Vec<Gid>,
     pub writers: Vec<Gid>,
@@ -105,7 +105,7 @@ impl Participant {
 }
 
 impl Shared {
-    /// Does something with the node's participant.
+    /// Runs `act` with the node's participant.
     pub fn with<T>(
         &self,
         act: impl FnOnce(&mut Participant) -> Result<T, NodeError>,
@@ -114,7 +114,7 @@ impl Shared {
     }
 
     pub fn wake(&self) {
-        // Without a thread, there is nothing left to do.
+        // Without a thread, the node has ended.
         let _ = self.waker.wake();
     }
 
@@ -172,11 +172,11 @@ impl Carrier for Dds {
         self.shared.stopped.store(true, Ordering::Release);
         self.shared.wake();
         if let Some(thread) = self.thread.lock().take() {
-            // A thread that panicked has ended, too.
+            // A panicked thread has ended, too.
             let _ = thread.join();
         }
         let State { publications, readers } = std::mem::take(&mut *self.shared.state.lock());
-        // Once one has waited in vain, the others wait no more, so that all of them wait as long as one.
+        // After one publisher waited in vain, the others do not wait: together they wait as long as one.
         let mut patience = LAST_WORDS;
         for publication in publications.values() {
             if !publication.close(&self.shared, patience) {
@@ -184,7 +184,7 @@ impl Carrier for Dds {
             }
         }
         readers.values().for_each(|(subscription, _)| subscription.close());
-        // The last one that holds it: it tells others, and waits for its threads.
+        // The last reference: the participant announces its end, and waits for its threads.
         drop(self.shared.participant.lock().take());
     }
 

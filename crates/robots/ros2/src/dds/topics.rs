@@ -26,8 +26,8 @@ use crate::{
     topics::{Incoming, Inlet, Outlet},
 };
 
-/// How long a publisher that ends waits until what it published reliably has arrived. Only a peer that is busy or gone
-/// takes longer than some milliseconds.
+/// Deadline for reliable messages to arrive when their publisher ends. Only a busy or lost peer takes longer than some
+/// milliseconds.
 pub const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// A topic that the node publishes.
@@ -40,21 +40,21 @@ pub struct Publication {
 }
 
 struct Output {
-    /// For each type, once it is published.
+    /// Writer of each type, once the type is published.
     writers: Vec<Option<Writer>>,
-    /// With the number of its type.
+    /// Queued messages, each with the index of its type.
     waiting: Waiting<(usize, Bytes)>,
     closed: bool,
 }
 
 impl Publication {
-    /// Publishes as the type of that number, too.
+    /// Starts publishing as the type with that index, too.
     fn open(&self, number: usize, output: &mut Output, shared: &Shared) -> Result<(), NodeError> {
         output.writers[number] = Some(shared.open_writer(&self.topic, &self.kinds[number], self.qos)?);
         Ok(())
     }
 
-    /// Gives to DDS what it takes. Returns whether something is left.
+    /// Passes queued messages to DDS. Returns whether some are left.
     fn flush_output(&self, output: &mut Output, shared: &Shared) -> bool {
         while let Some((number, body)) = output.waiting.front() {
             let (number, body) = (*number, body.clone());
@@ -63,7 +63,7 @@ impl Publication {
                 Ok(()) => {}
                 Err(WriteError::WouldBlock { .. }) => {
                     // A subscriber of another type never acknowledges, but RustDDS waits for it. A new writer does
-                    // not, for a while.
+                    // not wait for it, for a while.
                     let gid = writer.guid().to_bytes();
                     if !shared.graph.lock().meets_others(&gid) {
                         return true;
@@ -84,17 +84,17 @@ impl Publication {
         false
     }
 
-    /// Sends what waits. Returns whether something is left.
+    /// Sends queued messages. Returns whether some are left.
     pub fn flush(&self, shared: &Shared) -> bool {
         self.flush_output(&mut self.output.lock(), shared)
     }
 
-    /// Publishes nothing any more, once what was published has arrived, or after this time. Returns whether all of it has
-    /// arrived: what has not is lost, as it would be with any other node that ends.
+    /// Ends the publication as soon as all messages arrived, or after `patience`. Returns whether all arrived. Others
+    /// are lost, as with any other node that ends.
     pub fn close(&self, shared: &Shared, mut patience: Duration) -> bool {
         let mut output = self.output.lock();
         output.closed = true;
-        // What waits goes as soon as some of what is on its way has been acknowledged.
+        // Queued messages are sent as soon as earlier ones are acknowledged.
         while self.flush_output(&mut output, shared) && !patience.is_zero() {
             for writer in output.writers.iter().flatten() {
                 let _ = writer.wait_for_acknowledgments(patience.min(RETRY));
@@ -113,7 +113,7 @@ impl Publication {
 }
 
 impl Shared {
-    /// The endpoint of that type on a topic.
+    /// Returns the endpoint of a type on a topic.
     fn endpoint(topic: &str, kind: &Kind) -> Endpoint {
         Endpoint { topic: dds_topic(topic), kind: kind.dds_name.clone(), hash: Some(kind.hash.clone()) }
     }
@@ -121,7 +121,7 @@ impl Shared {
     fn open_writer(&self, topic: &str, kind: &Kind, qos: Qos) -> Result<Writer, NodeError> {
         self.with(|participant| {
             let endpoint = Self::endpoint(topic, kind);
-            // RustDDS waits for subscribers of another type, too: let it be for as long as it can.
+            // RustDDS waits for subscribers of another type, too. Without a bound, that takes longest to block.
             let bounded = !self.graph.lock().is_subscribed_otherwise(&endpoint);
             let topic = participant.topic(topic, kind, &qos.policies(bounded))?;
             let writer: Writer = participant.publisher.create_datawriter_no_key(&topic, None)?;
@@ -150,7 +150,7 @@ impl Shared {
         let mut graph = self.graph.lock();
         gids.iter().for_each(|gid| graph.remove_own(*gid));
         drop(graph);
-        // A node that was shut down has told that already.
+        // After shutdown, the node has announced that already.
         let _ = self.with(|participant| {
             participant.readers.retain(|gid| !gids.contains(gid));
             participant.writers.retain(|gid| !gids.contains(gid));
@@ -160,7 +160,7 @@ impl Shared {
     }
 }
 
-/// A topic that is published, until this is dropped.
+/// Publishes a topic until it is dropped.
 pub struct Advertised {
     shared: Arc<Shared>,
     publication: Arc<Publication>,
@@ -234,13 +234,13 @@ impl Drop for Advertised {
 /// A topic that the node subscribes to.
 pub struct Subscription {
     kinds: Vec<Kind>,
-    /// For each type; none once the node was shut down.
+    /// Reader of each type; none after shutdown.
     readers: Mutex<Vec<Reader>>,
     incoming: Arc<Incoming>,
 }
 
 impl Subscription {
-    /// Takes what came as the type of that number.
+    /// Receives messages of the type with that index.
     pub fn take(&self, number: usize, graph: &Mutex<Graph>) {
         let readers = self.readers.lock();
         let Some(reader) = readers.get(number) else { return };
@@ -250,7 +250,7 @@ impl Subscription {
             match reader.try_take_one() {
                 Ok(None) => return,
                 Ok(Some(sample)) => {
-                    // All readers of a topic are given what any of them receives.
+                    // RustDDS passes each message to all readers of a topic.
                     if graph.lock().publishes(&sample.writer_guid().to_bytes(), kind) {
                         self.incoming.push(number, sample.into_value());
                     }
@@ -264,14 +264,14 @@ impl Subscription {
         }
     }
 
-    /// Nothing comes any more.
+    /// Ends the subscription.
     pub fn close(&self) {
         self.readers.lock().clear();
         self.incoming.inbox.close();
     }
 }
 
-/// A topic that is subscribed to, until this is dropped.
+/// Subscribes to a topic until it is dropped.
 pub struct Subscribed {
     shared: Arc<Shared>,
     subscription: Arc<Subscription>,
@@ -299,7 +299,7 @@ impl Subscribed {
         }
         *subscription.readers.lock() = readers;
         drop(state);
-        // What came before it was registered.
+        // Messages that arrived before the registration.
         shared.wake();
         Ok(Self { shared: Arc::clone(shared), subscription, gids, ids })
     }

@@ -1,23 +1,23 @@
-//! What `rmw_zenoh` calls things in Zenoh: topics, and the tokens that say what there is in the ROS graph.
+//! `rmw_zenoh`'s names in Zenoh: key expressions of topics, and liveliness tokens of the ROS graph.
 
 use crate::{carried::Kind, names::Names, peers::Endpoint, qos::Qos};
 
-/// Where tokens are.
+/// Prefix of tokens.
 const TOKENS: &str = "@ros2_lv";
-/// Stands for `/`, and for what is empty.
+/// Stands for `/`, and for empty text.
 const SLASH: &str = "%";
 
-/// The key expression of a topic as a type: what it carries goes there.
+/// Returns the key expression of the messages of a topic with a type.
 pub fn topic_key(domain: u16, topic: &str, kind: &Kind) -> String {
     format!("{domain}/{}/{}/{}", topic.trim_matches('/'), kind.dds_name, kind.hash)
 }
 
-/// The key expression of all tokens of a domain.
+/// Returns the key expression of all tokens of a domain.
 pub fn all_tokens(domain: u16) -> String {
     format!("{TOKENS}/{domain}/**")
 }
 
-/// What a token tells of.
+/// Kind of entity that a token announces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Role {
     Node,
@@ -35,21 +35,21 @@ impl Role {
     }
 }
 
-/// Who says a token: a node, which has a session to itself.
-pub struct Speaker<'a> {
+/// The owner of a token: a node, which has a session of its own.
+pub struct TokenOwner<'a> {
     pub domain: u16,
-    /// Of Zenoh's.
+    /// Identifier of the Zenoh session.
     pub session: &'a str,
     pub names: &'a Names,
 }
 
-impl Speaker<'_> {
-    /// The node's own token.
+impl TokenOwner<'_> {
+    /// Returns the node's own token.
     pub fn node(&self) -> String {
         self.token(0, Role::Node)
     }
 
-    /// The token of a publisher or subscriber with that number, of which a session has no two.
+    /// Returns the token of a publisher or subscriber. Its number is unique in the session.
     pub fn endpoint(&self, number: usize, role: Role, topic: &str, kind: &Kind, qos: Qos) -> String {
         let topic = topic.replace('/', SLASH);
         format!(
@@ -64,20 +64,20 @@ impl Speaker<'_> {
     fn token(&self, number: usize, role: Role) -> String {
         let Self { domain, session, names } = self;
         let (role, namespace) = (role.word(), names.namespace().replace('/', SLASH));
-        // Of the session's nodes, this is number 0; it is in no security enclave.
+        // The node has number 0 in its session, and no security enclave.
         format!("{TOKENS}/{domain}/{session}/0/{number}/{role}/{SLASH}/{namespace}/{}", names.name())
     }
 }
 
-/// Reliability, durability, history and depth, by their numbers in `rmw/types.h`; deadline, lifespan and liveliness are
-/// left out, which says that there are none.
+/// Encodes reliability, durability, history and depth by their numbers in `rmw/types.h`. Deadline, lifespan and
+/// liveliness are left out: there are none.
 fn qos_word(qos: Qos) -> String {
     let (reliability, durability) = (if qos.reliable { 1 } else { 2 }, if qos.latched { 1 } else { 2 });
     format!("{reliability}:{durability}:1,{}:,:,:,,", qos.depth())
 }
 
-/// What a token tells of a publisher or subscriber: its session, which of both it is, and the rest. None if it is a node,
-/// has to do with services, or is no token.
+/// Reads the token of a publisher or subscriber: its session, role and endpoint. Returns `None` for nodes, services and
+/// other keys.
 pub fn read_token(token: &str) -> Option<(&str, Role, Endpoint)> {
     let parts: Vec<_> = token.split('/').collect();
     let [TOKENS, _domain, session, _node, _number, role, _enclave, _namespace, _name, topic, kind, hash, ..] =
@@ -104,16 +104,16 @@ mod tests {
     const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
     #[test]
-    fn topics_and_tokens_are_called_as_the_design_says() {
+    fn topics_and_tokens_are_named_as_specified() {
         let kind = Kind::of::<Text>();
         assert_eq!(
             topic_key(2, "/tb2/chatter", &kind),
             format!("2/tb2/chatter/std_msgs::msg::dds_::String_/{HASH}")
         );
         let names = Names::new("talker", "/tb2", []).unwrap();
-        let speaker = Speaker { domain: 2, session: "aac3", names: &names };
-        assert_eq!(speaker.node(), "@ros2_lv/2/aac3/0/0/NN/%/%tb2/talker");
-        let token = speaker.endpoint(1, Role::Publisher, "/tb2/chatter", &kind, Qos::LATCHED);
+        let owner = TokenOwner { domain: 2, session: "aac3", names: &names };
+        assert_eq!(owner.node(), "@ros2_lv/2/aac3/0/0/NN/%/%tb2/talker");
+        let token = owner.endpoint(1, Role::Publisher, "/tb2/chatter", &kind, Qos::LATCHED);
         let expected = format!(
             "@ros2_lv/2/aac3/0/1/MP/%/%tb2/talker/%tb2%chatter/std_msgs::msg::dds_::String_/{HASH}/1:1:1,1:,:,:,,"
         );
@@ -125,14 +125,14 @@ mod tests {
         };
         assert_eq!(read_token(&token), Some(("aac3", Role::Publisher, endpoint)));
         let root = Names::new("talker", "/", []).unwrap();
-        let speaker = Speaker { names: &root, ..speaker };
-        assert_eq!(speaker.node(), "@ros2_lv/2/aac3/0/0/NN/%/%/talker");
-        let token = speaker.endpoint(2, Role::Subscriber, "/scan", &kind, Qos::SENSORS);
+        let owner = TokenOwner { names: &root, ..owner };
+        assert_eq!(owner.node(), "@ros2_lv/2/aac3/0/0/NN/%/%/talker");
+        let token = owner.endpoint(2, Role::Subscriber, "/scan", &kind, Qos::SENSORS);
         assert!(token.contains("/MS/%/%/talker/%scan/") && token.ends_with("/2:2:1,5:,:,:,,"), "{token}");
     }
 
     #[test]
-    fn what_is_no_endpoint_is_left_out() {
+    fn tokens_of_other_things_are_ignored() {
         for token in [
             "@ros2_lv/2/aac3/0/0/NN/%/%/talker",
             "@ros2_lv/2/aac3/0/1/SS/%/%/talker/%add/a::srv::dds_::B_/RIHS01_0/:,:,:,,",

@@ -1,4 +1,4 @@
-//! A session of Zenoh's for one node, and what it knows of others.
+//! The Zenoh session of a node, and the endpoints that it discovered.
 
 use std::{
     collections::BTreeMap,
@@ -17,7 +17,7 @@ use zenoh::{
 };
 
 use super::{
-    names::{Role, Speaker, all_tokens, read_token},
+    names::{Role, TokenOwner, all_tokens, read_token},
     topics::{Advertised, Subscribed},
 };
 use crate::{
@@ -29,7 +29,7 @@ use crate::{
     topics::{Carrier, Incoming, Inlet, Outlet},
 };
 
-/// What Zenoh says is wrong.
+/// Converts an error of Zenoh.
 pub fn refused(error: zenoh::Error) -> NodeError {
     NodeError::Zenoh(error.to_string())
 }
@@ -37,11 +37,11 @@ pub fn refused(error: zenoh::Error) -> NodeError {
 /// Zenoh for a node.
 pub struct Zenoh {
     shared: Arc<Shared>,
-    /// Told as long as the node is there; none afterwards.
+    /// The node's token; `None` after shutdown.
     told: Mutex<Option<(LivelinessToken, Subscriber<()>)>>,
 }
 
-/// What a node, its publishers and its subscribers have in common.
+/// State of a node that its publishers and subscribers share.
 pub struct Shared {
     pub session: Session,
     pub domain: u16,
@@ -53,7 +53,7 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// Tells others of a publisher or subscriber, as long as the token is there; and what the token says.
+    /// Announces a publisher or subscriber as long as the returned token lives. Returns the text of the token, too.
     pub fn tell(
         &self,
         role: Role,
@@ -63,8 +63,8 @@ impl Shared {
     ) -> Result<(LivelinessToken, String), NodeError> {
         let number = self.next_number.fetch_add(1, Ordering::Relaxed);
         let session = self.session.zid().to_string();
-        let speaker = Speaker { domain: self.domain, session: &session, names: &self.names };
-        let token = speaker.endpoint(number, role, topic, kind, qos);
+        let owner = TokenOwner { domain: self.domain, session: &session, names: &self.names };
+        let token = owner.endpoint(number, role, topic, kind, qos);
         let told = self.session.liveliness().declare_token(&token).wait().map_err(refused)?;
         Ok((told, token))
     }
@@ -74,30 +74,30 @@ impl Shared {
     }
 }
 
-/// What is known of the others.
+/// Discovered endpoints.
 #[derive(Debug, Default)]
 pub struct Graph {
     own_session: String,
     own: Vec<Endpoint>,
-    /// By their tokens.
+    /// Endpoints by token.
     others: BTreeMap<String, (String, Role, Endpoint)>,
 }
 
 impl Graph {
-    /// An endpoint of the node itself.
+    /// Adds an endpoint of the node itself.
     pub fn add_own(&mut self, endpoint: Endpoint) {
         self.others.values().for_each(|(_, _, other)| warn_of_other_fields(&endpoint, other));
         self.own.push(endpoint);
     }
 
-    /// It is no more.
+    /// Removes an endpoint of the node itself.
     pub fn remove_own(&mut self, endpoint: &Endpoint) {
         if let Some(place) = self.own.iter().position(|own| own == endpoint) {
             self.own.swap_remove(place);
         }
     }
 
-    /// A token came or went.
+    /// Applies the appearance or loss of a token.
     fn apply(&mut self, token: &str, there: bool) {
         if !there {
             self.others.remove(token);
@@ -115,12 +115,12 @@ impl Graph {
         others.map(|(session, _, endpoint)| (session.as_str(), endpoint))
     }
 
-    /// How many others of that role an endpoint meets: those of its topic, type and hash.
+    /// Returns the number of remote endpoints of a role with the topic, type and hash of `own`.
     pub fn connected(&self, own: &Endpoint, role: Role) -> usize {
         self.all(role).filter(|(_, other)| *other == own).count()
     }
 
-    /// The numbers of those types as which a topic is to be published.
+    /// Returns the indices of the types to publish a topic as.
     pub fn wanted(&self, topic: &str, kinds: &[Kind]) -> std::collections::BTreeSet<usize> {
         wanted(self.all(Role::Subscriber), topic, kinds)
     }
@@ -131,8 +131,8 @@ impl Graph {
     }
 }
 
-/// As `rmw_zenoh`'s nodes are by default: peers that find each other by a router, and not by multicast. On one machine
-/// they then speak to each other without the router between them.
+/// Configuration of `rmw_zenoh`'s nodes by default: peers that discover each other through a router, not by multicast.
+/// On one machine, they then exchange messages without the router.
 fn config(router: &str) -> Result<Config, NodeError> {
     let mut config = Config::default();
     let endpoint = serde_json::Value::from(router);
@@ -141,7 +141,7 @@ fn config(router: &str) -> Result<Config, NodeError> {
         ("connect/endpoints", &format!("[{endpoint}]")),
         ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#),
         ("scouting/multicast/enabled", "false"),
-        // What is latched comes in order of its timestamps.
+        // Latched messages arrive in the order of their timestamps.
         ("timestamping/enabled", "true"),
     ] {
         config.insert_json5(key, value).map_err(refused)?;
@@ -150,12 +150,12 @@ fn config(router: &str) -> Result<Config, NodeError> {
 }
 
 impl Zenoh {
-    /// Opens a session that stays in touch with a router, whenever it is there.
+    /// Opens a session that connects to a router, and again whenever it returns.
     pub fn open(domain: u16, router: &str, names: Names) -> Result<Self, NodeError> {
         let session = zenoh::open(config(router)?).wait().map_err(refused)?;
         let own_session = session.zid().to_string();
-        let speaker = Speaker { domain, session: &own_session, names: &names };
-        let token = session.liveliness().declare_token(speaker.node()).wait().map_err(refused)?;
+        let owner = TokenOwner { domain, session: &own_session, names: &names };
+        let token = session.liveliness().declare_token(owner.node()).wait().map_err(refused)?;
         let graph = Arc::new(Mutex::new(Graph { own_session, ..Graph::default() }));
         let known = Arc::clone(&graph);
         let discovery = session
@@ -213,7 +213,7 @@ impl Carrier for Zenoh {
             return;
         }
         drop(self.told.lock().take());
-        // Others see it by the tokens that are gone, too.
+        // Peers also notice the missing tokens.
         if let Err(error) = self.shared.session.close().wait() {
             tracing::debug!("{}: {error}", self.shared.names.node());
         }

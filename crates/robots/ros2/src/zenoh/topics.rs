@@ -27,26 +27,26 @@ use crate::{
     topics::{Incoming, Inlet, Outlet},
 };
 
-/// An endpoint as others tell theirs.
+/// Returns the endpoint of a topic and type.
 fn endpoint(topic: &str, kind: &Kind) -> Endpoint {
     Endpoint { topic: topic.to_owned(), kind: kind.dds_name.clone(), hash: Some(kind.hash.clone()) }
 }
 
-/// A topic that is published, until this is dropped.
+/// Publishes a topic until it is dropped.
 pub struct Advertised {
     shared: Arc<Shared>,
     topic: String,
     kinds: Vec<Kind>,
     qos: Qos,
-    /// For each type, once it is published.
+    /// Writer of each type, once the type is published.
     writers: Mutex<Vec<Option<Writer>>>,
 }
 
-/// A topic that is published as one type.
+/// Publishes a topic as one type.
 struct Writer {
     publisher: AdvancedPublisher<'static>,
     gid: [u8; 16],
-    /// Of the last message.
+    /// Sequence number of the last message.
     sequence: i64,
     _told: LivelinessToken,
 }
@@ -56,7 +56,7 @@ impl Writer {
         let publisher = shared
             .session
             .declare_publisher(topic_key(shared.domain, topic, kind))
-            // As `rmw_zenoh` does: who is too slow is not waited for.
+            // As in `rmw_zenoh`: never waits for slow subscribers.
             .congestion_control(CongestionControl::Drop)
             .advanced();
         let publisher = if qos.latched {
@@ -67,7 +67,7 @@ impl Writer {
         let publisher = publisher.wait().map_err(refused)?;
         let (told, token) = shared.tell(Role::Publisher, topic, kind, qos)?;
         shared.graph.lock().add_own(endpoint(topic, kind));
-        // By which others know who published a message.
+        // Identifies the publisher of a message.
         let gid = XxHash3_128::oneshot(token.as_bytes()).to_le_bytes();
         Ok(Self { publisher, gid, sequence: 0, _told: told })
     }
@@ -80,7 +80,7 @@ impl Writer {
     }
 }
 
-/// What `rmw_zenoh` wants with each message: its number from 1 on, when it was published, in ns since 1970, and by whom.
+/// Encodes `rmw_zenoh`'s attachment of a message: its number from 1, its time in ns since 1970, and its publisher.
 fn attachment(sequence: i64, at: i64, gid: &[u8; 16]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(33);
     bytes.extend_from_slice(&sequence.to_le_bytes());
@@ -100,7 +100,7 @@ impl Advertised {
         Ok(Self { shared, topic, kinds, qos, writers: Mutex::new(writers) })
     }
 
-    /// The types as which it is published, with those who subscribe to them.
+    /// Returns the endpoints of the types that are published.
     fn open_kinds(&self) -> Vec<Endpoint> {
         let writers = self.writers.lock();
         let open = self.kinds.iter().zip(&*writers).filter(|(_, writer)| writer.is_some());
@@ -142,7 +142,7 @@ impl Outlet for Advertised {
     }
 
     fn dropped(&self) -> u64 {
-        // Zenoh does not tell.
+        // Zenoh does not count.
         0
     }
 }
@@ -155,7 +155,7 @@ impl Drop for Advertised {
     }
 }
 
-/// A topic that is subscribed to, until this is dropped.
+/// Subscribes to a topic until it is dropped.
 pub struct Subscribed {
     shared: Arc<Shared>,
     kinds: Vec<Endpoint>,

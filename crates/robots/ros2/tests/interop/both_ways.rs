@@ -1,4 +1,4 @@
-//! What holds with each other implementation, both ways: scans, commands and maps.
+//! Tests with every other implementation, both ways: scans, commands and maps.
 
 use cotorra_ros2::{
     Command, Node, Qos,
@@ -9,31 +9,31 @@ use cotorra_testing::{
     ros2::{publishing_until_printed, scan},
 };
 
-/// Where nodes and programs of another implementation meet.
+/// A network of nodes and programs of another implementation.
 pub trait Place {
-    /// The frame of what the other publishes.
+    /// Frame of the messages that the other publishes.
     const FRAME: &'static str;
-    /// What it prints of [`scan`].
+    /// Output of the other for [`scan`].
     const SCAN: &'static [&'static str];
-    /// What it prints of a map of 500 x 400 cells.
+    /// Output of the other for a map of 500 x 400 cells.
     const MAP: &'static [&'static str];
-    /// What it prints of a command of 0.75 m/s as `Twist` and as `TwistStamped` in the frame `base`.
+    /// Output of the other for a command of 0.75 m/s, as `Twist` and as `TwistStamped` in the frame `base`.
     const COMMANDS: [&'static str; 2];
 
-    /// A node of this crate.
+    /// Starts a node of this crate.
     fn node(&self, name: &str) -> Node;
 
-    /// A program of the other's. `None`, and a message, where it is not installed.
+    /// Starts a program of the other. Returns `None`, and prints a message, if it is not installed.
     fn peer(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process>;
 }
 
-/// Reliable publishers are heard by who wants no more than best effort.
+/// Subscribers with best effort receive from reliable publishers.
 const READ: [(Qos, &str); 3] =
     [(Qos::SENSORS, "sensors"), (Qos::COMMANDS, "commands"), (Qos::COMMANDS, "sensors")];
 const HEARD: [(Qos, &str); 3] =
     [(Qos::SENSORS, "sensors"), (Qos::COMMANDS, "commands"), (Qos::SENSORS, "commands")];
 
-pub fn scans_are_read_however_they_are_published<P: Place>(place: impl Fn() -> Option<P>) {
+pub fn our_scans_are_read_with_any_quality_of_service<P: Place>(place: impl Fn() -> Option<P>) {
     for (ours, theirs) in READ {
         let Some(place) = place() else { return };
         let Some(peer) = place.peer("print", "LaserScan", "scan", theirs) else { return };
@@ -45,7 +45,7 @@ pub fn scans_are_read_however_they_are_published<P: Place>(place: impl Fn() -> O
     }
 }
 
-pub fn scans_of_theirs_are_read_however_they_are_published<P: Place>(place: impl Fn() -> Option<P>) {
+pub fn their_scans_are_read_with_any_quality_of_service<P: Place>(place: impl Fn() -> Option<P>) {
     for (ours, theirs) in HEARD {
         let Some(place) = place() else { return };
         let node = place.node("robot");
@@ -61,10 +61,10 @@ pub fn scans_of_theirs_are_read_however_they_are_published<P: Place>(place: impl
     }
 }
 
-pub fn latched_maps_reach_who_comes_later<P: Place>(place: &P) {
+pub fn latched_maps_reach_later_subscribers<P: Place>(place: &P) {
     let node = place.node("maps");
     let maps = node.publish::<OccupancyGrid>("map", Qos::LATCHED).unwrap();
-    // Larger than a datagram: in fragments.
+    // Larger than a datagram, so in fragments.
     let info = MapMetaData { resolution: 0.05, width: 500, height: 400, ..MapMetaData::default() };
     let data = (0..200_000).map(|cell| (cell % 101) as i8 - 1).collect();
     maps.publish(&OccupancyGrid { info, data, ..OccupancyGrid::default() });
@@ -78,7 +78,7 @@ pub fn latched_maps_reach_who_comes_later<P: Place>(place: &P) {
     drop(peer);
 }
 
-pub fn commands_go_both_ways_as_either_type<P: Place>(place: impl Fn() -> Option<P>) {
+pub fn commands_of_either_type_go_both_ways<P: Place>(place: impl Fn() -> Option<P>) {
     for (kind, printed) in ["Twist", "TwistStamped"].into_iter().zip(P::COMMANDS) {
         let Some(place) = place() else { return };
         let node = place.node("driver");
@@ -102,27 +102,27 @@ pub fn commands_go_both_ways_as_either_type<P: Place>(place: impl Fn() -> Option
     }
 }
 
-/// The tests of a place that `$place` makes.
+/// Declares the tests for the network that `$place` starts.
 macro_rules! both_ways {
     ($place:expr) => {
         #[test]
-        fn scans_are_read_however_they_are_published() {
+        fn our_scans_are_read_with_any_quality_of_service() {
             crate::both_ways::scans_are_read_however_they_are_published($place);
         }
 
         #[test]
-        fn scans_of_theirs_are_read_however_they_are_published() {
+        fn their_scans_are_read_with_any_quality_of_service() {
             crate::both_ways::scans_of_theirs_are_read_however_they_are_published($place);
         }
 
         #[test]
-        fn latched_maps_reach_who_comes_later() {
+        fn latched_maps_reach_later_subscribers() {
             let Some(place) = $place() else { return };
             crate::both_ways::latched_maps_reach_who_comes_later(&place);
         }
 
         #[test]
-        fn commands_go_both_ways_as_either_type() {
+        fn commands_of_either_type_go_both_ways() {
             crate::both_ways::commands_go_both_ways_as_either_type($place);
         }
     };

@@ -13,7 +13,7 @@ use cotorra_testing::{
 
 use crate::both_ways::{Place, both_ways};
 
-/// Long enough for most messages.
+/// Time in which most messages arrive.
 const SOON: Duration = Duration::from_millis(50);
 
 struct Cyclone(Meeting);
@@ -37,7 +37,7 @@ impl Place for Cyclone {
 both_ways!(|| Some(Cyclone(Meeting::new())));
 
 #[test]
-fn who_asks_for_more_than_is_offered_is_not_connected() {
+fn subscriber_that_requests_more_than_offered_is_not_connected() {
     let meeting = Meeting::new();
     let Some(peer) = meeting.cyclone("publish", "LaserScan", "scan", "sensors") else { return };
     let node = meeting.node("robot");
@@ -49,7 +49,7 @@ fn who_asks_for_more_than_is_offered_is_not_connected() {
 }
 
 #[test]
-fn messages_of_another_type_are_not_taken() {
+fn messages_of_another_type_are_rejected() {
     let meeting = Meeting::new();
     let Some(peer) = meeting.cyclone("publish", "TwistStamped", "cmd_vel", "commands") else { return };
     let node = meeting.node("robot");
@@ -66,9 +66,9 @@ fn messages_of_another_type_are_not_taken() {
     drop(peer);
 }
 
-/// A subscriber of another type gets nothing and acknowledges nothing, and is not to stop those who do.
+/// A subscriber of another type receives and acknowledges nothing. It must not stop the others.
 #[test]
-fn subscribers_of_another_type_hold_nothing_up() {
+fn subscribers_of_another_type_do_not_block_others() {
     let meeting = Meeting::new();
     let Some(peer) = meeting.cyclone("print", "TwistStamped", "cmd_vel", "commands") else { return };
     let (driver, robot) = (meeting.node("driver"), meeting.node("robot"));
@@ -88,7 +88,7 @@ fn subscribers_of_another_type_hold_nothing_up() {
 }
 
 #[test]
-fn the_clock_is_ros_s() {
+fn clock_messages_are_those_of_ros() {
     let meeting = Meeting::new();
     let node = meeting.node("clock");
     let clocks = node.publish::<Clock>("clock", Qos::COMMANDS).unwrap();
@@ -98,14 +98,14 @@ fn the_clock_is_ros_s() {
 }
 
 #[test]
-fn last_words_are_heard() {
+fn last_messages_arrive_before_a_node_ends() {
     let meeting = Meeting::new();
     let Some(peer) = meeting.cyclone("print", "Text", "words", "commands") else { return };
     let node = meeting.node("speaker");
     let words = node.publish::<Text>("words", Qos::COMMANDS).unwrap();
     let say = |word: &str| words.publish(&Text { data: word.to_owned() });
     publishing_until_printed(|| say("hello"), &peer, "hello");
-    // More than may be on their way at once: the last ones wait in the publisher when the node ends.
+    // More than may be unacknowledged at once: the last ones are still queued when the node ends.
     (0..200).for_each(|_| say("well"));
     say("bye");
     drop(node);
@@ -113,7 +113,7 @@ fn last_words_are_heard() {
 }
 
 #[test]
-fn nodes_are_told_by_name_with_what_they_have() {
+fn nodes_announce_their_name_and_endpoints() {
     let meeting = Meeting::new();
     let Some(peer) = meeting.cyclone("print", "ParticipantEntitiesInfo", "ros_discovery_info", "latched")
     else {

@@ -1,5 +1,5 @@
-//! The node against other implementations of DDS with ROS 2's names, and Zenoh, and against itself.
-#![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
+//! The node against other implementations of DDS with ROS 2's names, against Zenoh, and against itself.
+#![allow(clippy::unwrap_used, reason = "tests and their helpers")]
 
 mod both_ways;
 mod cyclone;

@@ -18,7 +18,7 @@ fn forward(x: f64) -> Twist {
 }
 
 #[test]
-fn reliable_messages_all_arrive_in_order() {
+fn reliable_messages_arrive_in_order() {
     let meeting = Meeting::new();
     let (one, other) = (meeting.node("one"), meeting.node("other"));
     let words = one.publish::<Text>("words", Qos { depth: 500, ..Qos::COMMANDS }).unwrap();
@@ -34,7 +34,7 @@ fn reliable_messages_all_arrive_in_order() {
 }
 
 #[test]
-fn the_oldest_messages_give_way() {
+fn oldest_messages_are_dropped() {
     let meeting = Meeting::new();
     let (one, other) = (meeting.node("one"), meeting.node("other"));
     let words = one.publish::<Text>("words", Qos::COMMANDS).unwrap();
@@ -48,7 +48,7 @@ fn the_oldest_messages_give_way() {
 }
 
 #[test]
-fn latched_messages_reach_who_comes_later() {
+fn latched_messages_reach_later_subscribers() {
     let meeting = Meeting::new();
     let (one, other) = (meeting.node("one"), meeting.node("other"));
     let clocks = one.publish::<Clock>("/clock", Qos::LATCHED).unwrap();
@@ -56,13 +56,13 @@ fn latched_messages_reach_who_comes_later() {
         clocks.publish(&Clock { clock: Time { sec, nanosec: 0 } });
     }
     let heard = other.subscribe::<Clock>("/clock", Qos::LATCHED).unwrap();
-    // RustDDS may send what came shortly before, too; the last one comes last.
+    // RustDDS may send earlier messages, too; the last one arrives last.
     until("the last one arrives", || heard.recv_timeout(PATIENCE).unwrap().clock.sec == 3);
     assert_eq!(heard.try_recv(), None);
 }
 
 #[test]
-fn commands_are_spoken_as_they_are_understood() {
+fn commands_are_published_as_the_type_of_subscribers() {
     let meeting = Meeting::new();
     let (driver, robot) = (meeting.node("driver"), meeting.node("robot"));
     let commands = driver.publish::<Command>("cmd_vel", Qos::COMMANDS).unwrap();
@@ -88,7 +88,7 @@ fn commands_are_spoken_as_they_are_understood() {
 }
 
 #[test]
-fn commands_of_either_type_are_understood() {
+fn commands_of_either_type_are_received() {
     let meeting = Meeting::new();
     let (robot, old, new) = (meeting.node("robot"), meeting.node("old"), meeting.node("new"));
     let commands = robot.subscribe::<Command>("cmd_vel", Qos::COMMANDS).unwrap();
@@ -104,7 +104,7 @@ fn commands_of_either_type_are_understood() {
 }
 
 #[test]
-fn a_node_that_leaves_is_gone_at_once() {
+fn peers_notice_at_once_that_a_node_leaves() {
     let meeting = Meeting::new();
     let (one, other) = (meeting.node("one"), meeting.node("other"));
     let words = one.publish::<Text>("words", Qos::COMMANDS).unwrap();

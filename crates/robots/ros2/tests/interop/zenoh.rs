@@ -1,4 +1,4 @@
-//! The node against Zenoh, as ROS 2's `rmw_zenoh` speaks it.
+//! The node against Zenoh, as ROS 2's `rmw_zenoh` uses it.
 
 use std::{net::TcpListener, process};
 
@@ -16,22 +16,22 @@ use crate::both_ways::{Place, both_ways};
 
 const DOMAIN: u16 = 7;
 
-/// A router, by which nodes find each other.
+/// A router, through which nodes discover each other.
 struct Router {
     port: u16,
     process: Option<Process>,
 }
 
 impl Router {
-    /// A port for a router that is not there yet.
+    /// Reserves a port for a router that starts later.
     fn none_yet() -> Self {
-        // Below the ports that the kernel hands out, and another for each process of the tests.
+        // Below the ephemeral ports of the kernel, and another for each test process.
         let first = 10_000 + u16::try_from(process::id() % 20_000).unwrap();
         let port = (first..).find(|port| TcpListener::bind(("127.0.0.1", *port)).is_ok()).unwrap();
         Self { port, process: None }
     }
 
-    /// `None`, and a message, where Zenoh's wheel is not installed.
+    /// Returns `None`, and prints a message, if Zenoh's wheel is not installed.
     fn start() -> Option<Self> {
         let mut router = Self::none_yet();
         router.come()?;
@@ -52,7 +52,7 @@ impl Router {
 
 impl Place for Router {
     const FRAME: &'static str = "from zenoh";
-    // With what is attached: when, and by whom.
+    // With the attachment: time and publisher.
     const SCAN: &'static [&'static str] = &[
         "ranges=array([1.5 ,  inf, 2.25]",
         " True 16 ",
@@ -78,14 +78,14 @@ impl Place for Router {
 both_ways!(Router::start);
 
 #[test]
-fn nodes_and_what_they_have_are_told_and_taken_back() {
+fn nodes_announce_and_withdraw_their_endpoints() {
     let Some(router) = Router::start() else { return };
     let graph = router.run(&["graph", &DOMAIN.to_string()]).unwrap();
     let node = router.node("robot");
     let scans = node.publish::<LaserScan>("scan", Qos::SENSORS).unwrap();
     let commands = node.subscribe::<Command>("cmd_vel", Qos::COMMANDS).unwrap();
     graph.prints("/0/0/NN/%/%tb2/robot\n");
-    // The hash is that of `rosbags`, by which the peer of the other tests finds the topic.
+    // The hash is that of `rosbags`. The peer of the other tests finds the topic by it.
     let hash = "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828";
     let scan =
         format!("/MP/%/%tb2/robot/%tb2%scan/sensor_msgs::msg::dds_::LaserScan_/{hash}/2:2:1,5:,:,:,,\n");
@@ -109,7 +109,7 @@ fn nodes_and_what_they_have_are_told_and_taken_back() {
 }
 
 #[test]
-fn a_router_that_comes_later_or_again_brings_nodes_together() {
+fn nodes_meet_through_a_router_that_starts_late_or_again() {
     let mut router = Router::none_yet();
     let (one, other) = (router.node("one"), router.node("other"));
     let words: Publisher<Text> = one.publish("words", Qos::COMMANDS).unwrap();
@@ -125,7 +125,7 @@ fn a_router_that_comes_later_or_again_brings_nodes_together() {
         });
         router.process = None;
     }
-    // Of another type: nothing comes.
+    // Another type: no message arrives.
     let other = other.subscribe::<TwistStamped>("words", Qos::COMMANDS).unwrap();
     assert_eq!((other.try_recv(), other.malformed()), (None, 0));
 }
