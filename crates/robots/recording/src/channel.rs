@@ -1,4 +1,4 @@
-//! Where messages go: topics with ROS 2's rules for names, and the quality of service with which they would be offered.
+//! Topics of encoded messages: names by ROS 2's rules, types, and quality of service.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -8,19 +8,19 @@ use std::{
 use cotorra_graph::Timestamp;
 use cotorra_ros_messages::Message;
 
-/// How a topic would be offered.
+/// Quality of service with which a topic would be offered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Qos {
-    /// Reliable, to those who listen.
+    /// Reliable, to current subscribers.
     Default,
-    /// Best effort, as sensors are.
+    /// Best effort, as for sensors.
     Sensor,
-    /// Reliable, and the last is kept for those who come later: transient local.
+    /// Reliable, and the last message is kept for later subscribers: transient local.
     Latched,
 }
 
 impl Qos {
-    /// As `ros2 bag` notes it with a channel, in the form that all distributions read (rmw's own numbers).
+    /// Returns `ros2 bag`'s metadata of a channel, in the form that all distributions read (rmw's own numbers).
     fn to_yaml(self) -> String {
         let (depth, reliability, durability) = match self {
             Self::Default => (10, 1, 2),
@@ -37,12 +37,12 @@ impl Qos {
     }
 }
 
-/// A topic and what its messages are.
+/// A topic and the type of its messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Channel {
-    /// Its place among the channels of its encoder, from 0, without gaps.
+    /// Index among the channels of its encoder, from 0, without gaps.
     pub index: usize,
-    /// Its name, such as `/robot/scan`.
+    /// The name, such as `/robot/scan`.
     pub topic: String,
     /// The ROS name of its type, such as `sensor_msgs/msg/LaserScan`.
     pub type_name: &'static str,
@@ -50,12 +50,12 @@ pub struct Channel {
     pub schema: String,
     /// The type's hash (RIHS01).
     pub type_hash: String,
-    /// How it would be offered.
+    /// Quality of service with which it would be offered.
     pub qos: Qos,
 }
 
 impl Channel {
-    /// What `ros2 bag` notes with it.
+    /// Returns `ros2 bag`'s metadata of the channel.
     pub fn metadata(&self) -> BTreeMap<String, String> {
         let notes =
             [("offered_qos_profiles", self.qos.to_yaml()), ("topic_type_hash", self.type_hash.clone())];
@@ -63,18 +63,18 @@ impl Channel {
     }
 }
 
-/// A message on its way into a sink.
+/// An encoded message for a sink.
 #[derive(Debug, Clone, Copy)]
 pub struct Encoded<'a> {
-    /// Where it goes.
+    /// Its topic.
     pub channel: &'a Channel,
-    /// When it was known.
+    /// Time of the event, in the run.
     pub at: Timestamp,
     /// CDR with its encapsulation header.
     pub payload: &'a [u8],
 }
 
-/// The channels so far.
+/// The channels that have messages.
 #[derive(Debug, Default)]
 pub(crate) struct Channels {
     all: Vec<Channel>,
@@ -83,7 +83,7 @@ pub(crate) struct Channels {
 }
 
 impl Channels {
-    /// Encodes a message for a topic, which begins with its first.
+    /// Encodes a message for a topic. The first message of a topic adds its channel.
     pub fn encode<M: Message>(&mut self, topic: &str, qos: Qos, at: Timestamp, message: &M) -> Encoded<'_> {
         let index = match self.by_topic.get(topic) {
             Some(index) => *index,
@@ -102,7 +102,7 @@ impl Channels {
     }
 }
 
-/// Names of a testbed as parts of topics: letters, digits and single `_`, no digit first, each of its own.
+/// Unique topic parts for names of a testbed: letters, digits and single `_`, without a leading digit.
 #[derive(Debug)]
 pub(crate) struct Names {
     by_name: BTreeMap<String, String>,
@@ -110,13 +110,13 @@ pub(crate) struct Names {
 }
 
 impl Names {
-    /// No names yet, and some that cannot be had.
+    /// No names yet, and some that are reserved.
     pub fn without(reserved: &[&str]) -> Self {
         let taken = reserved.iter().map(|name| (*name).to_owned()).collect();
         Self { by_name: BTreeMap::new(), taken }
     }
 
-    /// The part of a topic for a name; the same each time.
+    /// Returns the topic part of a name, the same each time.
     pub fn token(&mut self, name: impl fmt::Display) -> &str {
         let name = name.to_string();
         if !self.by_name.contains_key(&name) {
@@ -131,7 +131,7 @@ impl Names {
     }
 }
 
-/// `R1~lan` as `R1_lan`, `2nd` as `n2nd`.
+/// Converts a name to a topic part: `R1~lan` to `R1_lan`, `2nd` to `n2nd`.
 fn token(name: &str) -> String {
     let parts = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
     let joined = parts.collect::<Vec<_>>().join("_");
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_keep_the_rules_of_ros_and_stay_apart() {
+    fn topic_parts_follow_the_rules_of_ros_and_are_unique() {
         let mut names = Names::without(&["tf"]);
         assert_eq!(names.token("tb2"), "tb2");
         assert_eq!(names.token("R1~lan"), "R1_lan");

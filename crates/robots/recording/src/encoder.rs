@@ -1,5 +1,5 @@
-//! What happens in a testbed, as ROS 2 messages on topics: one encoder for the file and for who watches live. It knows no
-//! clock, no file and no socket.
+//! Encodes the events of a testbed as ROS 2 messages on topics, once for the file and for live viewers. It has no clock,
+//! no file and no socket.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -14,13 +14,13 @@ use cotorra_ros_messages::Message;
 use crate::{
     channel::{Channels, Encoded, Names, Qos},
     frames::Frames,
-    markers, messages, told,
+    log, markers, messages,
 };
 
-/// Topics that no robot's may begin like.
+/// Reserved first parts of topics.
 const RESERVED: &[&str] = &["radio_units", "network", "emulation"];
 
-/// Where encoded messages go.
+/// Receiver of encoded messages.
 pub(crate) type Out<'a> = &'a mut dyn FnMut(Encoded<'_>);
 
 /// Encodes the events and scans of one run.
@@ -34,10 +34,10 @@ pub(crate) struct Encoder {
     placements: BTreeMap<VnfId, NodeId>,
 }
 
-/// What is remembered of a robot.
+/// State of a robot.
 struct Robot {
     number: usize,
-    /// What its topics begin with.
+    /// First part of its topics.
     topic: String,
     frames: Frames,
     navigation: Option<VnfId>,
@@ -64,7 +64,7 @@ impl Encoder {
         Self { testbed, channels, nodes, links, robots, radio_units, placements }
     }
 
-    /// What is so from the beginning: the map, and what stands in it.
+    /// Encodes the map and the fixed parts of the testbed.
     pub fn begin(&mut self, out: Out<'_>) {
         let at = Timestamp::ZERO;
         let testbed = Arc::clone(&self.testbed);
@@ -74,7 +74,7 @@ impl Encoder {
         out(self.channels.encode("/testbed", Qos::Latched, at, &markers::standing(&testbed)));
     }
 
-    /// Something happened.
+    /// Encodes an event.
     pub fn event(&mut self, Stamped { at, event }: &Stamped, out: Out<'_>) {
         let at = *at;
         match event {
@@ -132,15 +132,15 @@ impl Encoder {
             | Event::WalkFinished { .. }
             | Event::Notice { .. } => {}
         }
-        if let Some(line) = told::log(at, event) {
+        if let Some(line) = log::line(at, event) {
             self.tell("/rosout", at, &line, out);
         }
-        if let Some(diagnostics) = told::diagnostics(at, event) {
+        if let Some(diagnostics) = log::diagnostics(at, event) {
             self.tell("/diagnostics", at, &diagnostics, out);
         }
     }
 
-    /// A robot completed a turn of its lidar.
+    /// Encodes a turn of a robot's lidar.
     pub fn scan(&mut self, sensed: &SensedScan, out: Out<'_>) {
         let Some(robot) = self.robots.get(&sensed.robot) else { return };
         let mut scan = ros::laser_scan(&sensed.scan);
@@ -177,13 +177,13 @@ impl Encoder {
             speed_limit_mps: context.speed_limit_mps.unwrap_or(f64::NAN),
         };
         out(self.channels.encode(&format!("/{topic}/context"), Qos::Default, at, &message));
-        let told = self.in_words(robot, context);
-        let markers = markers::robot(robot.number, context, &self.radio_units, &told);
+        let label = self.label(robot, context);
+        let markers = markers::robot(robot.number, context, &self.radio_units, &label);
         out(self.channels.encode("/markers", Qos::Default, at, &markers));
     }
 
-    /// What stands above a robot: its name, radio unit, server, and last service time.
-    fn in_words(&self, robot: &Robot, context: &RobotContext) -> String {
+    /// Returns the label of a robot: its name, radio unit, server, and last service time.
+    fn label(&self, robot: &Robot, context: &RobotContext) -> String {
         let attached = context.attached_to().map_or("no radio unit", |unit| unit.as_str());
         let mut words = format!("{}: {attached}", context.robot);
         let server = robot.navigation.as_ref().and_then(|vnf| self.placements.get(vnf));
@@ -285,7 +285,7 @@ impl Encoder {
     }
 }
 
-/// A name, or nothing where there is none.
+/// Returns a name, or empty text.
 fn text(name: Option<&NodeId>) -> String {
     name.map(ToString::to_string).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! A run that was recorded in a history, as an MCAP file afterwards.
+//! Exports a run from its history to an MCAP file.
 
 use std::{path::Path, sync::Arc};
 
@@ -10,24 +10,24 @@ use crate::{
     sink::{RecordingError, Sink},
 };
 
-/// Writes events, in the order of time, into a file. It has all that a recording has but scans, which no history keeps.
+/// Writes events, in the order of time, to a file. It has everything of a recording but scans, which no history keeps.
 pub struct Export {
     encoder: Encoder,
     file: McapFile,
 }
 
 impl Export {
-    /// Makes the file.
+    /// Creates the file.
     ///
     /// # Errors
-    /// [`RecordingError`] if there is one already or it cannot be made.
+    /// [`RecordingError`] if it exists already or cannot be created.
     pub fn create(path: &Path, testbed: Arc<Testbed>, about: About<'_>) -> Result<Self, RecordingError> {
         let mut export = Self { encoder: Encoder::new(testbed), file: McapFile::create(path, about)? };
         export.write(|encoder, out| encoder.begin(out))?;
         Ok(export)
     }
 
-    /// Writes what happened.
+    /// Writes an event.
     ///
     /// # Errors
     /// [`RecordingError`] if the file cannot be written.
@@ -35,10 +35,10 @@ impl Export {
         self.write(|encoder, out| encoder.event(event, out))
     }
 
-    /// Ends the file.
+    /// Finishes the file.
     ///
     /// # Errors
-    /// [`RecordingError`] if it may not be complete.
+    /// [`RecordingError`] if the file may be incomplete.
     pub fn finish(mut self) -> Result<(), RecordingError> {
         self.file.finish()
     }

@@ -1,5 +1,5 @@
-//! What is recorded, served live over Foxglove's WebSocket protocol. Whoever comes later gets the last message of each
-//! latched topic at once, as ROS 2 gives it.
+//! Serves recorded messages live over Foxglove's WebSocket protocol. New viewers get the last message of each latched
+//! topic at once, as in ROS 2.
 
 use std::{collections::BTreeMap, net::SocketAddr, sync::Arc};
 
@@ -18,7 +18,7 @@ use crate::{
 pub(crate) struct FoxgloveServer {
     context: Arc<Context>,
     server: Option<WebSocketServerHandle>,
-    /// By the channels' indexes.
+    /// Foxglove's channels, by the index of ours.
     opened: Vec<Arc<RawChannel>>,
     latched: Arc<Latched>,
 }
@@ -34,7 +34,7 @@ struct Last {
 }
 
 impl FoxgloveServer {
-    /// Serves a testbed of that name; gives the server and where it listens, which port 0 leaves open.
+    /// Serves the testbed `name`. Returns the server and its address; port 0 chooses a free one.
     pub fn start(address: SocketAddr, name: &str) -> Result<(Self, SocketAddr), RecordingError> {
         let (context, latched) = (Context::new(), Arc::new(Latched::default()));
         let server = WebSocketServer::new()
@@ -60,7 +60,7 @@ impl Sink for FoxgloveServer {
                 .metadata(channel.metadata())
                 .context(&self.context)
                 .build_raw()
-                .expect("a channel whose encoding is told can be made");
+                .expect("a channel with a known encoding can be created");
             self.opened.push(opened);
         }
         let opened = &self.opened[channel.index];

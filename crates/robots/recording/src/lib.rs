@@ -1,8 +1,8 @@
-//! Recordings and eyes: what happens in a testbed as ROS 2 messages, in an MCAP file that Foxglove, `PlotJuggler` and
-//! `ros2 bag` open, and live for Foxglove.
+//! Records the events of a testbed as ROS 2 messages, in an MCAP file that Foxglove, `PlotJuggler` and `ros2 bag` open, and
+//! serves them live to Foxglove.
 //!
-//! [`Recording`] goes behind a run; [`Export`] writes what a history has. Both use one encoder, which turns events and
-//! scans into messages on topics; a [`Sink`] takes those. `docs/recording.md` says which topics there are.
+//! [`Recording`] records a run; [`Export`] converts a history. Both use one encoder, which turns events and scans into
+//! messages on topics for a [`Sink`]. `docs/recording.md` lists the topics.
 #![forbid(unsafe_code)]
 
 mod channel;
@@ -11,12 +11,12 @@ mod export;
 #[cfg(feature = "foxglove")]
 mod foxglove;
 mod frames;
+mod log;
 mod markers;
 mod mcap_file;
 mod messages;
 mod recording;
 mod sink;
-mod told;
 
 pub use channel::{Channel, Encoded, Qos};
 pub use export::Export;

@@ -1,4 +1,4 @@
-//! What the testbed looks like: radio units, servers, walks, robots and their attachments, as markers of `RViz` and Foxglove.
+//! Radio units, servers, walks, robots and their attachments, as markers of `RViz` and Foxglove.
 
 use std::collections::BTreeMap;
 
@@ -23,10 +23,10 @@ const ROBOT: ColorRGBA = ColorRGBA { r: 0.95, g: 0.55, b: 0.1, a: 1.0 };
 const ATTACHED: ColorRGBA = ColorRGBA { r: 0.2, g: 0.7, b: 0.3, a: 0.9 };
 const LABEL: ColorRGBA = ColorRGBA { r: 0.5, g: 0.5, b: 0.5, a: 1.0 };
 
-/// How high radio units hang, metres.
+/// Height of radio units, metres.
 const CEILING: f64 = 2.5;
 
-/// What stays where it is: radio units and servers that have a place, and the walks.
+/// Returns the markers of fixed parts: radio units and servers with a position, and walks.
 pub(crate) fn standing(testbed: &Testbed) -> MarkerArray {
     let mut markers = Vec::new();
     for (number, node) in testbed.graph.nodes.iter().enumerate() {
@@ -48,12 +48,12 @@ pub(crate) fn standing(testbed: &Testbed) -> MarkerArray {
     MarkerArray { markers }
 }
 
-/// A robot as it is now: its body, what is said of it, and a line to its radio unit.
+/// Returns the markers of a robot: its body, its label, and a line to its radio unit.
 pub(crate) fn robot(
     number: usize,
     context: &RobotContext,
     radio_units: &BTreeMap<NodeId, Position>,
-    told: &str,
+    text: &str,
 ) -> MarkerArray {
     let (id, pose) = (number as i32, &context.sensors.pose);
     let place = pose.position();
@@ -66,10 +66,10 @@ pub(crate) fn robot(
         Some(unit) => line("attachments", id, vec![point(place, 0.4), point(*unit, CEILING)], ATTACHED),
         None => Marker { action: DELETE, ..marker("attachments", id) },
     };
-    MarkerArray { markers: vec![body, label("robots_told", id, place, 1.0, told), attachment] }
+    MarkerArray { markers: vec![body, label("robots_told", id, place, 1.0, text), attachment] }
 }
 
-/// `nav_msgs/OccupancyGrid` of a map.
+/// Converts a map to `nav_msgs/OccupancyGrid`.
 pub(crate) fn map(grid: &graph::OccupancyGrid) -> OccupancyGrid {
     let (width, height) = (grid.width(), grid.height());
     let occupancy = |cell| match cell {
@@ -92,7 +92,7 @@ pub(crate) fn map(grid: &graph::OccupancyGrid) -> OccupancyGrid {
     }
 }
 
-/// A marker of the map. Its time is zero, which for viewers means: the latest transform there is.
+/// Returns a marker in the frame of the map. Its time is zero: viewers use the latest transform.
 fn marker(namespace: &str, id: i32) -> Marker {
     Marker {
         header: to_header(Timestamp::ZERO, MAP_FRAME),
@@ -117,7 +117,7 @@ fn line(namespace: &str, id: i32, points: Vec<Point>, color: ColorRGBA) -> Marke
     Marker { r#type: LINE_STRIP, scale: width, color, points, ..marker(namespace, id) }
 }
 
-/// So many metres above a place.
+/// Returns the point `height` metres above a position.
 fn point(place: Position, height: f64) -> Point {
     Point { x: place.x, y: place.y, z: place.z + height }
 }

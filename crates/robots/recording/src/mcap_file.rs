@@ -1,8 +1,8 @@
-//! An MCAP file as `ros2 bag` writes it: profile `ros2`, CDR, `ros2msg` schemas, QoS with each channel; in LZ4 chunks with
+//! Writes MCAP files like `ros2 bag`: profile `ros2`, CDR, `ros2msg` schemas, QoS of each channel, and LZ4 chunks with
 //! indexes and a summary.
 //!
-//! A chunk reaches the disk as a whole and right away. So a file that ends anywhere, because its writer was killed, has
-//! all chunks before; `mcap recover` and readers that go from the front take it.
+//! A chunk is written as a whole, at once. A file of a killed writer has all chunks before that: `mcap recover` and
+//! sequential readers can read it.
 
 use std::{
     fs::File,
@@ -22,32 +22,32 @@ use crate::{
     sink::{RecordingError, Sink},
 };
 
-/// A chunk ends when it has so many bytes before compression …
+/// Size at which a chunk ends, bytes before compression.
 const CHUNK_BYTES: usize = 1 << 20;
-/// … or so much time of the run: what a kill loses at most.
+/// Time of the run after which a chunk ends: the most that a kill loses.
 const CHUNK_TIME: std::time::Duration = std::time::Duration::from_secs(2);
 
-/// What run a file is of.
+/// Description of the recorded run.
 #[derive(Debug, Clone, Copy)]
 pub struct About<'a> {
     /// The testbed's name.
     pub name: &'a str,
     /// The run's seed.
     pub seed: u64,
-    /// When it began, nanoseconds since 1970; 0 in virtual time.
+    /// Begin of the run, nanoseconds since 1970; 0 in virtual time.
     pub started_at_unix_ns: i64,
     /// The testbed file's text.
     pub testbed_file: &'a str,
 }
 
-/// An MCAP file that is written.
+/// An MCAP file that is being written.
 pub struct McapFile {
     path: PathBuf,
     /// `None` once it is finished.
     writer: Option<Writer<NoSeek<io::BufWriter<File>>>>,
-    /// By the channels' indexes.
+    /// MCAP's channel numbers, by the index of ours.
     opened: Vec<OpenChannel>,
-    /// When the chunk's first message was known, and how many bytes it has; `None` between two chunks.
+    /// Time of the chunk's first message, and its bytes so far; `None` between two chunks.
     chunk: Option<(Timestamp, usize)>,
 }
 
@@ -57,10 +57,10 @@ struct OpenChannel {
 }
 
 impl McapFile {
-    /// Makes the file, with what run it is of: metadata `cotorra`, and the testbed file as an attachment.
+    /// Creates the file with the description of the run: metadata `cotorra`, and the testbed file as an attachment.
     ///
     /// # Errors
-    /// [`RecordingError`] if there is one already or it cannot be made.
+    /// [`RecordingError`] if it exists already or cannot be created.
     pub fn create(path: &Path, about: About<'_>) -> Result<Self, RecordingError> {
         let file = File::create_new(path).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => RecordingError::Taken(path.to_owned()),
@@ -69,7 +69,7 @@ impl McapFile {
         Self::on(file, path, about)
     }
 
-    /// On an open file, empty so far.
+    /// Writes to an open, empty file.
     pub(crate) fn on(file: File, path: &Path, about: About<'_>) -> Result<Self, RecordingError> {
         Self::begin(file, path, about).map_err(|error| failed(path, error))
     }
@@ -81,7 +81,7 @@ impl McapFile {
             .library(format!("cotorra {version}"))
             .compression(Some(Compression::Lz4))
             .chunk_size(None)
-            // Without seeking back a chunk is put together in memory, and the file never has half of one's header.
+            // Without seeking, a chunk is built in memory, so that the file never has an incomplete header.
             .disable_seeking(true);
         let mut writer = options.create(NoSeek::new(io::BufWriter::new(file)))?;
         let metadata = [

@@ -1,14 +1,14 @@
-//! `cotorra_msgs`: the embeddings and events of a testbed. Units stand in the names of fields.
+//! `cotorra_msgs`: messages for embeddings and events of a testbed that ROS has none for. Field names include units.
 
 use cotorra_ros_messages::{Header, message};
 
 message! {
-    /// φ(r,R), and what a robot knows of that radio unit.
+    /// φ(r,R), and the signal of that radio unit.
     #[derive(Default)]
     pub struct Attachment = "cotorra_msgs" / "Attachment" {
-        /// R.
+        /// The radio unit, R.
         radio_unit: String,
-        /// φ(r,R) = 1.
+        /// Whether φ(r,R) = 1.
         attached: bool,
         /// Received signal, dBm; NaN before the first scan.
         signal_dbm: f64,
@@ -16,14 +16,14 @@ message! {
 }
 
 message! {
-    /// κ(r): the attachments of a robot, and what of its sensors no standard message tells.
+    /// κ(r): the attachments of a robot, and sensor values without a standard message.
     #[derive(Default)]
     pub struct RobotContext = "cotorra_msgs" / "RobotContext" {
-        /// When; the robot's base.
+        /// Time; the frame of the robot's base.
         header: Header,
-        /// r.
+        /// The robot, r.
         robot: String,
-        /// The radio unit that it is attached to; empty if there is none.
+        /// The radio unit that it is attached to; empty if none.
         attached_to: String,
         /// One for each radio unit of its network.
         attachments: Vec<Attachment>,
@@ -31,20 +31,20 @@ message! {
         waypoint: u32,
         /// Whether it touches something.
         bumper: bool,
-        /// Nearest thing that its lidar sees, metres; NaN if nothing is in range.
+        /// Distance of the nearest obstacle in the lidar's view, metres; NaN if none is in range.
         nearest_obstacle_m: f64,
-        /// What is wrong with it, for people; empty if nothing is.
+        /// Problems, for people; empty if there are none.
         health: Vec<String>,
-        /// The speed, m/s, that an instruction limits it to; NaN if none does.
+        /// Speed limit by an instruction, m/s; NaN if there is none.
         speed_limit_mps: f64,
     }
 }
 
 message! {
-    /// From the emission of a position packet to the reception of the navigation packet that answers it.
+    /// Time from the emission of a position packet to the reception of the navigation packet that answers it.
     #[derive(Default)]
     pub struct ServiceTime = "cotorra_msgs" / "ServiceTime" {
-        /// When the position packet was emitted; the robot's base.
+        /// Time of the emission; the frame of the robot's base.
         header: Header,
         /// The service.
         service: String,
@@ -54,7 +54,7 @@ message! {
         sequence: u32,
         /// Milliseconds; NaN if no answer came in time.
         service_time_ms: f64,
-        /// The radio unit that the robot was attached to; empty if there was none.
+        /// The radio unit that the robot was attached to; empty if none.
         attached_to: String,
         /// The node that ran the navigation VNF.
         server: String,
@@ -65,43 +65,43 @@ message! {
     /// A finished change of attachment.
     #[derive(Default)]
     pub struct Handover = "cotorra_msgs" / "Handover" {
-        /// When; the robot's base.
+        /// Time; the frame of the robot's base.
         header: Header,
         /// The robot.
         robot: String,
-        /// The radio unit before; empty if there was none.
+        /// The previous radio unit; empty if none.
         from_radio_unit: String,
-        /// The radio unit after.
+        /// The new radio unit.
         to_radio_unit: String,
         /// Whether fast transition was used.
         fast: bool,
-        /// How long no frame could pass, milliseconds.
+        /// Time without frames, milliseconds.
         gap_ms: f64,
     }
 }
 
 message! {
-    /// What a radio unit knows of one station.
+    /// A station of a radio unit.
     #[derive(Default)]
     pub struct Station = "cotorra_msgs" / "Station" {
         /// The robot.
         robot: String,
         /// Signal received from it, dBm.
         signal_dbm: f64,
-        /// PHY rate to it, Mbit/s.
+        /// PHY rate to it, bit/s.
         downlink_bps: f64,
-        /// PHY rate from it, Mbit/s.
+        /// PHY rate from it, bit/s.
         uplink_bps: f64,
     }
 }
 
 message! {
-    /// ι(R): what a radio unit knows.
+    /// ι(R): the state of a radio unit.
     #[derive(Default)]
     pub struct RadioContext = "cotorra_msgs" / "RadioContext" {
-        /// When.
+        /// Time of the message.
         header: Header,
-        /// R.
+        /// The radio unit, R.
         radio_unit: String,
         /// Channel number.
         channel: u8,
@@ -116,43 +116,43 @@ message! {
     /// d, λ and conditions of one direction of a link.
     #[derive(Default)]
     pub struct LinkContext = "cotorra_msgs" / "LinkContext" {
-        /// When.
+        /// Time of the message.
         header: Header,
-        /// Which link.
+        /// The link.
         link: String,
         /// `forward`, which on a wireless link is from the robot up to the radio unit, or `backward`.
         direction: String,
-        /// d: mean time that packets took over the last second, queueing included; NaN if none crossed.
+        /// d: mean delay of packets over the last second, with queueing; NaN if none crossed.
         delay_ms: f64,
-        /// λ: what crossed over the last second, bit/s.
+        /// λ: throughput of the last second, bit/s.
         throughput_bps: f64,
-        /// Mean delay of its probes; NaN if none came back, as the jitter and its age.
+        /// Mean delay of its probes. Like jitter and age, NaN if none returned.
         probed_delay_ms: f64,
-        /// Mean difference of the delays of two probes in a row.
+        /// Mean difference between the delays of consecutive probes.
         probed_jitter_ms: f64,
-        /// How long before this was told the latest probe came back.
+        /// Age of the last returned probe.
         probed_delay_age_ms: f64,
-        /// Share of its probes that got lost, 0 to 1; NaN if it is not known, as its age.
+        /// Share of lost probes, 0 to 1. Like its age, NaN if it is unknown.
         probed_loss: f64,
-        /// How long before this was told the latest probe was sent of which it is known.
+        /// Age of the last probe, by emission, whose fate is known.
         probed_loss_age_ms: f64,
-        /// λ as its last test told; NaN before the first, as the two below.
+        /// λ by the last test. Like the two below, NaN before the first.
         tested_throughput_bps: f64,
-        /// At which rate the test sent.
+        /// Offered rate of the test.
         tested_offered_bps: f64,
-        /// How long before this was told the test ended.
+        /// Age of the test, since its end.
         tested_age_ms: f64,
         /// ψ; 1 leaves it alone.
         delay_scale: f64,
         /// δ; 1 leaves it alone.
         drop_scale: f64,
-        /// The delay that it was asked for.
+        /// The requested delay.
         asked_delay_ms: f64,
-        /// The delay that it has: what was asked, scaled.
+        /// The effective delay: the requested one, scaled.
         effective_delay_ms: f64,
-        /// Packets delivered since the run began, as all below.
+        /// Delivered packets. Like all below, since the run began.
         packets: u64,
-        /// Bytes delivered.
+        /// Delivered bytes.
         bytes: u64,
         /// Packets lost by the loss model, or by the radio after its last retry.
         lost: u64,
@@ -166,10 +166,10 @@ message! {
 }
 
 message! {
-    /// a(n): a VNF runs on this node from now on, and on these others if it has several instances.
+    /// a(n): the node of a VNF from now on, and those of its further instances.
     #[derive(Default)]
     pub struct Placement = "cotorra_msgs" / "Placement" {
-        /// When.
+        /// Time of the message.
         header: Header,
         /// The VNF.
         vnf: String,
@@ -184,43 +184,43 @@ message! {
     /// a(n1,n2): these hardware links carry one direction of a virtual link from now on.
     #[derive(Default)]
     pub struct VirtualLink = "cotorra_msgs" / "VirtualLink" {
-        /// When.
+        /// Time of the message.
         header: Header,
-        /// From this VNF …
+        /// The sending VNF.
         from_vnf: String,
-        /// … to this one …
+        /// The receiving VNF.
         to_vnf: String,
-        /// … over these links.
+        /// The links, in order.
         links: Vec<String>,
-        /// Why these: `shortest`, `mapped` or `fallback`.
+        /// Reason of the path: `shortest`, `mapped` or `fallback`.
         path: String,
     }
 }
 
 message! {
-    /// What a plug-in asked for, why, and what came of it.
+    /// An instruction of a plug-in, its reason and its result.
     #[derive(Default)]
     pub struct Decision = "cotorra_msgs" / "Decision" {
-        /// When.
+        /// Time of the message.
         header: Header,
-        /// Which plug-in.
+        /// The plug-in.
         plugin: String,
-        /// What it asked for: JSON, as in the HTTP API.
+        /// The instruction: JSON, as in the HTTP API.
         instruction: String,
-        /// Why, in its words; may be empty.
+        /// The plug-in's reason; may be empty.
         reason: String,
-        /// Why it was refused; empty if it was done.
+        /// Reason of the rejection; empty if it was carried out.
         refused: String,
     }
 }
 
 message! {
-    /// How late the emulator delivered frames against what it was asked, since the run began.
+    /// Lateness of delivered frames against their due times, since the run began.
     #[derive(Default)]
     pub struct Lateness = "cotorra_msgs" / "Lateness" {
-        /// When.
+        /// Time of the message.
         header: Header,
-        /// Frames delivered.
+        /// Delivered frames.
         frames: u64,
         /// Median, µs.
         p50_us: f64,

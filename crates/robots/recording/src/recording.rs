@@ -1,6 +1,6 @@
-//! The thread behind a run that records it and serves it to viewers. What happens is put in a bounded queue; the thread
-//! encodes it once, for all sinks. In real time the run never waits for it: what finds no room is dropped and counted.
-//! In virtual time the run waits, so that the same run gives the same bytes.
+//! The thread that records a run and serves it to viewers. Events go through a bounded queue, and are encoded once for
+//! all sinks. In real time, the run never waits: if the queue is full, events are dropped and counted. In virtual time,
+//! the run waits, so that the same run gives the same bytes.
 
 use std::{
     net::SocketAddr,
@@ -23,24 +23,24 @@ use crate::{
     sink::{RecordingError, Sink},
 };
 
-/// Events and scans that wait, at most; a scan has 1.5 kB.
+/// Length of the queue, events and scans. A scan has 1.5 kB.
 const QUEUE: usize = 8192;
-/// The thread is woken when so many more are there. Below that, telling it makes no system call.
+/// New entries that wake the thread. Fewer make no system call.
 const WAKE_EVERY: u64 = 1024;
-/// How often the thread looks.
+/// Interval at which the thread checks the queue.
 const PERIOD: Duration = Duration::from_millis(20);
 
-/// Where a run's recording is made.
+/// File of a run's recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum RecordingPlace {
     /// `recording.mcap` in the run's folder.
     Folder,
-    /// This file, which is not there yet.
+    /// This file, which must not exist.
     File(PathBuf),
 }
 
 impl RecordingPlace {
-    /// The file, for a run that leaves that folder.
+    /// Returns the file, for a run with that folder.
     pub fn path(&self, folder: &Path) -> PathBuf {
         match self {
             Self::Folder => folder.join("recording.mcap"),
@@ -49,38 +49,38 @@ impl RecordingPlace {
     }
 }
 
-/// What is to become of what happens.
+/// Destinations of a recording.
 #[derive(Debug, Clone, Default)]
 pub struct Wanted {
-    /// Record it.
+    /// File to record to.
     pub file: Option<RecordingPlace>,
-    /// Serve it to Foxglove there.
+    /// Address to serve Foxglove on.
     pub foxglove: Option<SocketAddr>,
 }
 
-/// What happens when the queue is full.
+/// Behaviour when the queue is full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pace {
-    /// What comes is dropped and counted: real time goes on.
+    /// Drops and counts new entries: real time goes on.
     Live,
-    /// Whoever tells waits: virtual time stands still.
+    /// Blocks the sender: virtual time stands still.
     Waiting,
 }
 
-/// What a recording came to.
+/// Result of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordingSummary {
-    /// The file, if one was wanted.
+    /// The file, if one was requested.
     pub file: Option<PathBuf>,
     /// Messages that the sinks took.
     pub messages: u64,
-    /// Events and scans that were lost because the thread could not keep up.
+    /// Events and scans that were dropped because the thread is too slow.
     pub dropped: u64,
-    /// Why something is not complete.
+    /// Reason why something is incomplete.
     pub failed: Option<String>,
 }
 
-/// A run that is recorded or watched.
+/// Records a run, or serves it to viewers.
 #[derive(Debug)]
 pub struct Recording {
     tap: Tap,
@@ -90,27 +90,27 @@ pub struct Recording {
     foxglove: Option<SocketAddr>,
 }
 
-/// What a recording is told through. Clones may be used from any thread.
+/// Sender of events and scans to a recording. Clones may be used from any thread.
 #[derive(Debug, Clone)]
 pub struct Tap {
-    sender: SyncSender<Told>,
+    sender: SyncSender<Entry>,
     thread: Thread,
     pace: Pace,
-    told: Arc<AtomicU64>,
+    sent: Arc<AtomicU64>,
     dropped: Arc<AtomicU64>,
 }
 
 #[derive(Debug)]
-enum Told {
+enum Entry {
     Event(Arc<Stamped>),
     Scan(SensedScan),
 }
 
 impl Recording {
-    /// Begins what is wanted; `None` if nothing is. A file in `folder` is named `recording.mcap`.
+    /// Starts the requested recording; `None` if there is none. A file in `folder` is named `recording.mcap`.
     ///
     /// # Errors
-    /// [`RecordingError`] if a file or a server cannot be.
+    /// [`RecordingError`] if the file cannot be created, or the server cannot start.
     pub fn begin(
         wanted: &Wanted,
         folder: &Path,
@@ -137,7 +137,7 @@ impl Recording {
         Ok(Some(recording))
     }
 
-    /// Begins with those sinks.
+    /// Starts with these sinks.
     fn into_sinks(
         sinks: Vec<Box<dyn Sink>>,
         testbed: &Arc<Testbed>,
@@ -152,22 +152,22 @@ impl Recording {
             .name("recording".to_owned())
             .spawn(move || worker.work(&is_closing))
             .map_err(RecordingError::Thread)?;
-        let (told, dropped) = Default::default();
-        let tap = Tap { sender, thread: thread.thread().clone(), pace, told, dropped };
+        let (sent, dropped) = Default::default();
+        let tap = Tap { sender, thread: thread.thread().clone(), pace, sent, dropped };
         Ok(Self { tap, closing, thread: Some(thread), file: None, foxglove: None })
     }
 
-    /// What to tell it through.
+    /// Returns a sender of events and scans.
     pub fn tap(&self) -> Tap {
         self.tap.clone()
     }
 
-    /// Where it serves Foxglove, if it does.
+    /// Returns the address on which it serves Foxglove, if it does.
     pub fn foxglove(&self) -> Option<SocketAddr> {
         self.foxglove
     }
 
-    /// Writes what was told, ends the file and the server, and says what it came to.
+    /// Writes queued entries, ends the file and the server, and returns the result.
     pub fn finish(mut self) -> RecordingSummary {
         let (messages, failed) = self.join();
         let dropped = self.tap.dropped.load(Ordering::Relaxed);
@@ -192,25 +192,25 @@ impl Drop for Recording {
 }
 
 impl Tap {
-    /// Something happened.
+    /// Sends an event.
     pub fn event(&self, event: Arc<Stamped>) {
-        self.tell(Told::Event(event));
+        self.send(Entry::Event(event));
     }
 
-    /// A robot completed a turn of its lidar.
+    /// Sends a turn of a robot's lidar.
     pub fn scan(&self, scan: SensedScan) {
-        self.tell(Told::Scan(scan));
+        self.send(Entry::Scan(scan));
     }
 
-    fn tell(&self, told: Told) {
-        if self.told.fetch_add(1, Ordering::Relaxed) % WAKE_EVERY == WAKE_EVERY - 1 {
+    fn send(&self, entry: Entry) {
+        if self.sent.fetch_add(1, Ordering::Relaxed) % WAKE_EVERY == WAKE_EVERY - 1 {
             self.thread.unpark();
         }
-        let is_lost = match (self.sender.try_send(told), self.pace) {
+        let is_lost = match (self.sender.try_send(entry), self.pace) {
             (Ok(()), _) => false,
-            (Err(TrySendError::Full(told)), Pace::Waiting) => {
+            (Err(TrySendError::Full(entry)), Pace::Waiting) => {
                 self.thread.unpark();
-                self.sender.send(told).is_err()
+                self.sender.send(entry).is_err()
             }
             (Err(_), _) => true,
         };
@@ -218,25 +218,25 @@ impl Tap {
     }
 }
 
-/// The thread's side.
+/// State of the thread.
 struct Worker {
     encoder: Encoder,
     sinks: Vec<Box<dyn Sink>>,
     messages: u64,
     failed: Option<RecordingError>,
-    inbox: Receiver<Told>,
+    inbox: Receiver<Entry>,
 }
 
 impl Worker {
     fn work(mut self, closing: &AtomicBool) -> (u64, Option<RecordingError>) {
         self.encode(|encoder, out| encoder.begin(out));
         loop {
-            // Asked before the queue is emptied: what was told before is in it.
+            // Checked before the queue is emptied, so that earlier entries are not missed.
             let is_last = closing.load(Ordering::Acquire);
-            while let Ok(told) = self.inbox.try_recv() {
-                self.encode(|encoder, out| match &told {
-                    Told::Event(event) => encoder.event(event, out),
-                    Told::Scan(scan) => encoder.scan(scan, out),
+            while let Ok(entry) = self.inbox.try_recv() {
+                self.encode(|encoder, out| match &entry {
+                    Entry::Event(event) => encoder.event(event, out),
+                    Entry::Scan(scan) => encoder.scan(scan, out),
                 });
             }
             if is_last {
@@ -259,7 +259,7 @@ impl Worker {
             sinks.retain_mut(|sink| match sink.write(&message) {
                 Ok(()) => true,
                 Err(error) => {
-                    tracing::error!("the run goes on, but is not recorded any more: {error}");
+                    tracing::error!("the run goes on, but is no longer recorded: {error}");
                     failed.get_or_insert(error);
                     false
                 }

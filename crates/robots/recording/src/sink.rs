@@ -1,36 +1,36 @@
-//! Where encoded messages end: the seam between the encoder and files or viewers.
+//! The seam between the encoder and files or viewers.
 
 use std::{io, net::SocketAddr, path::PathBuf};
 
 use crate::channel::Encoded;
 
-/// Takes messages in the order in which they were known.
+/// Receives encoded messages in the order of events.
 pub trait Sink: Send {
     /// Takes a message. Channels are numbered from 0 in the order of their first message.
     ///
     /// # Errors
-    /// [`RecordingError`]; it is told nothing more then.
+    /// [`RecordingError`]. The sink gets no further messages then.
     fn write(&mut self, message: &Encoded<'_>) -> Result<(), RecordingError>;
 
-    /// Nothing more comes.
+    /// Ends the sink.
     ///
     /// # Errors
-    /// [`RecordingError`] if what was taken may not be complete.
+    /// [`RecordingError`] if the output may be incomplete.
     fn finish(&mut self) -> Result<(), RecordingError>;
 }
 
-/// Why something is not recorded or served.
+/// Reason why something is not recorded or served.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
-    /// There is such a file.
-    #[error("{} is there already; name a file that is not, or remove it", .0.display())]
+    /// The file exists already.
+    #[error("{} exists already; choose another file, or remove it", .0.display())]
     Taken(PathBuf),
     /// The file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     File {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The cause.
         source: io::Error,
     },
     /// The thread that writes cannot be started.
@@ -39,12 +39,12 @@ pub enum RecordingError {
     /// Foxglove cannot be served there.
     #[error("cannot serve Foxglove on {address}: {reason}")]
     Serve {
-        /// Where.
+        /// The address.
         address: SocketAddr,
-        /// Why not.
+        /// The cause.
         reason: String,
     },
-    /// This program has no Foxglove in it.
+    /// The build lacks Foxglove.
     #[error(
         "this cotorra was built without Foxglove: build it with `--features foxglove`, or record the run with --record \
          and open the file"

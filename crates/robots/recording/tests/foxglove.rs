@@ -1,6 +1,6 @@
-//! A viewer of Foxglove's WebSocket protocol - the Python package `websockets`, with `rosbags` as the decoder - watches.
+//! A run watched by a viewer of Foxglove's WebSocket protocol: the Python package `websockets`, with `rosbags` as decoder.
 #![cfg(feature = "foxglove")]
-#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+#![allow(clippy::unwrap_used, reason = "a failure here fails the test")]
 
 use std::{
     env,
@@ -26,7 +26,7 @@ nodes:
 links: []
 ";
 
-/// The robot is that far along x after so many seconds.
+/// The robot's context at a time: as many metres along x as seconds.
 fn moved(second: u64) -> Arc<Stamped> {
     let (covariance, source) = ([0.0; 9], PoseSource::Odometry);
     let pose = Pose::planar(second as f64, 2.0, 0.0, covariance, source);
@@ -59,7 +59,7 @@ fn serve(address: SocketAddr) -> Result<Recording, RecordingError> {
 }
 
 #[test]
-fn a_viewer_gets_what_stands_and_what_happens() {
+fn viewer_gets_fixed_parts_and_events() {
     let Some(python) = cotorra_testing::peers("websockets, rosbags") else { return };
     let recording = serve(([127, 0, 0, 1], 0).into()).unwrap();
     recording.tap().event(moved(1));
@@ -74,7 +74,7 @@ fn a_viewer_gets_what_stands_and_what_happens() {
     let mut lines = BufReader::new(viewer.stdout.take().unwrap()).lines();
     let mut next = || -> Value { serde_json::from_str(&lines.next().expect("a line").unwrap()).unwrap() };
     assert_eq!(next(), json!("cotorra: hall"));
-    // Told before it came: it is latched.
+    // Sent before the viewer came: it is latched.
     assert_eq!(next(), json!({"t": 0, "names": ["R1"]}));
     recording.tap().event(moved(7));
     assert_eq!(next(), json!({"t": 7_000_000_000u64, "frame": "tb2/odom", "x": 7.0, "y": 2.0}));
@@ -85,7 +85,7 @@ fn a_viewer_gets_what_stands_and_what_happens() {
 }
 
 #[test]
-fn a_port_that_is_taken_is_an_error() {
+fn taken_port_is_an_error() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap();
     let refused = serve(address).unwrap_err();

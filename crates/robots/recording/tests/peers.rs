@@ -1,6 +1,6 @@
-//! Every kind of event in a file, read by others: `rosbags`, and `mcap` with `mcap-ros2-support`. They know the types from
-//! nothing but the file.
-#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+//! Every kind of event in a file, read by `rosbags`, and by `mcap` with `mcap-ros2-support`. They know the types from the
+//! file alone.
+#![allow(clippy::unwrap_used, reason = "a failure here fails the test")]
 
 use std::{env, path::Path, process::Command, sync::Arc, time::Duration};
 
@@ -146,7 +146,7 @@ fn events() -> Vec<Event> {
     ]
 }
 
-/// Records all that, and what others read.
+/// Records these events, and returns the readers' output.
 fn read_by_peers() -> Option<Vec<Value>> {
     let python = cotorra_testing::peers("rosbags, mcap, mcap-ros2-support")?;
     let place = tempfile::tempdir().unwrap();
@@ -181,7 +181,7 @@ fn read_by_peers() -> Option<Vec<Value>> {
 }
 
 #[test]
-fn two_independent_readers_see_what_happened() {
+fn two_independent_readers_agree_on_the_events() {
     let Some(read) = read_by_peers() else { return };
     let on = |topic: &str| -> Vec<&Value> { read.iter().filter(|told| told["topic"] == topic).collect() };
     let one = |topic: &str| match on(topic)[..] {
@@ -192,7 +192,7 @@ fn two_independent_readers_see_what_happened() {
     let map = one("/map");
     assert_eq!((&map["info"]["width"], &map["info"]["height"]), (&json!(3), &json!(2)));
     assert_eq!(map["info"]["origin"]["position"], json!({"x": -1.0, "y": -2.0, "z": 0.0}));
-    // From the lower row on.
+    // From the lower row.
     assert_eq!(map["data"], json!([0, 0, 0, 100, 0, -1]));
 
     let scan = on("/tb2/scan")[0];

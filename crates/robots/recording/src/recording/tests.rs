@@ -38,25 +38,25 @@ fn minute(place: &Path) -> Vec<u8> {
     (0..60).for_each(|second| tap.event(notice(second)));
     let summary = recording.finish();
     assert_eq!((summary.dropped, &summary.failed), (0, &None));
-    // And once, what stands in the testbed.
+    // And once, the fixed parts of the testbed.
     assert_eq!(summary.messages, 61);
     std::fs::read(summary.file.unwrap()).unwrap()
 }
 
-/// Messages up to where the bytes break off, as `mcap recover` finds them.
+/// Returns the messages up to the truncation, as `mcap recover` finds them.
 fn readable(bytes: &[u8]) -> usize {
     let lenient = mcap::read::Options::IgnoreEndMagic.into();
     mcap::MessageStream::new_with_options(bytes, lenient).unwrap().map_while(Result::ok).count()
 }
 
 #[test]
-fn the_same_events_are_the_same_bytes() {
+fn same_events_give_the_same_bytes() {
     let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     assert_eq!(minute(one.path()), minute(other.path()));
 }
 
 #[test]
-fn a_file_that_breaks_off_anywhere_has_every_chunk_before() {
+fn truncated_file_has_every_chunk_before() {
     let place = tempfile::tempdir().unwrap();
     let whole = minute(place.path());
     let summary = mcap::Summary::read(&whole).unwrap().unwrap();
@@ -67,16 +67,16 @@ fn a_file_that_breaks_off_anywhere_has_every_chunk_before() {
     assert_eq!(ends.len(), 30, "a chunk has two seconds");
     for cut in (0..whole.len()).step_by(97).chain(ends.clone()) {
         let chunks = ends.iter().filter(|end| **end <= cut).count();
-        // The first has what stands, too.
+        // The first chunk has the fixed parts, too.
         let expected = if chunks == 0 { 0 } else { 1 + 2 * chunks };
-        // Of a chunk that is cut off, a reader may have a part.
+        // A reader may get a part of the truncated chunk.
         let read = if cut < 8 { 0 } else { readable(&whole[..cut]) };
         assert!((expected..expected + 4).contains(&read), "{read} when cut off at {cut} of {}", whole.len());
     }
 }
 
 #[test]
-fn a_recording_that_is_dropped_is_complete() {
+fn dropped_recording_is_complete() {
     let place = tempfile::tempdir().unwrap();
     let recording = begin(place.path(), Pace::Live);
     recording.tap().event(notice(1));
@@ -86,7 +86,7 @@ fn a_recording_that_is_dropped_is_complete() {
 }
 
 #[test]
-fn a_file_that_is_there_is_not_touched() {
+fn existing_file_is_not_touched() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("mine.mcap");
     std::fs::write(&path, "mine").unwrap();
@@ -97,14 +97,14 @@ fn a_file_that_is_there_is_not_touched() {
 }
 
 #[test]
-fn a_full_disk_is_told() {
+fn full_disk_is_reported() {
     let full = Path::new("/dev/full");
     let file = std::fs::OpenOptions::new().write(true).open(full).unwrap();
     let refused = McapFile::on(file, full, about()).err().unwrap();
     assert!(refused.to_string().starts_with("cannot write /dev/full: No space left"), "{refused}");
 }
 
-/// A sink that takes nothing until it is let.
+/// A sink that blocks until it is released.
 struct Slow(Arc<AtomicBool>);
 
 impl Sink for Slow {
@@ -121,7 +121,7 @@ impl Sink for Slow {
 }
 
 #[test]
-fn a_live_run_never_waits_and_what_is_lost_is_counted() {
+fn live_run_never_waits_and_counts_losses() {
     let let_go = Arc::new(AtomicBool::new(false));
     let sinks: Vec<Box<dyn Sink>> = vec![Box::new(Slow(Arc::clone(&let_go)))];
     let recording = Recording::into_sinks(sinks, &testbed(), Pace::Live).unwrap();
@@ -148,7 +148,7 @@ fn scan() -> Scan {
 }
 
 #[test]
-fn who_is_no_robot_has_no_scans() {
+fn scans_of_unknown_robots_are_ignored() {
     let place = tempfile::tempdir().unwrap();
     let recording = begin(place.path(), Pace::Waiting);
     for robot in ["tb2", "nobody"] {
@@ -160,7 +160,7 @@ fn who_is_no_robot_has_no_scans() {
 
 #[cfg(not(feature = "foxglove"))]
 #[test]
-fn without_the_feature_it_is_said_how_to_get_it() {
+fn missing_feature_is_reported_with_its_remedy() {
     let wanted = Wanted { file: None, foxglove: Some(([127, 0, 0, 1], 0).into()) };
     let refused = Recording::begin(&wanted, Path::new("."), &testbed(), about(), Pace::Live).unwrap_err();
     assert!(refused.to_string().contains("--features foxglove"), "{refused}");

@@ -168,8 +168,8 @@ impl Engine {
         while let Some(entry) = self.timers.first_entry().filter(|entry| entry.key().0 <= now) {
             match entry.remove() {
                 Timer::Silence(token) => match self.connections.get_mut(&token) {
-                    Some(Connection::Caller { heard, .. }) if *heard => {
-                        *heard = false;
+                    Some(Connection::Caller { active, .. }) if *active => {
+                        *active = false;
                         self.set_timer(IDLE, Timer::Silence(token));
                     }
                     Some(connection) if connection.is_undecided() => self.end(shared, token),
@@ -189,7 +189,7 @@ impl Engine {
         match command {
             Command::Publishers { subscription, publishers } => {
                 let subscribed = shared.state.lock().subscriptions.get(&subscription).cloned();
-                if subscribed.is_some_and(|subscribed| !subscribed.told.load(Ordering::Acquire)) {
+                if subscribed.is_some_and(|subscribed| !subscribed.notified.load(Ordering::Acquire)) {
                     self.set_publishers(shared, subscription, &publishers);
                 }
             }
@@ -200,7 +200,7 @@ impl Engine {
                 if let Some(Connection::Client { output, phase, .. }) = self.connections.get_mut(&client) {
                     output.push(Arc::new(response));
                     *phase = match *phase {
-                        Phase::Asked { persistent: true } => Phase::Idle { persistent: true },
+                        Phase::Pending { persistent: true } => Phase::Idle { persistent: true },
                         _ => Phase::Answered,
                     };
                     self.serve(shared, client);
@@ -242,7 +242,7 @@ impl Engine {
             let opened = self.open(stream, |stream| match from {
                 SLAVE => {
                     let output = SendQueue::new(1, None);
-                    Connection::Caller { stream, input: Vec::new(), output, last: false, heard: false }
+                    Connection::Caller { stream, input: Vec::new(), output, last: false, active: false }
                 }
                 _ => Connection::New { stream, frames: FrameReader::new(MAX_HEADER_LEN) },
             });
@@ -271,8 +271,8 @@ impl Engine {
         // Out of the map, so that the handler can use the other connections.
         let Some(connection) = self.connections.remove(&token) else { return };
         let next = match connection {
-            Connection::Caller { stream, input, output, last, heard } => {
-                self.answer(shared, stream, input, output, last, heard)
+            Connection::Caller { stream, input, output, last, active } => {
+                self.answer(shared, stream, input, output, last, active)
             }
             Connection::New { stream, frames } => introduce(shared, stream, frames),
             Connection::Publisher { stream, frames, subscription, publisher, flow } => {

@@ -126,7 +126,7 @@ fn heartbeat(shared: &Shared) -> Result<(), RpcError> {
         master.register_publisher(topic, kind, api)?;
     }
     for subscription in &registered.subscriptions {
-        subscription.told.store(false, Ordering::Release);
+        subscription.notified.store(false, Ordering::Release);
         let publishers = master.register_subscriber(&subscription.topic, subscription.kind.name, api)?;
         shared.command(Command::Publishers { subscription: subscription.id, publishers });
     }

@@ -30,5 +30,5 @@ pub(super) struct Subscription {
     /// Number of connected publishers.
     pub connected: AtomicUsize,
     /// Whether the master sent its publishers since the registration. That is newer than the answer to it.
-    pub told: AtomicBool,
+    pub notified: AtomicBool,
 }

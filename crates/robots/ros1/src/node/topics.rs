@@ -174,7 +174,7 @@ impl<M: Message> Subscriber<M> {
             kind: Kind::of::<M>(),
             inbox: Inbox::new(options.queue),
             connected: AtomicUsize::new(0),
-            told: AtomicBool::new(false),
+            notified: AtomicBool::new(false),
         });
         let (id, topic) = (subscription.id, &subscription.topic);
         let publishers = shared.register(

@@ -36,7 +36,7 @@ impl Engine {
         mut input: Vec<u8>,
         mut output: SendQueue,
         mut last: bool,
-        mut heard: bool,
+        mut active: bool,
     ) -> Next {
         let over = loop {
             if output.flush(&mut &stream).is_err() {
@@ -53,7 +53,7 @@ impl Engine {
                     let answer = Call::from_xml(request.body).map_err(|error| xmlrpc::Fault::from(&error));
                     let answer = answer.and_then(Request::read).map(|request| self.fulfil(shared, request));
                     let response = http::response(&xmlrpc::answer_to_xml(&answer), request.keep_alive);
-                    (last, heard) = (!request.keep_alive, true);
+                    (last, active) = (!request.keep_alive, true);
                     let len = request.len;
                     input.drain(..len);
                     output.push(Arc::new(response));
@@ -75,7 +75,7 @@ impl Engine {
                 }
             }
         };
-        let connection = Connection::Caller { stream, input, output, last, heard };
+        let connection = Connection::Caller { stream, input, output, last, active };
         if over { Next::End(connection) } else { Next::Wait(connection) }
     }
 
@@ -110,11 +110,11 @@ impl Engine {
             }
             Request::PublisherUpdate { topic, publishers } => {
                 let of_it = state.subscriptions.values().filter(|subscription| subscription.topic == topic);
-                let told = |subscription: &Arc<Subscription>| {
-                    subscription.told.store(true, Ordering::Release);
+                let notify = |subscription: &Arc<Subscription>| {
+                    subscription.notified.store(true, Ordering::Release);
                     subscription.id
                 };
-                let subscriptions: Vec<_> = of_it.map(told).collect();
+                let subscriptions: Vec<_> = of_it.map(notify).collect();
                 drop(state);
                 for subscription in subscriptions {
                     self.set_publishers(shared, subscription, &publishers);

@@ -30,7 +30,7 @@ const UNSENT: u32 = 16 << 10;
 /// A connection, by purpose.
 pub(super) enum Connection {
     /// From a client of the slave API.
-    Caller { stream: TcpStream, input: Vec<u8>, output: SendQueue, last: bool, heard: bool },
+    Caller { stream: TcpStream, input: Vec<u8>, output: SendQueue, last: bool, active: bool },
     /// To TCPROS, before its connection header.
     New { stream: TcpStream, frames: FrameReader },
     /// To a subscriber.
@@ -64,7 +64,7 @@ pub(super) enum Phase {
     /// Waits for nothing: its next request is due.
     Idle { persistent: bool },
     /// Waits for the service.
-    Asked { persistent: bool },
+    Pending { persistent: bool },
     /// Waits for the last bytes of its only response.
     Answered,
 }
@@ -83,7 +83,7 @@ impl Connection {
     /// Whether it has not stated its purpose, was silent for long, or is ending.
     pub fn is_undecided(&self) -> bool {
         match self {
-            Self::Caller { heard, .. } => !heard,
+            Self::Caller { active, .. } => !active,
             Self::New { .. } | Self::Ending { .. } => true,
             Self::Publisher { flow, .. } => !flow.begun,
             Self::Subscriber { .. } | Self::Client { .. } => false,
@@ -235,7 +235,7 @@ pub(super) fn ask_service(
         };
         match frames.next_frame() {
             Ok(Some(request)) => {
-                phase = Phase::Asked { persistent };
+                phase = Phase::Pending { persistent };
                 if offer.requests.send((token, request.to_vec())).is_err() {
                     output.push(Arc::new(offer::response::<EmptyResponse>(Err(
                         "the service ended".to_owned()

@@ -1,4 +1,4 @@
-//! What ROS has standard messages for when things are told to people: the log, and diagnostics.
+//! Events for people in ROS's standard messages: the log, and diagnostics.
 
 use cotorra_graph::{
     AnswersRejected, Event, GoalEvent, GoalState, Lateness, RadioContext, Timestamp, VnfEvent, VnfState,
@@ -15,8 +15,8 @@ const ERROR: u8 = 40;
 const OK: Byte = Byte(0);
 const BAD: Byte = Byte(2);
 
-/// The line of the log that tells an event; most events are told elsewhere.
-pub(crate) fn log(at: Timestamp, event: &Event) -> Option<Log> {
+/// Returns the line of the log for an event. Most events have none.
+pub(crate) fn line(at: Timestamp, event: &Event) -> Option<Log> {
     let (level, name, msg) = match event {
         Event::Notice { message } => (INFO, "cotorra", message.clone()),
         Event::Handover(handover) => {
@@ -62,7 +62,7 @@ pub(crate) fn log(at: Timestamp, event: &Event) -> Option<Log> {
     Some(Log { stamp: to_time(at), level, name: name.to_owned(), msg, ..Log::default() })
 }
 
-/// The diagnostics that an event changes.
+/// Returns the diagnostics that an event changes.
 pub(crate) fn diagnostics(at: Timestamp, event: &Event) -> Option<DiagnosticArray> {
     let status = match event {
         Event::Radio(context) => radio(context),
@@ -84,8 +84,8 @@ fn radio(context: &RadioContext) -> DiagnosticStatus {
         vec![value("channel", context.channel.to_string()), value("load", format!("{:.3}", context.load))];
     values.extend(context.stations.iter().map(|station| {
         let rates = (station.downlink_bps / 1e6, station.uplink_bps / 1e6);
-        let told = format!("{:.0} dBm, {} Mbit/s down, {} Mbit/s up", station.signal.0, rates.0, rates.1);
-        value(station.robot.as_str(), told)
+        let text = format!("{:.0} dBm, {} Mbit/s down, {} Mbit/s up", station.signal.0, rates.0, rates.1);
+        value(station.robot.as_str(), text)
     }));
     DiagnosticStatus {
         level: OK,
