@@ -138,6 +138,6 @@ fuzz_target!(|input: (u8, Vec<(u8, u8, u8, u16, &[u8])>)| {
     }
     meter.expire(now + TIMEOUT);
     assert_eq!(meter.deadline(), None);
-    let Counts { requests, unclear, forgotten, refused, .. } = meter.counts();
-    assert_eq!(poll(&mut meter) + unclear + forgotten + refused, requests);
+    let Counts { requests, unclear, forgotten, rejected, .. } = meter.counts();
+    assert_eq!(poll(&mut meter) + unclear + forgotten + rejected, requests);
 });

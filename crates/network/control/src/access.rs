@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{AccessPoint, Event, HardwareGraph, NodeId, Timestamp, VnfEvent, VnfState};
 
 use crate::{
-    network::{InstructionError, Network, NetworkGone, refused},
+    network::{InstructionError, Network, NetworkGone, rejected},
     vim::{Engine, Vim},
 };
 
@@ -44,8 +44,8 @@ impl AccessPoints {
         }
         let (unit, wanted) = (radio_unit.clone(), access_point.clone());
         let check = move |fabric: &mut cotorra_fabric::Fabric, _| fabric.check_switch_on(&unit, &wanted);
-        network.with(check).map_err(refused)?.map_err(refused)?;
-        vim.reserve(AccessPoint::vnf(radio_unit), CPUS, MEMORY, radio_unit).map_err(refused)?;
+        network.with(check).map_err(rejected)?.map_err(rejected)?;
+        vim.reserve(AccessPoint::vnf(radio_unit), CPUS, MEMORY, radio_unit).map_err(rejected)?;
         let time = self.times.get(radio_unit).copied().unwrap_or_default();
         self.deploying.insert(radio_unit.clone(), (now + time, access_point));
         Ok(())
@@ -61,7 +61,7 @@ impl AccessPoints {
         if self.deploying.remove(radio_unit).is_none() {
             let unit = radio_unit.clone();
             let off = move |fabric: &mut cotorra_fabric::Fabric, now| fabric.switch_off(now, &unit);
-            network.with(off).map_err(refused)?.map_err(refused)?;
+            network.with(off).map_err(rejected)?.map_err(rejected)?;
         }
         vim.release(&AccessPoint::vnf(radio_unit));
         Ok(vec![life(radio_unit, VnfState::Stopped, None)])

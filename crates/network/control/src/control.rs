@@ -11,7 +11,7 @@ use cotorra_graph::{
 use crate::{
     access::AccessPoints,
     mappings::{Mapping, Mappings},
-    network::{InstructionError, Network, NetworkGone, refused},
+    network::{InstructionError, Network, NetworkGone, rejected},
     vim::{Engine, Managed, Vim},
 };
 
@@ -127,8 +127,8 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     pub fn locate(&self, robots: Vec<(NodeId, Position)>) -> Result<Vec<Vec<Attachment>>, NetworkGone> {
         self.network.with(move |fabric, now| {
             for (robot, position) in &robots {
-                if let Err(refused) = fabric.move_robot(now, robot, *position) {
-                    tracing::warn!("the network does not know where {robot} is: {refused}");
+                if let Err(error) = fabric.move_robot(now, robot, *position) {
+                    tracing::warn!("cannot move {robot} in the emulated network: {error}");
                 }
             }
             robots.iter().map(|(robot, _)| fabric.attachments(robot)).collect()
@@ -263,16 +263,16 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         }
         let path = (from.clone(), to.clone(), links.clone());
         let check = move |fabric: &mut Fabric, _| fabric.check_path(&path.0, &path.1, &path.2);
-        let hops = self.network.with(check).map_err(refused)?.map_err(refused)?;
+        let hops = self.network.with(check).map_err(rejected)?.map_err(rejected)?;
         if self.rate_between(&from, &to).is_none() {
             return Err(InstructionError(format!("no virtual link is between VNFs on `{from}` and `{to}`")));
         }
         let mapping = Mapping::new(from, to, links, hops);
         let mut planned = self.mappings.clone();
         planned.insert(mapping.clone());
-        self.work_out(&mut planned).map_err(refused)?;
+        self.work_out(&mut planned).map_err(rejected)?;
         if let Some(shortage) = planned.get(&mapping.from, &mapping.to).and_then(Mapping::shortage) {
-            return Err(refused(shortage));
+            return Err(rejected(shortage));
         }
         self.mappings.insert(mapping);
         Ok(())
@@ -310,16 +310,16 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             Instruction::Scan { robot } => {
                 self.network
                     .with(move |fabric, now| fabric.scan(now, &robot))
-                    .map_err(refused)?
-                    .map_err(refused)?;
+                    .map_err(rejected)?
+                    .map_err(rejected)?;
                 Ok(Vec::new())
             }
             Instruction::Attach { robot, radio_unit } => {
                 let attach = move |fabric: &mut Fabric, now| fabric.attach(now, &robot, &radio_unit);
-                self.network.with(attach).map_err(refused)?.map_err(refused)?;
+                self.network.with(attach).map_err(rejected)?.map_err(rejected)?;
                 Ok(Vec::new())
             }
-            Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(refused),
+            Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(rejected),
             Instruction::Map { from, to, links } => self.map(from, to, links).map(|()| Vec::new()),
             Instruction::Condition { link, direction, change } => {
                 let contexts = self.network.change(&link, direction, &change)?;
@@ -339,7 +339,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             Instruction::Provision { robot, radio_unit, access_point } => {
                 let provision =
                     move |fabric: &mut Fabric, _| fabric.provision(&robot, &radio_unit, access_point);
-                self.network.with(provision).map_err(refused)?.map_err(refused)?;
+                self.network.with(provision).map_err(rejected)?.map_err(rejected)?;
                 Ok(Vec::new())
             }
             Instruction::Note { process, step, .. } => {

@@ -220,15 +220,15 @@ mod tests {
         assert_eq!(mappings.reserved().into_values().collect::<Vec<_>>(), [8.0, 8.0]);
 
         let narrow = carries(&[("x", 8.0), ("y", 7.0)]);
-        let told = settle(&mut mappings, &narrow);
+        let changes = settle(&mut mappings, &narrow);
         assert_eq!(used(&mappings), ["a"]);
         assert_eq!(mappings.reserved().into_values().collect::<Vec<_>>(), [4.0, 4.0]);
-        assert!(told.len() == 1 && told[0].contains("from `b` to `z`"), "{told:?}");
+        assert!(changes.len() == 1 && changes[0].contains("from `b` to `z`"), "{changes:?}");
         assert!(settle(&mut mappings, &narrow).is_empty());
 
-        let told = settle(&mut mappings, &wide);
+        let changes = settle(&mut mappings, &wide);
         assert_eq!(used(&mappings), ["a", "b"]);
-        assert!(told.len() == 1 && told[0].ends_with("can be used again"), "{told:?}");
+        assert!(changes.len() == 1 && changes[0].ends_with("can be used again"), "{changes:?}");
     }
 
     #[test]
@@ -253,8 +253,8 @@ mod tests {
             carries.insert(hop("y"), Carries { rate_bps: 4.0, is_cut, is_there });
             carries
         };
-        let told = settle(&mut mappings, &with(true, false));
-        assert!(told.len() == 1 && told[0].contains("over x, y is cut at `y`"), "{told:?}");
+        let changes = settle(&mut mappings, &with(true, false));
+        assert!(changes.len() == 1 && changes[0].contains("over x, y is cut at `y`"), "{changes:?}");
         assert_eq!((used(&mappings).len(), mappings.pinned().count()), (0, 0));
         assert_eq!(mappings.reserved().len(), 2);
         // The fabric itself checks attachments.

@@ -64,10 +64,10 @@ pub fn change_fabric<N: Network + ?Sized>(
 ) -> Result<Vec<LinkContext>, InstructionError> {
     let (link, change) = (link.clone(), change.clone());
     let apply = move |fabric: &mut Fabric, now| {
-        fabric.change(now, &link, direction, &change).map_err(refused)?;
+        fabric.change(now, &link, direction, &change).map_err(rejected)?;
         Ok(fabric.link_contexts(now).into_iter().filter(|context| context.link == link).collect())
     };
-    network.with(apply).map_err(refused)?
+    network.with(apply).map_err(rejected)?
 }
 
 /// [`Network::test_throughput`] in the fabric alone.
@@ -82,7 +82,7 @@ pub fn test_fabric_throughput<N: Network + ?Sized>(
 ) -> Result<(), InstructionError> {
     let link = link.clone();
     let begin = move |fabric: &mut Fabric, now| fabric.test_throughput(now, &link, direction, test);
-    network.with(begin).map_err(refused)?.map_err(refused)
+    network.with(begin).map_err(rejected)?.map_err(rejected)
 }
 
 /// The emulated network was stopped.
@@ -95,6 +95,6 @@ pub struct NetworkGone;
 #[error("{0}")]
 pub struct InstructionError(pub String);
 
-pub(crate) fn refused(reason: impl ToString) -> InstructionError {
+pub(crate) fn rejected(reason: impl ToString) -> InstructionError {
     InstructionError(reason.to_string())
 }

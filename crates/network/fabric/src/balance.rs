@@ -1,4 +1,4 @@
-//! Conservation of packets: what hosts sent, and what became of it.
+//! Conservation of packets: the outcomes of all packets that hosts sent.
 
 use std::ops::AddAssign;
 
@@ -23,7 +23,7 @@ pub struct Balance {
 }
 
 impl Balance {
-    /// Whether no packet vanished and none came from nowhere.
+    /// Whether every packet has an outcome, and none was invented.
     pub const fn is_even(&self) -> bool {
         let ended = self.delivered + self.lost + self.overflowed + self.stranded;
         self.sent + self.duplicated == ended + self.under_way

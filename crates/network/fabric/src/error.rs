@@ -30,12 +30,12 @@ pub enum GraphError {
     #[error("{0} hosts are too many: there are addresses for {max}", max = HostAddress::MAX_HOSTS)]
     TooManyHosts(usize),
     /// Impossible conditions.
-    #[error("`{link}`: {refusal}")]
+    #[error("`{link}`: {error}")]
     Conditions {
         /// The link, or the wireless network by its SSID.
         link: String,
         /// The error.
-        refusal: FabricError,
+        error: FabricError,
     },
 }
 

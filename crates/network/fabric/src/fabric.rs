@@ -137,7 +137,7 @@ impl Fabric {
                 [(a, b, &link.forward, forward, "forward"), (b, a, &link.backward, backward, "backward")]
             {
                 let settings = Settings::new(conditions.clone(), scale, link.medium())
-                    .map_err(|refusal| GraphError::Conditions { link: link.id.to_string(), refusal })?;
+                    .map_err(|error| GraphError::Conditions { link: link.id.to_string(), error })?;
                 routes.connect(from, to, settings.effective().delay);
                 let rng = stream(seed, &format!("link {} {direction}", link.id));
                 pipes.push(Pipe::new(settings, rng));
@@ -556,8 +556,9 @@ impl Fabric {
     /// Sends the probe and the packet of a throughput test that are due.
     fn send_tests(&mut self, at: Timestamp) {
         let linked = |robot| self.radio.linked(robot);
-        if let Some((over, frame)) = self.link_tests.poll_probe(at, linked, |length| self.pool.take(length)) {
-            self.probe(at, over, Direction::Forward, frame);
+        if let Some((target, frame)) = self.link_tests.poll_probe(at, linked, |length| self.pool.take(length))
+        {
+            self.send_probe(at, target, Direction::Forward, frame);
         }
         if let Some((edge, frame)) = self.link_tests.poll_test(at, |length| self.pool.take(length)) {
             self.cross(at, edge, Packet { frame, purpose: Purpose::ThroughputTest, entered: at });
@@ -566,8 +567,8 @@ impl Fabric {
     }
 
     /// Sends a probe, or its answer.
-    fn probe(&mut self, now: Timestamp, over: ProbeTarget, direction: Direction, frame: Frame) {
-        match over {
+    fn send_probe(&mut self, now: Timestamp, target: ProbeTarget, direction: Direction, frame: Frame) {
+        match target {
             ProbeTarget::Wire(link) => {
                 let packet = Packet { frame, purpose: Purpose::Probe, entered: now };
                 self.cross(now, edge(link, direction), packet);
@@ -580,9 +581,9 @@ impl Fabric {
     }
 
     /// Handles a probe or its answer at the other end of the link.
-    fn probed(&mut self, now: Timestamp, over: ProbeTarget, direction: Direction, frame: Frame) {
-        if let Some(answer) = self.link_tests.probe_crossed(now, (over, direction), frame) {
-            self.probe(now, over, Direction::Backward, answer);
+    fn receive_probe(&mut self, now: Timestamp, target: ProbeTarget, direction: Direction, frame: Frame) {
+        if let Some(answer) = self.link_tests.probe_crossed(now, (target, direction), frame) {
+            self.send_probe(now, target, Direction::Backward, answer);
         }
     }
 
@@ -596,7 +597,7 @@ impl Fabric {
             }
             Purpose::Probe => {
                 let direction = if edge.is_multiple_of(2) { Direction::Forward } else { Direction::Backward };
-                self.probed(now, ProbeTarget::Wire(edge / 2), direction, packet.frame);
+                self.receive_probe(now, ProbeTarget::Wire(edge / 2), direction, packet.frame);
             }
         }
     }
@@ -615,7 +616,7 @@ impl Fabric {
         for Arrival { due, from, at, frame, probed } in arrivals.drain(..) {
             self.air_lateness.entry([from, at]).or_default().record(self.now.since(due));
             if let Some(Path { robot, unit, direction }) = probed {
-                self.probed(due, ProbeTarget::Air(robot, unit), direction, frame);
+                self.receive_probe(due, ProbeTarget::Air(robot, unit), direction, frame);
                 continue;
             }
             let vertex = self.ports[at.0].vertex;

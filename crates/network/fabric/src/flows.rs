@@ -154,7 +154,7 @@ impl Flows {
 }
 
 fn remarks(service: &ServiceId, counts: Counts) -> Vec<String> {
-    let Counts { requests, unclear, forgotten, refused, given_up } = counts;
+    let Counts { requests, unclear, forgotten, rejected, given_up } = counts;
     let mut remarks = Vec::new();
     if requests == 0 {
         remarks.push(format!("flow of service `{service}`: no request seen"));
@@ -170,7 +170,7 @@ fn remarks(service: &ServiceId, counts: Counts) -> Vec<String> {
          `id`, or a shorter `timeout`",
     );
     not_measured(forgotten, "requests are not measured, because too many were under way");
-    not_measured(refused, "requests are not measured, because the server refused them");
+    not_measured(rejected, "requests are not measured, because the server refused them");
     not_measured(
         given_up,
         "connections or writers were not followed to their end: too many, too much out of order, or another protocol",

@@ -33,7 +33,7 @@ pub enum SegmentationKind {
     Udp,
 }
 
-/// How to cut a super-packet into packets as they are on the wire.
+/// The sizes by which a super-packet is cut into packets as they are on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Segmentation {
     /// Protocol of the payload.

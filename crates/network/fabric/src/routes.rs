@@ -187,7 +187,7 @@ impl Routes {
         let (steps, order) = self.shortest(root, Sense::Away);
         let mut leads_to_host: Vec<bool> = self.vertices.iter().map(|v| v.is_host).collect();
         let mut branches = Vec::new();
-        // From the leaves inwards.
+        // Goes from the leaves to the root.
         for &vertex in order.iter().rev().filter(|v| **v as usize != root) {
             if leads_to_host[vertex as usize] {
                 let edge = steps[vertex as usize].edge;

@@ -253,8 +253,8 @@ fn effective(asked: &Conditions, scale: Scale, medium: Medium) -> Result<Conditi
     let jitter = match asked.jitter {
         None => None,
         Some(jitter) => {
-            let refusal = FabricError::Jitter(ms(jitter.deviation) * delay_scale);
-            let deviation = scaled(jitter.deviation, delay_scale).ok_or(refusal)?;
+            let error = FabricError::Jitter(ms(jitter.deviation) * delay_scale);
+            let deviation = scaled(jitter.deviation, delay_scale).ok_or(error)?;
             (!deviation.is_zero()).then_some(Jitter { deviation, ..jitter })
         }
     };
@@ -325,8 +325,7 @@ fn thinned(trace: &Arc<Trace>, drop_scale: f64) -> Result<Arc<Trace>, FabricErro
     let times = trace.opportunities_ms();
     let periods = ((TRACE_RESOLUTION * drop_scale).ceil() as usize).div_ceil(times.len()) as u64;
     let total = times.len() as u64 * periods;
-    // Counted from the end, where the copies begin with at least one, so that the last opportunity, which sets
-    // the period, stays.
+    // Counts from the end, which always keeps the last opportunity: it sets the period.
     let before = |from_end: u64| (from_end as f64 / drop_scale).ceil() as u64;
     let mut kept = Vec::new();
     for (i, ms) in (0..periods).flat_map(|p| times.iter().map(move |t| t + p * trace.period_ms())).enumerate()
@@ -394,7 +393,7 @@ mod tests {
         Settings::new(asked, Scale::default(), medium).unwrap()
     }
 
-    fn refused(change: ConditionChange) -> FabricError {
+    fn rejected(change: ConditionChange) -> FabricError {
         let before = settings(Conditions { rate: fixed(100.0), ..Conditions::default() });
         before.changed(&change).unwrap_err()
     }
@@ -433,8 +432,8 @@ mod tests {
         assert_eq!(settings.effective().delay, ms(10));
         assert_eq!(scaled(2.0).unwrap().effective().delay, ms(20));
         assert_eq!(scaled(0.4).unwrap().effective().delay, ms(4));
-        let refusal = FabricError::FasterThanMedium { offered_ms: 3.0, medium_ms: 4.0 };
-        assert_eq!(scaled(0.3).unwrap_err(), refusal);
+        let error = FabricError::FasterThanMedium { offered_ms: 3.0, medium_ms: 4.0 };
+        assert_eq!(scaled(0.3).unwrap_err(), error);
         assert!(matches!(scaled(1e9), Err(FabricError::Delay(_))));
     }
 
@@ -463,32 +462,32 @@ mod tests {
         let base = ConditionChange::default;
         for ms in [-1.0, f64::NAN, f64::INFINITY, 3_600_001.0] {
             assert!(matches!(
-                refused(ConditionChange { delay_ms: Some(ms), ..base() }),
+                rejected(ConditionChange { delay_ms: Some(ms), ..base() }),
                 FabricError::Delay(_)
             ));
         }
         assert!(matches!(
-            refused(ConditionChange { delay_ms: Some(10.0), delay_scale: Some(1e9), ..base() }),
+            rejected(ConditionChange { delay_ms: Some(10.0), delay_scale: Some(1e9), ..base() }),
             FabricError::Delay(_)
         ));
         for scale in [-0.1, f64::NAN, f64::INFINITY] {
             let change = ConditionChange { delay_scale: Some(scale), ..base() };
-            assert!(matches!(refused(change), FabricError::DelayScale(_)));
+            assert!(matches!(rejected(change), FabricError::DelayScale(_)));
         }
         for scale in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let change = ConditionChange { drop_scale: Some(scale), ..base() };
-            assert!(matches!(refused(change), FabricError::DropScale(_)));
+            assert!(matches!(rejected(change), FabricError::DropScale(_)));
         }
         let above = FabricError::AboveMedium { asked_mbps: 2000.0, medium: mbps(1000.0) };
-        assert_eq!(refused(ConditionChange { rate: Some(fixed(2000.0)), ..base() }), above);
-        assert_eq!(refused(ConditionChange { drop_scale: Some(0.05), ..base() }), above);
+        assert_eq!(rejected(ConditionChange { rate: Some(fixed(2000.0)), ..base() }), above);
+        assert_eq!(rejected(ConditionChange { drop_scale: Some(0.05), ..base() }), above);
         assert_eq!(
-            refused(ConditionChange { drop_scale: Some(1e12), ..base() }),
+            rejected(ConditionChange { drop_scale: Some(1e12), ..base() }),
             FabricError::BelowOneBit(1e12)
         );
         let bursty = |rate, mean_burst| {
             let rate = Probability::new(rate).unwrap();
-            refused(ConditionChange { loss: Some(Loss::Bursty { rate, mean_burst }), ..base() })
+            rejected(ConditionChange { loss: Some(Loss::Bursty { rate, mean_burst }), ..base() })
         };
         assert_eq!(bursty(1.0, 3.0), FabricError::BurstyRate(1.0));
         assert_eq!(bursty(0.1, 0.5), FabricError::MeanBurst(0.5));
@@ -497,7 +496,7 @@ mod tests {
         let most = Loss::Bursty { rate: Probability::new(0.9).unwrap(), mean_burst: 9.0 };
         assert_eq!(check_loss(most), Ok(()));
         for queue in [QueueLimit::Packets(0), QueueLimit::Bytes(0)] {
-            assert_eq!(refused(ConditionChange { queue: Some(queue), ..base() }), FabricError::Queue);
+            assert_eq!(rejected(ConditionChange { queue: Some(queue), ..base() }), FabricError::Queue);
         }
     }
 

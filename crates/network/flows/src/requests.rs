@@ -44,7 +44,7 @@ pub struct Counts {
     /// Requests forgotten because too many were pending.
     pub forgotten: u64,
     /// Requests that the server rejected.
-    pub refused: u64,
+    pub rejected: u64,
     /// Connections, and writers of ROS 2, that were not followed to their end: too many, too much out of order, or another
     /// protocol.
     pub given_up: u64,
@@ -96,12 +96,12 @@ impl<K: PartialEq> Requests<K> {
     }
 
     /// Removes the first request that matches, because the server rejected it.
-    pub fn refuse(&mut self, is_it: impl Fn(&K) -> bool, at: Duration) {
+    pub fn reject(&mut self, is_it: impl Fn(&K) -> bool, at: Duration) {
         self.expire(at);
         let place = self.pending.iter().position(|pending| is_it(&pending.key));
         if let Some(place) = place {
             self.pending.remove(place);
-            self.counts.refused += 1;
+            self.counts.rejected += 1;
         }
     }
 
@@ -124,7 +124,8 @@ impl<K: PartialEq> Requests<K> {
             self.pending[place].unclear = true;
             return;
         }
-        let Pending { sequence, entered, mark, .. } = self.pending.remove(place).expect("it was found there");
+        let Pending { sequence, entered, mark, .. } =
+            self.pending.remove(place).expect("a request is at this place");
         self.samples.push_back(Sample { sequence, entered, took: Some(at.saturating_sub(entered)), mark });
     }
 

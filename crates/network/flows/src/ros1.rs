@@ -1,4 +1,4 @@
-//! Messages and calls of ROS 1 on TCP connections (ROS wiki, "ROS/TCPROS" and "ROS/Connection Header").
+//! Parses messages and calls of ROS 1 on TCP connections (ROS wiki, "ROS/TCPROS" and "ROS/Connection Header").
 
 use std::time::Duration;
 

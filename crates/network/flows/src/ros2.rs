@@ -344,7 +344,7 @@ impl Ros2 {
                 let place = if body.len() < CYCLONE_HEADER + ACCEPTANCE { 0 } else { CYCLONE_HEADER };
                 if body.get(place) == Some(&0) {
                     let matches = |key: &Key| matches!(key, Key::Goal { goal_call, .. } if goal_call.is_answered_by(reply));
-                    self.requests.refuse(matches, at);
+                    self.requests.reject(matches, at);
                 }
             }
             Measured::Action(_) => {

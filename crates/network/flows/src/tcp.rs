@@ -1,4 +1,4 @@
-//! Requests and answers on TCP connections.
+//! Measures requests and answers on TCP connections.
 
 use std::{collections::HashMap, net::IpAddr, time::Duration};
 

@@ -49,8 +49,8 @@ fn a_vap_serves_once_its_deployment_is_done() {
     assert_eq!(access_points.next_deadline(), None);
     let stopped = life(&id("off"), VnfState::Stopped, None);
     assert_eq!(access_points.remove(&id("off"), &network, &mut vim).unwrap(), [stopped]);
-    let refused = access_points.remove(&id("off"), &network, &mut vim).unwrap_err();
-    assert!(refused.0.contains("`off` is off"), "{refused}");
+    let rejected = access_points.remove(&id("off"), &network, &mut vim).unwrap_err();
+    assert!(rejected.0.contains("`off` is off"), "{rejected}");
 }
 
 #[test]
@@ -65,14 +65,14 @@ fn a_deployment_can_be_cancelled() {
 #[test]
 fn impossible_deployments_are_rejected_at_once() {
     let (_, network, mut vim, mut access_points) = world();
-    let mut refused = |unit: &str, access_point: AccessPoint| {
+    let mut rejected = |unit: &str, access_point: AccessPoint| {
         access_points.deploy(at(0), &id(unit), access_point, &network, &mut vim).unwrap_err().0
     };
-    assert!(refused("on", lab()).contains("deployed on `on` already"));
-    assert!(refused("nowhere", lab()).contains("no radio unit `nowhere`"));
-    assert!(refused("small", lab()).contains("needs 0.5 CPUs of `small`"));
+    assert!(rejected("on", lab()).contains("deployed on `on` already"));
+    assert!(rejected("nowhere", lab()).contains("no radio unit `nowhere`"));
+    assert!(rejected("small", lab()).contains("needs 0.5 CPUs of `small`"));
     let other = AccessPoint { ssid: "other".into(), ..lab() };
-    assert!(refused("off", other).contains("made for the network `lab`"));
+    assert!(rejected("off", other).contains("made for the network `lab`"));
     access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap();
     let again = access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap_err();
     assert!(again.0.contains("is being deployed on `off` already"), "{again}");

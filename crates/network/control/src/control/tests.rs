@@ -59,7 +59,7 @@ impl Lab {
     }
 
     fn instruct(&mut self, instruction: &Instruction) -> Result<Reported, String> {
-        let events = self.0.instruct(Timestamp::ZERO, instruction).map_err(|refused| refused.0)?;
+        let events = self.0.instruct(Timestamp::ZERO, instruction).map_err(|rejected| rejected.0)?;
         Ok(reported(events))
     }
 

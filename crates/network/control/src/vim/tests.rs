@@ -158,8 +158,8 @@ fn simultaneous_moves_do_not_overfill_a_node() {
     let mut vim = vim_of(nodes, vec![vnf("one", "a", false), vnf("two", "a", false)]);
     vim.place(Timestamp::ZERO, &id("one"), &on("b")).unwrap();
     // The first VNF is not there yet.
-    let refused = vim.place(Timestamp::ZERO, &id("two"), &on("b")).unwrap_err();
-    assert_eq!(refused.to_string(), "VNF `two` needs 4 CPUs of `b`, which has 0 left");
+    let rejected = vim.place(Timestamp::ZERO, &id("two"), &on("b")).unwrap_err();
+    assert_eq!(rejected.to_string(), "VNF `two` needs 4 CPUs of `b`, which has 0 left");
     // Once the first stays on its node, there is room.
     vim.place(Timestamp::ZERO, &id("one"), &on("a")).unwrap();
     vim.place(Timestamp::ZERO, &id("two"), &on("b")).unwrap();
@@ -344,15 +344,15 @@ fn room_is_checked_on_all_nodes_before_any_change() {
     let nodes = ["a", "b", "c", "d"].map(|name| server(name, 4.0));
     let vnfs = vec![vnf("moving", "a", false), vnf("fixed", "b", true), vnf("other", "d", false)];
     let mut vim = vim_of(nodes.to_vec(), vnfs);
-    let refused = |vim: &mut Vim<_>, vnf: &str, nodes: &str| {
+    let rejected = |vim: &mut Vim<_>, vnf: &str, nodes: &str| {
         vim.place(Timestamp::ZERO, &id(vnf), &on(nodes)).unwrap_err().to_string()
     };
     let full = "VNF `moving` needs 4 CPUs of `b`, which has 0 left";
-    assert_eq!(refused(&mut vim, "moving", "c,b,a"), full);
-    assert_eq!(refused(&mut vim, "fixed", "b,c"), "VNF `fixed` is pinned to `b`");
+    assert_eq!(rejected(&mut vim, "moving", "c,b,a"), full);
+    assert_eq!(rejected(&mut vim, "fixed", "b,c"), "VNF `fixed` is pinned to `b`");
     assert_eq!((instances(&vim), serving(&vim).as_str(), vim.engine.running().count()), (1, "a", 3));
     // Each instance takes room, also a starting one.
     vim.engine.stall_on(id("c"));
     vim.place(Timestamp::ZERO, &id("moving"), &on("a,c")).unwrap();
-    assert_eq!(refused(&mut vim, "other", "c"), "VNF `other` needs 4 CPUs of `c`, which has 0 left");
+    assert_eq!(rejected(&mut vim, "other", "c"), "VNF `other` needs 4 CPUs of `c`, which has 0 left");
 }

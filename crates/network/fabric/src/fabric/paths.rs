@@ -117,7 +117,8 @@ impl Fabric {
         };
         let ((start, source), (goal, sink)) = (host(from)?, host(to)?);
         let name = |vertex: usize| {
-            let (node, _) = self.vertices.iter().find(|(_, at)| **at == vertex).expect("each is a node");
+            let (node, _) =
+                self.vertices.iter().find(|(_, at)| **at == vertex).expect("every vertex is a node");
             node.clone()
         };
         let mut visited = vec![start];

@@ -8,8 +8,8 @@ use cotorra_stamp::{BASE_LENGTH, PORT};
 
 use crate::frame::Frame;
 
-/// The EtherType of packets that measure a link: the first for local experiments (IEEE 802-2014, 9.2.4). No network stack
-/// on the way takes them for its own.
+/// The EtherType of packets that measure a link: the first for local experiments (IEEE 802-2014, 9.2.4), which network
+/// stacks ignore.
 pub const MEASURING_ETHERTYPE: u16 = 0x88b5;
 
 /// Ethernet header of packets that measure a link. The destination is the nearest bridge, which never forwards it

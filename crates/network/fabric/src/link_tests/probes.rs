@@ -109,7 +109,7 @@ impl Probes {
         buffer: impl FnOnce(usize) -> Vec<u8>,
     ) -> Option<(ProbeTarget, Frame)> {
         let (_, place) = self.timers.next().filter(|(at, _)| *at <= now)?;
-        let (over, probe) = match place.checked_sub(self.wires.len()) {
+        let (target, probe) = match place.checked_sub(self.wires.len()) {
             None => (Some(ProbeTarget::Wire(place)), self.wires[place].poll(utc(now))),
             Some(robot) => {
                 let station = &mut self.stations[robot];
@@ -118,8 +118,8 @@ impl Probes {
             }
         };
         self.arm(place);
-        let (over, probe) = over.zip(probe)?;
-        Some((over, packet::probe(&probe, buffer(HEADERS + probe.len()))))
+        let (target, probe) = target.zip(probe)?;
+        Some((target, packet::probe(&probe, buffer(HEADERS + probe.len()))))
     }
 
     /// Records a probe that left a link at `received`, and builds the answer as of `now`. `None` if the probe is damaged
@@ -128,11 +128,11 @@ impl Probes {
         &mut self,
         received: Timestamp,
         now: Timestamp,
-        (over, direction): (ProbeTarget, Direction),
+        (target, direction): (ProbeTarget, Direction),
         frame: Frame,
     ) -> Option<Crossing> {
         let mut bytes = frame.into_bytes();
-        let (place, probed) = match over {
+        let (place, probed) = match target {
             ProbeTarget::Wire(link) => (link, self.wires.get_mut(link)?),
             ProbeTarget::Air(robot, unit) => {
                 let place = self.wires.len() + robot;
@@ -159,8 +159,8 @@ impl Probes {
 
     /// Returns the estimates of a link's probes, forward and backward. `None` until the first probe was answered or given
     /// up, and for a link that a robot has left.
-    pub(super) fn probed(&self, now: Timestamp, over: ProbeTarget) -> Option<[Probed; 2]> {
-        let link = match over {
+    pub(super) fn probed(&self, now: Timestamp, target: ProbeTarget) -> Option<[Probed; 2]> {
+        let link = match target {
             ProbeTarget::Wire(link) => self.wires.get(link)?,
             ProbeTarget::Air(robot, unit) => {
                 &self.stations.get(robot).filter(|station| station.with == Some(unit))?.link

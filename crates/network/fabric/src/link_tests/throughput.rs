@@ -248,8 +248,8 @@ mod tests {
         let mut test = |at, test| fabric.test_throughput(at, &link, Direction::Forward, test);
         test(s(0.0), ThroughputTest::default()).unwrap();
         let rest = Duration::from_secs(1);
-        let refused = test(s(4.0), ThroughputTest::default());
-        assert_eq!(refused, Err(FabricError::TestTooSoon { link: link.clone(), rest }));
+        let rejected = test(s(4.0), ThroughputTest::default());
+        assert_eq!(rejected, Err(FabricError::TestTooSoon { link: link.clone(), rest }));
         test(s(5.0), limit(1.0)).unwrap();
         let result = tested(&mut fabric, s(6.0)).unwrap();
         assert!(result.throughput_bps > 9e6 && result.age == Duration::from_secs(5), "{result:?}");
@@ -261,8 +261,8 @@ mod tests {
         let (mut fabric, link) = fabric("rate: 10 Mbit/s");
         let mut test = |link: &LinkId, test| fabric.test_throughput(s(0.0), link, Direction::Forward, test);
         for duration in [Duration::ZERO, Duration::from_secs(11)] {
-            let refused = test(&link, ThroughputTest { duration, rate_limit: None });
-            assert_eq!(refused, Err(FabricError::TestDuration(duration)));
+            let rejected = test(&link, ThroughputTest { duration, rate_limit: None });
+            assert_eq!(rejected, Err(FabricError::TestDuration(duration)));
         }
         let fast = BitRate::from_mbps(1_001.0).unwrap();
         assert_eq!(test(&link, limit(1_001.0)), Err(FabricError::TestRate(fast)));

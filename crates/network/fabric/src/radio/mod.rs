@@ -187,7 +187,7 @@ impl Radio {
         for (ssid, spec) in &graph.wireless {
             network_by_ssid.insert(ssid.as_str(), networks.len());
             let network = Network::new(ssid, spec)
-                .map_err(|refusal| GraphError::Conditions { link: ssid.clone(), refusal })?;
+                .map_err(|error| GraphError::Conditions { link: ssid.clone(), error })?;
             networks.push(network);
         }
         let ports: BTreeMap<_, _> =

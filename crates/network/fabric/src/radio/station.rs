@@ -29,7 +29,7 @@ enum Phase {
     Handshake(RadioUnitIndex),
 }
 
-/// A time off the channel.
+/// An absence from the channel.
 #[derive(Debug, Clone, Copy)]
 struct Absence {
     since: Timestamp,

@@ -135,7 +135,7 @@ impl World {
         let mut now = Some(Timestamp::ZERO);
         while let Some(at) = now.filter(|now| *now <= until) {
             now = self.radio.poll(at, &mut Pool::default(), &mut arrivals);
-            assert!(now.is_none_or(|next| next > at), "what is due at {at} is done");
+            assert!(now.is_none_or(|next| next > at), "everything due at {at} is done");
         }
         self.radio.poll(until, &mut Pool::default(), &mut arrivals);
         self.arrived.extend(arrivals.into_iter().map(|a| (a.due, a.at, a.frame)));
@@ -281,11 +281,11 @@ fn impossible_calls_are_rejected_with_a_reason() {
         ..ConditionChange::default()
     };
     let link = LinkId::wireless(&id("r"), &id("R1"));
-    let refusal = world.radio.change(at(200), &link, None, &change).unwrap_err();
-    assert!(matches!(refusal, FabricError::NotOnWireless(_)));
+    let error = world.radio.change(at(200), &link, None, &change).unwrap_err();
+    assert!(matches!(error, FabricError::NotOnWireless(_)));
     let unknown = LinkId::new("r-R1").unwrap();
-    let refusal = world.radio.change(at(200), &unknown, None, &change).unwrap_err();
-    assert_eq!(refusal, FabricError::UnknownLink(unknown));
+    let error = world.radio.change(at(200), &unknown, None, &change).unwrap_err();
+    assert_eq!(error, FabricError::UnknownLink(unknown));
 }
 
 #[test]
@@ -452,7 +452,7 @@ fn a_lost_radio_unit_is_reported_and_joined_again() {
             matches!(&events[1].event, Event::Handover(h) if h.from.is_none() && !h.fast && h.gap == ms(170)),
             "{events:?}"
         );
-        assert_eq!(world.arrived.len(), 1, "what it wanted to send meanwhile was held");
+        assert_eq!(world.arrived.len(), 1, "its frames were held in the meantime");
     }
 }
 
@@ -531,8 +531,8 @@ fn conditions_and_scales_apply_to_a_wireless_link() {
     assert_eq!(up.effective.rate, Rate::Fixed { bits_per_second: mbps(4.0) });
     assert_eq!(up.delay, Some(Duration::from_nanos(3_666_666)));
     let above = ConditionChange { drop_scale: Some(0.1), ..ConditionChange::default() };
-    let refusal = world.radio.change(at(100), &link, None, &above).unwrap_err();
-    assert_eq!(refusal, FabricError::AboveMedium { asked_mbps: 80.0, medium: mbps(65.0) });
+    let error = world.radio.change(at(100), &link, None, &above).unwrap_err();
+    assert_eq!(error, FabricError::AboveMedium { asked_mbps: 80.0, medium: mbps(65.0) });
 }
 
 #[test]
@@ -784,8 +784,8 @@ fn frames_without_a_radio_unit_are_counted() {
 fn a_vap_is_deployed_once_and_for_its_radio_units_network() {
     let mut world = domains(Roaming::Instructed);
     let other = AccessPoint { ssid: "other".into(), ..access_point(1, None) };
-    let refused = world.radio.switch_on(at(0), &id("B"), other).unwrap_err();
-    assert!(matches!(&refused, FabricError::OtherSsid { asked, .. } if asked == "other"), "{refused}");
+    let rejected = world.radio.switch_on(at(0), &id("B"), other).unwrap_err();
+    assert!(matches!(&rejected, FabricError::OtherSsid { asked, .. } if asked == "other"), "{rejected}");
     world.radio.switch_on(at(0), &id("B"), access_point(1, None)).unwrap();
     let again = world.radio.switch_on(at(0), &id("B"), access_point(1, None));
     assert_eq!(again, Err(FabricError::Serving(id("B"))));
@@ -806,8 +806,8 @@ fn a_robot_of_another_domain_needs_the_right_key() {
         if let Some(wrong) = wrong {
             world.radio.provision(&id("r"), &id("B"), wrong).unwrap();
         }
-        let refused = FabricError::NotAdmitted { robot: id("r"), radio_unit: id("B") };
-        assert_eq!(world.radio.attach(at(0), &id("r"), &id("B")), Err(refused));
+        let rejected = FabricError::NotAdmitted { robot: id("r"), radio_unit: id("B") };
+        assert_eq!(world.radio.attach(at(0), &id("r"), &id("B")), Err(rejected));
     }
     assert_eq!(world.attached("r"), Some(world.port("A")), "it stays where it was");
     world.radio.provision(&id("r"), &id("B"), access_point(1, Some(7))).unwrap();

@@ -236,8 +236,8 @@ fn a_rejected_change_changes_neither_direction() {
     // Forward: 50 Gbit/s over 2; backward: 200 Gbit/s.
     let faster =
         ConditionChange { rate: Some(rate(200_000.0)), delay_ms: Some(9.0), ..ConditionChange::default() };
-    let refusal = fabric.change(ms(0.0), &link(), None, &faster).unwrap_err();
-    assert!(matches!(refusal, FabricError::AboveMedium { .. }), "{refusal}");
+    let error = fabric.change(ms(0.0), &link(), None, &faster).unwrap_err();
+    assert!(matches!(error, FabricError::AboveMedium { .. }), "{error}");
     assert_eq!(fabric.link_contexts(ms(0.0)), before);
     let unknown: LinkId = "a-c".parse().unwrap();
     assert_eq!(fabric.change(ms(0.0), &unknown, None, &faster), Err(FabricError::UnknownLink(unknown)));

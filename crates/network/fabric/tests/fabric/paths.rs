@@ -102,22 +102,22 @@ fn a_path_to_a_robot_follows_its_attachment_without_loops() {
 #[test]
 fn impossible_paths_are_rejected_with_a_reason() {
     let mut fabric = square();
-    let refused = |from: &str, to: &str, links: &[&str]| {
+    let rejected = |from: &str, to: &str, links: &[&str]| {
         fabric.check_path(&node(from), &node(to), &names(links)).unwrap_err().to_string()
     };
-    assert_eq!(refused("a", "b", &["a-b"]), "there is no link `a-b`");
-    assert_eq!(refused("a", "b", &["a-s", "t-b"]), "the link `t-b` does not go on from `s`");
-    assert_eq!(refused("a", "b", &["p~R1"]), "the link `p~R1` does not go on from `a`");
+    assert_eq!(rejected("a", "b", &["a-b"]), "there is no link `a-b`");
+    assert_eq!(rejected("a", "b", &["a-s", "t-b"]), "the link `t-b` does not go on from `s`");
+    assert_eq!(rejected("a", "b", &["p~R1"]), "the link `p~R1` does not go on from `a`");
     assert_eq!(
-        refused("a", "b", &["a-s", "c-s", "c-t", "t-b"]),
+        rejected("a", "b", &["a-s", "c-s", "c-t", "t-b"]),
         "the path leads through `c`, which forwards nothing"
     );
     let circle = ["a-s", "s-R1", "t-R1", "a-t", "a-s", "s-b"];
-    assert_eq!(refused("a", "b", &circle), "the path comes to `a` twice");
-    assert_eq!(refused("a", "a", &["a-s", "a-s"]), "the path comes to `a` twice");
-    assert_eq!(refused("a", "b", &["a-s"]), "the path ends at `s`, not at `b`");
-    assert_eq!(refused("a", "s", &["a-s"]), "`s` is no host of the emulated network");
-    assert_eq!(refused("a", "x", &["a-s"]), "`x` is no host of the emulated network");
+    assert_eq!(rejected("a", "b", &circle), "the path comes to `a` twice");
+    assert_eq!(rejected("a", "a", &["a-s", "a-s"]), "the path comes to `a` twice");
+    assert_eq!(rejected("a", "b", &["a-s"]), "the path ends at `s`, not at `b`");
+    assert_eq!(rejected("a", "s", &["a-s"]), "`s` is no host of the emulated network");
+    assert_eq!(rejected("a", "x", &["a-s"]), "`x` is no host of the emulated network");
     // The robot need not be attached to the path's radio unit.
     let hops = fabric.check_path(&node("p"), &node("b"), &names(&["p~R2", "s-R2", "s-b"])).unwrap();
     let directions: Vec<_> = hops.iter().map(|(_, direction)| *direction).collect();

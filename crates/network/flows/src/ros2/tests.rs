@@ -290,7 +290,7 @@ fn goals_are_measured_up_to_their_results() {
         comes(&mut meter, 200, &mapping.reply(results, asks, 2, 2, b"\x04\0\0\0result"));
         comes(&mut meter, 201, &mapping.reply(results, asks, 3, 3, b"\x04\0\0\0result"));
         assert_eq!(samples(&mut meter), [(2, 12, Some(88)), (0, 10, Some(190))], "{mapping:?}");
-        assert_eq!(meter.counts(), Counts { requests: 3, refused: 1, ..Counts::default() });
+        assert_eq!(meter.counts(), Counts { requests: 3, rejected: 1, ..Counts::default() });
         assert_eq!(meter.deadline(), None);
     }
 }
