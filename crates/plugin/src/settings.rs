@@ -31,16 +31,18 @@ use serde_json::{Map, Value};
 
 /// A setting that a plug-in cannot use, and why.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{setting}: {reason}")]
+#[error("{setting}{reason}")]
 pub struct InvalidSettings {
+    /// Path of the setting with a colon; empty for the settings as a whole.
     setting: String,
     reason: String,
 }
 
 impl InvalidSettings {
     /// Rejects a setting. `setting` is its path, such as `processing.navigation`.
-    pub fn new(setting: impl Into<String>, reason: impl Display) -> Self {
-        Self { setting: setting.into(), reason: reason.to_string() }
+    pub fn new(setting: &str, reason: impl Display) -> Self {
+        let setting = if setting == "." { String::new() } else { format!("{setting}: ") };
+        Self { setting, reason: reason.to_string() }
     }
 }
 
@@ -50,7 +52,7 @@ impl InvalidSettings {
 /// [`InvalidSettings`] for the first setting that does not exist or has no such value.
 pub fn decode<T: DeserializeOwned>(settings: &Map<String, Value>) -> Result<T, InvalidSettings> {
     serde_path_to_error::deserialize(Value::Object(settings.clone()))
-        .map_err(|error| InvalidSettings::new(error.path().to_string(), error.inner()))
+        .map_err(|error| InvalidSettings::new(&error.path().to_string(), error.inner()))
 }
 
 /// A kind of figure with a unit.

@@ -24,5 +24,5 @@ pub use error::LedgerError;
 pub use ledgers::Ledgers;
 pub use network::{Access, Network, PASSWORD};
 pub use orchestrator::{Federation, FederationError};
-pub use settings::{Behaviour, InvalidSettings, Joining, LedgerChoice, Settings};
+pub use settings::{Behaviour, Joining, LedgerChoice, Settings};
 pub use steps::Step;

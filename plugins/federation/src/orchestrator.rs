@@ -11,7 +11,7 @@ use cotorra_ledger::{
     Call, Event as LedgerEvent, Ledger, Notice, Secret, ServiceId,
     negotiation::{Creator, CreatorStep, Policy, Record, Request},
 };
-use cotorra_plugin::{Actions, Noted, Plugin};
+use cotorra_plugin::{Actions, Noted, Plugin, settings::InvalidSettings};
 
 use crate::{
     context::{DomainContext, Unit},
@@ -20,7 +20,7 @@ use crate::{
     hosting::Hosting,
     journey::{Journey, creator_steps},
     ledgers::Ledgers,
-    settings::{InvalidSettings, Settings},
+    settings::Settings,
     steps::Step,
 };
 

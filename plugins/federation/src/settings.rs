@@ -1,9 +1,10 @@
-//! The plug-in's settings, as a testbed file gives them.
+//! Settings of the plug-in.
 
 use std::{path::PathBuf, time::Duration};
 
 use cotorra_graph::Dbm;
 use cotorra_ledger::{Price, Terms};
+use cotorra_plugin::settings::{self, Figure, InvalidSettings, duration};
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::{Map, Value};
 
@@ -161,35 +162,20 @@ impl Default for Settings {
     }
 }
 
-/// Settings that cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{path}{reason}")]
-pub struct InvalidSettings {
-    /// Path of the setting with a colon, or nothing.
-    path: String,
-    reason: String,
-}
-
 impl Settings {
     /// Reads the settings of a testbed file.
     ///
     /// # Errors
     /// [`InvalidSettings`].
     pub fn decode(settings: &Map<String, Value>) -> Result<Self, InvalidSettings> {
-        let invalid = |path: &str, reason: String| {
-            let path = if path == "." { String::new() } else { format!("{path}: ") };
-            Err(InvalidSettings { path, reason })
-        };
-        let decoded: Self = match serde_path_to_error::deserialize(Value::Object(settings.clone())) {
-            Ok(decoded) => decoded,
-            Err(error) => return invalid(&error.path().to_string(), error.inner().to_string()),
-        };
+        let decoded: Self = settings::decode(settings)?;
         if !(0.0..=1000.0).contains(&decoded.radius_m) {
-            return invalid("radius_m", format!("{} is not a radius from 0 to 1000 m", decoded.radius_m));
+            let reason = format!("{} is not a radius from 0 to 1000 m", decoded.radius_m);
+            return Err(InvalidSettings::new("radius_m", reason));
         }
         if decoded.stop >= decoded.lead {
             let reason = "a robot is halted after the announcement: `stop` must be less than `lead`";
-            return invalid("stop", reason.to_owned());
+            return Err(InvalidSettings::new("stop", reason));
         }
         Ok(decoded)
     }
@@ -242,13 +228,6 @@ fn ledger<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LedgerChoice, D:
     LedgerChoice::deserialize(value).map_err(D::Error::custom)
 }
 
-fn duration<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
-    let value = Value::deserialize(deserializer)?;
-    parse_duration(&value).ok_or_else(|| {
-        D::Error::custom(format!("{value} is not a time from 1 ms to 1 day; write it like `30 s`"))
-    })
-}
-
 fn optional_duration<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Duration>, D::Error> {
     duration(deserializer).map(Some)
 }
@@ -257,20 +236,12 @@ fn range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[Duration;
     let value = Value::deserialize(deserializer)?;
     let bounds = value.as_array().and_then(|bounds| {
         let [from, until] = &bounds[..] else { return None };
-        let [from, until] = [parse_duration(from)?, parse_duration(until)?];
+        let [from, until] =
+            [Figure::TIME.read(from)?, Figure::TIME.read(until)?].map(Duration::from_secs_f64);
         (from < until).then_some([from, until])
     });
     let wrong = || D::Error::custom(format!("{value} is not a time span; write it like `[40 s, 60 s]`"));
     bounds.map(Some).ok_or_else(wrong)
-}
-
-fn parse_duration(value: &Value) -> Option<Duration> {
-    let text = value.as_str()?;
-    let (figure, factor) = [("ms", 1e-3), ("min", 60.0), ("s", 1.0)]
-        .into_iter()
-        .find_map(|(unit, factor)| Some((text.strip_suffix(unit)?.trim_end(), factor)))?;
-    let seconds = figure.parse::<f64>().ok()? * factor;
-    (0.001..=86_400.0).contains(&seconds).then(|| Duration::from_secs_f64(seconds))
 }
 
 fn price<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Price>, D::Error> {
@@ -282,12 +253,7 @@ fn price<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Price>, D:
 }
 
 fn signal<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Dbm, D::Error> {
-    let value = Value::deserialize(deserializer)?;
-    let figure = value.as_str().and_then(|text| text.strip_suffix("dBm")?.trim_end().parse().ok());
-    let signal = figure.filter(|dbm: &f64| (-120.0..=0.0).contains(dbm));
-    signal.map(Dbm).ok_or_else(|| {
-        D::Error::custom(format!("{value} is not a signal from -120 dBm to 0 dBm; write it like `-70 dBm`"))
-    })
+    Figure::SIGNAL.deserialize(deserializer).map(Dbm)
 }
 
 #[cfg(test)]
@@ -342,7 +308,7 @@ mod tests {
             "lead: \"soon\" is not a time from 1 ms to 1 day; write it like `30 s`"
         );
         assert_eq!(error_of(json!({ "price": 0 })), "price: 0 is not a price; write whole wei above 0");
-        assert!(error_of(json!({ "edge": -70 })).contains("write it like `-70 dBm`"));
+        assert!(error_of(json!({ "edge": -70 })).contains("write it like `-80 dBm`"));
         assert!(
             error_of(json!({ "lead": "2 s", "stop": "2 s" })).starts_with("stop: a robot is halted after")
         );

@@ -126,7 +126,7 @@ fn settings_that_plugins_reject_leave_no_folder() {
     let experiment = ["experiment", "federation", "--headless", "--emulate", "--testbed"];
     for words in [&run[..], &simulated, &experiment] {
         let errors = refused(words, &testbed, "plugins.orchestrator-1.settings.price=0");
-        assert!(errors.contains("plug-in `orchestrator-1`: price: 0 is no price"), "{errors}");
+        assert!(errors.contains("plug-in `orchestrator-1`: price: 0 is not a price"), "{errors}");
     }
     for words in [&run[..], &simulated] {
         let errors = refused(words, &with_program, "seed=2");
@@ -146,7 +146,7 @@ fn settings_that_plugins_reject_leave_no_folder() {
         assert_eq!(check(&wrong).0, is_known, "{:?}", check(&wrong));
         fs::write(&wrong, of_ledger.replace("price: 140", "price: 0")).unwrap();
         let (right, errors) = check(&wrong);
-        let told = "plug-in `orchestrator-3`: price: 0 is no price";
+        let told = "plug-in `orchestrator-3`: price: 0 is not a price";
         assert!(!right && (!is_known || errors.contains(told)), "{errors}");
     }
     let (right, errors) = check(&with_program);

@@ -166,7 +166,7 @@ fn every_figure_is_documented_with_its_unit() {
         }
     }
     in_tables(&read("crates/measurements/src/schema/1.sql"), used.entry("the history").or_default());
-    in_messages(&read("crates/robots/recording/src/messages/own.rs"), used.entry("recordings").or_default());
+    in_messages(&read("crates/robots/recording/src/messages.rs"), used.entry("recordings").or_default());
 
     for kind in [SensorKind::Odometry, SensorKind::Battery { charge: Some(1.0) }, SensorKind::Imu] {
         for (component, unit) in kind.components() {

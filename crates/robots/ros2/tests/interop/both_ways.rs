@@ -107,23 +107,23 @@ macro_rules! both_ways {
     ($place:expr) => {
         #[test]
         fn our_scans_are_read_with_any_quality_of_service() {
-            crate::both_ways::scans_are_read_however_they_are_published($place);
+            crate::both_ways::our_scans_are_read_with_any_quality_of_service($place);
         }
 
         #[test]
         fn their_scans_are_read_with_any_quality_of_service() {
-            crate::both_ways::scans_of_theirs_are_read_however_they_are_published($place);
+            crate::both_ways::their_scans_are_read_with_any_quality_of_service($place);
         }
 
         #[test]
         fn latched_maps_reach_later_subscribers() {
             let Some(place) = $place() else { return };
-            crate::both_ways::latched_maps_reach_who_comes_later(&place);
+            crate::both_ways::latched_maps_reach_later_subscribers(&place);
         }
 
         #[test]
         fn commands_of_either_type_go_both_ways() {
-            crate::both_ways::commands_go_both_ways_as_either_type($place);
+            crate::both_ways::commands_of_either_type_go_both_ways($place);
         }
     };
 }
