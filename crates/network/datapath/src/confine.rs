@@ -184,12 +184,7 @@ fn inside(path: &Path) -> &Path {
 
 fn about(path: &Path) -> impl FnOnce(io::Error) -> io::Error {
     let path = path.to_owned();
-    move |error| {
-        io::Error::new(
-            error.kind(),
-            format!("cannot make {} visible to the program: {error}", path.display()),
-        )
-    }
+    move |error| io::Error::new(error.kind(), format!("cannot show it {}: {error}", path.display()))
 }
 
 /// Hides a file or folder, if it exists. Returns the path of a mount that must become read-only.

@@ -11,12 +11,10 @@ use crate::{
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ConditionsError {
     /// A rate from a packet-delivery trace: NetEm has fixed rates only.
-    #[error("NetEm cannot play packet-delivery traces: give a fixed rate, or let the fabric emulate")]
+    #[error("NetEm plays no packet-delivery traces: give a fixed rate, or let the fabric emulate")]
     Trace,
     /// Bursty loss for which no Gilbert-Elliott model exists.
-    #[error(
-        "a loss rate of {rate} is impossible in bursts of {mean_burst} packets: lower the rate or lengthen the bursts"
-    )]
+    #[error("a share of {rate} cannot be lost in bursts of {mean_burst} packets")]
     Burst {
         /// Long-run share of lost packets.
         rate: f64,

@@ -154,7 +154,7 @@ fn every_error_is_a_problem_of_the_standard() {
             415,
             "Content-Type: application/json",
         ),
-        ("POST", "/measurements", &json_head, &statistics, 422, "does not know the counters"),
+        ("POST", "/measurements", &json_head, &statistics, 422, "does not have the IEEE 802.11 counters"),
     ] {
         let (status, head, problem) = served.ask(method, path, head, body);
         assert_eq!(status, expected, "{method} {path}: {problem}");
