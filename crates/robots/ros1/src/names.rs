@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// A name that the ROS graph does not allow.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is no name: names begin with a letter, `/` or `~`, and have letters, digits, `_` and `/` after that"
+    "`{0}` is not a name: names begin with a letter, `/` or `~`, and have letters, digits, `_` and `/` after that"
 )]
 pub struct NameError(pub String);
 

@@ -313,7 +313,7 @@ fn read_value(value: Node<'_, '_>, depth: usize) -> Result<Value, XmlRpcError> {
             let packed: String = content.chars().filter(|c| !c.is_ascii_whitespace()).collect();
             match BASE64_STANDARD.decode(packed) {
                 Ok(bytes) => Ok(Value::Bytes(bytes)),
-                Err(_) => Err(XmlRpcError::Shape("`base64` is no base64")),
+                Err(_) => Err(XmlRpcError::Shape("`base64` is not base64")),
             }
         }
         "dateTime.iso8601" => Ok(Value::DateTime(content)),

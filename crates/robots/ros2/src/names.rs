@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// A name that the ROS graph does not allow.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is no name: its parts, between single `/`, begin with a letter or `_`, have letters, digits and single `_` \
+    "`{0}` is not a name: its parts, between single `/`, begin with a letter or `_`, have letters, digits and single `_` \
      after that; `~/` in front is the node's own"
 )]
 pub struct NameError(pub String);

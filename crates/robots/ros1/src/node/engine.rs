@@ -218,7 +218,7 @@ impl Engine {
                     self.end(shared, token);
                 }
             }
-            Command::Stop => unreachable!("the one who takes commands stops by itself"),
+            Command::Stop => unreachable!("the caller handles it"),
         }
     }
 
