@@ -164,9 +164,9 @@ impl Federated {
         f64::from(1 + BLOCKS_BETWEEN) * self.block_period_s + self.deployment_s() + self.gap_s
     }
 
-    /// Returns the part of the total time that waiting for blocks and the attachment do not explain, seconds. Deployment
-    /// counts only as far as no block is awaited meanwhile. The announcement came in its first block; the other blocks follow
-    /// at their period, and the confirmation comes in the first one after the deployment.
+    /// Returns the part of the total time that waiting for blocks and the attachment do not explain, seconds.
+    /// Deployment counts only as far as no block is awaited meanwhile. The announcement came in its first block; the
+    /// other blocks follow at their period, and the confirmation comes in the first one after the deployment.
     pub fn beyond_s(&self) -> f64 {
         let first = self.at(Step::AnnouncementReceived) - self.at(Step::Announced);
         let deployments_blocks = (self.deployment_s() / self.block_period_s).floor();

@@ -80,8 +80,8 @@ impl Run {
     /// Brings a testbed up and starts the run. `text` is the testbed file, found at `file`.
     ///
     /// # Errors
-    /// [`RunError`]. Nothing is left then but the run's folder. There is no folder if the testbed file, a plug-in's settings
-    /// or ledger, or an interface of this machine are at fault.
+    /// [`RunError`]. Nothing is left then but the run's folder. There is no folder if the testbed file, a plug-in's
+    /// settings or ledger, or an interface of this machine are at fault.
     pub fn start(testbed: Testbed, text: &str, file: &Path, options: Options) -> Result<Self, RunError> {
         for kept in clean().kept {
             tracing::warn!("leftovers of a killed run stay: {kept}");

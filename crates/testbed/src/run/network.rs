@@ -30,8 +30,8 @@ pub(super) struct NetworkUp {
 }
 
 impl NetworkUp {
-    /// Starts the network's threads, and sets the conditions of interfaces of this machine. Returns the core's access to the
-    /// network, too.
+    /// Starts the network's threads, and sets the conditions of interfaces of this machine. Returns the core's access
+    /// to the network, too.
     pub(super) fn start(prepared: &Prepared) -> Result<(Self, RealNetwork), RunError> {
         let Prepared { testbed, options, seed, .. } = prepared;
         let (messages, inbox) = mpsc::channel();
