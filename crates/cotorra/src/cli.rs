@@ -91,8 +91,8 @@ Examples:
     },
     /// Check what this machine can do, and how to add the rest
     ///
-    /// Tries everything, and leaves nothing behind. Each missing capability is shown with the reason and a remedy; most runs
-    /// do not need it.
+    /// Tries everything, and leaves nothing behind. Each missing capability is shown with the reason and a remedy; most
+    /// runs do not need it.
     Doctor,
     Clean(CleanArgs),
     Exec(ExecArgs),

@@ -11,8 +11,8 @@ use crate::running::{self, WhichRun, explained, token_text};
 
 /// Run a program inside a node of the running testbed
 ///
-/// The program has the node's network; files, user and terminal stay the same. It reaches other nodes by their names. The run
-/// must be yours, on this machine.
+/// The program has the node's network; files, user and terminal stay the same. It reaches other nodes by their names. The
+/// run must be yours, on this machine.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

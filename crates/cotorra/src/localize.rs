@@ -24,8 +24,8 @@ use crate::{output, signals, testbed_file::FileError};
 /// Localize a robot in a recorded log, by a map
 ///
 /// Runs the Monte Carlo localization of a testbed on a CARMEN log (ROBOTLASER1 or FLASER), the format of most public lidar
-/// data sets. Odometry is taken from the laser messages. The trajectory is written as a table: time, pose, covariance, number
-/// of particles, and whether the scan was used.
+/// data sets. Odometry is taken from the laser messages. The trajectory is written as a table: time, pose, covariance,
+/// number of particles, and whether the scan was used.
 ///
 /// With a reference, the error of the trajectory is printed. A reference is a corrected log, or lines of `time,x,y,heading`
 /// or in the TUM format.

@@ -19,11 +19,11 @@ use crate::{
 /// Play a recorded run through the HTTP API, so that a plug-in can be developed against it
 ///
 /// The API answers as it did at each moment of the run: state, history and events, and nothing of the future. Instructions
-/// are refused, because the past cannot be changed. Each is printed as a line of JSON: a decision that the plug-in would have
-/// made. A plug-in that floods or hangs is cut off as in a run, which is printed, too.
+/// are refused, because the past cannot be changed. Each is printed as a line of JSON: a decision that the plug-in would
+/// have made. A plug-in that floods or hangs is cut off as in a run, which is printed, too.
 ///
-/// With --speed max, the replay begins when a plug-in follows the stream of events under a name (X-Cotorra-Plugin). It waits
-/// for the plug-in as virtual time does, so that the plug-in receives exactly the same events each time.
+/// With --speed max, the replay begins when a plug-in follows the stream of events under a name (X-Cotorra-Plugin). It
+/// waits for the plug-in as virtual time does, so that the plug-in receives exactly the same events each time.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

@@ -46,8 +46,8 @@ fn help_for(error: &RunsError) -> &'static str {
         }
         RunsError::Several(_) => "choose one with --api, as in `--api 127.0.0.1:7700`",
         RunsError::NotThere { .. } => {
-            "to reach a run of another user, become that user, as with sudo; for a run of another machine, log in there, or \
-             use `cotorra link` with --unverified"
+            "to reach a run of another user, become that user, as with sudo; for a run of another machine, log in there, \
+             or use `cotorra link` with --unverified"
         }
         RunsError::System { .. } | RunsError::NotPrivate { .. } | RunsError::Malformed { .. } => {
             "runs have their entries in the folder `cotorra` in XDG_RUNTIME_DIR or /run/user/UID, or in `cotorra-UID` in \

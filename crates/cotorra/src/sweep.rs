@@ -28,9 +28,9 @@ use crate::{
 /// A setting's values are a list, as in plugin=probing,okpi, or a range, as in 1..4, 0..1:0.25 (in steps of 0.25) or
 /// 5..20:5 ms. docs/testbed-file.md, "Variants", explains paths. By default, one run for each CPU goes on at a time.
 ///
-/// Each run is saved as soon as it is done. If a sweep is stopped, the same command resumes it. The command with more values
-/// or seeds adds to it. A sweep leaves runs.csv (a row for each run), cells.csv (a row for each combination: means and 95 %
-/// confidence intervals), regions.csv (a row for each radio unit and server of a run) and sweep.svg.
+/// Each run is saved as soon as it is done. If a sweep is stopped, the same command resumes it. The command with more
+/// values or seeds adds to it. A sweep leaves runs.csv (a row for each run), cells.csv (a row for each combination: means
+/// and 95 % confidence intervals), regions.csv (a row for each radio unit and server of a run) and sweep.svg.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

@@ -3,8 +3,8 @@
 //! Only ever a dev-dependency. Unit tests of a crate that this one depends on would see two copies of that crate's types;
 //! its integration tests and benchmarks see one.
 //!
-//! A fixture whose program is not installed is `None`, with a message on standard error. In continuous integration, where `CI`
-//! is set, it panics instead.
+//! A fixture whose program is not installed is `None`, with a message on standard error. In continuous integration, where
+//! `CI` is set, it panics instead.
 #![forbid(unsafe_code)]
 #![allow(clippy::unwrap_used, reason = "a fixture that fails, fails the test")]
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]

@@ -23,8 +23,8 @@ pub use probe::{Probe, probe};
 
 /// Measure the performance of the emulated network on this machine
 ///
-/// Prints the median and the tail of each figure. Peers are measured for comparison if they are installed: rattan (from PATH
-/// or --rattan) and Mininet (`mn`).
+/// Prints the median and the tail of each figure. Peers are measured for comparison if they are installed: rattan (from
+/// PATH or --rattan) and Mininet (`mn`).
 #[derive(Debug, Args)]
 pub struct BenchArgs {
     /// The benchmarks; default: all

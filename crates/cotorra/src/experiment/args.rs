@@ -33,8 +33,8 @@ pub struct WalkArgs {
     pub headless: bool,
     /// Let idle cores fall asleep
     ///
-    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives some
-    /// 0.1 ms late.
+    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives
+    /// some 0.1 ms late.
     #[arg(long, requires = "emulate")]
     pub save_power: bool,
     /// Only list what would be run
@@ -47,9 +47,10 @@ pub struct WalkArgs {
 
 /// Compare OKpi with the state of the art, along the corridor and back
 ///
-/// This is the first validation of the COTORRA letter (arXiv 2101.07676). On one walk, navigation stays in the cloud, and the
-/// robot roams by periodic probing. On the other, OKpi decides on radio unit and server. The experiment leaves a folder with
-/// the figure in the published layout, tables with the published medians, the samples of both, and a folder for each walk.
+/// This is the first validation of the COTORRA letter (arXiv 2101.07676). On one walk, navigation stays in the cloud, and
+/// the robot roams by periodic probing. On the other, OKpi decides on radio unit and server. The experiment leaves a folder
+/// with the figure in the published layout, tables with the published medians, the samples of both, and a folder for each
+/// walk.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -77,8 +78,8 @@ pub struct OkpiArgs {
     /// Keep the history in a SQLite file or a MySQL or MariaDB database, instead of the run's folder
     ///
     /// Several runs can share one history. A server is named as mysql://USER@HOST:PORT/DATABASE. Set its password in the
-    /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built with
-    /// `--features mariadb`.
+    /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built
+    /// with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     #[command(flatten)]
@@ -89,8 +90,8 @@ pub struct OkpiArgs {
 ///
 /// This is the second validation of the COTORRA letter (arXiv 2101.07676). The robot's orchestrator predicts that the robot
 /// will leave coverage, announces the service that it needs on a ledger, and chooses among bids. It hands the robot over by
-/// fast transition to the virtual access point that the winner deployed. The experiment leaves a folder with the figure in the
-/// published layout, a table over block periods, all steps of all runs, and a folder for each run.
+/// fast transition to the virtual access point that the winner deployed. The experiment leaves a folder with the figure in
+/// the published layout, a table over block periods, all steps of all runs, and a folder for each run.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -114,8 +115,8 @@ pub struct FederationArgs {
     /// The testbed file
     #[arg(long, value_name = "FILE", default_value = "testbeds/federation.yaml")]
     pub testbed: PathBuf,
-    /// Seconds between blocks, separated by commas; with --ledger, the network's block period, which is measured if it is not
-    /// given [default: 0.5,1,2,5,10]
+    /// Seconds between blocks, separated by commas; with --ledger, the network's block period, which is measured if it is
+    /// not given [default: 0.5,1,2,5,10]
     #[arg(long, value_name = "SECONDS", value_delimiter = ',', value_parser = parse_period)]
     pub block_period: Vec<Duration>,
     /// Number of runs with each block period
@@ -127,8 +128,8 @@ pub struct FederationArgs {
     /// End each run after this time, such as 60s or 2min [default: twice the duration of the walk, plus a minute]
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
-    /// Only print how many robots dishonest providers halt, and the cost: simulates the negotiation alone, with --runs robots
-    /// for each figure
+    /// Only print how many robots dishonest providers halt, and the cost: simulates the negotiation alone, with --runs
+    /// robots for each figure
     #[arg(long, conflicts_with_all = ["emulate", "block_period", "seed", "until"])]
     pub dishonest: bool,
     #[command(flatten)]
@@ -141,8 +142,8 @@ pub struct FederationArgs {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "An Ethereum network")]
 pub struct LedgerArgs {
-    /// WebSocket of a domain's node (ws:// or wss://), or without DOMAIN= of all domains that have no node of their own; several
-    /// are separated by commas
+    /// WebSocket of a domain's node (ws:// or wss://), or without DOMAIN= of all domains that have no node of their own;
+    /// several are separated by commas
     #[arg(long = "ledger", value_name = "[DOMAIN=]URL", env = "COTORRA_LEDGER", hide_env_values = true, value_delimiter = ',',
         value_parser = parse_node, requires = "emulate", requires = "keys")]
     pub nodes: Vec<LedgerNode>,

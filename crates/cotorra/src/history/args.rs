@@ -45,13 +45,13 @@ pub enum History {
 
 /// Roll old samples up to one point for each step of time, and drop still older points
 ///
-/// Samples older than --raw are replaced by one point for each step, and for each robot, radio unit, direction of a link and
-/// sensor. A point has the last sample, and the count, minimum, maximum and mean of all samples of its step. All other events
-/// are kept. Without --yes, the command only reports what it would do. Without --raw, it follows history.retention in the
-/// run's testbed file.
+/// Samples older than --raw are replaced by one point for each step, and for each robot, radio unit, direction of a link
+/// and sensor. A point has the last sample, and the count, minimum, maximum and mean of all samples of its step. All other
+/// events are kept. Without --yes, the command only reports what it would do. Without --raw, it follows history.retention
+/// in the run's testbed file.
 ///
-/// Age is counted from now, or in virtual time from the run's end. The command can be stopped at any time, and resumes where
-/// it was. Runs can go on at the same time.
+/// Age is counted from now, or in virtual time from the run's end. The command can be stopped at any time, and resumes
+/// where it was. Runs can go on at the same time.
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "\
@@ -150,8 +150,8 @@ pub struct ImportArgs {
 pub struct HistoryPlace {
     /// History in which runs have numbers: a SQLite file, or mysql://USER@HOST:PORT/DATABASE
     ///
-    /// Set the password of a server in the environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server
-    /// needs a cotorra that was built with `--features mariadb`.
+    /// Set the password of a server in the environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A
+    /// server needs a cotorra that was built with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// Folder with the folders of runs

@@ -69,7 +69,8 @@ pub struct SetArgs {
     pub reorder: Option<Probability>,
     /// Maximum number of packets in the queue, including those in flight
     ///
-    /// The default is 1000 packets, plus those in flight at the rate (or else 10 Gbit/s) during the delay and four deviations.
+    /// The default is 1000 packets, plus those in flight at the rate (or else 10 Gbit/s) during the delay and four
+    /// deviations.
     #[arg(long, value_name = "PACKETS", value_parser = clap::value_parser!(u32).range(1..), group = "conditions")]
     pub limit: Option<u32>,
     /// Seed of everything random; needs Linux 6.7 or later

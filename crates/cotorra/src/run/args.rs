@@ -20,8 +20,8 @@ pub const DEFAULT_API: &str = "127.0.0.1:7700";
 /// Bring a testbed up, run it, and report
 ///
 /// Starts everything in the file: a network namespace for each host, links and radio with real packets between them, a
-/// process for each VNF, the robots and the plug-ins. The run ends when every robot has finished its walk, after --until, or
-/// with Ctrl-C, which loses nothing. A second Ctrl-C ends it at once.
+/// process for each VNF, the robots and the plug-ins. The run ends when every robot has finished its walk, after --until,
+/// or with Ctrl-C, which loses nothing. A second Ctrl-C ends it at once.
 ///
 /// It leaves a folder with summary.json, service_time.csv, service_time.svg, history.sqlite, the logs, and the testbed file
 /// with its settings.
@@ -46,8 +46,8 @@ pub struct RunArgs {
     pub file: PathBuf,
     /// Override a value of the file, as in plugin=okpi or links.*.delay_scale=2
     ///
-    /// A path leads from key to key; * matches any part of a name. See docs/testbed-file.md, "Variants". Can be given several
-    /// times.
+    /// A path leads from key to key; * matches any part of a name. See docs/testbed-file.md, "Variants". Can be given
+    /// several times.
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub settings: Vec<Setting>,
     /// End after this time, such as 60s or 2min, if the walks take longer
@@ -62,8 +62,8 @@ pub struct RunArgs {
     /// Keep the history in a SQLite file or a MySQL or MariaDB database, instead of the run's folder
     ///
     /// Several runs can share one history. A server is named as mysql://USER@HOST:PORT/DATABASE. Set its password in the
-    /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built with
-    /// `--features mariadb`.
+    /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built
+    /// with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// Continue after a run that did not end in order, such as one that crashed: its folder, `latest`, or its number in
@@ -80,8 +80,8 @@ pub struct RunArgs {
     pub headless: bool,
     /// Address of the HTTP API
     ///
-    /// The default is 127.0.0.1:7700, or another port if that is taken. An address that others can reach needs a token of 16
-    /// characters or more in COTORRA_TOKEN. Tools of the same user, such as `cotorra exec`, find the run by themselves.
+    /// The default is 127.0.0.1:7700, or another port if that is taken. An address that others can reach needs a token of
+    /// 16 characters or more in COTORRA_TOKEN. Tools of the same user, such as `cotorra exec`, find the run by themselves.
     #[arg(long, value_name = "ADDR:PORT")]
     pub api: Option<SocketAddr>,
     /// Let the WLAN Access Information Service send notifications to a network, as in 10.1.0.0/16
@@ -110,8 +110,8 @@ pub struct RunArgs {
     pub foxglove: Option<SocketAddr>,
     /// Let idle cores fall asleep
     ///
-    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives some
-    /// 0.1 ms late.
+    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives
+    /// some 0.1 ms late.
     #[arg(long, conflicts_with = "simulate")]
     pub save_power: bool,
     /// Replace existing queueing disciplines on interfaces of the testbed's links; the end of the run restores them
@@ -119,7 +119,8 @@ pub struct RunArgs {
     pub replace: bool,
     /// Allow a link over this interface even if it is the loopback, or carries the default route
     ///
-    /// All other traffic of the interface then has the link's conditions, too, until the run ends. Can be given several times.
+    /// All other traffic of the interface then has the link's conditions, too, until the run ends. Can be given several
+    /// times.
     #[arg(long, value_name = "NAME")]
     pub allow_interface: Vec<String>,
     /// Only list what would be started, and what would be changed on interfaces of this machine

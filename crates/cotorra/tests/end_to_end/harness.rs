@@ -219,8 +219,8 @@ impl Run {
         self.child.id()
     }
 
-    /// Returns the living processes of this run, including itself: its descendants, and those that were its descendants at an
-    /// earlier call.
+    /// Returns the living processes of this run, including itself: its descendants, and those that were its descendants at
+    /// an earlier call.
     pub fn processes(&self) -> BTreeSet<u32> {
         let lives = |pid: &u32| parent_of(*pid).is_some();
         let is_below = |pid: &u32| {
@@ -305,8 +305,8 @@ pub fn are_held(namespaces: &BTreeSet<u64>) -> bool {
 
 /// Returns a run with its summary and standard output.
 ///
-/// Repeats the run up to twice if its own verdict is that the machine was too busy for valid figures: a test of figures needs
-/// a machine that can produce them.
+/// Repeats the run up to twice if its own verdict is that the machine was too busy for valid figures: a test of figures
+/// needs a machine that can produce them.
 pub fn valid_report(run: impl Fn() -> Run) -> (Run, Value, String) {
     let mut attempts = 3;
     loop {

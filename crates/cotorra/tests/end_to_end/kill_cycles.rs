@@ -1,5 +1,5 @@
-//! SIGKILL to each part of a run at random points of its progress: nothing acknowledged is lost, nothing is left behind, and
-//! the next run starts.
+//! SIGKILL to each part of a run at random points of its progress: nothing acknowledged is lost, nothing is left behind,
+//! and the next run starts.
 //!
 //! An answer of the history, a `flush`, and the orderly end of a run acknowledge events (`docs/history.md`).
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
@@ -430,8 +430,8 @@ impl Site {
         )
     }
 
-    /// Kills the server: the run continues without it. The missing events are delivered by the run, or by the next program that
-    /// opens the history.
+    /// Kills the server: the run continues without it. The missing events are delivered by the run, or by the next program
+    /// that opens the history.
     fn kill_mariadb(
         &mut self,
         run: &mut Run,
@@ -489,8 +489,8 @@ const STEPS: [&str; 12] = [
 
 #[cfg(feature = "ethereum")]
 impl Site {
-    /// Kills the ledger while a robot walks out of its domain. If the ledger returns, the robot is handed over; otherwise the
-    /// robot stops in coverage.
+    /// Kills the ledger while a robot walks out of its domain. If the ledger returns, the robot is handed over; otherwise
+    /// the robot stops in coverage.
     fn kill_anvil(&mut self, draw: &mut Draw) -> Option<String> {
         let mut chain = crate::chain::Chain::start()?;
         chain.keep();

@@ -5,8 +5,8 @@ use serde_json::{Value, json};
 
 use crate::harness::{Run, output, project_file, stdout, wait_until};
 
-/// Waits for at least `count` service times of packets from a sequence number on. Returns them sorted, in ms; a request without
-/// an answer is infinite.
+/// Waits for at least `count` service times of packets from a sequence number on. Returns them sorted, in ms; a request
+/// without an answer is infinite.
 fn service_times(run: &Run, from: u64, count: usize) -> Vec<f64> {
     let mut took = Vec::new();
     wait_until(|| {

@@ -166,8 +166,8 @@ fn on_the_kernel(folder: &Path, name: &str, more: &str) -> PathBuf {
     file
 }
 
-/// NetEm or the fabric carries packets in real time. In either case, probes measure the scripted delay, and the verdict says
-/// how much is known.
+/// NetEm or the fabric carries packets in real time. In either case, probes measure the scripted delay, and the verdict
+/// says how much is known.
 #[test]
 fn a_schedule_and_its_replay_change_links_in_real_time() {
     let folder = tempfile::tempdir().unwrap();

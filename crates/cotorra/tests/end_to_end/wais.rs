@@ -62,8 +62,8 @@ fn a_missing_token_is_reported_as_a_problem_of_the_standard() {
     assert_eq!((status, &problem["status"]), (404, &json!(404)));
 }
 
-/// No request causes a 5xx or a response outside the documents. The requests conform to the documents or do not, and are the
-/// same each time.
+/// No request causes a 5xx or a response outside the documents. The requests conform to the documents or do not, and are
+/// the same each time.
 #[test]
 fn no_request_breaks_the_apis() {
     let Some(python) = cotorra_testing::peers("schemathesis") else { return };

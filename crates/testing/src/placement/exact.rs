@@ -1,7 +1,7 @@
 //! The exact optimum of a placement, by a mixed integer program.
 //!
-//! It assigns VNFs to hosts, and each virtual link is a flow over hardware links. CPUs, memory, bandwidth, delay, reliability
-//! and the radio unit are constraints. Nothing is rounded.
+//! It assigns VNFs to hosts, and each virtual link is a flow over hardware links. CPUs, memory, bandwidth, delay,
+//! reliability and the radio unit are constraints. Nothing is rounded.
 
 use std::collections::BTreeMap;
 
