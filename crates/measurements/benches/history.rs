@@ -1,7 +1,7 @@
-//! What recording costs those who record, how fast it is written beside the engines' own limits, how fast questions
-//! are answered in a long history, and how big it is. `cargo bench -p cotorra-measurements`; behind `--`, words that
-//! name the parts that are wanted: record, sqlite, mariadb, sizes, long. `COTORRA_BENCH_MILLIONS` is how many million samples
-//! the long history has, 10 if it is not set; `COTORRA_BENCH_FOLDER` is where it is made.
+//! Measures the cost of `record`, the writing rate beside the engines' own limits, the time of answers in a long history,
+//! and its size. Run `cargo bench -p cotorra-measurements`, and after `--` name the wanted parts: record, sqlite, mariadb,
+//! sizes, long. `COTORRA_BENCH_MILLIONS` sets the millions of samples of the long history, 10 by default;
+//! `COTORRA_BENCH_FOLDER` the folder where it is made.
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot run says so by failing")]
 #![allow(
     clippy::disallowed_types,
@@ -39,7 +39,7 @@ fn main() {
 
 const LINKS: u64 = 100;
 const ROBOTS: u64 = 10;
-/// Time from sample to sample of one series, ns.
+/// Time between samples of one series, ns.
 const TICK: u64 = 100_000_000;
 
 fn info() -> RunInfo {
@@ -51,7 +51,7 @@ static LINK_IDS: LazyLock<Vec<LinkId>> =
 static NODE_IDS: LazyLock<Vec<NodeId>> =
     LazyLock::new(|| (0..ROBOTS).map(|n| NodeId::new(&format!("node-{n}")).unwrap()).collect());
 
-/// The `n`th sample of a testbed that observes all links, in both directions, every tick.
+/// Returns the `n`th sample of a testbed that observes all links, in both directions, every tick.
 fn link(n: u64) -> Stamped {
     let (tick, place) = (n / (2 * LINKS), n % (2 * LINKS));
     let context = LinkContext {
@@ -75,7 +75,7 @@ fn link(n: u64) -> Stamped {
     Stamped { at: Timestamp::from_nanos(tick * TICK), event: Event::Link(context) }
 }
 
-/// The `n`th sample of robots that hear four radio units.
+/// Returns the `n`th sample of robots that hear four radio units.
 fn robot(n: u64) -> Stamped {
     let (tick, place) = (n / ROBOTS, n % ROBOTS);
     let pose = Pose::planar(n as f64 * 0.01, 1.5, 0.1, [0.0; 9], PoseSource::Simulator);
@@ -101,7 +101,7 @@ fn robot(n: u64) -> Stamped {
     Stamped { at: Timestamp::from_nanos(tick * TICK), event: Event::Robot(context) }
 }
 
-/// The tail of what `record` costs, at a steady rate: a mean hides it.
+/// Measures quantiles of the cost of `record` at a steady rate, because a mean hides the tail.
 fn recording() {
     const RATE: u64 = 100_000;
     const SAMPLES: u64 = 500_000;
@@ -135,12 +135,12 @@ fn recording() {
     }
 }
 
-/// Samples a transaction holds, here and there.
+/// Samples of a transaction, in both contenders.
 const BATCH: u64 = 20_000;
 const BATCHES: u64 = 10;
 const ROUNDS: usize = 7;
 
-/// Runs both by turns, so that whatever else the machine does is shared, and tells their rates.
+/// Runs both by turns, so that other load of the machine affects both, and prints their rates.
 fn side_by_side(what: &str, bare: impl Fn() -> Duration, ours: impl Fn() -> Duration) {
     let (mut bares, mut its) = (Vec::new(), Vec::new());
     for _ in 0..ROUNDS {
@@ -162,8 +162,8 @@ fn side_by_side(what: &str, bare: impl Fn() -> Duration, ours: impl Fn() -> Dura
     );
 }
 
-/// Times a history that takes the same samples through a recorder, from the first until the last is on the disk. They
-/// come as fast as they are taken: there is always something to write.
+/// Times a recorder from the first sample until the last one is on the disk. Samples come as fast as they are accepted, so
+/// that the writer is never idle.
 fn through_a_recorder(history: &History, sample: impl Fn(u64) -> Stamped) -> Duration {
     through_a_recorder_of(history, BATCH * BATCHES, sample)
 }
@@ -191,7 +191,7 @@ const COLUMNS: &str = "run, at_ns, seq, link, direction, delay_ms, throughput_bp
 const WIDTH: usize = 25;
 
 fn sqlite() {
-    // What the engine can do: the same columns of the same table, bound by hand, in as big transactions.
+    // The engine's limit: the same columns of the same table, bound by hand, in equally large transactions.
     let bare = || {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("history.sqlite");
@@ -320,7 +320,8 @@ fn mariadb() {
     side_by_side("MariaDB: links", bare, ours);
 }
 
-/// Questions to a long run of 200 link directions and 10 robots, ten samples of each a second, and its size.
+/// Times questions to a long run of 200 link directions and 10 robots, with ten samples of each a second, and prints its
+/// size.
 fn long() {
     let millions = std::env::var("COTORRA_BENCH_MILLIONS").map_or(10, |text| text.parse().unwrap());
     let folder = match std::env::var_os("COTORRA_BENCH_FOLDER") {
@@ -399,7 +400,7 @@ fn long() {
     });
 }
 
-/// The whole file, and what of it is the links' tables.
+/// Prints the size of the file, and of the links' tables in it.
 fn file_size(path: &Path, written: u64) {
     let bytes = std::fs::metadata(path).unwrap().len();
     let connection = Connection::open(path).unwrap();
@@ -417,7 +418,7 @@ fn file_size(path: &Path, written: u64) {
     println!("  bytes a link's sample: rows {:.1}, chunks (with robots') {:.1}", each("link"), each("chunk"));
 }
 
-/// Bytes that a sample of a link takes, beside the tables that the same run is exported to.
+/// Prints the bytes of a link's sample in a history and in exported tables.
 fn sizes() {
     const SAMPLES: u64 = 1_000_000;
     let folder = tempfile::tempdir().unwrap();

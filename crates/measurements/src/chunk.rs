@@ -1,12 +1,12 @@
-//! The figures of one series in one stretch of time, packed: what a curve over hours is drawn from, since the rows of
-//! a series lie among those of all others. A chunk is written when its stretch is over, holds all samples of it or is
-//! not there, and is never needed: what it says is in the rows as well.
+//! The figures of one series in one stretch of time, packed. Curves over hours are drawn from chunks, because the rows of
+//! a series lie among those of all others. A chunk is written when its stretch is over, and holds all samples of it. It
+//! can be missing: its figures are in the rows as well.
 //!
-//! The count, the times, each column, then figures of child rows by what they are of: the signals that a robot hears; and
-//! last, columns that older chunks do not have.
-//! Times are differences of differences; figures are the bits of 64-bit floats, those equal to the figure before taken away
-//! (the idea is Gorilla's: Pelkonen et al., VLDB 2015, section 4.1) and the rest, trailing zeros first, a varint.
-//! Durations are whole nanoseconds here, because the bits of whole numbers end in zeros.
+//! A chunk has the count, the times, each column, then figures of child rows by their id (such as the signals that a robot
+//! hears), and last the columns that older chunks lack. Times are differences of differences. Figures are the bits of
+//! 64-bit floats, XORed with those of the figure before (the idea is Gorilla's: Pelkonen et al., VLDB 2015, section 4.1).
+//! The result is a varint, trailing zeros first. Durations are whole nanoseconds, because the bits of whole numbers end
+//! in zeros.
 
 use std::collections::BTreeMap;
 
@@ -19,10 +19,10 @@ use crate::{
     kind::Kind,
 };
 
-/// A stretch with more samples has no chunk.
+/// Most samples of a chunk. A stretch with more has none.
 const MOST: usize = 20_000;
 
-/// Places, in [`table`], of the columns that a kind's chunks hold.
+/// Returns the places, in [`table`], of the columns that a kind's chunks hold.
 const fn places(kind: Kind) -> &'static [usize] {
     match kind {
         Kind::Link => &[2, 3, 4, 5, 14, 15, 17],
@@ -32,7 +32,7 @@ const fn places(kind: Kind) -> &'static [usize] {
     }
 }
 
-/// How many of these stand in front of the figures of child rows. What came later is behind them.
+/// Returns how many of these columns precede the figures of child rows. Columns that were added later follow them.
 const fn early(kind: Kind) -> usize {
     match kind {
         Kind::Link => 4,
@@ -45,24 +45,24 @@ pub(crate) const fn has_chunks(kind: Kind) -> bool {
     !places(kind).is_empty() || matches!(kind, Kind::Sensor)
 }
 
-/// What is read of a chunk.
+/// A part of a chunk.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Part {
-    /// A column of its rows, by its place.
+    /// A column, by its place.
     Column { place: usize, is_duration: bool },
-    /// One of those behind so many and the figures of child rows, of which its kind has none.
+    /// A column that follows `early` others and the figures of child rows, of which its kind has none.
     LateColumn { early: usize, place: usize, is_duration: bool },
-    /// The figures of child rows that are of what has this id, behind so many columns.
+    /// The figures of child rows with the id `of`, after the columns.
     Children { columns: usize, of: i64 },
 }
 
 impl Part {
-    /// The figures of child rows of a kind that are of what has this id.
+    /// Returns the part with the figures of a kind's child rows that have this id.
     pub fn children(kind: Kind, of: i64) -> Self {
         Self::Children { columns: places(kind).len(), of }
     }
 
-    /// The place of the column among all that chunks of its kind hold.
+    /// Returns the place of the column among all that chunks of its kind hold.
     pub fn column(self) -> Option<usize> {
         match self {
             Self::Column { place, .. } | Self::LateColumn { place, .. } => Some(place),
@@ -71,7 +71,7 @@ impl Part {
     }
 }
 
-/// The place of a column in the chunks of a kind.
+/// Returns the part that a column is in the chunks of a kind.
 pub(crate) fn column(kind: Kind, column: &str) -> Option<Part> {
     let place = places(kind).iter().position(|place| table(kind).columns[*place] == column)?;
     let (early, is_duration) = (early(kind), is_duration(kind, place));
@@ -88,7 +88,7 @@ fn is_duration(kind: Kind, place: usize) -> bool {
     table(kind).columns[places(kind)[place]].ends_with("_ms")
 }
 
-/// The figures of a row that chunks hold; NaN for what is no number.
+/// Returns the figures of a row that chunks hold; NaN for NULL.
 pub(crate) fn figures(kind: Kind, row: &[Value<'_>]) -> impl Iterator<Item = f64> {
     places(kind).iter().map(|place| match row[*place] {
         Value::Real(x) => x,
@@ -96,12 +96,12 @@ pub(crate) fn figures(kind: Kind, row: &[Value<'_>]) -> impl Iterator<Item = f64
     })
 }
 
-/// The chunk of a stretch in which there is no sample but those that were rolled up.
+/// Returns the chunk of a stretch in which all samples were rolled up.
 pub(crate) fn empty(kind: Kind) -> Vec<u8> {
     Chunk::default().finish(kind).expect("nothing fits into a chunk")
 }
 
-/// Of a child row, the name of what it is of, and the figure that chunks hold.
+/// Returns a child row's name and the figure that chunks hold.
 pub(crate) fn of_child<'a>(kind: Kind, row: &[Value<'a>]) -> Option<(&'a str, f64)> {
     match (kind, row) {
         (Kind::Robot, [Value::Name(radio_unit), _, Value::Real(signal)]) => Some((radio_unit, *signal)),
@@ -115,12 +115,12 @@ pub(crate) fn of_child<'a>(kind: Kind, row: &[Value<'a>]) -> Option<(&'a str, f6
 pub(crate) struct Chunk {
     times: Vec<i64>,
     figures: Vec<f64>,
-    /// What it is of, the place of its sample, and the figure.
+    /// The id, the place of the sample, and the figure.
     children: Vec<(i64, usize, f64)>,
 }
 
 impl Chunk {
-    /// Adds a sample, from its row.
+    /// Adds a sample from its row.
     pub fn push(&mut self, kind: Kind, t: i64, row: &[Value<'_>]) {
         if self.times.len() > MOST {
             return;
@@ -134,7 +134,7 @@ impl Chunk {
         self.children.push((of, self.times.len().saturating_sub(1), figure));
     }
 
-    /// The chunk in bytes; `None` if there are too many samples for one.
+    /// Returns the chunk in bytes; `None` if it has too many samples.
     pub fn finish(self, kind: Kind) -> Option<Vec<u8>> {
         let Self { times, figures, children } = self;
         if times.len() > MOST || children.len() > 8 * MOST {
@@ -172,7 +172,7 @@ impl Chunk {
         for (of, mut its) in by {
             its.sort_by_key(|(place, _)| *place);
             write_integer(of, &mut bytes);
-            // Below zero: one for each sample, of which the places are not written.
+            // Below zero: one for each sample, without places.
             let each = its.len() == order.len() && its.iter().zip(0..).all(|((place, _), n)| *place == n);
             write_integer(if each { -1 } else { its.len() as i64 }, &mut bytes);
             let (mut place, mut before) = (0, 0);
@@ -185,7 +185,7 @@ impl Chunk {
             }
         }
         let late = early(kind)..width;
-        // Of a link that nobody probes there is nothing to say.
+        // Links that are not probed have no late columns.
         let known =
             figures.chunks(width.max(1)).any(|row| row[late.clone()].iter().any(|figure| !figure.is_nan()));
         if known {
@@ -221,8 +221,8 @@ fn read_column(
     Ok(())
 }
 
-/// Calls `each` with the times and figures of a part. Gives whether the chunk says anything of that: those that an
-/// older cotorra wrote say nothing of child rows or late columns.
+/// Calls `each` with the times and figures of a part. Returns whether the chunk has that part: chunks of an older
+/// cotorra lack child rows or late columns.
 pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> Result<bool, ReadError> {
     let mut bytes = Bytes(chunk);
     let count = usize::try_from(bytes.plain_integer()?).unwrap_or(usize::MAX);
@@ -289,7 +289,7 @@ mod tests {
 
     use super::*;
 
-    /// A figure of a link that a column can hold, from any bits: durations are whole nanoseconds, for less than 26 days.
+    /// Returns a figure that a column of a link can hold, from any bits. Durations are whole nanoseconds below 26 days.
     fn figure(column: usize, bits: u64) -> f64 {
         match is_duration(Kind::Link, column) {
             true => (bits >> 13) as f64 / NS_IN_MS,
@@ -299,7 +299,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_packed_is_read(samples in vec((any::<i64>(), any::<[u64; 7]>()), 0..50)) {
+        fn packed_figures_are_read_back(samples in vec((any::<i64>(), any::<[u64; 7]>()), 0..50)) {
             let mut chunk = Chunk::default();
             for (t, bits) in &samples {
                 let mut row = vec![Value::Null; 22];
@@ -314,9 +314,9 @@ mod tests {
             for (column, place) in places(Kind::Link).iter().enumerate() {
                 let part = super::column(Kind::Link, table(Kind::Link).columns[*place]).unwrap();
                 let mut found = Vec::new();
-                let said = read(&bytes, part, |t, x| found.push((t, x.to_bits()))).unwrap();
-                prop_assert!(said || column >= early(Kind::Link));
-                if !said {
+                let has_part = read(&bytes, part, |t, x| found.push((t, x.to_bits()))).unwrap();
+                prop_assert!(has_part || column >= early(Kind::Link));
+                if !has_part {
                     prop_assert!(samples.is_empty());
                     continue;
                 }
@@ -326,14 +326,14 @@ mod tests {
         }
 
         #[test]
-        fn no_bytes_make_it_panic(bytes in vec(any::<u8>(), 0..100), place in 0..6_usize) {
+        fn arbitrary_bytes_cause_no_panic(bytes in vec(any::<u8>(), 0..100), place in 0..6_usize) {
             let _ = read(&bytes, Part::Column { place, is_duration: false }, |_, _| ());
             let _ = read(&bytes, Part::LateColumn { early: 4, place: 4 + place, is_duration: true }, |_, _| ());
             let _ = read(&bytes, Part::Children { columns: place, of: place as i64 }, |_, _| ());
         }
 
         #[test]
-        fn child_rows_are_read_by_what_they_are_of(
+        fn child_rows_are_read_by_their_id(
             samples in vec((0..50_i64, vec((1..4_i64, any::<u64>()), 0..4)), 0..30), of in 1..5_i64,
             kind in select(vec![Kind::Robot, Kind::Sensor]),
         ) {

@@ -1,5 +1,5 @@
-//! How an event becomes a row, and a row an event: once, for every engine. The order of the columns is that of
-//! [`table`] and [`CONDITIONS`]; both directions go through them in it.
+//! Conversion of events to rows and back, for every engine. Both directions go through the columns in the order of
+//! [`table`] and [`CONDITIONS`].
 
 pub(crate) mod binary;
 mod decode;
@@ -17,13 +17,13 @@ pub(crate) use self::{
 };
 use crate::kind::Kind;
 
-/// A table of events, beside the key (run, at_ns, seq) that all of them have.
+/// A table of events. Its key is (run, at_ns, seq), as in all of them.
 pub(crate) struct Table {
-    /// Columns, in order.
+    /// Columns after the key, in order.
     pub columns: &'static [&'static str],
-    /// Columns that name the series, for kinds that have them: the first of `columns`.
+    /// Columns that name the series, which are the first of `columns`; none for kinds without series.
     pub series: &'static [&'static str],
-    /// Rows that belong to a row: their table and columns; their key has `place`, from 0, behind it.
+    /// Table and columns of the child rows. Their key is the row's, followed by `place`, from 0.
     pub children: Option<(&'static str, &'static [&'static str])>,
 }
 
@@ -31,7 +31,7 @@ const fn plain(columns: &'static [&'static str]) -> Table {
     Table { columns, series: &[], children: None }
 }
 
-/// The table of a kind.
+/// Returns the table of a kind.
 #[rustfmt::skip]
 pub(crate) const fn table(kind: Kind) -> Table {
     match kind {
@@ -104,14 +104,14 @@ pub(crate) const fn table(kind: Kind) -> Table {
     }
 }
 
-/// Columns of `conditions`, behind its id.
+/// Columns of `conditions` after its id.
 #[rustfmt::skip]
 pub(crate) const CONDITIONS: &[&str] = &[
     "delay_ms", "jitter_deviation_ms", "jitter_distribution", "loss", "loss_share", "loss_mean_burst",
     "duplication", "corruption", "reordering", "rate_bps", "trace_ms", "queue_packets", "queue_bytes",
 ];
 
-/// A figure on its way into a column.
+/// A value on its way into a column.
 #[derive(Debug, Clone)]
 pub(crate) enum Value<'a> {
     Null,
@@ -125,7 +125,7 @@ pub(crate) enum Value<'a> {
     Conditions(Role, &'a Conditions),
 }
 
-/// Which conditions of a link.
+/// The role of conditions of a link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Role {
     Asked,
@@ -136,7 +136,7 @@ impl Role {
     pub const COUNT: usize = 2;
 }
 
-/// A direction in a column.
+/// Returns a direction as it is stored.
 pub(crate) const fn direction_code(direction: Direction) -> i64 {
     match direction {
         Direction::Forward => 0,
@@ -152,7 +152,7 @@ fn direction_of(code: i64) -> Option<Direction> {
     }
 }
 
-/// Whether a history can hold the event and give it back as it was.
+/// Whether a history can hold the event and return it unchanged.
 pub(crate) fn storable(stamped: &Stamped) -> bool {
     let finite = |change: &ConditionChange| {
         let burst = match change.loss {

@@ -1,5 +1,5 @@
-//! Curves: a figure over time in a bounded number of points, whatever the number of samples. A point says what its
-//! samples were, not one of them, and whether some were lost.
+//! Curves: a figure over time in a bounded number of points. Each point summarises its samples, and says whether some were
+//! lost.
 
 use cotorra_graph::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -10,20 +10,20 @@ use crate::{
     run::Gap,
 };
 
-/// How a curve is to be.
+/// Requested shape of a curve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CurveRequest {
-    /// How many points at most; counted as 1 … [`Self::MAX_POINTS`].
+    /// Most points; clamped to 1 … [`Self::MAX_POINTS`].
     pub points: usize,
-    /// Which quantiles each point is to have, as shares from 0 to 1; what lies outside counts as the nearer end. No
-    /// more than [`Self::MAX_QUANTILES`] are given.
+    /// Quantiles of each point, as shares that are clamped to 0 … 1. Those after the first [`Self::MAX_QUANTILES`] are
+    /// ignored.
     pub quantiles: Vec<f64>,
 }
 
 impl CurveRequest {
-    /// No curve has more points.
+    /// Most points of any curve.
     pub const MAX_POINTS: usize = 10_000;
-    /// No point has more quantiles.
+    /// Most quantiles of any point.
     pub const MAX_QUANTILES: usize = 16;
 }
 
@@ -38,14 +38,14 @@ impl Default for CurveRequest {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Curve {
-    /// Of what.
+    /// Figure that the curve shows.
     #[cfg_attr(feature = "openapi", schema(value_type = String))]
     pub figure: Figure,
-    /// Its unit; empty for a bare number.
+    /// Unit of the figure; empty for a bare number.
     pub unit: String,
     /// The quantiles that points have, as shares from 0 to 1.
     pub quantiles: Vec<f64>,
-    /// In the order of time. Where nothing was recorded and nothing lost, there is none.
+    /// Points in the order of time. A time without samples and without losses has none.
     pub points: Vec<Point>,
 }
 
@@ -53,43 +53,43 @@ pub struct Curve {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Point {
-    /// From here on, nanoseconds since the run began.
+    /// Start, nanoseconds since the run began.
     #[serde(rename = "from_ns")]
     pub from: Timestamp,
-    /// Up to here, this excluded.
+    /// End, excluded.
     #[serde(rename = "until_ns")]
     pub until: Timestamp,
     /// Whether events were lost in this time, or around it.
     pub gap: bool,
-    /// What its samples were; `None` if it has none, and only a gap.
+    /// Summary of the samples; `None` for a gap without samples.
     #[serde(flatten)]
     pub values: Option<Values>,
 }
 
-/// What samples were.
+/// A summary of samples.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Values {
-    /// How many.
+    /// Number of samples.
     pub count: u64,
-    /// How many of them were rolled up. Their count, least, greatest, mean and last are told as if they were not; the
-    /// quantiles are of those that were kept, the last one of each step.
+    /// Number of samples that were rolled up. They count fully in all figures but the quantiles, for which only the last
+    /// sample of each step is left.
     #[serde(default)]
     pub rolled_up: u64,
-    /// The least.
+    /// Least sample.
     pub min: f64,
-    /// The greatest.
+    /// Greatest sample.
     pub max: f64,
-    /// Their arithmetic mean.
+    /// Arithmetic mean.
     pub mean: f64,
-    /// The latest.
+    /// Latest sample.
     pub last: f64,
-    /// As asked for: the least sample that no less than this share of them does not exceed (type 1 of Hyndman and Fan,
-    /// 1996). Of more than 65,536 samples, those of an evenly spaced part of them.
+    /// Requested quantiles: the least sample that at least this share of samples does not exceed (type 1 of Hyndman and
+    /// Fan, 1996). More than 65,536 samples are represented by an evenly spaced part of them.
     pub quantiles: Vec<f64>,
 }
 
-/// What is remembered of samples for quantiles, at most twice this.
+/// Half the number of samples that are remembered for quantiles at most.
 const REMEMBERED: usize = 65_536;
 
 /// Samples that are being gathered.
@@ -97,7 +97,7 @@ const REMEMBERED: usize = 65_536;
 pub(crate) struct Gathered {
     count: u64,
     rolled_up: u64,
-    /// Offered to `some`.
+    /// Number of values offered to `some`.
     offered: u64,
     min: f64,
     max: f64,
@@ -150,7 +150,7 @@ impl Gathered {
         self.last = value;
     }
 
-    /// Keeps a value for quantiles, or not.
+    /// Keeps every `stride`th value for quantiles.
     fn offer(&mut self, value: f64) {
         if self.offered.is_multiple_of(self.stride) {
             self.some.push(value);
@@ -166,7 +166,7 @@ impl Gathered {
         self.offered += 1;
     }
 
-    /// `None` without samples. Leaves nothing behind but memory.
+    /// Returns the summary, `None` without samples, and starts over with the same memory.
     pub fn finish(&mut self, quantiles: &[f64]) -> Option<Values> {
         let mut some = std::mem::take(&mut self.some);
         let Self { count, rolled_up, min, max, sum, last, .. } = std::mem::take(self);
@@ -190,26 +190,26 @@ impl Gathered {
     }
 }
 
-/// Draws a curve over times of which all samples lie within.
+/// Draws a curve over a span that holds all samples.
 pub(crate) struct Drawing {
     from: i64,
     width: i64,
     quantiles: Vec<f64>,
     gaps: Vec<Gap>,
     points: Vec<Point>,
-    /// The point that is being gathered, as its number.
+    /// Number of the point that is being filled.
     current: i64,
     gathered: Gathered,
 }
 
 impl Drawing {
-    /// Of samples from `from` to `until`, both within; `gaps` are all that overlap with that.
+    /// Starts a curve from `from` to `until`, both included. `gaps` are all that overlap with that.
     pub fn new(from: i64, until: i64, request: &CurveRequest, gaps: Vec<Gap>) -> Self {
         let points = request.points.clamp(1, CurveRequest::MAX_POINTS) as i64;
         let shares = request.quantiles.iter().take(CurveRequest::MAX_QUANTILES);
         Self {
             from,
-            // So many nanoseconds that no more points than these are needed.
+            // Nanoseconds of a point, rounded up.
             width: (until - from) / points + 1,
             quantiles: shares.map(|share| share.clamp(0.0, 1.0)).collect(),
             gaps,
@@ -219,7 +219,7 @@ impl Drawing {
         }
     }
 
-    /// Adds a sample that is no earlier than those before.
+    /// Adds a reading that is no earlier than those before.
     pub fn read(&mut self, t: i64, reading: Reading) {
         let place = (t - self.from) / self.width;
         if place != self.current {
@@ -243,7 +243,7 @@ impl Drawing {
         Point { from: time(from), until: time(from.saturating_add(self.width)), gap: false, values }
     }
 
-    /// The curve, with the gaps in it.
+    /// Returns the curve, with its gaps marked.
     pub fn finish(mut self, figure: Figure, until: i64) -> Curve {
         self.close();
         let mut points = std::mem::take(&mut self.points);
@@ -282,7 +282,7 @@ mod tests {
     }
 
     proptest! {
-        /// Every sample is in one point, and no point says what no sample was.
+        /// Every sample is in one point, and each point summarises its samples.
         #[test]
         fn points_are_their_samples(
             mut samples in vec((0..i64::MAX, -1e6..1e6), 1..200),
@@ -317,17 +317,17 @@ mod tests {
     }
 
     #[test]
-    fn a_point_knows_of_its_gaps() {
+    fn points_show_their_gaps() {
         let samples: Vec<(i64, f64)> = [0, 1, 2, 30, 31, 99].map(|t| (t, t as f64)).to_vec();
         let time = Timestamp::from_nanos;
         let gaps = vec![Gap { from: time(35), until: time(52), events: 3 }];
         let curve = draw(&samples, gaps, 10);
-        let told: Vec<_> = curve
+        let points: Vec<_> = curve
             .points
             .iter()
             .map(|point| (point.from.as_nanos(), point.gap, point.values.as_ref().map_or(0, |v| v.count)))
             .collect();
-        assert_eq!(told, [(0, false, 3), (30, true, 2), (40, true, 0), (50, true, 0), (90, false, 1)]);
+        assert_eq!(points, [(0, false, 3), (30, true, 2), (40, true, 0), (50, true, 0), (90, false, 1)]);
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! Two runs side by side: what a researcher compares after a change, of plug-in, testbed or seed. Everything that the
-//! runs have in common is told in the same words for both, so that any two figures can be set against each other.
+//! Comparison of two runs, for researchers who changed the plug-in, the testbed or the seed. Figures of both runs have the
+//! same names and units, so that any two can be compared.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ use crate::{
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Difference {
-    /// The runs.
+    /// Both runs.
     #[cfg_attr(feature = "openapi", schema(value_type = Vec<Object>))]
     pub runs: [Run; 2],
     /// Service times, by service and robot.
@@ -31,23 +31,23 @@ pub struct Difference {
     pub links: Vec<Entry<LinkOf, Links>>,
     /// Handovers, by robot, from and to.
     pub handovers: Vec<Entry<HandoverOf, Handovers>>,
-    /// Where VNFs were, by VNF and node.
+    /// Placements, by VNF and node.
     pub placements: Vec<Entry<PlacementOf, Placements>>,
     /// Decisions, by plug-in and instruction.
     pub decisions: Vec<Entry<DecisionOf, Decisions>>,
-    /// How VNFs fared.
+    /// Life cycles of VNFs.
     pub vnfs: Vec<Entry<VnfOf, Vnfs>>,
-    /// What makes the figures above doubtful.
+    /// Reasons to doubt the figures.
     pub doubts: [Doubts; 2],
 }
 
-/// Something in two runs.
+/// An item in two runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Entry<K, V> {
-    /// What.
+    /// The compared item.
     pub of: K,
-    /// As it was in the first and in the second run; `None` where it was not.
+    /// Its figures in the first and in the second run; `None` where it is missing.
     pub runs: [Option<V>; 2],
 }
 
@@ -72,7 +72,7 @@ keys! {
     HandoverOf { robot: NodeId, from: Option<NodeId>, to: NodeId, }
     /// A VNF on a node.
     PlacementOf { vnf: VnfId, node: NodeId, }
-    /// What a plug-in asks for.
+    /// An instruction of a plug-in.
     DecisionOf { plugin: PluginId, instruction: String, }
     /// A VNF.
     VnfOf { vnf: VnfId, }
@@ -84,7 +84,7 @@ keys! {
 pub struct Services {
     /// Position packets that were not answered in time.
     pub unanswered: u64,
-    /// Service times of those that were, ms, with quantiles 0.5, 0.95 and 0.99.
+    /// Service times of answered packets, ms, with quantiles 0.5, 0.95 and 0.99.
     pub service_time_ms: Option<Values>,
 }
 
@@ -94,9 +94,9 @@ pub struct Services {
 pub struct Links {
     /// d, ms, with quantiles 0.5, 0.95 and 0.99.
     pub delay_ms: Option<Values>,
-    /// λ, bit/s, likewise.
+    /// λ, bit/s, with quantiles 0.5, 0.95 and 0.99.
     pub throughput_bps: Option<Values>,
-    /// Packets that entered, by the last sample.
+    /// Packets that entered the link, by the last sample.
     pub packets: u64,
     /// Packets that were lost on the way or found a full queue.
     pub lost: u64,
@@ -106,11 +106,11 @@ pub struct Links {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Handovers {
-    /// How many.
+    /// Number of handovers.
     pub count: u64,
-    /// How many were fast.
+    /// Number of fast handovers.
     pub fast: u64,
-    /// How long they cut the robot off, ms, with quantiles 0.5, 0.95 and 0.99.
+    /// Time that each cut the robot off, ms, with quantiles 0.5, 0.95 and 0.99.
     pub gap_ms: Option<Values>,
 }
 
@@ -118,12 +118,12 @@ pub struct Handovers {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Placements {
-    /// How often it came there.
+    /// Number of times that it was placed there.
     pub count: u64,
-    /// When it did first.
+    /// Time of the first placement.
     #[serde(rename = "first_ns")]
     pub first: Timestamp,
-    /// How long it was there in all, ms, to the run's end or its last event.
+    /// Total time there, ms, up to the run's end or its last event.
     pub duration_ms: f64,
 }
 
@@ -131,43 +131,43 @@ pub struct Placements {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Decisions {
-    /// How many.
+    /// Number of decisions.
     pub count: u64,
-    /// How many of them were refused.
+    /// Number of rejected decisions.
     pub refused: u64,
-    /// When the first was.
+    /// Time of the first decision.
     #[serde(rename = "first_ns")]
     pub first: Timestamp,
 }
 
-/// How a VNF fared.
+/// The life cycle of a VNF.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Vnfs {
-    /// How often it was started.
+    /// Number of starts.
     pub started: u64,
-    /// How often it ended by itself.
+    /// Number of times that it ended by itself.
     pub died: u64,
-    /// How often it could not be started.
+    /// Number of failed starts.
     pub failed: u64,
 }
 
-/// What makes a run's figures doubtful.
+/// Reasons to doubt a run's figures.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Doubts {
-    /// Events that were lost.
+    /// Lost events.
     pub lost_events: u64,
     /// The emulator's lateness, 99th percentile over the run, µs; `None` in virtual time.
     pub lateness_p99_us: Option<f64>,
-    /// Times that a plug-in was cut off.
+    /// Number of times that a plug-in was cut off.
     pub plugin_faults: u64,
 }
 
 const QUANTILES: [f64; 3] = [0.5, 0.95, 0.99];
 const EVER: Span = Span { from: 0, until: i64::MAX };
 
-/// What is gathered of one run.
+/// Figures gathered from one run.
 #[derive(Default)]
 struct Side {
     services: BTreeMap<ServiceOf, (u64, Gathered)>,
@@ -175,7 +175,7 @@ struct Side {
     links: BTreeMap<LinkOf, Links>,
     handovers: BTreeMap<HandoverOf, (u64, u64, Gathered)>,
     placements: BTreeMap<PlacementOf, Placements>,
-    /// Where each VNF is, and since when.
+    /// Node of each VNF, and the time since which it is there.
     placed: BTreeMap<VnfId, BTreeMap<NodeId, Timestamp>>,
     decisions: BTreeMap<DecisionOf, Decisions>,
     vnfs: BTreeMap<VnfOf, Vnfs>,
@@ -183,8 +183,7 @@ struct Side {
     last: Timestamp,
 }
 
-/// Compares two runs. Goes through their events once, in pages: what it remembers is bounded by the number of things
-/// in the graph.
+/// Compares two runs. Reads their events once, in pages. Its memory is bounded by the size of the graph.
 pub(crate) fn difference(a: (&dyn Store, RunId), b: (&dyn Store, RunId)) -> Result<Difference> {
     let [(x, a), (y, b)] = [(a.0, a.0.run(a.1)?), (b.0, b.0.run(b.1)?)];
     let [x, y] = [Side::of(x, &a)?, Side::of(y, &b)?];
@@ -210,11 +209,11 @@ pub(crate) fn difference(a: (&dyn Store, RunId), b: (&dyn Store, RunId)) -> Resu
     })
 }
 
-fn join<K: Ord, G, V>(a: BTreeMap<K, G>, b: BTreeMap<K, G>, told: impl Fn(G) -> V) -> Vec<Entry<K, V>> {
+fn join<K: Ord, G, V>(a: BTreeMap<K, G>, b: BTreeMap<K, G>, summary: impl Fn(G) -> V) -> Vec<Entry<K, V>> {
     let mut joined: BTreeMap<K, [Option<V>; 2]> = BTreeMap::new();
     for (side, its) in [a, b].into_iter().enumerate() {
         for (key, gathered) in its {
-            joined.entry(key).or_insert([None, None])[side] = Some(told(gathered));
+            joined.entry(key).or_insert([None, None])[side] = Some(summary(gathered));
         }
     }
     joined.into_iter().map(|(of, runs)| Entry { of, runs }).collect()
@@ -245,14 +244,15 @@ impl Side {
             if let (Some(Series::Link(link, direction)), Event::Link(context)) =
                 (Series::of(&stamped.event), &stamped.event)
             {
-                let mut told = [LinkQuantity::Delay, LinkQuantity::Throughput].into_iter().map(|quantity| {
-                    let (figure, mut gathered) =
-                        (Figure::Link(link.clone(), direction, quantity), Gathered::default());
-                    store.values(run.id, &figure, EVER, &mut |_, reading| gathered.read(reading))?;
-                    Ok(gathered.finish(&QUANTILES))
-                });
+                let mut values =
+                    [LinkQuantity::Delay, LinkQuantity::Throughput].into_iter().map(|quantity| {
+                        let (figure, mut gathered) =
+                            (Figure::Link(link.clone(), direction, quantity), Gathered::default());
+                        store.values(run.id, &figure, EVER, &mut |_, reading| gathered.read(reading))?;
+                        Ok(gathered.finish(&QUANTILES))
+                    });
                 let (delay_ms, throughput_bps) =
-                    (told.next().transpose()?.flatten(), told.next().transpose()?.flatten());
+                    (values.next().transpose()?.flatten(), values.next().transpose()?.flatten());
                 let counters = &context.counters;
                 let (packets, lost) = (counters.packets, counters.lost + counters.overflowed);
                 side.links
@@ -279,7 +279,7 @@ impl Side {
                 let mut before = self.placed.remove(&vnf).unwrap_or_default();
                 let mut placed = BTreeMap::new();
                 for node in nodes {
-                    // Others of its instances came or went.
+                    // Other instances came or went.
                     let stays = nodes.len() > 1 || before.len() > 1;
                     let since = if stays { before.remove(node) } else { None };
                     placed.insert(node.clone(), since.unwrap_or(at));
@@ -336,7 +336,7 @@ impl Side {
     }
 }
 
-/// Goes through all pages of an answer.
+/// Reads all pages of an answer.
 fn pages<T>(ask: impl Fn(PageRequest) -> Result<Page<T>>, mut each: impl FnMut(T)) -> Result<()> {
     let mut request = PageRequest::first(PageRequest::MAX);
     loop {

@@ -1,4 +1,4 @@
-//! Figures: what of an embedding is a number, and so can be drawn over time and compared.
+//! Figures: the numbers of an embedding, which can be drawn over time and compared.
 
 use std::{fmt, str::FromStr};
 
@@ -14,10 +14,9 @@ macro_rules! quantities {
         pub enum $of { $($(#[$its])* $quantity,)* }
 
         impl $of {
-            /// All of them.
             pub const ALL: &[Self] = &[$(Self::$quantity),*];
 
-            /// Its name in a figure's text.
+            /// Returns its name in a figure's text.
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$quantity => $name),* }
             }
@@ -74,7 +73,7 @@ quantities! {
         Vertical = "vertical", "m/s", "vertical";
         /// Its turning rate, rad/s.
         Angular = "angular", "rad/s", "angular";
-        /// How far the nearest obstacle is, m.
+        /// Distance of the nearest obstacle, m.
         NearestObstacle = "nearest_obstacle", "m", "nearest_obstacle_m";
     }
 }
@@ -91,17 +90,17 @@ quantities! {
     }
 }
 
-/// A figure. As text, its name and what it is of, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
-/// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`,
-/// `vertical:…`, `angular:…`, `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (of all robots or
-/// services if they are not said); `handover_gap:ROBOT` (likewise);
+/// A figure. As text, its name and its subject, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
+/// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if the direction is left out); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`,
+/// `vertical:…`, `angular:…`, `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (all robots or
+/// services if they are left out); `handover_gap:ROBOT` (likewise);
 /// `sensor:ROBOT:SENSOR:COMPONENT`; `lateness_p50`, `lateness_p99`, `lateness_max`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Figure {
-    /// Of one direction of a link.
+    /// A quantity of one direction of a link.
     Link(LinkId, Direction, LinkQuantity),
-    /// Of a robot.
+    /// A quantity of a robot.
     Robot(NodeId, RobotQuantity),
     /// The signal at which a robot hears a radio unit, dBm.
     Signal {
@@ -114,43 +113,43 @@ pub enum Figure {
     Load(NodeId),
     /// Service times that were answered, ms, at the time when they were recorded.
     ServiceTime {
-        /// Of one service only.
+        /// `None` for all services.
         service: Option<ServiceId>,
-        /// Of one robot only.
+        /// `None` for all robots.
         robot: Option<NodeId>,
     },
-    /// How long handovers cut robots off, ms.
+    /// Time that handovers cut robots off, ms.
     HandoverGap {
-        /// Of one robot only.
+        /// `None` for all robots.
         robot: Option<NodeId>,
     },
     /// One of the numbers that a sensor of a robot reads.
     Sensor {
         /// The robot.
         robot: NodeId,
-        /// Its sensor.
+        /// The sensor.
         sensor: SensorId,
-        /// Which number.
+        /// The component of the reading.
         component: ComponentId,
     },
     /// The emulator's lateness.
     Lateness(LatenessQuantity),
 }
 
-/// Where a figure is kept.
+/// Table and columns of a figure.
 pub(crate) struct Kept<'a> {
     pub kind: Kind,
-    /// For kinds that make series.
+    /// The series, for kinds that make any.
     pub series: Option<Series>,
-    /// Columns of a row that must have these names.
+    /// Columns of a row, and the names that they must have.
     pub named: Vec<(&'static str, &'a str)>,
-    /// If it is in the child rows: the column of these that must have this name.
+    /// For figures in child rows: the column, and the name that it must have.
     pub child: Option<(&'static str, &'a str)>,
     pub column: &'static str,
 }
 
 impl Figure {
-    /// Its unit; empty for a bare number.
+    /// Returns the figure's unit; empty for a bare number.
     pub fn unit(&self) -> &'static str {
         match self {
             Self::Sensor { component, .. } => SensorKind::unit(component),
@@ -199,7 +198,7 @@ impl Figure {
         }
     }
 
-    /// Calls `each` with the figure's values in an event, be they numbers or not.
+    /// Calls `each` with the figure's values in an event, NaN included.
     pub(crate) fn of(&self, event: &Event, mut each: impl FnMut(f64)) {
         match (self, event) {
             (Self::Link(link, direction, quantity), Event::Link(context))
@@ -295,10 +294,10 @@ impl fmt::Display for Figure {
     }
 }
 
-/// Why a text is no figure.
+/// A text that is not a figure.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is not a figure: say delay, throughput, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
+    "`{0}` is not a figure: give delay, throughput, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
      with :LINK or :LINK:DIRECTION; x, y, z, heading, speed, climb, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
      or :SERVICE:ROBOT if you like; handover_gap, with :ROBOT if you like; sensor:ROBOT:SENSOR:COMPONENT; \
      lateness_p50, lateness_p99 or lateness_max"
@@ -377,13 +376,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn is_read_as_it_is_written(figure in figure()) {
+        fn written_figures_are_read_back(figure in figure()) {
             prop_assert_eq!(figure.to_string().parse(), Ok(figure));
         }
     }
 
     #[test]
-    fn reads_the_short_forms_and_refuses_others() {
+    fn short_forms_are_read_and_others_rejected() {
         let link = LinkId::new("r1~ap1").unwrap();
         assert_eq!("delay:r1~ap1".parse(), Ok(Figure::Link(link, Direction::Forward, LinkQuantity::Delay)));
         assert_eq!("service_time".parse(), Ok(Figure::ServiceTime { service: None, robot: None }));

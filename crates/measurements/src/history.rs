@@ -1,4 +1,4 @@
-//! The way out: what a history is asked, and what it answers.
+//! The way out: questions to a history, and their answers.
 
 mod retain;
 
@@ -30,36 +30,36 @@ use crate::{
     store::{Selection, Span, Store},
 };
 
-/// The history of every embedding of G, over any number of runs. Clones are one history, and may be used from any
-/// thread; asking never waits for recording, nor recording for asking.
+/// The history of every embedding of G, over any number of runs. Clones share the history, and may be used from any
+/// thread. Reading never waits for recording, nor recording for reading.
 ///
-/// An answer holds what was durable when it was asked for, which is up to 100 ms behind what was recorded:
-/// [`Recorder::flush`] first where that matters.
+/// An answer holds the events that are durable, which may be 100 ms behind those recorded. Call [`Recorder::flush`] first
+/// where that matters.
 ///
-/// Every question fails if there is no such run, and if the engine cannot answer it (see [`crate::Error`]).
+/// Every question fails if the run does not exist, or if the engine fails (see [`crate::Error`]).
 #[derive(Clone)]
 pub struct History {
     pub(crate) store: Arc<dyn Store>,
     queue: Arc<Queue>,
 }
 
-/// Something and when it was so.
+/// A value and its time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Sample<T> {
     /// Nanoseconds since the run began.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
-    /// What.
+    /// The value.
     #[serde(flatten)]
     pub value: T,
 }
 
-/// What is known about the whole graph at a time: the last of everything.
+/// State of the whole graph at a time: the last value of everything.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct GraphState {
-    /// When.
+    /// Time of the state, nanoseconds since the run began.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// κ(r), by robot.
@@ -72,28 +72,28 @@ pub struct GraphState {
     pub placements: Vec<Sample<Placement>>,
     /// a(n1,n2), by the ends of the virtual link.
     pub virtual_links: Vec<Sample<VirtualLinkMapping>>,
-    /// What sensors read, by robot and sensor; left out where there is none.
+    /// Readings of sensors, by robot and sensor; left out where there is none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Sample<SensorReading>>,
 }
 
 impl History {
-    /// Opens the SQLite database at `path`, or makes a new one. A new file is readable by any SQLite; its schema,
-    /// with units, is `schema.sql` in this crate.
+    /// Opens the SQLite database at `path`, or creates one. Any SQLite can read it; its schema, with units, is
+    /// `schema/1.sql` in this crate.
     ///
     /// # Errors
-    /// When it cannot be created, cannot be written, is no history, is damaged, or is of a newer cotorra.
+    /// When the file cannot be created or written, is not a history, is damaged, or is of a newer cotorra.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::of(Arc::new(Sqlite::open(path.as_ref())?))
     }
 
-    /// Opens the history at a location, or makes a new one there. A database that a server does not have is made, if
-    /// the user may. While a server is away, nothing is lost: what is recorded is kept in a file, up to 256 MB, and
-    /// brought to the server when it is back, or when the history is opened again.
+    /// Opens the history at a location, or creates one there. A missing database of a server is created, if the user
+    /// may. During a server's outage, events are kept in a file, up to 256 MB. They are written to the server when it
+    /// is back, or when the history is opened again.
     ///
     /// # Errors
-    /// When it cannot be opened, made, or written, is no history, is damaged, or is of a newer cotorra; when a
-    /// server does not answer, or this cotorra was built without servers.
+    /// When the history cannot be opened, created or written, is not a history, is damaged, or is of a newer cotorra;
+    /// when a server does not answer, or this cotorra was built without servers.
     pub fn connect(location: &Location) -> Result<Self> {
         match location {
             Location::File(path) => Self::open(path),
@@ -104,7 +104,7 @@ impl History {
         }
     }
 
-    /// Opens a history to ask it: also one that cannot be written, of which then everything that is recorded fails.
+    /// Opens a history to read it. Read-only ones open, too; recording to them fails.
     ///
     /// # Errors
     /// As [`Self::connect`].
@@ -115,10 +115,10 @@ impl History {
         }
     }
 
-    /// A history that is gone with the process, and grows in memory until then.
+    /// Creates a history in memory, which ends with the process and grows until then.
     ///
     /// # Errors
-    /// When the system has no thread left.
+    /// When the system refuses a thread.
     pub fn in_memory() -> Result<Self> {
         Self::of(Arc::new(Memory::default()))
     }
@@ -127,15 +127,15 @@ impl History {
         Ok(Self { queue: Arc::new(Queue::new(store.clone())?), store })
     }
 
-    /// Begins a run; durable when it returns.
+    /// Begins a run, which is durable when this returns.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the history cannot be written.
     pub fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
         self.store.begin_run(info)
     }
 
-    /// Takes the events of a run.
+    /// Returns a recorder for the events of a run.
     ///
     /// # Errors
     /// When there is no such run.
@@ -144,7 +144,7 @@ impl History {
         Ok(self.queue.recorder(run))
     }
 
-    /// Takes the events of a run and writes them when it is told to, as virtual time needs it.
+    /// Returns a recorder that writes only when it is flushed, as virtual time needs it.
     ///
     /// # Errors
     /// When there is no such run.
@@ -153,25 +153,25 @@ impl History {
         Ok(PacedRecorder::new(self.store.clone(), run))
     }
 
-    /// Makes what was recorded durable and notes when the run ended. A run that was killed has no end.
+    /// Makes recorded events durable and notes when the run ended. A run that was killed has no end.
     ///
     /// # Errors
-    /// When it cannot be written, or there is no such run.
+    /// When the history cannot be written, or there is no such run.
     pub fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
         self.queue.flush()?;
         self.store.end_run(run, at)
     }
 
-    /// Keeps a history in a file from growing, as a full disk does, or lets it grow again, for tests. Does nothing to
-    /// histories elsewhere.
+    /// Sets whether a history in a file is kept from growing, as by a full disk, for tests. Ignored by histories
+    /// elsewhere.
     ///
     /// # Errors
-    /// When the engine cannot.
+    /// When the engine fails.
     pub fn set_full(&self, full: bool) -> Result<()> {
         self.store.set_full(full)
     }
 
-    /// One run.
+    /// Returns one run.
     ///
     /// # Errors
     /// See [`History`].
@@ -179,7 +179,7 @@ impl History {
         self.store.run(run)
     }
 
-    /// At most `limit` runs after a given one, or from the first, oldest first.
+    /// Returns at most `limit` runs after a given one, or from the first, oldest first.
     ///
     /// # Errors
     /// See [`History`].
@@ -187,7 +187,7 @@ impl History {
         self.store.runs(after, limit.clamp(1, PageRequest::MAX))
     }
 
-    /// κ(r) over a range of time.
+    /// Returns κ(r) over a range of time.
     ///
     /// # Errors
     /// See [`History`].
@@ -201,7 +201,7 @@ impl History {
         self.select(run, &Selection::Series(Series::Robot(robot.clone())), range, page)
     }
 
-    /// ι(R) over a range of time.
+    /// Returns ι(R) over a range of time.
     ///
     /// # Errors
     /// See [`History`].
@@ -215,7 +215,7 @@ impl History {
         self.select(run, &Selection::Series(Series::Radio(radio_unit.clone())), range, page)
     }
 
-    /// d, λ, ψ, δ of one direction of a link over a range of time.
+    /// Returns d, λ, ψ, δ of one direction of a link over a range of time.
     ///
     /// # Errors
     /// See [`History`].
@@ -230,7 +230,7 @@ impl History {
         self.select(run, &Selection::Series(Series::Link(link.clone(), direction)), range, page)
     }
 
-    /// Changes of a(n) in a range of time.
+    /// Returns changes of a(n) in a range of time.
     ///
     /// # Errors
     /// See [`History`].
@@ -243,7 +243,7 @@ impl History {
         self.select(run, &Selection::Kinds(&[Kind::Placement]), range, page)
     }
 
-    /// Service times that were recorded in a range of time.
+    /// Returns service times that were recorded in a range of time.
     ///
     /// # Errors
     /// See [`History`].
@@ -256,7 +256,7 @@ impl History {
         self.select(run, &Selection::Kinds(&[Kind::ServiceTime]), range, page)
     }
 
-    /// Handovers in a range of time.
+    /// Returns handovers in a range of time.
     ///
     /// # Errors
     /// See [`History`].
@@ -269,7 +269,7 @@ impl History {
         self.select(run, &Selection::Kinds(&[Kind::Handover]), range, page)
     }
 
-    /// Events of some kinds in a range of time; of all kinds for an empty list.
+    /// Returns events of some kinds in a range of time; of all kinds for an empty list.
     ///
     /// # Errors
     /// See [`History`].
@@ -284,7 +284,7 @@ impl History {
         self.store.events(run, &Selection::Kinds(kinds), span(&range), page)
     }
 
-    /// Gaps that begin in a range of time.
+    /// Returns gaps that begin in a range of time.
     ///
     /// # Errors
     /// See [`History`].
@@ -297,7 +297,7 @@ impl History {
         self.store.gaps(run, span(&range), page)
     }
 
-    /// The whole graph at a time: of everything the last that was recorded at that time or before.
+    /// Returns the state of the whole graph: the last value of everything at a time or before.
     ///
     /// # Errors
     /// See [`History`].
@@ -324,8 +324,8 @@ impl History {
         Ok(state)
     }
 
-    /// A figure over a range of time, in a bounded number of points, with the gaps in it. An end that is not given is
-    /// where the first or last such sample is.
+    /// Returns a figure over a range of time, in a bounded number of points, with its gaps. An open end of the range is
+    /// the time of the first or last such sample.
     ///
     /// # Errors
     /// See [`History`].
@@ -339,7 +339,7 @@ impl History {
         let asked = span(&range);
         let samples = self.store.extent(run, figure.kept().kind, asked)?;
         let (mut first, last) = samples.unwrap_or((asked.from, asked.until));
-        // What was rolled up began with its step, of which the last sample is left.
+        // Of a rolled-up step, only the last sample is left: the curve begins where the step began.
         let thinned = self.store.retained(run)?.into_iter().find(|its| its.kind == figure.kept().kind);
         if let Some(its) = thinned.filter(|its| first < nanos(its.rolled_up_to) && !its.step.is_zero()) {
             first -= first % i64::try_from(its.step.as_nanos()).unwrap_or(i64::MAX);
@@ -357,7 +357,7 @@ impl History {
         Ok(drawing.finish(figure.clone(), until))
     }
 
-    /// All gaps that overlap with a span.
+    /// Returns all gaps that overlap with a span.
     fn gaps_over(&self, run: RunId, span: Span) -> Result<Vec<Gap>> {
         let before = Span { from: 0, until: span.until };
         let mut gaps = Vec::new();
@@ -370,7 +370,7 @@ impl History {
         }
     }
 
-    /// Two runs side by side.
+    /// Compares two runs.
     ///
     /// # Errors
     /// See [`History`].
@@ -378,7 +378,7 @@ impl History {
         self.difference_with(a, self, b)
     }
 
-    /// A run beside one of another history.
+    /// Compares a run with one of another history.
     ///
     /// # Errors
     /// See [`History`].
@@ -402,7 +402,7 @@ fn nanos(t: Timestamp) -> i64 {
     i64::try_from(t.as_nanos()).unwrap_or(i64::MAX)
 }
 
-/// Both ends within. A range that holds nothing stays one that holds nothing.
+/// Returns a range with both ends included. An empty range stays empty.
 fn span(range: &impl RangeBounds<Timestamp>) -> Span {
     let from = match range.start_bound() {
         Bound::Unbounded => 0,
@@ -417,7 +417,7 @@ fn span(range: &impl RangeBounds<Timestamp>) -> Span {
     Span { from, until }
 }
 
-/// What the one kind of events that was asked for holds.
+/// The content of the one requested kind of events.
 trait FromEvent {
     fn from_event(event: Event) -> Self;
 }
@@ -428,7 +428,7 @@ macro_rules! from_event {
             fn from_event(event: Event) -> Self {
                 match event {
                     Event::$kind(value) => value,
-                    other => unreachable!("{other:?} was not asked for"),
+                    other => unreachable!("{other:?} was not requested"),
                 }
             }
         }
@@ -600,21 +600,21 @@ mod tests {
         }
         history.end_run(b, s(10)).unwrap();
 
-        let told = history.difference(a, b).unwrap();
-        assert_eq!(told.runs.each_ref().map(|run| run.id), [a, b]);
+        let difference = history.difference(a, b).unwrap();
+        assert_eq!(difference.runs.each_ref().map(|run| run.id), [a, b]);
         let services = |entry: &[Option<crate::difference::Services>; 2]| {
             entry.each_ref().map(|side| {
                 side.as_ref()
                     .map(|s| (s.unanswered, s.service_time_ms.as_ref().map(|took| took.quantiles[0])))
             })
         };
-        assert_eq!(services(&told.services[0].runs), [Some((1, Some(10.0))), Some((0, Some(20.0)))]);
-        assert_eq!(told.regions.len(), 2);
-        assert_eq!(services(&told.regions[1].runs), [Some((1, None)), None]);
-        let handovers = told.handovers[0].runs[0].as_ref().unwrap();
+        assert_eq!(services(&difference.services[0].runs), [Some((1, Some(10.0))), Some((0, Some(20.0)))]);
+        assert_eq!(difference.regions.len(), 2);
+        assert_eq!(services(&difference.regions[1].runs), [Some((1, None)), None]);
+        let handovers = difference.handovers[0].runs[0].as_ref().unwrap();
         assert_eq!((handovers.count, handovers.fast, handovers.gap_ms.as_ref().unwrap().max), (1, 1, 40.0));
-        assert_eq!(told.handovers[0].runs[1], None);
-        let stays: Vec<_> = told
+        assert_eq!(difference.handovers[0].runs[1], None);
+        let stays: Vec<_> = difference
             .placements
             .iter()
             .map(|entry| {
@@ -622,11 +622,11 @@ mod tests {
             })
             .collect();
         assert_eq!(stays, [("edge", [None, Some(7e3)]), ("fog", [Some(10e3), Some(3e3)])]);
-        assert_eq!(told.decisions[0].of.instruction, "place");
-        assert_eq!(told.decisions[0].runs[1].as_ref().unwrap().count, 1);
-        assert_eq!(told.doubts[0].lateness_p99_us, Some(7.0));
-        let json = serde_json::to_string(&told).unwrap();
-        assert_eq!(serde_json::from_str::<Difference>(&json).unwrap(), told);
+        assert_eq!(difference.decisions[0].of.instruction, "place");
+        assert_eq!(difference.decisions[0].runs[1].as_ref().unwrap().count, 1);
+        assert_eq!(difference.doubts[0].lateness_p99_us, Some(7.0));
+        let json = serde_json::to_string(&difference).unwrap();
+        assert_eq!(serde_json::from_str::<Difference>(&json).unwrap(), difference);
     }
 
     #[test]
@@ -643,8 +643,8 @@ mod tests {
         let (history, run) =
             recorded(&[placed(0, &["fog"]), placed(2, &["fog", "edge"]), placed(5, &["edge"]), last.clone()]);
         history.end_run(run, Timestamp::from_nanos(10_000_000_000)).unwrap();
-        let told = history.difference(run, run).unwrap().placements;
-        let times = told.iter().map(|entry| {
+        let difference = history.difference(run, run).unwrap().placements;
+        let times = difference.iter().map(|entry| {
             let of = entry.runs[0].as_ref().unwrap();
             (entry.of.node.as_str(), of.count, of.duration_ms)
         });

@@ -13,10 +13,9 @@ macro_rules! kinds {
         pub enum Kind { $($(#[$doc])* $kind,)* }
 
         impl Kind {
-            /// All of them.
             pub const ALL: [Self; [$(Self::$kind),*].len()] = [$(Self::$kind),*];
 
-            /// The name that [`Event`] has in JSON, and its table in the schema.
+            /// Returns the event's name in JSON, which is also its table in the schema.
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$kind => $name),* }
             }
@@ -57,18 +56,18 @@ kinds! {
     Notice = "notice",
     /// Answers that robots did not follow.
     AnswersRejected = "answers_rejected",
-    /// What became of robots' goals.
+    /// Changes of robots' goals.
     Goal = "goal",
     /// Readings of sensors.
     Sensor = "sensor",
 }
 
 impl Kind {
-    /// Kinds of which samples are rolled up when they are old: the embeddings that are sampled all the time. Of all
-    /// others, whatever happens is kept.
+    /// Kinds whose old samples are rolled up: embeddings that are sampled all the time. Events of other kinds are all
+    /// kept.
     pub const SAMPLED: [Self; 4] = [Self::Robot, Self::Radio, Self::Link, Self::Sensor];
 
-    /// The kind of an event.
+    /// Returns the kind of an event.
     pub const fn of(event: &Event) -> Self {
         match event {
             Event::Robot(_) => Self::Robot,
@@ -101,12 +100,12 @@ impl FromStr for Kind {
     }
 }
 
-/// Why a text is no kind.
+/// A text that names no kind.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a kind of event; one of {list}", list = Kind::ALL.map(Kind::as_str).join(", "))]
 pub struct InvalidKind(String);
 
-/// What has a state that lasts until its next event: a part of the graph's embedding.
+/// A part of the graph's embedding. Each of its events is its state until the next one.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Series {
     Robot(NodeId),
@@ -118,11 +117,11 @@ pub(crate) enum Series {
 }
 
 impl Series {
-    /// Kinds of which series are made.
+    /// Kinds whose events make series.
     pub const KINDS: [Kind; 6] =
         [Kind::Robot, Kind::Radio, Kind::Link, Kind::Placement, Kind::VirtualLink, Kind::Sensor];
 
-    /// The series that an event belongs to.
+    /// Returns the series that an event belongs to.
     pub fn of(event: &Event) -> Option<Self> {
         Some(match event {
             Event::Robot(context) => Self::Robot(context.robot.clone()),
@@ -135,7 +134,7 @@ impl Series {
         })
     }
 
-    /// Whether an event belongs to it.
+    /// Whether an event belongs to the series.
     pub fn holds(&self, event: &Event) -> bool {
         match (self, event) {
             (Self::Robot(node), Event::Robot(context)) => *node == context.robot,
@@ -184,7 +183,7 @@ mod tests {
         }
 
         #[test]
-        fn a_series_holds_what_it_is_of(a in stamped(), b in stamped()) {
+        fn a_series_holds_its_own_events(a in stamped(), b in stamped()) {
             let [of_a, of_b] = [&a, &b].map(|stamped| Series::of(&stamped.event));
             let Some(series) = &of_a else { return Ok(()) };
             prop_assert!(series.holds(&a.event));
@@ -193,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_is_no_kind() {
+    fn unknown_kinds_are_rejected() {
         let error = "weather".parse::<Kind>().unwrap_err();
         assert!(error.to_string().starts_with("`weather` is not a kind of event; one of robot, radio, link"));
     }

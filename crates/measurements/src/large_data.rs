@@ -1,8 +1,8 @@
-//! Large data of sensors, in files of a run's folder, of which the oldest go first.
+//! Large data of sensors, in files of a run's folder. The oldest files are removed first.
 //!
-//! Each sensor has a folder with segments. `N.data` has the bytes of readings one after the other, the first of which is
-//! reading N; `N.index` has an entry for each. An entry is written after its bytes, with check sums of both: whatever a killed
-//! process left half-written is no reading.
+//! Each sensor has a folder with segments. `N.data` has the bytes of readings one after the other, beginning with reading
+//! N; `N.index` has an entry for each. An entry is written after its bytes, with check sums of both, so that readings that a
+//! killed process left half-written are ignored.
 
 use std::{
     collections::VecDeque,
@@ -16,12 +16,12 @@ use cotorra_graph::{DataFormat, LargeData, NodeId, SensorId, Timestamp};
 
 /// Bytes of an entry in an index.
 const ENTRY: usize = 52;
-/// A segment has this share of what is kept, unless a reading is larger.
+/// Number of segments that share the kept bytes. A segment is larger if a reading is.
 const SHARE: u64 = 8;
-/// Where files that are read go meanwhile, others are looked for so often.
+/// Most attempts to read when files are removed meanwhile.
 const LOOKS: usize = 3;
 
-/// Where the large data of a sensor is, in a run's folder.
+/// Returns the folder of a sensor's large data within a run's folder.
 fn folder_of(run: &Path, robot: &NodeId, sensor: &SensorId) -> PathBuf {
     run.join("sensors").join(robot.as_str()).join(sensor.as_str())
 }
@@ -29,11 +29,11 @@ fn folder_of(run: &Path, robot: &NodeId, sensor: &SensorId) -> PathBuf {
 /// Large data as it is stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoredData<B = Vec<u8>> {
-    /// When it was measured.
+    /// Time of the measurement.
     pub measured: Timestamp,
-    /// What its event says of it.
+    /// Description, as in its event.
     pub data: LargeData,
-    /// What it is.
+    /// The data.
     pub bytes: B,
 }
 
@@ -42,9 +42,9 @@ pub struct StoredData<B = Vec<u8>> {
 pub struct LargeDataWriter {
     folder: PathBuf,
     keep: u64,
-    /// What there is, oldest first.
+    /// Segments, oldest first.
     segments: VecDeque<Segment>,
-    /// The last segment takes no more.
+    /// Whether the last segment is complete.
     is_closed: bool,
 }
 
@@ -65,28 +65,29 @@ impl Segment {
     }
 }
 
-/// The data and the index of a segment.
+/// Returns the paths of a segment's data and index.
 fn files(folder: &Path, first: u64) -> [PathBuf; 2] {
     ["data", "index"].map(|kind| folder.join(format!("{first}.{kind}")))
 }
 
 impl LargeDataWriter {
-    /// Writes into a run's folder, whose files of this sensor never have more than `keep` bytes.
+    /// Creates a writer into a run's folder. The files of this sensor never exceed `keep` bytes.
     pub fn new(run: &Path, robot: &NodeId, sensor: &SensorId, keep: u64) -> Self {
         let folder = folder_of(run, robot, sensor);
         Self { folder, keep, segments: VecDeque::new(), is_closed: false }
     }
 
-    /// Adds a reading, whose number is above that of the one before. The oldest go where there is no room.
+    /// Adds a reading, whose number is above that of the one before. Removes the oldest readings to make room.
     ///
     /// # Errors
-    /// When it is larger than what is kept, or the system cannot write it. The next one may succeed.
+    /// When the reading is larger than the bound, or the system cannot write it. The next one may succeed.
     pub fn append(&mut self, reading: &StoredData<&[u8]>) -> io::Result<()> {
         let bytes = reading.bytes.len() as u64;
         let size = bytes + ENTRY as u64;
         if size > self.keep {
-            let told = format!("a reading takes {size} bytes, and {} bytes are kept of all", self.keep);
-            return Err(io::Error::new(io::ErrorKind::FileTooLarge, told));
+            let problem =
+                format!("a reading has {size} bytes, more than the {} bytes kept in all", self.keep);
+            return Err(io::Error::new(io::ErrorKind::FileTooLarge, problem));
         }
         while self.segments.iter().map(Segment::size).sum::<u64>() + size > self.keep {
             let Some(oldest) = self.segments.front() else { break };
@@ -109,7 +110,7 @@ impl LargeDataWriter {
         let entry = Entry::of(reading, segment.bytes).written();
         let written = write_at(&data, reading.bytes, segment.bytes)
             .and_then(|()| write_at(&index, &entry, segment.entries * ENTRY as u64));
-        // A part of it may be there.
+        // A part of the reading may be written.
         segment.bytes += bytes;
         segment.entries += 1;
         self.is_closed = written.is_err();
@@ -126,7 +127,7 @@ fn write_at(file: &Path, bytes: &[u8], offset: u64) -> io::Result<()> {
     file.write_all_at(bytes, offset)
 }
 
-/// What an index says of a reading.
+/// An entry of an index.
 #[derive(Debug, PartialEq)]
 struct Entry {
     measured: Timestamp,
@@ -158,7 +159,7 @@ impl Entry {
         entry
     }
 
-    /// `None` if it was never written whole.
+    /// Reads an entry; `None` if it was never written whole.
     fn read(entry: &[u8; ENTRY]) -> Option<Self> {
         let long = |place: usize| {
             u64::from_le_bytes(entry[8 * place..8 * place + 8].try_into().expect("it has 8 bytes"))
@@ -173,22 +174,21 @@ impl Entry {
     }
 }
 
-/// FNV-1a, which is no zero for zeros.
+/// Returns the FNV-1a of bytes, which is not zero for zeros.
 fn sum(bytes: &[u8]) -> u32 {
     bytes.iter().fold(0x811c_9dc5, |sum: u32, byte| (sum ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
 }
 
-/// Which reading is wanted.
+/// The requested reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WantedData {
-    /// That of this number.
+    /// The reading with this number.
     Number(u64),
-    /// The last up to that of this number.
+    /// The last reading up to this number.
     UpTo(u64),
 }
 
-/// Reads large data of a sensor from a run's folder, also while the run goes on; `None` if it is not there, or not any
-/// more.
+/// Reads large data of a sensor from a run's folder, also while the run goes on; `None` if it is missing or was removed.
 ///
 /// # Errors
 /// When the system cannot read it.
@@ -216,7 +216,7 @@ pub fn read_large_data(
     Ok(None)
 }
 
-/// First numbers of the segments that there are, in order.
+/// Returns the first number of each segment, in order.
 fn segments(folder: &Path) -> io::Result<Vec<u64>> {
     let entries = match fs::read_dir(folder) {
         Err(error) if is_gone(&error) => return Ok(Vec::new()),
@@ -240,7 +240,7 @@ fn read_segment(folder: &Path, first: u64, wanted: WantedData) -> io::Result<Opt
         Ok(Entry::read(&entry))
     };
     let (WantedData::Number(number) | WantedData::UpTo(number)) = wanted;
-    // Up to where entries are those of numbers up to that one; what is not whole is at the end.
+    // Entries are in the order of numbers; a torn one is at the end.
     let (mut from, mut to) = (0, index.metadata()?.len() / ENTRY as u64);
     while from < to {
         let middle = from + (to - from) / 2;
@@ -263,13 +263,13 @@ fn read_segment(folder: &Path, first: u64, wanted: WantedData) -> io::Result<Opt
 }
 
 fn read_bytes(file: &File, entry: Entry) -> io::Result<Option<StoredData>> {
-    let Entry { measured, data, offset, sum: told } = entry;
+    let Entry { measured, data, offset, sum: expected } = entry;
     let is_there =
         offset.checked_add(data.bytes).is_some_and(|end| end <= file.metadata().map_or(0, |of| of.len()));
     let Some(length) = usize::try_from(data.bytes).ok().filter(|_| is_there) else { return Ok(None) };
     let mut bytes = vec![0; length];
     file.read_exact_at(&mut bytes, offset)?;
-    Ok((sum(&bytes) == told).then_some(StoredData { measured, data, bytes }))
+    Ok((sum(&bytes) == expected).then_some(StoredData { measured, data, bytes }))
 }
 
 #[cfg(test)]

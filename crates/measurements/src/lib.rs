@@ -1,8 +1,7 @@
 //! The Measurements block: the history of every embedding of the hardware graph.
 //!
-//! A [`Recorder`] takes what happens, as [`cotorra_graph::Stamped`] events, and never makes anyone wait. A [`History`]
-//! answers what was: a series, events in a range of time, the whole graph at a time. Every answer is a [`Page`] with
-//! a bound, so that no question is too big.
+//! A [`Recorder`] takes [`cotorra_graph::Stamped`] events, and never blocks its caller. A [`History`] answers questions
+//! about them: a series, events in a range of time, the whole graph at a time. Answers are [`Page`]s of bounded size.
 #![forbid(unsafe_code)]
 
 mod chunk;

@@ -1,4 +1,4 @@
-//! Where a history is kept, as a user names it: a file, or a database of a server.
+//! Location of a history, as a user names it: a file, or a database of a server.
 
 use std::{
     fmt,
@@ -9,11 +9,11 @@ use std::{
 
 use crate::error::Error;
 
-/// Where a history is kept. Read from text: a path, or `mysql://user:password@host:port/database`, which MariaDB
-/// answers to as well. Behind a `?`, a server's URL may have `socket=PATH` (a Unix socket instead of host and port)
-/// and `spool=FOLDER` (where to keep what was recorded while the server is away), joined by `&`.
+/// Location of a history. Parsed from a path, or from `mysql://user:password@host:port/database`, which serves MariaDB as
+/// well. After a `?`, a server's URL may have `socket=PATH` (a Unix socket instead of host and port) and `spool=FOLDER`
+/// (the folder for events recorded during an outage), joined by `&`.
 ///
-/// Neither text nor debug output of it holds the password.
+/// Neither its text nor its debug output holds the password.
 #[derive(Clone, PartialEq, Eq)]
 pub enum Location {
     /// A SQLite database.
@@ -22,7 +22,7 @@ pub enum Location {
     Server(Server),
 }
 
-/// A database of a server, and how to get in.
+/// A database of a server, and the credentials for it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Server {
     pub(crate) user: String,
@@ -32,11 +32,11 @@ pub struct Server {
     pub(crate) socket: Option<String>,
     pub(crate) database: String,
     pub(crate) spool: PathBuf,
-    /// As errors name it: without the password.
+    /// Name in errors, without the password.
     pub(crate) name: Arc<str>,
 }
 
-/// Why a text names no place for a history.
+/// A text that is not a location of a history.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{problem}: name a server as mysql://user:password@host:port/database")]
 pub struct InvalidLocation {
@@ -47,8 +47,8 @@ fn invalid(problem: impl Into<String>) -> InvalidLocation {
     InvalidLocation { problem: problem.into() }
 }
 
-/// Where spools are kept unless the URL says so: `cotorra/spool` in the user's folder for state, as the XDG base
-/// directory specification says, or else in the folder for temporary files.
+/// Returns the default folder of spools: `cotorra/spool` in the user's folder for state, as the XDG base directory
+/// specification says, or else in the folder for temporary files.
 fn default_spool() -> PathBuf {
     let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     let state = set("XDG_STATE_HOME").or_else(|| set("HOME").map(|home| home.join(".local/state")));
@@ -70,7 +70,7 @@ impl FromStr for Location {
 }
 
 impl Location {
-    /// The same, with this password for a server whose URL has none.
+    /// Returns the location with this password for a server whose URL has none.
     pub fn with_password(self, password: &str) -> Self {
         match self {
             Self::Server(server) if server.password.is_none() => {
@@ -105,7 +105,7 @@ impl Server {
     fn parse(rest: &str) -> Result<Self, InvalidLocation> {
         let (place, options) = rest.split_once('?').unwrap_or((rest, ""));
         let (authority, database) = place.split_once('/').unwrap_or((place, ""));
-        // A password may hold an @ that nobody escaped; a host never does.
+        // A password may hold an unescaped @; a host never does.
         let (user, host) = authority.rsplit_once('@').unwrap_or(("", authority));
         let (user, password) = match user.split_once(':') {
             Some((user, password)) => (user, Some(decoded(password)?)),
@@ -113,7 +113,7 @@ impl Server {
         };
         let (host, port) = match host.rsplit_once(':').filter(|(_, port)| !port.contains(']')) {
             Some((host, port)) => {
-                // Not shown: of a URL without an @, this is the password.
+                // Not shown: in a URL without an @, this is the password.
                 (host, port.parse().map_err(|_| invalid("the port is not a number from 0 to 65535"))?)
             }
             None => (host, 3306),
@@ -156,7 +156,7 @@ impl Server {
     }
 }
 
-/// Text in a URL: `%` and two hexadecimal digits are a byte (RFC 3986, section 2.1).
+/// Decodes text of a URL: `%` and two hexadecimal digits are a byte (RFC 3986, section 2.1).
 fn decoded(text: &str) -> Result<String, InvalidLocation> {
     let problem = || invalid("the URL has a `%` that no two hexadecimal digits follow, or is not UTF-8");
     let mut bytes = Vec::with_capacity(text.len());
@@ -209,8 +209,8 @@ mod tests {
     fn without_the_feature_the_error_names_it() {
         let location: Location = "mysql://ana:secret@db/cotorra".parse().unwrap();
         for refused in [location.check().err(), crate::History::connect(&location).err()] {
-            let told = refused.unwrap().to_string();
-            assert!(told.contains("`--features mariadb`") && !told.contains("secret"), "{told}");
+            let shown = refused.unwrap().to_string();
+            assert!(shown.contains("`--features mariadb`") && !shown.contains("secret"), "{shown}");
         }
         Location::from(Path::new("runs/all.sqlite")).check().unwrap();
     }
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_files_and_servers() {
+    fn files_and_servers_are_parsed() {
         assert_eq!("runs/history.sqlite".parse(), Ok(Location::File("runs/history.sqlite".into())));
         let full = server("mysql://ana:p%40ss:w%2Frd@db.lab:3307/cotorra?spool=/var/spool/c%20c");
         assert_eq!((&*full.user, full.password.as_deref()), ("ana", Some("p@ss:w/rd")));
@@ -235,11 +235,11 @@ mod tests {
     }
 
     #[test]
-    fn never_tells_the_password() {
+    fn no_output_holds_the_password() {
         for text in ["mysql://ana:secret@db/cotorra", "mysql://ana:sec@secret@db/cotorra?socket=/s"] {
             let location: Location = text.parse().unwrap();
-            let told = format!("{location} {location:?} {:?}", server(text));
-            assert!(!told.contains("sec"), "{told}");
+            let shown = format!("{location} {location:?} {:?}", server(text));
+            assert!(!shown.contains("sec"), "{shown}");
         }
         for text in [
             "mysql://ana:secret@db/",
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn takes_a_password_from_beside_the_url() {
+    fn a_password_may_be_given_apart_from_the_url() {
         let of = |url: &str| match url.parse::<Location>().unwrap().with_password("beside") {
             Location::Server(server) => server.password,
             Location::File(_) => None,
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_other_servers() {
+    fn other_servers_are_rejected() {
         let error = "postgres://db/cotorra".parse::<Location>().unwrap_err();
         assert!(error.to_string().starts_with("`postgres` is not a kind of server"), "{error}");
     }

@@ -1,4 +1,4 @@
-//! A history that lives as long as the process. Grows without bound; for tests, and for runs that leave nothing.
+//! A history in memory, for tests and for runs that leave nothing. It grows without bound.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,7 +15,7 @@ use crate::{
     store::{Selection, Span, Store},
 };
 
-/// Everything in ordered maps.
+/// Runs with their events in ordered maps.
 #[derive(Debug, Default)]
 pub(crate) struct Memory {
     runs: RwLock<Vec<Recorded>>,

@@ -1,5 +1,5 @@
-//! The way in for who decides when to write. What it leaves depends on what was recorded and when it was told to
-//! write, not on how fast anything went: in virtual time the same run so leaves the same bytes.
+//! The way in for callers that decide when to write. The history depends on the events and on the flushes alone, not on
+//! the speed of the machine: in virtual time the same run leaves the same bytes.
 
 use std::sync::Arc;
 
@@ -13,8 +13,8 @@ use crate::{
     store::Store,
 };
 
-/// Takes the events of one run and writes them when it is told to, on the thread that tells it. Clones share what
-/// waits. It grows with what waits, so who records has to say when.
+/// Records the events of one run, and writes them on the thread that calls [`Self::flush`]. Clones share the events that
+/// wait. Their number is unbounded, so callers must flush.
 #[derive(Clone)]
 pub struct PacedRecorder {
     run: RunId,
@@ -25,7 +25,7 @@ pub struct PacedRecorder {
 #[derive(Default)]
 struct Waiting {
     entries: Vec<Entry>,
-    /// What no history can hold.
+    /// Events that no history can hold.
     gap: Option<Gap>,
     dropped: u64,
 }
@@ -35,7 +35,7 @@ impl PacedRecorder {
         Self { run, store, waiting: Arc::default() }
     }
 
-    /// Takes an event.
+    /// Records an event.
     pub fn record(&self, stamped: Stamped) {
         let mut waiting = self.waiting.lock();
         if codec::storable(&stamped) {
@@ -45,10 +45,10 @@ impl PacedRecorder {
         }
     }
 
-    /// Writes what waits; it is durable when this returns.
+    /// Writes the events that wait. They are durable when this returns.
     ///
     /// # Errors
-    /// When it cannot be written. Nothing is lost by that: it waits for the next time.
+    /// When they cannot be written. Nothing is lost by that: they wait for the next flush.
     pub fn flush(&self) -> Result<()> {
         let mut waiting = self.waiting.lock();
         if waiting.entries.is_empty() && waiting.gap.is_none() {
@@ -61,7 +61,7 @@ impl PacedRecorder {
         Ok(())
     }
 
-    /// Events lost because no history can hold them; the history tells them as gaps.
+    /// Returns the number of events lost because no history can hold them; the history has them as gaps.
     pub fn dropped(&self) -> u64 {
         self.waiting.lock().dropped
     }
@@ -84,7 +84,7 @@ mod tests {
     };
 
     #[test]
-    fn nothing_is_written_before_it_is_told_to_and_what_cannot_be_is_a_gap() {
+    fn events_are_written_on_flush_only_and_unstorable_ones_become_a_gap() {
         let history = History::in_memory().unwrap();
         let run = history.begin_run(&run_info("paced")).unwrap();
         let recorder = history.paced_recorder(run).unwrap();

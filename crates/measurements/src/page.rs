@@ -1,10 +1,10 @@
-//! Answers in pages, so that no question is too big, and the cursors that join them.
+//! Pages, which bound the size of answers, and the cursors that join them.
 
 use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
-/// Where a page ends and the next one begins: an event's time, and its place in the order of recording.
+/// The place where a page ends and the next one begins: an event's time, and its place in the order of recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Cursor {
@@ -13,7 +13,7 @@ pub struct Cursor {
 }
 
 impl Cursor {
-    /// Before every event at `t` or later.
+    /// Returns the place before every event at `t` or later.
     pub(crate) const fn before(t: i64) -> Self {
         Self { t, seq: -1 }
     }
@@ -25,7 +25,7 @@ impl fmt::Display for Cursor {
     }
 }
 
-/// Why a text is no cursor.
+/// A text that is not a cursor.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a cursor: give back the `next` of the page before as it was")]
 pub struct InvalidCursor(String);
@@ -59,7 +59,7 @@ impl From<Cursor> for String {
 pub struct Page<T> {
     /// In the order of time; at the same time, in the order of recording.
     pub items: Vec<T>,
-    /// Ask again from here.
+    /// Cursor of the next page; `None` on the last one.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub next: Option<Cursor>,
 }
@@ -70,25 +70,25 @@ impl<T> Page<T> {
     }
 }
 
-/// Which part of an answer is wanted.
+/// The requested part of an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageRequest {
-    /// How many items at most; counted as 1 … [`Self::MAX`].
+    /// Most items of the page; clamped to 1 … [`Self::MAX`].
     pub limit: usize,
     /// The `next` of the page before; `None` for the first page.
     pub after: Option<Cursor>,
 }
 
 impl PageRequest {
-    /// No page is longer.
+    /// Most items of any page.
     pub const MAX: usize = 10_000;
 
-    /// The first page.
+    /// Requests the first page.
     pub const fn first(limit: usize) -> Self {
         Self { limit, after: None }
     }
 
-    /// The page that begins at a cursor.
+    /// Requests the page that begins at a cursor.
     pub const fn after(cursor: Cursor, limit: usize) -> Self {
         Self { limit, after: Some(cursor) }
     }
@@ -99,7 +99,7 @@ impl PageRequest {
 }
 
 impl Default for PageRequest {
-    /// The first 1000.
+    /// Requests the first 1000 items.
     fn default() -> Self {
         Self::first(1000)
     }
@@ -113,14 +113,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_cursor_is_read_as_it_is_written(t in 0..=i64::MAX, seq in 0..=i64::MAX) {
+        fn written_cursors_are_read_back(t in 0..=i64::MAX, seq in 0..=i64::MAX) {
             let cursor = Cursor { t, seq };
             prop_assert_eq!(cursor.to_string().parse(), Ok(cursor));
         }
     }
 
     #[test]
-    fn refuses_what_is_no_cursor() {
+    fn invalid_cursors_are_rejected() {
         for text in ["", "-", "1", "1-", "-1-1", "1-x", "99999999999999999999-1"] {
             let error = text.parse::<Cursor>().unwrap_err();
             assert_eq!(

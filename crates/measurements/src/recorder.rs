@@ -1,5 +1,5 @@
-//! The way in. What happens in a testbed is put in a bounded queue, without ever waiting; one thread takes it from
-//! there in batches and writes them. What does not fit is counted, and told as a gap.
+//! The way in. Events enter a bounded queue without blocking; one thread writes them in batches. Events that do not fit
+//! are counted, and recorded as a gap.
 
 use std::{
     collections::BTreeMap,
@@ -23,13 +23,13 @@ use crate::{
     store::Store,
 };
 
-/// Events that wait to be written, at most. About 400 bytes each: 13 MB.
+/// Capacity of the queue, events of about 400 bytes each: 13 MB.
 const QUEUE: usize = 32_768;
 
-/// The writer is woken early when so many wait. Below that, recording makes no system call.
+/// Queue length at which the writer is woken early. Below it, recording makes no system call.
 const WAKE_AT: isize = QUEUE as isize / 4;
 
-/// How often the writer looks at the queue.
+/// Poll interval of the writer.
 const PERIOD: Duration = Duration::from_millis(100);
 
 /// Records the events of one run. Clones share the run and may be used from any thread.
@@ -40,20 +40,20 @@ pub struct Recorder {
     queue: Arc<Queue>,
 }
 
-/// What a recorder did so far.
+/// Counters of a recorder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct RecorderStats {
-    /// Events taken.
+    /// Events accepted.
     pub recorded: u64,
-    /// Of these, events that are durable.
+    /// Accepted events that are durable.
     pub written: u64,
-    /// Events lost because the queue was full or no history can hold them; the history tells them as gaps.
+    /// Events lost because the queue was full or no history can hold them; the history has them as gaps.
     pub dropped: u64,
 }
 
 impl Recorder {
-    /// Takes an event. Never waits: if the writer cannot keep up for long, the event is dropped and becomes part of
-    /// a [`Gap`]. Durable within about 100 ms, or when [`Self::flush`] returns.
+    /// Records an event. Never blocks: if the writer cannot keep up for long, the event is dropped and becomes part of a
+    /// [`Gap`]. The event is durable within about 100 ms, or when [`Self::flush`] returns.
     pub fn record(&self, stamped: Stamped) {
         let at = stamped.at;
         if codec::storable(&stamped) && self.queue.push(Entry { run: self.run, stamped }) {
@@ -63,16 +63,15 @@ impl Recorder {
         }
     }
 
-    /// Waits until everything that this thread recorded before is durable: it survives kill -9 and a loss of power.
+    /// Waits until all events that this thread recorded before are durable: they survive kill -9 and a loss of power.
     ///
     /// # Errors
-    /// When it cannot be written. Nothing is lost by that: the writer keeps what it has and tries again, ten times
-    /// a second.
+    /// When they cannot be written. Nothing is lost by that: the writer keeps its events and retries ten times a second.
     pub fn flush(&self) -> Result<()> {
         self.queue.flush()
     }
 
-    /// What it did so far, all clones taken together.
+    /// Returns the counters of all clones together.
     pub fn stats(&self) -> RecorderStats {
         RecorderStats {
             recorded: self.tally.recorded.load(Ordering::Relaxed),
@@ -82,7 +81,7 @@ impl Recorder {
     }
 }
 
-/// What happened to the events of one run.
+/// Counters for the events of one run.
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     recorded: AtomicU64,
@@ -98,7 +97,7 @@ impl Tally {
     }
 }
 
-/// A gap that is not written yet. Lock-free, as recording must not wait for the writer.
+/// A gap that is not written yet. Lock-free, because recording must not wait for the writer.
 #[derive(Debug)]
 struct OpenGap {
     from: AtomicU64,
@@ -119,8 +118,8 @@ impl OpenGap {
         self.events.fetch_add(1, Ordering::Release);
     }
 
-    /// Closes the gap. An event that is lost meanwhile may have its time in this gap and its count in the next:
-    /// that one then has no times of its own, and takes those of the one before.
+    /// Closes the gap. An event that is lost meanwhile may have its time in this gap and its count in the next. The next
+    /// gap then has no times of its own, and takes those of the one before.
     fn close(&self, before: Option<Gap>) -> Option<Gap> {
         let events = self.events.swap(0, Ordering::Acquire);
         if events == 0 {
@@ -135,8 +134,8 @@ impl OpenGap {
     }
 }
 
-/// The queue, and the thread that empties it. Ends the thread when the last recorder and the history are gone,
-/// after what waits has been written.
+/// The queue, and the thread that empties it. When the last recorder and the history are gone, the thread writes the
+/// events that wait, and ends.
 pub(crate) struct Queue {
     sender: SyncSender<Entry>,
     shared: Arc<Shared>,
@@ -144,10 +143,10 @@ pub(crate) struct Queue {
     wake: Thread,
 }
 
-/// What the writer's thread has in common with those that record.
+/// State shared by the writer's thread and recorders.
 #[derive(Default)]
 struct Shared {
-    /// Events in the queue. Below zero for a moment if one is taken before it was counted.
+    /// Events in the queue. Below zero for a moment if an event is taken before it was counted.
     waiting: AtomicIsize,
     closing: AtomicBool,
     flush: Mutex<Flush>,
@@ -155,15 +154,15 @@ struct Shared {
     tallies: Mutex<BTreeMap<RunId, Arc<Tally>>>,
 }
 
-/// Flushes are numbered; each waits for a round of the writer that began after it was asked for.
+/// Flushes are numbered. Each waits for a round of the writer that began after the flush was requested.
 #[derive(Default)]
 struct Flush {
     asked: u64,
-    /// The latest that a round served, well or not.
+    /// The latest flush that a round served, with or without an error.
     tried: u64,
-    /// The latest that was served well.
+    /// The latest flush that succeeded.
     durable: u64,
-    /// Why the last round failed.
+    /// Error of the last round that failed.
     error: Option<Error>,
 }
 
@@ -189,7 +188,7 @@ impl Queue {
         Recorder { run, tally, queue: self.clone() }
     }
 
-    /// Whether there was room.
+    /// Adds an entry. Returns whether there was room.
     fn push(&self, entry: Entry) -> bool {
         match self.sender.try_send(entry) {
             Ok(()) => {
@@ -236,7 +235,7 @@ struct Writer {
     store: Arc<dyn Store>,
     receiver: Receiver<Entry>,
     shared: Arc<Shared>,
-    /// What was taken from the queue and is not written yet: kept when writing fails.
+    /// Events taken from the queue and not written yet. They stay when writing fails.
     batch: Vec<Entry>,
     gaps: BTreeMap<RunId, Gap>,
     failing: bool,
@@ -244,7 +243,7 @@ struct Writer {
 
 impl Writer {
     fn work(&mut self) {
-        // However this ends, nobody waits for it for ever.
+        // Even after a panic, no flush waits for ever.
         let _answer = AnswerAll(self.shared.clone());
         loop {
             let closing = self.shared.closing.load(Ordering::Acquire);
@@ -264,8 +263,8 @@ impl Writer {
         self.give_up();
     }
 
-    /// Writes what could not be written before, then what waits. Takes no more than fits in the queue, which is all
-    /// that was there at the beginning, and so all that a flush asked for.
+    /// Writes the events that could not be written before, then those that wait. Takes no more than fit in the queue: all
+    /// that were there at the beginning, and so all that a flush covers.
     fn round(&mut self) -> Result<()> {
         self.write()?;
         self.batch.extend(self.receiver.try_iter().take(QUEUE));
@@ -291,7 +290,7 @@ impl Writer {
         Ok(())
     }
 
-    /// At the end: what cannot be written is lost, and told as a gap where there is room for that.
+    /// Drops the events that cannot be written at the end, and records them as a gap where there is room for that.
     fn give_up(&mut self) {
         self.batch.extend(self.receiver.try_iter());
         self.close_gaps();
@@ -303,11 +302,11 @@ impl Writer {
             let gap = Gap { from: stamped.at, until: stamped.at, events: 1 };
             self.gaps.entry(run).and_modify(|before| *before = before.with(gap)).or_insert(gap);
         }
-        let told = self.write().is_ok();
-        tracing::error!(events, told, "the history ends without the last events: see above");
+        let gaps_written = self.write().is_ok();
+        tracing::error!(events, gaps_written, "the history ends without the last events: see above");
     }
 
-    /// Adds what was lost since the last round to the gaps that are to be written.
+    /// Adds events lost since the last round to the gaps to write.
     fn close_gaps(&mut self) {
         for (run, tally) in self.shared.tallies.lock().iter() {
             let before = self.gaps.get(run).copied();
@@ -316,7 +315,7 @@ impl Writer {
         }
     }
 
-    /// Says so once when writing begins to fail, and once when it works again.
+    /// Logs once when writing begins to fail, and once when it works again.
     fn report(&mut self, outcome: &Result<()>) {
         match outcome {
             Err(error) if !self.failing => {

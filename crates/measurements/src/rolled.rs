@@ -1,8 +1,8 @@
-//! What samples were in a step of time, once they are rolled up: written one after the other, so that what comes late is
-//! put behind.
+//! Summaries of samples that were rolled up, by step of time. Steps are written one after the other, so that late ones are
+//! appended.
 //!
-//! A step is the time of its last sample, how many figures it has and, for each, what it is of (a column by its place, or
-//! a name of child rows), the count, and the bits of least, greatest, sum and last: varints, as in `chunk.rs`.
+//! A step is the time of its last sample, the number of its figures and, for each figure, its source (a column by its
+//! place, or a name of child rows), the count, and the bits of least, greatest, sum and last: varints, as in `chunk.rs`.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use crate::{
     kind::Kind,
 };
 
-/// What some samples were.
+/// A summary of samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Summary {
     pub count: u64,
@@ -30,7 +30,7 @@ impl Summary {
         Self { count: 1, min: figure, max: figure, sum: figure, last: figure }
     }
 
-    /// With a later sample.
+    /// Adds a later sample.
     fn add(&mut self, figure: f64) {
         self.count += 1;
         self.min = self.min.min(figure);
@@ -40,57 +40,57 @@ impl Summary {
     }
 }
 
-/// What a figure is told with: as it was recorded, or what is left of some.
+/// A value of a figure: one sample as recorded, or a summary of several.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Reading {
     Sample(f64),
     RolledUp(Summary),
 }
 
-/// Which figure of a series.
+/// A figure of a series.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Of {
-    /// By its place among those that chunks of the kind hold.
+pub(crate) enum FigureKey {
+    /// Place of the column among those that chunks of the kind hold.
     Column(usize),
-    /// Of child rows, by name.
+    /// Name in the child rows.
     Child(String),
 }
 
-/// A step that is being gathered.
+/// A step that is being filled.
 #[derive(Debug, Default)]
-pub(crate) struct Step(BTreeMap<Of, Summary>);
+pub(crate) struct Step(BTreeMap<FigureKey, Summary>);
 
 impl Step {
     /// Adds a sample, from its row and child rows.
     pub fn push(&mut self, kind: Kind, row: &[Value<'_>], children: &[Value<'_>]) {
-        let mut add = |of: Of, figure: f64| {
+        let mut add = |of: FigureKey, figure: f64| {
             if !figure.is_nan() {
                 self.0.entry(of).and_modify(|its| its.add(figure)).or_insert(Summary::of(figure));
             }
         };
         for (place, figure) in chunk::figures(kind, row).enumerate() {
-            add(Of::Column(place), figure);
+            add(FigureKey::Column(place), figure);
         }
         let width = crate::codec::table(kind).children.map_or(1, |(_, columns)| columns.len());
         for (name, figure) in children.chunks(width).filter_map(|child| chunk::of_child(kind, child)) {
-            add(Of::Child(name.to_owned()), figure);
+            add(FigureKey::Child(name.to_owned()), figure);
         }
     }
 
-    /// Writes it behind others.
+    /// Appends the step to others.
     pub fn write(&self, last: i64, bytes: &mut Vec<u8>) {
         write_integer(last, bytes);
         write_integer(self.0.len() as i64, bytes);
         for (of, Summary { count, min, max, sum, last }) in &self.0 {
             match of {
-                Of::Column(place) => write_integer(*place as i64, bytes),
-                Of::Child(name) => {
+                FigureKey::Column(place) => write_integer(*place as i64, bytes),
+                FigureKey::Child(name) => {
                     write_integer(-(name.len() as i64) - 1, bytes);
                     bytes.extend(name.as_bytes());
                 }
             }
             write_integer(count.cast_signed(), bytes);
-            // The least, and how the others differ from it: of a single sample, nothing.
+            // The least, and the differences of the others from it, which are zero for a single sample.
             write_integer(min.to_bits().swap_bytes().cast_signed(), bytes);
             for figure in [max, sum, last] {
                 write_integer((figure.to_bits() ^ min.to_bits()).swap_bytes().cast_signed(), bytes);
@@ -100,18 +100,22 @@ impl Step {
 }
 
 /// Calls `each` with the times and summaries of a figure, in the order in which they were written.
-pub(crate) fn read(steps: &[u8], wanted: &Of, mut each: impl FnMut(i64, Summary)) -> Result<(), ReadError> {
+pub(crate) fn read(
+    steps: &[u8],
+    wanted: &FigureKey,
+    mut each: impl FnMut(i64, Summary),
+) -> Result<(), ReadError> {
     let mut bytes = Bytes(steps);
     while !bytes.0.is_empty() {
         let t = bytes.plain_integer()?;
         for _ in 0..bytes.plain_integer()? {
             let of = bytes.plain_integer()?;
             let found = match (wanted, usize::try_from(of)) {
-                (Of::Column(place), Ok(of)) => *place == of,
-                (Of::Child(_), Ok(_)) => false,
+                (FigureKey::Column(place), Ok(of)) => *place == of,
+                (FigureKey::Child(_), Ok(_)) => false,
                 (wanted, Err(_)) => {
                     let name = bytes.plain_bytes(-(of + 1))?;
-                    matches!(wanted, Of::Child(wanted) if wanted.as_bytes() == name)
+                    matches!(wanted, FigureKey::Child(wanted) if wanted.as_bytes() == name)
                 }
             };
             let count = bytes.plain_integer()?.cast_unsigned();
@@ -129,10 +133,10 @@ pub(crate) fn read(steps: &[u8], wanted: &Of, mut each: impl FnMut(i64, Summary)
     Ok(())
 }
 
-/// Calls `each` with what steps have of a figure, and what `raw` tells beside them, in the order of time.
+/// Calls `each` with a figure's summaries in steps and its samples from `raw`, in the order of time.
 pub(crate) fn merged(
     steps: &[u8],
-    wanted: &Of,
+    wanted: &FigureKey,
     raw: impl FnOnce(&mut dyn FnMut(i64, f64)) -> Result<(), ReadError>,
     mut each: impl FnMut(i64, Reading),
 ) -> Result<(), ReadError> {
@@ -145,7 +149,7 @@ pub(crate) fn merged(
 }
 
 impl Reading {
-    /// Whether it says a number.
+    /// Whether the reading is not NaN.
     pub fn is_number(self) -> bool {
         !matches!(self, Self::Sample(value) if value.is_nan())
     }
@@ -159,7 +163,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read(steps in vec((any::<i64>(), vec((0..3_usize, -1e9..1e9), 0..20)), 0..10)) {
+        fn written_steps_are_read_back(steps in vec((any::<i64>(), vec((0..3_usize, -1e9..1e9), 0..20)), 0..10)) {
             let mut bytes = Vec::new();
             let mut wanted = [const { Vec::new() }; 3];
             for (t, figures) in &steps {
@@ -191,7 +195,7 @@ mod tests {
                     }
                 }
             }
-            for (of, wanted) in [Of::Column(0), Of::Child("a".into()), Of::Child("b".into())].iter().zip(wanted) {
+            for (of, wanted) in [FigureKey::Column(0), FigureKey::Child("a".into()), FigureKey::Child("b".into())].iter().zip(wanted) {
                 let mut found = Vec::new();
                 read(&bytes, of, |t, summary| found.push((t, summary))).unwrap();
                 prop_assert_eq!(found, wanted);
@@ -199,9 +203,9 @@ mod tests {
         }
 
         #[test]
-        fn no_bytes_make_it_panic(bytes in vec(any::<u8>(), 0..100)) {
-            let _ = read(&bytes, &Of::Child("a".into()), |_, _| ());
-            let _ = read(&bytes, &Of::Column(1), |_, _| ());
+        fn arbitrary_bytes_cause_no_panic(bytes in vec(any::<u8>(), 0..100)) {
+            let _ = read(&bytes, &FigureKey::Child("a".into()), |_, _| ());
+            let _ = read(&bytes, &FigureKey::Column(1), |_, _| ());
         }
     }
 }

@@ -1,30 +1,30 @@
-//! The one schema, and how each engine says it. A version is a file of SQL that SQLite takes as it is; what MySQL and
-//! MariaDB say otherwise (types, keys, storage) is put in its place here.
+//! The schema of a history. A version is a file of SQL for SQLite; types, keys and storage that MySQL and MariaDB spell
+//! differently are replaced here.
 
-/// From each schema version to the next, beginning with an empty database. Never edit one that was released: append
-/// another.
+/// Migrations from each schema version to the next, the first from an empty database. Never edit one that was released:
+/// append another.
 pub(crate) const MIGRATIONS: &[&str] = &[include_str!("schema/1.sql")];
 
-/// Length of a stretch of `presence`, nanoseconds.
+/// Length of a stretch of `presence`, ns.
 pub(crate) const STRETCH: i64 = 5_000_000_000;
 
-/// What a server says otherwise, in the order in which it is replaced.
+/// Replacements for a server, in the order in which they are made.
 #[cfg(feature = "mariadb")]
-const OTHERWISE: &[(&str, &str)] = &[
+const REPLACEMENTS: &[(&str, &str)] = &[
     // A migration that was killed half-way goes on where it was: a server commits each statement by itself.
     ("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"),
     ("INTEGER PRIMARY KEY", "BIGINT AUTO_INCREMENT PRIMARY KEY"),
     ("INTEGER", "BIGINT"),
     ("REAL", "DOUBLE"),
-    // The longest name has 128 characters of 4 bytes at most. As bytes, for they are compared one by one, as SQLite does:
-    // to a server, texts that differ in spaces at their end alone are equal.
+    // The longest name has 128 characters of at most 4 bytes. Bytes are compared one by one, as SQLite compares text. A
+    // server takes texts for equal that differ only in spaces at their end.
     ("TEXT NOT NULL UNIQUE", "VARBINARY(760) NOT NULL UNIQUE"),
     ("TEXT", "LONGTEXT"),
     ("BLOB", "LONGBLOB"),
     ("WITHOUT ROWID", ""),
 ];
 
-/// A migration as single statements for MySQL and MariaDB, in a session with `ANSI_QUOTES`.
+/// Returns a migration as single statements for MySQL and MariaDB, in a session with `ANSI_QUOTES`.
 #[cfg(feature = "mariadb")]
 pub(crate) fn for_server(migration: &str) -> Vec<String> {
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -32,10 +32,13 @@ pub(crate) fn for_server(migration: &str) -> Vec<String> {
     let text = without_comments.collect::<Vec<_>>().join("\n");
     let statements = text.split(';').map(str::trim).filter(|statement| !statement.is_empty());
     let translate = |statement: &str| {
-        let said = OTHERWISE.iter().fold(statement.to_owned(), |sql, (here, there)| sql.replace(here, there));
-        match said.starts_with("CREATE TABLE") {
-            true => format!("{} ENGINE = InnoDB CHARACTER SET utf8mb4 COLLATE utf8mb4_bin", said.trim_end()),
-            false => said.trim_end().to_owned(),
+        let translated =
+            REPLACEMENTS.iter().fold(statement.to_owned(), |sql, (here, there)| sql.replace(here, there));
+        match translated.starts_with("CREATE TABLE") {
+            true => {
+                format!("{} ENGINE = InnoDB CHARACTER SET utf8mb4 COLLATE utf8mb4_bin", translated.trim_end())
+            }
+            false => translated.trim_end().to_owned(),
         }
     };
     statements.map(translate).collect()
@@ -46,9 +49,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_server_is_told_in_its_own_words() {
+    fn a_migration_is_translated_for_servers() {
         let statements = for_server(MIGRATIONS[0]);
-        assert!(statements.iter().all(|told| told.starts_with("CREATE TABLE IF NOT EXISTS ")));
+        assert!(statements.iter().all(|statement| statement.starts_with("CREATE TABLE IF NOT EXISTS ")));
         assert_eq!(
             for_server(
                 "-- Later.\nALTER TABLE robot ADD COLUMN mood TEXT;\nALTER TABLE link ADD COLUMN cost REAL; -- euro\n"

@@ -1,6 +1,6 @@
-//! Histories in MySQL and MariaDB. Batches go straight to the server while it is there, each in one transaction. When
-//! it goes away they are spooled to a file instead, and a thread of its own waits for the server and takes them over,
-//! in order and each once, before anything newer: recording never waits for a network.
+//! Histories in MySQL and MariaDB. Batches go straight to the server, each in one transaction. During an outage they are
+//! spooled to a file instead. A thread waits for the server and writes the spooled batches, in order and each once,
+//! before newer ones: recording never waits for a network.
 
 mod connection;
 mod session;
@@ -38,28 +38,28 @@ use crate::{
     store::{Selection, Span, Store},
 };
 
-/// How long an answer, or a batch from the spool, may take.
+/// Timeout of an answer, or of a batch from the spool.
 const LONG_PATIENCE: Duration = Duration::from_secs(60);
 
-/// Between attempts to reach a server that went away.
+/// Time between attempts to reach a server after an outage began.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Connections for reading that are kept for the next question.
+/// Most idle connections for reading that are kept.
 const IDLE_READERS: usize = 4;
 
 type Reader = sql::Reader<ServerSession>;
 
-/// What a server is given.
+/// Limits for a server.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
-    /// One that takes longer to take a batch counts as gone. Meanwhile the recorder's queue fills.
+    /// Timeout of a batch; a server that takes longer counts as gone. Meanwhile the recorder's queue fills.
     patience: Duration,
-    /// A spool takes so many bytes.
+    /// Capacity of the spool, bytes.
     spool: u64,
 }
 
 impl Limits {
-    /// The server of a unit test is not gone, however busy its machine is.
+    /// Usual limits. In unit tests, the patience suits a busy machine.
     const USUAL: Self =
         Self { patience: Duration::from_secs(if cfg!(test) { 60 } else { 2 }), spool: 256_000_000 };
 }
@@ -71,27 +71,26 @@ pub(crate) struct Remote {
     drainer: Option<JoinHandle<()>>,
 }
 
-/// What the thread that empties the spool has in common with those who write.
+/// State shared by the thread that empties the spool and the callers that write.
 struct Shared {
     server: Server,
     patience: Duration,
     state: Mutex<State>,
-    /// The server went away, or the history is closed.
+    /// Notified when an outage begins or ends, and when the history is closed.
     changed: Condvar,
 }
 
 struct State {
-    /// Writes while the server is there and the spool is empty.
+    /// Writer to the server; `None` during an outage and until the spool is empty.
     direct: Option<Writer>,
     spool: Spool,
-    /// The number of the next batch. One whose fate is unknown is spooled under its number.
+    /// Number of the next batch. A batch whose fate is unknown is spooled under its number.
     batch: u64,
     closing: bool,
 }
 
 impl Remote {
-    /// Opens a history, or makes a new one, and takes in what processes left behind that recorded it while the
-    /// server was away.
+    /// Opens a history, or creates one, and takes in the spools that other processes left behind in an outage.
     pub fn open(server: &Server) -> Result<Self> {
         Self::within(server, Limits::USUAL)
     }
@@ -127,7 +126,7 @@ impl Remote {
         let fresh = || session(server, LONG_PATIENCE).map(Reader::new);
         let (reader, answer) = match taken {
             Some(reader) => match ask(&reader) {
-                // The server may have been started anew since this connection was made.
+                // The server may have restarted since this connection was made.
                 Err(Error::Unreachable { .. }) => {
                     self.readers.lock().clear();
                     let reader = fresh()?;
@@ -157,14 +156,14 @@ fn session(server: &Server, patience: Duration) -> Result<ServerSession> {
 }
 
 impl Shared {
-    /// From now on, what is recorded is spooled.
+    /// Begins an outage: from now on, events are spooled.
     fn lose(&self, state: &mut State, error: &Error) {
-        tracing::warn!(%error, spool = state.spool.name(), "the history is spooled to a file until its server is back");
+        tracing::warn!(%error, spool = state.spool.name(), "the history's server does not answer: events are spooled to a file until it is back");
         state.direct = None;
         self.changed.notify_all();
     }
 
-    /// Waits for a server that went away, and brings it what was spooled, until the history is closed.
+    /// Waits for outages, and writes the spool to the server after each, until the history is closed.
     fn drain(&self) {
         let mut state = self.state.lock();
         loop {
@@ -180,13 +179,13 @@ impl Shared {
             let outcome = self.catch_up();
             state = self.state.lock();
             match outcome {
-                Ok(()) => tracing::info!("the server of the history is back, and has all that was spooled"),
+                Ok(()) => tracing::info!("the history's server is back, and has all spooled events"),
                 Err(error) if closing => {
-                    tracing::warn!(%error, spool = state.spool.name(), "what was recorded stays in the spool until the history is opened again");
+                    tracing::warn!(%error, spool = state.spool.name(), "events stay in the spool until the history is opened again");
                     return;
                 }
                 Err(error) => {
-                    tracing::debug!(%error, "the server of the history is still away");
+                    tracing::debug!(%error, "the history's server still does not answer");
                     if !state.closing {
                         self.changed.wait_for(&mut state, RETRY);
                     }
@@ -257,13 +256,13 @@ fn take_in(writer: &mut Writer, spool: &Spool) -> Result<()> {
             Next::End => break,
             Next::Damage(detail) => {
                 let aside = spool.put_aside()?;
-                tracing::error!(file = %aside.display(), detail, "part of a spool is damaged, and was put aside");
+                tracing::error!(file = %aside.display(), detail, "a spool is partly damaged, and was put aside");
                 break;
             }
         }
     }
     if batches > 0 {
-        tracing::info!(batches, spool = spool.name(), "took in what was recorded while the server was away");
+        tracing::info!(batches, spool = spool.name(), "took in events spooled during the server's outage");
     }
     Ok(())
 }
@@ -272,7 +271,7 @@ fn take_in(writer: &mut Writer, spool: &Spool) -> Result<()> {
 fn forget(session: &ServerSession, spool: &Spool) -> Result<()> {
     if let Err(error) = spool.remove() {
         // Its receipt stays, so that nothing is taken in again.
-        tracing::warn!(%error, "a spool that is not needed any more is left");
+        tracing::warn!(%error, "cannot remove a spool that is no longer needed");
         return Ok(());
     }
     session.execute("DELETE FROM spool WHERE writer = ?", &[spool.writer.as_str().into()]).map(|_| ())
@@ -285,7 +284,7 @@ fn take_record(writer: &mut Writer, receipt: Receipt<'_>, record: &Record) -> Re
     };
     match outcome {
         Err(Error::NoSuchRun(run)) => {
-            tracing::error!(%run, "what was spooled of this run is dropped: the history does not have it any more");
+            tracing::error!(%run, "spooled events of this run are dropped: the history no longer has the run");
             Ok(())
         }
         outcome => outcome,
@@ -315,7 +314,7 @@ impl Store for Remote {
     fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
         let mut state = self.shared.state.lock();
         let Some(writer) = &mut state.direct else {
-            let cause = "it went away, and what was recorded is not in it yet".into();
+            let cause = "it does not answer since an outage, and lacks spooled events".into();
             return Err(Error::Unreachable { history: self.shared.server.name.clone(), cause });
         };
         let begun = sql::begin_run(&writer.session, info);
@@ -392,7 +391,7 @@ impl Store for Remote {
         span: Span,
         each: &mut dyn FnMut(i64, Reading),
     ) -> Result<()> {
-        // Gathered first: a question that is asked again must not tell anything twice.
+        // Gathered first: a question that is repeated must not call `each` twice for a value.
         let values = self.read(|reader| {
             let mut values = Vec::new();
             reader.values(run, figure, span, &mut |t, value| values.push((t, value)))?;
@@ -423,7 +422,7 @@ impl Store for Remote {
     }
 
     fn thin(&self, run: RunId, kind: Kind, thinned: &[Thinned]) -> Result<()> {
-        // Thinned twice, because nobody heard of the first time, is thinned once.
+        // Repeating this after a lost answer does no harm.
         self.read(|reader| sql::thin(&reader.session, run, kind, thinned))
     }
 

@@ -29,19 +29,19 @@ use crate::{
 /// Marks a database as a history of cotorra ("coto"), as SQLite's file format provides.
 const APPLICATION_ID: i32 = 0x636f_746f;
 
-/// How long to wait for another process that holds the file.
+/// Most time to wait for another process that locks the file.
 const BUSY: Duration = Duration::from_secs(5);
 
 /// Memory for pages of the connection that writes, KiB.
 const CACHE_KIB: i32 = 8192;
 
-/// SQLite's own bound on a file.
+/// SQLite's own bound on a file, pages.
 const MOST_PAGES: u32 = 4_294_967_294;
 
-/// Pages of 4 KiB in the log when it is folded into the file.
+/// Length of the log, in pages of 4 KiB, at which it is folded into the file.
 const LOG_PAGES: i32 = 4096;
 
-/// Connections for reading that are kept for the next question.
+/// Most idle connections for reading that are kept.
 const IDLE_READERS: usize = 4;
 
 type Reader = sql::Reader<SqliteSession>;
@@ -51,15 +51,15 @@ type Fallible<T> = std::result::Result<T, rusqlite::Error>;
 /// A database file.
 pub(crate) struct Sqlite {
     path: Arc<Path>,
-    /// The path, as errors name it.
+    /// The path in errors.
     name: Arc<str>,
     readers: Mutex<Vec<Reader>>,
-    /// Dropped last: the last connection to close folds the log into the file, and one that only reads cannot.
+    /// Dropped last: the last connection to close folds the log into the file, which one that only reads cannot do.
     writer: Mutex<Writer>,
 }
 
 impl Sqlite {
-    /// Opens a history, or makes a new one.
+    /// Opens a history, or creates one.
     pub fn open(path: &Path) -> Result<Self> {
         let name: Arc<str> = path.to_string_lossy().into();
         let path: Arc<Path> = path.into();
@@ -73,7 +73,7 @@ impl Sqlite {
         Ok(Self { path, name, writer: Mutex::new(writer), readers: Mutex::default() })
     }
 
-    /// Opens a history to ask it, even one that cannot be written.
+    /// Opens a history to read it, even one that cannot be written.
     pub fn open_to_read(path: &Path) -> Result<Self> {
         let refused = match Self::open(path) {
             Err(refused @ (Error::ReadOnly { .. } | Error::Open { .. })) => refused,
@@ -82,7 +82,7 @@ impl Sqlite {
         let name: Arc<str> = path.to_string_lossy().into();
         let is_history =
             |connection: &Connection| -> Fallible<Result<usize>> { version(connection, &name, MIGRATIONS) };
-        // Where nothing can be written, SQLite cannot read along with a writer; but there then is none.
+        // On a read-only medium SQLite cannot read along with a writer, but there is none either.
         for place in [path.into(), immutable(path)] {
             let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
                 | OpenFlags::SQLITE_OPEN_URI
@@ -94,7 +94,7 @@ impl Sqlite {
             }
             let log = std::fs::metadata(with_ending(path, "-wal")).is_ok_and(|log| log.len() > 0);
             if log && *place != *path {
-                tracing::warn!(history = %name, "what is in its log only is not told: the log cannot be read here");
+                tracing::warn!(history = %name, "events that only the log has are missing: the log cannot be read on this medium");
             }
             let writer = Writer::new(SqliteSession::new(connection, &name));
             return Ok(Self {
@@ -128,7 +128,7 @@ fn with_ending(path: &Path, ending: &str) -> std::path::PathBuf {
     name.into()
 }
 
-/// As a URI that says that nobody changes the file.
+/// Returns a URI that declares the file unchanging.
 fn immutable(path: &Path) -> std::path::PathBuf {
     let mut uri = "file:".to_owned();
     for byte in path.as_os_str().as_encoded_bytes() {
@@ -142,12 +142,12 @@ fn immutable(path: &Path) -> std::path::PathBuf {
     (uri + "?immutable=1").into()
 }
 
-/// Checks what the file is before anything in it is touched, then brings it up to date.
+/// Checks that the file is a history before anything in it is touched, then migrates it.
 fn prepare(connection: &mut Connection, history: &Arc<str>, migrations: &[&str]) -> Result<()> {
     let work = |connection: &mut Connection| -> Fallible<Result<()>> {
         connection.busy_timeout(BUSY)?;
         match version(connection, history, migrations) {
-            // Where nothing can be written, not even a log that is read along, SQLite cannot read either.
+            // On a read-only medium SQLite cannot read a file in this mode either: it would have to create a log.
             Err(_) if connection.is_readonly("main")? => {
                 return Ok(Err(Error::ReadOnly { history: history.clone() }));
             }
@@ -163,7 +163,8 @@ fn prepare(connection: &mut Connection, history: &Arc<str>, migrations: &[&str])
             tracing::warn!(%history, mode, "the file system has no write-ahead log: readers wait");
         }
         connection.pragma_update(None, "synchronous", "FULL")?;
-        // A batch fits, and is written once: to the log at its commit, and from there when the log has some of them.
+        // A batch fits in the cache, and is written once: to the log at its commit. From there it is folded into the
+        // file later.
         connection.pragma_update(None, "cache_size", -CACHE_KIB)?;
         connection.pragma_update(None, "wal_autocheckpoint", LOG_PAGES)?;
 
@@ -184,7 +185,7 @@ fn prepare(connection: &mut Connection, history: &Arc<str>, migrations: &[&str])
     work(connection).map_err(|e| engine_error(history, e))?
 }
 
-/// The schema version of a file that may be a history; 0 for an empty one.
+/// Returns the schema version of a file that may be a history; 0 for an empty one.
 fn version(connection: &Connection, history: &Arc<str>, migrations: &[&str]) -> Fallible<Result<usize>> {
     let application: i32 = connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
     let found: u32 = connection.pragma_query_value(None, "user_version", |row| row.get(0))?;

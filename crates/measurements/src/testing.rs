@@ -1,4 +1,4 @@
-//! Events for tests: any that can be, from a small set of names so that series meet themselves again.
+//! Strategies for events. They draw from a small set of names, so that several events belong to the same series.
 
 use std::{sync::Arc, time::Duration};
 
@@ -42,7 +42,7 @@ pub fn placement(at: u64, vnf: &str, node: &str) -> Stamped {
     }
 }
 
-/// Any number but NaN, which equals nothing.
+/// Draws any number but NaN, which equals nothing.
 fn real() -> impl Strategy<Value = f64> {
     POSITIVE | NEGATIVE | NORMAL | SUBNORMAL | ZERO | INFINITE
 }
@@ -59,7 +59,7 @@ fn duration() -> impl Strategy<Value = Duration> {
     (0..=1_u64 << 51).prop_map(Duration::from_nanos)
 }
 
-/// What survives the milliseconds of a [`ConditionChange`]'s JSON.
+/// Draws durations that survive the milliseconds of a [`ConditionChange`]'s JSON.
 fn hours() -> impl Strategy<Value = Duration> {
     (0..1_000_000_000_000_u64).prop_map(Duration::from_nanos)
 }
@@ -175,7 +175,7 @@ prop_compose! {
     }
 }
 
-/// So alike that a link keeps its conditions from one sample to the next now and then, or changes a part of them.
+/// Draws similar conditions, so that a link sometimes keeps them from one sample to the next, or changes a part.
 fn similar_conditions() -> impl Strategy<Value = Conditions> {
     prop_oneof![
         2 => Just(Conditions::default()),
@@ -299,7 +299,7 @@ fn instruction() -> impl Strategy<Value = Instruction> {
     ]
 }
 
-/// One node or several.
+/// Draws one node or several.
 fn nodes() -> impl Strategy<Value = Nodes> {
     proptest::collection::btree_set(node(), 1..4)
         .prop_map(|nodes| Nodes::new(nodes.into_iter().rev().collect()).unwrap())
@@ -367,7 +367,7 @@ prop_compose! {
     }
 }
 
-/// Any event that a history can hold.
+/// Draws any event that a history can hold.
 pub fn event() -> impl Strategy<Value = Event> {
     prop_oneof![
         robot_context().prop_map(Event::Robot),
@@ -402,7 +402,7 @@ pub fn event() -> impl Strategy<Value = Event> {
     ]
 }
 
-/// Times that meet, that lie in few and in far stretches of 5 s, and that end where a history's time ends.
+/// Draws times that coincide, that lie in few or in distant stretches of 5 s, and up to the end of a history's time.
 pub fn time() -> impl Strategy<Value = Timestamp> {
     let last = i64::MAX.cast_unsigned();
     prop_oneof![
@@ -415,12 +415,12 @@ pub fn time() -> impl Strategy<Value = Timestamp> {
     .prop_map(Timestamp::from_nanos)
 }
 
-/// Any event that a history can hold, at any time.
+/// Draws any event that a history can hold, at any time.
 pub fn stamped() -> impl Strategy<Value = Stamped> {
     (time(), event()).prop_map(|(at, event)| Stamped { at, event })
 }
 
-/// Any figure of the names above.
+/// Draws any figure of these names.
 pub fn figure() -> impl Strategy<Value = crate::Figure> {
     use crate::{Figure, LatenessQuantity, LinkQuantity, RobotQuantity};
     prop_oneof![

@@ -1,4 +1,4 @@
-//! Disks that are full or read-only, for real: small file systems in memory, in a mount namespace of their own.
+//! Tests on disks that are really full or read-only: small file systems in memory, in a mount namespace of their own.
 #![allow(clippy::unwrap_used, reason = "a test says so by failing")]
 
 use std::{
@@ -30,7 +30,7 @@ fn info() -> RunInfo {
     RunInfo { name: "disk".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() }
 }
 
-/// The folder of a test that runs in a namespace.
+/// Returns the folder of a test that runs in a namespace.
 fn folder() -> Option<PathBuf> {
     std::env::var_os(FOLDER).map(PathBuf::from)
 }
@@ -54,8 +54,8 @@ fn in_a_small_file_system(commands: &str) {
     }
     let inside = "inside() { \"$SELF\" \"$1\" --exact --ignored --nocapture; }";
     let output = unshare(&format!("{mount}\n{inside}\n{commands}")).unwrap();
-    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    assert!(output.status.success(), "{}{}", said(&output.stdout), said(&output.stderr));
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
 }
 
 #[test]
@@ -63,7 +63,7 @@ fn a_disk_that_is_full_for_a_while_loses_nothing() {
     in_a_small_file_system("inside fills_the_disk\ninside opens_what_was_filled");
 }
 
-/// Something else fills the disk, and goes away again.
+/// Fills the disk with another file.
 fn ballast(folder: &Path) -> PathBuf {
     let path = folder.join("ballast");
     fs::write(&path, vec![1; 1_000_000]).unwrap();
@@ -90,7 +90,7 @@ fn fills_the_disk() {
             Err(other) => panic!("{other}"),
         }
     }
-    // Questions are answered meanwhile.
+    // Reading still works.
     assert!(acknowledged > 0 && everything(&history, run) == all(acknowledged));
     assert!(matches!(history.end_run(run, Timestamp::ZERO), Err(Error::Full { .. })));
 
@@ -120,7 +120,7 @@ fn opens_what_was_filled() {
 }
 
 #[test]
-fn a_file_system_that_is_read_only_is_told() {
+fn a_read_only_file_system_causes_an_error() {
     in_a_small_file_system(
         "inside makes_a_history\nmount -o remount,ro \"$COTORRA_TEST_FOLDER\"\ninside is_refused",
     );

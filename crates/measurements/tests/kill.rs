@@ -1,5 +1,4 @@
-//! What was acknowledged survives kill -9, whenever it comes: in a file, in a server, and in the spool of one that is
-//! away.
+//! Acknowledged events survive kill -9 at any time: in a file, in a server, and in a spool.
 #![allow(clippy::unwrap_used, reason = "a test says so by failing")]
 
 use std::{
@@ -13,7 +12,7 @@ use cotorra_testing::mariadb::MariaDb;
 
 const PATH: &str = "COTORRA_TEST_HISTORY";
 
-/// The process that is killed: records numbers for ever, and says how far it has been told that they are durable.
+/// Runs in the process that is killed: records numbers for ever, and prints the last one that is durable.
 #[test]
 #[ignore = "is started and killed by the test below"]
 fn records_until_it_is_killed() {
@@ -39,7 +38,7 @@ fn numbered(n: u64) -> Stamped {
     Stamped { at: Timestamp::from_nanos(n * 1000), event }
 }
 
-/// That process.
+/// The process that is killed.
 struct Recording {
     child: Child,
     lines: Box<dyn Iterator<Item = String>>,
@@ -64,19 +63,19 @@ impl Recording {
         self.lines.find_map(|line| line.strip_prefix("run ").map(|run| run.parse().unwrap())).unwrap()
     }
 
-    /// The number that is acknowledged next, if there is one.
+    /// Returns the next number that is acknowledged, if there is one.
     fn durable(&mut self) -> Option<u64> {
         self.lines.find_map(|line| line.strip_prefix("durable ").map(|n| n.parse().unwrap()))
     }
 
-    /// Waits for so many acknowledgements.
+    /// Waits for a number of acknowledgements.
     fn wait(&mut self, acknowledgements: usize) {
         for _ in 0..acknowledgements {
             self.durable().unwrap();
         }
     }
 
-    /// Gives back the last number that was acknowledged: what it said until it died counts as well.
+    /// Kills the process, and returns the last number that it acknowledged until it died.
     fn kill(mut self) -> Option<u64> {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
@@ -84,7 +83,7 @@ impl Recording {
     }
 }
 
-/// All that was acknowledged is there, and nothing is missing or twice in between.
+/// Checks that all acknowledged events are there, without gaps or duplicates.
 fn check(history: &History, acknowledged: &[(RunId, u64)]) {
     for (run, durable) in acknowledged {
         let mut found = 0;
@@ -104,7 +103,7 @@ fn check(history: &History, acknowledged: &[(RunId, u64)]) {
 }
 
 #[test]
-fn what_was_acknowledged_survives_kill_9() {
+fn acknowledged_events_survive_kill_9() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("history.sqlite");
     let mut acknowledged = Vec::new();
@@ -121,10 +120,10 @@ fn what_was_acknowledged_survives_kill_9() {
     check(&history, &acknowledged);
 }
 
-/// The server dies under a process that records, the process dies with what it spooled, and so do those that take it
-/// in; in the end everything is there, once.
+/// Kills the server under a process that records, then the process with its spool, then those that take the spool in. In
+/// the end every event is there once.
 #[test]
-fn what_was_acknowledged_survives_kill_9_of_process_and_server() {
+fn acknowledged_events_survive_kill_9_of_process_and_server() {
     let Some(server) = MariaDb::start() else { return };
     let url = server.fresh();
     let location: Location = url.parse().unwrap();
@@ -142,7 +141,7 @@ fn what_was_acknowledged_survives_kill_9_of_process_and_server() {
             Recording::start(&url).kill();
         }
     }
-    // The last one is killed while it brings the server what it spooled itself.
+    // The last process is killed while it writes its own spool to the server.
     let mut recording = Recording::start(&url);
     let run = recording.run();
     server.kill();

@@ -1,5 +1,5 @@
-//! Samples that are rolled up are counted once, whatever happens meanwhile: in a file and in a server, by a process that
-//! is killed, and with samples that come late.
+//! Rolled-up samples are counted once: in a file and in a server, by a process that is killed, and with samples that come
+//! late.
 #![allow(clippy::unwrap_used, reason = "a test says so by failing")]
 
 use std::{
@@ -38,7 +38,7 @@ fn link(name: &str, n: u64) -> Stamped {
     let context = LinkContext {
         link: LinkId::new(name).unwrap(),
         direction: Direction::Forward,
-        // Nothing crosses now and then.
+        // Some samples have no delay.
         delay: (!n.is_multiple_of(7)).then(|| Duration::from_micros(1000 + n * 37 % 501)),
         throughput_bps: n as f64,
         probed: None,
@@ -91,7 +91,7 @@ fn reading(n: u64) -> Stamped {
     Stamped { at: at(n), event: Event::Sensor(reading) }
 }
 
-/// A run of two links, a robot and its sensor.
+/// Records a run of two links, a robot and its sensor.
 fn recorded(history: &History, ended: bool) -> RunId {
     let info = RunInfo { name: "old".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() };
     let run = history.begin_run(&info).unwrap();
@@ -106,7 +106,7 @@ fn recorded(history: &History, ended: bool) -> RunId {
     run
 }
 
-/// All engines that there are.
+/// Returns all available engines.
 fn engines() -> Vec<(History, String, Option<Arc<MariaDb>>, tempfile::TempDir)> {
     let mut all = Vec::new();
     let folder = tempfile::tempdir().unwrap();
@@ -147,14 +147,14 @@ fn prune(history: &History, run: RunId, retention: &Retention, dry: bool) -> Pru
     all
 }
 
-/// What does not depend on how it is kept. Sums may differ in the last bits.
+/// Returns the values that rolling up must not change. Sums may differ in the last bits.
 fn exact(values: &Values) -> (u64, f64, f64, i64, f64) {
     (values.count, values.min, values.max, (values.mean * 1e6).round() as i64, values.last)
 }
 
 #[test]
 fn figures_are_the_same_before_and_after() {
-    let mut told = Vec::new();
+    let mut results = Vec::new();
     for (history, ..) in engines() {
         let run = recorded(&history, true);
         let other = recorded(&history, true);
@@ -195,7 +195,7 @@ fn figures_are_the_same_before_and_after() {
             assert_eq!(exact(a), exact(b));
         }
 
-        // The last bits of the past go.
+        // The rest of the past is dropped.
         let short = Retention { keep: Some(Duration::from_secs(60)), ..RETENTION };
         let dropped = prune(&history, run, &short, false);
         assert_eq!((dropped.rolled_up, dropped.dropped), (0, 4 * 60));
@@ -203,17 +203,17 @@ fn figures_are_the_same_before_and_after() {
         assert_eq!((rest[0].count, rest[0].min), (600, 600.0));
         assert_eq!(history.retained(run).unwrap()[0].dropped_to, at(600));
         assert_eq!(exact(&curve(&history, other, "x:robot", 1)[0]), exact(&before[2][1][0]));
-        told.push((format!("{after:?}"), kept));
+        results.push((format!("{after:?}"), kept));
     }
-    assert!(told.windows(2).all(|two| two[0] == two[1]), "every engine gives the same answers");
+    assert!(results.windows(2).all(|two| two[0] == two[1]), "every engine gives the same answers");
 }
 
 #[test]
-fn what_comes_late_is_counted_once() {
+fn late_samples_are_counted_once() {
     for (history, ..) in engines() {
         let run = recorded(&history, false);
         prune(&history, run, &RETENTION, false);
-        // A clock that steps back, into what was rolled up.
+        // The clock steps back to times that were rolled up.
         let recorder = history.recorder(run).unwrap();
         for n in [55, 57, 305] {
             recorder.record(link("b-c", n));
@@ -240,7 +240,7 @@ fn a_run_that_goes_on_keeps_its_last_seconds() {
     assert!(history.retained(run).unwrap()[0].rolled_up_to <= at(SAMPLES - 100));
 }
 
-/// The process that is killed.
+/// Runs in the process that is killed.
 #[test]
 #[ignore = "is started and killed by the test below"]
 fn prunes_until_it_is_killed() {
@@ -271,7 +271,7 @@ fn kill_9_leaves_either_samples_or_points() {
                 .unwrap();
             let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
             let slices = lines.by_ref().filter(|line| line == "slice" || line == "done");
-            // A little later each time, in the middle of whatever it does.
+            // A little later each time.
             let last = slices.take(2 + round as usize % 3).last();
             child.kill().unwrap();
             child.wait().unwrap();

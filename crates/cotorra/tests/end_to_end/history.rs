@@ -246,7 +246,7 @@ fn an_exported_run_is_imported_with_the_same_answers() {
         assert!(printed.contains(&format!("are run {number} in imported.sqlite")), "{printed}");
         let imported = [*number, "--history", "imported.sqlite"];
         assert!(events(&[okpi]) == events(&imported), "{format}");
-        assert!(runs.refusal(&["export", okpi, "--out", format]).contains("is there already"));
+        assert!(runs.refusal(&["export", okpi, "--out", format]).contains("exists already"));
     }
     for (format, _) in others {
         let errors = runs.refusal(&["export", okpi, "--format", format, "--out", format]);

@@ -1,5 +1,5 @@
-//! Entries in bytes, column by column: for what is kept beside a history until it can be taken in. Nothing is
-//! referred to; names and conditions are written out.
+//! Entries in bytes, column by column, for events that are kept beside a history for a while. Names and conditions are
+//! written out instead of their ids.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ const REAL: u8 = 2;
 const TEXT: u8 = 3;
 
 /// Appends an entry.
-#[cfg_attr(not(any(test, feature = "mariadb")), expect(dead_code, reason = "of spools alone"))]
+#[cfg_attr(not(any(test, feature = "mariadb")), expect(dead_code, reason = "used by spools only"))]
 pub(crate) fn write(entry: &Entry, bytes: &mut Vec<u8>) {
     let (mut row, mut children) = (Fields::default(), Fields::default());
     encode(&entry.stamped.event, &mut row, &mut children);
@@ -58,7 +58,7 @@ fn write_value(value: &Value<'_>, bytes: &mut Vec<u8>) {
     }
 }
 
-/// Small figures, of either sign, take few bytes: zigzag and LEB128, as in Protocol Buffers' `sint64`.
+/// Appends an integer. Small ones of either sign take few bytes: zigzag and LEB128, as in Protocol Buffers' `sint64`.
 pub(crate) fn write_integer(n: i64, bytes: &mut Vec<u8>) {
     let mut left = ((n << 1) ^ (n >> 63)).cast_unsigned();
     while left >= 0x80 {
@@ -68,22 +68,22 @@ pub(crate) fn write_integer(n: i64, bytes: &mut Vec<u8>) {
     bytes.push(left as u8);
 }
 
-/// What [`write()`] wrote, from the first byte on.
+/// Bytes that [`write()`] wrote, read from the first on.
 pub(crate) struct Bytes<'a>(pub &'a [u8]);
 
 type Answer<T> = std::result::Result<T, ReadError>;
 
 impl Bytes<'_> {
-    /// The next entry.
+    /// Reads the next entry.
     pub fn entry(&mut self) -> Answer<Entry> {
         let run = RunId(self.plain_integer()?);
         let at = Timestamp::from_nanos(self.plain_integer()?.cast_unsigned());
         let kind = self.byte()?;
-        let kind = Kind::ALL.get(usize::from(kind)).ok_or_else(|| unreadable("there is no such kind"))?;
+        let kind = Kind::ALL.get(usize::from(kind)).ok_or_else(|| unreadable("an unknown kind of event"))?;
         Ok(Entry { run, stamped: Stamped { at, event: decode(*kind, self)? } })
     }
 
-    /// The next integer, as [`write_integer`] wrote it.
+    /// Reads an integer of [`write_integer`].
     pub fn plain_integer(&mut self) -> Answer<i64> {
         let mut n = 0_u64;
         for shift in (0..64).step_by(7) {
@@ -96,12 +96,12 @@ impl Bytes<'_> {
         Err(unreadable("an integer has no end"))
     }
 
-    /// So many bytes as they are.
+    /// Reads bytes as they are.
     pub fn plain_bytes(&mut self, count: i64) -> Answer<&[u8]> {
         self.take(usize::try_from(count).unwrap_or(usize::MAX))
     }
 
-    /// Passes so many integers.
+    /// Skips integers.
     pub fn skip(&mut self, integers: usize) -> Answer<()> {
         let mut left = integers;
         let end = self.0.iter().position(|byte| {
@@ -135,7 +135,7 @@ impl Source for Bytes<'_> {
         match self.byte()? {
             NULL => Ok(None),
             INTEGER => self.plain_integer().map(Some),
-            _ => Err(unreadable("an integer is none")),
+            _ => Err(unreadable("expected an integer")),
         }
     }
 
@@ -146,7 +146,7 @@ impl Source for Bytes<'_> {
                 let bytes = self.take(8)?.try_into().expect("eight bytes were taken");
                 Ok(Some(f64::from_le_bytes(bytes)))
             }
-            _ => Err(unreadable("a number is none")),
+            _ => Err(unreadable("expected a number")),
         }
     }
 
@@ -154,12 +154,13 @@ impl Source for Bytes<'_> {
         match self.byte()? {
             NULL => Ok(None),
             TEXT => {
-                let length =
-                    usize::try_from(self.plain_integer()?).map_err(|_| unreadable("a text is short"))?;
-                let text = str::from_utf8(self.take(length)?).map_err(|_| unreadable("a text is none"))?;
+                let length = usize::try_from(self.plain_integer()?)
+                    .map_err(|_| unreadable("a text has a negative length"))?;
+                let text =
+                    str::from_utf8(self.take(length)?).map_err(|_| unreadable("a text is not UTF-8"))?;
                 Ok(Some(text.to_owned()))
             }
-            _ => Err(unreadable("a text is none")),
+            _ => Err(unreadable("expected a text")),
         }
     }
 
@@ -188,7 +189,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read(events in vec((any::<i64>(), stamped()), 0..10)) {
+        fn written_entries_are_read_back(events in vec((any::<i64>(), stamped()), 0..10)) {
             let entries: Vec<_> =
                 events.into_iter().map(|(run, stamped)| Entry { run: RunId(run), stamped }).collect();
             let mut bytes = Vec::new();
@@ -200,9 +201,8 @@ mod tests {
             prop_assert!(rest.0.is_empty());
         }
 
-        /// Whatever the bytes are, there is an entry or an error.
         #[test]
-        fn no_bytes_make_it_panic(bytes in vec(any::<u8>(), 0..200)) {
+        fn arbitrary_bytes_cause_no_panic(bytes in vec(any::<u8>(), 0..200)) {
             let mut rest = Bytes(&bytes);
             while rest.entry().is_ok() {}
         }

@@ -1,4 +1,4 @@
-//! Rows into events.
+//! Converts rows to events.
 
 use std::{sync::Arc, time::Duration};
 
@@ -14,7 +14,7 @@ use cotorra_graph::{
 use super::direction_of;
 use crate::{error::Error, kind::Kind};
 
-/// The columns of a row that is read, from the first to the last.
+/// A row that is read column by column, from the first to the last.
 pub(crate) trait Source {
     fn integer(&mut self) -> Result<Option<i64>>;
     fn real(&mut self) -> Result<Option<f64>>;
@@ -57,7 +57,7 @@ fn unreadable(what: impl std::fmt::Display) -> ReadError {
 }
 
 fn required<T>(value: Option<T>) -> Result<T> {
-    value.ok_or_else(|| unreadable("a column is NULL that never is"))
+    value.ok_or_else(|| unreadable("a required column is NULL"))
 }
 
 fn json<T: serde::de::DeserializeOwned>(text: &str) -> Result<T> {
@@ -134,19 +134,19 @@ impl Columns<'_> {
         let fault = |word| RobotFault::ALL.into_iter().find(|fault| fault.as_str() == word);
         text.split_whitespace()
             .map(|word| {
-                fault(word).ok_or_else(|| unreadable(format_args!("`{word}` is no fault of a robot")))
+                fault(word).ok_or_else(|| unreadable(format_args!("`{word}` is not a fault of a robot")))
             })
             .collect()
     }
 
-    /// Every probe that told anything told the age of the loss.
+    /// Reads probed values. Every probe with a result has the age of the loss.
     fn probed(&mut self) -> Result<Option<Probed>> {
         let [delay, jitter, delay_age] = [self.duration()?, self.duration()?, self.duration()?];
         let (loss, loss_age) = (self.0.real()?, self.duration()?);
         Ok(loss_age.map(|loss_age| Probed { delay, jitter, delay_age, loss, loss_age }))
     }
 
-    /// Large data has every column, and other readings have none.
+    /// Reads large data, which has every column, while other readings have none.
     fn large_data(&mut self) -> Result<Option<LargeData>> {
         let Some(sequence) = self.0.integer()? else {
             self.0.text()?;
@@ -171,13 +171,13 @@ impl Columns<'_> {
         Ok(self.duration()?.map(|age| Tested { throughput_bps, offered_bps, age }))
     }
 
-    /// What a pose has beside that in the plane.
+    /// Reads the part of a pose outside the plane.
     fn height(&mut self, pose: &mut Pose) -> Result<()> {
         (pose.z, pose.roll, pose.pitch) = (self.real()?, self.real()?, self.real()?);
         Ok(())
     }
 
-    /// Of a pose, what is in the plane.
+    /// Reads the part of a pose in the plane.
     fn pose(&mut self) -> Result<Pose> {
         let (x, y, heading) = (self.real()?, self.real()?, self.real()?);
         let mut covariance = [0.0; 9];

@@ -1,4 +1,4 @@
-//! Events into rows.
+//! Converts events to rows.
 
 use std::{borrow::Cow, time::Duration};
 
@@ -9,7 +9,7 @@ use cotorra_graph::{
 
 use super::{Role, Value, direction_code};
 
-/// The columns of one row, or of several child rows one after the other.
+/// Columns of one row, or of several child rows one after the other.
 #[derive(Debug, Default)]
 pub(crate) struct Fields<'a>(pub Vec<Value<'a>>);
 
@@ -56,12 +56,12 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// What a pose has beside that in the plane.
+    /// Adds the part of a pose outside the plane.
     fn height(&mut self, pose: &Pose) -> &mut Self {
         self.real(pose.z).real(pose.roll).real(pose.pitch)
     }
 
-    /// Of a pose, what is in the plane.
+    /// Adds the part of a pose in the plane.
     fn pose(&mut self, pose: &Pose) -> &mut Self {
         self.real(pose.x).real(pose.y).real(pose.heading);
         for c in pose.covariance {
@@ -235,7 +235,7 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
     }
 }
 
-/// Faults in words, with spaces between; `None` without any.
+/// Returns faults as words with spaces between; `None` without any.
 fn faults(health: &[RobotFault]) -> Option<String> {
     let words: Vec<_> = health.iter().map(|fault| fault.as_str()).collect();
     (!words.is_empty()).then(|| words.join(" "))
@@ -245,7 +245,7 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
     let mut put = |instruction: &'static str, subject: &'a str, object: Option<&'a str>| {
         row.text(instruction).name(subject).optional(object, Fields::name);
     };
-    // Then: linear, angular, waypoint, direction, change.
+    // The columns that follow: linear, angular, waypoint, direction, change.
     match instruction {
         Instruction::Move { robot, velocity, waypoint } => {
             put("move", robot.as_str(), None);
@@ -332,7 +332,7 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
     }
 }
 
-/// An access point as JSON. Its key is nobody's business, even where a decision were told with it.
+/// Returns an access point as JSON, without its key, which must not reach a history.
 fn access_point_json(access_point: &AccessPoint) -> String {
     serde_json::to_string(&access_point.public()).expect("an access point holds only what JSON can")
 }

@@ -1,4 +1,4 @@
-//! Apache Parquet, and Arrow's IPC file format: the same record batches in two kinds of files.
+//! Tables as Apache Parquet and in Arrow's IPC file format: the same record batches in two kinds of files.
 
 use std::{
     fs::File,
@@ -24,9 +24,9 @@ use super::{
     table::{Cell, Shape, TableWriter, Type},
 };
 
-/// Rows that are gathered before they are written.
+/// Rows of a record batch.
 const BATCH: usize = 8192;
-/// Rows of a part of a Parquet file, which is kept in memory until it is complete.
+/// Rows of a row group of a Parquet file, which stays in memory until it is complete.
 const ROW_GROUP: usize = 65_536;
 
 fn schema(shape: &Shape) -> Arc<Schema> {
@@ -42,7 +42,7 @@ fn schema(shape: &Shape) -> Arc<Schema> {
 }
 
 enum Sink {
-    // None: complete.
+    // `None` once complete.
     Parquet(Option<ArrowWriter<BufWriter<File>>>),
     Ipc(arrow_ipc::writer::FileWriter<BufWriter<File>>),
 }

@@ -1,4 +1,4 @@
-//! Comma-separated values (RFC 4180). No value is an empty field; an empty text is `""`.
+//! Tables as comma-separated values (RFC 4180). A missing value is an empty field; an empty text is `""`.
 
 use std::{
     fs::File,
@@ -61,7 +61,7 @@ pub struct Reader {
     line: usize,
 }
 
-/// A field, and whether it stood in quotes.
+/// A field, and whether it was quoted.
 type Field = (String, bool);
 
 impl Reader {
@@ -82,7 +82,7 @@ impl Reader {
         ExportError::malformed(&self.path, format_args!("line {}: {problem}", self.line))
     }
 
-    /// The fields of the next row; `None` at the end.
+    /// Returns the fields of the next row; `None` at the end.
     fn fields(&mut self) -> Result<Option<Vec<Field>>> {
         let mut bytes = Vec::new();
         loop {
@@ -120,11 +120,11 @@ impl Reader {
             Type::Real => text.parse().ok().map(Cell::Real),
         };
         let cells: Option<Vec<_>> = fields.into_iter().zip(&self.types).map(cell).collect();
-        cells.map(Some).ok_or_else(|| self.wrong("a figure is none"))
+        cells.map(Some).ok_or_else(|| self.wrong("expected a number"))
     }
 }
 
-/// The fields of a row; `None` if its quotes are wrong.
+/// Splits a row into fields; `None` if its quotes are wrong.
 fn split(mut text: &str) -> Option<Vec<Field>> {
     let mut fields = Vec::new();
     loop {

@@ -1,5 +1,5 @@
-//! Out of a history and into another: a run as a folder of tables that other programs read, and back. Both go through
-//! the run once, in the order of time, in memory that does not grow with it.
+//! Exports a run to a folder of tables for other programs, and imports it again. Both read the run once, in the order of
+//! time, in memory that does not grow with it.
 
 #[cfg(feature = "arrow")]
 mod arrow;
@@ -22,15 +22,15 @@ use serde::{Deserialize, Serialize};
 use crate::{History, PageRequest, RunId, RunInfo, codec::ReadError};
 use table::TableWriter;
 
-/// Says what the folder is; written last, so that half an export is none.
+/// File that marks a folder as an export. Written last, so that an incomplete export is not taken for one.
 const NOTE: &str = "run.json";
 const VERSION: u32 = 5;
 
-/// What the tables of an export are.
+/// Format of an export's tables.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
-    /// Comma-separated values (RFC 4180); without a value between two commas, there is none.
+    /// Comma-separated values (RFC 4180). A missing value is an empty field.
     Csv,
     /// Apache Parquet. Needs the feature `arrow`.
     Parquet,
@@ -39,10 +39,9 @@ pub enum Format {
 }
 
 impl Format {
-    /// All of them.
     pub const ALL: [Self; 3] = [Self::Csv, Self::Parquet, Self::Arrow];
 
-    /// Its name, which is also how its files end.
+    /// Returns the format's name, which is also the extension of its files.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Csv => "csv",
@@ -66,50 +65,44 @@ impl FromStr for Format {
     }
 }
 
-/// Why a run is not written to tables, or not read from them.
+/// A failed export or import.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// The history.
+    /// The history failed.
     #[error(transparent)]
     History(#[from] crate::Error),
-    /// A file.
+    /// A file cannot be read or written.
     #[error("{}: {source}", path.display())]
-    File {
-        /// Which.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// There is something already.
-    #[error("{} is there already; name a folder that is not, or is empty", .0.display())]
+    File { path: PathBuf, source: io::Error },
+    /// The folder is not empty.
+    #[error("{} exists already; name a folder that does not exist or is empty", .0.display())]
     Taken(PathBuf),
-    /// No export.
+    /// The folder is not an export.
     #[error("{} is not the folder of an export: it has no {NOTE}", .0.display())]
     NotAnExport(PathBuf),
-    /// A newer cotorra wrote it, or one from before the first release.
+    /// The export is of a newer cotorra, or of one from before the first release.
     #[error(
         "{}: has version {found} of the format, but this cotorra reads version {VERSION}; a newer cotorra wrote it, or one from \
          before the first release: use that, or export the run again",
         path.display()
     )]
     OtherVersion {
-        /// Where it says so.
+        /// The file with the version.
         path: PathBuf,
-        /// Its version.
+        /// Version of the export's format.
         found: u32,
     },
-    /// A table does not have what it must have.
+    /// A table is malformed.
     #[error("{}: {problem}", path.display())]
     Malformed {
-        /// Which.
         path: PathBuf,
-        /// What is wrong.
+        /// The defect.
         problem: String,
     },
-    /// This program cannot.
+    /// This build lacks the format.
     #[error("this cotorra was built without {0}: build it with `--features arrow`, or use csv")]
     NotBuilt(Format),
-    /// Whoever asked did not want it any more.
+    /// The caller stopped it.
     #[error("stopped after {0} events")]
     Stopped(u64),
 }
@@ -134,7 +127,7 @@ impl ExportError {
 
 type Result<T, E = ExportError> = std::result::Result<T, E>;
 
-/// What the note says.
+/// Content of [`NOTE`].
 #[derive(Debug, Serialize, Deserialize)]
 struct Note {
     version: u32,
@@ -146,18 +139,17 @@ struct Note {
     events: u64,
 }
 
-/// Events between two questions to the history.
+/// Events of one page.
 const STEP: usize = 5_000;
 
 impl History {
-    /// Writes a run into a new folder, as tables: one for each kind of events, named and with columns as in the schema
-    /// (`schema/1.sql`), with `n`, the event's place in the run, in place of run and `seq`, and names in place of their
-    /// numbers. `go_on` is asked now and then, with the number of events so far, whether to.
-    ///
-    /// Gives how many events there were.
+    /// Writes a run as tables into a new folder, and returns the number of events. Each kind of events has a table, with
+    /// name and columns as in the schema (`schema/1.sql`). `n`, the event's place in the run, replaces run and `seq`, and
+    /// names replace their ids. `go_on` is called from time to time with the number of events so far, and stops the
+    /// export by returning false.
     ///
     /// # Errors
-    /// [`ExportError`]. What was written is then left, without what would make it an export.
+    /// [`ExportError`]. The tables written so far stay, without the mark of an export.
     pub fn export(
         &self,
         run: RunId,
@@ -200,11 +192,10 @@ impl History {
         Ok(events)
     }
 
-    /// Reads a run that was exported, from its folder, and keeps it as a new run of this history. Gives its number, and
-    /// how many events it has.
+    /// Imports an exported run from its folder as a new run of this history. Returns its id and the number of events.
     ///
     /// # Errors
-    /// [`ExportError`]. Nothing of the run is then in this history.
+    /// [`ExportError`]. The history then has nothing of the run.
     pub fn import(&self, folder: &Path, go_on: impl FnMut(u64) -> bool) -> Result<(RunId, u64)> {
         let path = folder.join(NOTE);
         let text = fs::read_to_string(&path).map_err(|source| match source.kind() {
@@ -218,13 +209,13 @@ impl History {
             return Err(ExportError::OtherVersion { path, found: note.version });
         }
         let mut tables = read::Tables::open(folder, note.format)?;
-        // Nothing is begun for what cannot even be opened.
+        // Opened first, so that no run begins for tables that cannot be opened.
         let run = self.begin_run(&note.info)?;
         let taken = self.take_in(run, &mut tables, &note, &path, go_on);
         if let Err(error) = &taken
             && let Err(and) = self.store.remove_run(run)
         {
-            tracing::warn!(%error, %and, %run, "a part of a run that was to be imported is left");
+            tracing::warn!(%error, %and, %run, "cannot remove a partly imported run");
         }
         taken.map(|()| (run, tables.events()))
     }
@@ -263,7 +254,7 @@ impl History {
     }
 }
 
-/// Makes a table.
+/// Creates a table.
 fn create(format: Format, folder: &Path, table: &table::Shape) -> Result<Box<dyn TableWriter>> {
     let path = folder.join(format!("{}.{format}", table.name));
     match format {
@@ -277,7 +268,7 @@ fn create(format: Format, folder: &Path, table: &table::Shape) -> Result<Box<dyn
     }
 }
 
-/// Opens a table; without one there are no rows.
+/// Opens a table; a missing one has no rows.
 fn open(format: Format, folder: &Path, table: &table::Shape) -> Result<table::Rows> {
     let path = folder.join(format!("{}.{format}", table.name));
     if !path.exists() {

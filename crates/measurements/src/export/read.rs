@@ -1,4 +1,4 @@
-//! A run on its way out of tables: of all kinds the event whose turn it is.
+//! Reads a run from tables, merging the events of all kinds in their order.
 
 use std::{collections::HashMap, path::Path, sync::Arc, vec};
 
@@ -47,7 +47,7 @@ impl Tables {
         self.events
     }
 
-    /// The next event of the run.
+    /// Returns the next event of the run.
     pub fn event(&mut self) -> Result<Option<Stamped>> {
         let mut first: Option<(i64, usize)> = None;
         for (place, (_, rows, _)) in self.kinds.iter_mut().enumerate() {
@@ -66,7 +66,7 @@ impl Tables {
             {
                 let child = belonging.take()?.into_iter().flatten().skip(2).collect::<Vec<_>>();
                 if of < n {
-                    let problem = format!("a row belongs to event {of}, which is not there");
+                    let problem = format!("a row belongs to event {of}, which does not exist");
                     return Err(ExportError::malformed(belonging.path(), problem));
                 }
                 children.push(child);
@@ -81,14 +81,14 @@ impl Tables {
         let event = codec::decode(*kind, &mut row).map_err(|e| ExportError::unreadable(rows.path(), e))?;
         let stamped = Stamped { at: Timestamp::from_nanos(at.cast_unsigned()), event };
         if !codec::storable(&stamped) {
-            let problem = format!("event {n} has figures that no history can hold");
+            let problem = format!("event {n} has values that no history can hold");
             return Err(ExportError::malformed(rows.path(), problem));
         }
         self.events += 1;
         Ok(Some(stamped))
     }
 
-    /// The next gap of the run.
+    /// Returns the next gap of the run.
     pub fn gap(&mut self) -> Result<Option<Gap>> {
         let Some(cells) = self.gaps.take()? else { return Ok(None) };
         let [Cell::Integer(from), Cell::Integer(until), Cell::Integer(events)] = cells[..] else {
@@ -143,9 +143,7 @@ impl Source for Row<'_> {
 
     fn conditions(&mut self) -> std::result::Result<Conditions, ReadError> {
         let known = self.integer()?.and_then(|id| self.conditions.get(&id));
-        known
-            .cloned()
-            .ok_or_else(|| ReadError::Unreadable("a link has conditions that are not there".to_owned()))
+        known.cloned().ok_or_else(|| ReadError::Unreadable("a link refers to missing conditions".to_owned()))
     }
 
     fn children(

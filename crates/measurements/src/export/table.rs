@@ -8,7 +8,7 @@ use crate::{
     codec::{self, CONDITIONS},
 };
 
-/// What a column holds.
+/// Type of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Type {
     Integer,
@@ -16,7 +16,7 @@ pub enum Type {
     Text,
 }
 
-/// One figure of a row.
+/// A value of a row.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Cell {
     Null,
@@ -38,23 +38,23 @@ impl Shape {
         Self { name, columns }
     }
 
-    /// Of events of a kind: their place, time, and columns.
+    /// Returns the table of a kind's events: their place, time, and columns.
     pub fn of(kind: Kind) -> Self {
         Self::new(kind.as_str(), &["n", "at_ns"], codec::table(kind).columns)
     }
 
-    /// Of what belongs to events of a kind, if that is a table of its own.
+    /// Returns the table of a kind's child rows, if it has any.
     pub fn children(kind: Kind) -> Option<Self> {
         let (name, columns) = codec::table(kind).children?;
         Some(Self::new(name, &["n", "place"], columns))
     }
 
-    /// Of conditions that links had.
+    /// Returns the table of conditions of links.
     pub fn conditions() -> Self {
         Self::new("conditions", &["id"], CONDITIONS)
     }
 
-    /// Of events that were lost.
+    /// Returns the table of gaps.
     pub fn gaps() -> Self {
         Self::new("gap", &["at_ns", "until_ns", "events"], &[])
     }
@@ -75,7 +75,7 @@ const REALS: &[&str] = &[
 ];
 const UNITS_OF_REALS: &[&str] = &["_m", "_mps", "_dbm", "_ms", "_us"];
 
-/// What a column holds, as the schema says.
+/// Returns the type of a column in the schema.
 fn type_of(column: &str) -> Type {
     let of = column.strip_prefix("odometry_").unwrap_or(column);
     if TEXTS.contains(&column) {
@@ -98,7 +98,7 @@ pub trait TableWriter {
     fn finish(&mut self) -> Result<()>;
 }
 
-/// A table that is being read, with a look at the row that comes next.
+/// A table that is being read, with a view of the next row.
 pub struct Rows {
     path: PathBuf,
     rows: Box<dyn Iterator<Item = Result<Vec<Cell>>>>,
@@ -119,7 +119,7 @@ impl Rows {
         &self.path
     }
 
-    /// The first figure of the next row, which is its key.
+    /// Returns the key of the next row, its first value.
     pub fn key(&mut self) -> Result<Option<i64>> {
         if !self.begun {
             self.begun = true;

@@ -14,7 +14,7 @@ fn formats() -> impl Iterator<Item = Format> {
 }
 
 #[test]
-fn an_import_that_is_stopped_leaves_nothing() {
+fn a_stopped_import_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let history = History::in_memory().unwrap();
     let run = history.begin_run(&run_info("out")).unwrap();
@@ -115,7 +115,7 @@ fn exported(format: Format) -> (tempfile::TempDir, PathBuf) {
 }
 
 #[test]
-fn a_table_is_what_other_programs_read() {
+fn tables_suit_other_programs() {
     let (_folder, out) = exported(Format::Csv);
     let text = fs::read_to_string(out.join("notice.csv")).unwrap();
     assert_eq!(
@@ -125,7 +125,7 @@ fn a_table_is_what_other_programs_read() {
 }
 
 #[test]
-fn what_is_no_export_or_a_broken_one_is_refused_in_its_place() {
+fn folders_that_are_no_export_are_rejected_with_the_file() {
     let history = History::in_memory().unwrap();
     let refusal = |out: &Path| history.import(out, |_| true).unwrap_err().to_string();
     let (_folder, out) = exported(Format::Csv);
@@ -135,24 +135,24 @@ fn what_is_no_export_or_a_broken_one_is_refused_in_its_place() {
     for (text, problem) in [
         ("n,at_ns\n", "line 1: its columns are not n,at_ns,message"),
         ("n,at_ns,message\n0,1\n", "line 2: 2 fields, not 3"),
-        ("n,at_ns,message\n0,x,y\n", "line 2: a figure is none"),
+        ("n,at_ns,message\n0,x,y\n", "line 2: expected a number"),
         ("n,at_ns,message\n0,1,\"y\n", "line 2: a quote is not closed"),
         ("n,at_ns,message\n0,1,\"y\"z\n", "line 2: quotes are out of place"),
         ("n,at_ns,message\n0,-1,y\n", "event 0 has no time"),
-        ("n,at_ns,message\n0,1,\n", "a column is NULL that never is"),
+        ("n,at_ns,message\n0,1,\n", "a required column is NULL"),
         ("n,at_ns,message\n0,1,y\n", "says 2 events, but the tables have 1"),
     ] {
         fs::write(&table, text).unwrap();
-        let said = refusal(&out);
-        assert!(said.contains(problem), "{text:?}: {said}");
+        let message = refusal(&out);
+        assert!(message.contains(problem), "{text:?}: {message}");
     }
     let note = fs::read_to_string(out.join(NOTE)).unwrap();
     for other in [4, 9] {
         fs::write(out.join(NOTE), note.replace("\"version\": 5", &format!("\"version\": {other}"))).unwrap();
-        let said = refusal(&out);
+        let message = refusal(&out);
         assert!(
-            said.contains(&format!("has version {other} of the format, but this cotorra reads version 5")),
-            "{said}"
+            message.contains(&format!("has version {other} of the format, but this cotorra reads version 5")),
+            "{message}"
         );
     }
     fs::remove_file(out.join(NOTE)).unwrap();

@@ -1,4 +1,4 @@
-//! A run on its way into tables.
+//! Writes a run to tables.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -16,7 +16,7 @@ use crate::{
     codec::{self, Fields, Value},
 };
 
-/// Tables, made when they get their first row.
+/// Tables, each created with its first row.
 pub struct Tables {
     folder: PathBuf,
     format: Format,
@@ -31,7 +31,7 @@ impl Tables {
         let open = BTreeMap::new();
         let mut tables =
             Self { folder: folder.to_owned(), format, open, conditions: HashMap::new(), events: 0 };
-        // There is always one, so that a format that cannot be is noticed at once.
+        // Created at once, so that an unsupported format fails at once.
         tables.table(&Shape::gaps())?;
         Ok(tables)
     }
@@ -105,7 +105,7 @@ impl Tables {
         Ok(id)
     }
 
-    /// Completes the files; gives how many events there were.
+    /// Completes the files, and returns the number of events.
     pub fn finish(mut self) -> Result<u64> {
         self.open.values_mut().try_for_each(|table| table.finish())?;
         Ok(self.events)

@@ -24,14 +24,14 @@ use crate::{
     store::Span,
 };
 
-/// Samples that go in one transaction, about.
+/// Samples that one transaction removes, about.
 const AT_ONCE: usize = 5_000;
 
-/// Samples that are read at a time.
+/// Samples in one read.
 const READ: usize = 10_000;
 
 impl History {
-    /// How far samples of a run were rolled up, by kind; none if all are as they were recorded.
+    /// Returns how far samples of a run were rolled up, by kind; nothing if all are as recorded.
     ///
     /// # Errors
     /// See [`History`].
@@ -39,11 +39,11 @@ impl History {
         self.store.retained(run)
     }
 
-    /// Keeps to a retention at a time of the run: rolls up samples of a kind that are older, and drops points that are.
-    /// With `dry`, it only says what it would do. `go_on` is asked now and then whether to.
+    /// Keeps to a retention at a time of the run: rolls up old samples of a kind, and drops old points. With `dry`, only
+    /// counts them. `go_on` is called from time to time, and stops the work by returning false.
     ///
-    /// Of a run that goes on, nothing of the last 10 s is touched. Whoever records or asks meanwhile is in nobody's way. A
-    /// history in memory keeps everything.
+    /// The last 10 s of a run that goes on are left alone. Recording and reading may go on meanwhile. A history in memory
+    /// keeps everything.
     ///
     /// # Errors
     /// See [`History`].
@@ -72,7 +72,7 @@ impl History {
         let before = |age: Duration| (now - nanos(age)).min(open) / slice * slice;
         let end = (last / slice + 1).saturating_mul(slice);
         let known = self.store.retained(run)?.into_iter().find(|known| known.kind == kind);
-        let mut told = known.unwrap_or(Retained {
+        let mut progress = known.unwrap_or(Retained {
             kind,
             rolled_up_to: Timestamp::ZERO,
             step: Duration::ZERO,
@@ -81,19 +81,19 @@ impl History {
         let time = |t: i64| Timestamp::from_nanos(t.cast_unsigned());
 
         let drop_to = retention.keep.map_or(0, before).min(end);
-        let from = (told.dropped_to.as_nanos().cast_signed()).max(first) / slice * slice;
+        let from = (progress.dropped_to.as_nanos().cast_signed()).max(first) / slice * slice;
         let mut at = from;
         while at < drop_to && go_on() {
             let until = at.saturating_add(slice);
             pruned.dropped += self.slice(run, kind, Span { from: at, until: until - 1 }, None, dry)?.0;
             at = until;
-            told.dropped_to = time(at);
+            progress.dropped_to = time(at);
             if !dry {
-                self.store.note_retained(run, &told)?;
+                self.store.note_retained(run, &progress)?;
             }
         }
         let roll_to = before(retention.raw).min(end);
-        let mut at = (told.rolled_up_to.as_nanos().cast_signed().max(first).max(drop_to)) / slice * slice;
+        let mut at = (progress.rolled_up_to.as_nanos().cast_signed().max(first).max(drop_to)) / slice * slice;
         while at < roll_to && go_on() {
             let until = at.saturating_add(slice);
             let (gone, points) =
@@ -101,24 +101,24 @@ impl History {
             pruned.rolled_up += gone + points;
             pruned.points += points;
             at = until;
-            (told.rolled_up_to, told.step) = (time(at), retention.step);
+            (progress.rolled_up_to, progress.step) = (time(at), retention.step);
             if !dry {
-                self.store.note_retained(run, &told)?;
+                self.store.note_retained(run, &progress)?;
             }
         }
         Ok(pruned)
     }
 
-    /// Rolls up a slice of time, or drops it without a step; gives how many samples go and how many stay as the last of a
-    /// point.
+    /// Rolls up a slice of time, or drops it if there is no step. Returns the number of samples removed, and of those
+    /// that stay as the last of a point.
     fn slice(&self, run: RunId, kind: Kind, span: Span, step: Option<i64>, dry: bool) -> Result<(u64, u64)> {
-        /// The samples of a series: cursors, and their steps.
+        /// Samples of a series, and their steps.
         #[derive(Default)]
-        struct Its {
+        struct Samples {
             cursors: Vec<Cursor>,
             steps: BTreeMap<i64, (Cursor, Step)>,
         }
-        let mut all: BTreeMap<Series, Its> = BTreeMap::new();
+        let mut all: BTreeMap<Series, Samples> = BTreeMap::new();
         let mut after = Cursor::before(span.from);
         loop {
             let rows = self.store.samples(run, kind, span, after, READ, step.is_some())?;
@@ -143,7 +143,7 @@ impl History {
         }
         let (mut gone, mut points) = (0, 0);
         let mut thinned: Vec<Thinned> = Vec::new();
-        for (series, Its { mut cursors, steps }) in all {
+        for (series, Samples { mut cursors, steps }) in all {
             let mut stretches: BTreeMap<i64, Option<Vec<u8>>> =
                 cursors.iter().map(|cursor| (cursor.t / STRETCH, None)).collect();
             let last_seq = cursors.iter().map(|cursor| cursor.seq).max().unwrap_or(-1);

@@ -10,7 +10,7 @@ fn sensor() -> SensorId {
     "front".parse().unwrap()
 }
 
-/// Reading `n`, of so many bytes.
+/// Returns reading `n` with this number of bytes.
 fn reading(n: u64, bytes: usize) -> StoredData {
     let data = LargeData {
         sequence: n,
@@ -31,7 +31,7 @@ fn read(run: &Path, wanted: WantedData) -> Option<StoredData> {
     read_large_data(run, &robot(), &sensor(), wanted).unwrap()
 }
 
-/// Numbers of the readings up to `last` that are there, each as it was.
+/// Returns the numbers of the readings that are kept, and checks that each is unchanged.
 fn kept(run: &Path, all: &[StoredData]) -> Vec<u64> {
     let is_there = |reading: &&StoredData| match read(run, WantedData::Number(reading.data.sequence)) {
         Some(stored) => {
@@ -49,7 +49,7 @@ fn on_disk(run: &Path) -> u64 {
 }
 
 #[test]
-fn what_was_kept_is_read_by_its_number_and_the_last_up_to_one() {
+fn readings_are_found_by_number_and_as_the_last_up_to_one() {
     let run = tempfile::tempdir().unwrap();
     let run = run.path();
     assert_eq!(read(run, WantedData::UpTo(9)), None);
@@ -71,7 +71,7 @@ fn what_was_kept_is_read_by_its_number_and_the_last_up_to_one() {
 }
 
 #[test]
-fn the_oldest_go_and_at_least_seven_eighths_stay() {
+fn the_oldest_readings_are_removed_and_seven_eighths_stay() {
     let run = tempfile::tempdir().unwrap();
     let keep = 100_000;
     let mut writer = LargeDataWriter::new(run.path(), &robot(), &sensor(), keep);
@@ -88,14 +88,14 @@ fn the_oldest_go_and_at_least_seven_eighths_stay() {
 }
 
 #[test]
-fn what_is_too_large_or_cannot_be_written_is_left_out_and_the_next_is_kept() {
+fn readings_that_cannot_be_written_are_skipped_and_the_next_is_kept() {
     let run = tempfile::tempdir().unwrap();
     let folder = folder_of(run.path(), &robot(), &sensor());
     let mut writer = LargeDataWriter::new(run.path(), &robot(), &sensor(), 2000);
     let all: Vec<_> = (0..6).map(|n| reading(n, if n == 1 { 1949 } else { 500 })).collect();
     append(&mut writer, &all[0]).unwrap();
     let error = append(&mut writer, &all[1]).unwrap_err();
-    assert_eq!(error.to_string(), "a reading takes 2001 bytes, and 2000 bytes are kept of all");
+    assert_eq!(error.to_string(), "a reading has 2001 bytes, more than the 2000 bytes kept in all");
     // A folder stands where its index is to be.
     fs::create_dir(folder.join("2.index")).unwrap();
     append(&mut writer, &all[2]).unwrap_err();
@@ -109,7 +109,7 @@ fn what_is_too_large_or_cannot_be_written_is_left_out_and_the_next_is_kept() {
 }
 
 #[test]
-fn zeros_that_a_power_failure_left_are_no_reading() {
+fn zeros_left_by_a_power_failure_are_ignored() {
     let run = tempfile::tempdir().unwrap();
     let folder = folder_of(run.path(), &robot(), &sensor());
     let mut writer = LargeDataWriter::new(run.path(), &robot(), &sensor(), 100_000);

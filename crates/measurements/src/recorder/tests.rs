@@ -1,4 +1,4 @@
-//! What a recorder promises, whatever the engine below it does.
+//! Checks a recorder's promises for any behaviour of the engine below it.
 
 use std::{collections::BTreeMap, thread};
 
@@ -13,7 +13,7 @@ use crate::{
     testing::{notice, run_info},
 };
 
-/// What the engine below a recorder does next.
+/// Next reaction of the engine below a recorder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Mood {
     Well,
@@ -136,7 +136,7 @@ fn all(history: &History, run: RunId) -> Vec<Stamped> {
 }
 
 #[test]
-fn what_is_flushed_is_there() {
+fn flushed_events_are_in_the_history() {
     let (_, history, run) = Moody::history(Mood::Well);
     let recorder = history.recorder(run).unwrap();
     let events: Vec<_> = (0..100).map(|n| notice(n, &n.to_string())).collect();
@@ -149,7 +149,7 @@ fn what_is_flushed_is_there() {
 }
 
 #[test]
-fn the_last_one_to_go_writes_what_waits() {
+fn dropping_the_last_handle_writes_waiting_events() {
     let (store, history, run) = Moody::history(Mood::Well);
     let recorder = history.recorder(run).unwrap();
     drop(history);
@@ -162,7 +162,7 @@ fn the_last_one_to_go_writes_what_waits() {
 const ALL: Span = Span { from: 0, until: i64::MAX };
 
 #[test]
-fn a_stuck_engine_makes_a_gap_and_nobody_wait() {
+fn a_stuck_engine_causes_a_gap_and_blocks_no_recorder() {
     let (store, history, run) = Moody::history(Mood::Stuck);
     let recorder = history.recorder(run).unwrap();
     recorder.record(notice(0, "taken by the writer, which is stuck with it"));
@@ -210,7 +210,7 @@ fn a_full_disk_loses_nothing_that_fits_in_the_queue() {
 }
 
 #[test]
-fn a_writer_that_panicked_is_told_and_nobody_waits_for_it() {
+fn flushes_fail_after_the_writer_panicked() {
     let (_, history, run) = Moody::history(Mood::Panics);
     let recorder = history.recorder(run).unwrap();
     recorder.record(notice(0, ""));
@@ -221,7 +221,7 @@ fn a_writer_that_panicked_is_told_and_nobody_waits_for_it() {
 }
 
 #[test]
-fn what_no_history_can_hold_is_a_gap() {
+fn events_that_no_history_can_hold_become_a_gap() {
     let (_, history, run) = Moody::history(Mood::Well);
     let recorder = history.recorder(run).unwrap();
     let change = ConditionChange { delay_scale: Some(f64::NAN), ..ConditionChange::default() };

@@ -1,5 +1,4 @@
-//! A connection to MySQL or MariaDB: how a session is set up, how the schema is brought up to date, and what the
-//! server's errors mean.
+//! Connections to MySQL and MariaDB: sets up sessions, migrates the schema, and translates the server's errors.
 
 use std::{sync::Arc, time::Duration};
 
@@ -14,16 +13,16 @@ use crate::{
 
 pub(super) type Fallible<T> = std::result::Result<T, mysql::Error>;
 
-/// How long a server may take to take a connection.
+/// Timeout of a connection attempt.
 const CONNECT: Duration = Duration::from_secs(2);
 
-/// How long a process may wait for another one that brings the schema up to date, seconds.
+/// Most time to wait for another process that migrates the schema, seconds.
 const MIGRATE_S: u32 = 20;
 
-/// Statements that a session keeps prepared.
+/// Prepared statements that a session keeps.
 const STATEMENTS: usize = 256;
 
-/// Opens a session; an answer that takes longer than `patience` counts as a lost server.
+/// Connects to a server. An answer that takes longer than `patience` counts as a lost server.
 pub(super) fn connect(server: &Server, patience: Duration) -> Fallible<Conn> {
     let build = |database: Option<&str>| {
         OptsBuilder::new()
@@ -53,7 +52,7 @@ pub(super) fn connect(server: &Server, patience: Duration) -> Fallible<Conn> {
     }
 }
 
-/// Checks what the database is before anything in it is touched, then brings it up to date.
+/// Checks that the database is a history before anything in it is touched, then migrates it.
 pub(super) fn prepare(connection: &mut Conn, server: &Server, migrations: &[&str]) -> Result<()> {
     let engine = |e| engine_error(&server.name, e);
     let known = migrations.len() as u32;
@@ -69,15 +68,15 @@ pub(super) fn prepare(connection: &mut Conn, server: &Server, migrations: &[&str
     }
     let found = version(connection, server, known)?.unwrap_or(0);
     let mut migrate = || -> Fallible<()> {
-        // First of all, so that a database with half a schema is known for what it is.
+        // Created first, so that a database with half a schema is recognised as a history.
         connection.query_drop(
             "CREATE TABLE IF NOT EXISTS cotorra_schema (one BIGINT PRIMARY KEY, version BIGINT NOT NULL) ENGINE = InnoDB",
         )?;
         for (version, migration) in (1_i64..).zip(migrations).skip(found as usize) {
             for statement in for_server(migration) {
                 match connection.query_drop(statement) {
-                    // Added by a migration that was killed before it could say so.
-                    Err(mysql::Error::MySqlError(error)) if error.code == code::COLUMN_IS_THERE => {}
+                    // Added by a migration that was killed before it was noted.
+                    Err(mysql::Error::MySqlError(error)) if error.code == code::COLUMN_EXISTS => {}
                     done => done?,
                 }
             }
@@ -88,7 +87,7 @@ pub(super) fn prepare(connection: &mut Conn, server: &Server, migrations: &[&str
     migrate().map_err(engine)
 }
 
-/// The schema version of a database that may be a history; `None` for an empty one.
+/// Returns the schema version of a database that may be a history; `None` for an empty one.
 fn version(connection: &mut Conn, server: &Server, known: u32) -> Result<Option<u32>> {
     let mut ask = || -> Fallible<(Vec<String>, Option<i64>)> {
         let tables: Vec<String> = connection.query("SHOW TABLES")?;
@@ -110,13 +109,13 @@ fn version(connection: &mut Conn, server: &Server, known: u32) -> Result<Option<
     }
 }
 
-/// What servers call what happens: numbers of MySQL's and MariaDB's error references.
+/// Error codes, from MySQL's and MariaDB's error references.
 mod code {
     pub const UNKNOWN_DATABASE: u16 = 1049;
-    pub const COLUMN_IS_THERE: u16 = 1060;
+    pub const COLUMN_EXISTS: u16 = 1060;
     /// Disk full, table full.
     pub const FULL: [u16; 2] = [1021, 1114];
-    /// `--read-only` and alike, table is read-only, transaction is.
+    /// `--read-only` and similar options, read-only table, read-only transaction.
     pub const READ_ONLY: [u16; 3] = [1290, 1036, 1792];
     /// Lock wait timeout, deadlock.
     pub const BUSY: [u16; 2] = [1205, 1213];

@@ -86,6 +86,7 @@ impl Session for ServerSession {
         keys: 256,
         // All that may be needed, because each statement is a round trip.
         rows_ahead: usize::MAX,
+        ids_ahead: 200,
     };
 
     fn history(&self) -> &Arc<str> {

@@ -1,6 +1,6 @@
-//! What is recorded while the server is away: batches in a file, in order, each with its number and a checksum, and
-//! durable before anyone is told so. The file is locked by the process that fills it; one that nobody locks is what a
-//! process left behind, and the next one to open the same history takes it in.
+//! Spools: batches that are kept in a file during a server's outage, in order, each with its number and a checksum. A
+//! batch is durable before it is acknowledged. The process that fills the file locks it. A file without a lock was left
+//! behind, and the next process that opens the same history takes it in.
 //!
 //! The file begins with [`MAGIC`]. A record is its length (4 bytes), its number (8), the FNV-1a of number and content
 //! (8), and the content. Little-endian throughout.
@@ -33,30 +33,30 @@ const HEADER: usize = 20;
 pub(super) struct Spool {
     path: PathBuf,
     file: Arc<File>,
-    /// Names the process that fills it.
+    /// Id of the process that fills the spool.
     pub writer: String,
-    /// Where the last whole record ends.
+    /// End of the last whole record.
     end: u64,
     bound: u64,
-    /// For encoding.
+    /// Buffer for encoding.
     bytes: Vec<u8>,
 }
 
-/// What waits for the server.
+/// A record of a spool.
 #[derive(Debug, PartialEq)]
 pub(super) enum Record {
     Batch { events: Vec<Entry>, gaps: Vec<(RunId, Gap)> },
     End { run: RunId, at: Timestamp },
 }
 
-/// What is behind a place in the file.
+/// Content of the file after a place.
 #[derive(Debug)]
 pub(super) enum Next {
-    /// A record, its number, and where the one behind it begins.
+    /// A record's number, the record, and the place after it.
     Record(u64, Record, u64),
-    /// Nothing: all was read, but for what was never acknowledged.
+    /// The end, or a torn record that was never acknowledged.
     End,
-    /// Something that no process wrote like this.
+    /// Bytes that no process wrote.
     Damage(String),
 }
 
@@ -65,7 +65,7 @@ fn fnv(parts: &[&[u8]]) -> u64 {
     bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3))
 }
 
-/// What the names of all spools of a history begin with.
+/// Returns the prefix of the names of a history's spools.
 fn prefix(history: &str) -> String {
     format!("{:016x}-", fnv(&[history.as_bytes()]))
 }
@@ -75,7 +75,7 @@ fn spool_error(path: &Path) -> impl Fn(io::Error) -> Error {
 }
 
 impl Spool {
-    /// A new, empty one, for a history that is named `history`; takes no more than `bound` bytes.
+    /// Creates an empty spool of at most `bound` bytes for a history.
     pub fn create(folder: &Path, history: &str, bound: u64) -> Result<Self> {
         fs::create_dir_all(folder).map_err(spool_error(folder))?;
         loop {
@@ -86,7 +86,7 @@ impl Spool {
                 let file = OpenOptions::new().read(true).write(true).create_new(true).open(&path)?;
                 match file.try_lock() {
                     Ok(()) => {}
-                    // Someone who looks for what was left behind was faster.
+                    // Another process looked for spools left behind, and locked it first.
                     Err(TryLockError::WouldBlock) => return Ok(None),
                     Err(TryLockError::Error(e)) => return Err(e),
                 }
@@ -108,7 +108,7 @@ impl Spool {
         }
     }
 
-    /// Those that processes left behind which recorded the same history.
+    /// Returns the spools that processes left behind for the same history, and locks them.
     pub fn left_behind(folder: &Path, history: &str) -> Result<Vec<Self>> {
         let prefix = prefix(history);
         let mut found = Vec::new();
@@ -146,12 +146,12 @@ impl Spool {
         Ok(found)
     }
 
-    /// Where its first record begins.
+    /// Returns the place of the first record.
     pub const fn begin() -> u64 {
         MAGIC.len() as u64
     }
 
-    /// Where the next record will begin.
+    /// Returns the place of the next record.
     pub fn end(&self) -> u64 {
         self.end
     }
@@ -160,8 +160,8 @@ impl Spool {
         self.path.to_string_lossy().into_owned()
     }
 
-    /// Adds a batch; durable when it returns. Gaps alone always find room: they are what is told of events that did
-    /// not.
+    /// Adds a batch, which is durable when this returns. Gaps without events are accepted beyond the bound: they record
+    /// events that found no room.
     pub fn push_batch(&mut self, number: u64, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
         self.bytes.clear();
         self.bytes.push(0);
@@ -178,7 +178,7 @@ impl Spool {
         self.push(number, events.is_empty())
     }
 
-    /// Adds the end of a run; durable when it returns.
+    /// Adds the end of a run, which is durable when this returns.
     pub fn push_end(&mut self, number: u64, run: RunId, at: Timestamp) -> Result<()> {
         self.bytes.clear();
         self.bytes.push(1);
@@ -198,7 +198,7 @@ impl Spool {
         record.extend(number);
         record.extend(fnv(&[&number, &self.bytes]).to_le_bytes());
         record.extend(&self.bytes);
-        // At a place of its own, so that what a push that failed left there is written over.
+        // At a fixed place, so that the remains of a failed push are overwritten.
         self.file
             .write_all_at(&record, self.end)
             .and_then(|()| self.file.sync_data())
@@ -207,7 +207,7 @@ impl Spool {
         Ok(())
     }
 
-    /// Forgets all records.
+    /// Removes all records.
     pub fn clear(&mut self) -> Result<()> {
         self.file
             .set_len(Self::begin())
@@ -226,14 +226,14 @@ impl Spool {
         }
     }
 
-    /// Puts a file aside that is damaged, and says where.
+    /// Renames a damaged file, and returns its new path.
     pub fn put_aside(&self) -> Result<PathBuf> {
         let aside = self.path.with_extension("damaged");
         fs::rename(&self.path, &aside).map_err(spool_error(&self.path))?;
         Ok(aside)
     }
 
-    /// Reads records, while others are added.
+    /// Returns a reader, which works while records are added.
     pub fn reader(&self) -> SpoolReader {
         SpoolReader { file: self.file.clone(), path: self.path.clone() }
     }
@@ -246,17 +246,17 @@ pub(super) struct SpoolReader {
 }
 
 impl SpoolReader {
-    /// The record that begins at `place`, if it ends at `end` or before.
+    /// Returns the record at `place`, if it ends at `end` or before.
     pub fn next(&self, place: u64, end: u64) -> Result<Next> {
         if end < Spool::begin() {
-            // Killed while it was made.
+            // The process was killed while it created the file.
             return Ok(Next::End);
         }
         if place == Spool::begin() {
             let mut magic = [0; MAGIC.len()];
             self.file.read_exact_at(&mut magic, 0).map_err(spool_error(&self.path))?;
             if &magic != MAGIC {
-                return Ok(Next::Damage("it is no spool of this version".to_owned()));
+                return Ok(Next::Damage("it is not a spool of this version".to_owned()));
             }
         }
         let left = end.saturating_sub(place);
@@ -275,7 +275,7 @@ impl SpoolReader {
         self.file.read_exact_at(&mut content, place + HEADER as u64).map_err(spool_error(&self.path))?;
         let behind = place + HEADER as u64 + u64::from(length);
         if fnv(&[number, &content]).to_le_bytes() != sum {
-            // The last one is torn when the machine went down while it was written.
+            // A crash of the machine tears the last record.
             return Ok(if behind == end {
                 Next::End
             } else {
@@ -330,7 +330,7 @@ mod tests {
         spool
     }
 
-    /// The numbers of its records, and whether there is damage behind them.
+    /// Returns the numbers of its records, and whether damage follows them.
     fn numbers(spool: &Spool) -> (Vec<u64>, bool) {
         let (reader, mut place, mut numbers) = (spool.reader(), Spool::begin(), Vec::new());
         loop {
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_process_left_behind_is_found_once() {
+    fn a_spool_left_behind_is_found_once() {
         let folder = tempfile::tempdir().unwrap();
         let spool = filled(folder.path(), 3);
         assert!(Spool::left_behind(folder.path(), HISTORY).unwrap().is_empty(), "its process lives");
@@ -368,9 +368,9 @@ mod tests {
         assert!(Spool::left_behind(folder.path(), HISTORY).unwrap().is_empty());
     }
 
-    /// Wherever the last record was cut off, all those before it are there.
+    /// Cutting off the last record anywhere leaves all records before it.
     #[test]
-    fn a_torn_record_takes_none_with_it() {
+    fn a_torn_record_leaves_those_before_it() {
         let folder = tempfile::tempdir().unwrap();
         let whole = filled(folder.path(), 3);
         let size = whole.end();
@@ -392,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_told() {
+    fn damage_is_reported() {
         let folder = tempfile::tempdir().unwrap();
         let spool = filled(folder.path(), 3);
         let (size, path) = (spool.end(), spool.path.clone());
@@ -403,8 +403,8 @@ mod tests {
             damaged[at] ^= 0x55;
             fs::write(&path, &damaged).unwrap();
             let found = Spool::left_behind(folder.path(), HISTORY).unwrap();
-            let (numbers, told) = numbers(&found[0]);
-            assert!(told || numbers.len() < 4, "byte {at}");
+            let (numbers, damaged) = numbers(&found[0]);
+            assert!(damaged || numbers.len() < 4, "byte {at}");
         }
     }
 

@@ -1,4 +1,4 @@
-//! Servers when things go wrong, and what other engines have no part in.
+//! Tests of failures in servers, and of what is special to them.
 
 use std::{fs, sync::Barrier};
 
@@ -14,7 +14,7 @@ use crate::{
     testing::{notice, placement, run_info},
 };
 
-/// Room in the spool for few batches.
+/// Limits with room in the spool for few batches.
 const SMALL: Limits = Limits { spool: 20_000, ..Limits::USUAL };
 
 fn place(url: &str) -> Server {
@@ -40,7 +40,7 @@ impl Remote {
         &self.shared.server
     }
 
-    /// Waits until the server has all that was spooled.
+    /// Waits until the server has all spooled events.
     fn wait_until_caught_up(&self) {
         let mut state = self.shared.state.lock();
         while state.direct.is_none() {
@@ -72,7 +72,7 @@ fn numbered(n: u64) -> Stamped {
     }
 }
 
-/// Records some numbers, flushing now and then.
+/// Records some numbers, with flushes between them.
 fn record(history: &History, run: RunId, numbers: std::ops::Range<u64>) {
     let recorder = history.recorder(run).unwrap();
     for n in numbers {
@@ -105,7 +105,7 @@ fn a_history_is_there_when_it_is_opened_again() {
     let receipts: Option<i64> = client(&url).query_first("SELECT count(*) FROM spool").unwrap();
     assert_eq!(receipts, Some(0), "who closes in order leaves nothing behind");
 
-    // By its socket as well.
+    // Through the Unix socket as well.
     let by_socket = url.replace('?', &format!("?socket={}&", server.socket().display()));
     let history = History::connect(&by_socket.parse().unwrap()).unwrap();
     assert_eq!(history.run(run).unwrap().ended, Some(Timestamp::from_nanos(9)));
@@ -139,7 +139,7 @@ fn processes_may_open_a_new_database_at_once_and_share_it() {
 }
 
 #[test]
-fn refuses_what_is_no_history_and_leaves_it_alone() {
+fn other_databases_are_rejected_and_left_alone() {
     let Some(server) = MariaDb::shared() else { return };
     let alien = server.fresh();
     client(&server.url("mysql")).query_drop(format!("CREATE DATABASE {}", quoted_name(&alien))).unwrap();
@@ -160,9 +160,9 @@ fn version_of(url: &str) -> Option<u32> {
     client(url).query_first("SELECT version FROM cotorra_schema").unwrap()
 }
 
-/// Of a newer cotorra, or of one from before the first release, whose versions went up to 5.
+/// Covers newer versions, and those from before the first release, which went up to 5.
 #[test]
-fn refuses_a_schema_that_it_does_not_know_and_leaves_it_alone() {
+fn unknown_schemas_are_rejected_and_left_alone() {
     let Some(server) = MariaDb::shared() else { return };
     let url = server.fresh();
     drop(Remote::open(&place(&url)).unwrap());
@@ -171,12 +171,15 @@ fn refuses_a_schema_that_it_does_not_know_and_leaves_it_alone() {
     for other in (MIGRATIONS.len() as u32 + 1..).take(5) {
         set_version(&url, other);
         let error = refusal(&url);
-        let told = error.to_string();
+        let message = error.to_string();
         assert!(
             matches!(error, Error::UnknownSchema { found, known, .. } if (found, known) == (other, MIGRATIONS.len() as u32)),
-            "{told}"
+            "{message}"
         );
-        assert!(told.contains(&format!("version {other}")) && told.contains("history export"), "{told}");
+        assert!(
+            message.contains(&format!("version {other}")) && message.contains("history export"),
+            "{message}"
+        );
         assert_eq!((tables(), version_of(&url)), (before.clone(), Some(other)));
     }
 }
@@ -205,7 +208,7 @@ fn brings_an_older_schema_up_to_date() {
     record(&history, run, 0..20);
     drop(history);
     let later = [MIGRATIONS, &["ALTER TABLE notice ADD COLUMN mood TEXT"]].concat();
-    // The second time as if the first one had been killed before it could say that it was done.
+    // The second time as if the first migration had been killed before it was noted.
     for _ in 0..2 {
         set_version(&url, MIGRATIONS.len() as u32);
         prepare(&mut client(&url), &place(&url), &later).unwrap();
@@ -216,20 +219,20 @@ fn brings_an_older_schema_up_to_date() {
     }
 }
 
-/// No error, and nothing that is shown of a history, holds the password.
+/// Errors name the user but never the password.
 #[test]
-fn says_who_was_refused_but_not_the_password() {
+fn errors_name_the_user_but_not_the_password() {
     let Some(server) = MariaDb::shared() else { return };
     let wrong = server.fresh().replace("s3cret", "wr0ng");
     let error = refusal(&wrong);
     assert!(matches!(error, Error::Server { .. }), "{error}");
-    let told = format!("{error} {error:?}");
-    assert!(told.contains("cotorra") && !told.contains("wr0ng"), "{told}");
+    let message = format!("{error} {error:?}");
+    assert!(message.contains("cotorra") && !message.contains("wr0ng"), "{message}");
     let nobody = refusal("mysql://cotorra:wr0ng@127.0.0.1:1/cotorra");
     assert!(matches!(nobody, Error::Unreachable { .. }) && !format!("{nobody} {nobody:?}").contains("wr0ng"));
 }
 
-/// No question goes through all of a table.
+/// No question scans a whole table.
 #[test]
 fn questions_use_the_keys() {
     let Some(server) = MariaDb::shared() else { return };
@@ -276,7 +279,7 @@ fn nothing_is_lost_when_the_server_is_stopped_and_started_again() {
         } else {
             server.stop()
         }
-        // What is flushed is durable, though nobody can be asked.
+        // Flushed events are durable, though no question can be answered.
         for n in recorded..recorded + 500 {
             recorder.record(numbered(n));
             if n.is_multiple_of(50) {
@@ -292,7 +295,7 @@ fn nothing_is_lost_when_the_server_is_stopped_and_started_again() {
         assert!(matches!(history.begin_run(&run_info("no")), Err(Error::Unreachable { .. })));
         recorded += 500;
         server.resume();
-        // Recorded while the spool is emptied: behind what is in it.
+        // Recorded while the spool is emptied: after the events in it.
         for n in recorded..recorded + 100 {
             recorder.record(numbered(n));
         }
@@ -307,7 +310,7 @@ fn nothing_is_lost_when_the_server_is_stopped_and_started_again() {
 }
 
 #[test]
-fn what_stays_in_the_spool_is_taken_in_when_the_history_is_opened_again() {
+fn a_spool_left_behind_is_taken_in_when_the_history_is_opened_again() {
     let Some(server) = MariaDb::start() else { return };
     let location: Location = server.fresh().parse().unwrap();
     let history = History::connect(&location).unwrap();
@@ -331,7 +334,7 @@ fn what_stays_in_the_spool_is_taken_in_when_the_history_is_opened_again() {
     assert_eq!(spool_files(&server), 0);
 }
 
-/// A server that hangs is left after a while; what it did with the last batch is found out when it is back.
+/// A hanging server counts as gone after a while. The fate of the last batch is found out when it is back.
 #[test]
 fn a_server_that_hangs_is_one_that_is_gone() {
     let Some(server) = MariaDb::start() else { return };
@@ -352,7 +355,7 @@ fn a_server_that_hangs_is_one_that_is_gone() {
     assert_eq!(everything(&history, run), all(200));
 }
 
-/// The batch was taken in, but its process never heard of that: it is spooled, and not taken in again.
+/// A batch whose acknowledgement was lost is spooled, and not taken in again.
 #[test]
 fn a_batch_whose_fate_is_unknown_is_taken_in_once() {
     let Some(server) = MariaDb::shared() else { return };
@@ -379,7 +382,7 @@ fn a_batch_whose_fate_is_unknown_is_taken_in_once() {
     assert_eq!(everything(&history, run), all(30));
 }
 
-/// When the spool is full, the queue fills, and what does not fit in it becomes a gap.
+/// When the spool is full, the queue fills, and events that do not fit become a gap.
 #[test]
 fn a_full_spool_makes_gaps_in_the_end() {
     let Some(server) = MariaDb::start() else { return };
@@ -414,7 +417,7 @@ fn a_full_spool_makes_gaps_in_the_end() {
     assert_eq!(gaps.iter().map(|gap| gap.events).sum::<u64>(), stats.dropped);
 }
 
-/// Even at the end of a process: what found no room is told.
+/// Events without room at the end of a process become a gap.
 #[test]
 fn a_full_spool_that_is_left_behind_tells_its_gap() {
     let Some(server) = MariaDb::start() else { return };
@@ -439,7 +442,7 @@ fn a_full_spool_that_is_left_behind_tells_its_gap() {
     assert_eq!(found.len() as u64 + gaps.iter().map(|gap| gap.events).sum::<u64>(), recorded);
 }
 
-/// A number that a server has no word for stays what it is.
+/// NaN and infinite figures come back, though a server has no infinity.
 #[test]
 fn odd_figures_come_back() {
     let Some(server) = MariaDb::shared() else { return };
@@ -460,7 +463,7 @@ fn odd_figures_come_back() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
-    /// Whatever stands in for a URL, there is an answer, and it does not tell the password.
+    /// Any text parses or fails without a panic.
     #[test]
     fn any_text_is_a_location_or_not(text in "(mysql://)?[a-z:@/?=%\\[\\]]{0,30}") {
         if let Ok(location) = text.parse::<Location>() {

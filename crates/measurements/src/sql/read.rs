@@ -1,5 +1,5 @@
-//! Questions to a history. Each is one transaction that only reads, and so sees one state of the history. A question
-//! takes a handful of statements, whatever the number of rows, except where an engine has them at no cost.
+//! Questions to a history. Each is one transaction that only reads, and so sees one state of the history. A server answers
+//! each in a handful of round trips, whatever the number of rows.
 
 use std::{
     cell::RefCell,
@@ -21,7 +21,7 @@ use crate::{
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
     retention::Retained,
-    rolled::{self, Of, Reading},
+    rolled::{self, FigureKey, Reading},
     run::{Gap, Run, RunId, RunInfo},
     schema::STRETCH,
     store::{Selection, Span},
@@ -29,9 +29,6 @@ use crate::{
 
 /// Most names, and most conditions, that are remembered.
 const REMEMBERED: usize = 100_000;
-
-/// Names and conditions that are fetched with one that is needed. Those written after it are likely needed next.
-const AHEAD: i64 = 200;
 
 /// Stretches that are asked for at a time.
 const STRETCHES: i64 = 256;
@@ -284,8 +281,8 @@ impl<S: Session> Reader<S> {
                 Some(_) => named.last().map(|id| Part::children(kept.kind, *id)),
             };
             let of = match (part.and_then(Part::column), kept.child) {
-                (Some(place), _) => Of::Column(place),
-                (_, child) => Of::Child(child.map(|(_, name)| name.to_owned()).unwrap_or_default()),
+                (Some(place), _) => FigureKey::Column(place),
+                (_, child) => FigureKey::Child(child.map(|(_, name)| name.to_owned()).unwrap_or_default()),
             };
             let mut next = span.from / STRETCH;
             loop {
@@ -492,8 +489,10 @@ impl<S: Session> Reader<S> {
         if let Some(name) = self.names.borrow().get(&id) {
             return Ok(name.clone());
         }
-        let rows =
-            self.rows("SELECT id, text FROM name WHERE id >= ? ORDER BY id LIMIT ?", &integers([id, AHEAD]))?;
+        let rows = self.rows(
+            "SELECT id, text FROM name WHERE id >= ? ORDER BY id LIMIT ?",
+            &integers([id, S::DIALECT.ids_ahead]),
+        )?;
         let mut names = self.names.borrow_mut();
         if names.len() >= REMEMBERED {
             names.clear();
@@ -510,7 +509,7 @@ impl<S: Session> Reader<S> {
         }
         let columns = column_list(codec::CONDITIONS);
         let sql = format!("SELECT id, {columns} FROM conditions WHERE id >= ? ORDER BY id LIMIT ?");
-        let rows = self.rows(&sql, &integers([id, AHEAD]))?;
+        let rows = self.rows(&sql, &integers([id, S::DIALECT.ids_ahead]))?;
         let mut remembered = self.conditions.borrow_mut();
         if remembered.len() >= REMEMBERED {
             remembered.clear();

@@ -49,6 +49,8 @@ pub(crate) struct Dialect {
     pub keys: usize,
     /// Rows that are read ahead of each table when tables are merged.
     pub rows_ahead: usize,
+    /// Names or conditions that are fetched when one is needed. Those written after it are likely needed next.
+    pub ids_ahead: i64,
 }
 
 /// A connection to an engine.
@@ -104,7 +106,7 @@ pub(crate) fn column_list<'a>(names: impl IntoIterator<Item = &'a &'a str>) -> S
     names.into_iter().map(|name| quoted(name)).collect::<Vec<_>>().join(", ")
 }
 
-/// Columns of a row by type. `Answer` because a value of another type means a damaged history.
+/// Result of reading a column. A value of another type means a damaged history.
 type Answer<T> = std::result::Result<T, ReadError>;
 
 fn mismatch(column: usize) -> ReadError {
@@ -112,7 +114,7 @@ fn mismatch(column: usize) -> ReadError {
 }
 
 pub(super) fn required<T>(value: Option<T>) -> Answer<T> {
-    value.ok_or_else(|| ReadError::Unreadable("a column is NULL that never is".to_owned()))
+    value.ok_or_else(|| ReadError::Unreadable("a required column is NULL".to_owned()))
 }
 
 pub(super) fn optional_integer(row: &[Cell], column: usize) -> Answer<Option<i64>> {

@@ -79,6 +79,7 @@ impl Session for SqliteSession {
         // A statement costs next to nothing here, and a key of its own is a single search.
         keys: 1,
         rows_ahead: 32,
+        ids_ahead: 1,
     };
 
     fn history(&self) -> &Arc<str> {

@@ -1,4 +1,4 @@
-//! SQLite when things go wrong, and what the other engine has no part in.
+//! Tests of failures in SQLite, and of what is special to it.
 
 use std::{fs, path::PathBuf};
 
@@ -32,7 +32,7 @@ fn everything(history: &History, run: RunId) -> Vec<Stamped> {
 }
 
 #[test]
-fn what_is_recorded_while_the_disk_is_full_is_written_once_it_has_room() {
+fn events_recorded_on_a_full_disk_are_written_once_it_has_room() {
     let (_folder, path) = folder();
     let history = History::open(&path).unwrap();
     let run = history.begin_run(&run_info("full")).unwrap();
@@ -95,7 +95,7 @@ fn two_processes_may_share_a_file() {
 }
 
 #[test]
-fn refuses_what_is_no_history_and_leaves_it_alone() {
+fn other_files_are_rejected_and_left_alone() {
     let (folder, path) = folder();
     fs::write(&path, "# a testbed file, not a history\n".repeat(100)).unwrap();
     assert!(matches!(refusal(&path), Error::NotAHistory { .. }));
@@ -111,21 +111,24 @@ fn refuses_what_is_no_history_and_leaves_it_alone() {
     assert!(matches!(refusal(&folder.path().join("no/such/folder")), Error::Open { .. }));
 }
 
-/// Of a newer cotorra, or of one from before the first release, whose versions went up to 5.
+/// Covers newer versions, and those from before the first release, which went up to 5.
 #[test]
-fn refuses_a_schema_that_it_does_not_know_and_leaves_it_alone() {
+fn unknown_schemas_are_rejected_and_left_alone() {
     let (_folder, path) = folder();
     drop(Sqlite::open(&path).unwrap());
     for other in (MIGRATIONS.len() as u32 + 1..).take(5) {
         Connection::open(&path).unwrap().pragma_update(None, "user_version", other).unwrap();
         let before = fs::read(&path).unwrap();
         for error in [refusal(&path), Sqlite::open_to_read(&path).err().unwrap()] {
-            let told = error.to_string();
+            let message = error.to_string();
             assert!(
                 matches!(error, Error::UnknownSchema { found, known, .. } if (found, known) == (other, MIGRATIONS.len() as u32)),
-                "{told}"
+                "{message}"
             );
-            assert!(told.contains(&format!("version {other}")) && told.contains("history export"), "{told}");
+            assert!(
+                message.contains(&format!("version {other}")) && message.contains("history export"),
+                "{message}"
+            );
         }
         assert_eq!(fs::read(&path).unwrap(), before);
         assert_eq!(version_of(&path), other);
@@ -137,7 +140,7 @@ fn version_of(path: &Path) -> u32 {
 }
 
 #[test]
-fn refuses_a_file_that_it_may_not_write() {
+fn read_only_files_are_rejected() {
     let (_folder, path) = folder();
     drop(Sqlite::open(&path).unwrap());
     let mut permissions = fs::metadata(&path).unwrap().permissions();
@@ -149,9 +152,9 @@ fn refuses_a_file_that_it_may_not_write() {
     }
 }
 
-/// As on a medium that cannot be written: nothing beside the file can be made either.
+/// Opens it as on a read-only medium, where no log can be created either.
 #[test]
-fn what_cannot_be_written_can_be_asked() {
+fn histories_on_read_only_media_can_be_read() {
     let (_folder, path) = folder();
     let history = History::open(&path).unwrap();
     let run = history.begin_run(&run_info("kept")).unwrap();
@@ -176,7 +179,7 @@ fn what_cannot_be_written_can_be_asked() {
 }
 
 #[test]
-fn goes_on_when_writing_is_forbidden_for_a_while() {
+fn recording_goes_on_after_writing_was_forbidden() {
     let (_folder, path) = folder();
     let store = Arc::new(Sqlite::open(&path).unwrap());
     let history = History::of(store.clone()).unwrap();
@@ -198,7 +201,7 @@ fn goes_on_when_writing_is_forbidden_for_a_while() {
 }
 
 #[test]
-fn a_full_disk_is_told_and_loses_nothing() {
+fn a_full_disk_causes_an_error_and_loses_nothing() {
     let (_folder, path) = folder();
     let store = Arc::new(Sqlite::open(&path).unwrap());
     let history = History::of(store.clone()).unwrap();
@@ -233,9 +236,9 @@ fn a_full_disk_is_told_and_loses_nothing() {
     assert!(history.gaps(run, .., PageRequest::default()).unwrap().items.is_empty());
 }
 
-/// A name, conditions and a stretch that a transaction wrote which then failed must be written again.
+/// Names, conditions and stretches of a transaction that failed must be written again.
 #[test]
-fn forgets_what_was_rolled_back() {
+fn rows_that_were_rolled_back_are_written_again() {
     let (_folder, path) = folder();
     let store = Sqlite::open(&path).unwrap();
     let run = store.begin_run(&run_info("rolled back")).unwrap();
@@ -264,9 +267,9 @@ fn forgets_what_was_rolled_back() {
     assert_eq!(store.latest(run, i64::MAX).unwrap(), [entry(run).stamped]);
 }
 
-/// Whatever is damaged, there is an error or an answer; nothing panics, and nothing hangs.
+/// Damage anywhere leads to an error or an answer, never to a panic or a hang.
 #[test]
-fn a_damaged_file_is_told() {
+fn a_damaged_file_causes_an_error() {
     let (_folder, path) = folder();
     let history = History::open(&path).unwrap();
     let run = history.begin_run(&run_info("damaged")).unwrap();
@@ -280,7 +283,7 @@ fn a_damaged_file_is_told() {
     let pages = whole.len() / 4096;
     assert!(pages > 20);
 
-    let mut told = 0;
+    let mut errors = 0;
     for page in (0..pages).step_by(2) {
         let mut bytes = whole.clone();
         bytes[page * 4096..][..4096].fill(0x5a);
@@ -297,18 +300,18 @@ fn a_damaged_file_is_told() {
         };
         match ask() {
             Ok(events) => assert!(events <= 5000),
-            Err(Error::Corrupt { .. } | Error::NotAHistory { .. }) => told += 1,
+            Err(Error::Corrupt { .. } | Error::NotAHistory { .. }) => errors += 1,
             Err(Error::Engine { cause, .. }) => {
                 assert!(matches!(*cause, rusqlite::Error::SqliteFailure(..)), "{cause}");
-                told += 1;
+                errors += 1;
             }
             Err(other) => panic!("{other}"),
         }
     }
-    assert!(told > 0);
+    assert!(errors > 0);
 }
 
-/// A clock that steps back sorts its events in where they say they belong, in answers of every sort.
+/// Events of a clock that steps back are sorted in by their times, in all answers.
 #[test]
 fn a_clock_may_step_back() {
     let (_folder, path) = folder();
@@ -337,7 +340,7 @@ fn a_clock_may_step_back() {
     assert_eq!(nodes, ["edge", "robot", "cloud", "fog"]);
 }
 
-/// What is no number stays none, and what is infinite stays so.
+/// NaN and infinite figures come back.
 #[test]
 fn odd_figures_come_back() {
     let (_folder, path) = folder();
@@ -362,7 +365,7 @@ fn odd_figures_come_back() {
     assert_eq!(format!("{:?}", found.items[0].value), format!("{context:?}"));
 }
 
-/// No question goes through a whole table, or sorts what it found.
+/// No question scans a whole table, or sorts its rows.
 #[test]
 fn questions_use_the_keys() {
     let (_folder, path) = folder();
@@ -409,7 +412,7 @@ fn brings_an_older_file_up_to_date() {
     assert_eq!(version_of(&path), later.len() as u32);
 }
 
-/// A loss of power cuts the write-ahead log off anywhere: whole batches are left, from the first on.
+/// A write-ahead log that a loss of power cut off anywhere holds whole batches, from the first on.
 #[test]
 fn a_log_that_was_cut_off_leaves_whole_batches() {
     let (folder, path) = folder();

@@ -1,4 +1,4 @@
-//! One promise for every engine: what an ordered list would answer.
+//! Checks that every engine answers as an ordered list would.
 
 use cotorra_graph::{Decision, Event, Instruction};
 #[cfg(feature = "mariadb")]
@@ -19,10 +19,10 @@ use crate::{
 #[cfg(feature = "mariadb")]
 use crate::{location::Location, server::Remote};
 
-/// All engines, for the many cases of one test.
+/// All engines, shared by the cases of a test.
 struct Engines {
     folder: tempfile::TempDir,
-    /// A server's tables take long to make: its cases share a database.
+    /// Shared by all cases, because creating a server's tables takes long.
     #[cfg(feature = "mariadb")]
     remote: Option<(Arc<Remote>, Arc<MariaDb>)>,
 }
@@ -41,7 +41,7 @@ impl Engines {
         }
     }
 
-    /// Each engine with two runs: the first is asked, the second is in the way.
+    /// Returns each engine with two runs. Questions are about the first; the second must not interfere.
     fn fresh(&self) -> Vec<(Arc<dyn Store>, RunId, RunId)> {
         let path = self.folder.path().join("history.sqlite");
         for name in ["history.sqlite", "history.sqlite-wal", "history.sqlite-shm"] {
@@ -60,7 +60,7 @@ impl Engines {
         prepared.collect()
     }
 
-    /// Opens once more what one of them, other than that in memory, is opened on.
+    /// Opens the history of an engine other than memory a second time.
     fn again(&self, store: &Arc<dyn Store>) -> Box<dyn Store> {
         #[cfg(feature = "mariadb")]
         if let Some((remote, _)) = &self.remote
@@ -101,7 +101,7 @@ fn append(store: &dyn Store, run: RunId, other: RunId, events: &[Stamped], batch
     }
 }
 
-/// All pages of an answer, one after the other.
+/// Returns the items of all pages of an answer.
 fn pages<T>(limit: usize, ask: impl Fn(PageRequest) -> Page<T>) -> Vec<T> {
     let mut all = Vec::new();
     let mut request = PageRequest::first(limit);
@@ -124,10 +124,9 @@ fn sorted(events: &[Stamped]) -> Vec<Stamped> {
 
 const ALL: Span = Span { from: 0, until: i64::MAX };
 
-/// What was recorded is read back equal, in the order of time and then of recording, whatever the clock did and
-/// whatever the size of batches and pages.
+/// Events come back equal, in the order of time and then of recording, for any clock, batch size and page size.
 #[test]
-fn gives_back_what_it_was_given() {
+fn recorded_events_come_back_in_order() {
     check((vec(stamped(), 0..60), 1..20_usize, 1..20_usize), |store, run, other, (events, batch, limit)| {
         append(store, run, other, events, *batch);
         let what = Selection::Kinds(&Kind::ALL);
@@ -137,9 +136,9 @@ fn gives_back_what_it_was_given() {
     });
 }
 
-/// Names are told apart by every byte: by case, by accents however written, and by spaces at the end.
+/// Names differ by case, by the encoding of accents, and by spaces at the end.
 #[test]
-fn tells_names_apart_by_every_byte() {
+fn names_that_differ_in_one_byte_are_different() {
     let longest = "\u{1f916}".repeat(128);
     let steps = ["a", "a ", "a  ", "A", "á", "a\u{301}", " ", "  ", &longest];
     let decision = |step: &str| Decision {
@@ -152,8 +151,8 @@ fn tells_names_apart_by_every_byte() {
         steps.map(|step| Stamped { at: Timestamp::from_nanos(0), event: Event::Decision(decision(step)) });
     for (store, run, other) in Engines::new().fresh() {
         append(&*store, run, other, &events, events.len());
-        let told = pages(20, |page| store.events(run, &Selection::Kinds(&Kind::ALL), ALL, page).unwrap());
-        assert_eq!(told, events);
+        let found = pages(20, |page| store.events(run, &Selection::Kinds(&Kind::ALL), ALL, page).unwrap());
+        assert_eq!(found, events);
     }
 }
 
@@ -212,7 +211,7 @@ fn knows_the_latest_of_every_series() {
 }
 
 #[test]
-fn tells_gaps() {
+fn gaps_come_back_in_order() {
     check((vec((time(), time(), 1..u64::MAX), 0..10), 1..5_usize), |store, run, other, (gaps, limit)| {
         let gap = |(a, b, events): &(Timestamp, Timestamp, u64)| Gap {
             from: *a.min(b),
@@ -228,9 +227,9 @@ fn tells_gaps() {
     });
 }
 
-/// Figures are those of the events, whether they come from rows or from chunks.
+/// Figures equal those of the events, whether they come from rows or from chunks.
 #[test]
-fn tells_figures() {
+fn figures_equal_those_of_events() {
     let figures = vec(figure(), 1..6);
     check((vec(stamped(), 0..80), figures, time(), time(), 1..40_usize), |store, run, other, value| {
         let (events, figures, from, until, batch) = value;
@@ -264,7 +263,7 @@ fn tells_figures() {
     });
 }
 
-/// A sample as it was recorded.
+/// Returns a sample that was not rolled up.
 fn raw(reading: Reading) -> f64 {
     match reading {
         Reading::Sample(value) => value,
@@ -272,9 +271,9 @@ fn raw(reading: Reading) -> f64 {
     }
 }
 
-/// Processes that record the same series of the same run: none packs what it does not know all of.
+/// Processes that record the same series of a run write no chunk that lacks the other's samples.
 #[test]
-fn two_that_record_one_run_lose_nothing() {
+fn two_processes_that_record_one_run_lose_nothing() {
     let engines = Engines::new();
     for (store, run, _) in engines.fresh().into_iter().skip(1) {
         let other = engines.again(&store);
@@ -302,7 +301,7 @@ fn two_that_record_one_run_lose_nothing() {
 }
 
 #[test]
-fn lists_runs_and_knows_none_that_is_not_there() {
+fn lists_runs_and_rejects_unknown_ones() {
     let engines = Engines::new();
     for (store, first, second) in engines.fresh() {
         store.end_run(first, Timestamp::from_nanos(7)).unwrap();

@@ -86,7 +86,7 @@ fn what_cannot_be_written_is_told_and_the_rest_is_kept() {
     write_all(&keeper, 130);
     assert_eq!(kept(&keeper, 2), [0, 2]);
     let told = Keeping { keeper, thread: None }.finish().unwrap();
-    let why = "sensor front of robot r: a reading takes 152 bytes, and 130 bytes are kept of all";
+    let why = "sensor front of robot r: a reading has 152 bytes, more than the 130 bytes kept in all";
     assert_eq!(told, format!("1 readings of sensors with large data are not kept: {why}"));
 }
 
