@@ -1,5 +1,6 @@
-//! A testbed's core as a state machine without a clock or a socket: the three blocks, and what passes between them.
-//! In real time a thread drives it; in virtual time anything can.
+//! A testbed's core: the robot middleware, the network and the plug-ins' instructions, connected to each other.
+//!
+//! It is a state machine without a clock or sockets. A thread drives it in real time, and a simulation in virtual time.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -31,55 +32,54 @@ use crate::{
     script::{Change, Script},
 };
 
-/// Who asks for what is scripted.
+/// Author of scripted instructions.
 const SCHEDULE: &str = "schedule";
 
-/// Where nobody listens (RFC 863).
+/// The discard port, at which nobody listens (RFC 863).
 const DISCARD: u16 = 9;
 
-/// How often κ is collected.
+/// Interval of κ.
 const CONTEXT: Duration = Duration::from_millis(100);
-/// How often ι, d and λ are.
+/// Interval of ι, d and λ.
 const OBSERVATION: Duration = Duration::from_secs(1);
 
-/// Where a port of a node is reached; `None` for a node without addresses.
+/// Returns the socket of a node's port; `None` for a node without an address.
 fn address(testbed: &Testbed, node: &NodeId, port: u16) -> Option<SocketAddrV4> {
     testbed.graph.address(node).map(|address| SocketAddrV4::new(address.ipv4, port))
 }
 
-/// A testbed's core.
 pub(crate) struct Core<N, E> {
     testbed: Arc<Testbed>,
     domains: Domains,
     middleware: RobotMiddleware,
     control: NetworkControl<N, E>,
-    /// The navigation VNF of each robot.
+    /// Navigation VNF of each robot.
     navigators: BTreeMap<NodeId, Answerer>,
-    /// The localization VNF of each robot that has one.
+    /// Localization VNF of each robot that has one.
     localizers: BTreeMap<NodeId, Answerer>,
-    /// The VNFs to which images of cameras go.
+    /// VNF that each camera's images go to.
     receivers: BTreeMap<(NodeId, SensorId), Answerer>,
-    /// Large data that nobody has polled.
+    /// Large data to poll.
     data: VecDeque<SensedData>,
-    /// Images that are to be sent.
+    /// Images to send.
     images: VecDeque<Image>,
     events: VecDeque<Stamped>,
     script: Script,
     next_context: Timestamp,
     next_observation: Timestamp,
-    /// An attachment changed, and mappings with it.
+    /// Whether an attachment has changed, so that mappings are to be updated.
     remaps: bool,
     /// Whether instances of VNFs may have changed since robots were given their servers.
     stale_servers: bool,
-    /// Robots stand until everything that they need serves.
+    /// Whether all VNFs have served. Robots stand still until then.
     begun: bool,
 }
 
 impl<N: Network, E: Engine> Core<N, E> {
-    /// The core with the robots that `drive` makes.
+    /// Creates the core with the robots that `drive` makes.
     ///
     /// # Errors
-    /// When a robot cannot be driven.
+    /// [`RobotError`] if a robot cannot be driven.
     pub(crate) fn new(
         testbed: Arc<Testbed>,
         seed: u64,
@@ -118,17 +118,17 @@ impl<N: Network, E: Engine> Core<N, E> {
     /// Starts the VNFs.
     pub(crate) fn start(&mut self, now: Timestamp) {
         let events = self.control.start(now);
-        self.tell(now, events);
+        self.report(now, events);
     }
 
-    /// Does what is due.
+    /// Does everything that is due.
     pub(crate) fn advance(&mut self, now: Timestamp) -> Result<(), NetworkGone> {
         let events = self.control.poll(now)?;
         self.stale_servers |= !events.is_empty();
-        self.tell(now, events);
+        self.report(now, events);
         if std::mem::take(&mut self.remaps) {
             let events = self.control.remap()?;
-            self.tell(now, events);
+            self.report(now, events);
         }
         while let Some(change) = self.script.poll(now) {
             self.change(now, change);
@@ -148,19 +148,19 @@ impl<N: Network, E: Engine> Core<N, E> {
         if now >= self.next_observation {
             self.next_observation = now + OBSERVATION;
             let events = self.control.observe()?;
-            self.tell(now, events);
+            self.report(now, events);
         }
         Ok(())
     }
 
-    /// Changes a link as the script says.
+    /// Applies a scripted change.
     fn change(&mut self, now: Timestamp, change: Change) {
         let schedule = PluginId::new(SCHEDULE).expect("it is a name");
-        // A refusal is told with the decision.
+        // The decision reports a rejection.
         let _ = self.instruct(now, schedule, change.instruction(), Some(change.reason));
     }
 
-    /// Tells the network where the robots are, and learns φ from it.
+    /// Passes the robots' positions to the network, and φ from there to the middleware.
     fn locate(&mut self, now: Timestamp) -> Result<(), NetworkGone> {
         let places: Vec<_> =
             self.middleware.positions().map(|(robot, place)| (robot.clone(), place)).collect();
@@ -175,7 +175,7 @@ impl<N: Network, E: Engine> Core<N, E> {
         self.find_nearest()
     }
 
-    /// Learns from the network which instances are near to robots, where that matters.
+    /// Sorts instances by their distance from each robot, for services that ask the nearest.
     fn find_nearest(&mut self) -> Result<(), NetworkGone> {
         let answerers =
             || self.navigators.iter().chain(&self.localizers).filter(|(_, of)| of.is_by_distance());
@@ -215,19 +215,19 @@ impl<N: Network, E: Engine> Core<N, E> {
         }
     }
 
-    /// When [`Core::advance`] has something to do.
+    /// Returns the time at which [`Core::advance`] has something to do.
     pub(crate) fn next_deadline(&self) -> Timestamp {
         let by_itself = self.control.next_deadline().into_iter().chain(self.script.next_deadline());
         let control = by_itself.fold(self.next_observation, Timestamp::min);
         if self.begun { control.min(self.next_context).min(self.middleware.next_deadline()) } else { control }
     }
 
-    /// The next datagram that a robot emits; its emission is `now`.
+    /// Returns the next datagram that a robot sends at `now`.
     pub(crate) fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
         if self.begun { self.middleware.poll_transmit(now) } else { None }
     }
 
-    /// Takes what sensors measured, and the images among it that go to VNFs.
+    /// Takes large data of sensors, and queues its images that go to VNFs.
     fn take_data(&mut self) {
         while let Some(sensed) = self.middleware.poll_data() {
             let receiver = self.receivers.get(&(sensed.robot.clone(), sensed.sensor.clone()));
@@ -238,7 +238,7 @@ impl<N: Network, E: Engine> Core<N, E> {
         }
     }
 
-    /// The next image that a robot sends to a VNF; after the datagrams of the same moment.
+    /// Returns the next image that a robot sends to a VNF. Poll datagrams of the same moment first.
     pub(crate) fn poll_image(&mut self) -> Option<Image> {
         self.images.pop_front()
     }
@@ -248,80 +248,80 @@ impl<N: Network, E: Engine> Core<N, E> {
         self.control.managed()
     }
 
-    /// What mappings reserve of each direction of a link, bit/s.
+    /// Returns the rate that mappings reserve of each direction of a link, bit/s.
     pub(crate) fn reserved(&self) -> impl Iterator<Item = (&LinkId, Direction, f64)> {
         self.control.reserved()
     }
 
-    /// A datagram arrived at a robot from this address.
+    /// Receives a datagram at a robot.
     pub(crate) fn receive(&mut self, at: Timestamp, robot: &NodeId, from: SocketAddrV4, bytes: &[u8]) {
         match Answer::decode(bytes) {
             Ok(Answer::Navigation(packet)) => self.middleware.receive(at, robot, from, &packet),
             Ok(Answer::Pose(packet)) => self.middleware.localized(at, robot, from, &packet),
             Err(error) => {
-                tracing::debug!("{robot} received something else: {error}");
+                tracing::debug!("robot {robot} received a datagram that is not an answer: {error}");
                 self.middleware.reject(robot);
             }
         }
     }
 
-    /// How far off localization was, of each robot that a VNF localizes and whose place is known.
+    /// Returns the errors of localization, of each robot that a VNF localizes and whose true pose is known.
     pub(crate) fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
         self.middleware.localization_errors()
     }
 
-    /// Something happened in the network.
+    /// Takes an event of the network.
     pub(crate) fn observe(&mut self, event: Stamped) {
         if let Event::Handover(_) | Event::Detached { .. } | Event::Scanned { .. } = event.event {
-            // φ changed, or signals are fresh: learnt now, so that the next κ has them.
+            // φ or signals have changed: the next κ is to have them.
             self.next_context = Timestamp::ZERO;
             self.remaps = true;
         }
         self.events.push_back(event);
     }
 
-    /// Whether every walk is done; never where there is none.
+    /// Whether every walk is done; false without walks.
     pub(crate) fn is_finished(&self) -> bool {
         self.middleware.finished()
     }
 
-    /// What happened, oldest first.
+    /// Returns the next event, oldest first.
     pub(crate) fn poll_event(&mut self) -> Option<Stamped> {
         self.events.pop_front().or_else(|| self.middleware.poll_event())
     }
 
-    /// From now on scans are to be polled; for whoever records or watches.
+    /// Keeps scans from now on for [`Self::poll_scan`].
     pub(crate) fn tap_scans(&mut self) {
         self.middleware.tap_scans();
     }
 
-    /// A scan that was completed, oldest first.
+    /// Returns the next completed scan, oldest first.
     pub(crate) fn poll_scan(&mut self) -> Option<SensedScan> {
         self.middleware.poll_scan()
     }
 
-    /// Large data that a sensor measured, oldest first. It is kept until it is taken, as events are.
+    /// Returns the next large data of sensors, oldest first. Like events, it is kept until it is polled.
     pub(crate) fn poll_data(&mut self) -> Option<SensedData> {
         self.data.pop_front()
     }
 
-    /// What is to be told of services' flows at the end.
+    /// Returns the final notices of services' flows.
     pub(crate) fn flow_remarks(&self, at: Timestamp) -> Vec<Stamped> {
         let remarks = self.control.flow_remarks().unwrap_or_default();
         remarks.into_iter().map(|event| Stamped { at, event }).collect()
     }
 
-    /// The end: what the network knows is told once more, and VNFs are stopped.
+    /// Reports the state of the network once more, and stops all VNFs.
     pub(crate) fn shut_down(&mut self, now: Timestamp) {
         let remarks = self.flow_remarks(now);
         self.events.extend(remarks);
         if let Ok(events) = self.control.observe() {
-            self.tell(now, events);
+            self.report(now, events);
         }
         self.control.shut_down();
     }
 
-    fn tell(&mut self, at: Timestamp, events: Vec<Event>) {
+    fn report(&mut self, at: Timestamp, events: Vec<Event>) {
         self.events.extend(events.into_iter().map(|event| Stamped { at, event }));
     }
 }
@@ -341,24 +341,24 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
             }
             Instruction::Move { robot, velocity, waypoint } => {
                 let moved = self.middleware.instruct(now, robot, *velocity, *waypoint);
-                moved.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
+                moved.map(|()| Vec::new()).map_err(|error| InstructionError(error.to_string()))
             }
             Instruction::LimitSpeed { robot, speed_limit_mps } => {
                 let done = self.middleware.limit_speed(now, robot, *speed_limit_mps);
-                done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
+                done.map(|()| Vec::new()).map_err(|error| InstructionError(error.to_string()))
             }
             Instruction::NavigateTo { robot, goal } => {
                 let done = self.middleware.navigate_to(now, robot, *goal);
-                done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
+                done.map(|()| Vec::new()).map_err(|error| InstructionError(error.to_string()))
             }
             Instruction::Report { robot, sensor, values } => {
                 let done = self.middleware.report(now, robot, sensor, values);
-                done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
+                done.map(|()| Vec::new()).map_err(|error| InstructionError(error.to_string()))
             }
             Instruction::Halt { robot } | Instruction::Go { robot } => {
                 let halted = matches!(instruction, Instruction::Halt { .. });
                 let done = self.middleware.halt(now, robot, halted);
-                done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
+                done.map(|()| Vec::new()).map_err(|error| InstructionError(error.to_string()))
             }
             _ => {
                 self.stale_servers = true;
@@ -368,8 +368,8 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
         let refused = done.as_ref().err().map(ToString::to_string);
         let instruction = instruction.public();
         let decision = Event::Decision(Decision { plugin, instruction, reason, refused });
-        self.tell(now, vec![decision]);
-        self.tell(now, done?);
+        self.report(now, vec![decision]);
+        self.report(now, done?);
         Ok(())
     }
 
@@ -377,6 +377,6 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
         for robot in robots {
             self.middleware.stop(now, robot);
         }
-        self.tell(now, vec![Event::PluginFault { plugin, reason: fault.to_string() }]);
+        self.report(now, vec![Event::PluginFault { plugin, reason: fault.to_string() }]);
     }
 }

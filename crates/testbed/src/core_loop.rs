@@ -1,5 +1,6 @@
-//! The core's thread in real time: waits for messages and deadlines, and keeps [`crate::core::Core`] going. It owns the
-//! clock's side of things; what is to be done is the core's to know.
+//! The core's thread in real time: waits for messages and deadlines, and drives [`crate::core::Core`].
+//!
+//! It owns the clock and the sockets; decisions are the core's.
 
 use std::{
     collections::BTreeMap,
@@ -24,10 +25,10 @@ use crate::{
     report::{End, Report},
 };
 
-/// How often plug-ins are looked at.
+/// Interval of checks of plug-ins.
 const CHECK: std::time::Duration = std::time::Duration::from_millis(200);
 
-/// Where events go.
+/// Receivers of events.
 pub(crate) struct EventSinks {
     pub(crate) live: Live,
     pub(crate) recorder: Recorder,
@@ -44,7 +45,7 @@ impl EventSinks {
         self.report.absorb(&event);
         let event = Arc::new(event);
         self.plugins.publish(&event);
-        // Nobody may be listening.
+        // Fails without subscribers.
         let _ = self.stream.send(Arc::clone(&event));
         if let Some(tap) = &self.tap {
             tap.event(Arc::clone(&event));
@@ -53,20 +54,20 @@ impl EventSinks {
     }
 }
 
-/// The core's thread.
+/// State of the core's thread.
 pub(crate) struct CoreLoop<N, E> {
     pub(crate) core: Core<N, E>,
     pub(crate) sinks: EventSinks,
     pub(crate) inbox: mpsc::Receiver<Message>,
     pub(crate) sockets: BTreeMap<NodeId, UdpSocket>,
-    /// Sends images, where a camera sends any.
+    /// Sender of images, if a camera's images go to a VNF.
     pub(crate) images: Option<ImageSender>,
     pub(crate) now: Clock,
     pub(crate) until: Option<Timestamp>,
 }
 
 impl<N: Network, E: Engine> CoreLoop<N, E> {
-    /// Runs until the end, and gives back what the report is made of.
+    /// Runs until the end. Returns the report, and the time and reason of the end.
     pub(crate) fn run(mut self) -> (Report, Timestamp, End) {
         let mut next_check = Timestamp::ZERO;
         let end = loop {
@@ -105,7 +106,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     }
 
     fn publish(&mut self) {
-        // It is there when its event is told.
+        // Data must be there when its event is published.
         while let Some(data) = self.core.poll_data() {
             if let Some(keeper) = &self.sinks.keeper {
                 keeper.keep(data);
@@ -124,7 +125,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     fn transmit(&mut self) {
         while let Some(datagram) = self.core.poll_transmit((self.now)()) {
             let Some(socket) = self.sockets.get(&datagram.robot) else { continue };
-            // What cannot be sent is lost as on any network; the sample then has no answer.
+            // A datagram that cannot be sent is lost, as on any network. Its sample then has no answer.
             if let Err(error) = socket.send_to(&datagram.bytes, SocketAddr::V4(datagram.to)) {
                 tracing::debug!("{} cannot send to {}: {error}", datagram.robot, datagram.to);
             }
@@ -146,7 +147,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
                 let core = &mut self.core;
                 let done = self.sinks.plugins.instruct(now, plugin, instruction, reason, core);
                 if let Some(reply) = reply {
-                    // What the instruction did is told before the answer to it.
+                    // The instruction's events come before its reply.
                     self.publish();
                     reply(done);
                 }
@@ -160,16 +161,16 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     }
 }
 
-/// How many datagrams of one robot may wait for the core. What comes on top is lost, as where a socket's buffer is full.
+/// Largest number of a robot's datagrams that wait for the core. Further ones are lost, as with a full socket buffer.
 const MAX_WAITING: usize = 128;
 
-/// Receives what arrives for a robot, and notes the time before anything else is done.
+/// Receives a robot's datagrams, each with its time of arrival.
 pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Clock, tell: &mpsc::Sender<Message>) {
     let mut buffer = [0; 2048];
     let waiting = Arc::new(());
     loop {
         match socket.recv_from(&mut buffer) {
-            // The emulated network is IPv4 for robots.
+            // Robots use IPv4.
             Ok((_, SocketAddr::V6(_))) => {}
             Ok(_) if Arc::strong_count(&waiting) > MAX_WAITING => {}
             Ok((length, SocketAddr::V4(from))) => {
@@ -187,13 +188,13 @@ pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Clock, tell: &mp
             }
             Err(error) => match error.kind() {
                 std::io::ErrorKind::Interrupted => {}
-                // The read timeout, which is there to notice that nobody listens any more.
+                // The read timeout, by which the thread notices the end of the core.
                 std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut => {
                     if tell.send(Message::Wake).is_err() {
                         return;
                     }
                 }
-                _ => return tracing::error!("{robot} can receive nothing any more: {error}"),
+                _ => return tracing::error!("robot {robot} can receive nothing any more: {error}"),
             },
         }
     }
@@ -206,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_flood_of_datagrams_waits_up_to_a_bound_and_the_rest_is_lost() {
+    fn datagrams_wait_up_to_a_limit_and_further_ones_are_lost() {
         let robot: NodeId = "r1".parse().unwrap();
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         socket.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
@@ -218,7 +219,7 @@ mod tests {
         };
         let (tell, inbox) = mpsc::channel();
         let now: Clock = Arc::new(|| Timestamp::ZERO);
-        // The thread says `Wake` when nothing more has arrived.
+        // The thread sends `Wake` when no more datagrams arrive.
         let until_wake = || -> Vec<Message> {
             inbox.iter().take_while(|message| !matches!(message, Message::Wake)).collect()
         };

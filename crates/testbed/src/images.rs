@@ -1,4 +1,4 @@
-//! Images of cameras on their way to VNFs, over the emulated network.
+//! Images of cameras, sent to VNFs over the emulated network.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -15,13 +15,13 @@ use parking_lot::{Condvar, Mutex};
 
 use crate::answerers::Answerer;
 
-/// Bytes of the names in a packet, at most.
+/// Largest size of the names in a packet, bytes.
 const NAMES: usize = 2 * 64;
 
-/// A packet that cannot be sent for so long is lost.
+/// Time after which a packet that cannot be sent is lost.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// An image that is to go to a VNF.
+/// An image for a VNF.
 #[derive(Debug)]
 pub(crate) struct Image {
     pub(crate) to: SocketAddrV4,
@@ -29,7 +29,7 @@ pub(crate) struct Image {
 }
 
 impl Image {
-    /// Draws the image, and sends it by datagrams, in order.
+    /// Sends the image as datagrams, in order.
     pub(crate) fn send(&self, mut send: impl FnMut(&[u8])) {
         let SensedData { robot, sensor, measured, data, content, .. } = &self.sensed;
         let (Ok(width), Ok(height)) = (u16::try_from(data.width), u16::try_from(data.height)) else { return };
@@ -53,7 +53,7 @@ impl Image {
     }
 }
 
-/// Cameras whose images go to VNFs.
+/// Returns the cameras whose images go to VNFs.
 fn cameras(testbed: &Testbed) -> impl Iterator<Item = (&NodeId, &SensorId, &VnfId)> {
     testbed.graph.robots().flat_map(|(node, robot)| {
         robot.sensors.iter().filter_map(|sensor| match &sensor.kind {
@@ -63,7 +63,7 @@ fn cameras(testbed: &Testbed) -> impl Iterator<Item = (&NodeId, &SensorId, &VnfI
     })
 }
 
-/// The VNFs to which images of cameras go.
+/// Returns the VNF that each camera's images go to.
 pub(crate) fn receivers(testbed: &Testbed) -> BTreeMap<(NodeId, SensorId), Answerer> {
     let answerer = |(robot, sensor, to): (&NodeId, &SensorId, _)| {
         Some(((robot.clone(), sensor.clone()), Answerer::first_of(testbed, to)?))
@@ -71,16 +71,16 @@ pub(crate) fn receivers(testbed: &Testbed) -> BTreeMap<(NodeId, SensorId), Answe
     cameras(testbed).filter_map(answerer).collect()
 }
 
-/// The robots with a camera whose images go to a VNF.
+/// Returns the robots with a camera whose images go to a VNF.
 pub(crate) fn senders(testbed: &Testbed) -> Vec<&NodeId> {
     let mut robots: Vec<_> = cameras(testbed).map(|(robot, ..)| robot).collect();
     robots.dedup();
     robots
 }
 
-/// Sends images in real time, on a thread of its own: drawing and sending take longer than the core's thread may wait.
+/// Sends images in real time, on its own thread, because drawing and sending would delay the core's.
 ///
-/// Of each camera one image waits at most. The next one takes its place, and it is not sent at all.
+/// At most one image of each camera waits. The next one replaces it.
 pub(crate) struct ImageSender {
     shared: Arc<Shared>,
     thread: Option<thread::JoinHandle<()>>,
@@ -95,7 +95,7 @@ struct Shared {
 #[derive(Default)]
 struct Waiting {
     images: VecDeque<Image>,
-    /// Images of each camera: all, and those that were not sent.
+    /// Numbers of each camera's images: all, and those that were not sent.
     counted: BTreeMap<(NodeId, SensorId), [u64; 2]>,
     has_ended: bool,
 }
@@ -115,7 +115,7 @@ impl Waiting {
         }
     }
 
-    /// What is to be told of images that were not sent.
+    /// Returns notices of images that were not sent.
     fn remarks(&self) -> Vec<Event> {
         let remark = |((robot, sensor), [all, left_out]): (&(NodeId, SensorId), &[u64; 2])| {
             (*left_out > 0).then(|| Event::Notice {
@@ -130,10 +130,10 @@ impl Waiting {
 }
 
 impl ImageSender {
-    /// Sends from these sockets, by robot.
+    /// Starts the thread with these sockets of robots.
     pub(crate) fn start(sockets: BTreeMap<NodeId, UdpSocket>) -> std::io::Result<Self> {
         for socket in sockets.values() {
-            // Nothing may keep the run from its end.
+            // A blocked socket must not delay the end of the run.
             socket.set_write_timeout(Some(PATIENCE))?;
         }
         let shared = Arc::new(Shared::default());
@@ -143,13 +143,13 @@ impl ImageSender {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// Sends an image soon; never waits.
+    /// Queues an image, without waiting.
     pub(crate) fn offer(&self, image: Image) {
         self.shared.waiting.lock().offer(image);
         self.shared.changed.notify_one();
     }
 
-    /// What is to be told at the end.
+    /// Returns the final notices.
     pub(crate) fn remarks(&self) -> Vec<Event> {
         self.shared.waiting.lock().remarks()
     }
@@ -160,7 +160,7 @@ impl Drop for ImageSender {
         self.shared.waiting.lock().has_ended = true;
         self.shared.changed.notify_one();
         if let Some(thread) = self.thread.take() {
-            // If it panicked, that was told.
+            // A panic was reported already.
             let _ = thread.join();
         }
     }
@@ -175,7 +175,7 @@ fn send_all(shared: &Shared, sockets: &BTreeMap<NodeId, UdpSocket>) {
         let Some(image) = image else { return };
         let Some(socket) = sockets.get(&image.sensed.robot) else { continue };
         image.send(|bytes| {
-            // What cannot be sent is lost, as on any network.
+            // A datagram that cannot be sent is lost, as on any network.
             if let Err(error) = socket.send_to(bytes, image.to) {
                 tracing::debug!("{} cannot send to {}: {error}", image.sensed.robot, image.to);
             }
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_that_still_waits_when_the_next_is_due_is_left_out_and_counted() {
+    fn image_that_waits_is_replaced_by_the_next_and_counted() {
         let to = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9);
         let mut waiting = Waiting::default();
         for (sensor, sequence) in [("front", 0), ("rear", 0), ("front", 1), ("front", 2)] {
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_arrives_as_it_is() {
+    fn image_arrives_unchanged() {
         let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
         let SocketAddr::V4(to) = receiver.local_addr().unwrap() else { panic!() };
         let robot: NodeId = "r1".parse().unwrap();

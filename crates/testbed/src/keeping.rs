@@ -1,5 +1,7 @@
-//! Keeps large data of sensors in the run's folder, on a thread that makes its bytes and writes them. In real time the run
-//! never waits for it: what finds no room is lost and counted. In virtual time the run waits, so that nothing is.
+//! Stores large data of sensors in the run's folder, on a thread that encodes and writes it.
+//!
+//! In real time the run never waits: data without room in the queue is lost and counted. In virtual time the run waits, so
+//! that nothing is lost.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -16,20 +18,20 @@ use cotorra_recording::Pace;
 use cotorra_robot_middleware::SensedData;
 use parking_lot::{Condvar, Mutex};
 
-/// Readings that wait, at most, and their bytes; one that is larger waits alone.
+/// Limits of the queue, readings and bytes. A larger reading waits alone.
 const WAITING: usize = 1024;
 const WAITING_BYTES: u64 = 64 << 20;
 
-/// How many bytes are kept of each sensor with large data.
+/// Bytes to keep of each sensor with large data.
 type Keep = BTreeMap<(NodeId, SensorId), u64>;
 
-/// A run whose large data is kept.
+/// The storage of a run's large data.
 pub(crate) struct Keeping {
     keeper: Keeper,
     thread: Option<JoinHandle<()>>,
 }
 
-/// Takes large data, and gives back what is kept. Clones may be used from any thread.
+/// Handle to store and read large data. Clones can be used from any thread.
 #[derive(Clone)]
 pub(crate) struct Keeper(Arc<Shared>);
 
@@ -42,11 +44,11 @@ struct Shared {
 
 #[derive(Default)]
 struct Queue {
-    /// The first may be being written.
+    /// The first may be in the course of being written.
     waiting: VecDeque<Arc<SensedData>>,
     bytes: u64,
     is_closing: bool,
-    /// Readings that are not kept, and why the first is not.
+    /// Number of lost readings, and the reason of the first loss.
     lost: u64,
     why: Option<String>,
 }
@@ -68,7 +70,7 @@ impl Queue {
 }
 
 impl Keeping {
-    /// Begins in a run's folder; `None` if no sensor has large data.
+    /// Starts storing in a run's folder; `None` if no sensor has large data.
     pub(crate) fn begin(testbed: &Testbed, folder: &Path, pace: Pace) -> io::Result<Option<Self>> {
         let sensors = testbed.graph.robots().flat_map(|(node, robot)| {
             let kept = |sensor: &cotorra_graph::Sensor| {
@@ -87,12 +89,12 @@ impl Keeping {
         Ok(Some(keeping))
     }
 
-    /// What takes large data, and gives it back.
+    /// Returns a handle.
     pub(crate) fn keeper(&self) -> Keeper {
         self.keeper.clone()
     }
 
-    /// Writes what waits; says what is not kept, if anything is not.
+    /// Writes the rest of the queue. Returns a notice if data was lost.
     pub(crate) fn finish(mut self) -> Option<String> {
         self.join();
         let queue = self.keeper.0.queue.lock();
@@ -115,13 +117,13 @@ impl Drop for Keeping {
 }
 
 impl Keeper {
-    /// What a folder has, to which nothing is written as long as nobody does.
+    /// Creates a handle to a folder without a writing thread.
     pub(crate) fn of_folder(folder: &Path, pace: Pace) -> Self {
         let folder = folder.to_owned();
         Self(Arc::new(Shared { folder, pace, queue: Mutex::default(), changed: Condvar::new() }))
     }
 
-    /// Takes large data; it can be read from now on.
+    /// Queues large data, which can be read from now on.
     pub(crate) fn keep(&self, data: SensedData) {
         let bytes = data.data.bytes;
         let mut queue = self.0.queue.lock();
@@ -138,10 +140,10 @@ impl Keeper {
         }
     }
 
-    /// Reads large data of a sensor; `None` if it is not there, or not any more.
+    /// Reads large data of a sensor; `None` if it does not exist, or no longer.
     ///
     /// # Errors
-    /// When the system cannot read it.
+    /// [`io::Error`] if the file cannot be read.
     pub(crate) fn read(
         &self,
         robot: &NodeId,
@@ -149,7 +151,7 @@ impl Keeper {
         wanted: WantedData,
     ) -> io::Result<Option<StoredData>> {
         let mut queue = self.0.queue.lock();
-        // What was deleted does not depend on how fast that was.
+        // With an empty queue, the result does not depend on the speed of writing.
         while self.0.pace == Pace::Waiting && !queue.waiting.is_empty() {
             self.0.changed.wait(&mut queue);
         }
@@ -171,7 +173,7 @@ impl Keeper {
         }
     }
 
-    /// Writes what comes, until nothing more does.
+    /// Writes the queue until it is closed and empty.
     fn write(&self, keep: &Keep) {
         let mut writers = BTreeMap::new();
         let mut queue = self.0.queue.lock();
@@ -189,7 +191,7 @@ impl Keeper {
             let writer = writers
                 .entry(of)
                 .or_insert_with(|| LargeDataWriter::new(&self.0.folder, &one.robot, &one.sensor, keep));
-            // Virtual time waits for this thread: it goes on, come what may.
+            // Virtual time waits for this thread, so that a panic must not end it.
             let written = catch_unwind(AssertUnwindSafe(|| {
                 let bytes = one.content.bytes();
                 writer.append(&StoredData { measured: one.measured, data: one.data, bytes: &bytes[..] })

@@ -1,5 +1,5 @@
-//! Robots in real time: each is driven as the testbed file says, over ROS in the network that it says, and the masters
-//! that it asks for run in their nodes.
+//! Drivers of robots in real time: simulated, or over ROS in the network that the testbed file names. ROS masters run in
+//! their nodes.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
@@ -14,26 +14,26 @@ use cotorra_robot_middleware::{
 use cotorra_ros1::{ConfigError, Endpoint, MasterServer, NodeConfig};
 use cotorra_ros2::{self as ros2, Middleware};
 
-/// Why a robot cannot be driven.
+/// The reason for which a robot cannot be driven.
 #[derive(Debug, thiserror::Error)]
 pub enum RobotError {
-    /// It cannot be simulated.
+    /// The robot cannot be simulated.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
-    /// Where its master is.
+    /// The address of its ROS 1 master is invalid.
     #[error("robot `{robot}`: {reason}")]
     Master {
         /// The robot.
         robot: NodeId,
-        /// Why.
+        /// The cause.
         reason: ConfigError,
     },
-    /// Which is its domain.
+    /// The ROS 2 settings of the environment are invalid.
     #[error("robot `{robot}`: {reason}")]
     Domain {
         /// The robot.
         robot: NodeId,
-        /// Why.
+        /// The cause.
         reason: ros2::ConfigError,
     },
     /// A master cannot listen, or there is no thread.
@@ -41,16 +41,16 @@ pub enum RobotError {
     System {
         /// The robot.
         robot: NodeId,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// It speaks Zenoh, which is left out of this build.
+    /// The robot uses Zenoh, which is left out of this build.
     #[error(
         "robot `{0}` speaks Zenoh, and this cotorra was built without: build it with `--features zenoh`, or leave out \
          `rmw: zenoh`"
     )]
     WithoutZenoh(NodeId),
-    /// Virtual time has no ROS.
+    /// The robot uses ROS, which does not work in virtual time.
     #[error(
         "robot `{0}` speaks ROS, which goes by the clock on the wall: run without `--simulate`, or simulate it all by \
          `--set nodes.{0}.driver=simulated` and without an `offer`"
@@ -58,7 +58,7 @@ pub enum RobotError {
     VirtualTime(NodeId),
 }
 
-/// What drives a robot in virtual time.
+/// Returns the driver of a robot in virtual time.
 pub(crate) fn simulated(node: &Node, robot: SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError> {
     match driver(node) {
         Driver::Simulated { offer: None } => Ok(Box::new(robot)),
@@ -77,7 +77,7 @@ fn driver(node: &Node) -> Driver {
     }
 }
 
-/// A master in a node. It ends in the node's network, where its own thread is.
+/// A ROS master in a node. It is stopped in the node's network namespace, where its thread runs.
 struct NodeMaster {
     server: Option<MasterServer>,
     node: NodeId,
@@ -93,17 +93,17 @@ impl Drop for NodeMaster {
     }
 }
 
-/// What drives the robots of a run, in real time.
+/// Makes the drivers of a run's robots in real time.
 pub(crate) struct Robots {
     testbed: Arc<Testbed>,
     datapath: Arc<Datapath>,
     clock: Clock,
-    /// The beginning of the run, since 1970.
+    /// Start of the run, since 1970.
     epoch: Timestamp,
     masters: BTreeMap<NodeId, NodeMaster>,
 }
 
-/// Keeps the masters going as long as it lives.
+/// Keeps the ROS masters running while it exists.
 pub(crate) struct Masters {
     _masters: BTreeMap<NodeId, NodeMaster>,
 }
@@ -114,12 +114,12 @@ impl Robots {
         Self { testbed, datapath, clock, epoch: Timestamp::ZERO + epoch, masters: BTreeMap::new() }
     }
 
-    /// What is to outlive the robots.
+    /// Returns the masters, which must outlive the robots.
     pub fn masters(self) -> Masters {
         Masters { _masters: self.masters }
     }
 
-    /// What drives a robot.
+    /// Creates the driver of a robot.
     pub fn drive(&mut self, node: &Node, robot: SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError> {
         let system = |source| RobotError::System { robot: node.id.clone(), source };
         let clock = Arc::clone(&self.clock);
@@ -145,7 +145,7 @@ impl Robots {
                 let config = self.config(node, &ros1, "driver")?;
                 let topics = ros1.topics;
                 let connect = move || Ros1Link::connect(config.clone(), &topics);
-                let robot = self.out_there(node, &robot);
+                let robot = self.ros_robot(node, &robot);
                 let start = || RosDriver::start(robot, clock, connect);
                 Ok(Box::new(self.inside(node, network(&ros1.master), start).map_err(system)?))
             }
@@ -153,26 +153,26 @@ impl Robots {
                 let config = ros2_config(&node.id, &ros2, "driver")?;
                 let (topics, network, epoch) = (ros2.topics, ros2.rmw.network(), self.epoch);
                 let connect = move || Ros2Link::connect(config.clone(), &topics, epoch);
-                let robot = self.out_there(node, &robot);
+                let robot = self.ros_robot(node, &robot);
                 let start = || RosDriver::start(robot, clock, connect);
                 Ok(Box::new(self.inside(node, network, start).map_err(system)?))
             }
         }
     }
 
-    /// What the stamps of an offered robot count.
-    fn time(&self, tells: bool) -> OfferedTime {
-        if tells { OfferedTime::Testbed } else { OfferedTime::Day { epoch: self.epoch } }
+    /// Returns the time base of an offered robot's stamps.
+    fn time(&self, is_testbed_time: bool) -> OfferedTime {
+        if is_testbed_time { OfferedTime::Testbed } else { OfferedTime::Day { epoch: self.epoch } }
     }
 
-    /// A robot that begins where a simulated one would.
-    fn out_there(&self, node: &Node, simulated: &SimulatedRobot) -> RosRobot {
+    /// Creates a robot in ROS with the start of a simulated one.
+    fn ros_robot(&self, node: &Node, simulated: &SimulatedRobot) -> RosRobot {
         let pose = simulated.pose();
         let walk = self.testbed.walk(&node.id);
         RosRobot::new(node.id.clone(), simulated.model(), pose.position(), pose.heading, walk)
     }
 
-    /// Starts something in the network in which the robot speaks ROS.
+    /// Runs `start` in the network in which the robot uses ROS.
     fn inside<R: Send>(&self, node: &Node, network: RosNetwork, start: impl FnOnce() -> R + Send) -> R {
         match (network, self.datapath.namespace(&node.id)) {
             (RosNetwork::Testbed, Ok(namespace)) => namespace.run(start),
@@ -180,7 +180,7 @@ impl Robots {
         }
     }
 
-    /// Where a robot's ROS node is, its master running if cotorra is to run it.
+    /// Returns the configuration of a robot's ROS 1 node. Starts its master, if cotorra is to run it.
     fn config(&mut self, node: &Node, ros1: &Ros1, what: &str) -> Result<NodeConfig, RobotError> {
         let robot = &node.id;
         let wrong = |reason: ConfigError| RobotError::Master { robot: robot.clone(), reason };
@@ -214,7 +214,7 @@ impl Robots {
         Ok(NodeConfig { namespace, master, host, ..NodeConfig::new(&name) })
     }
 
-    /// Runs a master in a node, if none runs there yet.
+    /// Starts a master in a node, unless one runs there.
     fn run_master(&mut self, node: &NodeId, host: &str) -> std::io::Result<()> {
         if self.masters.contains_key(node) {
             return Ok(());
@@ -227,14 +227,14 @@ impl Robots {
     }
 }
 
-/// What cotorra's node for a robot is called: no two have one name, and names of ROS's are letters, digits and
-/// underscores, in ROS 2 no two of these behind each other.
+/// Returns the name of cotorra's ROS node for a robot. Names in ROS consist of letters, digits and underscores, in ROS 2
+/// without two underscores in a row.
 fn node_name(robot: &NodeId, what: &str) -> String {
     let parts = robot.as_str().split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
     parts.fold(format!("cotorra_{what}"), |name, part| name + "_" + part)
 }
 
-/// In which network a master is reached.
+/// Returns the network in which a master is reached.
 fn network(master: &RosMaster) -> RosNetwork {
     match master {
         RosMaster::Machine { .. } => RosNetwork::Machine,
@@ -242,25 +242,25 @@ fn network(master: &RosMaster) -> RosNetwork {
     }
 }
 
-/// Where a robot's ROS 2 node is.
-fn ros2_config(robot: &NodeId, said: &Ros2, what: &str) -> Result<ros2::NodeConfig, RobotError> {
+/// Returns the configuration of a robot's ROS 2 node.
+fn ros2_config(robot: &NodeId, settings: &Ros2, what: &str) -> Result<ros2::NodeConfig, RobotError> {
     let name = node_name(robot, what);
-    let usual = match said.domain {
-        // What the environment says of it is no matter then.
+    let usual = match settings.domain {
+        // The environment is ignored then.
         Some(domain) => ros2::NodeConfig { domain, ..ros2::NodeConfig::new(&name) },
         None => ros2::NodeConfig::from_env(&name)
             .map_err(|reason| RobotError::Domain { robot: robot.clone(), reason })?,
     };
-    let middleware = match (&said.rmw, usual.middleware) {
+    let middleware = match (&settings.rmw, usual.middleware) {
         (Rmw::Zenoh { .. }, _) if !Middleware::HAS_ZENOH => {
             return Err(RobotError::WithoutZenoh(robot.clone()));
         }
         (Rmw::Zenoh { router }, _) => Middleware::Zenoh { router: router.clone() },
-        // Of this machine's interfaces, the emulated network has none.
+        // The environment's interface is valid on this machine only, not in the emulated network.
         (Rmw::Dds { interface: None, network: RosNetwork::Machine }, usual) => usual,
         (Rmw::Dds { interface, .. }, _) => Middleware::Dds { interface: *interface },
     };
-    Ok(ros2::NodeConfig { namespace: said.namespace.clone(), middleware, ..usual })
+    Ok(ros2::NodeConfig { namespace: settings.namespace.clone(), middleware, ..usual })
 }
 
 #[allow(

@@ -427,10 +427,11 @@ impl RobotMiddleware {
         }
     }
 
-    /// Returns the next datagram to send at `now`; `None` when none is due. Its packet says `now`: send it at once.
+    /// Returns the next datagram to send at `now`; `None` when none is due. Its packet carries the time `now`: send it at
+    /// once.
     ///
-    /// Position packets come first. A scan goes out while no position packet of its robot is under way, if such a moment
-    /// comes soon: it is ten times as long as one, and would hold one up on the air.
+    /// Position packets come first. A scan waits for a moment without a position packet of its robot under way, up to a
+    /// limit. It is ten times as long and would delay the packet on the air.
     pub fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
         if self.outbox.is_empty() {
             let due = self.due_by(now);

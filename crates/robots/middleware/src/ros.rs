@@ -1,4 +1,4 @@
-//! What a robot senses, as the ROS messages that a TurtleBot 2 publishes.
+//! ROS messages of a robot's sensors, as a TurtleBot 2 publishes them.
 
 use cotorra_graph::{self as graph, Cell, SensorData, Timestamp};
 use cotorra_plugin::convert::{to_header, to_pose_with_covariance, to_twist};
@@ -9,16 +9,16 @@ use cotorra_ros_messages::{
 
 use crate::{lidar::Scan, planar::Planar};
 
-/// The frame of the map, in which poses are.
+/// Frame of the map, in which poses are given.
 pub const MAP_FRAME: &str = "map";
-/// The frame in which odometry began.
+/// Frame of the odometry.
 pub const ODOMETRY_FRAME: &str = "odom";
-/// The frame of the robot's base.
+/// Frame of the robot's base.
 pub const BASE_FRAME: &str = "base_footprint";
-/// The frame of the lidar: at the base's axis, looking forward.
+/// Frame of the lidar: at the base's axis, looking forward.
 pub const LASER_FRAME: &str = "laser";
 
-/// `sensor_msgs/LaserScan` of a turn of the lidar.
+/// Returns a turn of the lidar as `sensor_msgs/LaserScan`.
 pub fn laser_scan(scan: &Scan) -> LaserScan {
     LaserScan {
         header: to_header(scan.at, LASER_FRAME),
@@ -34,8 +34,7 @@ pub fn laser_scan(scan: &Scan) -> LaserScan {
     }
 }
 
-/// `nav_msgs/Odometry` of what wheels and gyro say. The twist's covariance is left at zero, which in ROS means that
-/// it is not known.
+/// Returns the odometry as `nav_msgs/Odometry`. The covariance of its twist is 0, which means unknown in ROS.
 pub fn odometry(at: Timestamp, sensors: &SensorData) -> Odometry {
     Odometry {
         header: to_header(at, ODOMETRY_FRAME),
@@ -45,7 +44,7 @@ pub fn odometry(at: Timestamp, sensors: &SensorData) -> Odometry {
     }
 }
 
-/// `geometry_msgs/PoseWithCovarianceStamped` of where the robot is on the map, as localization says it.
+/// Returns the pose on the map as `geometry_msgs/PoseWithCovarianceStamped`, as localization publishes it.
 pub fn localized(at: Timestamp, sensors: &SensorData) -> PoseWithCovarianceStamped {
     PoseWithCovarianceStamped {
         header: to_header(at, MAP_FRAME),
@@ -53,7 +52,7 @@ pub fn localized(at: Timestamp, sensors: &SensorData) -> PoseWithCovarianceStamp
     }
 }
 
-/// `tf2_msgs/TFMessage` of all frames: the map's, odometry's, the base's and the lidar's.
+/// Returns all frames as `tf2_msgs/TFMessage`: those of the map, the odometry, the base and the lidar.
 pub fn frames(at: Timestamp, sensors: &SensorData) -> TFMessage {
     let frame = |parent: &str, child: &str, Planar { x, y, z, heading }, roll, pitch| TransformStamped {
         header: to_header(at, parent),
@@ -72,7 +71,7 @@ pub fn frames(at: Timestamp, sensors: &SensorData) -> TFMessage {
     TFMessage { transforms }
 }
 
-/// `nav_msgs/OccupancyGrid` of the map.
+/// Returns the map as `nav_msgs/OccupancyGrid`.
 pub fn map(map: &graph::OccupancyGrid) -> OccupancyGrid {
     let cell = |place: usize| match map.cell(place % map.width(), place / map.width()) {
         Cell::Free => 0,

@@ -1,4 +1,4 @@
-//! Robots in ROS 1, both ways: the link to one that is out there, and the offer of a simulated one.
+//! ROS 1: the link to a robot, and the offer of a simulated robot.
 
 mod link;
 mod offer;

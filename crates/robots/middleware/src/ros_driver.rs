@@ -1,5 +1,5 @@
-//! The driver of a robot that speaks ROS: a [`RosRobot`], a link to it, and the thread that keeps both going. ROS 1 and
-//! ROS 2 are two kinds of link.
+//! Driver of a robot in ROS: a [`RosRobot`], a link to it, and the thread that runs both. ROS 1 and ROS 2 are two kinds of
+//! link.
 
 use std::{sync::Arc, thread, time::Duration};
 
@@ -13,33 +13,33 @@ use crate::{
     ros_robot::{RosRobot, STOPS},
 };
 
-/// What was said is taken in at least so often.
+/// Longest interval between two reads of the link.
 const LISTEN: Duration = Duration::from_millis(20);
-/// After a failure to connect, the next attempt comes so much later.
+/// Interval between attempts to connect.
 pub(crate) const AGAIN: Duration = Duration::from_secs(1);
-/// Between two stops at the end.
+/// Interval between the stop commands at the end.
 const BETWEEN_STOPS: Duration = Duration::from_millis(20);
 
-/// A connection to a robot over ROS, which never waits.
+/// A connection to a robot over ROS. Its calls never block.
 pub trait RosLink: Send + 'static {
-    /// Tells `robot` all that it said since the last call.
+    /// Passes all messages since the last call to `robot`.
     fn hear(&mut self, now: Timestamp, robot: &mut RosRobot);
 
-    /// Says a velocity to the robot.
+    /// Sends a velocity to the robot.
     fn say(&mut self, velocity: Velocity);
 }
 
-/// What time it is, since the run began.
+/// Returns the time since the run began.
 pub type Clock = Arc<dyn Fn() -> Timestamp + Send + Sync>;
 
 /// Drives a robot over a link.
 ///
-/// Its thread connects, again and again until it can, listens, repeats velocities, and stops the robot when nobody says
-/// any for its command timeout, or when the driver is dropped.
+/// Its thread retries until it is connected, reads messages and repeats velocities. It stops the robot when the command
+/// timeout passes without a velocity, or when the driver is dropped.
 pub struct RosDriver<L: RosLink> {
     id: NodeId,
     shared: Arc<Shared<L>>,
-    /// As of the last advance or command.
+    /// State as of the last advance or command.
     seen: Seen,
     thread: Option<thread::JoinHandle<()>>,
 }
@@ -58,13 +58,13 @@ struct Shared<L> {
 struct State<L> {
     robot: RosRobot,
     link: Option<L>,
-    /// Time never falls, whichever thread read it.
+    /// The latest time of any thread: time never falls.
     now: Timestamp,
     ended: bool,
 }
 
 impl<L: RosLink> State<L> {
-    /// Takes in what was said, and says what is to be said.
+    /// Reads the link, and sends the velocities that are due.
     fn go_on(&mut self, now: Timestamp) {
         self.now = self.now.max(now);
         if let Some(link) = &mut self.link {
@@ -80,11 +80,11 @@ impl<L: RosLink> State<L> {
 }
 
 impl<L: RosLink> RosDriver<L> {
-    /// Drives the robot over what `connect` makes, which is called on a thread that is started by the calling one, and so
-    /// is in its network namespace. A failure is logged and tried again; until it succeeds, the robot is absent.
+    /// Drives the robot over the link that `connect` makes. A new thread calls it, in the network namespace of the calling
+    /// thread. A failure is logged and retried; the robot is absent until it succeeds.
     ///
     /// # Errors
-    /// When there is no thread.
+    /// [`std::io::Error`] if the thread cannot be started.
     pub fn start<E: std::fmt::Display>(
         robot: RosRobot,
         clock: Clock,
@@ -109,7 +109,7 @@ impl<L: RosLink> RosDriver<L> {
     }
 }
 
-/// The driver's thread.
+/// Runs the driver's thread.
 fn run<L: RosLink, E: std::fmt::Display>(
     shared: &Shared<L>,
     clock: &Clock,
@@ -125,7 +125,7 @@ fn run<L: RosLink, E: std::fmt::Display>(
                 shared.state.lock().link = Some(link);
                 break;
             }
-            // Once: the next attempts fail in the same way.
+            // Logged once: further attempts fail in the same way.
             Err(error) if !told => {
                 told = true;
                 tracing::warn!("robot {}: {error}; trying again", shared.state.lock().robot.id());
@@ -143,7 +143,7 @@ fn run<L: RosLink, E: std::fmt::Display>(
     }
     let Some(mut link) = state.link.take() else { return };
     drop(state);
-    // The end: whoever drives the robot next finds it standing. Said several times, as what says so may get lost.
+    // Leave the robot standing for its next driver. Messages may be lost, so that several are sent.
     for _ in 0..STOPS {
         link.say(Velocity::default());
         shared.changed.wait_for(&mut shared.state.lock(), BETWEEN_STOPS);
@@ -226,7 +226,7 @@ impl<L: RosLink> Drop for RosDriver<L> {
         self.shared.state.lock().ended = true;
         self.shared.changed.notify_all();
         if let Some(thread) = self.thread.take() {
-            // A thread that panicked has ended, too.
+            // A panic ends the thread, too.
             let _ = thread.join();
         }
     }

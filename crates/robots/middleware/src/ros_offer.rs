@@ -1,5 +1,4 @@
-//! A simulated robot that others reach over ROS: a thread that keeps it moving and tells what it senses, as a real one
-//! would, beside the testbed that it belongs to.
+//! A simulated robot that is offered to ROS programs. A thread moves it and publishes its sensors, as a real robot would.
 
 use std::{sync::Arc, thread, time::Duration};
 
@@ -14,23 +13,23 @@ use crate::{
     simulated::SimulatedRobot,
 };
 
-/// The topic on which ROS's programs that go by a simulation's time (`use_sim_time`) hear it.
+/// Topic of simulation time, for ROS programs with `use_sim_time`.
 pub(crate) const CLOCK: &str = "/clock";
 
-/// What the stamps of an offered robot's messages count.
+/// Time base of the stamps in an offered robot's messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OfferedTime {
     /// The time of day, since 1970.
     Day {
-        /// The beginning of the run.
+        /// Start of the run.
         epoch: Timestamp,
     },
-    /// The testbed's time, since the run began. It is told on `/clock`.
+    /// The testbed's time since the run began, which is published on `/clock`.
     Testbed,
 }
 
 impl OfferedTime {
-    /// The stamp of what is at that time of the run.
+    /// Returns the stamp for a time of the run.
     pub fn stamp(self, at: Timestamp) -> Timestamp {
         match self {
             Self::Day { epoch } => at + epoch.since(Timestamp::ZERO),
@@ -39,16 +38,16 @@ impl OfferedTime {
     }
 }
 
-/// Those whom a robot is offered to over ROS. Never waits.
+/// A connection that offers a robot over ROS. Its calls never block.
 pub trait RosOffer: Send + 'static {
-    /// The velocities that were asked for since the last call, the oldest first.
+    /// Returns the next velocity that ROS programs requested, oldest first.
     fn asked(&mut self) -> Option<Velocity>;
 
-    /// Tells what the robot senses at a time; with each new turn of its lidar, that.
+    /// Publishes the robot's sensors at a time, and each new turn of its lidar.
     fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>);
 }
 
-/// A simulated robot that is offered to others. Whoever says a velocity last moves it.
+/// A simulated robot that is offered to ROS programs. The last velocity of any sender moves it.
 pub struct OfferedRobot {
     id: NodeId,
     shared: Arc<Shared>,
@@ -63,15 +62,15 @@ struct Shared {
 
 struct State {
     robot: SimulatedRobot,
-    /// Time never falls, whichever thread read it.
+    /// The latest time of any thread: time never falls.
     now: Timestamp,
-    /// The speed at which others may drive it, m/s.
+    /// Speed limit for ROS programs, m/s.
     limit: Option<f64>,
     ended: bool,
 }
 
 impl State {
-    /// Does what others ask, within the limit.
+    /// Applies a velocity of a ROS program, within the limit.
     fn command(&mut self, velocity: Velocity) {
         let velocity = self.limit.map_or(velocity, |limit| slowed(velocity, limit));
         if let Err(error) = self.robot.command(self.now, velocity) {
@@ -81,11 +80,11 @@ impl State {
 }
 
 impl OfferedRobot {
-    /// Offers a robot over what `connect` makes, which is called on a thread that is started by the calling one, and so
-    /// is in its network namespace. A failure is logged and tried again.
+    /// Offers a robot over the connection that `connect` makes. A new thread calls it, in the network namespace of the
+    /// calling thread. A failure is logged and retried.
     ///
     /// # Errors
-    /// When there is no thread.
+    /// [`std::io::Error`] if the thread cannot be started.
     pub fn start<O: RosOffer, E: std::fmt::Display>(
         robot: SimulatedRobot,
         clock: Clock,
@@ -100,7 +99,7 @@ impl OfferedRobot {
             loop {
                 match connect() {
                     Ok(offer) => return serve(&its, &clock, offer),
-                    // Once: the next attempts fail in the same way.
+                    // Logged once: further attempts fail in the same way.
                     Err(error) if !told => {
                         told = true;
                         tracing::warn!("robot {}: {error}; trying again", its.state.lock().robot.robot());
@@ -126,7 +125,7 @@ impl OfferedRobot {
     }
 }
 
-/// The robot's thread.
+/// Runs the robot's thread.
 fn serve(shared: &Shared, clock: &Clock, mut offer: impl RosOffer) {
     let mut told = None;
     let mut state = shared.state.lock();
@@ -205,7 +204,7 @@ impl Drop for OfferedRobot {
         self.shared.state.lock().ended = true;
         self.shared.ended.notify_all();
         if let Some(thread) = self.thread.take() {
-            // A thread that panicked has ended, too.
+            // A panic ends the thread, too.
             let _ = thread.join();
         }
     }
@@ -217,7 +216,7 @@ mod tests {
     use crate::{fixtures, world::World};
 
     #[test]
-    fn others_drive_it_within_the_limit() {
+    fn ros_programs_drive_it_within_the_limit() {
         let world = Arc::new(World::new(&fixtures::room(20.0, 4.0)));
         let node = fixtures::robot("robot", None);
         let walk = fixtures::walk("robot", &[(1.0, 1.0), (9.0, 1.0)]);
@@ -225,7 +224,7 @@ mod tests {
         let mut state = State { robot, now: Timestamp::ZERO, limit: None, ended: false };
         let mut speed_under = |limit| {
             state.limit = limit;
-            // Commands hold for 600 ms.
+            // Commands are valid for 600 ms.
             for _ in 0..100 {
                 state.command(Velocity::planar(0.3, 0.0));
                 state.now = state.now + SimulatedRobot::STEP;

@@ -1,5 +1,5 @@
-//! A robot that speaks ROS, as a state machine: what it says goes in, as ROS messages with the time, and velocities for it
-//! come out. ROS 1 and ROS 2 share it; which of them carries the messages is a [`crate::RosLink`]'s to know.
+//! A robot in ROS as a state machine: its ROS messages go in with the time, and velocities for it come out. ROS 1 and ROS 2
+//! share it; a [`crate::RosLink`] carries the messages.
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
@@ -26,23 +26,23 @@ use crate::{
     watch::{Topic, Watch},
 };
 
-/// A velocity is said again so often: a base stops by itself when it hears none.
+/// Interval at which a velocity is repeated, because a base stops without one.
 const REPEAT: Duration = Duration::from_millis(100);
-/// A robot is told so often to stop: what says so may get lost.
+/// Number of stop commands in a row, because messages may be lost.
 pub(crate) const STOPS: u32 = 5;
-/// What is farther away, metres, or faster, m/s or rad/s, is no robot's.
+/// Largest coordinate, metres, and velocity, m/s or rad/s, that count as valid.
 const FARTHEST: f64 = 1e6;
 const FASTEST: f64 = 1e3;
-/// A variance above that says no more than that; it keeps sums finite.
+/// Cap of variances, which keeps sums finite.
 const GREATEST_VARIANCE: f64 = 1e12;
 
-/// A robot that speaks ROS.
+/// A robot in ROS.
 ///
-/// Its pose on the map is localization's: that of `map` → `odom` among its frames, else of the last `amcl_pose`, and
-/// odometry from there on. Without either, it is where odometry has it from the start that the testbed file gives.
+/// Its pose on the map comes from localization: the frame `map` → `odom`, else the last `amcl_pose`, moved on by odometry.
+/// Without either, odometry continues from the start that the testbed file gives.
 ///
-/// A velocity is said again each 100 ms until [`Self::COMMAND_TIMEOUT`], then the robot is told to stop; so it is when
-/// something is wrong with it. What it says is only taken in when it can be: nothing that is not finite gets out.
+/// A velocity is repeated every 100 ms until [`Self::COMMAND_TIMEOUT`]. Then, or on a fault, the robot is commanded to
+/// stop. Invalid messages are ignored, so that all readings are finite.
 #[derive(Debug, Clone)]
 pub struct RosRobot {
     id: NodeId,
@@ -52,16 +52,16 @@ pub struct RosRobot {
     watch: Watch,
     health: Vec<RobotFault>,
     odometry: Option<Odometer>,
-    /// The odometry's frame on the map, as localization has it.
+    /// Frame of the odometry on the map, by localization.
     correction: Option<Correction>,
-    /// Localization's pose from before the first odometry: it may be the only one until the robot moves.
+    /// Pose of localization from before the first odometry. It may be the only one until the robot moves.
     waiting: Option<Pose>,
     velocity: Velocity,
     scan: Option<Scan>,
-    /// The newest of each sensor that was not read, and when it came.
+    /// Newest reading of each sensor that was not taken, with its time of arrival.
     readings: BTreeMap<SensorId, (Timestamp, Vec<f64>)>,
     images: BTreeMap<SensorId, (Timestamp, Picture)>,
-    /// Sensors of which something was refused, and what of that was not told.
+    /// Sensors with a rejected message, and the notices to poll.
     refused: BTreeSet<SensorId>,
     notices: VecDeque<String>,
     motion: Motion,
@@ -69,23 +69,23 @@ pub struct RosRobot {
 
 #[derive(Debug, Clone)]
 struct Odometer {
-    /// In the frame of odometry.
+    /// Pose in the frame of the odometry.
     pose: Pose,
     frame: String,
-    /// The frame of odometry on the map, if the robot began where the testbed file says.
+    /// Frame of the odometry on the map, if the robot began at the testbed file's start.
     origin: Planar,
 }
 
 #[derive(Debug, Clone)]
 struct Correction {
     origin: Planar,
-    /// Of localization's last pose; zero before the first.
+    /// Covariance of localization's last pose; 0 before the first.
     covariance: [f64; 9],
-    /// Whether it is of the robot's frames, which then need no `amcl_pose`.
+    /// Whether it comes from the robot's frames, which take precedence over `amcl_pose`.
     of_frames: bool,
 }
 
-/// What is to be said to the robot.
+/// State of the commands to the robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Motion {
     Standing,
@@ -94,11 +94,10 @@ enum Motion {
 }
 
 impl RosRobot {
-    /// How long a velocity is followed.
+    /// Time for which a velocity is valid.
     pub const COMMAND_TIMEOUT: Duration = COMMAND_TIMEOUT;
 
-    /// A robot that was not heard yet. It starts at that place and heading on the map, and goes no faster than its
-    /// model and its walk's speed limit allow.
+    /// Creates a robot without messages so far, with this start on the map. The limits of its model and its walk apply.
     pub fn new(id: NodeId, model: RobotModel, start: Position, heading: f64, walk: Option<&Walk>) -> Self {
         let watch = Watch::default();
         let fastest = model.max_speed();
@@ -122,22 +121,22 @@ impl RosRobot {
         }
     }
 
-    /// Which robot.
+    /// Returns the robot's name.
     pub fn id(&self) -> &NodeId {
         &self.id
     }
 
-    /// What is wrong with it as of the last call with a time.
+    /// Returns the faults as of the last call with a time.
     pub fn health(&self) -> &[RobotFault] {
         &self.health
     }
 
-    /// The last turn of its lidar that made sense.
+    /// Returns the last valid turn of the lidar.
     pub fn scan(&self) -> Option<&Scan> {
         self.scan.as_ref()
     }
 
-    /// σ.
+    /// Returns σ.
     pub fn sensors(&self) -> SensorData {
         let Planar { x, y, z, heading } = self.start;
         let at_start = Pose { z, ..Pose::planar(x, y, heading, [0.0; 9], PoseSource::Odometry) };
@@ -160,7 +159,7 @@ impl RosRobot {
         }
     }
 
-    /// Its odometry came.
+    /// Takes an odometry message.
     pub fn odometry(&mut self, now: Timestamp, message: &Odometry) {
         self.watch.count(now, Topic::Odometry, 1);
         let twist = &message.twist.twist;
@@ -185,12 +184,12 @@ impl RosRobot {
         self.advance(now);
     }
 
-    /// A turn of its lidar came.
+    /// Takes a turn of the lidar.
     pub fn scanned(&mut self, now: Timestamp, message: LaserScan) {
         self.watch.count(now, Topic::Scan, 1);
         let angles = [message.angle_min, message.angle_max, message.angle_increment];
         let others = [message.range_min, message.range_max, message.time_increment, message.scan_time];
-        // REP 117 has NaN for a measurement that failed. If all did, there is none.
+        // NaN is a failed measurement (REP 117). A scan in which all failed is a fault.
         let blind = !message.ranges.is_empty() && message.ranges.iter().all(|range| range.is_nan());
         let figures: Vec<_> = angles.into_iter().chain(others).map(f64::from).collect();
         if self.is_finite(now, &figures)
@@ -212,7 +211,7 @@ impl RosRobot {
         self.advance(now);
     }
 
-    /// Numbers of one of its sensors came. What it senses while it is not well may be from anywhere, and is left out.
+    /// Takes numbers of a sensor. They are ignored while the robot has a fault.
     pub fn sensed(&mut self, now: Timestamp, sensor: &SensorId, values: Vec<f64>) {
         self.advance(now);
         if self.health.is_empty() {
@@ -220,7 +219,7 @@ impl RosRobot {
         }
     }
 
-    /// An image of one of its sensors came; the same holds.
+    /// Takes an image of a sensor. It is ignored while the robot has a fault.
     pub fn pictured(&mut self, now: Timestamp, sensor: &SensorId, picture: Picture) {
         self.advance(now);
         if self.health.is_empty() {
@@ -228,30 +227,30 @@ impl RosRobot {
         }
     }
 
-    /// Something of one of its sensors cannot be read. That is told once for each sensor.
+    /// Records that a sensor's message cannot be read. The first one of each sensor becomes a notice.
     pub fn refuse(&mut self, sensor: &SensorId, reason: &str) {
         if self.refused.insert(sensor.clone()) {
             self.notices.push_back(format!("robot {}, sensor {sensor}: {reason}", self.id));
         }
     }
 
-    /// The newest numbers of a sensor that were not taken, and when they came.
+    /// Takes the newest numbers of a sensor, with their time of arrival.
     pub fn take_reading(&mut self, sensor: &SensorId) -> Option<(Timestamp, Vec<f64>)> {
         self.readings.remove(sensor)
     }
 
-    /// The newest image of a sensor that was not taken.
+    /// Takes the newest image of a sensor.
     pub fn take_image(&mut self, sensor: &SensorId) -> Option<Captured> {
         let (measured, Picture { format, width, height, bytes }) = self.images.remove(sensor)?;
         Some(Captured { measured, format, width, height, content: Content::Bytes(bytes) })
     }
 
-    /// What is to be told to users.
+    /// Returns the next notice to users.
     pub fn poll_notice(&mut self) -> Option<String> {
         self.notices.pop_front()
     }
 
-    /// Localization says where it is on the map: `amcl_pose`.
+    /// Takes a pose of localization (`amcl_pose`).
     pub fn localized(&mut self, now: Timestamp, message: &PoseWithCovarianceStamped) {
         self.watch.count(now, Topic::Localization, 1);
         if let Some(pose) = self.pose(now, &message.pose, PoseSource::Localization) {
@@ -261,7 +260,7 @@ impl RosRobot {
         self.advance(now);
     }
 
-    /// Localization has the robot at that pose. Without odometry, nobody knows what moves on from there: then it waits.
+    /// Applies a pose of localization. It waits until the first odometry.
     fn correct(&mut self, pose: Pose) {
         let Some(odometer) = &self.odometry else {
             self.waiting = Some(pose);
@@ -276,7 +275,7 @@ impl RosRobot {
         self.correction = Some(Correction { origin, covariance: pose.covariance, of_frames });
     }
 
-    /// Coordinate frames came, of this robot or of others.
+    /// Takes coordinate frames, of this robot or others.
     pub fn frames(&mut self, now: Timestamp, message: &TFMessage) {
         self.watch.count(now, Topic::Frames, 1);
         for transform in &message.transforms {
@@ -299,19 +298,19 @@ impl RosRobot {
         self.advance(now);
     }
 
-    /// Messages of a topic were lost on the way, because too many came: so many.
+    /// Records messages of a topic that were dropped because too many came.
     pub fn missed(&mut self, now: Timestamp, topic: Topic, messages: u64) {
         self.watch.count(now, topic, messages);
         self.advance(now);
     }
 
-    /// Something came that is no message of its type.
+    /// Records a malformed message.
     pub fn malformed(&mut self, now: Timestamp) {
         self.watch.record(now, RobotFault::Malformed);
         self.advance(now);
     }
 
-    /// Time has come to `now`: what is wrong with the robot may be something else.
+    /// Updates the faults to `now`.
     pub fn advance(&mut self, now: Timestamp) {
         self.health = self.watch.faults(now);
         if !self.health.is_empty() && matches!(self.motion, Motion::Driving { .. }) {
@@ -319,10 +318,10 @@ impl RosRobot {
         }
     }
 
-    /// Moves it at that velocity; gives what it does of it.
+    /// Moves the robot at this velocity. Returns the velocity within its limits.
     ///
     /// # Errors
-    /// [`CommandError`]; the one before goes on, unless the robot is not well: then it stands still.
+    /// [`CommandError`]; the command before goes on, unless the robot has a fault and stands still.
     pub fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandError> {
         if !velocity.is_finite() {
             return Err(CommandError::NotFinite(velocity));
@@ -336,12 +335,12 @@ impl RosRobot {
         Ok(velocity)
     }
 
-    /// Stops it.
+    /// Stops the robot.
     pub fn stop(&mut self, now: Timestamp) {
         self.motion = Motion::Stopping { left: STOPS, next: now };
     }
 
-    /// The velocity that is to be said to the robot at `now`, if one is.
+    /// Returns the velocity to send at `now`, if any.
     pub fn poll_velocity(&mut self, now: Timestamp) -> Option<Velocity> {
         self.advance(now);
         if let Motion::Driving { until, .. } = self.motion
@@ -365,7 +364,7 @@ impl RosRobot {
         }
     }
 
-    /// When a velocity is to be said, or the robot's health may change; `None` as long as nothing is heard.
+    /// Returns the time of the next velocity or change of faults; `None` before the first message.
     pub fn next_deadline(&self, now: Timestamp) -> Option<Timestamp> {
         let motion = match self.motion {
             Motion::Standing => None,
@@ -379,7 +378,7 @@ impl RosRobot {
         self.watch.heard(now, topic, &header.stamp);
     }
 
-    /// Whether all are finite; else that is noted.
+    /// Checks that all figures are finite, and records a fault if not.
     fn is_finite(&mut self, now: Timestamp, figures: &[f64]) -> bool {
         let finite = figures.iter().all(|figure| figure.is_finite());
         if !finite {
@@ -388,7 +387,7 @@ impl RosRobot {
         finite
     }
 
-    /// Notes if something makes no sense.
+    /// Records a fault unless the content of a message makes sense.
     fn makes_sense(&mut self, now: Timestamp, sense: bool) -> bool {
         if !sense {
             self.watch.record(now, RobotFault::Malformed);
@@ -396,7 +395,7 @@ impl RosRobot {
         sense
     }
 
-    /// A pose, if it is one; else that is noted.
+    /// Returns a message's pose if it is valid, and records a fault if not.
     fn pose(&mut self, now: Timestamp, message: &PoseWithCovariance, source: PoseSource) -> Option<Pose> {
         let position = &message.pose.position;
         self.planar(now, [position.x, position.y, position.z], &message.pose.orientation)?;
@@ -409,7 +408,7 @@ impl RosRobot {
     fn planar(&mut self, now: Timestamp, place: [f64; 3], rotation: &Quaternion) -> Option<Planar> {
         let [x, y, z] = place;
         let turned = [rotation.x, rotation.y, rotation.z, rotation.w];
-        // Of a rotation, the squares add up to one; senders round.
+        // The squares of a rotation add up to 1, apart from rounding.
         let is_rotation = (turned.iter().map(|q| q * q).sum::<f64>() - 1.0).abs() < 0.1;
         let is_near = place.iter().all(|metres| metres.abs() <= FARTHEST);
         let is_pose = self.is_finite(now, &place)
@@ -419,7 +418,7 @@ impl RosRobot {
     }
 }
 
-/// Whether a scan can be one.
+/// Whether a scan's angles and ranges are possible.
 fn is_a_turn(scan: &LaserScan) -> bool {
     let full_turn = std::f32::consts::TAU * 1.01;
     let swept = scan.angle_increment.abs() * scan.ranges.len().saturating_sub(1) as f32;
@@ -431,7 +430,7 @@ fn is_a_turn(scan: &LaserScan) -> bool {
         && scan.range_min < scan.range_max
 }
 
-/// A frame's name as tf2 has it: old names begin with a slash.
+/// Returns a frame's name as in tf2, without the leading slash of older versions.
 fn bare(frame: &str) -> &str {
     frame.trim_start_matches('/')
 }

@@ -1,5 +1,5 @@
-//! The sensors of a robot in ROS: topics that a link listens to where a sensor declares them. Of numbers, the link takes
-//! in the newest. Images are read on a thread of their own, because they are large, and the newest one is taken in.
+//! Topics of a ROS robot's declared sensors. A link takes the newest message of each. Images are decoded on threads of
+//! their own, because they are large.
 
 use std::{fmt, io, sync::Arc, thread};
 
@@ -13,14 +13,14 @@ use crate::{
     ros_robot::RosRobot,
 };
 
-/// Messages of a sensor that wait: what is older than the newest is not read.
+/// Length of a sensor's queue: only the newest message is read.
 pub(crate) const NEWEST: usize = 1;
 
 /// The topics of a robot's sensors.
 #[derive(Default)]
 pub(crate) struct SensorTopics(Vec<Topic>);
 
-/// Tells a robot what came.
+/// Passes new messages of a topic to a robot.
 type Topic = Box<dyn FnMut(Timestamp, &mut RosRobot) + Send>;
 
 impl fmt::Debug for SensorTopics {
@@ -30,12 +30,12 @@ impl fmt::Debug for SensorTopics {
 }
 
 impl SensorTopics {
-    /// Tells the robot what its sensors said since the last call. Never waits.
+    /// Passes the sensors' messages since the last call to the robot, without waiting.
     pub fn hear(&mut self, now: Timestamp, robot: &mut RosRobot) {
         self.0.iter_mut().for_each(|topic| topic(now, robot));
     }
 
-    /// Listens to a topic with numbers.
+    /// Subscribes to a topic with numbers.
     pub fn numbers<S: Source + Send + 'static>(
         &mut self,
         sensor: &SensorId,
@@ -50,10 +50,10 @@ impl SensorTopics {
         }));
     }
 
-    /// Listens to a topic with images, until the link's node ends.
+    /// Subscribes to a topic with images, until the link's node ends.
     ///
     /// # Errors
-    /// When there is no thread.
+    /// [`io::Error`] if the thread cannot be started.
     pub fn images<S: Source + Send + 'static>(
         &mut self,
         sensor: &SensorId,
@@ -65,7 +65,7 @@ impl SensorTopics {
         let run = move || {
             while let Some(message) = source.wait() {
                 let picture = read(message);
-                // What was there is freed after the lock.
+                // The image before is freed after the lock is released.
                 let _before = its.lock().replace(picture);
             }
         };
@@ -82,7 +82,7 @@ impl SensorTopics {
     }
 }
 
-/// The components of an IMU's reading; NaN where it has no estimate.
+/// Returns the components of an IMU's reading; NaN where it has no estimate.
 pub(crate) fn imu(message: &Imu) -> Vec<f64> {
     let known = |covariance: &[f64; 9], value| if covariance[0] == -1.0 { f64::NAN } else { value };
     let (turns, moves) = (&message.angular_velocity, &message.linear_acceleration);
@@ -92,7 +92,7 @@ pub(crate) fn imu(message: &Imu) -> Vec<f64> {
     [turns, moves].concat()
 }
 
-/// The components of a battery's reading; NaN where it is not measured, or is no share.
+/// Returns the components of a battery's reading; NaN where they are not measured or the charge is not within 0 to 1.
 pub(crate) fn battery(message: &BatteryState) -> Vec<f64> {
     let share = f64::from(message.percentage);
     vec![if (0.0..=1.0).contains(&share) { share } else { f64::NAN }, message.voltage.into()]
@@ -109,7 +109,7 @@ mod tests {
     use crate::fixtures::id;
 
     #[test]
-    fn what_is_not_known_is_no_number() {
+    fn unknown_values_are_nan() {
         let message = Imu {
             angular_velocity: Vector3 { x: 1.0, y: 2.0, z: 3.0 },
             linear_acceleration: Vector3 { x: 4.0, y: 5.0, z: 6.0 },
@@ -126,7 +126,7 @@ mod tests {
         }
     }
 
-    /// Images as they are told, and then nothing more.
+    /// A source of the images in a channel.
     struct Told(mpsc::Receiver<Result<Picture, NoPicture>>);
 
     impl Source for Told {
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_image_is_read_and_what_is_none_is_told_once() {
+    fn newest_image_is_read_and_unreadable_ones_are_reported_once() {
         let mut robot = RosRobot::new(id("tb"), RobotModel::Turtlebot2, Position::new(0.0, 0.0), 0.0, None);
         let mut odometry = Odometry::default();
         odometry.pose.pose.orientation.w = 1.0;
@@ -160,7 +160,7 @@ mod tests {
         let camera = SensorId::new("camera").unwrap();
         let mut topics = SensorTopics::default();
         topics.images(&camera, Told(receiver), |told| told).unwrap();
-        // When one is taken, the one before it was put where it is read: the last is told twice.
+        // Once an image is received, the one before it is stored. Sending the last one twice makes sure that it is stored.
         let tell = |told: &[Result<Picture, NoPicture>]| {
             told.iter().chain(told.last()).for_each(|told| sender.send(told.clone()).unwrap());
         };

@@ -51,8 +51,8 @@ impl World {
         world
     }
 
-    /// Finds a large free box of each cell in each direction, in one pass against it: the box of the cell beside it, one
-    /// wider, or that of the cell above it, one higher, whichever is larger.
+    /// Finds a large free box of each cell in each direction, in one pass against the direction. It is the box of the cell
+    /// beside it, one wider, or that of the cell above it, one higher, whichever is larger.
     fn free_boxes(&self) -> [Vec<[u8; 2]>; 4] {
         let (width, height) = (self.width as usize, self.height as usize);
         let mut boxes = [(); 4].map(|()| vec![[0; 2]; width * height]);

@@ -1,4 +1,4 @@
-//! The driver of robots that speak ROS 1, and real robots' sort of trouble: a rospy node that says what no robot should.
+//! The driver of robots in ROS 1 against a rospy node with the faults of real robots.
 #![allow(
     clippy::disallowed_types,
     clippy::disallowed_methods,
@@ -16,7 +16,7 @@ use cotorra_ros1::{
 };
 use cotorra_testing::{process::until, ros1::Ros};
 
-/// A robot that is as it is told on /mood.
+/// A robot with the fault that is set on /mood.
 const ROBOT: &str = r#"
 import math, rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -91,7 +91,7 @@ fn driver(port: u16, clock: &Clock) -> RosDriver<Ros1Link> {
 }
 
 #[test]
-fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
+fn robot_with_a_fault_is_detected_and_stopped_until_it_recovers() {
     let Some(ros) = Ros::start() else { return };
     let clock = clock();
     let mut robot = driver(ros.port(), &clock);
@@ -120,13 +120,13 @@ fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
         ("silent", RobotFault::Silent),
     ] {
         well(&mut robot);
-        // On a busy machine the robot may also be silent for a moment, and not be told anything then.
+        // On a busy machine the robot may be silent for a moment, and gets no velocity then.
         until(&format!("it moves before it is {mood}"), || {
             robot.command(clock(), forward) == Ok(forward)
                 && velocities.try_recv().is_some_and(|velocity| velocity.linear.x == 0.2)
         });
         moods.publish(&Text { data: mood.to_owned() });
-        // Somebody keeps it moving until that is refused; then it is told to stop.
+        // Commands go on until they are rejected; then the robot is stopped.
         let mut refused = None;
         until(&format!("it is known to be {mood}"), || {
             refused = robot.command(clock(), forward).err();
@@ -150,7 +150,7 @@ fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
     assert_eq!((sensors.pose.source, sensors.nearest_obstacle_m), (PoseSource::Localization, Some(2.5)));
     assert_eq!(robot.scan().unwrap().ranges.len(), 641);
 
-    // Whoever drives it goes away while it moves.
+    // The driver is dropped while the robot moves.
     until("it moves", || {
         robot.command(clock(), forward) == Ok(forward)
             && velocities.try_recv().is_some_and(|velocity| velocity.linear.x == 0.2)
@@ -162,7 +162,7 @@ fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
 }
 
 #[test]
-fn a_master_that_comes_later_is_found() {
+fn master_that_starts_later_is_found() {
     let Some(mut ros) = Ros::start() else { return };
     let port = ros.port();
     ros.stop();

@@ -1,4 +1,4 @@
-//! The link to a robot that speaks ROS 1: a node that has its topics.
+//! Link to a robot in ROS 1: a node with its topics.
 
 use cotorra_graph::{RosTopics, SensorMessage, Timestamp, Velocity};
 use cotorra_ros1::{
@@ -18,7 +18,7 @@ use crate::{
     watch::Topic,
 };
 
-/// A node that listens to a robot and says velocities to it.
+/// A node that subscribes to a robot's topics and publishes velocities to it.
 #[derive(Debug)]
 pub struct Ros1Link {
     odometry: Heard<Subscriber<Odometry>>,
@@ -27,15 +27,15 @@ pub struct Ros1Link {
     frames: Heard<Subscriber<TFMessage>>,
     velocities: Publisher<Twist>,
     sensors: SensorTopics,
-    /// Keeps all of it going.
+    /// Keeps publishers and subscribers alive.
     _node: Node,
 }
 
 impl Ros1Link {
-    /// Starts a node that has the robot's topics.
+    /// Starts a node with the robot's topics.
     ///
     /// # Errors
-    /// [`NodeError`] if a name is none, or the master is not there.
+    /// [`NodeError`] if a name is invalid, or the master cannot be reached.
     pub fn connect(config: NodeConfig, topics: &RosTopics) -> Result<Self, NodeError> {
         let node = Node::new(config)?;
         let queue = SubscribeOptions { queue: QUEUE };
@@ -84,7 +84,7 @@ fn sensors(node: &Node, topics: &RosTopics) -> Result<SensorTopics, NodeError> {
 
 impl RosLink for Ros1Link {
     fn hear(&mut self, now: Timestamp, robot: &mut RosRobot) {
-        // Odometry first: the others say where its frame is.
+        // Odometry first, because frames and poses refer to its frame.
         self.odometry.hear(now, robot, |robot, message| robot.odometry(now, &message));
         self.frames.hear(now, robot, |robot, message| robot.frames(now, &message));
         self.poses.hear(now, robot, |robot, message| robot.localized(now, &message));

@@ -1,4 +1,4 @@
-//! The link to a robot that speaks ROS 2: a node that has its topics.
+//! Link to a robot in ROS 2: a node with its topics.
 
 use cotorra_graph::{RosTopics, SensorMessage, Timestamp, Velocity};
 use cotorra_plugin::convert::{to_header, to_twist};
@@ -20,15 +20,15 @@ use crate::{
     watch::Topic,
 };
 
-/// From who tells often, however it is published.
+/// QoS of frequent topics, for publishers of any reliability.
 const OFTEN: Qos = Qos { depth: QUEUE, ..Qos::SENSORS };
-/// From who tells seldom, as localization does: what is lost is sent again.
+/// QoS of rare topics such as localization: lost messages are sent again.
 const SELDOM: Qos = Qos { depth: QUEUE, ..Qos::COMMANDS };
 
-/// From a sensor.
+/// QoS of a declared sensor.
 const SENSOR: Qos = Qos { depth: NEWEST, ..Qos::SENSORS };
 
-/// A node that listens to a robot and says velocities to it.
+/// A node that subscribes to a robot's topics and publishes velocities to it.
 #[derive(Debug)]
 pub struct Ros2Link {
     odometry: Heard<Subscriber<Odometry>>,
@@ -36,19 +36,19 @@ pub struct Ros2Link {
     poses: Heard<Subscriber<PoseWithCovarianceStamped>>,
     frames: Heard<Subscriber<TFMessage>>,
     velocities: Publisher<Command>,
-    /// The beginning of the run, since 1970.
+    /// Start of the run, since 1970.
     epoch: Timestamp,
     now: Timestamp,
     sensors: SensorTopics,
-    /// Keeps all of it going.
+    /// Keeps publishers and subscribers alive.
     _node: Node,
 }
 
 impl Ros2Link {
-    /// Starts a node that has the robot's topics. Stamps count from 1970; `epoch` is when the run began.
+    /// Starts a node with the robot's topics. Stamps count from 1970; `epoch` is the start of the run.
     ///
     /// # Errors
-    /// [`NodeError`] if a name is none, or DDS refuses.
+    /// [`NodeError`] if a name is invalid, or DDS reports an error.
     pub fn connect(config: NodeConfig, topics: &RosTopics, epoch: Timestamp) -> Result<Self, NodeError> {
         let node = Node::new(config)?;
         Ok(Self {
@@ -98,7 +98,7 @@ fn sensors(node: &Node, topics: &RosTopics) -> Result<SensorTopics, NodeError> {
 impl RosLink for Ros2Link {
     fn hear(&mut self, now: Timestamp, robot: &mut RosRobot) {
         self.now = now;
-        // Odometry first: the others say where its frame is.
+        // Odometry first, because frames and poses refer to its frame.
         self.odometry.hear(now, robot, |robot, message| robot.odometry(now, &message));
         self.frames.hear(now, robot, |robot, message| robot.frames(now, &message));
         self.poses.hear(now, robot, |robot, message| robot.localized(now, &message));

@@ -1,4 +1,4 @@
-//! A simulated robot's topics in ROS 2: a node that tells what the robot senses, and takes velocities for it.
+//! A simulated robot's topics in ROS 2: a node that publishes its sensors and takes velocities for it.
 
 use cotorra_graph::{OccupancyGrid, RosTopics, SensorData, Timestamp, Velocity};
 use cotorra_plugin::convert::{from_twist, to_time};
@@ -13,7 +13,7 @@ use crate::{
     ros_offer::{CLOCK, OfferedTime, RosOffer},
 };
 
-/// A node that has the topics of a TurtleBot, and those of localization and of a map server, which know exactly.
+/// A node with the topics of a TurtleBot, of localization and of a map server. Their poses and map are exact.
 #[derive(Debug)]
 pub struct Ros2Offer {
     time: OfferedTime,
@@ -23,18 +23,18 @@ pub struct Ros2Offer {
     frames: Publisher<TFMessage>,
     velocities: Subscriber<Command>,
     clock: Option<Publisher<Clock>>,
-    /// Latched, so only kept.
+    /// Keeps the latched map available.
     _map: Option<Publisher<messages::OccupancyGrid>>,
-    /// Keeps all of it going.
+    /// Keeps publishers and subscribers alive.
     _node: Node,
 }
 
 impl Ros2Offer {
-    /// Starts a node that has the robot's topics; the map is published where there is one. Stamps count
-    /// `time`, which is told, too, if it is the testbed's.
+    /// Starts a node with the robot's topics. Publishes the map, if there is one, and the testbed's time, if stamps count
+    /// that.
     ///
     /// # Errors
-    /// [`NodeError`] if a name is none, or DDS refuses.
+    /// [`NodeError`] if a name is invalid, or DDS reports an error.
     pub fn connect(
         config: NodeConfig,
         topics: &RosTopics,

@@ -56,7 +56,7 @@ fn frame(ms: u64, frame_id: &str, child: &str, (x, y, heading): (f64, f64, f64))
     TFMessage { transforms: vec![TransformStamped { header, child_frame_id: child.to_owned(), transform }] }
 }
 
-/// At (10, 5) and facing north, if nobody knows better.
+/// A robot without messages, which starts at (10, 5) and faces north.
 fn absent() -> RosRobot {
     RosRobot::new(
         id("tb"),
@@ -84,7 +84,7 @@ fn place(robot: &RosRobot) -> (f64, f64, f64, PoseSource) {
 }
 
 #[test]
-fn without_localization_a_robot_is_where_odometry_has_it_from_its_start() {
+fn odometry_continues_from_the_start_without_localization() {
     let mut robot = absent();
     assert_eq!(place(&robot), (10.0, 5.0, 90.0, PoseSource::Odometry));
     robot.odometry(at(0), &odometry(0, 3.0));
@@ -92,7 +92,7 @@ fn without_localization_a_robot_is_where_odometry_has_it_from_its_start() {
     assert_eq!(place(&robot), (10.0, 6.5, 90.0, PoseSource::Odometry));
     let sensors = robot.sensors();
     assert_eq!((sensors.velocity, sensors.pose), (forward(0.25), sensors.odometry));
-    // What was the way ahead is the y axis now.
+    // The robot's x axis is the map's y axis.
     assert!(
         (sensors.pose.covariance[0] - 0.01).abs() < 1e-12
             && (sensors.pose.covariance[4] - 0.04).abs() < 1e-12
@@ -100,7 +100,7 @@ fn without_localization_a_robot_is_where_odometry_has_it_from_its_start() {
 }
 
 #[test]
-fn amcl_pose_says_where_a_robot_is_and_odometry_takes_it_on_from_there() {
+fn odometry_continues_from_amcl_pose() {
     let message = PoseWithCovarianceStamped { header: header(5, "map"), pose: pose(1.0, 1.0, 0.0) };
     let mut earlier = absent();
     earlier.localized(at(0), &message);
@@ -115,7 +115,7 @@ fn amcl_pose_says_where_a_robot_is_and_odometry_takes_it_on_from_there() {
 }
 
 #[test]
-fn the_newest_of_a_sensor_is_read_once_and_what_comes_while_it_is_not_well_is_left_out() {
+fn newest_reading_is_taken_once_and_ignored_during_a_fault() {
     let imu = SensorId::new("imu").unwrap();
     let mut robot = absent();
     robot.sensed(at(0), &imu, vec![1.0]);
@@ -139,7 +139,7 @@ fn the_newest_of_a_sensor_is_read_once_and_what_comes_while_it_is_not_well_is_le
 }
 
 #[test]
-fn the_frames_of_this_robot_win_and_those_of_others_do_not_count() {
+fn own_frames_take_precedence_and_frames_of_others_are_ignored() {
     let mut robot = well();
     robot.frames(at(5), &frame(5, "map", "tb9/odom", (7.0, 7.0, 0.0)));
     robot.frames(at(5), &frame(5, "odom", "base_footprint", (7.0, 7.0, 0.0)));
@@ -157,7 +157,7 @@ fn the_frames_of_this_robot_win_and_those_of_others_do_not_count() {
 }
 
 #[test]
-fn a_scan_may_have_any_number_of_rays_of_which_some_failed() {
+fn scan_may_have_any_number_of_rays_and_failed_rays() {
     let mut robot = well();
     for rays in [1, 360, 640, 1081] {
         let mut message = scan(10, rays);
@@ -173,13 +173,13 @@ fn a_scan_may_have_any_number_of_rays_of_which_some_failed() {
     assert!((robot.scan().unwrap().angle(1080) - 2.0).abs() < 0.01);
 }
 
-/// Velocities said up to a time, with when.
+/// Returns the velocities sent in an interval, with their times.
 fn said(robot: &mut RosRobot, from: u64, to: u64) -> Vec<(u64, f64)> {
     (from..to).filter_map(|ms| Some((ms, robot.poll_velocity(at(ms))?.linear))).collect()
 }
 
 #[test]
-fn a_velocity_is_repeated_until_its_timeout_and_then_the_robot_is_stopped() {
+fn velocity_is_repeated_until_its_timeout_and_then_the_robot_stops() {
     let mut robot = well();
     assert_eq!(robot.command(at(10), forward(0.2)), Ok(forward(0.2)));
     let moves = (0..6).map(|i| (10 + 100 * i, 0.2));
@@ -190,7 +190,7 @@ fn a_velocity_is_repeated_until_its_timeout_and_then_the_robot_is_stopped() {
 }
 
 #[test]
-fn what_is_over_its_limits_is_scaled_and_what_is_no_number_refused() {
+fn velocities_over_the_limits_are_scaled_and_nan_is_rejected() {
     let mut robot = RosRobot::new(
         id("robot1"),
         RobotModel::Turtlebot2,
@@ -205,14 +205,14 @@ fn what_is_over_its_limits_is_scaled_and_what_is_no_number_refused() {
 }
 
 #[test]
-fn an_absent_robot_is_told_nothing_and_refuses() {
+fn absent_robot_rejects_commands_and_gets_no_velocity() {
     let mut robot = absent();
     assert_eq!(robot.command(at(5), forward(0.1)), Err(CommandError::Unwell(RobotFault::Absent)));
     assert_eq!(said(&mut robot, 5, 3000), []);
 }
 
 #[test]
-fn a_robot_that_falls_silent_is_stopped_and_refuses_until_it_is_back() {
+fn silent_robot_is_stopped_and_rejects_commands_until_it_is_back() {
     let mut robot = well();
     for ms in [300, 700, 1100] {
         robot.command(at(ms - 1), forward(0.2)).unwrap();
@@ -232,7 +232,7 @@ fn a_robot_that_falls_silent_is_stopped_and_refuses_until_it_is_back() {
     assert_eq!(robot.command(at(2100), forward(0.2)), Ok(forward(0.2)));
 }
 
-/// What a broken robot may say.
+/// Messages of a broken robot, and calls between them.
 #[derive(Debug, Clone)]
 enum Saying {
     Odometry(Vec<f64>, i32),
@@ -276,7 +276,7 @@ fn broken_pose(f: &[f64]) -> PoseWithCovariance {
     PoseWithCovariance {
         pose: RosPose {
             position: Point { x: f[0], y: f[1], z: f[2] },
-            // One in two is a rotation.
+            // Half of them are rotations.
             orientation: if f[3] > 0.0 {
                 Quaternion::from_heading(f[4].clamp(-3.0, 3.0))
             } else {
@@ -290,10 +290,9 @@ fn broken_pose(f: &[f64]) -> PoseWithCovariance {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever a robot says, what gets out of it is finite, it is told to move only while it is well, and it is told
-    /// to stop after any time in which nobody moved it.
+    /// With any messages, readings are finite, the robot moves only without faults, and it stops without commands.
     #[test]
-    fn no_robot_however_broken_spoils_a_context_or_runs_away(sayings in proptest::collection::vec(saying(), 0..60)) {
+    fn broken_robot_never_spoils_a_context_or_runs_away(sayings in proptest::collection::vec(saying(), 0..60)) {
         let mut robot = well();
         let (mut now, mut commanded) = (0, None::<u64>);
         for saying in sayings {
@@ -351,7 +350,7 @@ proptest! {
                 .chain(nearest_obstacle_m);
             prop_assert!(figures.into_iter().all(f64::is_finite), "{pose:?} {odometry:?} {velocity:?} {nearest_obstacle_m:?}");
         }
-        // Left alone, it is well again but silent, and stands.
+        // Left alone, it has no fault but silence, and stands.
         let later = now + 5000;
         while robot.poll_velocity(at(later)).is_some() {}
         prop_assert_eq!(robot.poll_velocity(at(later + 1000)).unwrap_or_default(), Velocity::default());
