@@ -72,8 +72,8 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         self.vim.serving(vnf)
     }
 
-    /// Returns the nodes of each VNF's instances by their distance from a host, the nearest first. The distance is the present
-    /// delay of all links there and back. Of equal delays, fewer links are nearer, then the first name.
+    /// Returns the nodes of each VNF's instances by their distance from a host, the nearest first. The distance is the
+    /// present delay of all links there and back. Of equal delays, fewer links are nearer, then the first name.
     ///
     /// # Errors
     /// [`NetworkGone`].
@@ -135,8 +135,8 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         })
     }
 
-    /// Returns ι of every radio unit, d, λ and conditions of every link, the emulator's lateness, and the virtual links whose
-    /// hardware links have changed since the last call.
+    /// Returns ι of every radio unit, d, λ and conditions of every link, the emulator's lateness, and the virtual links
+    /// whose hardware links have changed since the last call.
     ///
     /// # Errors
     /// [`NetworkGone`].
@@ -278,8 +278,8 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Ok(())
     }
 
-    /// Returns the sum of the rates of virtual links between VNFs on two nodes, or on their way there, bit/s; `None` without
-    /// virtual links. A virtual link has its rate in each direction.
+    /// Returns the sum of the rates of virtual links between VNFs on two nodes, or on their way there, bit/s; `None`
+    /// without virtual links. A virtual link has its rate in each direction.
     fn rate_between(&self, a: &NodeId, b: &NodeId) -> Option<f64> {
         let joins = |link: &&VirtualLink| {
             let lies = |from, to| self.vim.is_on(&link.from, from) && self.vim.is_on(&link.to, to);

@@ -249,8 +249,8 @@ impl Frame {
         Ok(())
     }
 
-    /// Flips one bit behind the Ethernet header: the `choice`-th, modulo their number. Completes the checksum first, so that
-    /// the receiver can detect the damage. Returns `false` if there is nothing to flip.
+    /// Flips one bit behind the Ethernet header: the `choice`-th, modulo their number. Completes the checksum first, so
+    /// that the receiver can detect the damage. Returns `false` if there is nothing to flip.
     pub(crate) fn flip_bit(&mut self, choice: u64) -> bool {
         let bits = self.bytes.len().saturating_sub(ETHERNET) as u64 * 8;
         if bits == 0 || self.complete_checksum().is_err() {

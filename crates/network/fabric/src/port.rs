@@ -1,7 +1,7 @@
 //! Indices of hosts, and of the robots and radio units among them.
 
-/// A host's index in [`hosts`](cotorra_graph::HardwareGraph::hosts), from 0. [`HostAddress::of`](cotorra_graph::HostAddress::of)
-/// gives the addresses of its interface.
+/// A host's index in [`hosts`](cotorra_graph::HardwareGraph::hosts), from 0.
+/// [`HostAddress::of`](cotorra_graph::HostAddress::of) gives the addresses of its interface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PortId(pub usize);
 

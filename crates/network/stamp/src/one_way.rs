@@ -71,8 +71,8 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    /// Returns the estimates of `count` packets, one per 100 ms, with a reflector's clock that is ahead. `way` gives the delay of each
-    /// packet there and back, ms; `None` if it is lost. `least` gives the known delays.
+    /// Returns the estimates of `count` packets, one per 100 ms, with a reflector's clock that is ahead. `way` gives the
+    /// delay of each packet there and back, ms; `None` if it is lost. `least` gives the known delays.
     fn told(
         ahead_ms: i64,
         count: u64,
@@ -126,8 +126,8 @@ mod tests {
 
     #[test]
     fn losses_are_assigned_to_their_direction() {
-        // Of a hundred packets, ten are lost on the way there, and nine of the others on the way back; not the first, not the
-        // last.
+        // Of a hundred packets, ten are lost on the way there, and nine of the others on the way back; not the first, not
+        // the last.
         let way = |i: u64| [(i % 10 != 5).then_some(3), (i % 10 != 3 || i == 3).then_some(7)];
         let [there, back] = told(9, 100, way, |_| [ms(0), ms(0)]).unwrap().map(|told| told.loss.unwrap());
         assert!((there - 0.1).abs() < 1e-9 && (back - 0.1).abs() < 1e-9, "{there} {back}");

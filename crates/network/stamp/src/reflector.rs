@@ -1,5 +1,5 @@
-//! The Session-Reflector (RFC 8762, section 4.3). It is stateful: it counts the replies of each session, so that senders can
-//! assign losses to a direction.
+//! The Session-Reflector (RFC 8762, section 4.3). It is stateful: it counts the replies of each session, so that senders
+//! can assign losses to a direction.
 
 use std::{collections::HashMap, hash::Hash, time::Duration};
 

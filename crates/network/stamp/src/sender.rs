@@ -73,8 +73,8 @@ impl Sender {
         self.clock
     }
 
-    /// Sends the packet that is due, and waits for a reply until the session's deadline, for at most `no_longer`. Returns the
-    /// reply's round-trip time as [`Session::receive`] does.
+    /// Sends the packet that is due, and waits for a reply until the session's deadline, for at most `no_longer`. Returns
+    /// the reply's round-trip time as [`Session::receive`] does.
     ///
     /// # Errors
     /// The error of the system. A refused connection is none: its packets count as lost.

@@ -166,8 +166,8 @@ impl Session {
     /// delay of either direction for a packet's time of sending. The rest of the least round trip is assumed to be equal in
     /// both directions. `None` until the first packet was answered or given up.
     ///
-    /// The reflector's count assigns losses to directions. Packets lost after the last answered one count as lost on the way
-    /// there, because their direction is unknown.
+    /// The reflector's count assigns losses to directions. Packets lost after the last answered one count as lost on the
+    /// way there, because their direction is unknown.
     pub fn one_way(&self, now: Utc, least: impl Fn(Utc) -> [Duration; 2]) -> Option<[LinkEstimate; 2]> {
         one_way(self.recent(now), now, least)
     }

@@ -200,8 +200,8 @@ impl Group {
         }
     }
 
-    /// Assigns a slot to each of these nodes, in their order: one that is there, else one that is moving there, else one that
-    /// can move, else a new one. All other slots leave. Returns the cancelled instances, and the
+    /// Assigns a slot to each of these nodes, in their order: one that is there, else one that is moving there, else one
+    /// that can move, else a new one. All other slots leave. Returns the cancelled instances, and the
     /// indices of the slots to start, with their nodes.
     fn assign(&mut self, nodes: &[NodeId]) -> (Vec<Instance>, Vec<(usize, NodeId)>) {
         let mut assigned: Vec<Option<Slot>> = nodes.iter().map(|_| None).collect();

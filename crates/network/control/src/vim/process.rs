@@ -98,8 +98,8 @@ struct Watched {
 }
 
 impl<L: Launcher> ProcessEngine<L> {
-    /// Creates an engine. Processes append their output to `logs/<vnf>.log`, or `logs/<vnf>@<replica>.log` for replicas from
-    /// 1. Without cgroups they have no limits.
+    /// Creates an engine. Processes append their output to `logs/<vnf>.log`, or `logs/<vnf>@<replica>.log` for replicas
+    /// from 1. Without cgroups they have no limits.
     pub fn new(launcher: Arc<L>, logs: PathBuf, cgroups: Option<Cgroups>) -> Self {
         let (report, events) = mpsc::channel();
         Self { launcher, logs, cgroups: cgroups.map(Arc::new), watched: BTreeMap::new(), events, report }

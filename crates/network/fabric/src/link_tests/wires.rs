@@ -21,7 +21,8 @@ impl WireProbes {
     /// Bytes of a probe's Ethernet frame.
     pub const BYTES: usize = HEADERS + BASE_LENGTH;
 
-    /// Returns the configuration for a link of which only one end is within reach: probes take no more than 1 % of its rate.
+    /// Returns the configuration for a link of which only one end is within reach: probes take no more than 1 % of its
+    /// rate.
     pub fn session(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
         wired(settings, conditions)
     }

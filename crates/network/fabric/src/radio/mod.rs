@@ -361,8 +361,8 @@ impl Radio {
         others.map(move |&robot| Path { robot, unit, direction: Direction::Backward })
     }
 
-    /// Advances to `now`, appends arrived frames to `out` in order, and returns the next deadline. Buffers of lost frames go
-    /// to the pool.
+    /// Advances to `now`, appends arrived frames to `out` in order, and returns the next deadline. Buffers of lost frames
+    /// go to the pool.
     pub(crate) fn poll(
         &mut self,
         now: Timestamp,

@@ -197,8 +197,8 @@ impl Phy {
         Duration::from_micros(self.difs_us() + backoff + self.frame_us(&self.modes[0], frame_bytes))
     }
 
-    /// Returns the lowest signal-to-noise ratio that a receiver can decode, dB. There, one in ten PSDUs of 1000 bytes at the
-    /// slowest rate is lost, by the standard's definition of sensitivity (17.3.10.2).
+    /// Returns the lowest signal-to-noise ratio that a receiver can decode, dB. There, one in ten PSDUs of 1000 bytes at
+    /// the slowest rate is lost, by the standard's definition of sensitivity (17.3.10.2).
     pub(super) fn sensitivity_db(&self) -> f64 {
         let (mut deaf, mut hears) = (-20.0, 30.0);
         while hears - deaf > 1e-6 {
@@ -256,9 +256,9 @@ impl Reception {
         self.phy.modes[self.best(REFERENCE_BYTES)].mbps()
     }
 
-    /// Sends a frame and waits for its acknowledgement, up to seven times with a doubling contention window (10.3.3, 10.3.4).
-    /// A sender that finds the channel idle sends at once; one that had to wait (`contended`) backs off first. `random` gives
-    /// uniform numbers in 0..1.
+    /// Sends a frame and waits for its acknowledgement, up to seven times with a doubling contention window (10.3.3,
+    /// 10.3.4). A sender that finds the channel idle sends at once; one that had to wait (`contended`) backs off first.
+    /// `random` gives uniform numbers in 0..1.
     pub(super) fn exchange(
         &self,
         frame_bytes: usize,

@@ -53,7 +53,8 @@ impl Beacons {
         *self = Self::default();
     }
 
-    /// Weighs a beacon of the own radio unit (`None` if too weak) against the signals of others. The others matter only with
+    /// Weighs a beacon of the own radio unit (`None` if too weak) against the signals of others. The others matter only
+    /// with
     /// `thresholds`.
     pub(super) fn weigh(
         &mut self,
