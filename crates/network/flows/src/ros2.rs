@@ -348,7 +348,10 @@ impl Ros2 {
                 }
             }
             Measured::Action(_) => {
-                let matches = |key: &Key| matches!(key, Key::Goal { result_call: Some(result_call), .. } if result_call.is_answered_by(reply));
+                let matches = |key: &Key| match key {
+                    Key::Goal { result_call: Some(call), .. } => call.is_answered_by(reply),
+                    _ => false,
+                };
                 self.requests.answer_to(matches, at);
             }
         }
