@@ -5,7 +5,7 @@
 
 use sha2::{Digest, Sha256};
 
-use crate::{codec::Version, field::FieldType};
+use crate::codec::Version;
 
 /// The name, constants and fields of a message.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,6 +40,101 @@ pub struct FieldDescription {
     pub kind: FieldType,
     /// The only version that has it; `None` for both.
     pub only: Option<Version>,
+}
+
+/// The type of a field.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FieldType {
+    element: Element,
+    arity: Arity,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Element {
+    /// A built-in type, with its number in ROS 2's `FieldType.msg`.
+    Builtin {
+        name: &'static str,
+        id: u8,
+    },
+    Message(Description),
+    /// A built-in type of ROS 1 that is a message in ROS 2.
+    Time {
+        ros1: &'static str,
+        ros2: Description,
+    },
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Arity {
+    One,
+    Array(usize),
+    Sequence,
+}
+
+impl FieldType {
+    pub(crate) fn builtin(name: &'static str, id: u8) -> Self {
+        Self { element: Element::Builtin { name, id }, arity: Arity::One }
+    }
+
+    /// Describes a message as a field.
+    pub fn message(description: Description) -> Self {
+        Self { element: Element::Message(description), arity: Arity::One }
+    }
+
+    /// Describes a built-in type of ROS 1 that is a message in ROS 2.
+    pub(crate) fn time(ros1: &'static str, ros2: Description) -> Self {
+        Self { element: Element::Time { ros1, ros2 }, arity: Arity::One }
+    }
+
+    /// Describes an array of variable length with elements of this type.
+    pub(crate) fn sequence(self) -> Self {
+        Self { arity: Arity::Sequence, ..self }
+    }
+
+    /// Describes an array of fixed length with elements of this type.
+    pub(crate) fn array(self, length: usize) -> Self {
+        Self { arity: Arity::Array(length), ..self }
+    }
+
+    /// The message that the field is, or has as elements.
+    pub(crate) fn description(&self, version: Version) -> Option<&Description> {
+        match (&self.element, version) {
+            (Element::Message(description), _) | (Element::Time { ros2: description, .. }, Version::Ros2) => {
+                Some(description)
+            }
+            (Element::Builtin { .. }, _) | (Element::Time { .. }, Version::Ros1) => None,
+        }
+    }
+
+    /// The type as a `.msg` file names it, such as `geometry_msgs/Point[]`.
+    pub(crate) fn text(&self, version: Version) -> String {
+        let name = match (&self.element, version) {
+            (Element::Builtin { name, .. }, _) | (Element::Time { ros1: name, .. }, Version::Ros1) => {
+                (*name).to_owned()
+            }
+            (Element::Message(description) | Element::Time { ros2: description, .. }, _) => {
+                description.short_name()
+            }
+        };
+        match self.arity {
+            Arity::One => name,
+            Arity::Array(capacity) => format!("{name}[{capacity}]"),
+            Arity::Sequence => format!("{name}[]"),
+        }
+    }
+
+    /// The number in ROS 2's `FieldType.msg`, and the capacity of an array or 0.
+    pub(crate) fn id_and_capacity(&self) -> (u8, usize) {
+        let id = match self.element {
+            Element::Builtin { id, .. } => id,
+            Element::Message(_) | Element::Time { .. } => 1,
+        };
+        match self.arity {
+            Arity::One => (id, 0),
+            Arity::Array(capacity) => (id + 48, capacity),
+            Arity::Sequence => (id + 144, 0),
+        }
+    }
 }
 
 impl Description {

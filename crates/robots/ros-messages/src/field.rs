@@ -1,10 +1,10 @@
-//! The types of fields. Each knows its encoding and its names in `.msg` text.
+//! Encodings of fields.
 
 use std::array;
 
 use crate::{
     codec::{DecodeError, Reader, Version, Writer},
-    description::Description,
+    description::FieldType,
 };
 
 /// A value that a message can hold. [`message!`](crate::message!) implements it for messages.
@@ -44,91 +44,10 @@ pub const fn min_len<T: Field>(only: Option<Version>) -> usize {
     if only.is_none() { T::MIN_LEN } else { 0 }
 }
 
-/// The type of a field.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct FieldType {
-    element: Element,
-    arity: Arity,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-enum Element {
-    /// A built-in type, with its number in ROS 2's `FieldType.msg`.
-    Builtin {
-        name: &'static str,
-        id: u8,
-    },
-    Message(Description),
-    /// A built-in type of ROS 1 that is a message in ROS 2.
-    Time {
-        ros1: &'static str,
-        ros2: Description,
-    },
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Arity {
-    One,
-    Array(usize),
-    Sequence,
-}
-
-impl FieldType {
-    /// Describes a message as a field.
-    pub fn message(description: Description) -> Self {
-        Self { element: Element::Message(description), arity: Arity::One }
-    }
-
-    /// Describes a built-in type of ROS 1 that is a message in ROS 2.
-    pub(crate) fn time(ros1: &'static str, ros2: Description) -> Self {
-        Self { element: Element::Time { ros1, ros2 }, arity: Arity::One }
-    }
-
-    /// The message that the field is, or has as elements.
-    pub(crate) fn description(&self, version: Version) -> Option<&Description> {
-        match (&self.element, version) {
-            (Element::Message(description), _) | (Element::Time { ros2: description, .. }, Version::Ros2) => {
-                Some(description)
-            }
-            (Element::Builtin { .. }, _) | (Element::Time { .. }, Version::Ros1) => None,
-        }
-    }
-
-    /// The type as a `.msg` file names it, such as `geometry_msgs/Point[]`.
-    pub(crate) fn text(&self, version: Version) -> String {
-        let name = match (&self.element, version) {
-            (Element::Builtin { name, .. }, _) | (Element::Time { ros1: name, .. }, Version::Ros1) => {
-                (*name).to_owned()
-            }
-            (Element::Message(description) | Element::Time { ros2: description, .. }, _) => {
-                description.short_name()
-            }
-        };
-        match self.arity {
-            Arity::One => name,
-            Arity::Array(capacity) => format!("{name}[{capacity}]"),
-            Arity::Sequence => format!("{name}[]"),
-        }
-    }
-
-    /// The number in ROS 2's `FieldType.msg`, and the capacity of an array or 0.
-    pub(crate) fn id_and_capacity(&self) -> (u8, usize) {
-        let id = match self.element {
-            Element::Builtin { id, .. } => id,
-            Element::Message(_) | Element::Time { .. } => 1,
-        };
-        match self.arity {
-            Arity::One => (id, 0),
-            Arity::Array(capacity) => (id + 48, capacity),
-            Arity::Sequence => (id + 144, 0),
-        }
-    }
-}
-
 macro_rules! builtin {
     ($name:literal $id:literal) => {
         fn field_type() -> FieldType {
-            FieldType { element: Element::Builtin { name: $name, id: $id }, arity: Arity::One }
+            FieldType::builtin($name, $id)
         }
     };
 }
@@ -248,7 +167,7 @@ impl<T: Field> Field for Vec<T> {
     const MIN_LEN: usize = 4;
 
     fn field_type() -> FieldType {
-        FieldType { arity: Arity::Sequence, ..T::field_type() }
+        T::field_type().sequence()
     }
 
     fn encode(&self, writer: &mut Writer<'_>) {
@@ -267,7 +186,7 @@ impl<T: Field, const N: usize> Field for [T; N] {
     const MIN_LEN: usize = N * T::MIN_LEN;
 
     fn field_type() -> FieldType {
-        FieldType { arity: Arity::Array(N), ..T::field_type() }
+        T::field_type().array(N)
     }
 
     fn encode(&self, writer: &mut Writer<'_>) {

@@ -3,7 +3,8 @@
 use crate::{
     Header,
     codec::{DecodeError, Reader, Writer},
-    field::{Field, FieldType},
+    description::FieldType,
+    field::Field,
     message,
 };
 

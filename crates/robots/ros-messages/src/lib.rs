@@ -16,8 +16,8 @@ mod time;
 mod visualization;
 
 pub use codec::{DecodeError, Reader, Version, Writer};
-pub use description::{Constant, Description, FieldDescription};
-pub use field::{Byte, Field, FieldType, min_len};
+pub use description::{Constant, Description, FieldDescription, FieldType};
+pub use field::{Byte, Field, min_len};
 pub use geometry::*;
 pub use message::Message;
 pub use navigation::*;

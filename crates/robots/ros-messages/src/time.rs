@@ -2,8 +2,8 @@
 
 use crate::{
     codec::{DecodeError, Reader, Version, Writer},
-    description::{Description, FieldDescription},
-    field::{Field, FieldType},
+    description::{Description, FieldDescription, FieldType},
+    field::Field,
     message::Message,
 };
 

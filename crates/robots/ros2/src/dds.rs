@@ -5,6 +5,7 @@ mod codec;
 mod engine;
 mod graph;
 mod participant;
+mod shared;
 mod topics;
 
 pub use participant::Dds;

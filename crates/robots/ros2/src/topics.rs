@@ -14,7 +14,7 @@ use cotorra_ros_messages::queue::{Inbox, RecvError};
 
 use crate::{
     carried::{Carried, Kind},
-    node::NodeError,
+    error::NodeError,
     peers::Peers,
     qos::Qos,
 };

@@ -5,6 +5,7 @@
 
 mod names;
 mod session;
+mod shared;
 mod topics;
 
 pub use session::Zenoh;

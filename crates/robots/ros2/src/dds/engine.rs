@@ -1,21 +1,18 @@
 //! The node's thread: it handles discovery, receives messages of peers, and sends queued messages.
 
-use std::{io, sync::Arc, time::Duration};
+use std::{io, sync::Arc};
 
 use rustdds::{
     DomainParticipantStatusListener, StatusEvented,
     mio1::{Events, Interest, Poll, Token, Waker},
 };
 
-use super::participant::Shared;
+use super::shared::{RETRY, Shared};
 
 const WAKER: Token = Token(0);
 const DISCOVERY: Token = Token(1);
 /// First identifier of other event sources.
 pub const FIRST_ID: usize = 2;
-
-/// Retry interval for queued messages, no longer than the interval of commands.
-pub const RETRY: Duration = Duration::from_millis(20);
 
 /// Returns the thread's poll and its waker.
 pub fn poll() -> io::Result<(Poll, Waker)> {

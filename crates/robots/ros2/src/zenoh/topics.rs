@@ -17,11 +17,11 @@ use zenoh_ext::{
 
 use super::{
     names::{Role, topic_key},
-    session::{Shared, refused},
+    shared::{Shared, refused},
 };
 use crate::{
     carried::Kind,
-    node::NodeError,
+    error::NodeError,
     peers::Endpoint,
     qos::Qos,
     topics::{Incoming, Inlet, Outlet},
