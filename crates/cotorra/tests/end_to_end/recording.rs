@@ -94,7 +94,7 @@ fn a_run_in_virtual_time_is_recorded_to_the_same_bytes() {
         assert_eq!(exported, told);
     }
     let again = export(&one);
-    assert!(!again.status.success() && stderr(&again).contains("is there already"), "{}", stderr(&again));
+    assert!(!again.status.success() && stderr(&again).contains("exists already"), "{}", stderr(&again));
 }
 
 #[test]

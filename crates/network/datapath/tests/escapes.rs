@@ -194,8 +194,10 @@ fn confined_programs_work_in_their_folder() {
     );
     assert_eq!(output("mkdir ~/a && echo kept >~/a/file && mv ~/a ~/b && cat ~/b/file"), "kept\n");
     assert_eq!(fs::read_to_string(home.join("b/file")).unwrap(), "kept\n");
-    assert_eq!(output("echo gone >/tmp/a && ln /tmp/a /dev/shm/b 2>/dev/null; cat /tmp/a"), "gone\n");
-    assert!(!Path::new("/tmp/a").exists());
+    let file = format!("/tmp/of-{}", std::process::id());
+    let script = format!("echo gone >{file} && ln {file} /dev/shm/b 2>/dev/null; cat {file}");
+    assert_eq!(output(&script), "gone\n");
+    assert!(!Path::new(&file).exists());
     assert_eq!(output("head -c 3 /dev/urandom | wc -c; echo x >/dev/null; cat /dev/null; ls runs"), "3\n1\n");
     // Its children see each other, and nobody else.
     assert_eq!(

@@ -116,7 +116,7 @@ fn rejections_and_failures_have_a_reason() {
         "{unauthorized}"
     );
     assert!(gateway.ends_with("answers 502: Bad Gateway"), "{gateway}");
-    assert!(surprise.contains("answers what this client does not understand"), "{surprise}");
+    assert!(surprise.contains("gives an answer that this client does not understand"), "{surprise}");
 }
 
 #[test]
