@@ -32,7 +32,8 @@ mod units;
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
 pub use conditions::{
-    ConditionChange, Conditions, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale, Trace,
+    ConditionChange, Conditions, InvalidTrace, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale,
+    Trace,
 };
 pub use context::{
     AnswersRejected, Attachment, Handover, InstancePath, Lateness, LinkContext, LinkCounters, PathKind,

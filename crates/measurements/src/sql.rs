@@ -11,10 +11,12 @@ mod write;
 
 #[cfg(test)]
 pub(crate) use self::read::Select;
+#[cfg(feature = "mariadb")]
+pub(crate) use self::session::{column_list, quoted};
 pub(crate) use self::{
     read::Reader,
     runs::{begin_run, end_run, remove_run},
-    session::{Cell, Dialect, Row, Session, column_list, integer, integers, quoted, transaction},
+    session::{Cell, Dialect, Row, Session, integer, integers, transaction},
     thin::{note_retained, thin},
     write::{Batch, Known, Stretch, Target, append},
 };

@@ -1,6 +1,6 @@
 //! Puts a testbed together and runs it: the core of the three blocks, the API, the plug-in host, and the report.
 //!
-//! [`Run::start`] brings a testbed up in real time, and [`Run::finish`] takes it down. [`simulate`] does both in virtual
+//! [`Run::start`] brings a testbed up in real time, and [`Run::finish`] takes it down. [`simulate()`] does both in virtual
 //! time. [`Replay`](replay::Replay) plays a recorded run. [`Report`] and [`Summary`] are the results. Experiments of many
 //! runs are in `cotorra-experiments`.
 #![forbid(unsafe_code)]

@@ -11,7 +11,7 @@
 //!     .axis("plugin=probing,okpi".parse()?)
 //!     .seeds(10);
 //! let folder = SweepFolder::open(&sweep.default_folder(Path::new("sweeps"))?)?;
-//! Skips the runs that the folder has, and keeps each new one as soon as it is done.
+//! // Skips the runs that the folder has, and keeps each new one as soon as it is done.
 //! let runs = sweep.run(&folder, std::thread::available_parallelism()?, |done, of| {
 //!     eprintln!("{done} of {of}");
 //!     true

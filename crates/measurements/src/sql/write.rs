@@ -27,6 +27,8 @@ pub(crate) enum Target {
 }
 
 impl Target {
+    /// Number of tables.
+    #[cfg(feature = "mariadb")]
     pub const COUNT: usize = 1 + 2 * Kind::ALL.len();
 
     /// Returns all tables, each in the place that [`Self::place`] says.
@@ -36,7 +38,7 @@ impl Target {
         std::iter::once(Self::Gaps).chain(of_kinds)
     }
 
-    /// Returns the table's place among all, below [`Self::COUNT`].
+    /// Returns the table's place among all, below `COUNT`.
     pub const fn place(self) -> usize {
         match self {
             Self::Gaps => 0,
