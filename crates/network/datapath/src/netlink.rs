@@ -161,6 +161,19 @@ fn route(index: u32, to: Ipv4Addr, prefix: u8) -> RouteNetlinkMessage {
     RouteNetlinkMessage::NewRoute(route)
 }
 
+/// Adds the route by which a host receives packets to an address of its own. The kernel adds one, too, but later, on a
+/// work queue: it drops packets that arrive before.
+fn local_route(index: u32, to: Ipv6Addr) -> RouteNetlinkMessage {
+    let mut route = RouteMessage::default();
+    route.header.address_family = AddressFamily::Inet6;
+    route.header.destination_prefix_length = 128;
+    route.header.table = libc::RT_TABLE_LOCAL;
+    route.header.protocol = RouteProtocol::Static;
+    route.header.kind = RouteType::Local;
+    route.attributes = vec![RouteAttribute::Destination(RouteAddress::Inet6(to)), RouteAttribute::Oif(index)];
+    RouteNetlinkMessage::NewRoute(route)
+}
+
 /// Returns the link-local address that follows from a MAC address (RFC 4291, appendix A).
 fn link_local(mac: [u8; 6]) -> Ipv6Addr {
     let [a, b, c, d, e, f] = mac.map(u16::from);
@@ -196,8 +209,10 @@ pub(crate) fn host(eth0: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<Rou
     requests.push(route(eth0, Ipv4Addr::new(224, 0, 0, 0), 4));
     requests.push(route(eth0, Ipv4Addr::BROADCAST, 32));
     if has_ipv6() {
-        requests.push(address(eth0, link_local(of.mac).into(), 64, AddressScope::Link));
+        let on_link = link_local(of.mac);
+        requests.push(address(eth0, on_link.into(), 64, AddressScope::Link));
         requests.push(address(eth0, of.ipv6.into(), HostAddress::IPV6_PREFIX, AddressScope::Universe));
+        requests.extend([on_link, of.ipv6].map(|own| local_route(eth0, own)));
     }
     requests
 }
