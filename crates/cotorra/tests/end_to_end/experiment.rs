@@ -160,7 +160,7 @@ fn settings_that_plugins_reject_leave_no_folder() {
 
 /// Uses the network that `COTORRA_LEDGER` names, which scripts/ledger-network starts.
 #[test]
-fn a_robot_is_handed_to_another_domain_on_a_network_that_is_there() {
+fn a_robot_is_handed_to_another_domain_on_an_existing_network() {
     if env::var_os("COTORRA_LEDGER").is_none() {
         return eprintln!("skipped: COTORRA_LEDGER names no network (scripts/ledger-network does)");
     }
