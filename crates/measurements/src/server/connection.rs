@@ -142,6 +142,9 @@ pub(super) fn engine_error(history: &Arc<str>, error: mysql::Error) -> Error {
         mysql::Error::FromValueError(_) | mysql::Error::FromRowError(_) => {
             Error::Corrupt { history, detail: "a column is of another type than the schema says".to_owned() }
         }
+        // The text of these without the name of their type.
+        mysql::Error::DriverError(error) => Error::Unreachable { history, cause: error.to_string().into() },
+        mysql::Error::IoError(error) => Error::Unreachable { history, cause: error.to_string().into() },
         // A session whose bytes were cut off, or whose answer came too late.
         other => Error::Unreachable { history, cause: other.to_string().into() },
     }

@@ -162,6 +162,19 @@ fn version_of(url: &str) -> Option<u32> {
 
 /// Covers newer versions, and those from before the first release, which went up to 5.
 #[test]
+fn a_server_that_is_down_is_named_without_types_of_the_driver() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let free = taken.local_addr().unwrap();
+    drop(taken);
+    let message = refusal(&format!("mysql://ana@{free}/cotorra")).to_string();
+    assert!(
+        message.contains(&free.to_string()) && message.contains("the server does not answer"),
+        "{message}"
+    );
+    assert!(!message.contains(['{', '}']), "{message}");
+}
+
+#[test]
 fn unknown_schemas_are_rejected_and_left_alone() {
     let Some(server) = MariaDb::shared() else { return };
     let url = server.fresh();
