@@ -74,6 +74,8 @@ impl Comparison {
             let totals = all(&Federated::total_s);
             let beyond = all(&|run| run.beyond_s() * 1e3);
             let [mean, deviation] = mean_and_deviation(&totals);
+            // Not "-0" for a span that rounding errors made negative.
+            let ms = |span: f64| if span.abs() <= 0.5 { 0.0 } else { span };
             let lost: usize = runs.iter().map(|run| run.lost).sum();
             let samples: usize = runs.iter().map(|run| run.samples).sum();
             let row = format!(
@@ -84,10 +86,10 @@ impl Comparison {
                 least(&totals),
                 most(&totals),
                 most(&all(&Federated::bound_s)),
-                Quantiles::of(beyond.clone()).map_or(0.0, |quantiles| quantiles.p50),
-                most(&beyond),
-                most(&all(&|run| run.deployment_s() * 1e3)),
-                most(&all(&|run| run.gap_s * 1e3)),
+                ms(Quantiles::of(beyond.clone()).map_or(0.0, |quantiles| quantiles.p50)),
+                ms(most(&beyond)),
+                ms(most(&all(&|run| run.deployment_s() * 1e3))),
+                ms(most(&all(&|run| run.gap_s * 1e3))),
                 least(&all(&|run| run.slowest * 100.0)),
                 runs.iter().filter(|run| run.is_paid).count(),
                 runs.len(),

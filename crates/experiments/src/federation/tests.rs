@@ -95,6 +95,10 @@ fn tables_figure_and_steps_are_written() {
     let table = comparison.to_markdown();
     assert!(table.contains("(in virtual time, on a modelled ledger)"), "{table}");
     assert!(table.contains("| 5 s | 2 | 18.16 ± 0.00 s | 18.16 s | 18.16 s | 20.44 s | 120 ms |"), "{table}");
+    let none = Federated { gap_s: -0.0, ..federated() };
+    let rounded = Federated { gap_s: -0.000_2, block_period_s: 1.0, ..federated() };
+    let spans = Comparison { runs: vec![none, rounded], ..comparison.clone() }.to_markdown();
+    assert!(spans.contains("| 0 ms |") && !spans.contains("-0"), "{spans}");
     let folder = tempfile::tempdir().unwrap();
     comparison.write(folder.path()).unwrap();
     let read = |file: &str| std::fs::read_to_string(folder.path().join(file)).unwrap();
