@@ -7,10 +7,20 @@ use std::{
 
 /// A file of a results folder cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot write {}: {source}", path.display())]
+#[error("cannot write {}: {}", path.display(), reason(path, source))]
 pub struct FolderError {
     path: PathBuf,
     source: io::Error,
+}
+
+/// Returns the system's reason, or that a file is where a folder must be.
+fn reason(path: &Path, source: &io::Error) -> String {
+    match path.ancestors().find(|above| above.exists()) {
+        Some(file) if !file.is_dir() && (file != path || source.kind() == io::ErrorKind::AlreadyExists) => {
+            format!("{} is a file; name a folder", file.display())
+        }
+        _ => source.to_string(),
+    }
 }
 
 impl FolderError {
@@ -80,4 +90,22 @@ pub fn write_file(folder: &Path, name: &str, text: &str) -> Result<(), FolderErr
         // The draft may not exist.
         .inspect_err(|_| drop(fs::remove_file(&draft)))
         .map_err(|source| FolderError { path, source })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_in_place_of_a_folder_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        for place in [file.clone(), file.join("below"), file.join("far/below")] {
+            let error = Place::In(place).create("run").unwrap_err().to_string();
+            assert!(error.ends_with(&format!("{} is a file; name a folder", file.display())), "{error}");
+        }
+        let existing = Place::At(folder.path().to_owned()).create("run").unwrap_err().to_string();
+        assert!(existing.contains("exists") && !existing.contains("is a file"), "{existing}");
+    }
 }
