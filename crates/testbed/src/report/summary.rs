@@ -235,7 +235,8 @@ enum MeasuredFrames {
 }
 
 impl Fidelity {
-    fn of(measured_frames: MeasuredFrames, lateness: Lateness, frames_dropped: u64) -> Self {
+    /// Judges the frames of a run. Without any, it is valid only if `is_idle`, i.e. nothing that it measures needs one.
+    fn of(measured_frames: MeasuredFrames, lateness: Lateness, frames_dropped: u64, is_idle: bool) -> Self {
         let Lateness { frames, p50_us, p99_us, max_us } = lateness;
         let (which, what) = match measured_frames {
             MeasuredFrames::All | MeasuredFrames::Emulated => ("", "the frames"),
@@ -253,13 +254,15 @@ impl Fidelity {
             )
         } else if frames == 0 && measured_frames == MeasuredFrames::Emulated {
             (false, "the kernel's NetEm carried the frames, and tells nobody how late they were".to_owned())
-        } else if frames == 0 {
+        } else if frames == 0 && !is_idle {
             (false, "no frame crossed the emulated network".to_owned())
         } else if frames_dropped as f64 > frames as f64 * VALID_DROPPED {
             (
                 false,
                 format!("{frames_dropped} frames were lost at hosts' interfaces though nobody asked for it"),
             )
+        } else if frames == 0 {
+            (true, "no service is measured, and no frame crossed the emulated network".to_owned())
         } else if p99_us > VALID_P99_US {
             (
                 false,
@@ -515,7 +518,12 @@ impl Report {
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
-            fidelity: Fidelity::of(self.measured_frames, self.lateness, losses.frames_dropped),
+            fidelity: Fidelity::of(
+                self.measured_frames,
+                self.lateness,
+                losses.frames_dropped,
+                self.services.is_empty(),
+            ),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             driving: self.driving.summary(),
@@ -699,23 +707,37 @@ mod tests {
 
     #[test]
     fn a_run_without_frames_or_with_late_ones_is_not_valid() {
-        let fidelity = |lateness, dropped| Fidelity::of(MeasuredFrames::All, lateness, dropped);
+        let fidelity = |lateness, dropped| Fidelity::of(MeasuredFrames::All, lateness, dropped, false);
         assert!(!fidelity(Lateness::default(), 0).valid);
         let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
         assert!(fidelity(good, 0).valid);
         assert!(!fidelity(good, 1).valid);
         let late = fidelity(Lateness { p99_us: 1500.0, ..good }, 0);
         assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
-        let real = Fidelity::of(MeasuredFrames::Emulated, Lateness::default(), 0);
+        let real = Fidelity::of(MeasuredFrames::Emulated, Lateness::default(), 0, false);
         assert!(!real.valid && real.reason.contains("NetEm"), "{real:?}");
         // The fabric's own frames are known, beside real links.
-        assert!(Fidelity::of(MeasuredFrames::Emulated, good, 0).valid);
+        assert!(Fidelity::of(MeasuredFrames::Emulated, good, 0, false).valid);
+    }
+
+    #[test]
+    fn a_testbed_without_services_needs_no_frames() {
+        let fidelity = |lateness, dropped| Fidelity::of(MeasuredFrames::All, lateness, dropped, true);
+        let idle = fidelity(Lateness::default(), 0);
+        assert!(idle.valid && idle.reason.contains("no service"), "{idle:?}");
+        assert!(!fidelity(Lateness::default(), 1).valid);
+        assert!(!fidelity(Lateness { frames: 10, p50_us: 20.0, p99_us: 1500.0, max_us: 5000.0 }, 0).valid);
     }
 
     #[test]
     fn with_the_kernel_carrying_frames_enough_probes_decide() {
         let fidelity = |frames, p99_us| {
-            Fidelity::of(MeasuredFrames::Probes, Lateness { frames, p50_us: 20.0, p99_us, max_us: 5000.0 }, 0)
+            Fidelity::of(
+                MeasuredFrames::Probes,
+                Lateness { frames, p50_us: 20.0, p99_us, max_us: 5000.0 },
+                0,
+                false,
+            )
         };
         for few in [0, VALID_PROBES - 1] {
             let few = fidelity(few, 300.0);
