@@ -19,7 +19,7 @@ Examples:
   cotorra exec robot -- ping -c 3 cloud
   cotorra exec edge -- iperf3 -s
   cotorra exec robot -- bash
-  cotorra exec robot --api 127.0.0.1:7701 -- bash      one of several runs
+  cotorra exec robot --run corridor -- bash            one of several runs
 
 Exit status: the program's.")]
 pub struct ExecArgs {
@@ -103,7 +103,7 @@ mod tests {
 
     fn in_robot(api: SocketAddr) -> ExecArgs {
         let (node, command) = (NodeId::new("robot").unwrap(), vec!["true".to_owned()]);
-        ExecArgs { node, command, run: WhichRun { api: Some(api) } }
+        ExecArgs { node, command, run: WhichRun { run: Some(api.to_string()) } }
     }
 
     #[test]

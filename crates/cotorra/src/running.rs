@@ -2,7 +2,10 @@
 //!
 //! A program that took over the port of a run receives nothing.
 
-use std::{env, net::SocketAddr};
+use std::{
+    env,
+    io::{self, BufRead, IsTerminal, Read},
+};
 
 use clap::Args;
 use cotorra_plugin::{
@@ -13,6 +16,9 @@ use cotorra_plugin::{
 /// The environment variable with the API's token.
 pub const TOKEN_VARIABLE: &str = "COTORRA_TOKEN";
 
+/// Status of the API for a caller without a valid token.
+const UNAUTHORIZED: u16 = 401;
+
 /// Returns the API's token, if the environment has one.
 pub fn token_text() -> Option<String> {
     env::var(TOKEN_VARIABLE).ok().filter(|text| !text.is_empty())
@@ -21,9 +27,11 @@ pub fn token_text() -> Option<String> {
 /// Choice of a run.
 #[derive(Debug, Args)]
 pub struct WhichRun {
-    /// Address of the run's API, as the run shows it; default: your only run on this machine
-    #[arg(long, value_name = "ADDR:PORT")]
-    pub api: Option<SocketAddr>,
+    /// The run: the name of its testbed, its folder, or the address of its API; default: your only run on this machine
+    ///
+    /// If there are several, the command asks on a terminal, and fails elsewhere. `cotorra ps` lists them.
+    #[arg(long, visible_alias = "api", value_name = "NAME|FOLDER|URL", env = "COTORRA_API")]
+    pub run: Option<String>,
 }
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -33,7 +41,10 @@ pub enum Error {
     NotFound(RunsError),
     #[error("the testbed on {api} does not answer: {reason}")]
     #[diagnostic(help("it may have ended just now; start one with `cotorra run`"))]
-    Silent { api: SocketAddr, reason: String },
+    Silent { api: String, reason: String },
+    #[error("the testbed on {api} rejects the token")]
+    #[diagnostic(help("set {TOKEN_VARIABLE} to the token that the run was started with"))]
+    Token { api: String },
     #[error("{0}")]
     Failed(ClientError),
 }
@@ -44,10 +55,12 @@ fn help_for(error: &RunsError) -> &'static str {
         RunsError::None { .. } => {
             "start one with `cotorra run`; to reach a run of another user, become that user, as with sudo"
         }
-        RunsError::Several(_) => "choose one with --api, as in `--api 127.0.0.1:7700`",
+        RunsError::Several(_) => {
+            "choose one with --run, by its name, folder or address, as in `--run 127.0.0.1:7700`"
+        }
         RunsError::NotThere { .. } => {
-            "to reach a run of another user, become that user, as with sudo; for a run of another machine, log in there, \
-             or use `cotorra link` with --unverified"
+            "`cotorra ps` lists your runs; to reach a run of another user, become that user, as with sudo; for a run of \
+             another machine, log in there, or use `cotorra link` with --unverified"
         }
         RunsError::System { .. } | RunsError::NotPrivate { .. } | RunsError::Malformed { .. } => {
             "runs have their entries in the folder `cotorra` in XDG_RUNTIME_DIR or /run/user/UID, or in `cotorra-UID` in \
@@ -57,11 +70,47 @@ fn help_for(error: &RunsError) -> &'static str {
 }
 
 impl WhichRun {
+    /// Returns what names the run. An empty variable in the environment names none.
+    pub fn named(&self) -> Option<&str> {
+        self.run.as_deref().filter(|run| !run.is_empty())
+    }
+
+    /// Finds the run, and asks on a terminal which of several is meant.
+    pub fn entry(&self, runs: &Runs) -> Result<RunEntry, Error> {
+        let is_terminal = io::stdin().is_terminal() && io::stderr().is_terminal();
+        match runs.find(self.named()) {
+            Err(RunsError::Several(running)) if is_terminal => choose(running, &mut io::stdin().lock()),
+            found => found,
+        }
+        .map_err(Error::NotFound)
+    }
+
     /// Finds the run. Returns it with a client that shows `token` to nobody else.
     pub fn find(&self, runs: &Runs, token: Option<String>) -> Result<(RunEntry, Client), Error> {
-        let run = runs.find(self.api).map_err(Error::NotFound)?;
+        let run = self.entry(runs)?;
         let client = with_token(Client::of(&run).map_err(Error::Failed)?, token);
         Ok((run, client))
+    }
+}
+
+/// Asks which run is meant, until the answer is the number of one.
+fn choose(mut running: Vec<RunEntry>, answers: &mut impl BufRead) -> Result<RunEntry, RunsError> {
+    for (i, run) in running.iter().enumerate() {
+        note!("{}: {run}", i + 1);
+    }
+    loop {
+        note!("which run? 1 to {}", running.len());
+        let mut answer = String::new();
+        // A number is short. The rest of a longer line is another answer.
+        match answers.take(16).read_line(&mut answer) {
+            Ok(0) | Err(_) => return Err(RunsError::Several(running)),
+            Ok(_) => match answer.trim().parse::<usize>() {
+                Ok(number) if (1..=running.len()).contains(&number) => {
+                    return Ok(running.swap_remove(number - 1));
+                }
+                _ => {}
+            },
+        }
     }
 }
 
@@ -74,9 +123,11 @@ pub fn with_token(client: Client, token: Option<String>) -> Client {
 }
 
 /// Converts a client's error into one that names the run on `api`.
-pub fn explained(api: SocketAddr, error: ClientError) -> Error {
+pub fn explained(api: impl ToString, error: ClientError) -> Error {
+    let api = api.to_string();
     match error {
         ClientError::Unreachable { source, .. } => Error::Silent { api, reason: source.to_string() },
+        ClientError::Failed { status: UNAUTHORIZED, .. } => Error::Token { api },
         other => Error::Failed(other),
     }
 }
@@ -84,8 +135,8 @@ pub fn explained(api: SocketAddr, error: ClientError) -> Error {
 #[cfg(test)]
 pub mod tests {
     use std::{
-        io::{BufRead, BufReader, ErrorKind, Write},
-        net::TcpListener,
+        io::{BufReader, ErrorKind, Write},
+        net::{SocketAddr, TcpListener},
         thread::{self, JoinHandle},
     };
 
@@ -127,7 +178,7 @@ pub mod tests {
         pub fn on(api: SocketAddr, answers: Vec<String>) -> Self {
             let folder = TempDir::new().unwrap();
             let runs = Runs::in_folder(folder.path().join("cotorra"));
-            let mut entry = runs.announce(api, "/runs/walk").unwrap();
+            let mut entry = runs.announce(api, "walk", "/runs/walk").unwrap();
             let listener = entry.listener().unwrap();
             let answering = thread::spawn(move || {
                 let answer = |body: String| {
@@ -161,7 +212,7 @@ pub mod tests {
         let squatter = Squatter::new();
         let folder = TempDir::new().unwrap();
         let runs = Runs::in_folder(folder.path().join("cotorra"));
-        let which = WhichRun { api: Some(squatter.address()) };
+        let which = WhichRun { run: Some(squatter.address().to_string()) };
         let refused = which.find(&runs, token()).unwrap_err();
         assert!(matches!(refused, Error::NotFound(RunsError::NotThere { .. })), "{refused}");
         squatter.received_nothing();
@@ -180,9 +231,37 @@ pub mod tests {
     fn a_run_that_moved_is_found_without_its_address() {
         let (squatter, moved) = (Squatter::new(), Squatter::new());
         let served = Served::on(moved.address(), vec!["[]".to_owned()]);
-        let (run, client) = WhichRun { api: None }.find(&served.runs, token()).unwrap();
+        let (run, client) = WhichRun { run: None }.find(&served.runs, token()).unwrap();
         assert_eq!((run.api, client.links().unwrap()), (moved.address(), vec![]));
         assert_eq!(served.requests().len(), 1);
         squatter.received_nothing();
+    }
+
+    #[test]
+    fn an_answer_chooses_one_of_several_runs_and_no_answer_none() {
+        let folder = TempDir::new().unwrap();
+        let runs = Runs::in_folder(folder.path().join("cotorra"));
+        let announce =
+            |port: u16, name| runs.announce(([127, 0, 0, 1], port).into(), name, "/runs/x").unwrap();
+        let _both = [announce(7701, "walk"), announce(7702, "drive")];
+        let chosen = |answers: &str| choose(runs.running().0, &mut answers.as_bytes()).map(|run| run.name);
+        assert_eq!(chosen("0\n3\nwalk\n\n2\n").unwrap(), "drive");
+        assert_eq!(chosen("1\n2\n").unwrap(), "walk");
+        for none in ["", "3\n", &"9".repeat(1 << 16)] {
+            assert!(matches!(chosen(none), Err(RunsError::Several(runs)) if runs.len() == 2));
+        }
+    }
+
+    #[test]
+    fn an_empty_name_counts_as_none() {
+        assert_eq!(WhichRun { run: Some(String::new()) }.named(), None);
+    }
+
+    #[test]
+    fn a_rejected_token_names_its_variable() {
+        let error = ClientError::Failed { url: "x".to_owned(), status: 401, reason: "no".to_owned() };
+        let error = explained("127.0.0.1:7700", error);
+        let help = miette::Diagnostic::help(&error).map(|help| help.to_string());
+        assert!(help.is_some_and(|help| help.contains(TOKEN_VARIABLE)), "{error}");
     }
 }

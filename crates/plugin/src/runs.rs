@@ -16,7 +16,7 @@ use std::{
     env, fmt,
     fs::{self, DirBuilder, File, Metadata, OpenOptions, Permissions, TryLockError},
     io::{self, Read, Write},
-    net::SocketAddr,
+    net::{Ipv4Addr, SocketAddr},
     os::{
         fd::AsRawFd,
         unix::{
@@ -49,7 +49,9 @@ pub struct Runs {
 pub struct RunEntry {
     /// Address of its API over TCP.
     pub api: SocketAddr,
-    /// Description for people: the run's folder.
+    /// Name of its testbed.
+    pub name: String,
+    /// Its folder, or for people what it is.
     pub what: String,
     /// Process ID.
     pub process: u32,
@@ -63,6 +65,7 @@ pub struct RunEntry {
 #[serde(deny_unknown_fields)]
 struct Written {
     api: SocketAddr,
+    name: String,
     what: String,
     process: u32,
 }
@@ -103,14 +106,14 @@ pub enum RunsError {
         /// Searched folders.
         folders: Vec<PathBuf>,
     },
-    /// Several go on, and no address says which is meant.
+    /// Several go on, and nothing says which is meant.
     #[error("several testbeds run: {}", list(.0))]
     Several(Vec<RunEntry>),
-    /// No run of this user serves its API there.
-    #[error("no testbed of this user serves its API on {api}{}", others(running))]
+    /// No run of this user is meant.
+    #[error("no testbed of this user has the name, the folder or the address {wanted}{}", others(running))]
     NotThere {
-        /// The address.
-        api: SocketAddr,
+        /// Its name, its folder, or the address of its API.
+        wanted: String,
         /// Those that run.
         running: Vec<RunEntry>,
     },
@@ -148,7 +151,16 @@ impl fmt::Display for NotPrivate {
 
 impl fmt::Display for RunEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} ({})", self.api, self.what)
+        write!(f, "{} on {} ({})", self.name, self.api, self.what)
+    }
+}
+
+/// Parses `127.0.0.1:7700` or `http://localhost:7700/`. Looks up no other name of a host: nobody is asked for it.
+fn address(text: &str) -> Option<SocketAddr> {
+    let host = text.strip_prefix("http://").unwrap_or(text).trim_end_matches('/');
+    match host.strip_prefix("localhost:") {
+        Some(port) => Some(SocketAddr::from((Ipv4Addr::LOCALHOST, port.parse().ok()?))),
+        None => host.parse().ok(),
     }
 }
 
@@ -172,6 +184,16 @@ impl RunEntry {
     /// What the system says, as when the run ended.
     pub fn connect(&self) -> io::Result<UnixStream> {
         UnixStream::connect(self.folder.file(&self.stem, SOCKET))
+    }
+
+    /// Whether a text means it: its testbed's name, its folder or that folder's name, or the address or URL of its API.
+    fn is(&self, wanted: &str) -> bool {
+        let folder = Path::new(&self.what);
+        let is_folder = folder.is_absolute()
+            && (folder.file_name().is_some_and(|name| name == wanted)
+                || fs::canonicalize(wanted)
+                    .is_ok_and(|wanted| fs::canonicalize(folder).is_ok_and(|own| own == wanted)));
+        self.name == wanted || is_folder || address(wanted).is_some_and(|api| self.serves(api))
     }
 
     /// Whether an address leads to its API: its own, or one of loopback where it listens on all.
@@ -228,18 +250,20 @@ impl Runs {
         &self.folders
     }
 
-    /// Returns the run that serves its API on an address; without one, the only run.
+    /// Returns the run that a text means: the name of its testbed, its folder or that folder's name, or the address or URL
+    /// of its API. Without a text, returns the only run.
     ///
     /// # Errors
     /// [`RunsError::None`], [`RunsError::Several`] or [`RunsError::NotThere`]; others where a file is not read or trusted.
-    pub fn find(&self, api: Option<SocketAddr>) -> Result<RunEntry, RunsError> {
+    pub fn find(&self, wanted: Option<&str>) -> Result<RunEntry, RunsError> {
         let (mut running, refused) = self.running();
-        if let Some(api) = api {
-            let place = running.iter().position(|run| run.serves(api));
-            return match place {
-                Some(place) => Ok(running.swap_remove(place)),
-                None => Err(refused.unwrap_or(RunsError::NotThere { api, running })),
-            };
+        if let Some(wanted) = wanted {
+            let meant: Vec<_> = running.iter().filter(|run| run.is(wanted)).cloned().collect();
+            if meant.is_empty() {
+                let wanted = wanted.to_owned();
+                return Err(refused.unwrap_or(RunsError::NotThere { wanted, running }));
+            }
+            running = meant;
         }
         match running.len() {
             0 => Err(refused.unwrap_or_else(|| RunsError::None { folders: self.folders.clone() })),
@@ -250,7 +274,7 @@ impl Runs {
 
     /// Returns all that go on, by address, and the first error. An error in one folder does not hide the runs in another:
     /// any user can make a folder in that for temporary files.
-    fn running(&self) -> (Vec<RunEntry>, Option<RunsError>) {
+    pub fn running(&self) -> (Vec<RunEntry>, Option<RunsError>) {
         let (mut running, mut refused) = (Vec::new(), None);
         for path in &self.folders {
             let entries = Folder::open(path).and_then(|folder| match folder {
@@ -268,12 +292,12 @@ impl Runs {
         (running, refused)
     }
 
-    /// Puts a run of this process there, until the result is dropped; `what` tells people which it is. Removes what dead
-    /// processes left there.
+    /// Puts a run of this process there, until the result is dropped: the testbed of that name, and what it is, such as
+    /// its folder. Removes what dead processes left there.
     ///
     /// # Errors
     /// [`RunsError`] where nothing can be put, or others might read or replace it.
-    pub fn announce(&self, api: SocketAddr, what: &str) -> Result<Announced, RunsError> {
+    pub fn announce(&self, api: SocketAddr, name: &str, what: &str) -> Result<Announced, RunsError> {
         let folder = Folder::make(self.folders.first().expect("there is one"))?;
         // So nobody takes the entry for that of a dead process before it is locked.
         let _alone = folder.lock()?;
@@ -286,7 +310,7 @@ impl Runs {
         let listener = UnixListener::bind(&socket).map_err(&socket_failed)?;
         let mut announced = Announced { listener: Some(listener), _entry: None, folder, stem };
         fs::set_permissions(&socket, Permissions::from_mode(0o600)).map_err(socket_failed)?;
-        let written = Written { api, what: what.to_owned(), process };
+        let written = Written { api, name: name.to_owned(), what: what.to_owned(), process };
         let text = serde_json::to_vec(&written).expect("text and numbers become JSON");
         let mut file = OpenOptions::new();
         let mut file = file.write(true).create_new(true).mode(0o600).open(entry).map_err(&failed)?;
@@ -463,7 +487,7 @@ impl Folder {
         let shown = |ending| self.path.join(format!("{stem}.{ending}"));
         let mut text = Vec::new();
         (&file).take(LONGEST_ENTRY).read_to_end(&mut text).map_err(system(&shown(ENTRY)))?;
-        let Written { api, what, process } = serde_json::from_slice(&text)
+        let Written { api, name, what, process } = serde_json::from_slice(&text)
             .map_err(|reason| RunsError::Malformed { path: shown(ENTRY), reason })?;
         let socket = match fs::symlink_metadata(self.file(stem, SOCKET)) {
             Ok(socket) => socket,
@@ -476,7 +500,7 @@ impl Folder {
         }
         .map_err(|why| RunsError::NotPrivate { path: shown(SOCKET), why })?;
         let (folder, stem) = (self.clone(), stem.to_owned());
-        Ok(Some(RunEntry { api, what, process, folder, stem, entry: Arc::new(file) }))
+        Ok(Some(RunEntry { api, name, what, process, folder, stem, entry: Arc::new(file) }))
     }
 
     /// Stems of runs whose process is gone.

@@ -27,8 +27,8 @@ pub enum Link {
 Examples:
   cotorra link show
   cotorra link show lan-cloud --json
-  cotorra link show --api 127.0.0.1:7701                    one of several runs
-  cotorra link show --api 10.0.0.5:7700 --unverified        one of another machine")]
+  cotorra link show --run corridor                          one of several runs
+  cotorra link show --run http://10.0.0.5:7700 --unverified one of another machine")]
 pub struct ShowArgs {
     /// The link; default: all links
     pub link: Option<LinkId>,
@@ -113,10 +113,10 @@ pub struct TestArgs {
 pub struct ApiArgs {
     #[command(flatten)]
     pub run: WhichRun,
-    /// Trust the program that answers on --api, as on another machine, and send it the token in COTORRA_TOKEN
+    /// Trust the program that answers on the address in --run, as on another machine, and send it the token in COTORRA_TOKEN
     ///
     /// Its identity is not verified, and the connection is not encrypted.
-    #[arg(long, requires = "api")]
+    #[arg(long, requires = "run")]
     pub unverified: bool,
 }
 

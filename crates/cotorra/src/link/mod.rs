@@ -2,7 +2,7 @@
 
 mod args;
 
-use std::{net::SocketAddr, thread, time::Duration};
+use std::{thread, time::Duration};
 
 use cotorra_graph::{Instruction, LinkContext, LinkId, PluginId, Tested};
 use cotorra_plugin::{client::Client, runs::Runs};
@@ -34,33 +34,37 @@ pub fn link(command: &Link) -> miette::Result<()> {
 
 /// Connection to a run.
 struct Connection {
-    api: SocketAddr,
+    api: String,
     client: Client,
+    /// Name and place of the run, for people.
+    what: String,
 }
 
 impl Connection {
     fn open(args: &ApiArgs) -> Result<Self, Error> {
-        let (api, client) = match args.run.api.filter(|_| args.unverified) {
+        let (api, client, what) = match args.run.named().filter(|_| args.unverified) {
             Some(api) => {
-                let client = Client::new(&format!("http://{api}")).map_err(Error::Failed)?;
-                (api, with_token(client, token_text()))
+                let url = if api.contains("://") { api.to_owned() } else { format!("http://{api}") };
+                let client = with_token(Client::new(&url).map_err(Error::Failed)?, token_text());
+                let name = client.testbed().map_err(|error| explained(api, error))?.name;
+                (api.to_owned(), client, format!("{name} on {api}"))
             }
             None => {
                 let (run, client) = args.run.find(&Runs::of_user(), token_text())?;
-                (run.api, client)
+                (run.api.to_string(), client, run.to_string())
             }
         };
         let client = client.named(PluginId::new("command-line").expect("it is a name"));
-        Ok(Self { api, client })
+        Ok(Self { api, client, what })
     }
 
     fn instruct(&self, instruction: &Instruction) -> Result<(), Error> {
-        self.client.instruct(instruction, None).map_err(|error| explained(self.api, error))
+        self.client.instruct(instruction, None).map_err(|error| explained(&self.api, error))
     }
 
     /// Returns the contexts of one link or of all. Wireless links appear once they are in use.
     fn links(&self, wanted: Option<&LinkId>) -> miette::Result<Vec<LinkContext>> {
-        let mut links = self.client.links().map_err(|error| explained(self.api, error))?;
+        let mut links = self.client.links().map_err(|error| explained(&self.api, error))?;
         let Some(wanted) = wanted else { return Ok(links) };
         let all: Vec<_> = links.iter().step_by(2).map(|context| context.link.to_string()).collect();
         links.retain(|context| context.link == *wanted);
@@ -88,6 +92,7 @@ fn set(args: &SetArgs) -> miette::Result<()> {
     let direction = args.direction.map(Into::into);
     let instruction = Instruction::Condition { link: args.link.clone(), direction, change: args.change() };
     run.instruct(&instruction)?;
+    note!("changed {} of {}", args.link, run.what);
     output::print(&table(&run.links(Some(&args.link))?))
 }
 
@@ -104,6 +109,7 @@ fn test(args: &TestArgs) -> miette::Result<()> {
     let test = args.test();
     let instruction = Instruction::TestThroughput { link: args.link.clone(), direction, test };
     run.instruct(&instruction)?;
+    note!("testing {} of {}", args.link, run.what);
     let polls = (test.duration + PATIENCE).div_duration_f64(POLL).ceil() as u64;
     let style = ProgressStyle::with_template("{bar:40} testing {msg}").expect("a template that is right");
     let progress = ProgressBar::new(polls).with_style(style).with_message(args.link.to_string());

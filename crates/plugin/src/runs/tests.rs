@@ -29,7 +29,7 @@ impl Rig {
     }
 
     fn announce(&self, port: u16) -> Announced {
-        self.runs.announce(api(port), &format!("/runs/{port}")).unwrap()
+        self.runs.announce(api(port), "walk", &format!("/runs/{port}")).unwrap()
     }
 
     /// Leaves the entry of a killed process.
@@ -68,7 +68,7 @@ fn announced_runs_are_found_on_their_socket() {
     let mut announced = rig.announce(7700);
     let listener = announced.listener().unwrap();
     let run = rig.runs.find(None).unwrap();
-    assert_eq!(rig.runs.find(Some(api(7700))).unwrap().stem, run.stem);
+    assert_eq!(rig.runs.find(Some(&api(7700).to_string())).unwrap().stem, run.stem);
     assert_eq!((run.api, &*run.what, run.process), (api(7700), "/runs/7700", process::id()));
     run.connect().unwrap();
     listener.accept().unwrap();
@@ -91,24 +91,58 @@ fn runs_are_distinguished_by_address() {
     let rig = Rig::new();
     let both = [rig.announce(7701), rig.announce(7700)];
     let several = rig.runs.find(None).unwrap_err();
-    let listed = "several testbeds run: 127.0.0.1:7700 (/runs/7700), 127.0.0.1:7701 (/runs/7701)";
+    let listed =
+        "several testbeds run: walk on 127.0.0.1:7700 (/runs/7700), walk on 127.0.0.1:7701 (/runs/7701)";
     assert_eq!(several.to_string(), listed);
-    let found = [7700, 7701].map(|port| rig.runs.find(Some(api(port))).unwrap());
+    let found = [7700, 7701].map(|port| rig.runs.find(Some(&api(port).to_string())).unwrap());
     assert_eq!(found.each_ref().map(|run| &*run.what), ["/runs/7700", "/runs/7701"]);
     assert_ne!(found[0].stem, found[1].stem);
-    let nobody = rig.runs.find(Some(api(7702))).unwrap_err().to_string();
-    assert!(nobody.contains("127.0.0.1:7702; there are 127.0.0.1:7700 (/runs/7700), "), "{nobody}");
+    let nobody = rig.runs.find(Some(&api(7702).to_string())).unwrap_err().to_string();
+    assert!(nobody.contains("127.0.0.1:7702; there are walk on 127.0.0.1:7700 (/runs/7700), "), "{nobody}");
     drop(both);
+}
+
+#[test]
+fn a_name_a_folder_or_a_url_means_one_run() {
+    let rig = Rig::new();
+    let folder = rig.base.path().join("walk-1");
+    fs::create_dir(&folder).unwrap();
+    let _first = rig.runs.announce(api(7701), "walk", &folder.to_string_lossy()).unwrap();
+    let _second = rig.runs.announce(api(7702), "drive", "replay of walk-1").unwrap();
+    let found = |wanted: &str| rig.runs.find(Some(wanted)).map(|run| run.api.port());
+    let roundabout = folder.join("../walk-1/");
+    for wanted in
+        ["walk", "walk-1", &*roundabout.to_string_lossy(), "http://127.0.0.1:7701", "http://localhost:7701/"]
+    {
+        assert_eq!(found(wanted).unwrap(), 7701, "{wanted}");
+    }
+    assert_eq!(found("drive").unwrap(), 7702);
+    for other in ["wal", "7701", "", "https://127.0.0.1:7701", "http://example.org:7701", "replay of walk-1"]
+    {
+        assert!(matches!(found(other), Err(RunsError::NotThere { .. })), "{other}");
+    }
+}
+
+#[test]
+fn a_name_of_several_runs_means_none_of_them() {
+    let rig = Rig::new();
+    let _walks = [rig.announce(7701), rig.announce(7702)];
+    let _other = rig.runs.announce(api(7703), "drive", "/runs/7703").unwrap();
+    let Err(RunsError::Several(meant)) = rig.runs.find(Some("walk")) else { panic!("one was taken") };
+    assert_eq!(meant.iter().map(|run| run.api).collect::<Vec<_>>(), [api(7701), api(7702)]);
 }
 
 #[test]
 fn runs_on_all_addresses_are_found_by_loopback() {
     let rig = Rig::new();
     let all = SocketAddr::from(([0, 0, 0, 0], 7700));
-    let _announced = rig.runs.announce(all, "/runs/all").unwrap();
-    assert_eq!(rig.runs.find(Some(api(7700))).unwrap().api, all);
+    let _announced = rig.runs.announce(all, "walk", "/runs/all").unwrap();
+    assert_eq!(rig.runs.find(Some(&api(7700).to_string())).unwrap().api, all);
     for other in [api(7701), ([192, 0, 2, 1], 7700).into()] {
-        assert!(matches!(rig.runs.find(Some(other)), Err(RunsError::NotThere { .. })), "{other}");
+        assert!(
+            matches!(rig.runs.find(Some(&other.to_string())), Err(RunsError::NotThere { .. })),
+            "{other}"
+        );
     }
 }
 
@@ -117,7 +151,7 @@ fn entries_of_dead_processes_are_ignored_and_removed() {
     let rig = Rig::new();
     rig.dead(7700);
     assert_eq!(rig.files(), 2);
-    assert!(matches!(rig.runs.find(Some(api(7700))), Err(RunsError::NotThere { .. })));
+    assert!(matches!(rig.runs.find(Some(&api(7700).to_string())), Err(RunsError::NotThere { .. })));
     let (left, refused) = rig.runs.leftovers();
     assert_eq!((left.len(), refused.len(), rig.files()), (1, 0, 2));
     let _next = rig.announce(7701);
@@ -165,7 +199,7 @@ fn symbolic_links_are_rejected_as_folders() {
     fs::rename(rig.folder(), &elsewhere).unwrap();
     symlink(elsewhere, rig.folder()).unwrap();
     assert_eq!(rig.refusal(), NotPrivate::Kind { wanted: "folder" });
-    let refused = rig.runs.announce(api(7701), "/runs/b").unwrap_err();
+    let refused = rig.runs.announce(api(7701), "walk", "/runs/b").unwrap_err();
     assert!(matches!(refused, RunsError::NotPrivate { .. }), "{refused}");
     drop(announced);
 }
@@ -193,7 +227,7 @@ fn folders_with_long_names_work() {
     let base = TempDir::new().unwrap();
     // A socket's own path may have 107 bytes.
     let runs = Runs::in_folder(base.path().join("x".repeat(200)));
-    let mut announced = runs.announce(api(7700), "/runs/7700").unwrap();
+    let mut announced = runs.announce(api(7700), "walk", "/runs/7700").unwrap();
     let listener = announced.listener().unwrap();
     runs.find(None).unwrap().connect().unwrap();
     listener.accept().unwrap();
@@ -253,7 +287,7 @@ fn reused_process_ids_are_not_the_run() {
 #[test]
 fn long_entries_are_rejected() {
     let rig = Rig::new();
-    let _announced = rig.runs.announce(api(7700), &"x".repeat(LONGEST_ENTRY as usize)).unwrap();
+    let _announced = rig.runs.announce(api(7700), "walk", &"x".repeat(LONGEST_ENTRY as usize)).unwrap();
     assert!(matches!(rig.runs.find(None), Err(RunsError::Malformed { .. })));
 }
 

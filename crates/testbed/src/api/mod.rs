@@ -136,13 +136,11 @@ impl Listener {
         Ok(listener)
     }
 
-    /// Lets tools of this user find the API among these runs. `what` describes the run to them.
-    pub(crate) fn announced(self, runs: Option<&Runs>, what: &str) -> Self {
+    /// Lets tools of this user find the API among these runs: that of the testbed `name`, and what it is.
+    pub(crate) fn announced(self, runs: Option<&Runs>, name: &str, what: &str) -> Self {
         let announced = runs.and_then(|runs| {
-            let told = |error: &RunsError| {
-                tracing::warn!("`cotorra exec` and `cotorra link` do not find this run: {error}")
-            };
-            runs.announce(self.address(), what).inspect_err(told).ok()
+            let told = |error: &RunsError| tracing::warn!("other commands do not find this run: {error}");
+            runs.announce(self.address(), name, what).inspect_err(told).ok()
         });
         Self { announced, ..self }
     }

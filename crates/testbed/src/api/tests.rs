@@ -99,7 +99,7 @@ links: [{ ends: [left, ap] }]
         wais: WaisOptions::default(),
     };
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
-    let listener = listener.announced(found_in, "/runs/served");
+    let listener = listener.announced(found_in, "served", "/runs/served");
     Served {
         server: Server::start_within(listener, context, Tokens::default(), limits, patience).unwrap(),
         history,
@@ -425,7 +425,7 @@ plugins:
         let tokens =
             Tokens::new(Some(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)])).unwrap();
         let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
-        let listener = listener.announced(found_in, "/runs/served");
+        let listener = listener.announced(found_in, "served", "/runs/served");
         Self { server: Server::start(listener, context, tokens).unwrap(), events, core: inbox }
     }
 
@@ -727,7 +727,7 @@ fn tools_of_the_user_find_a_run_where_nobody_else_can_listen() {
     let runs = Runs::in_folder(folder.path().join("cotorra"));
     let served =
         serve_found_in(Some(&runs), false, Limits { strangers: 64, callers: 64 }, Patience::default());
-    let run = runs.find(Some(served.server.address())).unwrap();
+    let run = runs.find(Some(&served.server.address().to_string())).unwrap();
     assert_eq!((run.api, &*run.what), (served.server.address(), "/runs/served"));
     let client = cotorra_plugin::client::Client::of(&run).unwrap();
     assert_eq!(client.testbed().unwrap().name, "served");

@@ -227,6 +227,10 @@ impl Replay {
         let default = SocketAddr::from((Ipv4Addr::LOCALHOST, 7700));
         let address = options.api.unwrap_or(default);
         let listener = Listener::bind(address, options.api.is_none(), &options.tokens)?;
+        let listener = match &options.known {
+            Some((runs, what)) => listener.announced(Some(runs), &testbed.name, what),
+            None => listener,
+        };
         let (history, testbed) = (Arc::new(history), Arc::new(testbed));
         let wanted = Wanted { file: None, foxglove: options.foxglove };
         let info = history.run(run)?.info;
@@ -261,10 +265,6 @@ impl Replay {
             replay: true,
             keeper: options.folder.as_ref().map(|folder| Keeper::of_folder(folder, Pace::Live)),
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
-        };
-        let listener = match &options.known {
-            Some((runs, what)) => listener.announced(Some(runs), what),
-            None => listener,
         };
         let programs = ExternalPlugins::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;
         Ok(Self { programs, audience: Guarded::new(audience, wall), history, run, options, watched, tap })

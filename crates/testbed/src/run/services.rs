@@ -60,7 +60,8 @@ impl ServicesUp {
                 callbacks: options.wais_callbacks.clone(),
             },
         };
-        let listener = listener.announced(options.runs.as_ref(), &folder.path().to_string_lossy());
+        let listener =
+            listener.announced(options.runs.as_ref(), &testbed.name, &folder.path().to_string_lossy());
         let server = Server::start(listener, context, options.tokens.clone())?;
         let plugins = plugins.start(testbed, &network.now, &server, &folder.logs(), &network.messages)?;
         Ok(Self { plugins, server, stream, live })

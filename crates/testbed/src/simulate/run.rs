@@ -109,7 +109,8 @@ pub(super) fn simulate_with(
             keeper,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
         };
-        let listener = listener.announced(options.runs.as_ref(), &folder.path().to_string_lossy());
+        let listener =
+            listener.announced(options.runs.as_ref(), &testbed.name, &folder.path().to_string_lossy());
         let programs =
             external.insert(ExternalPlugins::serve(listener, options.tokens.clone(), wall, context)?);
         programs.start(&testbed, &folder.logs(), recorded.simulation.host())?;
