@@ -14,9 +14,11 @@ use crate::{
     link::Link,
     localize::LocalizeArgs,
     netem::Netem,
+    ps::PsArgs,
     replay::ReplayArgs,
     run::RunArgs,
     stamp::Stamp,
+    stop::StopArgs,
     sweep::SweepArgs,
 };
 
@@ -42,6 +44,8 @@ Examples:
   cotorra history series latest service            plot the service time of the last run
   cotorra exec robot -- ping cloud                 run a program inside a node of a run
   cotorra link set lan-cloud --delay 40ms          change a link of a run
+  cotorra ps                                       list your runs
+  cotorra stop                                     end a run in order
 
 Exit status:
   0  done
@@ -96,6 +100,8 @@ Examples:
     Doctor,
     Clean(CleanArgs),
     Exec(ExecArgs),
+    Ps(PsArgs),
+    Stop(StopArgs),
     /// Show, change and test links of the running testbed
     Link {
         #[command(subcommand)]

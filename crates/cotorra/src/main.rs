@@ -24,12 +24,14 @@ mod logs;
 mod netem;
 mod progress;
 mod quantity;
+mod ps;
 mod replay;
 mod run;
 mod running;
 mod signals;
 mod stamp;
 mod sweep;
+mod stop;
 mod table;
 mod testbed_file;
 mod words;
@@ -75,6 +77,8 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Clean(args) => clean::clean(&args)?,
         Command::Exec(args) => match exec::exec(&args)? {},
         Command::Link { link } => link::link(&link)?,
+        Command::Ps(args) => ps::ps(&args)?,
+        Command::Stop(args) => stop::stop(&args)?,
         Command::Stamp { stamp } => stamp::stamp(&stamp)?,
         Command::Bench(args) => bench::bench(&args)?,
         Command::Netem { netem } => netem::netem(&netem)?,

@@ -123,7 +123,8 @@ fn the_doctor_gives_a_reason_and_a_remedy_for_each_missing_capability() {
 fn completions_name_every_command() {
     for shell in ["bash", "zsh", "fish"] {
         let script = stdout(&output(["completions", shell]));
-        for command in ["run", "check", "schema", "openapi", "doctor", "clean", "exec", "bench"] {
+        for command in ["run", "check", "schema", "openapi", "doctor", "clean", "exec", "ps", "stop", "bench"]
+        {
             assert!(script.contains(command), "{command} is not in the script for {shell}");
         }
     }

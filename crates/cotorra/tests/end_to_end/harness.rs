@@ -86,7 +86,17 @@ impl Run {
 
     /// Starts `cotorra run` beside this run.
     pub fn another(&self, testbed: &Path, arguments: &[&str]) -> Self {
-        Self::launch(testbed, arguments, |_| {}, None)
+        self.another_with(testbed, arguments, |_| {})
+    }
+
+    /// Does the same as [`Self::another`] after `change` to the command.
+    pub fn another_with(
+        &self,
+        testbed: &Path,
+        arguments: &[&str],
+        change: impl FnOnce(&mut Command),
+    ) -> Self {
+        Self::launch(testbed, arguments, change, None)
     }
 
     fn launch(

@@ -1,6 +1,13 @@
 //! Complete runs, and their files.
 
-use std::{fs, io::ErrorKind, net::TcpListener, process::Command};
+use std::{
+    fs,
+    io::ErrorKind,
+    net::TcpListener,
+    process::{Command, Stdio},
+};
+
+use serde_json::Value;
 
 use crate::harness::{Run, corridor, cotorra, project_file, stderr, stdout, valid_report, wait_until};
 
@@ -251,6 +258,66 @@ fn tools_talk_to_the_run_and_not_to_a_program_on_its_port() {
     assert_eq!(fs::read_dir(runtime.path().join("cotorra")).unwrap().count(), 0);
     let nobody = squatter.accept().map_err(|error| error.kind());
     assert!(matches!(nobody, Err(ErrorKind::WouldBlock)), "{nobody:?}");
+}
+
+#[test]
+fn commands_change_and_stop_only_the_run_that_is_meant() {
+    let file = project_file("testbeds/two-hosts.yaml");
+    let runtime = tempfile::tempdir().unwrap();
+    let as_user = |command: &mut Command| {
+        command.envs(["XDG_RUNTIME_DIR", "TMPDIR"].map(|name| (name, runtime.path())));
+    };
+    let one = Run::start_with(&file, &["--until", "600s"], as_user);
+    let mut two = one.another_with(&file, &["--until", "600s"], as_user);
+    let told = |words: &[&str], api: &str| {
+        let mut command = cotorra(words);
+        as_user(&mut command);
+        command.env("COTORRA_API", api).stdin(Stdio::null()).output().unwrap()
+    };
+    let delays = || {
+        [&one, &two].map(|run| {
+            let links = run.get("/api/v1/network/links");
+            let is_it = |link: &&Value| link["link"] == "left-lan";
+            links.as_array().unwrap().iter().find(is_it).unwrap()["effective"]["delay_ms"].as_f64().unwrap()
+        })
+    };
+    let folder = two.folder.to_str().unwrap().to_owned();
+    for vague in
+        [&["link", "set", "left-lan", "--delay", "9ms"][..], &["stop"], &["stop", "--run", "two-hosts"]]
+    {
+        let refused = told(vague, "");
+        assert_eq!(refused.status.code(), Some(1), "{vague:?}");
+        for run in [&one, &two] {
+            assert!(stderr(&refused).contains(run.address()), "{vague:?}: {}", stderr(&refused));
+        }
+    }
+    assert_eq!(delays(), [1.0, 1.0]);
+
+    let set = |delay: &str, run: &[&str], api: &str| {
+        let done = told(&[&["link", "set", "left-lan", "--delay", delay][..], run].concat(), api);
+        assert!(done.status.success(), "{}", stderr(&done));
+        stderr(&done)
+    };
+    let printed = set("2ms", &["--run", &folder], "");
+    assert_eq!(printed.trim(), format!("changed left-lan of two-hosts on {} ({folder})", two.address()));
+    assert_eq!(delays(), [1.0, 2.0]);
+    set("3ms", &[], &two.api);
+    assert_eq!(delays(), [1.0, 3.0]);
+    set("4ms", &["--run", one.address()], &two.api);
+    assert_eq!(delays(), [4.0, 3.0]);
+
+    let listed = |words: &[&str]| stdout(&told(words, ""));
+    let both = listed(&["ps"]);
+    assert!(both.contains(&folder) && both.contains(one.folder.to_str().unwrap()), "{both}");
+    let stopped = told(&["stop", "--run", &folder], "");
+    assert!(stopped.status.success(), "{}", stderr(&stopped));
+    assert!(stdout(&stopped).contains(two.address()), "{}", stdout(&stopped));
+    // It has ended already, and left its report.
+    assert!(two.folder.join("summary.json").exists());
+    two.report();
+    let left: Value = serde_json::from_str(&listed(&["ps", "--json"])).unwrap();
+    assert_eq!(left.as_array().unwrap().len(), 1);
+    assert_eq!(left[0]["api"], one.api);
 }
 
 #[test]

@@ -57,6 +57,45 @@ pub(crate) fn setns(namespace: BorrowedFd<'_>, kind: c_int) -> io::Result<()> {
     check(unsafe { libc::setns(namespace.as_raw_fd(), kind) }).map(drop)
 }
 
+/// Returns the process that listens on the other end of a connected Unix socket, by its number here (`SO_PEERCRED`); 0 if
+/// this PID namespace does not show it.
+pub(crate) fn listening_process(socket: BorrowedFd<'_>) -> io::Result<c_int> {
+    let mut peer = libc::ucred { pid: 0, uid: 0, gid: 0 };
+    let mut length = mem::size_of_val(&peer) as libc::socklen_t;
+    let to = (&raw mut peer).cast();
+    // SAFETY: the kernel writes at most `length` bytes, which is the size of `peer`.
+    check(unsafe {
+        libc::getsockopt(socket.as_raw_fd(), libc::SOL_SOCKET, libc::SO_PEERCRED, to, &mut length)
+    })?;
+    Ok(peer.pid)
+}
+
+/// `pidfd_open`.
+pub(crate) fn open_process(process: c_int) -> io::Result<OwnedFd> {
+    // SAFETY: takes no pointer, and makes a descriptor.
+    unsafe { own(libc::syscall(libc::SYS_pidfd_open, process, 0) as c_int) }
+}
+
+/// `pidfd_send_signal`.
+pub(crate) fn send_signal(process: BorrowedFd<'_>, signal: c_int) -> io::Result<()> {
+    let nothing = std::ptr::null::<c_void>();
+    // SAFETY: the descriptor is open, and without a `siginfo_t` the kernel makes its own.
+    let sent = unsafe { libc::syscall(libc::SYS_pidfd_send_signal, process.as_raw_fd(), signal, nothing, 0) };
+    check(sent as c_int).map(drop)
+}
+
+/// Waits until a descriptor can be read, or was closed on the other side (`poll`).
+pub(crate) fn wait_readable(file: BorrowedFd<'_>) -> io::Result<()> {
+    let mut wait = libc::pollfd { fd: file.as_raw_fd(), events: libc::POLLIN, revents: 0 };
+    loop {
+        // SAFETY: the array has one element, and the descriptor is open.
+        match check(unsafe { libc::poll(&raw mut wait, 1, -1) }) {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            done => return done.map(drop),
+        }
+    }
+}
+
 /// Returns the user namespace that owns a namespace (`NS_GET_USERNS`).
 pub(crate) fn owner_of(namespace: BorrowedFd<'_>) -> io::Result<OwnedFd> {
     const NS_GET_USERNS: c_ulong = 0xb701;
