@@ -5,7 +5,7 @@ use std::{num::NonZero, path::PathBuf, process::ExitCode, thread};
 use clap::Args;
 use cotorra_testbed::faults::{Checked, FaultTest, FaultTested, Invariant};
 
-use crate::{output, progress::Progress, signals, table::Table, words::count};
+use crate::{arguments::parse_seed, output, progress::Progress, signals, table::Table, words::count};
 
 /// Inject faults into random testbeds in virtual time, and check that every promise holds
 ///
@@ -26,7 +26,7 @@ pub struct FaultTestArgs {
     #[arg(long, value_name = "N", default_value_t = 200)]
     pub runs: u64,
     /// Seed of the first run; the seeds of the others count up from it
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "S", default_value_t = 1, value_parser = parse_seed)]
     pub seed: u64,
     /// Number of runs at a time; default: the number of CPUs
     #[arg(short, long, value_name = "J")]

@@ -19,7 +19,7 @@ use cotorra_localization::{
 use cotorra_testbed_file::map_server;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::{output, signals, testbed_file::FileError};
+use crate::{arguments::parse_seed, output, signals, testbed_file::FileError};
 
 /// Localize a robot in a recorded log, by a map
 ///
@@ -61,7 +61,7 @@ pub struct LocalizeArgs {
     #[arg(long, value_name = "METRES")]
     pub max_range: Option<f64>,
     /// Seed of everything random
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_seed)]
     pub seed: u64,
     /// Write the trajectory to this file instead of standard output
     #[arg(long, value_name = "FILE")]

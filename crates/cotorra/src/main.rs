@@ -8,6 +8,7 @@
 #[macro_use]
 mod output;
 
+mod arguments;
 mod bench;
 mod check;
 mod clean;

@@ -9,6 +9,7 @@ use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayError, ReplayOpti
 use indicatif::ProgressBar;
 
 use crate::{
+    arguments::parse_address,
     history::{self, HistoryPlace, Source, Span},
     output,
     run::{self, FOXGLOVE},
@@ -49,10 +50,10 @@ pub struct ReplayArgs {
     #[command(flatten)]
     pub span: Span,
     /// Address of the HTTP API, as with `cotorra run`
-    #[arg(long, value_name = "ADDR:PORT")]
+    #[arg(long, value_name = "ADDR:PORT", value_parser = parse_address)]
     pub api: Option<SocketAddr>,
     /// Serve the replay to Foxglove, too, as with `cotorra run`
-    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE)]
+    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE, value_parser = parse_address)]
     pub foxglove: Option<SocketAddr>,
     /// Folder that relative paths in the testbed file start from, such as that of its map
     #[arg(long, value_name = "DIR", default_value = "testbeds")]

@@ -9,6 +9,7 @@ use cotorra_testbed_file::Setting;
 
 use crate::{
     duration::parse_duration,
+    arguments::parse_seed,
     history::{HISTORY_VARIABLE, Place},
 };
 
@@ -70,7 +71,7 @@ pub struct OkpiArgs {
     #[arg(long, value_name = "FILE", default_value = "testbeds/corridor.yaml")]
     pub testbed: PathBuf,
     /// Seed of everything random; default: the file's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = parse_seed)]
     pub seed: Option<u64>,
     /// End each walk after this time, such as 60s or 2min
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
@@ -123,7 +124,7 @@ pub struct FederationArgs {
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
     /// Seed of the first run, from which the others count up; default: the file's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = parse_seed)]
     pub seed: Option<u64>,
     /// End each run after this time, such as 60s or 2min [default: twice the duration of the walk, plus a minute]
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]

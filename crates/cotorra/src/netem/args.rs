@@ -6,7 +6,10 @@ use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use cotorra_graph::{BitRate, Probability};
 use cotorra_netem::{Distribution, Jitter, Loss, Network, Rule, Side};
 
-use crate::quantity::{parse_rate, parse_share, parse_time};
+use crate::{
+    arguments::parse_seed,
+    quantity::{parse_rate, parse_share, parse_time},
+};
 
 #[derive(Debug, Subcommand)]
 pub enum Netem {
@@ -74,7 +77,7 @@ pub struct SetArgs {
     #[arg(long, value_name = "PACKETS", value_parser = clap::value_parser!(u32).range(1..), group = "conditions")]
     pub limit: Option<u32>,
     /// Seed of everything random; needs Linux 6.7 or later
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = parse_seed)]
     pub seed: Option<u64>,
     /// Let jitter and a falling delay reorder packets, which is NetEm's own default
     #[arg(long)]

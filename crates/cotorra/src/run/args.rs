@@ -7,6 +7,7 @@ use cotorra_graph::IpNetwork;
 use cotorra_testbed_file::Setting;
 
 use crate::{
+    arguments::{parse_address, parse_seed},
     duration::parse_duration,
     history::{HISTORY_VARIABLE, Place},
 };
@@ -54,7 +55,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
     /// Seed of everything random; default: the file's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = parse_seed)]
     pub seed: Option<u64>,
     /// Folder in which the run creates its own folder
     #[arg(long, value_name = "DIR", default_value = "runs")]
@@ -82,7 +83,7 @@ pub struct RunArgs {
     ///
     /// The default is 127.0.0.1:7700, or another port if that is taken. An address that others can reach needs a token of
     /// 16 characters or more in COTORRA_TOKEN. Tools of the same user, such as `cotorra exec`, find the run by themselves.
-    #[arg(long, value_name = "ADDR:PORT")]
+    #[arg(long, value_name = "ADDR:PORT", value_parser = parse_address)]
     pub api: Option<SocketAddr>,
     /// Let the WLAN Access Information Service send notifications to a network, as in 10.1.0.0/16
     ///
@@ -106,7 +107,8 @@ pub struct RunArgs {
     /// Serve the run live to Foxglove; by default on 127.0.0.1:8765
     ///
     /// Needs a cotorra that was built with `--features foxglove`. Whoever can reach the address can watch.
-    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE, conflicts_with = "simulate")]
+    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE, conflicts_with = "simulate",
+        value_parser = parse_address)]
     pub foxglove: Option<SocketAddr>,
     /// Let idle cores fall asleep
     ///

@@ -1,0 +1,39 @@
+//! Parsing of seeds and addresses, with errors that say what to write.
+
+use std::net::SocketAddr;
+
+/// Parses a seed.
+pub fn parse_seed(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| format!("write a whole number from 0 to {}", u64::MAX))
+}
+
+/// Parses an address to listen on.
+pub fn parse_address(text: &str) -> Result<SocketAddr, String> {
+    let port = text.rsplit(':').next().and_then(|port| port.parse::<u16>().ok()).unwrap_or(7700);
+    text.parse().map_err(|_| format!("write an IP address and a port, as in 127.0.0.1:{port}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_are_whole_numbers() {
+        assert_eq!(parse_seed("7"), Ok(7));
+        for wrong in ["abc", "-1", "1.5", "", "18446744073709551616"] {
+            assert_eq!(
+                parse_seed(wrong),
+                Err("write a whole number from 0 to 18446744073709551615".to_owned())
+            );
+        }
+    }
+
+    #[test]
+    fn a_port_alone_is_completed_to_an_address() {
+        assert_eq!(parse_address("127.0.0.1:7851"), Ok(([127, 0, 0, 1], 7851).into()));
+        for (wrong, like) in [("7851", 7851), ("localhost:80", 80), ("lab", 7700), ("70000", 7700)] {
+            let error = format!("write an IP address and a port, as in 127.0.0.1:{like}");
+            assert_eq!(parse_address(wrong), Err(error));
+        }
+    }
+}
