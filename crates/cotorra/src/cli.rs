@@ -158,6 +158,36 @@ pub enum BundledVnf {
 mod tests {
     use super::*;
     use clap::CommandFactory;
+    use cotorra_testing::project_file;
+
+    use crate::testbed_file;
+
+    /// Returns the help of a command and of all commands below it.
+    fn help(command: &mut clap::Command) -> String {
+        let below: String = command.get_subcommands_mut().map(help).collect();
+        command.render_long_help().to_string() + &below
+    }
+
+    #[test]
+    fn links_in_examples_are_links_of_the_corridor() {
+        let corridor = testbed_file::load(&project_file("testbeds/corridor.yaml"), &[]).unwrap().testbed;
+        let text = help(&mut Cli::command());
+        let after = |before: &str| {
+            let rests = text.lines().filter_map(|line| line.trim().strip_prefix(before)?.split(' ').nth(1));
+            rests
+                .filter(|word| !word.starts_with("--") && !word.is_empty())
+                .map(str::to_owned)
+                .collect::<Vec<_>>()
+        };
+        let figures = text.lines().filter(|line| line.contains("--figure delay"));
+        let of_history = figures.filter_map(|line| line.trim().split(' ').nth(4).map(str::to_owned));
+        let changed = ["show", "set", "test"].map(|verb| after(&format!("cotorra link {verb}"))).concat();
+        let named: Vec<_> = changed.into_iter().chain(of_history).collect();
+        assert!(named.len() > 5, "{named:?}");
+        for name in named {
+            assert!(corridor.graph.links.iter().any(|link| link.id.as_str() == name), "{name}");
+        }
+    }
 
     #[test]
     fn the_command_line_is_consistent() {

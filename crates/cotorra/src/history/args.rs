@@ -15,7 +15,7 @@ Examples:
   cotorra history runs
   cotorra history state latest --at 12.5s
   cotorra history series latest service
-  cotorra history series latest R1~lan --figure delay --from 1min --to 2min
+  cotorra history series latest R1-cloud --figure delay --from 1min --to 2min
   cotorra history series latest robot --figure x --csv > x.csv
   cotorra history events latest --kinds handover,decision
   cotorra history diff runs/corridor-20260101-120000 latest

@@ -57,7 +57,7 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     output::print(&describe(&drawn, &whole))
 }
 
-/// Parses the figure: `delay:R1~lan`, or `R1~lan` with --figure, or `R1~lan` alone for its default figure.
+/// Parses the figure: `delay:R1-cloud`, or `R1-cloud` with --figure, or `R1-cloud` alone for its default figure.
 fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, SeriesError> {
     let node = of.split(':').next().unwrap_or(of);
     let parse = |text: &str| text.parse().map_err(SeriesError::Figure);

@@ -131,7 +131,7 @@ impl Names {
     }
 }
 
-/// Converts a name to a topic part: `R1~lan` to `R1_lan`, `2nd` to `n2nd`.
+/// Converts a name to a topic part: `robot~R1` to `robot_R1`, `2nd` to `n2nd`.
 fn token(name: &str) -> String {
     let parts = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
     let joined = parts.collect::<Vec<_>>().join("_");
@@ -146,9 +146,9 @@ mod tests {
     fn topic_parts_follow_the_rules_of_ros_and_are_unique() {
         let mut names = Names::without(&["tf"]);
         assert_eq!(names.token("tb2"), "tb2");
-        assert_eq!(names.token("R1~lan"), "R1_lan");
-        assert_eq!(names.token("R1__lan"), "R1_lan_2");
-        assert_eq!(names.token("R1~lan"), "R1_lan");
+        assert_eq!(names.token("robot~R1"), "robot_R1");
+        assert_eq!(names.token("R1__lan"), "robot_R1_2");
+        assert_eq!(names.token("robot~R1"), "robot_R1");
         assert_eq!(names.token("2nd.floor-"), "n2nd_floor");
         assert_eq!(names.token("tf"), "tf_2");
     }
