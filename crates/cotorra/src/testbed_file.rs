@@ -2,6 +2,7 @@
 
 use std::{
     fmt::Write as _,
+    fs,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -22,10 +23,29 @@ pub struct Loaded {
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum FileError {
     #[error("cannot read {}: {reason}", path.display())]
-    #[diagnostic(help("the testbeds that ship with cotorra are in testbeds/"))]
+    #[diagnostic(help("{}", help_for(path)))]
     Unreadable { path: PathBuf, reason: std::io::Error },
     #[error("{name} has {}", count(mistakes.len(), "mistake"))]
     Wrong { name: String, mistakes: Vec<Mistake> },
+}
+
+/// Maximum number of files that the help lists.
+const LISTED: usize = 8;
+
+/// Returns what to name instead of a path that cannot be read.
+fn help_for(path: &Path) -> String {
+    let Ok(folder) = fs::read_dir(path) else {
+        return "the testbeds that ship with cotorra are in testbeds/".to_owned();
+    };
+    let files = folder.flatten().map(|file| file.path());
+    let is_yaml = |file: &PathBuf| file.extension().is_some_and(|ending| ending == "yaml");
+    let mut files: Vec<_> = files.filter(is_yaml).map(|file| file.display().to_string()).collect();
+    files.sort();
+    files.truncate(LISTED);
+    match &files[..] {
+        [] => "it is a folder: name a testbed file".to_owned(),
+        files => format!("it is a folder: name a file in it, such as {}", files.join(", ")),
+    }
 }
 
 impl FileError {
@@ -157,4 +177,27 @@ pub fn recorded_with(
     settings.reverse();
     settings.extend(more);
     cotorra_testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
+}
+
+#[cfg(test)]
+mod tests {
+    use miette::Diagnostic;
+
+    use super::*;
+
+    #[test]
+    fn a_folder_instead_of_a_file_lists_the_testbeds_in_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let help = || load(folder.path(), &[]).unwrap_err().help().unwrap().to_string();
+        assert_eq!(help(), "it is a folder: name a testbed file");
+        for name in ["walk.yaml", "drive.yaml", "notes.txt"] {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        let help = help();
+        let files = help.strip_prefix("it is a folder: name a file in it, such as ").unwrap();
+        assert_eq!(
+            files.split(", ").map(|file| file.rsplit('/').next().unwrap()).collect::<Vec<_>>(),
+            ["drive.yaml", "walk.yaml"]
+        );
+    }
 }

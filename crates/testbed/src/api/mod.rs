@@ -14,7 +14,7 @@ mod stream;
 mod types;
 mod wais;
 
-use std::{net::SocketAddr, sync::Arc};
+use std::{io::ErrorKind, net::SocketAddr, sync::Arc};
 
 use axum::{
     Router, middleware,
@@ -39,7 +39,7 @@ mod tests;
 #[derive(Debug, thiserror::Error)]
 pub enum ApiError {
     /// The address is in use, or not this machine's.
-    #[error("cannot serve the API on {address}: {source}")]
+    #[error("cannot serve the API on {address}: {source}{}", remedy(source))]
     Bind {
         address: SocketAddr,
         /// The system's error.
@@ -59,6 +59,17 @@ pub enum ApiError {
         "{0} is not a loopback address: set COTORRA_TOKEN, so that not everyone on the network can move the robots"
     )]
     TokenMissing(SocketAddr),
+}
+
+/// Returns what to do about an address that cannot be bound.
+fn remedy(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        ErrorKind::AddrInUse => {
+            "; another program serves there: name another port, or none, so that a free one is found"
+        }
+        ErrorKind::AddrNotAvailable => "; it is not an address of this machine",
+        _ => "",
+    }
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.

@@ -500,7 +500,9 @@ fn a_domains_token_opens_its_own_nodes_and_nothing_else() {
             "{path}"
         );
     }
-    assert_eq!(served.get("nobody-nobody-nobody", "/api/v1/robots").0, 401);
+    let (status, refused) = served.get("nobody-nobody-nobody", "/api/v1/robots");
+    assert_eq!(status, 401);
+    assert!(refused["error"].as_str().unwrap().contains("COTORRA_TOKEN"), "{refused}");
 }
 
 #[test]
@@ -769,4 +771,15 @@ fn strangers_on_the_port_take_no_place_from_the_users_tools() {
     tool.read_to_string(&mut answer).unwrap();
     assert!(answer.starts_with("HTTP/1.1 200 OK\r\n"), "{answer}");
     drop(flood);
+}
+
+#[test]
+fn a_taken_port_says_what_to_do() {
+    let other = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = other.local_addr().unwrap();
+    let Err(error) = Listener::bind(address, false, &Tokens::default()) else {
+        panic!("two programs have {address}")
+    };
+    let error = error.to_string();
+    assert!(error.contains(&address.to_string()) && error.contains("name another port"), "{error}");
 }
