@@ -21,7 +21,10 @@ pub enum Link {
     Test(TestArgs),
 }
 
-/// Show the delay and throughput of links, their test results, and their conditions
+/// Show the delay and throughput of links, their conditions, and results of probes and tests
+///
+/// → is the forward direction, from a link's first end to its second. d and λ are of the last second, by all packets.
+/// --json has more, such as the age of each result.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

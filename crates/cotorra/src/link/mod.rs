@@ -1,6 +1,7 @@
 //! `cotorra link`: shows, changes and tests links of the running testbed, over its API.
 
 mod args;
+mod show;
 
 use std::{thread, time::Duration};
 
@@ -14,8 +15,6 @@ use self::args::{ApiArgs, SetArgs, ShowArgs, TestArgs};
 use crate::{
     output,
     running::{Error, explained, token_text, with_token},
-    table::Table,
-    words::{ago, conditions, millis, probed},
 };
 
 /// Deadline for the result after the last packet. Results come once a second, from a second after that packet on.
@@ -82,7 +81,7 @@ fn show(args: &ShowArgs) -> miette::Result<()> {
     output::print(&if args.json {
         serde_json::to_string_pretty(&links).into_diagnostic()? + "\n"
     } else {
-        table(&links)
+        show::table(&links)
     })
 }
 
@@ -93,7 +92,7 @@ fn set(args: &SetArgs) -> miette::Result<()> {
     let instruction = Instruction::Condition { link: args.link.clone(), direction, change: args.change() };
     run.instruct(&instruction)?;
     note!("changed {} of {}", args.link, run.what);
-    output::print(&table(&run.links(Some(&args.link))?))
+    output::print(&show::table(&run.links(Some(&args.link))?))
 }
 
 #[allow(clippy::disallowed_methods, reason = "the user waits for the result of the test")]
@@ -131,24 +130,4 @@ fn test(args: &TestArgs) -> miette::Result<()> {
         offered_bps / 1e6,
         if carries_all { "; it may carry more" } else { "" }
     ))
-}
-
-fn table(links: &[LinkContext]) -> String {
-    let mut table = Table::new("<<>>><>><");
-    table.row(["link", "direction", "d, ms", "λ, Mbit/s", "tested", "probes", "ψ", "δ", "does"]);
-    for context in links {
-        let tested = |tested: Tested| format!("{:.3} ({})", tested.throughput_bps / 1e6, ago(tested.age));
-        table.row([
-            context.link.to_string(),
-            format!("{:?}", context.direction).to_lowercase(),
-            context.delay.map_or("-".to_owned(), millis),
-            format!("{:.3}", context.throughput_bps / 1e6),
-            context.tested.map_or("-".to_owned(), tested),
-            context.probed.as_ref().map_or("-".to_owned(), probed),
-            context.scale.delay_scale.to_string(),
-            context.scale.drop_scale.to_string(),
-            conditions(&context.effective),
-        ]);
-    }
-    table.render("")
 }

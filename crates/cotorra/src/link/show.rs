@@ -1,0 +1,132 @@
+//! The table of `cotorra link show`, which fits a terminal of 80 columns for links with delay and rate.
+
+use std::time::Duration;
+
+use cotorra_graph::{Direction, LinkContext, Probed, Scale};
+
+use crate::{
+    table::Table,
+    words::{ago, conditions, millis},
+};
+
+/// Age from which results of probes are shown with it.
+const OLD: Duration = Duration::from_secs(10);
+
+/// Lists both directions of links, and below them the results of their last tests.
+pub fn table(links: &[LinkContext]) -> String {
+    let mut table = Table::new("<<>>>><");
+    table.row(["link", "", "d, ms", "λ, Mbit/s", "probed, ms", "lost", "conditions"]);
+    let mut tests = String::new();
+    for context in links {
+        let arrow = arrow(context.direction);
+        let probed = context.probed.as_ref();
+        table.row([
+            context.link.to_string(),
+            arrow.to_owned(),
+            context.delay.map_or("-".to_owned(), millis),
+            format!("{:.3}", context.throughput_bps / 1e6),
+            probed.and_then(delay).unwrap_or("-".to_owned()),
+            probed.and_then(loss).unwrap_or("-".to_owned()),
+            conditions(&context.effective) + &scale(context.scale),
+        ]);
+        if let Some(tested) = &context.tested {
+            tests += &format!(
+                "{} {arrow} carried {:.3} of {:.3} Mbit/s in a test {}\n",
+                context.link,
+                tested.throughput_bps / 1e6,
+                tested.offered_bps / 1e6,
+                ago(tested.age)
+            );
+        }
+    }
+    table.render("") + &tests
+}
+
+/// Returns the sign of a direction, from the left end of a link's name to the right one or back.
+fn arrow(direction: Direction) -> &'static str {
+    match direction {
+        Direction::Forward => "→",
+        Direction::Backward => "←",
+    }
+}
+
+fn delay(probed: &Probed) -> Option<String> {
+    let jitter = probed.jitter.map(|jitter| format!(" ± {}", millis(jitter))).unwrap_or_default();
+    Some(format!("{}{jitter}{}", millis(probed.delay?), old(probed.delay_age)))
+}
+
+fn loss(probed: &Probed) -> Option<String> {
+    Some(format!("{:.1} %{}", probed.loss? * 100.0, old(Some(probed.loss_age))))
+}
+
+fn old(age: Option<Duration>) -> String {
+    age.filter(|age| *age >= OLD).map(|age| format!(" ({})", ago(age))).unwrap_or_default()
+}
+
+/// Names the scales that the conditions have, if they change anything.
+fn scale(scale: Scale) -> String {
+    match scale == Scale::default() {
+        true => String::new(),
+        false => format!(" (ψ {}, δ {})", scale.delay_scale, scale.drop_scale),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use console::measure_text_width;
+    use cotorra_graph::{BitRate, Conditions, LinkCounters, Rate, Tested};
+
+    use super::*;
+
+    fn context(direction: Direction) -> LinkContext {
+        let ms = |ms: f64| Duration::from_secs_f64(ms / 1e3);
+        let probed = Probed {
+            delay: Some(ms(13.512)),
+            jitter: Some(ms(0.012)),
+            delay_age: Some(ms(900.0)),
+            loss: Some(0.001),
+            loss_age: ms(900.0),
+        };
+        let rate = Rate::Fixed { bits_per_second: BitRate::from_mbps(30.0).unwrap() };
+        LinkContext {
+            link: "robot~R1".parse().unwrap(),
+            direction,
+            delay: Some(ms(13.621)),
+            throughput_bps: 12_345_678.0,
+            probed: Some(probed),
+            tested: None,
+            asked: Conditions::default(),
+            scale: Scale::default(),
+            effective: Conditions { delay: ms(13.5), rate, ..Conditions::default() },
+            counters: LinkCounters::default(),
+        }
+    }
+
+    #[test]
+    fn links_fit_a_terminal_of_80_columns() {
+        let tested = Tested { throughput_bps: 29e6, offered_bps: 33e6, age: Duration::from_secs(3) };
+        let back = LinkContext { tested: Some(tested), ..context(Direction::Backward) };
+        let text = table(&[context(Direction::Forward), back]);
+        assert_eq!(text.lines().count(), 4, "{text}");
+        assert!(text.lines().all(|line| measure_text_width(line) <= 80), "{text}");
+        for part in [
+            "13.512 ± 0.012",
+            "0.1 %",
+            "13.500 ms, 30 Mbit/s",
+            "robot~R1 ← carried 29.000 of 33.000 Mbit/s",
+            "3.0 s ago",
+        ] {
+            assert!(text.contains(part), "{part} is not in\n{text}");
+        }
+    }
+
+    #[test]
+    fn scales_and_old_results_of_probes_are_marked() {
+        let mut context = context(Direction::Forward);
+        assert!(!table(&[context.clone()]).contains(['ψ', '(']));
+        context.scale.delay_scale = 2.5;
+        context.probed.as_mut().unwrap().delay_age = Some(Duration::from_secs(12));
+        let text = table(&[context]);
+        assert!(text.contains("(ψ 2.5, δ 1)") && text.contains("13.512 ± 0.012 (12.0 s ago)"), "{text}");
+    }
+}
