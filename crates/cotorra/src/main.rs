@@ -24,15 +24,15 @@ mod localize;
 mod logs;
 mod netem;
 mod progress;
-mod quantity;
 mod ps;
+mod quantity;
 mod replay;
 mod run;
 mod running;
 mod signals;
 mod stamp;
-mod sweep;
 mod stop;
+mod sweep;
 mod table;
 mod testbed_file;
 mod words;
@@ -64,7 +64,7 @@ fn main() -> ExitCode {
 fn dispatch(command: Command) -> miette::Result<ExitCode> {
     match command {
         Command::Run(args) => return run::run(args),
-        Command::Experiment { experiment } => return experiment::experiment(&experiment),
+        Command::Experiment { experiment } => return experiment::experiment(experiment),
         Command::Sweep(args) => return sweep::sweep(&args),
         Command::FaultTest(args) => return fault_test::fault_test(&args),
         Command::History { command } => return history::history(&command),
@@ -77,9 +77,9 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Doctor => doctor::doctor()?,
         Command::Clean(args) => clean::clean(&args)?,
         Command::Exec(args) => match exec::exec(&args)? {},
-        Command::Link { link } => link::link(&link)?,
         Command::Ps(args) => ps::ps(&args)?,
         Command::Stop(args) => stop::stop(&args)?,
+        Command::Link { link } => link::link(&link)?,
         Command::Stamp { stamp } => stamp::stamp(&stamp)?,
         Command::Bench(args) => bench::bench(&args)?,
         Command::Netem { netem } => netem::netem(&netem)?,

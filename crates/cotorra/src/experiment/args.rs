@@ -7,9 +7,10 @@ use cotorra_experiments::federation::Account;
 use cotorra_graph::DomainId;
 use cotorra_testbed_file::Setting;
 
+use super::bundled::{CORRIDOR, FEDERATION};
 use crate::{
-    duration::parse_duration,
     arguments::parse_seed,
+    duration::parse_duration,
     history::{HISTORY_VARIABLE, Place},
 };
 
@@ -67,8 +68,8 @@ pub struct OkpiArgs {
     /// Run in virtual time, which is the default
     #[arg(long)]
     pub simulate: bool,
-    /// The testbed file; its radio units must have the names in the letter
-    #[arg(long, value_name = "FILE", default_value = "testbeds/corridor.yaml")]
+    /// The testbed file; its radio units must have the names in the letter. Where the default does not exist, it is bundled
+    #[arg(long, value_name = "FILE", default_value = CORRIDOR)]
     pub testbed: PathBuf,
     /// Seed of everything random; default: the file's
     #[arg(long, value_name = "N", value_parser = parse_seed)]
@@ -113,8 +114,8 @@ pub struct FederationArgs {
     /// Run in virtual time on a modelled ledger, which is the default
     #[arg(long)]
     pub simulate: bool,
-    /// The testbed file
-    #[arg(long, value_name = "FILE", default_value = "testbeds/federation.yaml")]
+    /// The testbed file. Where the default does not exist, it is bundled
+    #[arg(long, value_name = "FILE", default_value = FEDERATION)]
     pub testbed: PathBuf,
     /// Seconds between blocks, separated by commas; with --ledger, the network's block period, which is measured if it is
     /// not given [default: 0.5,1,2,5,10]

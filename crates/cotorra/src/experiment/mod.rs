@@ -1,17 +1,25 @@
 //! `cotorra experiment`: repeats a published experiment, and shows the result beside the published one.
 
 mod args;
+mod bundled;
 mod federation;
 mod folder;
 mod okpi;
 
 use std::process::ExitCode;
 
+use miette::IntoDiagnostic;
+
 pub use args::Experiment;
+use args::{FederationArgs, OkpiArgs};
+use bundled::Bundled;
 
 /// Runs an experiment.
-pub fn experiment(experiment: &Experiment) -> miette::Result<ExitCode> {
-    match experiment {
+pub fn experiment(mut experiment: Experiment) -> miette::Result<ExitCode> {
+    let (Experiment::Okpi(OkpiArgs { testbed, .. }) | Experiment::Federation(FederationArgs { testbed, .. })) =
+        &mut experiment;
+    let _bundled = Bundled::instead_of(testbed).into_diagnostic()?;
+    match &experiment {
         Experiment::Okpi(args) => okpi::okpi(args),
         Experiment::Federation(args) => federation::federation(args),
     }

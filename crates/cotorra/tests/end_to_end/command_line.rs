@@ -161,6 +161,18 @@ fn a_dry_run_lists_its_plan_and_leaves_no_files() {
 }
 
 #[test]
+fn experiments_need_no_checkout() {
+    let elsewhere = tempfile::tempdir().unwrap();
+    for experiment in ["okpi", "federation"] {
+        let mut planned = cotorra(["experiment", experiment, "--dry-run"]);
+        let planned = planned.current_dir(elsewhere.path()).output().unwrap();
+        assert!(planned.status.success(), "{}", stderr(&planned));
+        assert!(stdout(&planned).contains("1 robot"), "{}", stdout(&planned));
+    }
+    assert_eq!(fs::read_dir(elsewhere.path()).unwrap().count(), 0);
+}
+
+#[test]
 fn clean_lists_leftovers_or_reports_none() {
     let printed = output(["clean", "--dry-run"]);
     assert!(printed.status.success(), "{}", stderr(&printed));

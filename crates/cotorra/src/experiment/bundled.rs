@@ -1,0 +1,125 @@
+//! The testbeds of the published experiments, for a program without its checkout.
+
+use std::{
+    env,
+    fs::{self, DirBuilder},
+    io,
+    os::unix::fs::DirBuilderExt,
+    path::{Path, PathBuf},
+    process,
+};
+
+use cotorra_testbed::FolderError;
+
+/// Default testbed file of `cotorra experiment okpi`.
+pub const CORRIDOR: &str = "testbeds/corridor.yaml";
+/// Default testbed file of `cotorra experiment federation`.
+pub const FEDERATION: &str = "testbeds/federation.yaml";
+
+/// The files, and the picture of the map: each run of equal bytes as that byte and a length of two bytes (build.rs).
+const FILES: [(&str, &str); 3] = [
+    ("corridor.yaml", include_str!("../../../../testbeds/corridor.yaml")),
+    ("federation.yaml", include_str!("../../../../testbeds/federation.yaml")),
+    ("maps/corridor.yaml", include_str!("../../../../testbeds/maps/corridor.yaml")),
+];
+const PICTURE: (&str, &[u8]) =
+    ("maps/corridor.pgm", include_bytes!(concat!(env!("OUT_DIR"), "/corridor.packed")));
+
+/// Maximum number of folders that killed processes with the same number left.
+const LEFT: usize = 100;
+
+/// Bundled testbeds in a folder of their own, which is removed on drop.
+#[derive(Debug)]
+pub struct Bundled {
+    folder: PathBuf,
+}
+
+impl Bundled {
+    /// Writes the bundled testbeds if a default file does not exist, and lets `file` name the one that was meant.
+    pub fn instead_of(file: &mut PathBuf) -> Result<Option<Self>, FolderError> {
+        let is_default = [CORRIDOR, FEDERATION].iter().any(|default| file == Path::new(default));
+        if !is_default || file.exists() {
+            return Ok(None);
+        }
+        let bundled = Self::write(&env::temp_dir())?;
+        note!("there is no {} here: the bundled one is used", file.display());
+        *file = bundled.folder.join(file.file_name().expect("the defaults have names"));
+        Ok(Some(bundled))
+    }
+
+    fn write(base: &Path) -> Result<Self, FolderError> {
+        let stem = format!("cotorra-testbeds-{}", process::id());
+        let names = (0..LEFT).map(|n| base.join(format!("{stem}-{n}")));
+        // New and for this user alone, so that nobody else has put a file there.
+        let make = |folder: &PathBuf| DirBuilder::new().mode(0o700).create(folder);
+        let mut refused = None;
+        let made = names.into_iter().find(|folder| match make(folder) {
+            Ok(()) => true,
+            Err(error) => {
+                refused = Some(FolderError::new(folder, error));
+                false
+            }
+        });
+        let bundled = match made {
+            Some(folder) => Self { folder },
+            None => return Err(refused.expect("at least one name was tried")),
+        };
+        let maps = bundled.folder.join("maps");
+        fs::create_dir(&maps).map_err(|error| FolderError::new(&maps, error))?;
+        let texts = FILES.iter().map(|(name, text)| (*name, text.as_bytes().to_vec()));
+        for (name, bytes) in texts.chain([(PICTURE.0, unpacked(PICTURE.1))]) {
+            let path = bundled.folder.join(name);
+            fs::write(&path, bytes).map_err(|error: io::Error| FolderError::new(&path, error))?;
+        }
+        Ok(bundled)
+    }
+}
+
+impl Drop for Bundled {
+    fn drop(&mut self) {
+        // A file that stays in the folder for temporary files harms nobody.
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Unpacks what build.rs packed.
+fn unpacked(packed: &[u8]) -> Vec<u8> {
+    let run = |run: &[u8]| std::iter::repeat_n(run[0], usize::from(u16::from_le_bytes([run[1], run[2]])));
+    packed.chunks_exact(3).flat_map(run).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_testing::project_file;
+
+    use super::*;
+
+    #[test]
+    fn bundled_testbeds_are_those_of_the_checkout_and_leave_nothing() {
+        let base = tempfile::tempdir().unwrap();
+        let bundled = Bundled::write(base.path()).unwrap();
+        let second = Bundled::write(base.path()).unwrap();
+        for (name, _) in FILES.map(|(name, _)| (name, ())).into_iter().chain([(PICTURE.0, ())]) {
+            for copy in [&bundled, &second] {
+                let read = |path: PathBuf| fs::read(path).unwrap();
+                assert!(read(copy.folder.join(name)) == read(project_file("testbeds").join(name)), "{name}");
+            }
+        }
+        drop((bundled, second));
+        assert_eq!(fs::read_dir(base.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn only_default_files_that_are_missing_are_replaced() {
+        // Tests run in the folder of the crate, where there are no testbeds.
+        let mut named = PathBuf::from("mine.yaml");
+        assert!(Bundled::instead_of(&mut named).unwrap().is_none());
+        assert_eq!(named, Path::new("mine.yaml"));
+        for default in [CORRIDOR, FEDERATION] {
+            let mut file = PathBuf::from(default);
+            let bundled = Bundled::instead_of(&mut file).unwrap();
+            assert!(bundled.is_some());
+            crate::testbed_file::load(&file, &[]).unwrap();
+        }
+    }
+}
