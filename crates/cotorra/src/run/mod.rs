@@ -1,6 +1,7 @@
 //! `cotorra run`: brings a testbed up, shows its progress, ends it in order, and reports the results.
 
 mod args;
+mod lines;
 mod plan;
 mod summary;
 mod tally;

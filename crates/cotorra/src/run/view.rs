@@ -4,9 +4,9 @@ use std::{net::SocketAddr, path::Path, time::Duration};
 
 use cotorra_graph::{NodeId, Nodes, Program, RobotContext, Service, Testbed, Walk, millis};
 use cotorra_testbed::Snapshot;
-use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use indicatif::MultiProgress;
 
-use super::tally::Tally;
+use super::{lines::Lines, tally::Tally};
 use crate::{
     testbed_file::length,
     words::{clock, in_ms},
@@ -18,9 +18,6 @@ const ROBOTS_SHOWN: usize = 8;
 const LINE_EVERY_S: f64 = 10.0;
 /// Refreshes for each drawing of the live view, at a rate that people can read.
 const REFRESHES_PER_FRAME: u32 = 6;
-/// Resolution of the progress bar.
-const STEPS: u64 = 10_000;
-
 /// Addresses and folder of a run.
 #[derive(Debug)]
 pub struct Places<'a> {
@@ -39,14 +36,15 @@ pub struct View<'a> {
 
 enum Shape {
     Live {
-        bar: ProgressBar,
-        robots: Vec<(NodeId, ProgressBar)>,
-        so_far: ProgressBar,
-        places: ProgressBar,
+        lines: Lines,
+        /// Robots and the numbers of their lines. Below them are the other lines.
+        robots: Vec<(NodeId, usize)>,
+        so_far: usize,
+        places: usize,
         /// Refreshes until the next drawing.
         refreshes: u32,
     },
-    Lines {
+    Plain {
         next_s: f64,
     },
 }
@@ -60,16 +58,16 @@ impl<'a> View<'a> {
         terminal: &MultiProgress,
     ) -> Self {
         let shape =
-            if terminal.is_hidden() { Self::lines(places) } else { Self::live(testbed, places, terminal) };
+            if terminal.is_hidden() { Self::plain(places) } else { Self::live(testbed, places, terminal) };
         Self { testbed, until, tally: Tally::default(), shape }
     }
 
-    fn lines(places: &Places<'_>) -> Shape {
+    fn plain(places: &Places<'_>) -> Shape {
         if let Some(foxglove) = places.foxglove {
             note!("Foxglove on ws://{foxglove}");
         }
         note!("API on http://{}, run in {}", places.api, places.folder.display());
-        Shape::Lines { next_s: LINE_EVERY_S }
+        Shape::Plain { next_s: LINE_EVERY_S }
     }
 
     fn live(testbed: &Testbed, places: &Places<'_>, terminal: &MultiProgress) -> Shape {
@@ -77,31 +75,22 @@ impl<'a> View<'a> {
         let labels =
             ["so far", "API", "Foxglove", &testbed.name].into_iter().chain(robots.iter().map(NodeId::as_str));
         let width = labels.map(str::len).max().unwrap_or(0);
-        let line = |label: &str| {
-            // The label comes first, so that all lines are aligned.
-            let style =
-                ProgressStyle::with_template("{prefix:.bold}  {wide_msg}").expect("a template that is right");
-            let line = terminal.add(ProgressBar::new_spinner().with_style(style));
-            line.set_prefix(format!("{label:width$}"));
-            line
-        };
-        let style = ProgressStyle::with_template("{prefix:.bold}  {wide_bar:.cyan/dim}  {msg}")
-            .expect("a template that is right")
-            .progress_chars("━╸─");
-        let bar = terminal.add(ProgressBar::new(STEPS).with_style(style));
-        bar.set_prefix(format!("{:width$}", testbed.name));
+        let mut lines = Lines::new(terminal, &testbed.name, width);
         let more = robots.len().saturating_sub(ROBOTS_SHOWN);
-        let robots =
-            robots.into_iter().take(ROBOTS_SHOWN).map(|id| (id.clone(), line(id.as_str()))).collect();
+        let robots = robots
+            .into_iter()
+            .take(ROBOTS_SHOWN)
+            .map(|id| (id.clone(), lines.add(id.as_str(), "")))
+            .collect();
         if more > 0 {
-            line("").set_message(format!("and {more} more robots"));
+            lines.add("", &format!("and {more} more robots"));
         }
         if let Some(foxglove) = places.foxglove {
-            line("Foxglove").set_message(format!("ws://{foxglove}"));
+            lines.add("Foxglove", &format!("ws://{foxglove}"));
         }
-        let (so_far, api) = (line("so far"), line("API"));
-        api.set_message(format!("http://{}, run in {}", places.api, places.folder.display()));
-        Shape::Live { bar, robots, so_far, places: api, refreshes: 0 }
+        let so_far = lines.add("so far", "");
+        let places = lines.add("API", &format!("http://{}, run in {}", places.api, places.folder.display()));
+        Shape::Live { lines, robots, so_far, places, refreshes: 0 }
     }
 
     /// Counts new service times, and shows the state if it is due.
@@ -113,17 +102,17 @@ impl<'a> View<'a> {
         }
         match &mut self.shape {
             Shape::Live { refreshes, .. } if *refreshes > 0 => *refreshes -= 1,
-            Shape::Live { bar, robots, so_far, refreshes, .. } => {
+            Shape::Live { lines, robots, so_far, refreshes, .. } => {
                 *refreshes = REFRESHES_PER_FRAME - 1;
+                lines.fit();
                 let (share, text) = progress(self.testbed, self.until, now);
-                bar.set_position((share * STEPS as f64) as u64);
-                bar.set_message(text);
+                lines.progress(share, text);
                 for (id, line) in robots {
-                    line.set_message(robot(self.testbed, now, id));
+                    lines.set(*line, robot(self.testbed, now, id));
                 }
-                so_far.set_message(summary(self.testbed, &self.tally));
+                lines.set(*so_far, summary(self.testbed, &self.tally));
             }
-            Shape::Lines { next_s } => {
+            Shape::Plain { next_s } => {
                 let at_s = now.at.as_secs_f64();
                 if at_s >= *next_s {
                     *next_s = (at_s / LINE_EVERY_S).floor() * LINE_EVERY_S + LINE_EVERY_S;
@@ -142,19 +131,18 @@ impl<'a> View<'a> {
     }
 
     /// Shows that the run is ending.
-    pub fn ending(&self) {
+    pub fn ending(&mut self) {
         const ENDING: &str = "ending in order; Ctrl-C again ends it at once";
-        match &self.shape {
-            Shape::Live { places, .. } => places.set_message(ENDING),
-            Shape::Lines { .. } => note!("{ENDING}"),
+        match &mut self.shape {
+            Shape::Live { lines, places, .. } => lines.set(*places, ENDING.to_owned()),
+            Shape::Plain { .. } => note!("{ENDING}"),
         }
     }
 
     /// Removes the live view.
     pub fn close(self) {
-        if let Shape::Live { bar, robots, so_far, places, .. } = self.shape {
-            let lines = robots.into_iter().map(|(_, line)| line).chain([bar, so_far, places]);
-            lines.for_each(|line| line.finish_and_clear());
+        if let Shape::Live { lines, .. } = self.shape {
+            lines.close();
         }
     }
 }
