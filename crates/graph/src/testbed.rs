@@ -1,6 +1,6 @@
 //! A whole testbed, as a testbed file describes it and validation let it pass.
 
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +25,8 @@ pub struct Testbed {
     pub name: String,
     /// One sentence on it; may be empty.
     pub description: String,
+    /// Absolute folder of the file, from which relative paths in it start; empty if unknown.
+    pub folder: PathBuf,
     /// G.
     pub graph: HardwareGraph,
     /// Its services.
@@ -106,6 +108,9 @@ pub struct Walk {
     pub robot: NodeId,
     /// The waypoints, in order, the way back included when the file asks for it. The robot starts at the first.
     pub waypoints: Vec<Position>,
+    /// Index of the first waypoint that it heads for, if it starts on its way, at its node's position.
+    #[serde(skip)]
+    pub next: Option<u32>,
     /// Speed that it does not exceed, m/s.
     #[serde(rename = "speed_limit_mps")]
     pub speed_limit: f64,

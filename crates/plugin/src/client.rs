@@ -273,6 +273,7 @@ impl Client {
         Ok(Testbed {
             name,
             description,
+            folder: Default::default(),
             graph,
             services,
             map,

@@ -74,6 +74,8 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         probes,
         retention,
         description: record.description.clone(),
+        // Only a working folder that does not exist any more has no absolute path.
+        folder: std::path::absolute(base_dir.join(".")).unwrap_or_default(),
         name: record.name.value.clone(),
     })
 }
@@ -153,9 +155,16 @@ impl Builder<'_> {
             let back: Vec<_> = waypoints.iter().rev().skip(1).copied().collect();
             waypoints.extend(back);
         }
+        if let Some(next) = record.next.as_ref().filter(|next| next.value as usize > waypoints.len()) {
+            let most = waypoints.len();
+            self.sink
+                .error(&next.span, format!("the walk has no waypoint {}", next.value))
+                .help(format!("write an index from 0; {most} is the end of this walk"));
+        }
         Some(Walk {
             robot: robot?,
             waypoints,
+            next: record.next.as_ref().map(|next| next.value),
             speed_limit: record.speed_limit.value.0,
             position_interval: record.position_interval.value,
         })

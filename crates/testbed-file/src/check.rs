@@ -9,8 +9,8 @@ mod services;
 use std::collections::{HashMap, HashSet};
 
 use cotorra_graph::{
-    Driver, Edge, HardwareGraph, NodeKind, Offer, Position, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork,
-    Testbed, Topology, WifiStandard,
+    Driver, Edge, HardwareGraph, NodeId, NodeKind, Offer, Position, Rmw, Ros, Ros1, Ros2, RosMaster,
+    RosNetwork, Testbed, Topology, WifiStandard,
 };
 
 use crate::{
@@ -209,9 +209,13 @@ fn walks(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
             free(at, "waypoint", testbed, sink);
         }
     }
-    for (_, node) in &record.nodes.0 {
+    // A robot on its way stands where it believed to be.
+    let on_its_way =
+        |id: &NodeId| record.walks.0.iter().any(|(robot, walk)| robot.value == *id && walk.next.is_some());
+    for (id, node) in &record.nodes.0 {
         if let NodeRecord::Robot(robot) = node
             && let Some(at) = &robot.position
+            && !on_its_way(&id.value)
         {
             free(at, "position", testbed, sink);
         }

@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod build;
+mod carry;
 mod check;
 mod file;
 pub mod map_server;
@@ -19,6 +20,7 @@ use serde_json::{Value as Json, json};
 
 use self::yaml::{Sink, decode::Decode};
 pub use self::{
+    carry::{Carried, CarriedFile, Contents, carry},
     setting::{InvalidSetting, Setting},
     yaml::{Diagnostic, Diagnostics},
 };
@@ -60,7 +62,8 @@ pub fn parse(source_name: &str, text: &str, base_dir: &Path) -> Result<Testbed, 
     parse_with(source_name, text, base_dir, &[])
 }
 
-/// Parses a testbed file's text with settings from outside.
+/// Parses a testbed file's text with settings from outside. The settings that its last lines note, as [`annotated`] writes
+/// them, apply before.
 ///
 /// # Errors
 /// All mistakes, each with its place. A setting's place is its line in [`annotated`].
@@ -71,12 +74,8 @@ pub fn parse_with(
     settings: &[Setting],
 ) -> Result<Testbed, Diagnostics> {
     let mut sink = Sink::default();
-    let (text, places) = setting::annotate(text, settings);
-    let testbed = yaml::parse(&text, &mut sink)
-        .map(|mut root| {
-            setting::apply(&mut root, settings, &places, &mut sink);
-            root
-        })
+    let text = annotated(text, settings);
+    let testbed = tree(&text, &mut sink)
         .and_then(|root| records::TestbedRecord::decode(&root, &mut sink))
         .and_then(|record| {
             let testbed = build::build(&record, base_dir, &mut sink)?;
@@ -87,6 +86,14 @@ pub fn parse_with(
         Some(testbed) if sink.is_empty() => Ok(testbed),
         _ => Err(sink.finish(source_name, &text)),
     }
+}
+
+/// Parses an annotated text, and applies the settings that it notes.
+fn tree(text: &str, sink: &mut Sink) -> Option<yaml::decode::Node> {
+    let mut root = yaml::parse(text, sink)?;
+    let (settings, places) = setting::noted(text);
+    setting::apply(&mut root, &settings, &places, sink);
+    Some(root)
 }
 
 /// Reads the retention settings of a testbed file, even if other parts of it are no longer valid. Returns `None` if
@@ -100,7 +107,7 @@ pub fn retentions(text: &str) -> Option<Retentions> {
 
 /// Returns a testbed file's text with the settings appended as comments, for the record.
 pub fn annotated(text: &str, settings: &[Setting]) -> String {
-    setting::annotate(text, settings).0
+    setting::annotate(text, settings)
 }
 
 /// Returns the JSON Schema (2020-12) of a testbed file.

@@ -9,7 +9,7 @@ use cotorra_graph::{Cell, OccupancyGrid, Position};
 use crate::{
     file,
     yaml::{
-        self, Diagnostics, Sink,
+        self, Diagnostics, Sink, Span,
         decode::{Amount, Decode, Node, Spanned, choice, expected, record},
     },
 };
@@ -74,6 +74,14 @@ pub fn load(path: impl AsRef<Path>) -> Result<OccupancyGrid, Diagnostics> {
     })?;
     let folder = path.parent().unwrap_or(Path::new(""));
     parse(&name, &text, |image| file::read(&folder.join(image), MAX_PICTURE).map_err(|e| e.to_string()))
+}
+
+/// Returns the name of the picture in a map's YAML text, and its place.
+pub(crate) fn image_of(text: &str) -> Option<(String, Span)> {
+    let mut sink = Sink::default();
+    let root = yaml::parse(text, &mut sink)?;
+    let image = root.get("image")?;
+    Some((image.text()?.to_owned(), image.span.clone()))
 }
 
 /// Reads a map from its YAML text and whatever reads the picture that it names.

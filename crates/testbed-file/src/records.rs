@@ -851,6 +851,8 @@ record! {
         waypoints: Spanned<Vec<Spanned<Position>>>,
         /// Whether it comes back the same way.
         and_back: bool = false,
+        /// Index of the waypoint, from 0, that a robot on its way heads for first. It then starts at its `position`.
+        next: Option<Spanned<u32>>,
         /// Speed that it does not exceed.
         speed_limit: Spanned<Speed> = "0.3 m/s",
         /// Interval of the robot's position packets.

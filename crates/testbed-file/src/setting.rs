@@ -68,25 +68,38 @@ impl FromStr for Setting {
     }
 }
 
+/// Beginning of a line that notes a setting.
+const NOTE: &str = "# set: ";
+
 /// A file's text with its settings as comments behind it, where mistakes in them are shown.
-pub(super) fn annotate(text: &str, settings: &[Setting]) -> (String, Vec<Range<usize>>) {
+pub(super) fn annotate(text: &str, settings: &[Setting]) -> String {
     let mut text = text.to_owned();
-    let places = settings.iter().map(|setting| {
+    for setting in settings {
         if !text.is_empty() && !text.ends_with('\n') {
             text.push('\n');
         }
-        text += "# set: ";
-        let start = text.len();
-        text += &setting.to_string();
-        let place = start..text.len();
-        text.push('\n');
-        place
-    });
-    let places = places.collect();
-    (text, places)
+        text += &format!("{NOTE}{setting}\n");
+    }
+    text
 }
 
-/// Changes a file's tree. The plug-in that runs is chosen last, so that the order of settings does not matter.
+/// Finds the settings that a file's last lines note, and their places.
+pub(super) fn noted(text: &str) -> (Vec<Setting>, Vec<Range<usize>>) {
+    let mut end = text.len();
+    let lines = text.split_inclusive('\n').rev().map_while(|line| {
+        let start = end - line.len();
+        end = start;
+        let setting = line.trim_end().strip_prefix(NOTE)?;
+        let place = start + NOTE.len()..start + NOTE.len() + setting.len();
+        Some(setting.parse().ok().map(|setting| (setting, place)))
+    });
+    let mut found: Vec<(Setting, Range<usize>)> = lines.flatten().collect();
+    found.reverse();
+    found.into_iter().unzip()
+}
+
+/// Changes a file's tree. The plug-in that runs is chosen last, by the last
+/// setting that chooses one, so that the order of other settings does not matter.
 pub(super) fn apply(root: &mut Node, settings: &[Setting], places: &[Range<usize>], sink: &mut Sink) {
     let (plugin, others): (Vec<_>, Vec<_>) =
         settings.iter().zip(places).partition(|(setting, _)| setting.path == "plugin");
@@ -103,7 +116,7 @@ pub(super) fn apply(root: &mut Node, settings: &[Setting], places: &[Range<usize
         }
         change.set(root, &setting.path, "");
     }
-    for (setting, place) in plugin {
+    if let Some((setting, place)) = plugin.last() {
         choose_plugin(root, setting, place);
     }
 }

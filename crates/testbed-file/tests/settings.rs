@@ -93,3 +93,29 @@ fn wrong_settings_are_shown_in_place() {
         assert!(told.contains(&format!("# set: {setting}")) && told.contains("help: "), "{setting}: {told}");
     }
 }
+
+#[test]
+fn settings_that_a_file_notes_at_its_end_apply_before_others() {
+    let settings: Vec<Setting> =
+        ["seed=9", "plugin=mine", "links.core.delay=7 ms"].map(|s| s.parse().unwrap()).into();
+    let noted = cotorra_testbed_file::annotated(FILE, &settings);
+    let read = |text: &str, more: &[Setting]| {
+        cotorra_testbed_file::parse_with("rooms.yaml", text, Path::new(""), more).unwrap()
+    };
+    assert_eq!(read(&noted, &[]), read(FILE, &settings));
+    let more: Vec<Setting> = ["seed=3", "plugin=probing"].map(|s| s.parse().unwrap()).into();
+    let both = read(&noted, &more);
+    assert_eq!((both.seed, both.plugins[0].id.as_str(), both.plugins.len()), (3, "probing", 1));
+    // Elsewhere, and in other words, they are comments.
+    for text in [format!("# set: seed=9\n{FILE}"), format!("{FILE}# set: seed=9\n# end\n")] {
+        assert_eq!(read(&text, &[]), read(FILE, &[]));
+    }
+}
+
+#[test]
+fn a_robot_on_its_way_starts_at_its_position() {
+    let on = with(&["nodes.robot.position=[4, 1]", "walks.robot.next=1"]).unwrap();
+    assert_eq!((on.walks[0].next, on.graph.robots().next().unwrap().0.position.unwrap().x), (Some(1), 4.0));
+    let told = with(&["walks.robot.next=3"]).unwrap_err();
+    assert!(told.contains("the walk has no waypoint 3"), "{told}");
+}

@@ -31,6 +31,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
     Testbed {
         name: "corridor".to_owned(),
         description: String::new(),
+        folder: Default::default(),
         graph: HardwareGraph {
             domains: vec![domain.clone()],
             nodes: vec![Node {
@@ -48,6 +49,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
         walks: vec![Walk {
             robot: robot(),
             waypoints,
+            next: None,
             speed_limit: 0.3,
             position_interval: Duration::from_millis(200),
         }],

@@ -49,6 +49,7 @@ pub fn robot(name: &str, position: Option<Position>) -> Node {
 pub fn walk(name: &str, waypoints: &[(f64, f64)]) -> Walk {
     Walk {
         robot: id(name),
+        next: None,
         waypoints: waypoints.iter().map(|&(x, y)| Position::new(x, y)).collect(),
         speed_limit: 0.3,
         position_interval: Duration::from_millis(200),

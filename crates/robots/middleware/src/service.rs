@@ -98,7 +98,7 @@ impl ServiceEndpoint {
     /// Shortest interval between position packets.
     pub const LEAST_INTERVAL: Duration = Duration::from_millis(1);
 
-    /// Creates an endpoint at the start of the walk. The seed places its first packet within the first interval, so that
+    /// Creates an endpoint at the start of the walk, or on its way. The seed places its first packet within the first interval, so that
     /// robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
     pub fn new(service: ServiceId, walk: &Walk, command_timeout: Duration, seed: u64) -> Self {
         let interval = walk.position_interval.max(Self::LEAST_INTERVAL);
@@ -111,7 +111,7 @@ impl ServiceEndpoint {
             timeout: command_timeout,
             next_emission: Timestamp::ZERO + interval.mul_f64(phase),
             sequence: 0,
-            waypoint: 0,
+            waypoint: walk.next.unwrap_or(0),
             goal: None,
             goal_changes: 0,
             followed: None,

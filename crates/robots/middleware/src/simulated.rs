@@ -99,7 +99,8 @@ impl SimulatedRobot {
         let NodeKind::Robot(robot) = &node.kind else {
             return Err(SimulationError::NotARobot(node.id.clone()));
         };
-        let start = walk.and_then(|walk| walk.waypoints.first().copied()).or(node.position);
+        let from_the_first = walk.filter(|walk| walk.next.is_none());
+        let start = from_the_first.and_then(|walk| walk.waypoints.first().copied()).or(node.position);
         let start = start.ok_or_else(|| SimulationError::NoStart(node.id.clone()))?;
         let body = match robot.model {
             RobotModel::Turtlebot2 => {

@@ -206,14 +206,17 @@ impl Builder<'_> {
     fn start(&mut self, robot: &Spanned<NodeId>, at: Option<&Spanned<Position>>) -> Option<Position> {
         let walk = self.record.walks.0.iter().find(|(id, _)| id.value == robot.value);
         let first = walk.and_then(|(_, w)| w.waypoints.value.first()).map(|w| w.value);
+        let on_its_way = walk.is_some_and(|(_, walk)| walk.next.is_some());
         match (at, first) {
-            (Some(at), Some(first)) if at.value != first => {
+            (Some(at), Some(first)) if at.value != first && !on_its_way => {
                 self.sink
                     .error(
                         &at.span,
                         format!("`{}` starts at {}, but its walk at {first}", robot.value, at.value),
                     )
-                    .help("leave out `position`: a robot starts at the first waypoint of its walk");
+                    .help(
+                        "leave out `position`: a robot starts at the first waypoint of its walk, unless that has `next`",
+                    );
                 None
             }
             (Some(at), _) => Some(at.value),

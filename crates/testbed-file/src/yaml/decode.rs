@@ -559,7 +559,7 @@ macro_rules! small_number {
         }
     )*};
 }
-small_number! { u8, "6"; u16, "1"; }
+small_number! { u8, "6"; u16, "1"; u32, "3"; }
 
 /// Reads a finite number; Rust's own parser would let `inf` and `nan` pass.
 fn number(node: &Node) -> Option<f64> {

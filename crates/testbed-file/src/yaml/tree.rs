@@ -51,6 +51,21 @@ impl Node {
         }
     }
 
+    /// The value of a mapping's key.
+    pub fn get(&self, key: &str) -> Option<&Self> {
+        let Value::Mapping(entries) = &self.value else { return None };
+        entries.iter().find(|entry| entry.key == key).map(|entry| &entry.value)
+    }
+
+    /// The items of a list, or the values of a mapping.
+    pub fn items(&self) -> Box<dyn Iterator<Item = &Self> + '_> {
+        match &self.value {
+            Value::Scalar { .. } => Box::new(std::iter::empty()),
+            Value::Sequence(items) => Box::new(items.iter()),
+            Value::Mapping(entries) => Box::new(entries.iter().map(|entry| &entry.value)),
+        }
+    }
+
     /// Text that stands without quotes.
     pub fn plain(&self) -> Option<&str> {
         match &self.value {

@@ -310,6 +310,7 @@ mod tests {
         Arc::new(Testbed {
             name: "test".into(),
             description: String::new(),
+            folder: Default::default(),
             graph: HardwareGraph {
                 domains: Vec::new(),
                 nodes: Vec::new(),

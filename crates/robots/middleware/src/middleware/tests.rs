@@ -47,6 +47,7 @@ fn testbed() -> Testbed {
     Testbed {
         name: "room".to_owned(),
         description: String::new(),
+        folder: Default::default(),
         graph: HardwareGraph {
             domains: vec![DomainId::new("main").unwrap()],
             nodes: vec![robot("robot1", None), robot("idle", Some(Position::new(1.0, 3.0)))],
