@@ -2,7 +2,7 @@
 //! the next dearer server when answers are late six times in a row; from the dearest back to the cheapest.
 //!
 //! `cargo build --release -p cotorra-plugin --example stepwise`, then name it in a testbed file as
-//! `command: [target/release/examples/stepwise]`. Its setting is `scan_every`, in seconds, by default 10.
+//! `command: [../target/release/examples/stepwise]`. Its setting is `scan_every`, in seconds, by default 10.
 
 use std::{collections::BTreeSet, time::Duration};
 

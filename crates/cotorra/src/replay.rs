@@ -10,11 +10,11 @@ use indicatif::ProgressBar;
 
 use crate::{
     arguments::parse_address,
-    history::{self, HistoryPlace, Source, Span},
+    history::{HistoryPlace, Source, Span},
     output,
     run::{self, FOXGLOVE},
     signals,
-    testbed_file::{FileError, recorded_with},
+    testbed_file::{FileError, recorded},
 };
 
 /// Play a recorded run through the HTTP API, so that a plug-in can be developed against it
@@ -55,9 +55,10 @@ pub struct ReplayArgs {
     /// Serve the replay to Foxglove, too, as with `cotorra run`
     #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE, value_parser = parse_address)]
     pub foxglove: Option<SocketAddr>,
-    /// Folder that relative paths in the testbed file start from, such as that of its map
-    #[arg(long, value_name = "DIR", default_value = "testbeds")]
-    pub base: PathBuf,
+    /// Folder that relative paths in the testbed file start from, such as that of its map; default: the run's folder, or
+    /// testbeds if RUN is a number
+    #[arg(long, value_name = "DIR")]
+    pub base: Option<PathBuf>,
     #[command(flatten)]
     pub place: HistoryPlace,
 }
@@ -90,15 +91,16 @@ enum Error {
 pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let source = Source::find(&args.run, &args.place)?;
     let bundled = args.bundled.as_ref().map(|plugin| format!("plugin={plugin}"));
-    let settings = bundled.iter().map(|setting| setting.parse().expect("a plug-in's name is a value"));
-    let testbed = recorded_with(&source.run.info.testbed, &args.run, &args.base, settings);
+    let setting = bundled.map(|setting| setting.parse().expect("a plug-in's name is a value"));
+    let base = source.base(args.base.as_deref());
+    let testbed = recorded(&source.run.info.testbed, &args.run, &base, setting);
     let testbed = testbed.map_err(FileError::from)?;
     let after_start = |after: Duration| Timestamp::ZERO + after;
     let options = ReplayOptions {
         api: args.api,
         known: Some((Runs::of_user(), format!("replay of {}", args.run))),
         tokens: run::tokens()?,
-        folder: history::folder(&args.run, &args.place.runs).ok(),
+        folder: source.folder.clone(),
         speed: match args.speed {
             Pace::Times(times) => Speed::Times(times),
             Pace::Max => {

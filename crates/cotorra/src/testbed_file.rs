@@ -160,23 +160,14 @@ pub fn length(waypoints: &[Position]) -> f64 {
     waypoints.windows(2).map(|leg| leg[0].distance(leg[1])).sum()
 }
 
-/// Parses the testbed of a recorded run, with the settings that were noted at the end of its file.
-pub fn recorded(text: &str, run: &str, base: &Path) -> Result<Testbed, Diagnostics> {
-    recorded_with(text, run, base, [])
-}
-
-/// Does the same as [`recorded`], with further settings.
-pub fn recorded_with(
+/// Parses the testbed file of a recorded run, with a further setting.
+pub fn recorded(
     text: &str,
     run: &str,
     base: &Path,
-    more: impl IntoIterator<Item = Setting>,
+    setting: Option<Setting>,
 ) -> Result<Testbed, Diagnostics> {
-    let noted = text.lines().rev().map_while(|line| line.strip_prefix("# set: "));
-    let mut settings: Vec<Setting> = noted.filter_map(|setting| setting.parse().ok()).collect();
-    settings.reverse();
-    settings.extend(more);
-    cotorra_testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
+    cotorra_testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, setting.as_slice())
 }
 
 #[cfg(test)]

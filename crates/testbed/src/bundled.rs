@@ -8,12 +8,9 @@ use cotorra_graph::{NodeId, Testbed};
 use cotorra_network_control::vim::READY;
 use cotorra_plugin::vnf;
 use cotorra_robot_middleware::{LocalizationVnf, NotLocalized};
-use cotorra_testbed_file::InvalidSetting;
 
 /// Path of the run's testbed file.
 pub(crate) const TESTBED: &str = "COTORRA_TESTBED";
-/// Settings of the testbed file, one per line.
-pub(crate) const SETTINGS: &str = "COTORRA_TESTBED_SETTINGS";
 /// Name of the served robot.
 pub(crate) const ROBOT: &str = "COTORRA_ROBOT";
 /// UDP port of the VNF.
@@ -31,9 +28,6 @@ pub enum VnfError {
     /// The testbed file changed during the run.
     #[error("the run's testbed file cannot be read: {0}")]
     Testbed(String),
-    /// A setting is invalid.
-    #[error(transparent)]
-    Setting(#[from] InvalidSetting),
     /// The robot has no walk.
     #[error(transparent)]
     NoWalk(#[from] NoWalk),
@@ -83,10 +77,8 @@ fn asked() -> Result<(Testbed, NodeId, u16), VnfError> {
     let file = PathBuf::from(text(TESTBED)?);
     let robot = NodeId::new(&text(ROBOT)?)?;
     let port = text(PORT)?.parse().map_err(|_| VnfError::Environment(PORT))?;
-    let settings = env::var(SETTINGS).unwrap_or_default();
-    let settings = settings.lines().map(str::parse).collect::<Result<Vec<_>, _>>()?;
-    let testbed = cotorra_testbed_file::load_with(&file, &settings)
-        .map_err(|problems| VnfError::Testbed(problems.to_string()))?;
+    let testbed =
+        cotorra_testbed_file::load(&file).map_err(|problems| VnfError::Testbed(problems.to_string()))?;
     Ok((testbed, robot, port))
 }
 

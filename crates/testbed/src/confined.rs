@@ -33,13 +33,8 @@ pub(crate) struct Confined {
 impl Confined {
     /// # Errors
     /// An error if the testbed file's folder holds more than a testbed's files, and a VNF would be shown it.
-    pub(crate) fn new(
-        testbed: &Testbed,
-        file: &Path,
-        options: &Options,
-        run: &RunFolder,
-    ) -> io::Result<Self> {
-        let folder = file.parent().unwrap_or(Path::new("/")).to_owned();
+    pub(crate) fn new(testbed: &Testbed, options: &Options, run: &RunFolder) -> io::Result<Self> {
+        let folder = testbed.folder.canonicalize()?;
         let is_confined =
             |vnf: &Vnf| matches!(vnf.program, Program::Command(_)) && vnf.rights != Rights::Trusted;
         if testbed.services.iter().flat_map(|service| &service.vnfs).any(is_confined) {
@@ -47,6 +42,9 @@ impl Confined {
         }
         let mut hidden = vec![run.path().to_owned()];
         hidden.extend(other_runs(&options.folder, &folder));
+        // A run's testbed file is among its results.
+        hidden
+            .extend(RunFolder::NAMES.map(|name| folder.join(name)).into_iter().filter(|path| path.exists()));
         // A socket can be used even in a read-only folder, and whoever reaches a run's socket may control the run.
         hidden.extend(options.runs.iter().flat_map(|runs| runs.folders()).cloned());
         if let Some(Location::File(path)) = &options.history {
@@ -59,7 +57,7 @@ impl Confined {
             hidden.extend(beside);
         }
         for plugin in &testbed.plugins {
-            plugin.settings.values().for_each(|value| named_files(value, &mut hidden));
+            plugin.settings.values().for_each(|value| named_files(value, &folder, &mut hidden));
         }
         let hidden = hidden.iter().filter_map(|path| real(path)).collect();
         Ok(Self { folder, homes: run.path().join("vnfs"), hidden })
@@ -123,15 +121,17 @@ fn other_runs(place: &Place, testbed: &Path) -> Vec<PathBuf> {
     let has_history =
         |folder: &PathBuf| ["history.sqlite", "history.json"].iter().any(|name| folder.join(name).exists());
     let folders = fs::read_dir(parent).into_iter().flatten().flatten().map(|entry| entry.path());
-    folders.filter(has_history).collect()
+    folders.filter(|folder| has_history(folder) && !testbed.starts_with(folder)).collect()
 }
 
-/// Collects the files that settings name.
-fn named_files(settings: &serde_json::Value, found: &mut Vec<PathBuf>) {
+/// Collects the files that settings name, by paths that start at a folder.
+fn named_files(settings: &serde_json::Value, folder: &Path, found: &mut Vec<PathBuf>) {
     match settings {
-        serde_json::Value::String(text) if Path::new(text).is_file() => found.push(text.into()),
-        serde_json::Value::Array(all) => all.iter().for_each(|value| named_files(value, found)),
-        serde_json::Value::Object(all) => all.values().for_each(|value| named_files(value, found)),
+        serde_json::Value::String(text) => {
+            found.extend(Some(folder.join(text)).filter(|path| path.is_file()))
+        }
+        serde_json::Value::Array(all) => all.iter().for_each(|value| named_files(value, folder, found)),
+        serde_json::Value::Object(all) => all.values().for_each(|value| named_files(value, folder, found)),
         _ => {}
     }
 }
@@ -151,20 +151,23 @@ mod tests {
         fs::create_dir(&testbed).unwrap();
         fs::write(run.join("history.sqlite"), "").unwrap();
         let runs = Place::In(parent.clone());
-        assert_eq!(other_runs(&runs, &testbed), [run]);
+        assert_eq!(other_runs(&runs, &testbed), [run.clone()]);
+        // A run's own testbed file would be hidden with its folder.
+        assert!(other_runs(&runs, &run).is_empty());
         assert_eq!(other_runs(&runs, Path::new("/elsewhere")), [parent]);
     }
 
     #[test]
     fn files_named_in_settings_are_hidden() {
         let place = tempfile::tempdir().unwrap();
-        let file = place.path().join("password");
+        let [file, key] = ["password", "key.json"].map(|name| place.path().join(name));
         fs::write(&file, "").unwrap();
-        let settings =
-            serde_json::json!({ "ledgers": [{ "password_file": file, "url": "ws://127.0.0.1:1" }] });
+        fs::write(&key, "").unwrap();
+        let settings = serde_json::json!({ "ledgers": [{ "password_file": file, "url": "ws://127.0.0.1:1" }],
+            "store": "key.json" });
         let mut found = Vec::new();
-        named_files(&settings, &mut found);
-        assert_eq!(found, [file]);
+        named_files(&settings, place.path(), &mut found);
+        assert_eq!(found, [file, key]);
     }
 
     #[test]

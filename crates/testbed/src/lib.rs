@@ -39,6 +39,7 @@ mod run_info;
 mod script;
 mod simulate;
 mod traffic;
+mod whole;
 
 pub use api::{ApiError, Token, Tokens, TokensError, openapi};
 pub use bundled::{VnfError, localization, navigation};

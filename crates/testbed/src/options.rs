@@ -7,7 +7,6 @@ use cotorra_measurements::Location;
 use cotorra_netem::Confirmed;
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::Wanted;
-use cotorra_testbed_file::Setting;
 
 use crate::{api::Tokens, previous_run::PreviousRun, report::Place};
 
@@ -28,8 +27,6 @@ pub struct Options {
     pub tokens: Tokens,
     /// Whether idle cores may sleep. Packets then wait for cores to wake, and are later.
     pub save_power: bool,
-    /// Settings that changed the testbed file when it was read.
-    pub settings: Vec<Setting>,
     /// Networks that the WLAN Access Information Service may send notifications to, beside those of the testbed file.
     pub wais_callbacks: Vec<IpNetwork>,
     /// Replaces `history.sqlite` in the run's folder as the history.

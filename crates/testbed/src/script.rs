@@ -11,7 +11,10 @@ use cotorra_graph::{
     ConditionChange, Conditions, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, Position,
     Scale, Scheduled, Stamped, Testbed, Timestamp, When,
 };
-use cotorra_measurements::{History, Kind, Location, PageRequest, RunId, export::ExportError};
+use cotorra_measurements::{
+    History, Kind, Location, PageRequest, RunId,
+    export::{ExportError, Format},
+};
 
 use crate::recorded::{Recorded, RecordedError};
 
@@ -241,6 +244,32 @@ fn replayed(folder: &Path, graph: &HardwareGraph) -> Result<Vec<(Timestamp, Chan
     let there: Vec<_> = there.iter().map(LinkId::as_str).take(20).collect();
     let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
     Err(ScriptError::OtherLinks { folder: folder.to_owned(), there })
+}
+
+/// Copies the conditions of links in the run of a folder, as an export to another folder.
+pub(crate) fn copy_conditions(of: &Path, to: &Path) -> Result<(), ScriptError> {
+    let (history, run) = open(of)?;
+    let copy = History::in_memory()?;
+    let copied = copy.begin_run(&history.run(run)?.info)?;
+    let recorder = copy.paced_recorder(copied)?;
+    let mut last: BTreeMap<(LinkId, Direction), (Conditions, Scale)> = BTreeMap::new();
+    let mut request = PageRequest::first(STEP);
+    loop {
+        let page = history.events(run, &[Kind::Link], .., request)?;
+        for stamped in page.items {
+            let Event::Link(context) = &stamped.event else { continue };
+            let now = (context.asked.clone(), context.scale);
+            let before = last.insert((context.link.clone(), context.direction), now.clone());
+            if before.is_none_or(|before| before != now) {
+                recorder.record(stamped);
+            }
+        }
+        recorder.flush()?;
+        let Some(next) = page.next else { break };
+        request = PageRequest::after(next, STEP);
+    }
+    copy.export(copied, Format::Csv, to, |_| true)?;
+    Ok(())
 }
 
 /// Opens the history of a run's folder, or of an export's, and returns the run's number in it.

@@ -69,7 +69,6 @@ const PERIODS: [Duration; 5] = [
 struct Planned {
     block_period: Duration,
     seed: u64,
-    settings: Vec<Setting>,
     loaded: Loaded,
 }
 
@@ -101,7 +100,6 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             runs: Some(known.clone()),
             tokens: run::tokens()?,
             save_power: args.walks.save_power,
-            settings: plan.settings.clone(),
             ..Options::default()
         };
         let what = format!("{name}: ");
@@ -208,7 +206,7 @@ fn plan(args: &FederationArgs, on: &LedgerBackend, periods: &[Duration]) -> miet
             let settings: Vec<_> = for_blocks.chain(args.walks.settings.iter().cloned()).collect();
             let loaded = testbed_file::load(&args.testbed, &settings)?;
             let seed = args.seed.unwrap_or(plain.testbed.seed) + u64::from(number);
-            planned.push(Planned { block_period: *block_period, seed, settings, loaded });
+            planned.push(Planned { block_period: *block_period, seed, loaded });
         }
     }
     Ok(planned)

@@ -32,12 +32,12 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         let plugin = Setting::new("plugin", contender.plugin).expect("plug-ins have names");
         let settings: Vec<_> = args.walks.settings.iter().cloned().chain([plugin]).collect();
         let loaded = testbed_file::load(&args.testbed, &settings)?;
-        variants.push((contender, settings, loaded));
+        variants.push((contender, loaded));
     }
     let history = history::location(args.history.as_ref())?;
     let how = if args.emulate { "emulated with real packets" } else { "in virtual time" };
     if args.walks.dry_run {
-        output::print(&plan(args, how, &variants[0].2))?;
+        output::print(&plan(args, how, &variants[0].1))?;
         return Ok(ExitCode::SUCCESS);
     }
     // Before the stage is set, because the user namespace that it may enter has another user.
@@ -45,7 +45,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-okpi").map_err(Error::from)?;
     let mut walks = Vec::new();
-    for (i, (contender, settings, loaded)) in variants.iter().enumerate() {
+    for (i, (contender, loaded)) in variants.iter().enumerate() {
         let options = Options {
             seed: args.seed,
             until: args.until,
@@ -53,7 +53,6 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
             runs: Some(known.clone()),
             tokens: run::tokens()?,
             save_power: args.walks.save_power,
-            settings: settings.clone(),
             history: history.clone(),
             ..Options::default()
         };
@@ -71,7 +70,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         walks.push(finished);
     }
     let [soa, okpi] = &walks[..] else { unreachable!("there are two contenders") };
-    let testbed = &variants[0].2.testbed;
+    let testbed = &variants[0].1.testbed;
     let how = format!("{how}, seed {}", soa.summary.seed);
     let comparison = Comparison::of(testbed, &soa.report, &okpi.report);
     comparison.write(&folder, &how, testbed, &soa.report, &okpi.report).map_err(Error::from)?;

@@ -106,9 +106,10 @@ pub struct ExportArgs {
     /// The new folder, or with mcap the new file
     #[arg(long, value_name = "DIR|FILE")]
     pub out: PathBuf,
-    /// With mcap: folder that relative paths in the testbed file start from, such as that of its map
-    #[arg(long, value_name = "DIR", default_value = "testbeds")]
-    pub base: PathBuf,
+    /// With mcap: folder that relative paths in the testbed file start from, such as that of its map; default: the run's
+    /// folder, or testbeds if RUN is a number
+    #[arg(long, value_name = "DIR")]
+    pub base: Option<PathBuf>,
     #[command(flatten)]
     pub place: HistoryPlace,
 }

@@ -20,7 +20,7 @@ use std::process::ExitCode;
 pub use self::{
     args::{EXAMPLES, History, HistoryPlace, Span},
     place::{HISTORY_VARIABLE, Place, location},
-    source::{Source, folder},
+    source::Source,
 };
 
 /// Answers a query, or exports, imports or prunes a run.

@@ -33,7 +33,7 @@ pub fn prune(args: &PruneArgs) -> miette::Result<()> {
         let runs = every_run(&history).map_err(Error::from)?;
         (history, runs)
     } else {
-        let Source { history, run } = Source::find(&args.run, &args.place)?;
+        let Source { history, run, .. } = Source::find(&args.run, &args.place)?;
         (history, vec![run])
     };
     let interrupts = signals::listen().map_err(TransferError::Signals)?;

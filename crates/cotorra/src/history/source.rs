@@ -11,6 +11,8 @@ use cotorra_testbed::{Recorded, RecordedError};
 use super::args::HistoryPlace;
 use super::place::{HISTORY_VARIABLE, WrongPlace, location};
 
+/// Folder of the testbed files that ship with cotorra.
+const SHIPPED: &str = "testbeds";
 /// Name of the newest run.
 const LATEST: &str = "latest";
 
@@ -47,6 +49,8 @@ pub enum Error {
 pub struct Source {
     pub history: History,
     pub run: Run,
+    /// The run's folder, if it was found by that.
+    pub folder: Option<PathBuf>,
 }
 
 impl Source {
@@ -54,7 +58,8 @@ impl Source {
     pub fn find(run: &str, place: &HistoryPlace) -> Result<Self, Error> {
         let named = location(place.history.as_ref())?;
         if let (Some(location), Ok(number)) = (&named, run.parse()) {
-            return Self::of(open(location)?, number);
+            let history = open(location)?;
+            return Ok(Self { run: history.run(number)?, history, folder: None });
         }
         Self::of_folder(&folder(run, &place.runs)?, named.as_ref())
     }
@@ -72,17 +77,16 @@ impl Source {
             })?,
         };
         let opened = open(&location)?;
-        match run {
-            Some(run) => Self::of(opened, run),
-            None => {
-                let first = opened.runs(None, 1)?.into_iter().next().ok_or(Error::Empty(history))?;
-                Ok(Self { history: opened, run: first })
-            }
-        }
+        let run = match run {
+            Some(run) => opened.run(run)?,
+            None => opened.runs(None, 1)?.into_iter().next().ok_or(Error::Empty(history))?,
+        };
+        Ok(Self { history: opened, run, folder: Some(folder.to_owned()) })
     }
 
-    fn of(history: History, run: RunId) -> Result<Self, Error> {
-        Ok(Self { run: history.run(run)?, history })
+    /// Returns the folder that relative paths in the run's testbed file start from, unless the user named one.
+    pub fn base(&self, named: Option<&Path>) -> PathBuf {
+        named.or(self.folder.as_deref()).unwrap_or(Path::new(SHIPPED)).to_owned()
     }
 }
 

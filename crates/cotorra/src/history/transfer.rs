@@ -54,7 +54,8 @@ pub fn export(args: &ExportArgs) -> miette::Result<()> {
 /// Writes a run as MCAP. An incomplete file is removed.
 fn mcap(source: &Source, args: &ExportArgs) -> miette::Result<()> {
     let info = &source.run.info;
-    let testbed = recorded(&info.testbed, &args.run, &args.base).map_err(FileError::from)?;
+    let testbed = recorded(&info.testbed, &args.run, &source.base(args.base.as_deref()), None)
+        .map_err(FileError::from)?;
     let export = Export::create(&args.out, Arc::new(testbed), about(info)).map_err(TransferError::from)?;
     let progress = Progress::begin()?;
     let written = write(source, export, &progress);

@@ -106,7 +106,6 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         runs: Some(Runs::of_user()),
         tokens: tokens()?,
         save_power: args.save_power,
-        settings: args.settings.clone(),
         wais_callbacks: args.wais_callbacks.clone(),
         interfaces: Confirmed { replace: args.replace, interfaces: args.allow_interface.clone() },
         history: history.clone(),
@@ -138,9 +137,10 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
 fn previous(args: &RunArgs, loaded: &Loaded) -> miette::Result<Option<PreviousRun>> {
     let Some(run) = args.after.as_deref() else { return Ok(None) };
     let place = HistoryPlace { history: args.history.clone(), runs: args.out.clone() };
-    let Source { history, run: found } = Source::find(run, &place)?;
-    let base = args.file.parent().unwrap_or(Path::new(""));
-    let parse = |text: &str| testbed_file::recorded(text, run, base);
+    let Source { history, run: found, folder } = Source::find(run, &place)?;
+    let own = args.file.parent().unwrap_or(Path::new(""));
+    let base = folder.as_deref().unwrap_or(own);
+    let parse = |text: &str| testbed_file::recorded(text, run, base, None);
     let cannot = |why| Error::After { run: run.to_owned(), why };
     Ok(Some(PreviousRun::read(&history, &found, &loaded.testbed, parse).map_err(cannot)?))
 }
@@ -176,7 +176,7 @@ impl Stage {
     /// Runs a testbed with real packets to its end.
     pub fn emulate(&self, loaded: &Loaded, file: &Path, options: Options) -> miette::Result<Finished> {
         let until = options.until;
-        let run = Run::start(loaded.testbed.clone(), &loaded.text, file, options).map_err(Error::from)?;
+        let run = Run::start(loaded.testbed.clone(), &loaded.text, options).map_err(Error::from)?;
         let folder = run.folder().to_owned();
         self.log_to(&folder)?;
         let version = env!("CARGO_PKG_VERSION");

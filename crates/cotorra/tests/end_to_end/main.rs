@@ -37,3 +37,4 @@ mod stamp;
 mod steer;
 mod sweep;
 mod wais;
+mod whole;

@@ -187,7 +187,8 @@ impl Sweep {
     pub fn default_folder(&self, parent: &Path) -> Result<PathBuf, SweepError> {
         let testbed = cotorra_testbed_file::parse(&self.source_name, &self.text, &self.base_dir)?;
         let paths: Vec<_> = self.axes.iter().map(Axis::path).collect();
-        // The testbed holds its map and traces.
+        // The testbed holds its map and traces, wherever they are.
+        let testbed = Testbed { folder: PathBuf::new(), ..testbed };
         let depends = format!("{} {testbed:?} {paths:?} {:?}", env!("CARGO_PKG_VERSION"), self.until);
         let digest = seed::split(0, &depends) >> 32;
         Ok(parent.join(format!("{}-{digest:08x}", testbed.name)))
@@ -287,7 +288,7 @@ impl Sweep {
         let testbed = self.testbed(&point.values)?;
         let run = || {
             if testbed.plugins.iter().any(|spec| matches!(spec.program, PluginProgram::Command(_))) {
-                self.simulate_with_programs(testbed, point.seed, folder, stop)
+                self.simulate_with_programs(testbed, point, folder, stop)
             } else {
                 let go_on = || !stop.load(Ordering::Relaxed);
                 let summary = simulate_unrecorded(Arc::new(testbed), point.seed, self.until, go_on)?;
@@ -308,15 +309,18 @@ impl Sweep {
     fn simulate_with_programs(
         &self,
         testbed: Testbed,
-        seed: u64,
+        point: &Point,
         folder: &Path,
         stop: &AtomicBool,
     ) -> Result<Option<Measured>, RunError> {
         // A killed process may have left it.
         let _ = fs::remove_dir_all(folder);
         let place = Place::At(folder.to_owned());
-        let options = Options { seed: Some(seed), until: self.until, folder: place, ..Options::default() };
-        let finished = simulate(testbed, &self.text, &options, |_| !stop.load(Ordering::Relaxed))?;
+        let settings = self.settings(&point.values).expect("the testbed was made with them");
+        let text = cotorra_testbed_file::annotated(&self.text, &settings);
+        let options =
+            Options { seed: Some(point.seed), until: self.until, folder: place, ..Options::default() };
+        let finished = simulate(testbed, &text, &options, |_| !stop.load(Ordering::Relaxed))?;
         if finished.was_stopped() || finished.summary.plugin_faults.is_empty() {
             // The folder is not needed any more; failing to remove it does no harm.
             let _ = fs::remove_dir_all(folder);

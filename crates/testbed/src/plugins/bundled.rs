@@ -1,11 +1,14 @@
 //! Bundled plug-ins: makes them from a testbed file, in a run or in a rehearsal.
 
+use std::path::Path;
+
 use cotorra_federation::{Federation, LedgerChoice, Ledgers, Settings};
 use cotorra_graph::{PluginProgram, PluginSpec, Testbed};
 use cotorra_okpi::Okpi;
 use cotorra_pace::Pace;
 use cotorra_plugin::Plugin;
 use cotorra_probing::Probing;
+use serde_json::{Map, Value};
 
 use super::{error::PluginError, programs::check_programs};
 
@@ -33,7 +36,8 @@ impl<'a> Bundled<'a> {
         match name {
             "federation" => {
                 let domain = spec.domain.as_ref();
-                let orchestrator = Federation::open(&spec.settings, domain, self.seed, &mut self.ledgers);
+                let resolved = with_key_paths(&spec.settings, &self.testbed.folder);
+                let orchestrator = Federation::open(&resolved, domain, self.seed, &mut self.ledgers);
                 Ok(Box::new(orchestrator.map_err(|e| settings(&e))?))
             }
             "okpi" => {
@@ -49,6 +53,18 @@ impl<'a> Bundled<'a> {
             _ => Err(PluginError::NotBundled { plugin: spec.id.clone(), name: name.to_owned() }),
         }
     }
+}
+
+/// Lets relative paths of keys in the settings start at the testbed file's folder.
+fn with_key_paths(settings: &Map<String, Value>, folder: &Path) -> Map<String, Value> {
+    let mut settings = settings.clone();
+    let ledger = settings.get_mut("ledger").and_then(Value::as_object_mut);
+    for (key, value) in ledger.into_iter().flatten() {
+        if let ("key_store" | "password_file", Value::String(path)) = (key.as_str(), value) {
+            *path = folder.join(&*path).to_string_lossy().into_owned();
+        }
+    }
+    settings
 }
 
 /// Checks that a run could make the plug-ins. Real ledgers, which only a run uses, are not contacted.

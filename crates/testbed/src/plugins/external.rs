@@ -89,7 +89,7 @@ impl ExternalPlugins {
     ) -> Result<(), PluginError> {
         for spec in &testbed.plugins {
             if let PluginProgram::Command(words) = &spec.program {
-                let process = Process::start(spec, words, &self.server, logs)?;
+                let process = Process::start(spec, words, &testbed.folder, &self.server, logs)?;
                 self.processes.insert(spec.id.clone(), process);
                 host.expect(spec.id.clone());
             }

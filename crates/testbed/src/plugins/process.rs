@@ -16,9 +16,11 @@ use crate::api::{Server, Token};
 pub(super) struct Process(Child);
 
 impl Process {
+    /// Starts the program in the testbed file's folder.
     pub(super) fn start(
         spec: &PluginSpec,
         words: &[String],
+        folder: &Path,
         api: &Server,
         logs: &Path,
     ) -> Result<Self, PluginError> {
@@ -29,6 +31,7 @@ impl Process {
             cotorra_datapath::end_with_us(&mut command);
             command
                 .args(arguments)
+                .current_dir(folder)
                 .env("COTORRA_API", format!("http://{}", api.address()))
                 .env("COTORRA_PLUGIN", spec.id.as_str())
                 // Replaces the operator's token.

@@ -1,6 +1,6 @@
 //! Plug-ins of a testbed that are programs.
 
-use std::{env, io, path::Path};
+use std::{env, io};
 
 use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Testbed};
 
@@ -18,7 +18,7 @@ pub(crate) fn check_programs(testbed: &Testbed) -> Result<(), PluginError> {
         let PluginProgram::Command(words) = &spec.program else { continue };
         let program = program(spec, words)?.0;
         let is_there = if program.contains('/') {
-            Path::new(program).exists()
+            testbed.folder.join(program).exists()
         } else {
             let folders = env::var_os("PATH").unwrap_or_default();
             env::split_paths(&folders).any(|folder| folder.join(program).exists())

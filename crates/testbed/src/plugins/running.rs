@@ -83,7 +83,7 @@ impl PreparedPlugins {
         for spec in &testbed.plugins {
             match &spec.program {
                 PluginProgram::Command(words) => {
-                    let process = Process::start(spec, words, api, logs)?;
+                    let process = Process::start(spec, words, &testbed.folder, api, logs)?;
                     plugins.places.insert(spec.id.clone(), Place::Process(process));
                 }
                 PluginProgram::Bundled(_) => {

@@ -19,6 +19,25 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
+    /// Names in the folder that the run itself uses.
+    pub const NAMES: [&str; 13] = [
+        "history.json",
+        "history.sqlite",
+        "history.sqlite-journal",
+        "history.sqlite-shm",
+        "history.sqlite-wal",
+        "logs",
+        "recording.mcap",
+        "samples",
+        "sensors",
+        "service_time.csv",
+        "service_time.svg",
+        "summary.json",
+        "vnfs",
+    ];
+    /// Name of the testbed file in the folder.
+    pub const TESTBED: &str = "testbed.yaml";
+
     /// Creates the folder and its `logs/`, and writes the testbed file there.
     ///
     /// # Errors
@@ -27,13 +46,18 @@ impl RunFolder {
         let path = place.create(name)?;
         let logs = path.join("logs");
         fs::create_dir(&logs).map_err(|source| FolderError::new(&logs, source))?;
-        write_file(&path, "testbed.yaml", testbed_text)?;
+        write_file(&path, Self::TESTBED, testbed_text)?;
         Ok(Self { path })
     }
 
     /// Returns the absolute path.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Returns the path of the testbed file.
+    pub fn testbed(&self) -> PathBuf {
+        self.path.join(Self::TESTBED)
     }
 
     /// Returns the path of the run's history.

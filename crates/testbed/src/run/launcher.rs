@@ -15,7 +15,6 @@ use cotorra_network_control::{
     vim::{Launcher, Process},
 };
 use cotorra_plugin::wire;
-use cotorra_testbed_file::Setting;
 
 use crate::{bundled, confined::Confined, message::Message};
 
@@ -25,8 +24,6 @@ pub(super) struct NodeLauncher {
     datapath: Arc<Datapath>,
     testbed_file: PathBuf,
     confined: Confined,
-    /// Settings of the testbed file, one per line.
-    settings: String,
     robots: BTreeMap<VnfId, NodeId>,
     messages: Sender<Message>,
 }
@@ -37,12 +34,10 @@ impl NodeLauncher {
         datapath: Arc<Datapath>,
         testbed_file: PathBuf,
         confined: Confined,
-        settings: &[Setting],
         messages: Sender<Message>,
     ) -> Self {
         let robots = robots_by_vnf(&testbed);
-        let settings = settings.iter().map(|setting| format!("{setting}\n")).collect();
-        Self { testbed, datapath, testbed_file, confined, settings, robots, messages }
+        Self { testbed, datapath, testbed_file, confined, robots, messages }
     }
 }
 
@@ -80,7 +75,6 @@ impl Launcher for NodeLauncher {
         // The file of this process, even if it was replaced on the disk since.
         let mut command = program_of_others("/proc/self/exe", &[]);
         command.args(["vnf", word]).env(bundled::TESTBED, &self.testbed_file);
-        command.env(bundled::SETTINGS, &self.settings);
         if let Some(robot) = self.robots.get(&vnf.id) {
             command.env(bundled::ROBOT, robot.as_str());
         }

@@ -77,16 +77,16 @@ pub struct Run {
 }
 
 impl Run {
-    /// Brings a testbed up and starts the run. `text` is the testbed file, found at `file`.
+    /// Brings a testbed up and starts the run. `text` is that of the testbed file.
     ///
     /// # Errors
     /// [`RunError`]. Nothing is left then but the run's folder. There is no folder if the testbed file, a plug-in's
     /// settings or ledger, or an interface of this machine are at fault.
-    pub fn start(testbed: Testbed, text: &str, file: &Path, options: Options) -> Result<Self, RunError> {
+    pub fn start(testbed: Testbed, text: &str, options: Options) -> Result<Self, RunError> {
         for kept in clean().kept {
             tracing::warn!("leftovers of a killed run stay: {kept}");
         }
-        let (prepared, unstarted) = Prepared::new(testbed, text, file, options)?;
+        let (prepared, unstarted) = Prepared::new(testbed, text, options)?;
         let Unstarted { confined, listener, plugins, script } = unstarted;
         let (network, real_network) = NetworkUp::start(&prepared)?;
         let nodes = NodesUp::start(&prepared, &network, real_network, script, confined)?;

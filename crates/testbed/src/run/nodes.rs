@@ -44,9 +44,8 @@ impl NodesUp {
         let launcher = NodeLauncher::new(
             Arc::clone(testbed),
             Arc::clone(datapath),
-            prepared.testbed_file.clone(),
+            prepared.folder.testbed(),
             confined,
-            &prepared.options.settings,
             network.messages.clone(),
         );
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();

@@ -3,7 +3,6 @@
 
 use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr},
-    path::{Path, PathBuf},
     sync::Arc,
 };
 
@@ -25,6 +24,7 @@ use crate::{
     report::RunFolder,
     run_info::{about, run_info},
     script::Script,
+    whole,
 };
 
 /// Address of the API without `Options::api`.
@@ -37,7 +37,6 @@ pub(super) struct Prepared {
     pub(super) run: RunId,
     pub(super) keeping: Option<Keeping>,
     pub(super) recording: Option<Recording>,
-    pub(super) testbed_file: PathBuf,
     pub(super) info: RunInfo,
     pub(super) folder: RunFolder,
     pub(super) seed: u64,
@@ -58,7 +57,6 @@ impl Prepared {
     pub(super) fn new(
         mut testbed: Testbed,
         text: &str,
-        file: &Path,
         options: Options,
     ) -> Result<(Self, Unstarted), RunError> {
         interface_plans(&testbed, &options.interfaces)?;
@@ -72,10 +70,9 @@ impl Prepared {
         }
         let any_port = options.api.is_none();
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), any_port, &options.tokens)?;
-        let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
-        let info = run_info(&testbed, seed, text);
-        let testbed_file = file.canonicalize().map_err(system(format!("find {}", file.display())))?;
-        let confined = Confined::new(&testbed, &testbed_file, &options, &folder)
+        let (folder, text) = whole::create(&options.folder, &testbed, seed, text)?;
+        let info = run_info(&testbed, seed, &text);
+        let confined = Confined::new(&testbed, &options, &folder)
             .map_err(system("show VNFs the testbed file's folder"))?;
         let recording =
             Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Live)?;
@@ -84,19 +81,8 @@ impl Prepared {
         let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
         let history = Arc::new(history);
         let recorder = history.recorder(run)?;
-        let prepared = Self {
-            recorder,
-            history,
-            run,
-            keeping,
-            recording,
-            testbed_file,
-            info,
-            folder,
-            seed,
-            testbed,
-            options,
-        };
+        let prepared =
+            Self { recorder, history, run, keeping, recording, info, folder, seed, testbed, options };
         Ok((prepared, Unstarted { confined, listener, plugins, script }))
     }
 }

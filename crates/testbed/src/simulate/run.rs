@@ -30,8 +30,9 @@ use crate::{
         programs,
     },
     recorded::Recorded,
-    report::{End, Losses, Report, RunFolder},
+    report::{End, Losses, Report},
     run_info::about,
+    whole,
 };
 
 /// Number of events in each write to the history.
@@ -72,9 +73,9 @@ pub(super) fn simulate_with(
     plugins::check_programs(&testbed)?;
     let simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?.with_patience(patience);
     let mut simulation = Guarded::new(simulation, Arc::clone(&wall));
-    let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
+    let (folder, text) = whole::create(&options.folder, &testbed, seed, text)?;
     // Calendar time is not part of virtual time.
-    let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
+    let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text };
     let recording =
         Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Waiting)?;
     let tap = recording.as_ref().map(Recording::tap);
