@@ -1,15 +1,16 @@
-//! Notes of a run that broke off. The next run keeps them as its own, with times before its beginning. Its plug-ins
-//! continue from the state in the ledger and the notes.
+//! What a run that broke off leaves to the next one: the places of its robots, and notes. The next run keeps the notes as its
+//! own, with times before its beginning. Its plug-ins continue from the state in the ledger and the notes.
 
 use std::time::Duration;
 
 use cotorra_federation::{LedgerChoice, Settings};
 use cotorra_graph::{
-    Decision, Event, Instruction, PluginId, PluginProgram, PluginSpec, Stamped, Testbed, Timestamp,
+    Decision, Event, Instruction, PluginId, PluginProgram, PluginSpec, RobotContext, Stamped, Testbed,
+    Timestamp,
 };
 use cotorra_measurements::{History, Kind, PageRequest, Run};
 use cotorra_plugin::Noted;
-use cotorra_testbed_file::Diagnostics;
+use cotorra_testbed_file::{Diagnostics, Setting};
 
 /// Reason for which no run can continue another.
 #[derive(Debug, thiserror::Error)]
@@ -22,14 +23,6 @@ pub enum CannotGoOn {
         /// Name of this run's testbed.
         now: String,
     },
-    /// No plug-in could continue.
-    #[error("this testbed has no plug-in `federation`, and no other plug-in can continue a run")]
-    Nobody,
-    /// The ledger ended with the previous run.
-    #[error(
-        "plug-in `{0}`: its ledger begins with the run, and does not know previous runs: only one of the kind `ethereum` does"
-    )]
-    Ledger(PluginId),
     /// The ledgers have different contracts.
     #[error("plug-in `{0}`: that run had another ledger for it, or another contract or domain")]
     OtherLedger(PluginId),
@@ -41,15 +34,17 @@ pub enum CannotGoOn {
     History(#[from] cotorra_measurements::Error),
 }
 
-/// Notes of plug-ins in a previous run.
+/// Robots and notes of plug-ins of a previous run.
 #[derive(Debug, Clone)]
 pub struct PreviousRun {
+    /// Last known contexts of its robots.
+    robots: Vec<RobotContext>,
     /// Nanoseconds since 1970 at which each step was reached, and the note.
     notes: Vec<(i64, Decision)>,
 }
 
 impl PreviousRun {
-    /// Reads the notes of a run, for a run of the testbed `now`. `parse` reads the text of the previous run's testbed file.
+    /// Reads what a run leaves to a run of the testbed `now`. `parse` reads the text of the previous run's testbed file.
     ///
     /// # Errors
     /// [`CannotGoOn`].
@@ -63,7 +58,37 @@ impl PreviousRun {
             return Err(CannotGoOn::Testbed { before: run.info.name.clone(), now: now.name.clone() });
         }
         check(&parse(&run.info.testbed).map_err(CannotGoOn::Unreadable)?, now)?;
-        Ok(Self::kept(history, run)?)
+        let mut previous = Self::kept(history, run)?;
+        // Ledgers of other orchestrators begin with the run, and know nothing of what was noted.
+        let goes_on =
+            |plugin: &PluginId| orchestrators(now).any(|spec| spec.id == *plugin && contract(spec).is_some());
+        previous.notes.retain(|(_, decision)| goes_on(&decision.plugin));
+        let state = history.state_at(run.id, Timestamp::MAX)?;
+        previous.robots = state.robots.into_iter().map(|sample| sample.value).collect();
+        Ok(previous)
+    }
+
+    /// Returns the settings of the testbed's file with which its robots start where they stood, and walk on.
+    pub fn starts(&self, testbed: &Testbed) -> Vec<Setting> {
+        let mut settings = Vec::new();
+        // A name with two dots in a row fits no setting. Such a robot starts anew.
+        let mut set = |path: String, value: String| settings.extend(Setting::new(&path, &value).ok());
+        for RobotContext { robot, sensors, waypoint, .. } in &self.robots {
+            let (place, walk) = (sensors.pose.position(), testbed.walk(robot));
+            let is_there = testbed.graph.robots().any(|(node, _)| node.id == *robot);
+            // The walk may be another one now.
+            let has_waypoint = walk.is_none_or(|walk| *waypoint as usize <= walk.waypoints.len());
+            if !is_there || !has_waypoint || !sensors.pose.is_finite() {
+                continue;
+            }
+            let height = if place.z == 0.0 { String::new() } else { format!(", {}", place.z) };
+            set(format!("nodes.{robot}.position"), format!("[{}, {}{height}]", place.x, place.y));
+            set(format!("nodes.{robot}.heading"), format!("{} rad", sensors.pose.heading));
+            if walk.is_some() {
+                set(format!("walks.{robot}.next"), waypoint.to_string());
+            }
+        }
+        settings
     }
 
     /// Reads the notes of a run.
@@ -73,7 +98,7 @@ impl PreviousRun {
         loop {
             let page = history.events(run.id, &[Kind::Decision], .., request)?;
             notes.extend(page.items.into_iter().filter_map(|event| note(run.info.started_at_unix_ns, event)));
-            let Some(next) = page.next else { return Ok(Self { notes }) };
+            let Some(next) = page.next else { return Ok(Self { robots: Vec::new(), notes }) };
             request.after = Some(next);
         }
     }
@@ -115,19 +140,17 @@ fn note(began_unix_ns: i64, Stamped { at, event }: Stamped) -> Option<(i64, Deci
     decision.refused.is_none().then_some((at, decision))
 }
 
-/// Checks that a run of one testbed can continue one of another: the same domains on the same contract.
+/// Checks that orchestrators of one testbed can continue those of another: the same domains on the same contract. Those whose
+/// ledger begins with the run start afresh.
 fn check(before: &Testbed, now: &Testbed) -> Result<(), CannotGoOn> {
-    let mut anybody = false;
     for spec in orchestrators(now) {
-        anybody = true;
-        let contract = contract(spec).ok_or_else(|| CannotGoOn::Ledger(spec.id.clone()))?;
+        let Some(contract) = contract(spec) else { continue };
         let was = orchestrators(before).find(|was| was.id == spec.id && was.domain == spec.domain);
-        let was = was.and_then(self::contract);
-        if was != Some(contract) {
+        if was.and_then(self::contract) != Some(contract) {
             return Err(CannotGoOn::OtherLedger(spec.id.clone()));
         }
     }
-    if anybody { Ok(()) } else { Err(CannotGoOn::Nobody) }
+    Ok(())
 }
 
 /// Returns the chain and the contract of an orchestrator, if its ledger outlives a run.
@@ -149,8 +172,8 @@ pub fn orchestrators(testbed: &Testbed) -> impl Iterator<Item = &PluginSpec> {
 mod tests {
     use std::path::Path;
 
+    use cotorra_graph::{Pose, PoseSource, Position, SensorData, Velocity};
     use cotorra_measurements::RunInfo;
-    use cotorra_testbed_file::Setting;
 
     use super::*;
 
@@ -240,16 +263,59 @@ mod tests {
     }
 
     #[test]
+    fn robots_start_where_they_stood_with_the_same_next_waypoint() {
+        let history = History::in_memory().unwrap();
+        let now = testbed(&[]);
+        let stood = |robot: &str, at_s, x, waypoint| {
+            let pose = Pose::planar(x, -2.5, 0.25, [0.0; 9], PoseSource::Simulator);
+            let sensors = SensorData {
+                pose,
+                odometry: pose,
+                velocity: Velocity::default(),
+                bumper: false,
+                nearest_obstacle_m: None,
+            };
+            let context = RobotContext {
+                robot: robot.parse().unwrap(),
+                attachments: Vec::new(),
+                sensors,
+                waypoint,
+                health: Vec::new(),
+                speed_limit_mps: None,
+            };
+            Stamped { at: Timestamp::ZERO + Duration::from_secs(at_s), event: Event::Robot(context) }
+        };
+        let run = keep(
+            &history,
+            BEGAN,
+            [stood("robot", 1, 5.0, 0), stood("robot", 2, 7.5, 1), stood("gone", 2, 1.0, 0)],
+        );
+        let previous = PreviousRun::read(&history, &run, &now, |_| Ok(now.clone())).unwrap();
+        let settings: Vec<_> = previous.starts(&now).iter().map(ToString::to_string).collect();
+        let expected =
+            ["nodes.robot.position=[7.5, -2.5]", "nodes.robot.heading=0.25 rad", "walks.robot.next=1"];
+        assert_eq!(settings, expected);
+        let settings: Vec<_> = expected.to_vec();
+        let again = testbed(&settings);
+        assert_eq!(again.walks[0].next, Some(1));
+        let (node, robot) = again.graph.robots().next().unwrap();
+        assert_eq!((node.position, robot.heading), (Some(Position::new(7.5, -2.5)), 0.25));
+
+        // The walk has fewer waypoints now.
+        let run = keep(&history, BEGAN, [stood("robot", 1, 5.0, 99)]);
+        let previous = PreviousRun::read(&history, &run, &now, |_| Ok(now.clone())).unwrap();
+        assert!(previous.starts(&now).is_empty());
+    }
+
+    #[test]
     fn runs_that_cannot_be_continued_name_the_reason() {
         let (here, modelled) = (on("0xab"), testbed(&[]));
         let refused = |before: &Testbed, now: &Testbed| check(before, now).unwrap_err().to_string();
         assert!(check(&on("0xAB"), &here).is_ok(), "an address is the same in capitals");
-        assert!(refused(&modelled, &modelled).contains("`orchestrator-1`: its ledger begins with the run"));
+        assert!(check(&modelled, &modelled).is_ok(), "a ledger that begins with the run");
         assert!(refused(&modelled, &here).contains("that run had another ledger"));
         assert!(refused(&on("0xac"), &here).contains("another contract"));
         assert!(refused(&on_chain(2, "0xab"), &here).contains("another ledger"));
-        let without = Testbed { plugins: Vec::new(), ..here.clone() };
-        assert!(refused(&here, &without).contains("no plug-in `federation`"));
         let history = History::in_memory().unwrap();
         let run = keep(&history, BEGAN, []);
         let renamed = Testbed { name: "corridor".into(), ..here };

@@ -67,12 +67,13 @@ pub struct RunArgs {
     /// with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
-    /// Continue after a run that did not end in order, such as one that crashed: its folder, `latest`, or its number in
+    /// Continue after a run of the same testbed, such as one that was killed: its folder, `latest`, or its number in
     /// --history
     ///
-    /// This is for testbeds that federate on an Ethereum network, which holds the state of each service. The steps that the
-    /// earlier run noted are copied into the new run's history, each with its age, and are not noted again.
-    #[arg(long, value_name = "RUN", conflicts_with = "simulate")]
+    /// Robots start where the earlier run's history last saw them, and walk on from there. If the testbed federates on an
+    /// Ethereum network, which holds the state of each service, the steps that the earlier run noted are copied into the
+    /// new run's history, each with its age, and are not noted again.
+    #[arg(long, value_name = "RUN")]
     pub after: Option<String>,
     /// Write plain lines instead of the live view
     ///

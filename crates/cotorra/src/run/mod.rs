@@ -96,7 +96,7 @@ fn help_for(error: &RealLinkError) -> &'static str {
 
 /// Runs a testbed.
 pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
-    let loaded = testbed_file::load(&args.file, &args.settings)?;
+    let mut loaded = testbed_file::load(&args.file, &args.settings)?;
     let history = history::location(args.history.as_ref())?;
     let mut options = Options {
         seed: args.seed,
@@ -113,7 +113,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         after: None,
     };
     if args.dry_run {
-        previous(&args, &loaded)?;
+        previous(&args, &mut loaded)?;
         let interfaces = match args.simulate {
             true => Vec::new(),
             false => interface_plans(&loaded.testbed, &options.interfaces).map_err(Error::from)?,
@@ -123,7 +123,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     }
     let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;
     // Only now, because a history may have threads, and the stage must be set by a process with a single one.
-    options.after = previous(&args, &loaded)?;
+    options.after = previous(&args, &mut loaded)?;
     let finished = if args.simulate {
         stage.simulate(&loaded, &options, "")?
     } else {
@@ -133,16 +133,19 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     Ok(if finished.unrecorded.is_empty() { verdict(&finished.summary) } else { ExitCode::FAILURE })
 }
 
-/// Reads the run that --after names: the steps that it noted.
-fn previous(args: &RunArgs, loaded: &Loaded) -> miette::Result<Option<PreviousRun>> {
+/// Reads the run that --after names: the steps that it noted, and where its robots stood. They start there.
+fn previous(args: &RunArgs, loaded: &mut Loaded) -> miette::Result<Option<PreviousRun>> {
     let Some(run) = args.after.as_deref() else { return Ok(None) };
     let place = HistoryPlace { history: args.history.clone(), runs: args.out.clone() };
-    let Source { history, run: found, folder } = Source::find(run, &place)?;
+    let source = Source::find(run, &place)?;
     let own = args.file.parent().unwrap_or(Path::new(""));
-    let base = folder.as_deref().unwrap_or(own);
+    let base = source.folder.as_deref().unwrap_or(own);
     let parse = |text: &str| testbed_file::recorded(text, run, base, None);
     let cannot = |why| Error::After { run: run.to_owned(), why };
-    Ok(Some(PreviousRun::read(&history, &found, &loaded.testbed, parse).map_err(cannot)?))
+    let previous = PreviousRun::read(&source.history, &source.run, &loaded.testbed, parse).map_err(cannot)?;
+    let settings: Vec<_> = args.settings.iter().cloned().chain(previous.starts(&loaded.testbed)).collect();
+    *loaded = testbed_file::load(&args.file, &settings)?;
+    Ok(Some(previous))
 }
 
 /// Returns whether the run is recorded, and served to viewers.

@@ -2,7 +2,49 @@
 
 use std::{fs, path::Path};
 
-use crate::harness::{corridor, cotorra, stderr};
+use serde_json::Value;
+
+use crate::harness::{Run, corridor, cotorra, output, stderr, stdout, wait_until};
+
+/// Returns the place and the next waypoint of the robot in a run's history at a time.
+fn stands(run: &Path, at: &[&str]) -> (f64, f64, u64) {
+    let state = output(["history", "state", run.to_str().unwrap(), "--json"].iter().chain(at));
+    let state: Value = serde_json::from_str(&stdout(&state)).unwrap();
+    let robot = &state["robots"][0];
+    let pose = &robot["sensors"]["pose"];
+    (pose["x"].as_f64().unwrap(), pose["y"].as_f64().unwrap(), robot["waypoint"].as_u64().unwrap())
+}
+
+#[test]
+fn after_a_kill_robots_continue_where_the_history_says_they_stood() {
+    let mut killed = Run::start(&corridor(), &[]);
+    let start = killed.get("/api/v1/testbed")["walks"][0]["waypoints"][0].clone();
+    let begun = (start["x"].as_f64().unwrap(), start["y"].as_f64().unwrap(), 0);
+    let walked = |from: (f64, f64, u64), to: (f64, f64, u64)| (to.0 - from.0).hypot(to.1 - from.1);
+    killed.wait_for_service();
+    wait_until(|| walked(begun, stands(&killed.folder, &[])) > 1.0);
+    killed.signal("KILL");
+    killed.wait();
+    let stood = stands(&killed.folder, &[]);
+
+    // In virtual time, and then with real packets.
+    let out = tempfile::tempdir().unwrap();
+    let mut command = cotorra(["run", "--simulate", "--headless", "--until", "5s", "--out"]);
+    let after = killed.folder.to_str().unwrap().to_owned();
+    let done = command.arg(out.path()).arg(corridor()).args(["--after", &after]).output().unwrap();
+    assert!(done.status.success(), "{}", stderr(&done));
+    let simulated = fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
+    let (first, last) = (stands(&simulated, &["--at", "0s"]), stands(&simulated, &[]));
+    assert!(walked(stood, first) < 0.01 && first.2 == stood.2, "{stood:?} {first:?}");
+    assert!(walked(begun, last) > walked(begun, stood) + 0.5, "it does not walk on: {stood:?} {last:?}");
+
+    let mut run = killed.another(&corridor(), &["--after", &after]);
+    run.wait_for_service();
+    run.signal("INT");
+    run.wait();
+    let (first, last) = (stands(&run.folder, &["--at", "1s"]), stands(&run.folder, &[]));
+    assert!(walked(stood, first) < 0.5 && last.2 >= stood.2, "{stood:?} {first:?} {last:?}");
+}
 
 #[test]
 fn a_run_continues_only_after_one_of_the_same_testbed_and_ledger() {
@@ -27,9 +69,7 @@ fn a_run_continues_only_after_one_of_the_same_testbed_and_ledger() {
         ("nowhere", &[][..], "there is no folder nowhere"),
         ("7", &[], "run 7 is a number, but no history is named"),
         (of_corridor.to_str().unwrap(), &[], "it was a run of the testbed `corridor`"),
-        (modelled.to_str().unwrap(), &[], "`orchestrator-1`: its ledger begins with the run"),
         (modelled.to_str().unwrap(), &["--set", on_a_network], "that run had another ledger"),
-        (modelled.to_str().unwrap(), &["--simulate"], "cannot be used with"),
     ] {
         let said = refused(after, more);
         assert!(said.contains(told), "{after} {more:?}: {said}");
