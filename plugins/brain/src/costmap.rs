@@ -109,6 +109,19 @@ impl Costmap {
         self.components[a] == self.components[b] && self.components[a] != NOWHERE
     }
 
+    /// Returns the cells of the largest connected floor; none if the robot fits nowhere.
+    pub fn largest_component(&self) -> Vec<usize> {
+        let count = self.components.iter().max().map_or(0, |&last| last as usize + 1);
+        let mut sizes = vec![0_usize; count];
+        self.components.iter().for_each(|&component| sizes[component as usize] += 1);
+        // The first of equals, so that the same map gives the same floor.
+        let reachable = (NOWHERE + 1..count as u32).rev();
+        let Some(largest) = reachable.max_by_key(|&component| sizes[component as usize]) else {
+            return Vec::new();
+        };
+        (0..self.len()).filter(|&cell| self.components[cell] == largest).collect()
+    }
+
     /// The nearest cell that the robot can be in, at most `reach` metres away.
     pub fn nearest_free(&self, cell: usize, reach: f64) -> Option<usize> {
         if self.costs[cell] < BLOCKED {

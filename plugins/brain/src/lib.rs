@@ -3,10 +3,12 @@
 //! It plans over an inflated costmap with A*, follows by regulated pure pursuit, and answers each context of a robot
 //! with a velocity and the next waypoint. The answer depends on that context alone: an instance that starts on
 //! another server in the middle of a walk goes on as if it had been there all the time. [`Brain`] is the plug-in;
-//! [`serve()`] runs it as the navigation VNF, where contexts and instructions cross the network as packets.
+//! [`serve()`] runs it as the navigation VNF, where contexts and instructions cross the network as packets. [`Floor`] tells
+//! where a robot can go on a map, for those who choose its walk.
 #![forbid(unsafe_code)]
 
 mod costmap;
+mod floor;
 mod navigation;
 mod path;
 mod planner;
@@ -22,8 +24,12 @@ use cotorra_graph::{
 };
 use cotorra_plugin::{Actions, Plugin, wire::Headway};
 
-pub use crate::serve::{NavigationVnf, NoWalk, PacketError, serve};
 use crate::{costmap::Costmap, navigation::Navigation};
+pub use crate::{
+    floor::Floor,
+    planner::Unreachable,
+    serve::{NavigationVnf, NoWalk, PacketError, serve},
+};
 
 /// Navigates robots along their walks: answers each κ(r) with [`Instruction::Move`].
 ///

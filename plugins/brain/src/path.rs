@@ -41,10 +41,15 @@ impl Path {
         &self.points
     }
 
+    /// Returns its length in metres.
+    pub fn length(&self) -> f64 {
+        self.points.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
+    }
+
     /// The way above it that begins at one height and ends at another, and rises evenly in between.
     pub fn rising(mut self, from: f64, to: f64) -> Self {
         let length = |pair: &[Position]| pair[0].distance(pair[1]);
-        let whole: f64 = self.points.windows(2).map(length).sum();
+        let whole = self.length();
         let mut gone = 0.0;
         for i in 0..self.points.len() {
             let share = if i + 1 == self.points.len() { 1.0 } else { gone / whole };
