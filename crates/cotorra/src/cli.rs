@@ -14,6 +14,7 @@ use crate::{
     link::Link,
     localize::LocalizeArgs,
     netem::Netem,
+    new::New,
     ps::PsArgs,
     replay::ReplayArgs,
     run::RunArgs,
@@ -75,6 +76,11 @@ pub enum Command {
     Replay(ReplayArgs),
     Localize(LocalizeArgs),
     Check(CheckArgs),
+    /// Make a testbed or a plug-in from a template
+    New {
+        #[command(subcommand)]
+        new: New,
+    },
     /// Print the JSON Schema of a testbed file
     ///
     /// Editors use it to complete and explain keys, and to mark mistakes as you type.

@@ -23,6 +23,7 @@ mod link;
 mod localize;
 mod logs;
 mod netem;
+mod new;
 mod progress;
 mod ps;
 mod quantity;
@@ -71,6 +72,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Replay(args) => return replay::replay(&args),
         Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),
+        Command::New { new } => new::new(&new)?,
         Command::Schema => output::print(&format!("{:#}\n", cotorra_testbed_file::schema()))?,
         Command::OpenApi { wais: false } => output::print(&cotorra_testbed::openapi())?,
         Command::OpenApi { wais: true } => output::print(&cotorra_testbed::wais_openapi())?,

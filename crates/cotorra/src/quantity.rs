@@ -44,6 +44,12 @@ pub fn parse_rate(text: &str) -> Result<BitRate, String> {
     BitRate::from_bits_per_second(rate.round() as u64).ok_or_else(|| "it is 1 bit/s or more".to_owned())
 }
 
+/// Parses a length above 0 of 10 km at most. Returns it in metres.
+pub fn parse_length(text: &str) -> Result<f64, String> {
+    let metres = quantity(text, "5cm", &[("mm", 1e-3), ("cm", 1e-2), ("m", 1.0), ("km", 1e3)])?;
+    if metres > 0.0 && metres <= 1e4 { Ok(metres) } else { Err("it is above 0 and 10 km at most".to_owned()) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -56,6 +62,11 @@ mod tests {
         assert_eq!(parse_rate("20Mbit/s"), Ok(BitRate::from_mbps(20.0).unwrap()));
         for wrong in ["", "10", "ms", "-1ms", "1h", "61min", "1e3ms", "nanms"] {
             assert!(parse_time(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(parse_length("2.5 cm"), Ok(0.025));
+        assert_eq!(parse_length("30m"), Ok(30.0));
+        for wrong in ["30", "0m", "-1m", "11km", "1 inch"] {
+            assert!(parse_length(wrong).is_err(), "{wrong}");
         }
         for wrong in ["1", "101%", "0.01", "-1%"] {
             assert!(parse_share(wrong).is_err(), "{wrong}");

@@ -23,6 +23,7 @@ mod localize;
 mod map;
 mod netem;
 mod netem_links;
+mod new;
 mod one_robot;
 mod plugin;
 mod recording;
