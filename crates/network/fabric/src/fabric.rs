@@ -2,6 +2,7 @@
 //! where and when they are due.
 
 mod paths;
+mod taps;
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -28,6 +29,7 @@ use crate::{
     random::stream,
     routes::{Path as Pinned, Routes, Target, Vertex},
     settings::{FabricError, Settings},
+    tap::Tap,
     timers::Timers,
 };
 
@@ -79,6 +81,7 @@ pub struct Fabric {
     balance: Balance,
     /// `None` if no service has a flow.
     flows: Option<Box<Flows>>,
+    taps: Vec<Tap>,
 }
 
 #[derive(Debug)]
@@ -178,6 +181,7 @@ impl Fabric {
             drops: Drops::default(),
             balance: Balance::default(),
             flows: None,
+            taps: Vec::new(),
         })
     }
 
@@ -589,6 +593,9 @@ impl Fabric {
 
     /// Handles a packet that has crossed an edge. Probes turn back or end here; others move on.
     fn crossed(&mut self, now: Timestamp, edge: usize, packet: Packet) {
+        if !self.taps.is_empty() && packet.counts() {
+            self.show_wired(edge, [packet.entered, now], &packet.frame);
+        }
         match packet.purpose {
             Purpose::Target(target) => self.pending.push((self.routes.end(edge), packet.frame, target)),
             Purpose::ThroughputTest => {
@@ -613,9 +620,14 @@ impl Fabric {
     fn poll_radio(&mut self, at: Timestamp) {
         let mut arrivals = std::mem::take(&mut self.arrivals);
         self.radio_deadline = self.radio.poll(at, &mut self.pool, &mut arrivals);
-        for Arrival { due, from, at, frame, probed } in arrivals.drain(..) {
+        for arrival in arrivals.drain(..) {
+            if !self.taps.is_empty() && !arrival.is_probe {
+                self.show_air(&arrival);
+            }
+            let Arrival { due, from, at, frame, path: Path { robot, unit, direction }, is_probe, .. } =
+                arrival;
             self.air_lateness.entry([from, at]).or_default().record(self.now.since(due));
-            if let Some(Path { robot, unit, direction }) = probed {
+            if is_probe {
                 self.receive_probe(due, ProbeTarget::Air(robot, unit), direction, frame);
                 continue;
             }

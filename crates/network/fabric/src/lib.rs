@@ -19,6 +19,7 @@
 //! - **Measurement.** The packets of [probes](Fabric::probe_links) and [throughput tests](Fabric::test_throughput) cross
 //!   links as others do. They reach no host and are in no counter. The [service times of flows](Fabric::measure_flows)
 //!   are measured where frames enter and leave.
+//! - **Taps.** [Readers](Fabric::tap) see the packets that cross the links they name. Without any, this costs nothing.
 //! - **Offloads.** A super-packet stays whole where no link on its way needs single packets; all counters count its
 //!   packets. Random impairments, rates below 1 Gbit/s, traces and the air cut it. A checksum left to do stays so, unless
 //!   the packet is corrupted.
@@ -41,6 +42,7 @@ mod radio;
 mod random;
 mod routes;
 mod settings;
+mod tap;
 mod timers;
 mod transmitter;
 
@@ -52,3 +54,4 @@ pub use lateness::Histogram;
 pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};
 pub use port::PortId;
 pub use settings::{Carries, FabricError};
+pub use tap::{Passage, TapReader};

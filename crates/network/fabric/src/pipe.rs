@@ -3,7 +3,7 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_graph::{Conditions, Direction, LinkContext, LinkId, QueueLimit, Rate, Timestamp};
+use cotorra_graph::{Conditions, Direction, LinkContext, LinkCounters, LinkId, QueueLimit, Rate, Timestamp};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::{
@@ -40,7 +40,7 @@ pub(crate) struct Packet {
 
 impl Packet {
     /// Whether the link's counters include it. Packets that only measure are not counted.
-    fn counts(&self) -> bool {
+    pub(crate) fn counts(&self) -> bool {
         matches!(self.purpose, Purpose::Target(_))
     }
 
@@ -109,6 +109,11 @@ impl Pipe {
     /// Returns how late packets left it.
     pub(crate) fn lateness(&self) -> &Histogram {
         &self.lateness
+    }
+
+    /// Returns the counters since the run began.
+    pub(crate) fn counters(&self) -> &LinkCounters {
+        &self.meter.counters
     }
 
     /// Returns the number of packets in it, counted as they are on the wire.

@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkId, Medium, Position, Probed, Rate,
-    Scale, Timestamp, WirelessNetwork,
+    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkCounters, LinkId, Medium, Position,
+    Probed, Rate, Scale, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -90,6 +90,11 @@ impl WirelessLink {
         let mut balance = Balance::default();
         self.lanes.iter().for_each(|lane| balance += lane.meter.counters.into());
         balance
+    }
+
+    /// Returns its name, and the counters of one direction.
+    pub(super) fn counters(&self, direction: Direction) -> (&LinkId, &LinkCounters) {
+        (&self.id, &self.lanes[direction as usize].meter.counters)
     }
 
     pub(super) fn lane(&mut self, direction: Direction) -> &mut Lane {

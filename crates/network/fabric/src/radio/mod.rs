@@ -30,7 +30,7 @@ use std::{
 
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy, HardwareGraph,
-    LinkContext, LinkId, NodeId, Position, Probed, QueueLimit, RadioContext, Roaming, Stamped,
+    LinkContext, LinkCounters, LinkId, NodeId, Position, Probed, QueueLimit, RadioContext, Roaming, Stamped,
     StationContext, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -60,6 +60,8 @@ const SEARCH_INTERVAL: Duration = Duration::from_secs(1);
 /// A frame that has crossed the air.
 #[derive(Debug)]
 pub(crate) struct Arrival {
+    /// Time of entering the radio.
+    pub(crate) since: Timestamp,
     /// Time of arrival.
     pub(crate) due: Timestamp,
     /// Sender: the robot or the radio unit.
@@ -67,8 +69,9 @@ pub(crate) struct Arrival {
     /// Receiver.
     pub(crate) at: PortId,
     pub(crate) frame: Frame,
-    /// The direction that it measured, if it is a probe.
-    pub(crate) probed: Option<Path>,
+    /// The direction that it crossed.
+    pub(crate) path: Path,
+    pub(crate) is_probe: bool,
 }
 
 /// All robots' radios, all radio units and the air between them.
@@ -384,7 +387,7 @@ impl Radio {
                 Direction::Forward => (robot, unit),
                 Direction::Backward => (unit, robot),
             };
-            out.push(Arrival { due, from, at, frame, probed: is_probe.then_some(path) });
+            out.push(Arrival { since, due, from, at, frame, path, is_probe });
         }
         self.deadline()
     }
@@ -532,6 +535,11 @@ impl Radio {
         };
         let links = self.links.iter().enumerate().filter_map(|(pair, link)| Some((pair, link.as_deref()?)));
         links.flat_map(both).collect()
+    }
+
+    /// Returns a link and the counters of one direction; `None` before its first use.
+    pub(crate) fn counters(&self, path: Path) -> Option<(&LinkId, &LinkCounters)> {
+        Some(self.links[self.pair(path.robot, path.unit)].as_deref()?.counters(path.direction))
     }
 
     /// Returns what one direction of a wireless link can carry; `None` for an unknown link.

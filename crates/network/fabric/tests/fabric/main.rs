@@ -7,4 +7,5 @@ mod invariants;
 mod links;
 mod offloads;
 mod paths;
+mod taps;
 mod wireless;
