@@ -147,7 +147,7 @@ mod tests {
         let mut names = Names::without(&["tf"]);
         assert_eq!(names.token("tb2"), "tb2");
         assert_eq!(names.token("robot~R1"), "robot_R1");
-        assert_eq!(names.token("R1__lan"), "robot_R1_2");
+        assert_eq!(names.token("robot__R1"), "robot_R1_2");
         assert_eq!(names.token("robot~R1"), "robot_R1");
         assert_eq!(names.token("2nd.floor-"), "n2nd_floor");
         assert_eq!(names.token("tf"), "tf_2");
