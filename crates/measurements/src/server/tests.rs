@@ -160,7 +160,6 @@ fn version_of(url: &str) -> Option<u32> {
     client(url).query_first("SELECT version FROM cotorra_schema").unwrap()
 }
 
-/// Covers newer versions, and those from before the first release, which went up to 5.
 #[test]
 fn a_server_that_is_down_is_named_without_types_of_the_driver() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
@@ -174,6 +173,7 @@ fn a_server_that_is_down_is_named_without_types_of_the_driver() {
     assert!(!message.contains(['{', '}']), "{message}");
 }
 
+/// Covers newer versions, and those from before the first release, which went up to 5.
 #[test]
 fn unknown_schemas_are_rejected_and_left_alone() {
     let Some(server) = MariaDb::shared() else { return };
