@@ -1,5 +1,5 @@
-//! Packs the picture of the corridor's map, which the program carries for the published experiments: each run of equal bytes
-//! as that byte and a length of two bytes.
+//! Packs the picture of the corridor's map, which the program carries for the published experiments. Each run of equal bytes
+//! becomes that byte and a length of two bytes.
 
 use std::{env, fs, path::Path};
 

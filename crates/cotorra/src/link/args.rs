@@ -116,7 +116,7 @@ pub struct TestArgs {
 pub struct ApiArgs {
     #[command(flatten)]
     pub run: WhichRun,
-    /// Trust the program that answers on the address in --run, as on another machine, and send it the token in COTORRA_TOKEN
+    /// Trust the program on the address in --run, as on another machine, and send it the token in COTORRA_TOKEN
     ///
     /// Its identity is not verified, and the connection is not encrypted.
     #[arg(long, requires = "run")]

@@ -18,6 +18,7 @@ const ROBOTS_SHOWN: usize = 8;
 const LINE_EVERY_S: f64 = 10.0;
 /// Refreshes for each drawing of the live view, at a rate that people can read.
 const REFRESHES_PER_FRAME: u32 = 6;
+
 /// Addresses and folder of a run.
 #[derive(Debug)]
 pub struct Places<'a> {

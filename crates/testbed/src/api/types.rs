@@ -177,7 +177,10 @@ impl Failure {
     }
 
     pub(super) fn unauthorized() -> Self {
-        Self::new(StatusCode::UNAUTHORIZED, "this API needs the token that its run has in COTORRA_TOKEN: `Authorization: Bearer …`")
+        Self::new(
+            StatusCode::UNAUTHORIZED,
+            "this API needs the token that its run has in COTORRA_TOKEN: `Authorization: Bearer …`",
+        )
     }
 
     pub(super) fn forbidden() -> Self {
