@@ -1,6 +1,8 @@
 //! Lines of the live view, which fit the terminal also while its width changes.
 
-use console::Term;
+use std::iter::repeat;
+
+use console::{Term, measure_text_width};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
 use crate::table::wrap;
@@ -56,7 +58,7 @@ impl Lines {
     pub fn set(&mut self, number: usize, text: String) {
         let line = &mut self.lines[number];
         let wrapped = wrapped(&text, self.label + GAP, self.width);
-        line.rows = wrapped.lines().count().max(1);
+        line.rows = rows(&wrapped, self.label + GAP, self.width);
         line.text = text;
         line.shown.set_message(wrapped);
     }
@@ -107,6 +109,13 @@ fn rows_after(rows: usize, before: usize, now: usize) -> usize {
     (rows * before).div_ceil(now)
 }
 
+/// Returns the rows of wrapped text behind a label. The terminal breaks words that are longer than a row, such as a path.
+fn rows(wrapped: &str, indent: usize, width: usize) -> usize {
+    let first = [indent].into_iter().chain(repeat(0));
+    let columns = wrapped.lines().zip(first).map(|(line, before)| before + measure_text_width(line));
+    columns.map(|columns| columns.div_ceil(width).max(1)).sum::<usize>().max(1)
+}
+
 /// Wraps text behind a label. Rows after the first are indented.
 fn wrapped(text: &str, indent: usize, width: usize) -> String {
     wrap(text, &" ".repeat(indent), width).trim().to_owned()
@@ -129,6 +138,14 @@ mod tests {
             "{shown}"
         );
         assert_eq!(wrapped("", 10, 80), "");
+    }
+
+    #[test]
+    fn words_longer_than_a_row_take_several() {
+        assert_eq!(rows("", 10, 80), 1);
+        assert_eq!(rows(&wrapped(&"x".repeat(70), 10, 80), 10, 80), 1);
+        assert_eq!(rows(&wrapped(&"x".repeat(71), 10, 80), 10, 80), 2);
+        assert_eq!(rows(&wrapped(&format!("run in {}", "x".repeat(171)), 10, 80), 10, 80), 4);
     }
 
     #[test]
