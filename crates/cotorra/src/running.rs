@@ -19,6 +19,9 @@ pub const TOKEN_VARIABLE: &str = "COTORRA_TOKEN";
 /// Status of the API for a caller without a valid token.
 const UNAUTHORIZED: u16 = 401;
 
+/// Length in bytes from which an answer is not read.
+const LONGEST_ANSWER: u64 = 64;
+
 /// Returns the API's token, if the environment has one.
 pub fn token_text() -> Option<String> {
     env::var(TOKEN_VARIABLE).ok().filter(|text| !text.is_empty())
@@ -101,15 +104,14 @@ fn choose(mut running: Vec<RunEntry>, answers: &mut impl BufRead) -> Result<RunE
     loop {
         note!("which run? 1 to {}", running.len());
         let mut answer = String::new();
-        // A number is short. The rest of a longer line is another answer.
-        match answers.take(16).read_line(&mut answer) {
-            Ok(0) | Err(_) => return Err(RunsError::Several(running)),
-            Ok(_) => match answer.trim().parse::<usize>() {
-                Ok(number) if (1..=running.len()).contains(&number) => {
-                    return Ok(running.swap_remove(number - 1));
-                }
-                _ => {}
-            },
+        let read = answers.take(LONGEST_ANSWER).read_line(&mut answer).unwrap_or(0) as u64;
+        // The rest of a longer line must not count as another answer.
+        if read == 0 || read == LONGEST_ANSWER {
+            return Err(RunsError::Several(running));
+        }
+        let number = answer.trim().parse::<usize>().ok();
+        if let Some(number) = number.filter(|number| (1..=running.len()).contains(number)) {
+            return Ok(running.swap_remove(number - 1));
         }
     }
 }
@@ -247,7 +249,7 @@ pub mod tests {
         let chosen = |answers: &str| choose(runs.running().0, &mut answers.as_bytes()).map(|run| run.name);
         assert_eq!(chosen("0\n3\nwalk\n\n2\n").unwrap(), "drive");
         assert_eq!(chosen("1\n2\n").unwrap(), "walk");
-        for none in ["", "3\n", &"9".repeat(1 << 16)] {
+        for none in ["", "3\n", &"9".repeat(1 << 16), &format!("{}1\n", " ".repeat(64))] {
             assert!(matches!(chosen(none), Err(RunsError::Several(runs)) if runs.len() == 2));
         }
     }
