@@ -1,4 +1,5 @@
 //! Runs that continue after one that was killed.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{fs, path::Path};
 
@@ -6,13 +7,24 @@ use serde_json::Value;
 
 use crate::harness::{Run, corridor, cotorra, output, stderr, stdout, wait_until};
 
-/// Returns the place and the next waypoint of the robot in a run's history at a time.
-fn stands(run: &Path, at: &[&str]) -> (f64, f64, u64) {
-    let state = output(["history", "state", run.to_str().unwrap(), "--json"].iter().chain(at));
-    let state: Value = serde_json::from_str(&stdout(&state)).unwrap();
-    let robot = &state["robots"][0];
+/// Returns the place and the next waypoint in a robot's context.
+fn place(robot: &Value) -> (f64, f64, u64) {
     let pose = &robot["sensors"]["pose"];
     (pose["x"].as_f64().unwrap(), pose["y"].as_f64().unwrap(), robot["waypoint"].as_u64().unwrap())
+}
+
+/// Returns the first place of the robot in a run's history.
+fn first(run: &Path) -> (f64, f64, u64) {
+    let run = run.to_str().unwrap();
+    let events = output(["history", "events", run, "--kinds", "robot", "--json", "--limit", "1"]);
+    place(&serde_json::from_str(&stdout(&events)).unwrap())
+}
+
+/// Returns the last place of the robot in a run's history.
+fn last(run: &Path) -> (f64, f64, u64) {
+    let state = output(["history", "state", run.to_str().unwrap(), "--json"]);
+    let state: Value = serde_json::from_str(&stdout(&state)).unwrap();
+    place(&state["robots"][0])
 }
 
 #[test]
@@ -22,10 +34,10 @@ fn after_a_kill_robots_continue_where_the_history_says_they_stood() {
     let begun = (start["x"].as_f64().unwrap(), start["y"].as_f64().unwrap(), 0);
     let walked = |from: (f64, f64, u64), to: (f64, f64, u64)| (to.0 - from.0).hypot(to.1 - from.1);
     killed.wait_for_service();
-    wait_until(|| walked(begun, stands(&killed.folder, &[])) > 1.0);
+    wait_until(|| walked(begun, last(&killed.folder)) > 1.0);
     killed.signal("KILL");
     killed.wait();
-    let stood = stands(&killed.folder, &[]);
+    let stood = last(&killed.folder);
 
     // In virtual time, and then with real packets.
     let out = tempfile::tempdir().unwrap();
@@ -34,16 +46,16 @@ fn after_a_kill_robots_continue_where_the_history_says_they_stood() {
     let done = command.arg(out.path()).arg(corridor()).args(["--after", &after]).output().unwrap();
     assert!(done.status.success(), "{}", stderr(&done));
     let simulated = fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
-    let (first, last) = (stands(&simulated, &["--at", "0s"]), stands(&simulated, &[]));
-    assert!(walked(stood, first) < 0.01 && first.2 == stood.2, "{stood:?} {first:?}");
-    assert!(walked(begun, last) > walked(begun, stood) + 0.5, "it does not walk on: {stood:?} {last:?}");
+    let (start, end) = (first(&simulated), last(&simulated));
+    assert!(walked(stood, start) < 0.01 && start.2 == stood.2, "{stood:?} {start:?}");
+    assert!(walked(begun, end) > walked(begun, stood) + 0.5, "it does not walk on: {stood:?} {end:?}");
 
     let mut run = killed.another(&corridor(), &["--after", &after]);
     run.wait_for_service();
     run.signal("INT");
     run.wait();
-    let (first, last) = (stands(&run.folder, &["--at", "1s"]), stands(&run.folder, &[]));
-    assert!(walked(stood, first) < 0.5 && last.2 >= stood.2, "{stood:?} {first:?} {last:?}");
+    let (start, end) = (first(&run.folder), last(&run.folder));
+    assert!(walked(stood, start) < 0.5 && end.2 >= stood.2, "{stood:?} {start:?} {end:?}");
 }
 
 #[test]
@@ -77,7 +89,6 @@ fn a_run_continues_only_after_one_of_the_same_testbed_and_ledger() {
 }
 
 #[cfg(feature = "ethereum")]
-#[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 mod on_a_ledger {
     use std::{collections::BTreeSet, path::Path};
 

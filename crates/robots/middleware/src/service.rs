@@ -98,8 +98,8 @@ impl ServiceEndpoint {
     /// Shortest interval between position packets.
     pub const LEAST_INTERVAL: Duration = Duration::from_millis(1);
 
-    /// Creates an endpoint at the start of the walk, or on its way. The seed places its first packet within the first interval, so that
-    /// robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
+    /// Creates an endpoint at the start of the walk, or on its way. The seed places its first packet within the first
+    /// interval, so that robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
     pub fn new(service: ServiceId, walk: &Walk, command_timeout: Duration, seed: u64) -> Self {
         let interval = walk.position_interval.max(Self::LEAST_INTERVAL);
         let phase = Stream::new(seed, &format!("{}/phase", walk.robot)).uniform();
