@@ -1,12 +1,14 @@
-"""Receives a camera's images, and prints a line for each: camera, number, size, bytes, CRC-32 of these, mean brightness."""
+"""Receives a camera's images, and prints a line for each: camera, number, size, bytes, CRC-32 of these, mean brightness.
+
+The argument is the folder of cotorra's client.
+"""
 
 import os
 import socket
 import sys
 import zlib
-from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "clients/python"))
+sys.path.append(sys.argv[1])
 
 from cotorra import images
 

@@ -4,7 +4,7 @@
 use std::{
     collections::BTreeMap,
     ffi::OsStr,
-    fs,
+    fs::{self, File},
     ops::Range,
     path::{Component, Path, PathBuf},
 };
@@ -18,17 +18,23 @@ use crate::{
 
 /// Folder of files from outside the testbed file's folder.
 const OTHERS: &str = "files";
+/// Settings of a federation's ledger that name files.
+pub const LEDGER_PATHS: [&str; 3] = ["key_store", "password_file", "program"];
+/// Maximum number of files and folders in a folder that is carried.
+const MAX_ENTRIES: usize = 1000;
+/// Maximum bytes of a program, or of all files in a folder, that are carried.
+const MAX_BYTES: u64 = file::MAX_TEXT as u64;
 
 /// A testbed file for another folder, and the files that belong beside it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Carried {
     /// The text, whose relative paths start at the new folder.
     pub text: String,
-    /// Map, traces, recorded conditions, and programs of commands.
+    /// Map, traces, recorded conditions, files of commands, and readable folders.
     pub files: Vec<CarriedFile>,
 }
 
-/// A file that a testbed file names.
+/// A file or a folder that a testbed file names.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CarriedFile {
     /// Path from the new folder.
@@ -42,6 +48,8 @@ pub struct CarriedFile {
 pub enum Contents {
     /// A copy of this file.
     Copy(PathBuf),
+    /// Copies of these files in a folder, by their paths in it.
+    Folder(PathBuf, Vec<PathBuf>),
     /// This text.
     Text(String),
     /// The conditions of links in the recorded run of this folder.
@@ -49,8 +57,9 @@ pub enum Contents {
 }
 
 /// Carries a testbed file that stands in `folder`, and the files that it names, to another folder, in which the names in
-/// `taken` are not free. Keeps relative paths that do not lead out of the folder. Commands keep absolute paths, because those
-/// are of programs of the machine. A file that cannot be parsed stays as it is.
+/// `taken` are not free. Keeps relative paths that do not lead out of the folder. Keeps absolute paths of programs, readable
+/// folders and keys, because those belong to the machine. Makes relative paths absolute if they lead to something that
+/// is not carried: keys, links, and what is too large. A text that cannot be parsed stays as it is.
 pub fn carry(text: &str, folder: &Path, taken: &[&str]) -> Carried {
     let mut sink = Sink::default();
     let Some(root) = tree(text, &mut sink) else {
@@ -71,30 +80,53 @@ pub fn carry(text: &str, folder: &Path, taken: &[&str]) -> Carried {
 }
 
 /// Kind of a named file.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 enum Kind {
     Map,
     Trace,
     Conditions,
+    /// A file or a folder that a VNF may read.
+    Readable,
     /// A word of a command, which may name a file.
     Word,
+    /// A key or its password.
+    Key,
+}
+
+/// Returns the items of a key's value.
+fn items<'a>(node: &'a Node, key: &str) -> impl Iterator<Item = &'a Node> + use<'a> {
+    node.get(key).into_iter().flat_map(Node::items)
 }
 
 /// Returns all values that name files.
 fn named(root: &Node) -> Vec<(Kind, &Node)> {
-    let map = root.get("map").map(|node| (Kind::Map, node));
-    let replay = root.get("conditions").and_then(|its| its.get("replay"));
-    let links = root.get("links").into_iter().flat_map(Node::items);
+    let mut found = Vec::new();
+    found.extend(root.get("map").map(|node| (Kind::Map, node)));
+    found.extend(
+        root.get("conditions").and_then(|its| its.get("replay")).map(|node| (Kind::Conditions, node)),
+    );
+    let links = items(root, "links");
     let directions = |link| [Some(link), Node::get(link, "forward"), Node::get(link, "backward")];
     let of_links = links.flat_map(directions).flatten();
-    let of_schedule = root.get("schedule").into_iter().flat_map(Node::items).filter_map(|its| its.get("set"));
+    let of_schedule = items(root, "schedule").filter_map(|its| its.get("set"));
     let traces = of_links.chain(of_schedule).filter_map(|its| its.get("trace"));
-    let services = root.get("services").into_iter().flat_map(Node::items);
-    let vnfs = services.filter_map(|its| its.get("vnfs")).flat_map(Node::items);
-    let plugins = root.get("plugins").into_iter().flat_map(Node::items);
-    let commands = vnfs.chain(plugins).filter_map(|its| its.get("command")).flat_map(Node::items);
-    let all = map.into_iter().chain(replay.map(|node| (Kind::Conditions, node)));
-    all.chain(traces.map(|node| (Kind::Trace, node))).chain(commands.map(|node| (Kind::Word, node))).collect()
+    found.extend(traces.map(|node| (Kind::Trace, node)));
+    let services = items(root, "services");
+    let vnfs = services.flat_map(|its| items(its, "vnfs"));
+    for program in vnfs.chain(items(root, "plugins")) {
+        let readable: Vec<_> = items(program, "readable").collect();
+        for word in items(program, "command") {
+            let is_readable = readable.iter().any(|path| path.text() == word.text());
+            found.push((if is_readable { Kind::Readable } else { Kind::Word }, word));
+        }
+        found.extend(readable.into_iter().map(|node| (Kind::Readable, node)));
+        let ledger = program.get("settings").and_then(|its| its.get("ledger"));
+        for key in LEDGER_PATHS {
+            let kind = if key == "program" { Kind::Word } else { Kind::Key };
+            found.extend(ledger.and_then(|its| its.get(key)).map(|node| (kind, node)));
+        }
+    }
+    found
 }
 
 /// The files so far, by their new paths.
@@ -105,34 +137,32 @@ struct Luggage<'a> {
 }
 
 impl Luggage<'_> {
-    /// Packs a named file. Returns its new path; `None` if it is not packed.
+    /// Packs a named file, if it can be packed. Returns its new path; `None` if the path stays as it is.
     fn pack(&mut self, kind: Kind, name: &str) -> Option<PathBuf> {
         let from = self.folder.join(name);
-        let is_there = match kind {
-            Kind::Map | Kind::Trace => from.is_file(),
-            Kind::Conditions => from.is_dir(),
-            // A link, such as a virtual environment's Python, would not work as a copy.
-            Kind::Word => {
-                let file = fs::symlink_metadata(&from);
-                file.is_ok_and(|file| file.is_file() && file.len() <= file::MAX_TEXT as u64)
-            }
-        };
-        let stays = self.inside(name);
-        if !is_there || (kind == Kind::Word && Path::new(name).is_absolute()) {
-            return None;
-        }
         let contents = match kind {
-            Kind::Conditions => Contents::Conditions(from.clone()),
-            _ => Contents::Copy(from.clone()),
+            Kind::Map | Kind::Trace => Some(Contents::Copy(from.is_file().then(|| from.clone())?)),
+            Kind::Conditions => Some(Contents::Conditions(from.is_dir().then(|| from.clone())?)),
+            Kind::Readable | Kind::Word | Kind::Key if Path::new(name).is_absolute() => return None,
+            Kind::Readable => small_file(&from).or_else(|| small_folder(&from)),
+            Kind::Word => small_file(&from),
+            Kind::Key => None,
         };
-        let to = match stays {
+        let Some(contents) = contents else {
+            let is_path = name.contains('/') || !matches!(kind, Kind::Word);
+            let fits = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-' | '/');
+            // Other letters may need quotes.
+            return Some(from)
+                .filter(|from| is_path && from.exists() && from.to_string_lossy().chars().all(fits));
+        };
+        let to = match self.inside(name) {
             Some(to) => {
                 self.files.entry(to.clone()).or_insert(contents);
                 to
             }
             None => self.add(&Path::new(OTHERS).join(plain(&from)), contents),
         };
-        if kind == Kind::Map {
+        if matches!(kind, Kind::Map) {
             self.pack_image(&from, &to);
         }
         Some(to)
@@ -185,6 +215,38 @@ impl Luggage<'_> {
         self.files.insert(to.clone(), contents);
         to
     }
+}
+
+/// Returns a copy of a small file. A link, such as a virtual environment's Python, would not work as a copy.
+fn small_file(path: &Path) -> Option<Contents> {
+    let file = fs::symlink_metadata(path).ok()?;
+    (file.is_file() && file.len() <= MAX_BYTES && File::open(path).is_ok())
+        .then(|| Contents::Copy(path.to_owned()))
+}
+
+/// Returns copies of the files in a small folder. Links and devices in it would not work as copies.
+fn small_folder(path: &Path) -> Option<Contents> {
+    let (mut files, mut folders) = (Vec::new(), vec![PathBuf::new()]);
+    let (mut entries, mut bytes) = (0, 0);
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(path.join(&folder)).ok()? {
+            let entry = entry.ok()?;
+            let (name, kind) = (folder.join(entry.file_name()), entry.file_type().ok()?);
+            entries += 1;
+            if kind.is_dir() {
+                folders.push(name);
+            } else {
+                small_file(&entry.path())?;
+                bytes += entry.metadata().ok()?.len();
+                files.push(name);
+            }
+            if entries > MAX_ENTRIES || bytes > MAX_BYTES {
+                return None;
+            }
+        }
+    }
+    files.sort();
+    Some(Contents::Folder(path.to_owned(), files))
 }
 
 /// Whether a relative path leads down from its folder, in so many words.
@@ -282,8 +344,8 @@ mod tests {
         let place = place();
         let elsewhere = place.path().join("elsewhere");
         let text = format!(
-            "map: \"../elsewhere/hall.yaml\"  # both\nlinks:\n  - {{ ends: [a, b], forward: {{ trace: '{0}/air 1.trace' }}, \
-             backward: {{ trace: '{0}/air 1.trace' }} }}\n",
+            "map: \"../elsewhere/hall.yaml\"  # both\nlinks:\n  - {{ ends: [a, b], \
+             forward: {{ trace: '{0}/air 1.trace' }}, backward: {{ trace: '{0}/air 1.trace' }} }}\n",
             elsewhere.display()
         );
         let carried = carry(&text, &place.path().join("bed"), &[]);
@@ -311,6 +373,44 @@ mod tests {
         let carried = carry("map: maps/hall.yaml\n", &place.path().join("bed"), &["maps"]);
         assert_eq!(carried.text, "map: files/hall.yaml\n");
         assert_eq!(files(&carried), ["files/hall.pgm", "files/hall.yaml"]);
+    }
+
+    #[test]
+    fn a_readable_folder_is_carried_with_the_word_that_names_it() {
+        let place = place();
+        fs::create_dir(place.path().join("elsewhere/lib")).unwrap();
+        fs::write(place.path().join("elsewhere/lib/a.py"), "").unwrap();
+        let text = |elsewhere: &str| {
+            format!(
+                "services: {{ s: {{ vnfs: {{ v: {{ command: [python3, serve.py, {elsewhere}], \
+                 readable: [{elsewhere}, maps, absent, /usr] }} }} }} }}\n"
+            )
+        };
+        let carried = carry(&text("../elsewhere"), &place.path().join("bed"), &[]);
+        assert_eq!(carried.text, text("files/elsewhere"));
+        assert_eq!(files(&carried), ["files/elsewhere", "maps", "serve.py"]);
+        let Contents::Folder(_, inside) = &carried.files[0].contents else { panic!("{carried:?}") };
+        assert_eq!(inside, &["air 1.trace", "hall.yaml", "lib/a.py"].map(PathBuf::from));
+    }
+
+    #[test]
+    fn paths_to_what_is_not_carried_become_absolute() {
+        let place = place();
+        let bed = place.path().join("bed");
+        std::os::unix::fs::symlink("serve.py", bed.join("link.py")).unwrap();
+        fs::create_dir_all(bed.join("full/below")).unwrap();
+        (0..MAX_ENTRIES).for_each(|i| fs::write(bed.join(format!("full/below/{i}")), "").unwrap());
+        File::create(place.path().join("large")).unwrap().set_len(MAX_BYTES + 1).unwrap();
+        let text = |at: &str| {
+            format!(
+                "services: {{ s: {{ vnfs: {{ v: {{ command: [{at}./link.py, link.py, {at}../large, ../absent], \
+                 readable: [{at}full] }} }} }} }}\n\
+                 plugins: [{{ bundled: federation, settings: {{ ledger: {{ key_store: {at}serve.py }} }} }}]\n"
+            )
+        };
+        let carried = carry(&text(""), &bed, &[]);
+        assert_eq!(carried.text, text(&format!("{}/", bed.display())));
+        assert_eq!(files(&carried), [""; 0]);
     }
 
     #[test]

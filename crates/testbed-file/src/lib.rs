@@ -20,7 +20,7 @@ use serde_json::{Value as Json, json};
 
 use self::yaml::{Sink, decode::Decode};
 pub use self::{
-    carry::{Carried, CarriedFile, Contents, carry},
+    carry::{Carried, CarriedFile, Contents, LEDGER_PATHS, carry},
     setting::{InvalidSetting, Setting},
     yaml::{Diagnostic, Diagnostics},
 };

@@ -98,8 +98,8 @@ pub(super) fn noted(text: &str) -> (Vec<Setting>, Vec<Range<usize>>) {
     found.into_iter().unzip()
 }
 
-/// Changes a file's tree. The plug-in that runs is chosen last, by the last
-/// setting that chooses one, so that the order of other settings does not matter.
+/// Changes a file's tree. The plug-in that runs is chosen last, by the last setting that chooses one, so that the order of
+/// other settings does not matter.
 pub(super) fn apply(root: &mut Node, settings: &[Setting], places: &[Range<usize>], sink: &mut Sink) {
     let (plugin, others): (Vec<_>, Vec<_>) =
         settings.iter().zip(places).partition(|(setting, _)| setting.path == "plugin");

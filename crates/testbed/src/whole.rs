@@ -34,7 +34,16 @@ fn put(file: &CarriedFile, folder: &Path) -> Result<(), RunError> {
     let parent = to.parent().unwrap_or(folder);
     fs::create_dir_all(parent).map_err(fail)?;
     match &file.contents {
+        // It may be here already, with a readable folder.
+        Contents::Copy(_) if to.exists() => {}
         Contents::Copy(from) => drop(fs::copy(from, &to).map_err(fail)?),
+        Contents::Folder(from, files) => {
+            fs::create_dir_all(&to).map_err(fail)?;
+            for name in files {
+                let contents = Contents::Copy(from.join(name));
+                put(&CarriedFile { to: name.clone(), contents }, &to)?;
+            }
+        }
         Contents::Text(text) => {
             let name = to.file_name().unwrap_or_default().to_string_lossy();
             write_file(parent, &name, text)?;

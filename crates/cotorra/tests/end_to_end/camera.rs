@@ -65,4 +65,15 @@ fn a_program_receives_whole_images_while_the_robot_is_navigated() {
     let (summary, _) = run.report();
     let samples = |name: &str| summary[name].as_u64().unwrap();
     assert!(samples("unanswered") < samples("samples") / 2, "{summary}");
+
+    // The run's folder holds the detector, and the folder that this may read.
+    let place = tempfile::tempdir().unwrap();
+    let kept = place.path().join("kept");
+    fs::rename(&run.folder, &kept).unwrap();
+    let text = fs::read_to_string(kept.join("testbed.yaml")).unwrap();
+    assert!(text.contains("readable: [files/python]") && !text.contains(".."), "{text}");
+    let mut again = run.another(&kept.join("testbed.yaml"), &["--until", "5min"]);
+    wait_until(|| !received(&again).is_empty());
+    again.signal("INT");
+    again.wait();
 }

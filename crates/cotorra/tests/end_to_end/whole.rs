@@ -59,7 +59,8 @@ fn a_run_is_repeated_replayed_and_exported_from_its_folder_alone() {
     let expected = text
         .replace("../maps/corridor.yaml", "files/corridor.yaml")
         .replace(earlier.to_str().unwrap(), &format!("files/{}", earlier.file_name().unwrap().display()));
-    let settings = "# set: links.lan-fog.trace=files/fast.trace\n# set: links.lan-edge.trace=files/slow.trace\n# set: seed=7\n";
+    let settings = "# set: links.lan-fog.trace=files/fast.trace\n\
+                    # set: links.lan-edge.trace=files/slow.trace\n# set: seed=7\n";
     assert_eq!(fs::read_to_string(kept.join("testbed.yaml")).unwrap(), expected + settings);
 
     let again = simulate(&kept.join("testbed.yaml"), &elsewhere.path().join("again"), &[]);

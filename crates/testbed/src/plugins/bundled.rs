@@ -8,6 +8,7 @@ use cotorra_okpi::Okpi;
 use cotorra_pace::Pace;
 use cotorra_plugin::Plugin;
 use cotorra_probing::Probing;
+use cotorra_testbed_file::LEDGER_PATHS;
 use serde_json::{Map, Value};
 
 use super::{error::PluginError, programs::check_programs};
@@ -36,7 +37,7 @@ impl<'a> Bundled<'a> {
         match name {
             "federation" => {
                 let domain = spec.domain.as_ref();
-                let resolved = with_key_paths(&spec.settings, &self.testbed.folder);
+                let resolved = from_folder(&spec.settings, &self.testbed.folder);
                 let orchestrator = Federation::open(&resolved, domain, self.seed, &mut self.ledgers);
                 Ok(Box::new(orchestrator.map_err(|e| settings(&e))?))
             }
@@ -55,12 +56,16 @@ impl<'a> Bundled<'a> {
     }
 }
 
-/// Lets relative paths of keys in the settings start at the testbed file's folder.
-fn with_key_paths(settings: &Map<String, Value>, folder: &Path) -> Map<String, Value> {
+/// Lets relative paths in an orchestrator's settings start at the testbed file's folder. A program without a slash is one
+/// on the path.
+fn from_folder(settings: &Map<String, Value>, folder: &Path) -> Map<String, Value> {
     let mut settings = settings.clone();
     let ledger = settings.get_mut("ledger").and_then(Value::as_object_mut);
     for (key, value) in ledger.into_iter().flatten() {
-        if let ("key_store" | "password_file", Value::String(path)) = (key.as_str(), value) {
+        if let Value::String(path) = value
+            && LEDGER_PATHS.contains(&key.as_str())
+            && (key != "program" || path.contains('/'))
+        {
             *path = folder.join(&*path).to_string_lossy().into_owned();
         }
     }
@@ -88,4 +93,25 @@ pub(crate) fn rehearse(testbed: &Testbed) -> Result<(), PluginError> {
 fn has_real_ledger(spec: &PluginSpec) -> bool {
     let is_real = |choice| !matches!(choice, LedgerChoice::Modelled { .. });
     cfg!(feature = "ethereum") && Settings::decode(&spec.settings).is_ok_and(|set| is_real(set.ledger))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn paths_in_settings_start_at_the_testbed_files_folder() {
+        let ledger =
+            json!({ "ledger": { "key_store": "keys/a.json", "password_file": "/p", "url": "ws://a/b" } });
+        let told = from_folder(ledger.as_object().unwrap(), Path::new("/bed"));
+        let expected = json!({ "ledger": { "key_store": "/bed/keys/a.json", "password_file": "/p", "url": "ws://a/b" } });
+        assert_eq!(Value::Object(told), expected);
+        for (program, expected) in [("anvil", "anvil"), ("./anvil", "/bed/./anvil")] {
+            let settings = json!({ "ledger": { "program": program } });
+            let told = from_folder(settings.as_object().unwrap(), Path::new("/bed"));
+            assert_eq!(told["ledger"]["program"], expected);
+        }
+    }
 }
