@@ -15,8 +15,10 @@ use super::png::{self, PngError};
 const MAX_FILE: u64 = 256 << 20;
 /// Sides of a pixel that a floor plan can have, metres.
 const PIXELS: std::ops::RangeInclusive<f64> = 0.001..=0.5;
-/// Side of a cell, at most, unless the picture is coarser; metres.
+/// Side of a cell, at most, unless the picture is coarser or very large; metres.
 const CELL: f64 = 0.05;
+/// Cells of the largest map: 200 m in square, at 0.05 m a cell.
+const MAX_CELLS: usize = 16 << 20;
 /// Floor outside the walls is no floor if the walls enclose at least this share of all floor.
 const ENCLOSED: f64 = 0.1;
 
@@ -83,7 +85,8 @@ fn parse(bytes: Vec<u8>, size: Size, threshold: Probability) -> Result<Plan, Pla
         "image: picture\nresolution: 1\norigin: [0, 0, 0]\noccupied_thresh: {threshold}\nfree_thresh: {threshold}\n"
     );
     let pixels = map_server::parse("the floor plan", &how, |_| Ok(pgm)).map_err(|found| {
-        PlanError::Pgm(found.list.into_iter().next().map(|mistake| mistake.message).unwrap_or_default())
+        let message = found.list.into_iter().next().map(|mistake| mistake.message).unwrap_or_default();
+        PlanError::Pgm(message.trim_start_matches("`picture`: ").to_owned())
     })?;
     let pixel = match size {
         Size::Pixel(pixel) => pixel,
@@ -97,7 +100,7 @@ fn parse(bytes: Vec<u8>, size: Size, threshold: Probability) -> Result<Plan, Pla
 
 /// Merges pixels to cells. A cell is occupied if one of its pixels is, so that thin walls stay.
 fn coarser(pixels: &OccupancyGrid, pixel: f64) -> OccupancyGrid {
-    let every = ((CELL / pixel + 1e-6) as usize).max(1);
+    let every = pixels_per_cell(pixels.width(), pixels.height(), pixel);
     let (width, height) = (pixels.width().div_ceil(every), pixels.height().div_ceil(every));
     let mut cells = vec![Cell::Free; width * height];
     for row in 0..pixels.height() {
@@ -110,27 +113,38 @@ fn coarser(pixels: &OccupancyGrid, pixel: f64) -> OccupancyGrid {
     grid(width, height, pixel * every as f64, cells)
 }
 
+/// Returns the pixels along the side of a cell.
+fn pixels_per_cell(width: usize, height: usize, pixel: f64) -> usize {
+    let mut every = ((CELL / pixel + 1e-6) as usize).max(1);
+    while width.div_ceil(every) * height.div_ceil(every) > MAX_CELLS {
+        every += 1;
+    }
+    every
+}
+
 /// Marks floor outside the walls as unknown, if walls enclose enough of the floor.
 fn without_outside(plan: &OccupancyGrid) -> Plan {
     let (width, height) = (plan.width(), plan.height());
-    let mut cells: Vec<_> = (0..width * height).map(|cell| plan.cell(cell % width, cell / width)).collect();
+    let all_cells = width * height;
+    let mut cells: Vec<_> = (0..all_cells).map(|cell| plan.cell(cell % width, cell / width)).collect();
     let is_free = |cell: &&Cell| **cell == Cell::Free;
     let all = cells.iter().filter(is_free).count();
     let before = cells.clone();
-    let on_border = |cell: usize| {
-        cell % width == 0 || cell % width == width - 1 || cell < width || cell / width == height - 1
-    };
-    let mut open: Vec<usize> = (0..cells.len()).filter(|&cell| on_border(cell)).collect();
-    while let Some(cell) = open.pop() {
-        if cells[cell] != Cell::Free {
-            continue;
+    let rows = (0..height).flat_map(|row| [row * width, row * width + width - 1]);
+    let columns = (0..width).flat_map(|column| [column, (height - 1) * width + column]);
+    let mut open = Vec::new();
+    let mut leave = |cell: usize, open: &mut Vec<usize>| {
+        if cells[cell] == Cell::Free {
+            cells[cell] = Cell::Unknown;
+            open.push(cell);
         }
-        cells[cell] = Cell::Unknown;
+    };
+    rows.chain(columns).for_each(|cell| leave(cell, &mut open));
+    while let Some(cell) = open.pop() {
         let column = cell % width;
-        open.extend((column > 0).then(|| cell - 1));
-        open.extend((column + 1 < width).then_some(cell + 1));
-        open.extend(cell.checked_sub(width));
-        open.extend((cell + width < cells.len()).then_some(cell + width));
+        let beside = [(column > 0).then(|| cell - 1), (column + 1 < width).then_some(cell + 1)];
+        let in_line = [cell.checked_sub(width), (cell + width < all_cells).then_some(cell + width)];
+        beside.into_iter().chain(in_line).flatten().for_each(|cell| leave(cell, &mut open));
     }
     let enclosed = cells.iter().filter(is_free).count();
     let is_open = (enclosed as f64) < all as f64 * ENCLOSED;
@@ -224,6 +238,16 @@ mod tests {
     }
 
     #[test]
+    fn cells_grow_where_a_picture_is_very_large() {
+        assert_eq!(pixels_per_cell(8000, 4000, 0.05), 2);
+        assert_eq!(pixels_per_cell(8000, 8000, 0.025), 2);
+        assert_eq!(pixels_per_cell(4000, 4000, 0.05), 1);
+        assert_eq!(pixels_per_cell(64 << 20, 1, 0.5), 4);
+        // A pixel that is coarser than a cell is never divided.
+        assert_eq!(pixels_per_cell(10, 10, 0.5), 1);
+    }
+
+    #[test]
     fn the_threshold_decides_what_a_wall_is() {
         let grey = |share| parse(drawn(&["+."]), Size::Pixel(0.1), Probability::new(share).unwrap()).unwrap();
         assert_eq!(rows(&grey(0.5).grid), [".."]);
@@ -248,7 +272,7 @@ mod tests {
         assert!(coarse.starts_with("a pixel of 20 m"), "{coarse}");
         assert!(wrong(&drawn(&["#."]), Size::Pixel(f64::NAN)).starts_with("a pixel of NaN m"));
         let short = wrong(b"P5 2 2 255\nabc", Size::Pixel(0.1));
-        assert!(short.contains("3 of 4 pixels"), "{short}");
+        assert_eq!(short, "it ends after 3 of 4 pixels");
         let device = read(Path::new("/dev/zero"), Size::Pixel(0.1), threshold()).unwrap_err();
         assert!(matches!(device, PlanError::NotAFile), "{device}");
     }
