@@ -54,8 +54,28 @@ fn make(folder: &Path, files: &[NewFile], dry_run: bool, next: &[&str]) -> miett
         let file = folder.join("testbed.yaml");
         let loaded = testbed_file::load(&file, &[]).map_err(Report::new)?;
         text += &format!("\n{}: {}\n", file.display(), testbed_file::overview(&loaded.testbed));
-        text += &format!("\nnext:\n  cd {}\n", folder.display());
+        text += &format!("\nnext:\n  cd {}\n", quoted(folder));
         next.iter().for_each(|command| text += &format!("  {command}\n"));
     }
     output::print(&text)
+}
+
+/// Returns a path as a shell reads it.
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-".contains(c);
+    if text.chars().all(is_plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_of_next_steps_can_be_pasted_into_a_shell() {
+        let quoted = |path: &str| quoted(Path::new(path));
+        assert_eq!(quoted("../labs/office-2"), "../labs/office-2");
+        assert_eq!(quoted("second floor"), "'second floor'");
+        assert_eq!(quoted("it's $HOME"), r"'it'\''s $HOME'");
+    }
 }

@@ -39,7 +39,7 @@ pub struct TestbedArgs {
     /// Width of the whole picture, such as 30m
     #[arg(long, value_name = "LENGTH", value_parser = parse_length, group = "size", requires = "floor_plan")]
     pub width: Option<f64>,
-    /// Darker than this share is a wall
+    /// Share of black from which a pixel is a wall; white is 0%
     #[arg(long, value_name = "SHARE", value_parser = parse_share, default_value = "50%", requires = "floor_plan")]
     pub threshold: Probability,
     /// Only say what would be written
@@ -124,32 +124,41 @@ pub fn files(
     Ok((files, floor.area()))
 }
 
-/// Chooses a walk for each robot: from its own end of the floor to the nearest of the other ends, and on.
+/// Chooses a walk for each robot: from an end of the floor to the nearest of the other ends, and on. Each robot has an end
+/// of its own if there are enough.
 fn walks(floor: &mut Floor) -> Result<Vec<Vec<Position>>, TestbedError> {
-    let ends = floor.ends(2 * ROBOTS);
-    let walk = |&start: &Position| {
-        let mut left = ends.clone();
-        let (mut walk, mut length) = (vec![start], 0.0);
-        while walk.len() < WAYPOINTS && length < LONGEST_WALK {
-            let here = walk[walk.len() - 1];
-            left.retain(|place| place.distance(here) >= SHORTEST_LEG);
-            let mut nearest: Option<(f64, Position)> = None;
-            for &place in &left {
-                let way = floor.way(here, place)?;
-                if nearest.is_none_or(|(other, _)| way < other) {
-                    nearest = Some((way, place));
-                }
-            }
-            let Some((way, place)) = nearest else { break };
-            walk.push(place);
-            length += way;
+    // A small floor has no room for all of them.
+    let mut ends: Vec<Position> = Vec::new();
+    for end in floor.ends(2 * ROBOTS) {
+        if ends.iter().all(|other| other.distance(end) >= SHORTEST_LEG) {
+            ends.push(end);
         }
-        if walk.len() < 2 { Err(TestbedError::NoFloor { area: floor.area() }) } else { Ok(walk) }
+    }
+    if ends.len() < 2 {
+        return Err(TestbedError::NoFloor { area: floor.area() });
+    }
+    let mut ways = vec![vec![0.0; ends.len()]; ends.len()];
+    for from in 0..ends.len() {
+        for to in 0..from {
+            let way = floor.way(ends[from], ends[to])?;
+            (ways[from][to], ways[to][from]) = (way, way);
+        }
+    }
+    let walk = |robot: usize| {
+        let (mut walk, mut length) = (vec![robot % ends.len()], 0.0);
+        while walk.len() < WAYPOINTS && length < LONGEST_WALK {
+            let here = &ways[walk[walk.len() - 1]];
+            let others = (0..ends.len()).filter(|end| !walk.contains(end));
+            let Some(nearest) = others.min_by(|&a, &b| here[a].total_cmp(&here[b])) else { break };
+            length += here[nearest];
+            walk.push(nearest);
+        }
+        walk.into_iter().map(|end| ends[end]).collect()
     };
-    ends[..ROBOTS].iter().map(walk).collect()
+    Ok((0..ROBOTS).map(walk).collect())
 }
 
-/// Returns the testbed file.
+/// Returns the testbed file. Names are quoted, because a folder's can be a number or a word of YAML.
 fn text(
     name: &str,
     walks: &[Vec<Position>],
@@ -200,7 +209,7 @@ fn text(
     let mut text = format!(
         "\
 # Made by `cotorra new`. Delays, rates and costs are examples: write those of your network.
-name: {name}
+name: \"{name}\"
 description: Three robots walk a floor. Their navigation runs on a server, over a wireless network.
 
 map: map.yaml
@@ -234,8 +243,11 @@ walks:
 {waypoints}"
     );
     if let Some(Declared { id, command }) = plugin {
-        write!(text, "\nplugins:\n  - id: {id}\n    command: [{command}]\n    settings: {{ patience: 6 }}\n")
-            .expect("writing into a string cannot fail");
+        write!(
+            text,
+            "\nplugins:\n  - id: \"{id}\"\n    command: [{command}]\n    settings: {{ patience: 6 }}\n"
+        )
+        .expect("writing into a string cannot fail");
     }
     text
 }
@@ -258,6 +270,39 @@ mod tests {
             }
         }
         assert!(walks[0][0] != walks[1][0] && walks[1][0] != walks[2][0], "robots start apart");
+    }
+
+    #[test]
+    fn a_floor_of_few_places_is_walked_by_all_robots() {
+        // A room of 2 m × 0.5 m, in which only the two places at its ends are apart.
+        let cell = |i| {
+            if (1..21).contains(&(i % 22)) && (1..6).contains(&(i / 22)) {
+                Cell::Free
+            } else {
+                Cell::Occupied
+            }
+        };
+        let grid =
+            OccupancyGrid::new(22, 7, 0.1, Position::new(0.0, 0.0), (0..154).map(cell).collect()).unwrap();
+        let mut floor = Floor::new(&grid, RobotModel::Turtlebot2).unwrap();
+        let walks = walks(&mut floor).unwrap();
+        assert_eq!(walks.len(), ROBOTS);
+        for walk in &walks {
+            assert_eq!(walk.len(), 2, "{walk:?}");
+            assert!(floor.way(walk[0], walk[1]).unwrap() >= SHORTEST_LEG, "{walk:?}");
+        }
+    }
+
+    #[test]
+    fn any_folder_and_plugin_gives_a_name() {
+        for name in ["2024", "null", "true", "1e5", "0x10", "nan"] {
+            let declared = Declared { id: name, command: "echo" };
+            let (files, _) = files(name, &plan::building(), Some(&declared)).unwrap();
+            let folder = tempfile::tempdir().unwrap();
+            Destination::new(folder.path()).write(&files).unwrap();
+            let testbed = cotorra_testbed_file::load(folder.path().join("testbed.yaml")).unwrap();
+            assert_eq!((testbed.name.as_str(), testbed.plugins[0].id.as_str()), (name, name));
+        }
     }
 
     #[test]

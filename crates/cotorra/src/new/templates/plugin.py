@@ -51,11 +51,11 @@ def main():
         service, took_ms = services[event["service"]], event.get("service_time_ms")
         is_late = took_ms is None or took_ms > service["kpis"]["service_time_target_ms"]
         late[service["id"]] = late[service["id"]] + 1 if is_late else 0
-        place = servers.index(event["server"]) if event["server"] in servers else -1
-        if late[service["id"]] == PATIENCE and place + 1 < len(servers):
+        dearer = servers[servers.index(event["server"]) + 1:] if event["server"] in servers else []
+        if late[service["id"]] == PATIENCE and dearer:
             late[service["id"]] = 0
             vnf = next(vnf["id"] for vnf in service["vnfs"] if not vnf.get("pinned_to"))
-            instruct(f"{PATIENCE} answers in a row were late", instruction="place", vnf=vnf, node=servers[place + 1])
+            instruct(f"{PATIENCE} answers in a row were late", instruction="place", vnf=vnf, node=dearer[0])
 
 
 try:
