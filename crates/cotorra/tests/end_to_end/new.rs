@@ -164,3 +164,54 @@ fn unusable_floor_plans_say_what_to_do() {
     assert_eq!(no_language.status.code(), Some(2));
     assert!(stderr(&no_language).contains("--rust|--python"), "{}", stderr(&no_language));
 }
+
+/// Returns the words of a command, which may be quoted.
+fn words(command: &str) -> Vec<&str> {
+    let parts = command.split('\'').enumerate();
+    let words =
+        parts.map(|(i, part)| if i % 2 == 0 { part.split_whitespace().collect() } else { vec![part] });
+    words.flatten().collect()
+}
+
+/// Compares an output with the lines that a document shows. `…` stands for any lines.
+fn shows(command: &str, output: &str, shown: &[&str]) {
+    let mut lines = output.lines().map(str::trim_end);
+    let mut any = false;
+    for line in shown {
+        if *line == "…" {
+            any = true;
+        } else if any {
+            assert!(lines.any(|found| found == *line), "{command}: `{line}` is missing in\n{output}");
+            any = false;
+        } else {
+            assert_eq!(lines.next(), Some(*line), "{command} printed\n{output}");
+        }
+    }
+    assert!(any || lines.next().is_none(), "{command} printed more:\n{output}");
+}
+
+#[test]
+fn the_tutorial_shows_what_its_commands_print() {
+    let text = fs::read_to_string(project_file("docs/tutorial.md")).unwrap();
+    let out = TempDir::new().unwrap();
+    fs::copy(floor_plan(), out.path().join("floor-plan.png")).unwrap();
+    let mut folder = out.path().to_owned();
+    let mut commands = 0;
+    let blocks = text.split("```console\n").skip(1).map(|rest| rest.split_once("```").unwrap().0);
+    for step in blocks.flat_map(|block| block.split("$ ").skip(1)) {
+        let mut shown = step.lines();
+        let command = shown.next().unwrap();
+        let shown: Vec<_> = shown.collect();
+        match words(command).split_first() {
+            Some((&"cd", target)) => folder.push(target[0]),
+            Some((&"cotorra", arguments)) => {
+                let done = cotorra(arguments).current_dir(&folder).output().unwrap();
+                assert!(done.status.success(), "{command}: {}", stderr(&done));
+                shows(command, &stdout(&done), &shown);
+                commands += 1;
+            }
+            other => panic!("{other:?} is no command of the tutorial"),
+        }
+    }
+    assert!(commands >= 6, "{commands}");
+}
