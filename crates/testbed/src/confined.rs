@@ -151,7 +151,7 @@ mod tests {
         fs::create_dir(&testbed).unwrap();
         fs::write(run.join("history.sqlite"), "").unwrap();
         let runs = Place::In(parent.clone());
-        assert_eq!(other_runs(&runs, &testbed), [run.clone()]);
+        assert_eq!(other_runs(&runs, &testbed), std::slice::from_ref(&run));
         // A run's own testbed file would be hidden with its folder.
         assert!(other_runs(&runs, &run).is_empty());
         assert_eq!(other_runs(&runs, Path::new("/elsewhere")), [parent]);

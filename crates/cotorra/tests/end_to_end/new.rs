@@ -1,4 +1,5 @@
 //! Testbeds and plug-ins from templates: they check, compile and run unchanged.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
     fs,
