@@ -54,7 +54,7 @@ fn the_corridor_is_walked_and_measured() {
     assert!(csv.starts_with("emitted_ns,"), "{csv:.100}");
     assert!(fs::read_to_string(run.folder.join("service_time.svg")).unwrap().contains("<svg"));
     let as_run = fs::read_to_string(run.folder.join("testbed.yaml")).unwrap();
-    assert_eq!(as_run, fs::read_to_string(corridor()).unwrap());
+    assert_eq!(as_run, fs::read_to_string(corridor()).unwrap() + "# set: seed=7\n");
     for log in ["cotorra.log", "navigation.log", "localization.log"] {
         assert!(run.folder.join("logs").join(log).exists(), "{log}");
     }
