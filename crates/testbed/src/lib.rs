@@ -56,9 +56,9 @@ pub use recorded::{Recorded, RecordedError};
 pub use reflectors::ReflectorError;
 pub use rehearse::{interface_plans, rehearse};
 pub use report::{
-    DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, LocalizationSummary, Panel,
-    Place, PlacementRecord, Quantiles, RegionSummary, Report, ServiceSummary, Summary, draw, service_time_ms,
-    svg, write_file,
+    DataTable, DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, LocalizationSummary,
+    Panel, Place, PlacementRecord, Quantiles, RegionSummary, Report, RobotSummary, ServiceSummary, Summary,
+    by_service, draw, service_time_ms, svg, write_file,
 };
 pub use robots::RobotError;
 pub use run::{Run, Stopper};

@@ -7,13 +7,19 @@ mod figure;
 mod folder;
 mod run_folder;
 mod samples;
+mod services;
 mod summary;
+mod table;
+mod times;
 
 pub(crate) use end::End;
 pub use figure::{Panel, draw, svg};
 pub use folder::{FolderError, Place, write_file};
 pub use run_folder::RunFolder;
+pub use services::by_service;
 pub use summary::{
     DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, LocalizationSummary, Losses, PlacementRecord,
-    Quantiles, RegionSummary, Report, ServiceSummary, Summary, service_time_ms,
+    RegionSummary, Report, RobotSummary, ServiceSummary, Summary, service_time_ms,
 };
+pub use table::DataTable;
+pub use times::Quantiles;

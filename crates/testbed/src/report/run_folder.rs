@@ -9,6 +9,7 @@ use std::{
 use super::{
     figure::{Panel, draw},
     folder::{FolderError, Place, write_file},
+    services,
     summary::{Report, Summary, service_time_ms},
 };
 
@@ -20,7 +21,7 @@ pub struct RunFolder {
 
 impl RunFolder {
     /// Names in the folder that the run itself uses.
-    pub const NAMES: [&str; 13] = [
+    pub const NAMES: [&str; 15] = [
         "history.json",
         "history.sqlite",
         "history.sqlite-journal",
@@ -32,6 +33,8 @@ impl RunFolder {
         "sensors",
         "service_time.csv",
         "service_time.svg",
+        "services.csv",
+        "services.tex",
         "summary.json",
         "vnfs",
     ];
@@ -70,13 +73,15 @@ impl RunFolder {
         self.path.join("logs")
     }
 
-    /// Writes `summary.json`, `service_time.csv` and `service_time.svg`.
+    /// Writes `summary.json`, `services.csv`, `services.tex`, `service_time.csv` and `service_time.svg`.
     ///
     /// # Errors
     /// [`FolderError`].
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
         let json = serde_json::to_string_pretty(summary).expect("a summary is valid JSON");
         write_file(&self.path, "summary.json", &(json + "\n"))?;
+        write_file(&self.path, "services.csv", &services::exact(&summary.services).to_csv())?;
+        write_file(&self.path, "services.tex", &summary.by_service().to_latex())?;
         let path = self.path.join("service_time.csv");
         let written = File::create(&path).and_then(|file| write_csv(report, file));
         written.map_err(|source| FolderError::new(&path, source))?;

@@ -3,8 +3,8 @@
 use std::{collections::BTreeMap, path::Path};
 
 use cotorra_graph::{
-    Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Requests, ServiceId, ServiceTime,
-    Stamped, Testbed, Timestamp, VnfId, millis,
+    Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Requests, Service, ServiceId,
+    ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
@@ -14,6 +14,7 @@ use super::{
     end::End,
     folder::FolderError,
     samples::Samples,
+    times::{Quantiles, Times},
 };
 
 /// Highest trusted lateness at the 99th percentile, µs.
@@ -49,7 +50,9 @@ pub struct Summary {
     pub above_target: Option<f64>,
     /// Service times of all answered samples, milliseconds.
     pub service_time_ms: Option<Quantiles>,
-    /// Summaries of the measured services, in the file's order.
+    /// Summaries of all robots, in the file's order.
+    pub robots: Vec<RobotSummary>,
+    /// Summaries of all services, in the file's order, those without samples included.
     pub services: Vec<ServiceSummary>,
     /// Stretches with one attachment and one server, in order.
     pub regions: Vec<RegionSummary>,
@@ -73,9 +76,27 @@ pub struct Summary {
     pub history_dropped: u64,
 }
 
+/// All services of one robot together, and its handovers.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RobotSummary {
+    pub robot: NodeId,
+    /// Number of service times, unanswered ones included.
+    pub samples: usize,
+    /// Number of service times without an answer in time.
+    pub unanswered: usize,
+    /// Share of samples above the target of their service. Unanswered ones count as above it.
+    pub above_target: Option<f64>,
+    /// Number of changes of attachment.
+    pub handovers: usize,
+    /// Times without frames in these changes, milliseconds.
+    pub handover_gap_ms: Option<Quantiles>,
+}
+
 /// The service times of one service.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ServiceSummary {
+    /// The robot that it serves.
+    pub robot: NodeId,
     pub service: ServiceId,
     /// Number of service times, unanswered ones included.
     pub samples: usize,
@@ -99,33 +120,6 @@ pub struct LocalizationSummary {
     pub error_m: Quantiles,
     /// Mean of the normalized estimation error squared: 3 if the covariance matches the errors, more if it is too small.
     pub nees: f64,
-}
-
-/// Quantiles by linear interpolation between closest ranks.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Quantiles {
-    /// Median.
-    pub p50: f64,
-    /// 95th percentile.
-    pub p95: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// Maximum.
-    pub max: f64,
-}
-
-impl Quantiles {
-    /// Returns the quantiles of these values; `None` without values.
-    pub fn of(mut values: Vec<f64>) -> Option<Self> {
-        values.sort_by(f64::total_cmp);
-        let max = *values.last()?;
-        let at = |q: f64| {
-            let rank = q * (values.len() - 1) as f64;
-            let (low, high) = (values[rank.floor() as usize], values[rank.ceil() as usize]);
-            low + (high - low) * rank.fract()
-        };
-        Some(Self { p50: at(0.5), p95: at(0.95), p99: at(0.99), max })
-    }
 }
 
 /// A stretch of a service with one attachment and one server.
@@ -297,14 +291,23 @@ pub struct Losses {
     pub history_dropped: u64,
 }
 
+/// A service of a robot.
+#[derive(Debug, Clone)]
+struct Served {
+    service: ServiceId,
+    robot: NodeId,
+    target_ms: f64,
+}
+
 /// Collects the events of a run.
 #[derive(Debug)]
 pub struct Report {
     name: String,
     seed: u64,
     measured_frames: MeasuredFrames,
-    /// The services, each with its target in milliseconds, and whether it is measured even without samples.
-    services: Vec<(ServiceId, f64, bool)>,
+    /// All robots.
+    robot_ids: Vec<NodeId>,
+    services: Vec<Served>,
     /// Services whose requests go to all instances.
     asking_all: Vec<ServiceId>,
     samples: Samples,
@@ -323,6 +326,13 @@ pub struct Report {
     positions: BTreeMap<NodeId, Position>,
 }
 
+impl Served {
+    fn of(service: &Service) -> Self {
+        let (robot, target_ms) = (service.robot.clone(), millis::of(service.kpis.service_time));
+        Self { service: service.id.clone(), robot, target_ms }
+    }
+}
+
 impl Report {
     /// Creates the report of a run with that seed.
     pub fn new(testbed: &Testbed, seed: u64) -> Self {
@@ -333,11 +343,8 @@ impl Report {
                 Some(_) => MeasuredFrames::Emulated,
                 None => MeasuredFrames::All,
             },
-            services: testbed
-                .services
-                .iter()
-                .map(|s| (s.id.clone(), millis::of(s.kpis.service_time), s.kpis.flow.is_some()))
-                .collect(),
+            robot_ids: testbed.graph.robots().map(|(node, _)| node.id.clone()).collect(),
+            services: testbed.services.iter().map(Served::of).collect(),
             asking_all: testbed
                 .services
                 .iter()
@@ -454,66 +461,74 @@ impl Report {
 
     /// Returns the target of the first service, milliseconds.
     pub fn service_time_target_ms(&self) -> Option<f64> {
-        self.services.first().map(|(_, target_ms, _)| *target_ms)
+        self.services.first().map(|its| its.target_ms)
     }
 
-    /// Returns the summaries of services that have samples or a flow, in the file's order.
+    /// Returns the summaries of all services, in the file's order.
     pub fn services(&self) -> Vec<ServiceSummary> {
         self.summarize(self.by_service())
     }
 
-    /// Groups samples by service.
-    fn by_service(&self) -> BTreeMap<ServiceId, OfService> {
-        let mut all: BTreeMap<ServiceId, OfService> = BTreeMap::new();
+    /// Returns the service times of each service, in the file's order.
+    fn by_service(&self) -> Vec<Times> {
+        let places: BTreeMap<_, _> =
+            self.services.iter().zip(0..).map(|(its, i)| (&its.service, i)).collect();
+        let mut all: Vec<Times> = self.services.iter().map(|_| Times::default()).collect();
         for sample in self.samples.iter() {
-            let took = service_time_ms(&sample);
-            let its = all.entry(sample.service).or_default();
-            its.samples += 1;
-            its.answered.extend(took);
+            if let Some(&place) = places.get(&sample.service) {
+                all[place].add(service_time_ms(&sample), self.services[place].target_ms);
+            }
         }
         all
     }
 
-    fn summarize(&self, mut all: BTreeMap<ServiceId, OfService>) -> Vec<ServiceSummary> {
-        let summary = |(service, target_ms, is_flow): &(ServiceId, f64, bool)| {
-            let its = match all.remove(service) {
-                None if !is_flow => return None,
-                its => its.unwrap_or_default(),
-            };
-            Some(ServiceSummary {
-                service: service.clone(),
-                samples: its.samples,
-                unanswered: its.samples - its.answered.len(),
-                service_time_target_ms: *target_ms,
-                above_target: (its.samples > 0).then(|| its.above(*target_ms) as f64 / its.samples as f64),
-                service_time_ms: Quantiles::of(its.answered),
-            })
+    fn summarize(&self, by_service: Vec<Times>) -> Vec<ServiceSummary> {
+        let summary = |(its, times): (&Served, Times)| ServiceSummary {
+            robot: its.robot.clone(),
+            service: its.service.clone(),
+            samples: times.samples,
+            unanswered: times.unanswered(),
+            service_time_target_ms: its.target_ms,
+            above_target: times.above_target(),
+            service_time_ms: Quantiles::of(times.answered),
         };
-        self.services.iter().filter_map(summary).collect()
+        self.services.iter().zip(by_service).map(summary).collect()
+    }
+
+    fn robots(&self, by_service: &[Times]) -> Vec<RobotSummary> {
+        let summary = |robot: &NodeId| {
+            let its = self.services.iter().zip(by_service).filter(|(its, _)| its.robot == *robot);
+            let times = Times::merged(its.map(|(_, times)| times));
+            let gaps = self.handovers.iter().filter(|handover| handover.robot == *robot);
+            let gaps: Vec<_> = gaps.map(|handover| handover.gap_ms).collect();
+            RobotSummary {
+                robot: robot.clone(),
+                samples: times.samples,
+                unanswered: times.unanswered(),
+                above_target: times.above_target(),
+                handovers: gaps.len(),
+                handover_gap_ms: Quantiles::of(gaps),
+            }
+        };
+        self.robot_ids.iter().map(summary).collect()
     }
 
     /// Returns the summary of a run that ended at `end`.
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let by_service = self.by_service();
-        let answered: Vec<f64> = by_service.values().flat_map(|its| &its.answered).copied().collect();
-        let above = || {
-            let of =
-                |(id, target_ms, _): &(ServiceId, f64, bool)| Some(by_service.get(id)?.above(*target_ms));
-            let above: usize = self.services.iter().filter_map(of).sum();
-            above as f64 / self.samples.len() as f64
-        };
-        let above_target = (!self.services.is_empty() && !self.samples.is_empty()).then(above);
+        let whole = Times::merged(&by_service);
         Summary {
             name: self.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
             seed: self.seed,
             duration_ms: millis::of(end.since(Timestamp::ZERO)),
             ended,
-            samples: self.samples.len(),
-            unanswered: self.samples.len() - answered.len(),
+            samples: whole.samples,
+            unanswered: whole.unanswered(),
             service_time_target_ms: self.service_time_target_ms(),
-            above_target,
-            service_time_ms: Quantiles::of(answered),
+            above_target: whole.above_target(),
+            service_time_ms: Quantiles::of(whole.answered),
+            robots: self.robots(&by_service),
             services: self.summarize(by_service),
             regions: self.regions(),
             handovers: self.handovers.clone(),
@@ -573,21 +588,6 @@ impl Report {
     }
 }
 
-/// The samples of a service.
-#[derive(Debug, Default)]
-struct OfService {
-    samples: usize,
-    /// Service times of the answered samples, milliseconds.
-    answered: Vec<f64>,
-}
-
-impl OfService {
-    /// Returns the number of samples above the target. Unanswered ones count as above it.
-    fn above(&self, target_ms: f64) -> usize {
-        self.samples - self.answered.iter().filter(|ms| **ms <= target_ms).count()
-    }
-}
-
 /// Returns a sample's service time in milliseconds.
 pub fn service_time_ms(sample: &ServiceTime) -> Option<f64> {
     sample.took.map(millis::of)
@@ -595,8 +595,12 @@ pub fn service_time_ms(sample: &ServiceTime) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::{path::Path, time::Duration};
+
+    use cotorra_graph::Handover;
+    use proptest::{collection::vec, option, prelude::*};
+
+    use super::*;
 
     fn sample(sequence: u32, attachment: &str, service_time_ms: Option<u64>) -> Stamped {
         let emitted = Timestamp::from_secs_f64(f64::from(sequence));
@@ -612,30 +616,78 @@ mod tests {
         Stamped { at: emitted, event }
     }
 
+    /// Returns a report on two robots. The first has the services `navigation` and `detect`, the second has `watch`.
     fn report() -> Report {
-        let text = "name: test\nnodes: { a: { kind: switch } }\n";
-        let testbed = cotorra_testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
-        let services = [("navigation", 15.0, false), ("detect", 100.0, true)];
-        let services = services.map(|(id, target_ms, is_flow)| (id.parse().unwrap(), target_ms, is_flow));
-        Report { services: services.into(), ..Report::new(&testbed, 1) }
+        let robots = ["robot", "other"].map(|robot| format!("{robot}: {{ kind: robot, position: [0, 0] }}"));
+        let text = format!("name: test\nwireless: {{ lab: {{}} }}\nnodes: {{ {} }}\n", robots.join(", "));
+        let testbed = cotorra_testbed_file::parse("test.yaml", &text, Path::new("")).unwrap();
+        let served = |(service, robot, target_ms): (&str, &str, f64)| {
+            let (service, robot) = (service.parse().unwrap(), robot.parse().unwrap());
+            Served { service, robot, target_ms }
+        };
+        let services = [("navigation", "robot", 15.0), ("detect", "robot", 100.0), ("watch", "other", 30.0)];
+        Report { services: services.map(served).into(), ..Report::new(&testbed, 1) }
     }
 
-    #[test]
-    fn quantiles_interpolate_between_ranks() {
-        let q = Quantiles::of((1..=5).map(f64::from).collect()).unwrap();
-        assert_eq!((q.p50, q.p95, q.max), (3.0, 4.8, 5.0));
-        assert_eq!(Quantiles::of(Vec::new()), None);
+    fn of_service(service: &ServiceSummary, stamped: Stamped) -> Stamped {
+        let Event::ServiceTime(sample) = stamped.event else { panic!() };
+        let (service, robot) = (service.service.clone(), service.robot.clone());
+        Stamped { event: Event::ServiceTime(ServiceTime { service, robot, ..sample }), ..stamped }
     }
 
-    #[test]
-    fn an_unanswered_sample_is_above_any_target() {
-        let mut report = report();
-        for (i, took) in [Some(10), Some(16), None, Some(14)].into_iter().enumerate() {
-            report.absorb(&sample(i as u32, "R1", took));
+    proptest! {
+        #[test]
+        fn the_whole_is_the_sum_of_robots_and_these_of_services(
+            samples in vec((0..3_usize, option::of(0..200_u64)), 0..80),
+            handovers in vec((0..2_usize, 0..500_u64), 0..10),
+        ) {
+            let mut report = report();
+            let services = report.services();
+            for (number, (service, took)) in samples.iter().enumerate() {
+                report.absorb(&of_service(&services[*service], sample(number as u32, "R1", *took)));
+            }
+            for (robot, gap) in &handovers {
+                let [robot, to] = [["robot", "other"][*robot], "R2"].map(|id| id.parse().unwrap());
+                let gap = Duration::from_millis(*gap);
+                let event = Event::Handover(Handover { robot, from: None, to, gap, fast: false });
+                report.absorb(&Stamped { at: Timestamp::ZERO, event });
+            }
+            let summary = report.summary(Timestamp::from_secs_f64(99.0), "finished", Losses::default());
+            let above = |samples: usize, share: Option<f64>| (share.unwrap_or(0.0) * samples as f64).round() as usize;
+            let whole = [summary.samples, summary.unanswered, above(summary.samples, summary.above_target)];
+            let sum = |parts: Vec<[usize; 3]>| parts.iter().fold([0; 3], |all, its| [0, 1, 2].map(|i| all[i] + its[i]));
+            let of_service = |s: &ServiceSummary| [s.samples, s.unanswered, above(s.samples, s.above_target)];
+            let of_robot = |r: &RobotSummary| [r.samples, r.unanswered, above(r.samples, r.above_target)];
+            prop_assert_eq!(whole[0], samples.len());
+            prop_assert_eq!(sum(summary.services.iter().map(of_service).collect()), whole);
+            prop_assert_eq!(sum(summary.robots.iter().map(of_robot).collect()), whole);
+            for robot in &summary.robots {
+                let its = summary.services.iter().filter(|service| service.robot == robot.robot);
+                prop_assert_eq!(sum(its.map(of_service).collect()), of_robot(robot));
+            }
+            let max = |times: Option<Quantiles>| times.map_or(0.0, |times| times.max);
+            let highest = summary.services.iter().map(|service| max(service.service_time_ms)).fold(0.0, f64::max);
+            prop_assert_eq!(max(summary.service_time_ms), highest);
+            let all = Quantiles::of(samples.iter().filter_map(|(_, took)| Some((*took)? as f64)).collect());
+            prop_assert_eq!(summary.service_time_ms, all);
+            prop_assert_eq!(summary.robots.iter().map(|robot| robot.handovers).sum::<usize>(), handovers.len());
+            let longest = handovers.iter().map(|(_, gap)| *gap as f64).fold(0.0, f64::max);
+            let gaps = summary.robots.iter().map(|robot| max(robot.handover_gap_ms));
+            prop_assert_eq!(gaps.fold(0.0, f64::max), longest);
         }
-        let summary = report.summary(Timestamp::from_secs_f64(4.0), "finished", Losses::default());
-        assert_eq!((summary.samples, summary.unanswered, summary.above_target), (4, 1, Some(0.5)));
-        assert_eq!(summary.service_time_ms.unwrap().max, 16.0);
+    }
+
+    #[test]
+    fn robots_and_services_without_samples_are_reported_by_name() {
+        let mut report = report();
+        report.absorb(&sample(0, "R1", Some(10)));
+        let summary = report.summary(Timestamp::ZERO, "finished", Losses::default());
+        let services: Vec<_> =
+            summary.services.iter().map(|s| (s.robot.as_str(), s.service.as_str(), s.samples)).collect();
+        assert_eq!(services, [("robot", "navigation", 1), ("robot", "detect", 0), ("other", "watch", 0)]);
+        let robots: Vec<_> =
+            summary.robots.iter().map(|r| (r.robot.as_str(), r.samples, r.above_target)).collect();
+        assert_eq!(robots, [("robot", 1, Some(0.0)), ("other", 0, None)]);
     }
 
     #[test]
@@ -647,9 +699,8 @@ mod tests {
         let none = &report.services()[1];
         assert_eq!((none.samples, none.above_target, none.service_time_ms), (0, None, None));
         for (i, took) in [Some(90), None, Some(80)].into_iter().enumerate() {
-            let mut stamped = sample(i as u32, "R1", took);
+            let mut stamped = of_service(none, sample(i as u32, "R1", took));
             if let Event::ServiceTime(sample) = &mut stamped.event {
-                sample.service = "detect".parse().unwrap();
                 sample.server = "edge".parse().unwrap();
             }
             report.absorb(&stamped);
@@ -666,7 +717,7 @@ mod tests {
                 s.service_time_ms.unwrap().max,
             )
         };
-        let services: Vec<_> = summary.services.iter().map(plain).collect();
+        let services: Vec<_> = summary.services[..2].iter().map(plain).collect();
         assert_eq!(services, [(2, 0, 15.0, Some(0.5), 16.0), (3, 1, 100.0, Some(1.0 / 3.0), 90.0)]);
         let regions: Vec<_> =
             summary.regions.iter().map(|r| (r.service.as_str(), r.server.as_str(), r.samples)).collect();

@@ -1,0 +1,104 @@
+//! Tables of a run's services: exact for programs, rounded for readers.
+
+use super::{
+    summary::{ServiceSummary, Summary},
+    table::DataTable,
+    times::Quantiles,
+};
+
+/// Returns a row for each service, with the names of `summary.json` and all digits.
+pub(super) fn exact(services: &[ServiceSummary]) -> DataTable {
+    let mut table = DataTable::new([
+        "robot",
+        "service",
+        "service_time_target_ms",
+        "samples",
+        "unanswered",
+        "above_target",
+        "service_time_p50_ms",
+        "service_time_p95_ms",
+        "service_time_p99_ms",
+        "service_time_max_ms",
+    ]);
+    for its in services {
+        let names = [its.robot.to_string(), its.service.to_string(), its.service_time_target_ms.to_string()];
+        let counts = [its.samples.to_string(), its.unanswered.to_string(), or_empty(its.above_target)];
+        let times = quantiles(its.service_time_ms).map(or_empty);
+        table.row(names.into_iter().chain(counts).chain(times));
+    }
+    table
+}
+
+/// Returns a row for each service, rounded for readers.
+pub fn by_service(services: &[ServiceSummary]) -> DataTable {
+    let heads = ["robot", "service", "target (ms)", "samples", "unanswered", "kept (%)"];
+    let quantiles = ["median (ms)", "p95 (ms)", "p99 (ms)", "max (ms)"];
+    let mut table = DataTable::new(heads.into_iter().chain(quantiles)).right_after(2);
+    for its in services {
+        let names = [its.robot.to_string(), its.service.to_string(), its.service_time_target_ms.to_string()];
+        let figures = figures(its.samples, its.unanswered, its.above_target, its.service_time_ms);
+        table.row(names.into_iter().chain(figures));
+    }
+    table
+}
+
+impl Summary {
+    /// Returns a row for each service, rounded for readers. Several services also have a row for all together.
+    pub fn by_service(&self) -> DataTable {
+        let mut table = by_service(&self.services);
+        if self.services.len() > 1 {
+            let figures = figures(self.samples, self.unanswered, self.above_target, self.service_time_ms);
+            table.row(["all", "", ""].map(str::to_owned).into_iter().chain(figures));
+        }
+        table
+    }
+}
+
+fn figures(
+    samples: usize,
+    unanswered: usize,
+    above_target: Option<f64>,
+    times: Option<Quantiles>,
+) -> impl Iterator<Item = String> {
+    let rounded = |figure: Option<f64>| figure.map_or("-".to_owned(), |figure| format!("{figure:.2}"));
+    let kept = above_target.map(|above| (1.0 - above) * 100.0);
+    let figures = [kept].into_iter().chain(quantiles(times)).map(rounded);
+    [samples.to_string(), unanswered.to_string()].into_iter().chain(figures)
+}
+
+fn quantiles(times: Option<Quantiles>) -> [Option<f64>; 4] {
+    times.map_or([None; 4], |Quantiles { p50, p95, p99, max }| [p50, p95, p99, max].map(Some))
+}
+
+fn or_empty(figure: Option<f64>) -> String {
+    figure.map(|figure| figure.to_string()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn services() -> [ServiceSummary; 2] {
+        let service = |robot: &str, samples: usize| ServiceSummary {
+            robot: robot.parse().unwrap(),
+            service: "navigation".parse().unwrap(),
+            samples,
+            unanswered: samples / 4,
+            service_time_target_ms: 15.0,
+            above_target: (samples > 0).then_some(0.25),
+            service_time_ms: Quantiles::of(vec![10.0; samples]),
+        };
+        [service("r1", 4), service("r2", 0)]
+    }
+
+    #[test]
+    fn services_without_samples_have_a_row_without_figures() {
+        let (exact, rounded) = (exact(&services()), by_service(&services()));
+        let [_, first, second] = exact.rows() else { panic!() };
+        assert_eq!(first.join(","), "r1,navigation,15,4,1,0.25,10,10,10,10");
+        assert_eq!(second.join(","), "r2,navigation,15,0,0,,,,,");
+        let [_, first, second] = rounded.rows() else { panic!() };
+        assert_eq!(first.join(" "), "r1 navigation 15 4 1 75.00 10.00 10.00 10.00 10.00");
+        assert_eq!(second.join(" "), "r2 navigation 15 0 0 - - - - -");
+    }
+}

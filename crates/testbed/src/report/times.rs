@@ -1,0 +1,89 @@
+//! Statistics of service times: those of one service, and of several together.
+
+use serde::Serialize;
+
+/// Quantiles by linear interpolation between closest ranks.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Quantiles {
+    /// Median.
+    pub p50: f64,
+    /// 95th percentile.
+    pub p95: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Maximum.
+    pub max: f64,
+}
+
+impl Quantiles {
+    /// Returns the quantiles of these values; `None` without values.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_by(f64::total_cmp);
+        let max = *values.last()?;
+        let at = |q: f64| {
+            let rank = q * (values.len() - 1) as f64;
+            let (low, high) = (values[rank.floor() as usize], values[rank.ceil() as usize]);
+            low + (high - low) * rank.fract()
+        };
+        Some(Self { p50: at(0.5), p95: at(0.95), p99: at(0.99), max })
+    }
+}
+
+/// Gathered service times.
+#[derive(Debug, Default)]
+pub(super) struct Times {
+    pub samples: usize,
+    /// Number of samples above the target of their service. Unanswered ones count as above it.
+    pub above: usize,
+    /// Service times of the answered samples, milliseconds.
+    pub answered: Vec<f64>,
+}
+
+impl Times {
+    pub fn add(&mut self, service_time_ms: Option<f64>, target_ms: f64) {
+        self.samples += 1;
+        self.above += usize::from(service_time_ms.is_none_or(|ms| ms > target_ms));
+        self.answered.extend(service_time_ms);
+    }
+
+    /// Returns the times of several services together. Each sample keeps the target of its service.
+    pub fn merged<'a>(of: impl IntoIterator<Item = &'a Self>) -> Self {
+        of.into_iter().fold(Self::default(), |mut all, its| {
+            all.samples += its.samples;
+            all.above += its.above;
+            all.answered.extend(&its.answered);
+            all
+        })
+    }
+
+    pub fn unanswered(&self) -> usize {
+        self.samples - self.answered.len()
+    }
+
+    /// Returns the share above the target; `None` without samples.
+    pub fn above_target(&self) -> Option<f64> {
+        (self.samples > 0).then(|| self.above as f64 / self.samples as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_interpolate_between_ranks() {
+        let q = Quantiles::of((1..=5).map(f64::from).collect()).unwrap();
+        assert_eq!((q.p50, q.p95, q.max), (3.0, 4.8, 5.0));
+        assert_eq!(Quantiles::of(Vec::new()), None);
+    }
+
+    #[test]
+    fn an_unanswered_sample_is_above_any_target_and_one_at_the_target_is_not() {
+        let mut times = Times::default();
+        assert_eq!(times.above_target(), None);
+        for took in [Some(15.0), Some(15.1), None, Some(1.0)] {
+            times.add(took, 15.0);
+        }
+        assert_eq!((times.samples, times.unanswered(), times.above_target()), (4, 1, Some(0.5)));
+    }
+}
