@@ -1,6 +1,7 @@
 //! `cotorra sweep`: many runs in virtual time, with progress and a summary.
 
 use std::{
+    collections::BTreeSet,
     fs,
     num::NonZero,
     path::{Path, PathBuf},
@@ -10,7 +11,9 @@ use std::{
 };
 
 use clap::Args;
-use cotorra_experiments::sweep::{Axis, Cell, FILES, Interval, Runs, Sweep, SweepError, SweepFolder};
+use cotorra_experiments::sweep::{
+    Axis, Cell, FILES, Interval, Runs, ServiceCell, Sweep, SweepError, SweepFolder,
+};
 use cotorra_testbed::FolderError;
 
 use crate::{
@@ -30,7 +33,9 @@ use crate::{
 ///
 /// Each run is saved as soon as it is done. If a sweep is stopped, the same command resumes it. The command with more
 /// values or seeds adds to it. A sweep leaves runs.csv (a row for each run), cells.csv (a row for each combination: means
-/// and 95 % confidence intervals), regions.csv (a row for each radio unit and server of a run) and sweep.svg.
+/// and 95 % confidence intervals), regions.csv (a row for each radio unit and server of a run) and sweep.svg. services.csv
+/// has a row for each robot and service of a run, service_cells.csv one for those of a combination, with means and
+/// intervals, and service_cells.tex is the same for a paper, in LaTeX.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -166,15 +171,36 @@ fn describe(sweep: &Sweep, runs: &Runs, folder: &Path) -> String {
     if cells.len() > LISTED {
         text += &format!("  and {} more in cells.csv\n", cells.len() - LISTED);
     }
+    text += &services(sweep, &cells);
     if runs.done.len() < runs.total {
         text += "\nThe sweep was stopped; the same command resumes it.\n";
     }
     text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
 }
 
-/// `11.21 ± 0.02`.
+/// Returns the table of each robot and service, if several have samples. Names those that have none in any run.
+fn services(sweep: &Sweep, cells: &[Cell]) -> String {
+    let mut text = String::new();
+    let all = || cells.iter().flat_map(|cell| &cell.services);
+    let name = |its: &ServiceCell| format!("{} of {}", its.service, its.robot);
+    let measured: BTreeSet<_> = all().filter(|its| its.runs > 0).map(name).collect();
+    if measured.len() > 1 {
+        let by_service = sweep.by_service(cells);
+        let listed = &by_service.rows()[..by_service.rows().len().min(LISTED + 1)];
+        text += &format!("\n{}", Table::of(listed, sweep.axes().len() + 2).render("  "));
+        if by_service.rows().len() > LISTED + 1 {
+            let more = by_service.rows().len() - LISTED - 1;
+            text += &format!("  and {more} more in service_cells.csv\n");
+        }
+    }
+    let without: BTreeSet<_> = all().map(name).filter(|name| !measured.contains(name)).collect();
+    if !without.is_empty() {
+        let names: Vec<_> = without.into_iter().collect();
+        text += &format!("\nwithout samples: {}\n", names.join(", "));
+    }
+    text
+}
+
 fn interval(interval: Option<Interval>, factor: f64) -> String {
-    let Some(Interval { mean, high, .. }) = interval else { return "-".to_owned() };
-    let half = high.map(|high| format!(" ± {:.2}", (high - mean) * factor)).unwrap_or_default();
-    format!("{:.2}{half}", mean * factor)
+    interval.map_or("-".to_owned(), |interval| interval.times(factor))
 }

@@ -21,6 +21,12 @@ impl Table {
         self.rows.push(cells.into_iter().map(Into::into).collect());
     }
 
+    /// Creates a table for a terminal. All columns after the first `left` are aligned to the right.
+    pub fn of(data: &[Vec<String>], left: usize) -> Self {
+        let right = (0..data.first().map_or(0, Vec::len)).map(|column| column >= left).collect();
+        Self { right, rows: data.to_vec() }
+    }
+
     /// Renders the lines, each prefixed with `indent`.
     pub fn render(&self, indent: &str) -> String {
         let width = |column: usize| {

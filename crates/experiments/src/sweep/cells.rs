@@ -1,9 +1,10 @@
 //! Statistics over the runs of one combination.
 
+use cotorra_graph::{NodeId, ServiceId};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::Measured;
+use super::measured::{Measured, MeasuredService};
 
 /// A combination of values, and the statistics over its runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -14,6 +15,8 @@ pub struct Cell {
     pub runs: usize,
     /// The runs' median service times, ms.
     pub service_time_p50_ms: Option<Interval>,
+    /// The runs' 95th percentiles of the service time, ms.
+    pub service_time_p95_ms: Option<Interval>,
     /// The runs' 99th percentiles of the service time, ms.
     pub service_time_p99_ms: Option<Interval>,
     /// The runs' shares of samples above the target.
@@ -26,6 +29,29 @@ pub struct Cell {
     pub blind_m: Option<Interval>,
     /// The runs' longest blind stretches, m.
     pub longest_blind_m: Option<Interval>,
+    /// Each service, in the file's order.
+    pub services: Vec<ServiceCell>,
+}
+
+/// Statistics of a robot's service over the runs of a combination.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ServiceCell {
+    pub robot: NodeId,
+    pub service: ServiceId,
+    /// Number of runs with samples of the service.
+    pub runs: usize,
+    /// Target, ms.
+    pub service_time_target_ms: f64,
+    /// The runs' median service times, ms.
+    pub service_time_p50_ms: Option<Interval>,
+    /// The runs' 95th percentiles of the service time, ms.
+    pub service_time_p95_ms: Option<Interval>,
+    /// The runs' 99th percentiles of the service time, ms.
+    pub service_time_p99_ms: Option<Interval>,
+    /// The runs' shares of samples above the target.
+    pub above_target: Option<Interval>,
+    /// The runs' numbers of samples without an answer.
+    pub unanswered: Option<Interval>,
 }
 
 /// A mean over runs and its 95 % confidence interval, by Student's t distribution.
@@ -53,6 +79,12 @@ impl Interval {
         let half = t * (variance / n).sqrt();
         Some(Self { mean, low: Some(mean - half), high: Some(mean + half) })
     }
+
+    /// Returns the interval in another unit, as `11.21 ± 0.02`.
+    pub fn times(self, factor: f64) -> String {
+        let half = self.high.map(|high| format!(" ± {:.2}", (high - self.mean) * factor)).unwrap_or_default();
+        format!("{:.2}{half}", self.mean * factor)
+    }
 }
 
 impl Cell {
@@ -64,25 +96,75 @@ impl Cell {
             values,
             runs: runs.len(),
             service_time_p50_ms: over(|run| run.service_time_p50_ms),
+            service_time_p95_ms: over(|run| run.service_time_p95_ms),
             service_time_p99_ms: over(|run| run.service_time_p99_ms),
             above_target: over(|run| run.above_target),
             handovers: over(|run| Some(run.handovers as f64)),
             duration_ms: over(|run| Some(run.duration_ms)),
             blind_m: over(|run| Some(run.blind_m)),
             longest_blind_m: over(|run| Some(run.longest_blind_m)),
+            services: ServiceCell::all(runs),
         }
     }
 
     /// Returns the intervals by the names of the table's columns.
-    pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 7] {
+    pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 8] {
         [
             ("service_time_p50_ms", self.service_time_p50_ms),
+            ("service_time_p95_ms", self.service_time_p95_ms),
             ("service_time_p99_ms", self.service_time_p99_ms),
             ("above_target", self.above_target),
             ("handovers", self.handovers),
             ("duration_ms", self.duration_ms),
             ("blind_m", self.blind_m),
             ("longest_blind_m", self.longest_blind_m),
+        ]
+    }
+}
+
+impl ServiceCell {
+    /// Returns the services of all these runs, each where it first stands.
+    fn all(runs: &[&Measured]) -> Vec<Self> {
+        let mut services: Vec<Vec<&MeasuredService>> = Vec::new();
+        for its in runs.iter().flat_map(|run| &run.services) {
+            let is_same = |others: &&mut Vec<&MeasuredService>| {
+                others[0].service == its.service && others[0].robot == its.robot
+            };
+            match services.iter_mut().find(is_same) {
+                Some(others) => others.push(its),
+                None => services.push(vec![its]),
+            }
+        }
+        services.iter().map(|runs| Self::of(runs)).collect()
+    }
+
+    /// Returns the statistics of one service over its runs, of which there is at least one.
+    fn of(runs: &[&MeasuredService]) -> Self {
+        let measured = || runs.iter().filter(|its| its.samples > 0);
+        let over = |figure: fn(&MeasuredService) -> Option<f64>| {
+            Interval::of(&measured().filter_map(|its| figure(its)).collect::<Vec<_>>())
+        };
+        Self {
+            robot: runs[0].robot.clone(),
+            service: runs[0].service.clone(),
+            runs: measured().count(),
+            service_time_target_ms: runs[0].service_time_target_ms,
+            service_time_p50_ms: over(|its| its.service_time_p50_ms),
+            service_time_p95_ms: over(|its| its.service_time_p95_ms),
+            service_time_p99_ms: over(|its| its.service_time_p99_ms),
+            above_target: over(|its| its.above_target),
+            unanswered: over(|its| Some(its.unanswered as f64)),
+        }
+    }
+
+    /// Returns the intervals by the names of the table's columns.
+    pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 5] {
+        [
+            ("service_time_p50_ms", self.service_time_p50_ms),
+            ("service_time_p95_ms", self.service_time_p95_ms),
+            ("service_time_p99_ms", self.service_time_p99_ms),
+            ("above_target", self.above_target),
+            ("unanswered", self.unanswered),
         ]
     }
 }
@@ -101,4 +183,60 @@ mod tests {
         assert_eq!(Interval::of(&[7.0]), Some(Interval { mean: 7.0, low: None, high: None }));
         assert_eq!(Interval::of(&[]), None);
     }
+
+    #[test]
+    fn intervals_are_written_with_half_their_width() {
+        let interval = Interval { mean: 0.125, low: Some(0.12), high: Some(0.13) };
+        assert_eq!(interval.times(100.0), "12.50 ± 0.50");
+        assert_eq!(Interval { low: None, high: None, ..interval }.times(1.0), "0.12");
+    }
+
+    #[test]
+    fn each_service_has_the_interval_of_its_own_runs() {
+        let service = |robot: &str, median: Option<f64>| MeasuredService {
+            robot: robot.parse().unwrap(),
+            service: format!("navigation-{robot}").parse().unwrap(),
+            service_time_target_ms: 15.0,
+            samples: if median.is_some() { 10 } else { 0 },
+            unanswered: 0,
+            above_target: median.map(|ms| if ms > 15.0 { 1.0 } else { 0.0 }),
+            service_time_p50_ms: median,
+            service_time_p95_ms: median,
+            service_time_p99_ms: median,
+            service_time_max_ms: median,
+        };
+        let [first, second] = [(10.0, Some(20.0)), (12.0, None)]
+            .map(|(r1, r2)| [service("r1", Some(r1)), service("r2", r2), service("r3", None)]);
+        let [first, second] = [first, second].map(|services| Measured { services: services.into(), ..EMPTY });
+        let services = ServiceCell::all(&[&first, &second]);
+        assert_eq!(
+            services.iter().map(|its| (its.robot.as_str(), its.runs)).collect::<Vec<_>>(),
+            [("r1", 2), ("r2", 1), ("r3", 0)]
+        );
+        assert_eq!(services[0].service_time_p50_ms, Interval::of(&[10.0, 12.0]));
+        assert_eq!(services[1].above_target, Interval::of(&[1.0]));
+        assert_eq!((services[2].service_time_p99_ms, services[2].unanswered), (None, None));
+    }
+
+    const EMPTY: Measured = Measured {
+        duration_ms: 0.0,
+        walked: true,
+        samples: 0,
+        unanswered: 0,
+        above_target: None,
+        service_time_p50_ms: None,
+        service_time_p95_ms: None,
+        service_time_p99_ms: None,
+        service_time_max_ms: None,
+        handovers: 0,
+        handover_gap_p50_ms: None,
+        handover_gap_max_ms: None,
+        migrations: 0,
+        plugin_faults: 0,
+        driven_m: 0.0,
+        blind_m: 0.0,
+        longest_blind_m: 0.0,
+        services: Vec::new(),
+        regions: Vec::new(),
+    };
 }

@@ -2,19 +2,27 @@
 
 use std::{
     collections::HashMap,
-    fmt::Write as _,
     fs::{self, File},
     io::{self, BufRead, BufReader, Write as _},
     path::{Path, PathBuf},
 };
 
-use cotorra_testbed::{FolderError, write_file};
+use cotorra_testbed::{DataTable, FolderError, write_file};
 use serde::{Deserialize, Serialize};
 
-use super::{Interval, Measured, Runs, Sweep, figure};
+use super::{Measured, Runs, Sweep, figure, tables};
 
-/// Files that [`SweepFolder::write`] makes: a row per run, a row per combination, a row per region of a run, and the plot.
-pub const FILES: [&str; 4] = ["runs.csv", "cells.csv", "regions.csv", "sweep.svg"];
+/// Files that [`SweepFolder::write`] makes: a row per run, a row per combination, a row per region of a run, and the plot;
+/// a row per service of a run, a row per service of a combination, and the latter for papers.
+pub const FILES: [&str; 7] = [
+    "runs.csv",
+    "cells.csv",
+    "regions.csv",
+    "sweep.svg",
+    "services.csv",
+    "service_cells.csv",
+    "service_cells.tex",
+];
 
 const JOURNAL: &str = "journal.jsonl";
 
@@ -108,101 +116,14 @@ impl SweepFolder {
     /// [`FolderError`].
     pub fn write(&self, sweep: &Sweep, runs: &Runs) -> Result<(), FolderError> {
         let cells = sweep.cells(runs);
-        let [of_runs, of_cells, of_regions, plot] = FILES;
-        write_file(&self.path, of_runs, &runs_csv(sweep, runs))?;
-        write_file(&self.path, of_cells, &cells_csv(sweep, &cells))?;
-        write_file(&self.path, of_regions, &regions_csv(sweep, runs))?;
+        let [of_runs, of_cells, of_regions, plot, of_services, of_service_cells, for_papers] = FILES;
+        let csv = |name, table: DataTable| write_file(&self.path, name, &table.to_csv());
+        csv(of_runs, tables::runs(sweep, runs))?;
+        csv(of_cells, tables::cells(sweep, &cells))?;
+        csv(of_regions, tables::regions(sweep, runs))?;
+        csv(of_services, tables::services(sweep, runs))?;
+        csv(of_service_cells, tables::service_cells(sweep, &cells))?;
+        write_file(&self.path, for_papers, &tables::by_service(sweep, &cells).to_latex())?;
         write_file(&self.path, plot, &figure::draw(sweep, &cells))
-    }
-}
-
-fn runs_csv(sweep: &Sweep, runs: &Runs) -> String {
-    let mut text = heads(sweep);
-    text += "seed";
-    for (name, _) in runs.done.first().iter().flat_map(|done| done.measured.figures()) {
-        text += &format!(",{name}");
-    }
-    text.push('\n');
-    for done in &runs.done {
-        values(&mut text, &done.point.values);
-        text += &done.point.seed.to_string();
-        for (_, figure) in done.measured.figures() {
-            push(&mut text, figure);
-        }
-        text.push('\n');
-    }
-    text
-}
-
-fn cells_csv(sweep: &Sweep, cells: &[super::Cell]) -> String {
-    let mut text = heads(sweep);
-    text += "runs";
-    for (name, _) in cells.first().iter().flat_map(|cell| cell.intervals()) {
-        text += &format!(",{name},{name}_low,{name}_high");
-    }
-    text.push('\n');
-    for cell in cells {
-        values(&mut text, &cell.values);
-        text += &cell.runs.to_string();
-        for (_, interval) in cell.intervals() {
-            let Interval { mean, low, high } =
-                interval.unwrap_or(Interval { mean: f64::NAN, low: None, high: None });
-            for figure in [Some(mean).filter(|mean| !mean.is_nan()), low, high] {
-                push(&mut text, figure);
-            }
-        }
-        text.push('\n');
-    }
-    text
-}
-
-fn regions_csv(sweep: &Sweep, runs: &Runs) -> String {
-    let mut text = heads(sweep);
-    text += "seed,robot,attachment,server,from_ns,until_ns,samples,service_time_p50_ms\n";
-    for done in &runs.done {
-        for region in &done.measured.regions {
-            values(&mut text, &done.point.values);
-            let attachment = region.attachment.as_ref().map_or("", |attachment| attachment.as_str());
-            let fixed = write!(
-                text,
-                "{},{},{attachment},{},{},{},{}",
-                done.point.seed,
-                region.robot,
-                region.server,
-                region.from.as_nanos(),
-                region.until.as_nanos(),
-                region.samples
-            );
-            fixed.expect("writing into a string cannot fail");
-            push(&mut text, region.service_time_p50_ms);
-            text.push('\n');
-        }
-    }
-    text
-}
-
-fn heads(sweep: &Sweep) -> String {
-    let mut text = String::new();
-    values(&mut text, &sweep.axes().iter().map(|axis| axis.path().to_owned()).collect::<Vec<_>>());
-    text
-}
-
-/// Appends fields, each followed by a comma, quoted where necessary (RFC 4180, 2).
-fn values(text: &mut String, values: &[String]) {
-    for value in values {
-        if value.contains(['"', ',', '\n', '\r']) {
-            *text += &format!("\"{}\",", value.replace('"', "\"\""));
-        } else {
-            *text += &format!("{value},");
-        }
-    }
-}
-
-/// Appends a comma and the figure, if there is one.
-fn push(text: &mut String, figure: Option<f64>) {
-    text.push(',');
-    if let Some(figure) = figure {
-        // Nanosecond resolution for figures in milliseconds.
-        *text += &format!("{}", (figure * 1e6).round() / 1e6);
     }
 }

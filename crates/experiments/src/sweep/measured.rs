@@ -1,7 +1,7 @@
 //! Results of one run of a sweep.
 
-use cotorra_graph::{NodeId, Timestamp};
-use cotorra_testbed::{Quantiles, RegionSummary, Summary};
+use cotorra_graph::{NodeId, ServiceId, Timestamp};
+use cotorra_testbed::{Quantiles, RegionSummary, ServiceSummary, Summary};
 use serde::{Deserialize, Serialize};
 
 /// The results of a run.
@@ -41,8 +41,33 @@ pub struct Measured {
     pub blind_m: f64,
     /// Longest blind stretch of any robot, metres.
     pub longest_blind_m: f64,
+    /// Service times of each service.
+    pub services: Vec<MeasuredService>,
     /// Stretches with one attachment and one server.
     pub regions: Vec<Region>,
+}
+
+/// The service times of a robot's service in a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredService {
+    pub robot: NodeId,
+    pub service: ServiceId,
+    /// Target, ms.
+    pub service_time_target_ms: f64,
+    /// Number of service times, unanswered ones included.
+    pub samples: usize,
+    /// Number of unanswered ones.
+    pub unanswered: usize,
+    /// Share of samples above the target; `None` without samples.
+    pub above_target: Option<f64>,
+    /// Median service time, ms.
+    pub service_time_p50_ms: Option<f64>,
+    /// 95th percentile of the service time, ms.
+    pub service_time_p95_ms: Option<f64>,
+    /// 99th percentile of the service time, ms.
+    pub service_time_p99_ms: Option<f64>,
+    /// Longest service time, ms.
+    pub service_time_max_ms: Option<f64>,
 }
 
 /// A stretch with one attachment and one server.
@@ -96,6 +121,7 @@ impl Measured {
             driven_m: summary.driving.iter().map(|driven| driven.driven_m).sum(),
             blind_m: summary.driving.iter().map(|driven| driven.blind_m).sum(),
             longest_blind_m: summary.driving.iter().map(|driven| driven.longest_blind_m).fold(0.0, f64::max),
+            services: summary.services.iter().map(MeasuredService::of).collect(),
             regions: summary.regions.iter().map(region).collect(),
         }
     }
@@ -121,6 +147,38 @@ impl Measured {
             ("driven_m", Some(self.driven_m)),
             ("blind_m", Some(self.blind_m)),
             ("longest_blind_m", Some(self.longest_blind_m)),
+        ]
+    }
+}
+
+impl MeasuredService {
+    fn of(summary: &ServiceSummary) -> Self {
+        let service_time = |of: fn(&Quantiles) -> f64| summary.service_time_ms.as_ref().map(of);
+        Self {
+            robot: summary.robot.clone(),
+            service: summary.service.clone(),
+            service_time_target_ms: summary.service_time_target_ms,
+            samples: summary.samples,
+            unanswered: summary.unanswered,
+            above_target: summary.above_target,
+            service_time_p50_ms: service_time(|q| q.p50),
+            service_time_p95_ms: service_time(|q| q.p95),
+            service_time_p99_ms: service_time(|q| q.p99),
+            service_time_max_ms: service_time(|q| q.max),
+        }
+    }
+
+    /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
+    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 8] {
+        [
+            ("service_time_target_ms", Some(self.service_time_target_ms)),
+            ("samples", Some(self.samples as f64)),
+            ("unanswered", Some(self.unanswered as f64)),
+            ("above_target", self.above_target),
+            ("service_time_p50_ms", self.service_time_p50_ms),
+            ("service_time_p95_ms", self.service_time_p95_ms),
+            ("service_time_p99_ms", self.service_time_p99_ms),
+            ("service_time_max_ms", self.service_time_max_ms),
         ]
     }
 }

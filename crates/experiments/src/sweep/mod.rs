@@ -28,6 +28,7 @@ mod cells;
 mod figure;
 mod folder;
 mod measured;
+mod tables;
 
 use std::{
     fs,
@@ -43,14 +44,16 @@ use std::{
 };
 
 use cotorra_graph::{PluginProgram, Testbed, seed};
-use cotorra_testbed::{FolderError, Options, Place, RunError, panic_text, simulate, simulate_unrecorded};
+use cotorra_testbed::{
+    DataTable, FolderError, Options, Place, RunError, panic_text, simulate, simulate_unrecorded,
+};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
     axis::{Axis, InvalidAxis},
-    cells::{Cell, Interval},
+    cells::{Cell, Interval, ServiceCell},
     folder::{FILES, SweepFolder},
-    measured::{Measured, Region},
+    measured::{Measured, MeasuredService, Region},
 };
 
 /// A testbed file, the settings to vary, and the number of seeds.
@@ -340,6 +343,12 @@ impl Sweep {
             (!measured.is_empty()).then(|| Cell::of(values, &measured))
         };
         self.combinations().into_iter().filter_map(of).collect()
+    }
+
+    /// Returns a row for each robot and service of each combination, rounded for readers, with confidence intervals.
+    /// Several services also have a row for all together.
+    pub fn by_service(&self, cells: &[Cell]) -> DataTable {
+        tables::by_service(self, cells)
     }
 }
 

@@ -1,0 +1,161 @@
+//! Tables of a sweep: tidy ones for programs, and a rounded one for readers.
+
+use cotorra_testbed::DataTable;
+
+use super::{Cell, Interval, MeasuredService, Runs, ServiceCell, Sweep};
+
+/// Returns a row for each run.
+pub(super) fn runs(sweep: &Sweep, runs: &Runs) -> DataTable {
+    let first = runs.done.first();
+    let mut table = table(sweep, ["seed"], first.map(|done| names(done.measured.figures())));
+    for done in &runs.done {
+        let figures = done.measured.figures().map(|(_, figure)| number(figure));
+        table.row(of(&done.point.values).chain([done.point.seed.to_string()]).chain(figures));
+    }
+    table
+}
+
+/// Returns a row for each combination.
+pub(super) fn cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
+    let mut table = table(sweep, ["runs"], cells.first().map(|cell| bounds(cell.intervals())));
+    for cell in cells {
+        let figures = cell.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
+        table.row(of(&cell.values).chain([cell.runs.to_string()]).chain(figures));
+    }
+    table
+}
+
+/// Returns a row for each region of each run.
+pub(super) fn regions(sweep: &Sweep, runs: &Runs) -> DataTable {
+    let heads = ["robot", "attachment", "server", "from_ns", "until_ns", "samples", "service_time_p50_ms"];
+    let mut table = table(sweep, ["seed"], Some(heads.map(str::to_owned)));
+    for done in &runs.done {
+        for region in &done.measured.regions {
+            let cells = [
+                done.point.seed.to_string(),
+                region.robot.to_string(),
+                region.attachment.as_ref().map(ToString::to_string).unwrap_or_default(),
+                region.server.to_string(),
+                region.from.as_nanos().to_string(),
+                region.until.as_nanos().to_string(),
+                region.samples.to_string(),
+                number(region.service_time_p50_ms),
+            ];
+            table.row(of(&done.point.values).chain(cells));
+        }
+    }
+    table
+}
+
+/// Returns a row for each service of each run.
+pub(super) fn services(sweep: &Sweep, runs: &Runs) -> DataTable {
+    let first = runs.done.iter().find_map(|done| done.measured.services.first());
+    let mut table = table(sweep, ["seed", "robot", "service"], first.map(|its| names(its.figures())));
+    for done in &runs.done {
+        for its in &done.measured.services {
+            let MeasuredService { robot, service, .. } = its;
+            let fixed = [done.point.seed.to_string(), robot.to_string(), service.to_string()];
+            let figures = its.figures().map(|(_, figure)| number(figure));
+            table.row(of(&done.point.values).chain(fixed).chain(figures));
+        }
+    }
+    table
+}
+
+/// Returns a row for each service of each combination.
+pub(super) fn service_cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
+    let first = cells.iter().find_map(|cell| cell.services.first());
+    let heads = ["robot", "service", "runs", "service_time_target_ms"];
+    let mut table = table(sweep, heads, first.map(|its| bounds(its.intervals())));
+    for cell in cells {
+        for its in &cell.services {
+            let ServiceCell { robot, service, runs, service_time_target_ms, .. } = its;
+            let fixed = [
+                robot.to_string(),
+                service.to_string(),
+                runs.to_string(),
+                number(Some(*service_time_target_ms)),
+            ];
+            let figures = its.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
+            table.row(of(&cell.values).chain(fixed).chain(figures));
+        }
+    }
+    table
+}
+
+/// Returns a row for each service of each combination, and one for all services together if there are several. Figures are
+/// rounded, and have half the width of their confidence interval.
+pub(super) fn by_service(sweep: &Sweep, cells: &[Cell]) -> DataTable {
+    let heads = ["runs", "target (ms)", "median (ms)", "p95 (ms)", "p99 (ms)", "kept (%)"];
+    let names = sweep.axes().iter().map(|axis| axis.path()).chain(["robot", "service"]);
+    let mut table = DataTable::new(names.chain(heads)).right_after(sweep.axes().len() + 2);
+    for cell in cells {
+        for its in &cell.services {
+            let fixed = [
+                its.robot.to_string(),
+                its.service.to_string(),
+                its.runs.to_string(),
+                its.service_time_target_ms.to_string(),
+            ];
+            let times = [its.service_time_p50_ms, its.service_time_p95_ms, its.service_time_p99_ms];
+            table
+                .row(of(&cell.values).chain(fixed).chain(times.map(rounded)).chain([kept(its.above_target)]));
+        }
+        if cell.services.len() > 1 {
+            let fixed = ["all", "", &cell.runs.to_string(), ""].map(str::to_owned);
+            let times = [cell.service_time_p50_ms, cell.service_time_p95_ms, cell.service_time_p99_ms];
+            table.row(
+                of(&cell.values).chain(fixed).chain(times.map(rounded)).chain([kept(cell.above_target)]),
+            );
+        }
+    }
+    table
+}
+
+/// Creates a table whose first columns are the axes.
+fn table<const N: usize>(
+    sweep: &Sweep,
+    heads: [&str; N],
+    figures: Option<impl IntoIterator<Item = String>>,
+) -> DataTable {
+    let axes = sweep.axes().iter().map(|axis| axis.path().to_owned());
+    DataTable::new(axes.chain(heads.map(str::to_owned)).chain(figures.into_iter().flatten()))
+}
+
+fn of(values: &[String]) -> impl Iterator<Item = String> + '_ {
+    values.iter().cloned()
+}
+
+fn names<const N: usize>(figures: [(&str, Option<f64>); N]) -> [String; N] {
+    figures.map(|(name, _)| name.to_owned())
+}
+
+/// Returns the names of the columns of intervals.
+fn bounds<const N: usize>(intervals: [(&'static str, Option<Interval>); N]) -> impl Iterator<Item = String> {
+    let names = |(name, _)| [format!("{name}"), format!("{name}_low"), format!("{name}_high")];
+    intervals.into_iter().flat_map(names)
+}
+
+/// Returns a number with nanosecond resolution, if it is in milliseconds.
+fn number(figure: Option<f64>) -> String {
+    figure.map(|figure| ((figure * 1e6).round() / 1e6).to_string()).unwrap_or_default()
+}
+
+/// Returns the mean and the bounds of an interval.
+fn numbers(interval: Option<Interval>) -> [String; 3] {
+    [interval.map(|i| i.mean), interval.and_then(|i| i.low), interval.and_then(|i| i.high)].map(number)
+}
+
+fn rounded(interval: Option<Interval>) -> String {
+    interval.map_or("-".to_owned(), |interval| interval.times(1.0))
+}
+
+/// Returns the share within the target, in percent.
+fn kept(above_target: Option<Interval>) -> String {
+    let kept = |above: Interval| Interval {
+        mean: 1.0 - above.mean,
+        low: above.high.map(|high| 1.0 - high),
+        high: above.low.map(|low| 1.0 - low),
+    };
+    above_target.map_or("-".to_owned(), |above| kept(above).times(100.0))
+}
