@@ -9,7 +9,7 @@ mod ledger_backend;
 use std::{fmt::Write as _, path::Path, time::Duration};
 
 use cotorra_graph::{DomainId, Testbed, Walk};
-use cotorra_testbed::{FolderError, Quantiles, orchestrators, write_file};
+use cotorra_testbed::{DataTable, FolderError, Quantiles, orchestrators, write_file};
 use serde::Serialize;
 
 use self::federated::BLOCKS_BETWEEN;
@@ -20,7 +20,8 @@ pub use self::{
 pub use cotorra_federation::{Access, Account, LedgerError, Network, PASSWORD};
 
 /// Files that [`Comparison::write`] makes.
-pub const FILES: [&str; 4] = ["federation.svg", "federation.md", "federation.json", "steps.csv"];
+pub const FILES: [&str; 5] =
+    ["federation.svg", "federation.md", "federation.json", "steps.csv", "federation.tex"];
 
 /// Block period of the published ledger, seconds.
 const PUBLISHED_PERIOD_S: f64 = 5.0;
@@ -64,38 +65,7 @@ impl Comparison {
     pub fn to_markdown(&self) -> String {
         let Self { how, ledger, .. } = self;
         let mut text = format!("From the announcement to the attachment ({how}, on {ledger})\n\n");
-        text += "| block period | runs | total | least | most | bound | ours beyond the blocks, median | most | vAP deployed in | \
-                 gap | without answer | lowest speed | paid for |\n|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
-        for runs in self.by_period() {
-            let all =
-                |figure: &dyn Fn(&Federated) -> f64| runs.iter().map(|run| figure(run)).collect::<Vec<_>>();
-            let most = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            let least = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
-            let totals = all(&Federated::total_s);
-            let beyond = all(&|run| run.beyond_s() * 1e3);
-            let [mean, deviation] = mean_and_deviation(&totals);
-            // Not "-0" for a span that rounding errors made negative.
-            let ms = |span: f64| if span.abs() <= 0.5 { 0.0 } else { span };
-            let lost: usize = runs.iter().map(|run| run.lost).sum();
-            let samples: usize = runs.iter().map(|run| run.samples).sum();
-            let row = format!(
-                "| {} s | {} | {mean:.2} ± {deviation:.2} s | {:.2} s | {:.2} s | {:.2} s | {:.0} ms | {:.0} ms | {:.0} ms | {:.0} ms \
-                 | {lost} of {samples} | {:.0} % | {} of {} |\n",
-                runs[0].block_period_s,
-                runs.len(),
-                least(&totals),
-                most(&totals),
-                most(&all(&Federated::bound_s)),
-                ms(Quantiles::of(beyond.clone()).map_or(0.0, |quantiles| quantiles.p50)),
-                ms(most(&beyond)),
-                ms(most(&all(&|run| run.deployment_s() * 1e3))),
-                ms(most(&all(&|run| run.gap_s * 1e3))),
-                least(&all(&|run| run.slowest * 100.0)),
-                runs.iter().filter(|run| run.is_paid).count(),
-                runs.len(),
-            );
-            text += &row;
-        }
+        text += &self.table().to_markdown();
         let [mean, deviation] = PUBLISHED_S;
         line(
             &mut text,
@@ -108,13 +78,62 @@ impl Comparison {
         text
     }
 
+    /// Returns a row for each block period.
+    fn table(&self) -> DataTable {
+        let mut table = DataTable::new([
+            "block period",
+            "runs",
+            "total",
+            "least",
+            "most",
+            "bound",
+            "ours beyond the blocks, median",
+            "most",
+            "vAP deployed in",
+            "gap",
+            "without answer",
+            "lowest speed",
+            "paid for",
+        ])
+        .right_after(0);
+        for runs in self.by_period() {
+            let all =
+                |figure: &dyn Fn(&Federated) -> f64| runs.iter().map(|run| figure(run)).collect::<Vec<_>>();
+            let most = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let least = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
+            let totals = all(&Federated::total_s);
+            let beyond = all(&|run| run.beyond_s() * 1e3);
+            let [mean, deviation] = mean_and_deviation(&totals);
+            // Not "-0" for a span that rounding errors made negative.
+            let ms = |span: f64| if span.abs() <= 0.5 { 0.0 } else { span };
+            let lost: usize = runs.iter().map(|run| run.lost).sum();
+            let samples: usize = runs.iter().map(|run| run.samples).sum();
+            table.row([
+                format!("{} s", runs[0].block_period_s),
+                runs.len().to_string(),
+                format!("{mean:.2} ± {deviation:.2} s"),
+                format!("{:.2} s", least(&totals)),
+                format!("{:.2} s", most(&totals)),
+                format!("{:.2} s", most(&all(&Federated::bound_s))),
+                format!("{:.0} ms", ms(Quantiles::of(beyond.clone()).map_or(0.0, |quantiles| quantiles.p50))),
+                format!("{:.0} ms", ms(most(&beyond))),
+                format!("{:.0} ms", ms(most(&all(&|run| run.deployment_s() * 1e3)))),
+                format!("{:.0} ms", ms(most(&all(&|run| run.gap_s * 1e3)))),
+                format!("{lost} of {samples}"),
+                format!("{:.0} %", least(&all(&|run| run.slowest * 100.0))),
+                format!("{} of {}", runs.iter().filter(|run| run.is_paid).count(), runs.len()),
+            ]);
+        }
+        table
+    }
+
     /// Writes [`FILES`]: the figure in the published layout, the table, and all steps of all runs. The figure shows the run of
     /// median total time with the published block period, or with the last period if none has the published one.
     ///
     /// # Errors
     /// [`FolderError`].
     pub fn write(&self, folder: &Path) -> Result<(), FolderError> {
-        let [figure, table, data, csv] = FILES;
+        let [figure, table, data, csv, for_papers] = FILES;
         let periods = self.by_period();
         let published = periods.iter().find(|runs| runs[0].block_period_s == PUBLISHED_PERIOD_S);
         if let Some(runs) = published.or(periods.last()) {
@@ -123,6 +142,7 @@ impl Comparison {
             write_file(folder, figure, &drawn::draw(runs[runs.len() / 2], &self.ledger))?;
         }
         write_file(folder, table, &self.to_markdown())?;
+        write_file(folder, for_papers, &self.table().to_latex())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");
         write_file(folder, data, &(json + "\n"))?;
         let mut rows = String::from("block_period_s,run,seed");

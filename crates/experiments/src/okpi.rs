@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
 use cotorra_graph::{HardwareGraph, Instruction, NodeId, Position, Program, ServiceTime, Testbed};
-use cotorra_testbed::{FolderError, Panel, Quantiles, Report, draw, service_time_ms, write_file};
+use cotorra_testbed::{DataTable, FolderError, Panel, Quantiles, Report, draw, service_time_ms, write_file};
 use serde::Serialize;
 
 /// One of the compared approaches.
@@ -21,7 +21,8 @@ pub const CONTENDERS: [Contender; 2] =
     [Contender { name: "SoA", plugin: "probing" }, Contender { name: "OKpi", plugin: "okpi" }];
 
 /// Files that [`Comparison::write`] makes.
-pub const FILES: [&str; 4] = ["comparison.svg", "comparison.md", "comparison.json", "samples.csv"];
+pub const FILES: [&str; 6] =
+    ["comparison.svg", "comparison.md", "comparison.json", "samples.csv", "comparison.tex", "medians.csv"];
 
 /// A part of the walk, and its published medians, ms.
 struct Published {
@@ -213,57 +214,72 @@ impl Comparison {
 
     /// Returns the tables of medians, changes and shares, in Markdown. `how` says how the walks were run.
     pub fn to_markdown(&self, how: &str) -> String {
+        let tables = self.tables().map(|table| table.to_markdown()).join("\n");
+        format!("Median service time, ms ({how}; published figures: arXiv 2101.07676)\n\n{tables}")
+    }
+
+    /// Returns the tables of medians, changes and shares, rounded for readers.
+    fn tables(&self) -> [DataTable; 3] {
         let ms = |value: Option<f64>| value.map_or("-".to_owned(), |ms| format!("{ms:.2}"));
-        let mut text = format!("Median service time, ms ({how}; published figures: arXiv 2101.07676)\n\n");
-        text += "| part of the walk | theory | published | OKpi | published | SoA | published |\n";
-        text += "|---|---:|---:|---:|---:|---:|---:|\n";
+        let heads = ["part of the walk", "theory", "published", "OKpi", "published", "SoA", "published"];
+        let mut medians = DataTable::new(heads).right_after(1);
         for part in &self.parts {
-            line(
-                &mut text,
-                format_args!(
-                    "| {} | {} | {} | {} | {:.2} | {} | {:.2} |",
-                    part.name,
-                    ms(part.theory_ms),
-                    part.published_theory_ms,
-                    ms(part.okpi_ms),
-                    part.published_okpi_ms,
-                    ms(part.soa_ms),
-                    part.published_soa_ms,
-                ),
-            );
+            medians.row([
+                part.name.to_owned(),
+                ms(part.theory_ms),
+                part.published_theory_ms.to_string(),
+                ms(part.okpi_ms),
+                part.published_okpi_ms.to_string(),
+                ms(part.soa_ms),
+                ms(Some(part.published_soa_ms)),
+            ]);
         }
-        text += "\n| OKpi's decision | at | where | off the published place |\n|---|---:|---:|---:|\n";
+        let heads = ["OKpi's decision", "at", "where", "off the published place"];
+        let mut changes = DataTable::new(heads).right_after(1);
         for change in &self.changes {
-            let place = change.position.map_or("-".to_owned(), |at| at.to_string());
-            let off = change.off_published_m.map_or("-".to_owned(), |off| format!("{off:.1} m"));
-            line(
-                &mut text,
-                format_args!(
-                    "| {} + {} | {:.1} s | {place} | {off} |",
-                    change.radio_unit, change.server, change.at_s
-                ),
-            );
+            changes.row([
+                format!("{} + {}", change.radio_unit, change.server),
+                format!("{:.1} s", change.at_s),
+                change.position.map_or("-".to_owned(), |at| at.to_string()),
+                change.off_published_m.map_or("-".to_owned(), |off| format!("{off:.1} m")),
+            ]);
         }
-        let target = self.target_ms.unwrap_or_default();
-        line(
-            &mut text,
-            format_args!(
-                "\n| samples above {target} ms | of all | more than {AROUND_HANDOVER_S} s from any handover | samples |\n|---|---:|---:|---:|"
-            ),
-        );
+        let above = format!("samples above {} ms", self.target_ms.unwrap_or_default());
+        let away = format!("more than {AROUND_HANDOVER_S} s from any handover");
+        let mut shares = DataTable::new([above.as_str(), "of all", away.as_str(), "samples"]).right_after(1);
+        let percent = |share: f64| format!("{:.2} %", share * 100.0);
         for above in &self.above_target {
-            line(
-                &mut text,
-                format_args!(
-                    "| {} | {:.2} % | {:.2} % | {} |",
-                    above.contender,
-                    above.of_all * 100.0,
-                    above.away_from_handovers * 100.0,
-                    above.samples
-                ),
-            );
+            let AboveTarget { contender, of_all, away_from_handovers, samples } = *above;
+            let shown = [percent(of_all), percent(away_from_handovers), samples.to_string()];
+            shares.row([contender.to_owned()].into_iter().chain(shown));
         }
-        text
+        [medians, changes, shares]
+    }
+
+    /// Returns the medians of each part with all digits.
+    fn medians(&self) -> DataTable {
+        let mut table = DataTable::new([
+            "part",
+            "theory_ms",
+            "published_theory_ms",
+            "okpi_ms",
+            "published_okpi_ms",
+            "soa_ms",
+            "published_soa_ms",
+        ]);
+        for part in &self.parts {
+            let figures = [
+                part.theory_ms,
+                Some(part.published_theory_ms),
+                part.okpi_ms,
+                Some(part.published_okpi_ms),
+                part.soa_ms,
+                Some(part.published_soa_ms),
+            ];
+            let figures = figures.map(|figure| figure.map(|ms| ms.to_string()).unwrap_or_default());
+            table.row([part.name.to_owned()].into_iter().chain(figures));
+        }
+        table
     }
 
     /// Writes [`FILES`]: the figure in the published layout, the tables, and the samples behind both.
@@ -295,9 +311,11 @@ impl Comparison {
                 ..Panel::of("OKpi".to_owned(), okpi)
             },
         ];
-        let [figure, tables, data, samples] = FILES;
+        let [figure, tables, data, samples, for_papers, medians] = FILES;
         write_file(folder, figure, &draw(&panels))?;
         write_file(folder, tables, &self.to_markdown(how))?;
+        write_file(folder, for_papers, &self.tables().map(|table| table.to_latex()).join("\n"))?;
+        write_file(folder, medians, &self.medians().to_csv())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");
         write_file(folder, data, &(json + "\n"))?;
         let mut csv = String::from("contender,emitted_ns,service_time_ms,theory_ms,attachment,server\n");

@@ -24,6 +24,12 @@ fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
     assert!(stdout(&output).starts_with(&read("comparison.md")));
     assert!(read("comparison.svg").contains("OKpi-t"));
     assert!(read("samples.csv").lines().count() > 16_000);
+    let (tex, medians) = (read("comparison.tex"), read("medians.csv"));
+    assert!(
+        tex.matches("\\begin{tabular}").count() == 3 && tex.contains("\nR1/R3 out & 11.00 & 11 &"),
+        "{tex}"
+    );
+    assert!(medians.starts_with("part,theory_ms,") && medians.lines().count() == 6, "{medians}");
     for walk in ["probing", "okpi"] {
         assert!(read(&format!("{walk}/testbed.yaml")).contains(&format!("# set: plugin={walk}")));
     }
@@ -75,6 +81,7 @@ fn a_robot_is_handed_to_another_domain_in_virtual_time() {
     let folder = fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
     let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
     assert!(stdout(&output).starts_with(&read("federation.md")));
+    assert!(read("federation.tex").contains("block period & runs & total"), "a table for papers");
     assert!(read("federation.svg").contains("confirmation") && read("steps.csv").lines().count() == 5);
     let comparison: Value = serde_json::from_str(&read("federation.json")).unwrap();
     for run in comparison["runs"].as_array().unwrap() {
