@@ -36,6 +36,7 @@ mod stop;
 mod sweep;
 mod table;
 mod testbed_file;
+mod verdict;
 mod words;
 
 use std::process::ExitCode;

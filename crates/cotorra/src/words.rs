@@ -18,6 +18,13 @@ pub fn in_ms(ms: f64) -> String {
     format!("{ms:.1} ms")
 }
 
+/// `99.2 %`. A share that is not quite all or none is not rounded to it.
+pub fn percent(share: f64) -> String {
+    let percent = (share * 1000.0).round() / 10.0;
+    let percent = if share <= 0.0 || share >= 1.0 { percent } else { percent.clamp(0.1, 99.9) };
+    format!("{percent:.1} %")
+}
+
 /// `0:07`, `6:52`, `1:02:03`.
 pub fn clock(seconds: f64) -> String {
     let seconds = seconds as u64;
@@ -84,4 +91,15 @@ pub fn conditions(conditions: &Conditions) -> String {
 /// Lists the links of a path.
 pub fn over(links: &[LinkId]) -> String {
     links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_all_samples_are_100_percent_and_only_none_are_0() {
+        let shares = [0.0, 0.0001, 0.0123, 0.992, 0.99999, 1.0];
+        assert_eq!(shares.map(percent), ["0.0 %", "0.1 %", "1.2 %", "99.2 %", "99.9 %", "100.0 %"]);
+    }
 }

@@ -11,6 +11,7 @@ mod plot;
 mod prune;
 mod runs;
 mod series;
+mod services;
 mod source;
 mod state;
 mod transfer;

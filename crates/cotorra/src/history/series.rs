@@ -8,6 +8,7 @@ use cotorra_measurements::{Curve, CurveRequest, Figure, InvalidFigure, Values};
 use super::{
     args::SeriesArgs,
     plot,
+    services::services,
     source::{Error, Source},
 };
 use crate::{output, table::Table};
@@ -54,7 +55,11 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     let ask = |request| source.history.curve(source.run.id, &figure, args.span.range(), request);
     let drawn = if drawn.points == points { curve } else { ask(&drawn).map_err(Error::from)? };
     let whole = ask(&whole).map_err(Error::from)?;
-    output::print(&describe(&drawn, &whole))
+    let mut text = describe(&drawn, &whole);
+    if figure == (Figure::ServiceTime { service: None, robot: None }) {
+        text += &format!("\n{}", services(&source, args.span.range())?);
+    }
+    output::print(&text)
 }
 
 /// Parses the figure: `delay:R1-cloud`, or `R1-cloud` with --figure, or `R1-cloud` alone for its default figure.
@@ -63,6 +68,7 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
     let parse = |text: &str| text.parse().map_err(SeriesError::Figure);
     match name {
         Some(name) if of == SERVICE => parse(name),
+        Some("service_time") if is_robot(of, source) => parse(&format!("service_time::{of}")),
         Some(name) => parse(&format!("{name}:{of}")),
         None if of == SERVICE => parse("service_time"),
         None => {
@@ -86,6 +92,11 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
             }
         }
     }
+}
+
+fn is_robot(name: &str, source: &Source) -> bool {
+    let state = source.history.state_at(source.run.id, Timestamp::MAX);
+    state.is_ok_and(|state| state.robots.iter().any(|sample| sample.value.robot.as_str() == name))
 }
 
 /// Lists the links, robots, radio units and sensors of the run.

@@ -24,8 +24,8 @@ pub const DEFAULT_API: &str = "127.0.0.1:7700";
 /// process for each VNF, the robots and the plug-ins. The run ends when every robot has finished its walk, after --until,
 /// or with Ctrl-C, which loses nothing. A second Ctrl-C ends it at once.
 ///
-/// It leaves a folder with summary.json, service_time.csv, service_time.svg, history.sqlite, the logs, and the testbed file
-/// with its settings.
+/// It leaves a folder with summary.json, services.csv and services.tex (a row for each robot and service),
+/// service_time.csv, service_time.svg, history.sqlite, the logs, and the testbed file with its settings.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

@@ -3,10 +3,11 @@
 use console::style;
 use cotorra_measurements::Location;
 use cotorra_recording::RecordingSummary;
-use cotorra_testbed::{Finished, Quantiles, Summary};
+use cotorra_testbed::{Finished, Quantiles, RobotSummary, Summary};
 
 use crate::{
     table::Table,
+    verdict::verdicts,
     words::{clock, count, in_ms},
 };
 
@@ -27,12 +28,22 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         clock(summary.duration_ms / 1e3),
         summary.ended,
     );
+    let verdicts = verdicts(&summary.services);
+    if !verdicts.is_empty() {
+        text += "\n";
+        verdicts.iter().for_each(|verdict| text += &format!("  {verdict}\n"));
+    }
     if !summary.regions.is_empty() {
         text += "\n";
         text += &regions(summary);
     }
+    let several = summary.services.iter().filter(|its| its.samples > 0).nth(1).is_some();
+    if several {
+        text += "\n";
+        text += &Table::of(summary.by_service().rows(), 2).render("  ");
+    }
     text += "\n";
-    text += &figures(summary).render("  ");
+    text += &figures(summary, several).render("  ");
     for notice in &summary.notices {
         text += &format!("  {} {notice}\n", style("!").yellow());
     }
@@ -49,7 +60,15 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         text += &gaps(recording);
     }
     let own = if elsewhere.is_some() { "history.json" } else { "history.sqlite" };
-    let files = ["summary.json", "service_time.csv", "service_time.svg", own, "testbed.yaml"];
+    let files = [
+        "summary.json",
+        "services.csv",
+        "services.tex",
+        "service_time.csv",
+        "service_time.svg",
+        own,
+        "testbed.yaml",
+    ];
     let there = files.into_iter().filter(|file| folder.join(file).exists());
     let there: String = there.map(|file| format!("{file}  ")).collect();
     text += &format!("\n{}/\n  {there}logs/\n", folder.display());
@@ -77,7 +96,7 @@ fn gaps(recording: &RecordingSummary) -> String {
 
 fn regions(summary: &Summary) -> String {
     let robots = summary.regions.iter().any(|region| region.robot != summary.regions[0].robot);
-    let services = summary.services.len() > 1;
+    let services = summary.regions.iter().any(|region| region.service != summary.regions[0].service);
     let aligned = ["<"].repeat(usize::from(robots) + usize::from(services)).concat() + "<<>>>>";
     let mut table = Table::new(&aligned);
     let robot = |name: &str| robots.then(|| name.to_owned());
@@ -100,22 +119,12 @@ fn regions(summary: &Summary) -> String {
     table.render("  ")
 }
 
-fn figures(summary: &Summary) -> Table {
+/// Returns the figures of the whole run. Service times of several services have a table of their own.
+fn figures(summary: &Summary, several: bool) -> Table {
     let mut table = Table::new("<<");
-    for its in &summary.services {
-        let of = if summary.services.len() > 1 { format!(" of {}", its.service) } else { String::new() };
-        if let Some(Quantiles { p50, p95, p99, max }) = its.service_time_ms {
-            let text = format!("median {p50:.2} ms, p95 {p95:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
-            table.row([format!("service time{of}"), text]);
-        }
-        if let Some(above) = its.above_target {
-            let text = format!(
-                "{:.1} % of the samples took more than {} ms",
-                above * 100.0,
-                its.service_time_target_ms
-            );
-            table.row([format!("above target{of}"), text]);
-        }
+    if let (false, Some(Quantiles { p50, p95, p99, max })) = (several, summary.service_time_ms) {
+        let text = format!("median {p50:.2} ms, p95 {p95:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
+        table.row(["service time".to_owned(), text]);
     }
     for localization in &summary.localization {
         let Quantiles { p50, p95, max, .. } = localization.error_m;
@@ -127,9 +136,15 @@ fn figures(summary: &Summary) -> Table {
         let text = format!("off by a median of {p50:.2} m, p95 {p95:.2} m, max {max:.2} m");
         table.row([format!("localization{robot}"), text]);
     }
+    let of_robot = |robot: &RobotSummary| format!("{} {}", robot.robot, robot.handovers);
+    let by_robot = match &summary.robots[..] {
+        robots @ [_, _, ..] => format!(" ({})", robots.iter().map(of_robot).collect::<Vec<_>>().join(", ")),
+        _ => String::new(),
+    };
     let gaps = Quantiles::of(summary.handovers.iter().map(|handover| handover.gap_ms).collect());
     let gaps = gaps.map(|gaps| format!(", gap median {}, max {}", in_ms(gaps.p50), in_ms(gaps.max)));
-    table.row(["handovers".to_owned(), format!("{}{}", summary.handovers.len(), gaps.unwrap_or_default())]);
+    let handovers = format!("{}{by_robot}{}", summary.handovers.len(), gaps.unwrap_or_default());
+    table.row(["handovers".to_owned(), handovers]);
     let verdict =
         if summary.fidelity.valid { style("valid").green() } else { style("NOT VALID").red().bold() };
     table.row(["fidelity".to_owned(), format!("{verdict}: {}", summary.fidelity.reason)]);

@@ -7,10 +7,16 @@ use cotorra_graph::{ServiceId, ServiceTime};
 /// Statistics of the service times so far.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// Sequence number of the last counted request of each service.
-    counted: BTreeMap<ServiceId, u32>,
+    services: BTreeMap<ServiceId, Counted>,
     /// Times of answered requests in milliseconds, ascending.
     answered_ms: Vec<f64>,
+}
+
+/// Requests of a service.
+#[derive(Debug, Default, Clone, Copy)]
+struct Counted {
+    /// Sequence number of the last one.
+    last: Option<u32>,
     total: usize,
     above: usize,
 }
@@ -18,12 +24,13 @@ pub struct Tally {
 impl Tally {
     /// Counts a service's last sample, unless it was counted before.
     pub fn count(&mut self, sample: &ServiceTime, target_ms: f64) {
-        if self.counted.insert(sample.service.clone(), sample.sequence) == Some(sample.sequence) {
+        let its = self.services.entry(sample.service.clone()).or_default();
+        if its.last.replace(sample.sequence) == Some(sample.sequence) {
             return;
         }
-        self.total += 1;
+        its.total += 1;
         let ms = sample.took.map(|took| took.as_secs_f64() * 1e3);
-        self.above += usize::from(ms.is_none_or(|ms| ms > target_ms));
+        its.above += usize::from(ms.is_none_or(|ms| ms > target_ms));
         if let Some(ms) = ms {
             self.answered_ms.insert(self.answered_ms.partition_point(|&other| other <= ms), ms);
         }
@@ -36,8 +43,19 @@ impl Tally {
 
     /// Returns the share of requests above their target. Unanswered requests count as above.
     pub fn above(&self) -> Option<f64> {
-        (self.total > 0).then(|| self.above as f64 / self.total as f64)
+        let sum = |of: fn(&Counted) -> usize| self.services.values().map(of).sum::<usize>();
+        share(sum(|its| its.above), sum(|its| its.total))
     }
+
+    /// Returns the share of a service's requests within its target.
+    pub fn kept(&self, service: &ServiceId) -> Option<f64> {
+        let its = self.services.get(service)?;
+        share(its.total - its.above, its.total)
+    }
+}
+
+fn share(part: usize, of: usize) -> Option<f64> {
+    (of > 0).then(|| part as f64 / of as f64)
 }
 
 #[cfg(test)]
@@ -67,5 +85,19 @@ mod tests {
         }
         assert_eq!(tally.median_ms(), Some(12.0));
         assert_eq!(tally.above(), Some(0.5));
+    }
+
+    #[test]
+    fn each_service_has_its_own_share() {
+        let mut tally = Tally::default();
+        for (service, sequence, took) in
+            [("a", 0, Some(10)), ("b", 0, Some(20)), ("a", 1, None), ("a", 1, None)]
+        {
+            let service = service.parse().unwrap();
+            tally.count(&ServiceTime { service, ..sample(sequence, took) }, 15.0);
+        }
+        let kept = |service: &str| tally.kept(&service.parse().unwrap());
+        assert_eq!([kept("a"), kept("b"), kept("c")], [Some(0.5), Some(0.0), None]);
+        assert_eq!(tally.above(), Some(2.0 / 3.0));
     }
 }

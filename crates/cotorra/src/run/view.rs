@@ -9,7 +9,7 @@ use indicatif::MultiProgress;
 use super::{lines::Lines, tally::Tally};
 use crate::{
     testbed_file::length,
-    words::{clock, in_ms},
+    words::{clock, in_ms, percent},
 };
 
 /// Maximum number of robots that are shown. Further ones are only counted.
@@ -109,7 +109,7 @@ impl<'a> View<'a> {
                 let (share, text) = progress(self.testbed, self.until, now);
                 lines.progress(share, text);
                 for (id, line) in robots {
-                    lines.set(*line, robot(self.testbed, now, id));
+                    lines.set(*line, robot(self.testbed, &self.tally, now, id));
                 }
                 lines.set(*so_far, summary(self.testbed, &self.tally));
             }
@@ -119,7 +119,7 @@ impl<'a> View<'a> {
                     *next_s = (at_s / LINE_EVERY_S).floor() * LINE_EVERY_S + LINE_EVERY_S;
                     let robots = self.testbed.graph.robots().take(ROBOTS_SHOWN);
                     let robots: Vec<_> = robots
-                        .map(|(r, _)| format!("{} {}", r.id, robot(self.testbed, now, &r.id)))
+                        .map(|(r, _)| format!("{} {}", r.id, robot(self.testbed, &self.tally, now, &r.id)))
                         .collect();
                     note!(
                         "{at_s:5.0} s  {}; so far {}",
@@ -183,8 +183,9 @@ fn walked(walk: &Walk, context: &RobotContext) -> f64 {
     }
 }
 
-/// Describes a robot: its position, attachment, server, and last service times.
-fn robot(testbed: &Testbed, now: &Snapshot, id: &NodeId) -> String {
+/// Describes a robot: its position, attachment and server, and the last time of each service. With several services, also
+/// the share of each in time.
+fn robot(testbed: &Testbed, tally: &Tally, now: &Snapshot, id: &NodeId) -> String {
     let Some(context) = now.robots.get(id) else { return "nothing known yet".to_owned() };
     let mut parts = vec![format!("at {}", context.sensors.pose.position())];
     parts.push(match context.attachments.iter().find(|a| a.attached) {
@@ -200,7 +201,12 @@ fn robot(testbed: &Testbed, now: &Snapshot, id: &NodeId) -> String {
     let services = || testbed.services.iter().filter(|service| service.robot == *id);
     let samples: Vec<_> = services().filter_map(|service| now.service_times.get(&service.id)).collect();
     for sample in &samples {
-        let time = sample.took.map_or("no answer".to_owned(), |took| in_ms(millis::of(took)));
+        let mut time = sample.took.map_or("no answer".to_owned(), |took| in_ms(millis::of(took)));
+        if now.service_times.len() > 1
+            && let Some(kept) = tally.kept(&sample.service)
+        {
+            time += &format!(" ({} in time)", percent(kept));
+        }
         parts.push(if services().nth(1).is_some() { format!("{} {time}", sample.service) } else { time });
     }
     if samples.is_empty() {

@@ -82,7 +82,7 @@ fn times_of_flows_lie_between_the_delays_and_what_the_client_measures() {
         (services, &summary["notices"]),
         (vec!["echo", "detect", "first-byte"], &Value::Array(vec![]))
     );
-    assert!(printed.contains("service time of detect"), "{printed}");
+    assert!(printed.contains("detect of robot "), "{printed}");
     let csv = fs::read_to_string(run.folder.join("service_time.csv")).unwrap();
     assert!(csv.contains(",robot,detect,3,"), "{csv}");
     let drawn = fs::read_to_string(run.folder.join("service_time.svg")).unwrap();

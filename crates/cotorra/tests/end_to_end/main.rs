@@ -28,6 +28,7 @@ mod one_robot;
 mod plugin;
 mod recording;
 mod replicas;
+mod robots;
 mod ros1;
 mod ros2;
 mod ros_flows;
