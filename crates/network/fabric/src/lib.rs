@@ -54,4 +54,4 @@ pub use lateness::Histogram;
 pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};
 pub use port::PortId;
 pub use settings::{Carries, FabricError};
-pub use tap::{Passage, TapReader};
+pub use tap::{Passage, TapError, TapReader};

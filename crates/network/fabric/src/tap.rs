@@ -6,6 +6,20 @@ use cotorra_graph::{Direction, LinkId, Timestamp};
 
 use crate::{frame::Frame, port::PortId};
 
+/// Most taps at a time. Each looks at every packet of its links, on the thread that moves them.
+pub(crate) const MOST_TAPS: usize = 16;
+
+/// Error of a tap that cannot begin.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum TapError {
+    /// An unknown name.
+    #[error("there is no link or node `{0}`")]
+    Unknown(String),
+    /// All places are taken.
+    #[error("{MOST_TAPS} captures are under way, which is the most: end one of them first")]
+    TooMany,
+}
+
 /// A packet of a host that has crossed one direction of a link.
 #[derive(Debug, Clone, Copy)]
 pub struct Passage<'a> {

@@ -6,14 +6,20 @@ use super::{Fabric, edge};
 use crate::{
     frame::Frame,
     radio::Arrival,
-    tap::{Passage, Tap, TapReader},
+    tap::{MOST_TAPS, Passage, Tap, TapError, TapReader},
 };
 
 impl Fabric {
     /// Shows all packets of hosts that cross a link, or the links of a node, to a reader from now on. A name of both is the
-    /// link's. Packets that only measure are not shown. Returns whether there is such a link or node.
-    pub fn tap(&mut self, name: &str, reader: TapReader) -> bool {
+    /// link's. Packets that only measure are not shown.
+    ///
+    /// # Errors
+    /// [`TapError`].
+    pub fn tap(&mut self, name: &str, reader: TapReader) -> Result<(), TapError> {
         self.taps.retain_mut(|tap| (tap.reader)(None));
+        if self.taps.len() >= MOST_TAPS {
+            return Err(TapError::TooMany);
+        }
         let both = |link: usize| [edge(link, Direction::Forward), edge(link, Direction::Backward)];
         let air = || self.radio.ends_of(&LinkId::new(name).ok()?);
         let (edges, ends) = if let Some(&link) = self.link_by_name.get(name) {
@@ -26,10 +32,10 @@ impl Fabric {
             let edges = (0..self.links.len()).filter(is_here).flat_map(both).collect();
             (edges, self.port_of_vertex[vertex].into_iter().collect())
         } else {
-            return false;
+            return Err(TapError::Unknown(name.to_owned()));
         };
         self.taps.push(Tap { edges, ends, reader });
-        true
+        Ok(())
     }
 
     /// Shows a packet that has crossed a wired link.

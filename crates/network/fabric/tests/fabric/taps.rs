@@ -2,7 +2,7 @@
 
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 
-use cotorra_fabric::{Fabric, Passage};
+use cotorra_fabric::{Fabric, Passage, TapError};
 use cotorra_graph::{Conditions, Direction, Probing, QueueLimit, Timestamp};
 
 use crate::common::{A, B, Network, delay, frame, ms, number, pair, rate, run};
@@ -36,7 +36,7 @@ fn tap(fabric: &mut Fabric, name: &str, most: usize) -> Receiver<Seen> {
         }
         count < most
     };
-    assert!(fabric.tap(name, Box::new(reader)));
+    fabric.tap(name, Box::new(reader)).unwrap();
     seen
 }
 
@@ -101,7 +101,8 @@ fn a_tap_shows_its_links_only() {
         let expected: Vec<_> = expected.iter().map(|(link, number)| (link.to_string(), *number)).collect();
         assert_eq!(links(seen), expected);
     }
-    assert!(!fabric.tap("nothing", Box::new(|_| true)));
+    let unknown = fabric.tap("nothing", Box::new(|_| true)).unwrap_err();
+    assert_eq!(unknown.to_string(), "there is no link or node `nothing`");
 }
 
 #[test]
@@ -117,6 +118,15 @@ fn a_reader_that_wants_no_more_is_forgotten() {
     assert_eq!(ended.try_recv(), Err(TryRecvError::Empty));
     tap(&mut fabric, "b", 1);
     assert_eq!(ended.try_recv(), Err(TryRecvError::Disconnected));
+}
+
+#[test]
+fn taps_are_bounded_until_one_ends() {
+    let mut fabric = pair(delay(1), 1);
+    let _taps: Vec<_> = (0..16).map(|i| tap(&mut fabric, "a", i)).collect();
+    // The first wanted nothing, and made room.
+    let _last = tap(&mut fabric, "a", 1);
+    assert_eq!(fabric.tap("a", Box::new(|_| true)), Err(TapError::TooMany));
 }
 
 #[test]
