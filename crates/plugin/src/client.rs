@@ -7,7 +7,7 @@ mod events;
 mod local;
 mod run;
 
-use std::{path::PathBuf, time::Duration};
+use std::{io::Read, path::PathBuf, time::Duration};
 
 use cotorra_graph::{
     Emulation, HardwareGraph, HostAddress, Instruction, InvalidId, LinkContext, LinkId, NodeId, Placement,
@@ -410,6 +410,28 @@ impl Client {
         }
         let stream = self.answer(&url, request.call())?.into_body().into_reader();
         Ok(Events::new(self.clone(), url, stream))
+    }
+
+    /// Opens a capture of the packets that cross a link, or the links of a node: a pcapng file without an end. `filter` is
+    /// a subset of pcap-filter(7), `snap` the bytes to keep of each packet; by default they are all packets as a whole.
+    ///
+    /// # Errors
+    /// [`ClientError`], with status 404 if there is no such link or node.
+    pub fn capture(
+        &self,
+        of: &LinkId,
+        filter: Option<&str>,
+        snap: Option<u32>,
+    ) -> Result<impl Read + Send + use<>, ClientError> {
+        let url = self.url(&format!("network/captures/{of}"));
+        let mut request = self.identify(self.agent.get(&url));
+        if let Some(filter) = filter {
+            request = request.query("filter", filter);
+        }
+        if let Some(snap) = snap {
+            request = request.query("snap", snap.to_string());
+        }
+        Ok(self.answer(&url, request.call())?.into_body().into_reader())
     }
 
     /// Says that everything up to a mark was taken in; virtual time goes on, and stops at `wake_at` at the latest.

@@ -5,8 +5,8 @@ use std::io;
 use cotorra_recording::RecordingError;
 
 use crate::{
-    api::ApiError, plugins::PluginError, real_links::RealLinkError, recorded::BeginError,
-    report::FolderError, robots::RobotError, script::ScriptError,
+    api::ApiError, capture::CaptureError, plugins::PluginError, real_links::RealLinkError,
+    recorded::BeginError, report::FolderError, robots::RobotError, script::ScriptError,
 };
 
 /// Error of bringing a testbed up or of finishing its run.
@@ -30,6 +30,9 @@ pub enum RunError {
     /// The API.
     #[error(transparent)]
     Api(#[from] ApiError),
+    /// A capture of packets.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
     /// A plug-in.
     #[error(transparent)]
     Plugin(#[from] PluginError),

@@ -8,6 +8,7 @@
 mod answerers;
 mod api;
 mod bundled;
+mod capture;
 mod clock;
 mod confined;
 mod core;
@@ -43,6 +44,7 @@ mod whole;
 
 pub use api::{ApiError, Token, Tokens, TokensError, openapi};
 pub use bundled::{VnfError, localization, navigation};
+pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use error::RunError;
 pub use finished::Finished;

@@ -8,7 +8,7 @@ use cotorra_netem::Confirmed;
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::Wanted;
 
-use crate::{api::Tokens, previous_run::PreviousRun, report::Place};
+use crate::{api::Tokens, capture::CapturePlan, previous_run::PreviousRun, report::Place};
 
 /// Options of a run.
 #[derive(Debug, Clone, Default)]
@@ -35,6 +35,8 @@ pub struct Options {
     pub interfaces: Confirmed,
     /// Recording and live viewers, beside the history.
     pub recording: Wanted,
+    /// Captures of packets, in virtual time.
+    pub captures: Vec<CapturePlan>,
     /// Notes of the run that this one continues, in real time.
     pub after: Option<PreviousRun>,
 }

@@ -7,14 +7,18 @@ use std::sync::Arc;
 use cotorra_datapath::{Datapath, Handle, KernelNetwork, KernelNetworkError, Observed};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId, Testbed,
+    ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId, RealLink, Testbed,
     ThroughputTest, Timestamp,
 };
 use cotorra_network_control::{
     InstructionError, Network, NetworkGone, change_fabric, test_fabric_throughput,
 };
 
-use crate::{real_links::RealLinks, traffic::Traffic};
+use crate::{
+    capture::{Wiretap, WiretapError},
+    real_links::RealLinks,
+    traffic::Traffic,
+};
 
 /// The network of a datapath.
 pub(crate) struct RealNetwork {
@@ -45,6 +49,29 @@ pub(crate) fn kernel_network(
             Ok(None)
         }
     }
+}
+
+/// Returns access to the packets that the fabric carries.
+pub(crate) fn wiretap(testbed: &Arc<Testbed>, datapath: &Datapath) -> Wiretap {
+    let (testbed, handle, is_kernels) = (Arc::clone(testbed), datapath.handle(), datapath.kernel().is_some());
+    Arc::new(move |name, reader| {
+        let elsewhere = |reason: String| Err(WiretapError::Elsewhere(reason));
+        if is_kernels {
+            let tool = "capture them with a tool inside a node, as in `cotorra exec NODE -- tcpdump`";
+            return elsewhere(format!("the kernel carries the packets of this testbed: {tool}"));
+        }
+        let is_here =
+            |real: &RealLink<'_>| real.link.id == *name || real.link.ends.iter().any(|end| *end == *name);
+        if let Some(real) = testbed.graph.real_links().find(is_here) {
+            let interface = &real.reached.interface;
+            return elsewhere(format!(
+                "`{name}` is reached over this machine's interface {interface}: capture there, as with tcpdump"
+            ));
+        }
+        let name = name.to_owned();
+        let tapped = handle.with(move |fabric, _| fabric.tap(&name, reader));
+        Ok(tapped.map_err(|gone| WiretapError::Elsewhere(gone.to_string()))??)
+    })
 }
 
 impl RealNetwork {

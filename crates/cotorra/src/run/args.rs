@@ -4,6 +4,7 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use clap::Args;
 use cotorra_graph::IpNetwork;
+use cotorra_testbed::CapturePlan;
 use cotorra_testbed_file::Setting;
 
 use crate::{
@@ -33,6 +34,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --until 60s --seed 7
   cotorra run testbeds/corridor.yaml --headless --out /tmp/runs
   cotorra run testbeds/corridor.yaml --simulate
+  cotorra run testbeds/corridor.yaml --simulate --capture lan-cloud=cloud.pcapng
   cotorra run testbeds/corridor.yaml --record corridor.mcap
   cotorra run testbeds/corridor.yaml --foxglove
   cotorra run testbeds/corridor.yaml --set plugin=okpi
@@ -99,6 +101,11 @@ pub struct RunArgs {
     /// separate programs cannot take part.
     #[arg(long)]
     pub simulate: bool,
+    /// Capture the packets that cross a link, or the links of a node, into a new pcapng file, as in lan-cloud=cloud.pcapng
+    ///
+    /// Wireshark opens it. `cotorra capture` does the same with a run in real time. Can be given several times.
+    #[arg(long = "capture", value_name = "LINK|NODE=FILE", requires = "simulate")]
+    pub captures: Vec<CapturePlan>,
     /// Record the run as MCAP, for Foxglove, PlotJuggler and `ros2 bag`: in recording.mcap in the run's folder, or in FILE
     ///
     /// The recording has poses, scans, transforms, the map, radio units, attachments, service times and everything else as

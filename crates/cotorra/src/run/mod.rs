@@ -110,6 +110,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         interfaces: Confirmed { replace: args.replace, interfaces: args.allow_interface.clone() },
         history: history.clone(),
         recording: recording(&args),
+        captures: args.captures.clone(),
         after: None,
     };
     if args.dry_run {

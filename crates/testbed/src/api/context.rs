@@ -13,7 +13,7 @@ use cotorra_wais::types::Epoch;
 use tokio::sync::broadcast;
 
 use super::types::Failure;
-use crate::{clock::Clock, keeping::Keeper, live::Live, message::Message};
+use crate::{capture::Wiretap, clock::Clock, keeping::Keeper, live::Live, message::Message};
 
 /// Threads for queries of the history.
 pub(super) const BLOCKING_THREADS: usize = 16;
@@ -40,6 +40,8 @@ pub(crate) struct Context {
     /// Large data of sensors, if any sensor has such.
     pub(crate) keeper: Option<Keeper>,
     pub(crate) wais: WaisOptions,
+    /// Access to packets; `None` if there are none.
+    pub(crate) wiretap: Option<Wiretap>,
 }
 
 /// The difference in virtual time, which stands still while a plug-in answers.

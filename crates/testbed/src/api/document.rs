@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi as _;
 
-use super::{measurements, routes, sensors, stream};
+use super::{capture, measurements, routes, sensors, stream};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -23,6 +23,7 @@ use super::{measurements, routes, sensors, stream};
         sensors::large_data,
         routes::links,
         routes::test_throughput,
+        capture::capture,
         routes::radio_units,
         routes::placements,
         routes::virtual_links,

@@ -2,6 +2,7 @@
 //! plug-ins can. The API is described at `/openapi.json`.
 
 mod auth;
+mod capture;
 mod connections;
 mod context;
 #[cfg(feature = "openapi")]
@@ -73,7 +74,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 25] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 26] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/network/nodes/{id}", get(routes::node)),
@@ -83,6 +84,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 25] {
         ("/api/v1/robots/{id}/sensors/{name}/{reading}", get(sensors::large_data)),
         ("/api/v1/network/links", get(routes::links)),
         ("/api/v1/network/links/{id}/throughput-test", post(routes::test_throughput)),
+        ("/api/v1/network/captures/{id}", get(capture::capture)),
         ("/api/v1/network/radio-units", get(routes::radio_units)),
         ("/api/v1/network/placements", get(routes::placements)),
         ("/api/v1/network/virtual-links", get(routes::virtual_links)),

@@ -40,6 +40,7 @@ use tokio::{
 use tokio_stream::StreamExt as _;
 
 use super::{
+    capture::PCAPNG,
     connections::{Connections, Full, Limits, Whose},
     types::Failure,
 };
@@ -226,7 +227,7 @@ pub(super) async fn attend(
     }
     let is_upgraded = response.status() == StatusCode::SWITCHING_PROTOCOLS;
     let kind = response.headers().get(CONTENT_TYPE);
-    let is_stream = is_upgraded || kind.is_some_and(|kind| kind == "text/event-stream");
+    let is_stream = is_upgraded || kind.is_some_and(|kind| kind == "text/event-stream" || kind == PCAPNG);
     if is_stream {
         let streams = place.connections.lock().stream(place.number);
         if let Err(full) = streams {

@@ -8,8 +8,9 @@ use std::{
     sync::mpsc,
 };
 
+use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_graph::{
-    DataFormat, Event, LargeData, NodeId, PluginId, SensorId, SensorReading, Stamped, Timestamp,
+    DataFormat, Event, HostAddress, LargeData, NodeId, PluginId, SensorId, SensorReading, Stamped, Timestamp,
 };
 use cotorra_measurements::{CurveRequest, History, RunId, RunInfo};
 use cotorra_robot_middleware::{Content, SensedData};
@@ -27,6 +28,7 @@ struct Served {
     runs: [RunId; 2],
     live: Live,
     keeper: Keeper,
+    fabric: Arc<parking_lot::Mutex<Fabric>>,
     _folder: tempfile::TempDir,
 }
 
@@ -84,6 +86,8 @@ links: [{ ends: [left, ap] }]
     let live = Live::default();
     let folder = tempfile::tempdir().unwrap();
     let keeper = Keeper::of_folder(folder.path(), cotorra_recording::Pace::Live);
+    let fabric = Arc::new(parking_lot::Mutex::new(Fabric::new(&testbed.graph, 1).unwrap()));
+    let tapped = Arc::clone(&fabric);
     let context = Context {
         testbed: Arc::new(testbed),
         live: live.clone(),
@@ -97,6 +101,7 @@ links: [{ ends: [left, ap] }]
         replay,
         keeper: Some(keeper.clone()),
         wais: WaisOptions::default(),
+        wiretap: Some(Arc::new(move |name, reader| Ok(tapped.lock().tap(name, reader)?))),
     };
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
     let listener = listener.announced(found_in, "served", "/runs/served");
@@ -107,6 +112,7 @@ links: [{ ends: [left, ap] }]
         runs,
         live,
         keeper,
+        fabric,
         _folder: folder,
     }
 }
@@ -419,6 +425,7 @@ plugins:
             replay: false,
             keeper: None,
             wais: WaisOptions::default(),
+            wiretap: None,
         };
         let token = |text: &str| Token::new(text).unwrap();
         let of = |name: &str, text: &str| (name.parse().unwrap(), token(text));
@@ -782,4 +789,57 @@ fn a_taken_port_says_what_to_do() {
     };
     let error = error.to_string();
     assert!(error.contains(&address.to_string()) && error.contains("name another port"), "{error}");
+}
+
+#[test]
+fn captures_stream_the_packets_of_a_link() {
+    let served = serve(false);
+    let (status, mut stream) = served.open("network/captures/left-ap?filter=arp&snap=40");
+    assert_eq!(status, 200);
+    // The length of a chunk, and the first block.
+    let mut line = String::new();
+    stream.read_line(&mut line).unwrap();
+    let mut first = vec![0; usize::from_str_radix(line.trim(), 16).unwrap() + 2];
+    stream.read_exact(&mut first).unwrap();
+    assert_eq!(first[..4], [0x0a, 0x0d, 0x0d, 0x0a]);
+    let mut fabric = served.fabric.lock();
+    let mut arp = vec![0; 60];
+    arp[..6].copy_from_slice(&HostAddress::of(1).mac);
+    arp[12..14].copy_from_slice(&[0x08, 0x06]);
+    let second = Timestamp::from_secs_f64(1.0);
+    fabric.push(second, PortId(0), Frame::new(vec![0; 60]));
+    fabric.push(second, PortId(0), Frame::new(arp.clone()));
+    fabric.poll(Timestamp::from_secs_f64(2.0), &mut |_, _| {});
+    drop(fabric);
+    line.clear();
+    stream.read_line(&mut line).unwrap();
+    let mut blocks = vec![0; usize::from_str_radix(line.trim(), 16).unwrap() + 2];
+    stream.read_exact(&mut blocks).unwrap();
+    let packets = blocks.windows(40).filter(|part| *part == &arp[..40]).count();
+    assert_eq!((packets, blocks.windows(41).any(|part| part == &arp[..41])), (1, false));
+    let comment = b"entered 1.000000000 s, due 1.";
+    assert!(blocks.windows(comment.len()).any(|part| part == comment));
+}
+
+#[test]
+fn captures_that_cannot_be_are_rejected() {
+    let served = serve(false);
+    let (status, body) = served.get("network/captures/nothing");
+    assert_eq!((status, body["error"].as_str()), (404, Some("there is no link or node `nothing`")));
+    let (status, body) = served.get("network/captures/left?filter=host%20nobody");
+    assert_eq!(status, 400);
+    assert!(body["error"].as_str().unwrap().contains("there is no host `nobody`"), "{body}");
+    let open: Vec<_> = (0..16).map(|_| served.open("network/captures/left")).collect();
+    assert!(open.iter().all(|(status, _)| *status == 200));
+    let (status, body) = served.get("network/captures/left");
+    assert_eq!(status, 429);
+    assert!(body["error"].as_str().unwrap().starts_with("16 captures are under way"), "{body}");
+    let served = serve_within(false, Limits { strangers: 64, callers: 4 }, Patience::default());
+    let open: Vec<_> = (0..3).map(|_| served.open("network/captures/left")).collect();
+    assert_eq!(open.iter().map(|(status, _)| *status).collect::<Vec<_>>(), [200, 200, 429]);
+    // Without packets, and for a domain, whose links carry those of others, too.
+    let served = Domains::serve();
+    let path = "/api/v1/network/captures/left";
+    assert_eq!(served.get(OPERATOR, path).0, 409);
+    assert_eq!(served.get(ONE, path).0, 403);
 }

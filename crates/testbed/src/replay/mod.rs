@@ -265,6 +265,7 @@ impl Replay {
             replay: true,
             keeper: options.folder.as_ref().map(|folder| Keeper::of_folder(folder, Pace::Live)),
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
+            wiretap: None,
         };
         let programs = ExternalPlugins::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;
         Ok(Self { programs, audience: Guarded::new(audience, wall), history, run, options, watched, tap })

@@ -12,6 +12,7 @@ use crate::{
     keeping::Keeping,
     live::Live,
     plugins::running::{PreparedPlugins, RunningPlugins},
+    real_network::wiretap,
     run_info::epoch,
 };
 
@@ -59,6 +60,7 @@ impl ServicesUp {
                 epoch: epoch(&prepared.info),
                 callbacks: options.wais_callbacks.clone(),
             },
+            wiretap: Some(wiretap(testbed, &network.datapath)),
         };
         let listener =
             listener.announced(options.runs.as_ref(), &testbed.name, &folder.path().to_string_lossy());

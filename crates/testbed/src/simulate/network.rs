@@ -10,6 +10,8 @@ use cotorra_graph::{Stamped, Timestamp};
 use cotorra_network_control::{Network, NetworkGone};
 use parking_lot::{Mutex, MutexGuard};
 
+use crate::capture::Wiretap;
+
 /// The emulated network in virtual time. One thread at a time uses it.
 #[derive(Clone)]
 pub(crate) struct VirtualNetwork {
@@ -33,6 +35,12 @@ impl VirtualNetwork {
 
     pub(crate) fn set_now(&self, now: Timestamp) {
         self.now_ns.store(now.as_nanos(), Ordering::Relaxed);
+    }
+
+    /// Returns access to its packets.
+    pub(super) fn wiretap(&self) -> Wiretap {
+        let fabric = Arc::clone(&self.fabric);
+        Arc::new(move |name, reader| Ok(fabric.lock().tap(name, reader)?))
     }
 
     pub(super) fn next_event(&self) -> Option<Stamped> {

@@ -16,6 +16,7 @@ use cotorra_robot_middleware::{SensedData, SensedScan};
 use super::{Output, Simulation, Stretch};
 use crate::{
     api::{self, Listener, Lockstep},
+    capture::CaptureFile,
     clock::{Clock, wall_clock},
     error::{RunError, system},
     finished::Finished,
@@ -72,6 +73,8 @@ pub(super) fn simulate_with(
     }
     plugins::check_programs(&testbed)?;
     let simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?.with_patience(patience);
+    let wiretap = simulation.network.wiretap();
+    let captures = CaptureFile::begin_all(&options.captures, &wiretap)?;
     let mut simulation = Guarded::new(simulation, Arc::clone(&wall));
     let (folder, text) = whole::create(&options.folder, &testbed, seed, text)?;
     // Calendar time is not part of virtual time.
@@ -109,6 +112,7 @@ pub(super) fn simulate_with(
             replay: false,
             keeper,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
+            wiretap: Some(Arc::clone(&wiretap)),
         };
         let listener =
             listener.announced(options.runs.as_ref(), &testbed.name, &folder.path().to_string_lossy());
@@ -156,7 +160,8 @@ pub(super) fn simulate_with(
     let Records { mut report, recorder, .. } = records;
     report.localized(simulation.localization_errors());
     let recording = recording.map(Recording::finish);
-    let unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
+    let mut unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
+    unrecorded.extend(captures.into_iter().filter_map(CaptureFile::finish));
     unrecorded.iter().for_each(|what| tracing::error!("not recorded: {what}"));
     let losses = Losses { frames_dropped: 0, history_dropped: recorder.dropped() };
     let summary = report.summary(simulation.now(), end.as_str(), losses);
