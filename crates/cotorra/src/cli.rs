@@ -5,6 +5,7 @@ use clap_complete::Shell;
 
 use crate::{
     bench::{BenchArgs, Probe},
+    capture::CaptureArgs,
     check::CheckArgs,
     clean::CleanArgs,
     exec::ExecArgs,
@@ -47,6 +48,7 @@ Examples:
   cotorra link set lan-cloud --delay 40ms          change a link of a run
   cotorra ps                                       list your runs
   cotorra stop                                     end a run in order
+  cotorra capture lan-cloud -o cloud.pcapng        look into its packets
 
 Exit status:
   0  done
@@ -113,6 +115,7 @@ Examples:
         #[command(subcommand)]
         link: Link,
     },
+    Capture(CaptureArgs),
     /// Measure a path of any network by STAMP (RFC 8762), or reflect the packets of such a measurement
     Stamp {
         #[command(subcommand)]

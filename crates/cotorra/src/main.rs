@@ -10,6 +10,7 @@ mod output;
 
 mod arguments;
 mod bench;
+mod capture;
 mod check;
 mod clean;
 mod cli;
@@ -83,6 +84,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Ps(args) => ps::ps(&args)?,
         Command::Stop(args) => stop::stop(&args)?,
         Command::Link { link } => link::link(&link)?,
+        Command::Capture(args) => capture::capture(&args)?,
         Command::Stamp { stamp } => stamp::stamp(&stamp)?,
         Command::Bench(args) => bench::bench(&args)?,
         Command::Netem { netem } => netem::netem(&netem)?,
