@@ -61,6 +61,13 @@ pub fn python(modules: &str, peer: &str) -> Option<PathBuf> {
     found(has_modules, peer, "scripts/test installs it").then_some(python)
 }
 
+/// Returns a command for tshark, which reads captures.
+pub fn tshark() -> Option<Command> {
+    let is_there =
+        Command::new("tshark").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    found(is_there.is_ok(), "tshark", "install the package tshark").then(|| Command::new("tshark"))
+}
+
 /// Returns whether a program was found, and says how to install it otherwise.
 ///
 /// # Panics

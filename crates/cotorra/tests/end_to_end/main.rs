@@ -2,6 +2,7 @@
 
 mod api;
 mod camera;
+mod capture;
 #[cfg(feature = "ethereum")]
 mod chain;
 mod clients;

@@ -173,3 +173,73 @@ impl CaptureFile {
         failed.map(|error| format!("{} is not complete: {error}", self.path.display()))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use cotorra_fabric::{Fabric, Frame, PortId};
+    use cotorra_graph::Timestamp;
+
+    use super::*;
+
+    fn fabric() -> Arc<Mutex<Fabric>> {
+        let text = "
+name: captured
+nodes:
+  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }
+  right: { kind: server, tier: edge, cpus: 1, memory: 1 GB }
+links: [{ ends: [left, right] }]
+";
+        let testbed = cotorra_testbed_file::parse("captured.yaml", text, Path::new("")).unwrap();
+        Arc::new(Mutex::new(Fabric::new(&testbed.graph, 1).unwrap()))
+    }
+
+    fn wiretap(fabric: &Arc<Mutex<Fabric>>) -> Wiretap {
+        let fabric = Arc::clone(fabric);
+        Arc::new(move |name, reader| Ok(fabric.lock().tap(name, reader)?))
+    }
+
+    /// Sends a broadcast.
+    fn send(fabric: &Mutex<Fabric>, at_s: f64, length: usize) {
+        let mut fabric = fabric.lock();
+        fabric.push(Timestamp::from_secs_f64(at_s), PortId(0), Frame::new(vec![0xff; length]));
+        fabric.poll(Timestamp::from_secs_f64(at_s + 1.0), &mut |_, _| {});
+    }
+
+    #[test]
+    fn a_file_ends_after_a_whole_packet_before_it_is_too_large() {
+        let (fabric, folder) = (fabric(), tempfile::tempdir().unwrap());
+        let plan = |name| CapturePlan { of: "right".parse().unwrap(), file: folder.path().join(name) };
+        let [whole, cut] = ["whole.pcapng", "cut.pcapng"].map(plan);
+        let captures = [(1000, &cut), (MOST_BYTES, &whole)]
+            .map(|(room, plan)| CaptureFile::within(room, plan, &wiretap(&fabric)));
+        send(&fabric, 0.0, 100);
+        send(&fabric, 2.0, 1000);
+        let [cut_end, whole_end] = captures.map(|capture| capture.unwrap().finish());
+        assert!(cut_end.is_some_and(|reason| reason.contains("cut.pcapng is not complete: it ends before")));
+        assert_eq!(whole_end, None);
+        let [cut, whole] = [cut, whole].map(|plan| std::fs::read(plan.file).unwrap());
+        assert!(whole.starts_with(&cut) && cut.len() > 200 && whole.len() > cut.len() + 1000);
+    }
+
+    #[test]
+    fn nothing_is_left_of_a_capture_that_cannot_begin() {
+        let (fabric, folder) = (fabric(), tempfile::tempdir().unwrap());
+        let plan = |of: &str| format!("{of}={}", folder.path().join(of).display()).parse().unwrap();
+        let plans: [CapturePlan; 3] = ["left", "right", "nothing"].map(plan);
+        let error = CaptureFile::begin_all(&plans, &wiretap(&fabric)).unwrap_err().to_string();
+        assert_eq!(error, "cannot capture: there is no link or node `nothing`");
+        assert!(plans.iter().all(|plan| !plan.file.exists()));
+        // What others wrote stays.
+        std::fs::write(&plans[1].file, "others").unwrap();
+        let error = CaptureFile::begin_all(&plans, &wiretap(&fabric)).unwrap_err().to_string();
+        assert!(error.contains("right exists already"), "{error}");
+        assert!(!plans[0].file.exists() && plans[1].file.exists());
+    }
+
+    #[test]
+    fn texts_that_are_no_plans_are_rejected() {
+        for text in ["lan-cloud", "lan-cloud=", "=file"] {
+            assert!(text.parse::<CapturePlan>().is_err(), "{text}");
+        }
+    }
+}
