@@ -11,8 +11,9 @@ use std::{
 };
 
 use clap::Args;
-use cotorra_experiments::sweep::{
-    Axis, Cell, FILES, Interval, Runs, ServiceCell, Sweep, SweepError, SweepFolder,
+use cotorra_experiments::{
+    journal::Journal,
+    sweep::{Axis, Cell, FILES, Interval, Runs, ServiceCell, Sweep, SweepError},
 };
 use cotorra_testbed::FolderError;
 
@@ -110,7 +111,7 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let interrupts = signals::listen().map_err(Error::Signals)?;
-    let folder = SweepFolder::open(&place).map_err(Error::from)?;
+    let folder = Journal::open(&place).map_err(Error::from)?;
     if args.fresh {
         folder.clear().map_err(Error::from)?;
     }
@@ -122,7 +123,7 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
     progress.close();
     let runs = runs.map_err(report)?;
     // A sweep that was stopped has its tables, too.
-    folder.write(&sweep, &runs).map_err(Error::from)?;
+    sweep.write(&folder, &runs).map_err(Error::from)?;
     output::print(&describe(&sweep, &runs, folder.path()))?;
     Ok(if runs.done.len() == runs.total { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) })
 }

@@ -1,10 +1,16 @@
 //! Experiments made of many runs: sweeps over settings and seeds, and repetitions of published experiments.
 //!
-//! [`Sweep`](sweep::Sweep) runs a testbed file in virtual time for all combinations of settings. [`okpi::Comparison`] and
+//! [`Sweep`](sweep::Sweep) runs a testbed file in virtual time for all combinations of settings, and keeps each run in a
+//! [`Journal`](journal::Journal). [`okpi::Comparison`] and
 //! [`federation::Comparison`] compare runs with published figures. They only read reports and histories: the caller runs
 //! the testbeds, in real or in virtual time.
 #![forbid(unsafe_code)]
 
+mod batch;
+mod csv;
 pub mod federation;
+pub mod journal;
 pub mod okpi;
 pub mod sweep;
+
+pub use batch::BatchError;

@@ -2,7 +2,7 @@
 //!
 //! ```no_run
 //! use std::path::Path;
-//! use cotorra_experiments::sweep::{Sweep, SweepFolder};
+//! use cotorra_experiments::{journal::Journal, sweep::Sweep};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let text = std::fs::read_to_string("testbeds/corridor.yaml")?;
@@ -10,7 +10,7 @@
 //!     .axis("links.*.delay_scale=1..2:0.5".parse()?)
 //!     .axis("plugin=probing,okpi".parse()?)
 //!     .seeds(10);
-//! let folder = SweepFolder::open(&sweep.default_folder(Path::new("sweeps"))?)?;
+//! let folder = Journal::open(&sweep.default_folder(Path::new("sweeps"))?)?;
 //! // Skips the runs that the folder has, and keeps each new one as soon as it is done.
 //! let runs = sweep.run(&folder, std::thread::available_parallelism()?, |done, of| {
 //!     eprintln!("{done} of {of}");
@@ -33,27 +33,27 @@ mod tables;
 use std::{
     fs,
     num::NonZero,
-    panic::{AssertUnwindSafe, catch_unwind},
     path::{Path, PathBuf},
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicUsize, Ordering},
-        mpsc,
+        atomic::{AtomicBool, Ordering},
     },
     time::Duration,
 };
 
 use cotorra_graph::{PluginProgram, Testbed, seed};
-use cotorra_testbed::{
-    DataTable, FolderError, Options, Place, RunError, panic_text, simulate, simulate_unrecorded,
-};
+use cotorra_testbed::{DataTable, Options, Place, RunError, simulate, simulate_unrecorded};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
     axis::{Axis, InvalidAxis},
     cells::{Cell, Interval, ServiceCell},
-    folder::{FILES, SweepFolder},
+    folder::FILES,
     measured::{Measured, MeasuredService, Region},
+};
+use crate::{
+    batch::{self, BatchError},
+    journal::Journal,
 };
 
 /// A testbed file, the settings to vary, and the number of seeds.
@@ -102,25 +102,9 @@ pub enum SweepError {
     /// A setting's path or value is malformed.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
-    /// The folder cannot be read or written.
+    /// A run failed, or its result cannot be kept.
     #[error(transparent)]
-    Folder(#[from] FolderError),
-    /// A run cannot start.
-    #[error("{point}: {source}")]
-    Run {
-        /// Name of the run.
-        point: String,
-        /// Error of the run.
-        source: RunError,
-    },
-    /// A run panicked, which is a bug.
-    #[error("{point} panicked, which is a bug: {reason}")]
-    Panicked {
-        /// Name of the run.
-        point: String,
-        /// The panic's message.
-        reason: String,
-    },
+    Run(#[from] BatchError),
 }
 
 impl Sweep {
@@ -213,72 +197,29 @@ impl Sweep {
         settings.chain([format!("seed={}", point.seed)]).collect::<Vec<_>>().join(" ")
     }
 
-    /// Runs the points that the folder does not have yet, `jobs` at a time, and adds each to the folder as soon as it is
-    /// done. Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run; `false` stops
-    /// the sweep.
+    /// Runs the points that the journal does not have yet, `jobs` at a time, and adds each to it as soon as it is done.
+    /// Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run; `false` stops the
+    /// sweep.
     ///
     /// # Errors
     /// [`SweepError`].
     pub fn run(
         &self,
-        folder: &SweepFolder,
+        journal: &Journal,
         jobs: NonZero<usize>,
         mut go_on: impl FnMut(usize, usize) -> bool,
     ) -> Result<Runs, SweepError> {
         let points = self.points()?;
-        let mut kept = folder.kept()?;
-        let mut done: Vec<Option<Measured>> =
-            points.iter().map(|point| kept.remove(&self.name(point))).collect();
-        let missing: Vec<usize> = (0..points.len()).filter(|&i| done[i].is_none()).collect();
-        let (total, resumed) = (points.len(), points.len() - missing.len());
-        let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(!go_on(resumed, total)));
-        let (sender, results) = mpsc::channel();
-        let mut failed = None;
-        std::thread::scope(|scope| {
-            for _ in 0..jobs.get().min(missing.len()) {
-                let (sender, points, missing, next, stop) = (sender.clone(), &points, &missing, &next, &stop);
-                scope.spawn(move || {
-                    while !stop.load(Ordering::Relaxed)
-                        && let Some(&place) = missing.get(next.fetch_add(1, Ordering::Relaxed))
-                    {
-                        let run = folder.run(place);
-                        let Some(result) = self.measure(&points[place], &run, stop).transpose() else {
-                            return;
-                        };
-                        if sender.send((place, result)).is_err() {
-                            return;
-                        }
-                    }
-                });
-            }
-            drop(sender);
-            let mut count = resumed;
-            for (place, result) in &results {
-                let result = result.and_then(|measured| {
-                    folder.keep(&self.name(&points[place]), &measured)?;
-                    Ok(measured)
-                });
-                match result {
-                    Ok(measured) => {
-                        done[place] = Some(measured);
-                        count += 1;
-                        if !go_on(count, total) {
-                            stop.store(true, Ordering::Relaxed);
-                        }
-                    }
-                    Err(error) => {
-                        failed = Some(error);
-                        stop.store(true, Ordering::Relaxed);
-                    }
-                }
-            }
-        });
-        if let Some(error) = failed {
-            return Err(error);
-        }
-        let done = points.into_iter().zip(done);
+        let total = points.len();
+        let names: Vec<_> = points.iter().map(|point| self.name(point)).collect();
+        let measure = |place: usize, stop: &AtomicBool| {
+            let folder = journal.path().join(format!("run-{place}"));
+            self.measure(&points[place], &folder, stop)
+        };
+        let batch = batch::run(journal, jobs, &names, measure, |done| go_on(done, total))?;
+        let done = points.into_iter().zip(batch.done);
         let done = done.filter_map(|(point, measured)| Some(Done { point, measured: measured? })).collect();
-        Ok(Runs { done, resumed, total })
+        Ok(Runs { done, resumed: batch.resumed, total })
     }
 
     /// Runs a point; returns `None` if it was stopped before its end.
@@ -289,22 +230,15 @@ impl Sweep {
         stop: &AtomicBool,
     ) -> Result<Option<Measured>, SweepError> {
         let testbed = self.testbed(&point.values)?;
-        let run = || {
-            if testbed.plugins.iter().any(|spec| matches!(spec.program, PluginProgram::Command(_))) {
-                self.simulate_with_programs(testbed, point, folder, stop)
-            } else {
-                let go_on = || !stop.load(Ordering::Relaxed);
-                let summary = simulate_unrecorded(Arc::new(testbed), point.seed, self.until, go_on)?;
-                Ok(summary.as_ref().map(Measured::of))
-            }
+        let measured = if testbed.plugins.iter().any(|spec| matches!(spec.program, PluginProgram::Command(_)))
+        {
+            self.simulate_with_programs(testbed, point, folder, stop)
+        } else {
+            let go_on = || !stop.load(Ordering::Relaxed);
+            let summary = simulate_unrecorded(Arc::new(testbed), point.seed, self.until, go_on);
+            summary.map(|summary| summary.as_ref().map(Measured::of))
         };
-        let named = || self.name(point);
-        match catch_unwind(AssertUnwindSafe(run)) {
-            Ok(result) => result.map_err(|source| SweepError::Run { point: named(), source }),
-            Err(panic) => {
-                Err(SweepError::Panicked { point: named(), reason: panic_text(&*panic).to_owned() })
-            }
-        }
+        measured.map_err(|source| BatchError::Run { run: self.name(point), source }.into())
     }
 
     /// Runs a point whose plug-ins are programs, which need a run's folder. The folder stays if a plug-in was cut off:

@@ -14,7 +14,7 @@ fn sweep(axes: &[&str]) -> Sweep {
     axes.iter().fold(sweep, |sweep, axis| sweep.axis(axis.parse().unwrap()))
 }
 
-fn files(folder: &SweepFolder) -> Vec<String> {
+fn files(folder: &Journal) -> Vec<String> {
     FILES.map(|name| fs::read_to_string(folder.path().join(name)).unwrap()).into()
 }
 
@@ -37,7 +37,7 @@ fn invalid_values_are_rejected_before_any_run() {
 #[test]
 fn twice_the_delay_is_twice_the_service_time_and_more_seeds_narrow_the_interval() {
     let out = tempfile::tempdir().unwrap();
-    let folder = SweepFolder::open(&out.path().join("sweep")).unwrap();
+    let folder = Journal::open(&out.path().join("sweep")).unwrap();
     let sweep = sweep(&["links.*.delay_scale=1,2"]).seeds(3);
     let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
     assert_eq!((runs.done.len(), runs.resumed, runs.total), (6, 0, 6));
@@ -50,11 +50,11 @@ fn twice_the_delay_is_twice_the_service_time_and_more_seeds_narrow_the_interval(
 #[test]
 fn a_stopped_sweep_continues_and_ends_with_the_same_bytes() {
     let out = tempfile::tempdir().unwrap();
-    let open = |name: &str| SweepFolder::open(&out.path().join(name)).unwrap();
+    let open = |name: &str| Journal::open(&out.path().join(name)).unwrap();
     let sweep = sweep(&["plugin=probing,okpi"]).seeds(3);
     let whole = open("whole");
     let runs = sweep.run(&whole, JOBS, |_, _| true).unwrap();
-    whole.write(&sweep, &runs).unwrap();
+    sweep.write(&whole, &runs).unwrap();
 
     let path = {
         let folder = open("stopped");
@@ -80,17 +80,17 @@ fn a_stopped_sweep_continues_and_ends_with_the_same_bytes() {
     assert_eq!((rest.done.len(), rest.resumed), (6, lines));
     assert_eq!(progress.first(), Some(&(lines, 6)));
     assert_eq!(rest.done, runs.done);
-    folder.write(&sweep, &rest).unwrap();
+    sweep.write(&folder, &rest).unwrap();
     assert_eq!(files(&folder), files(&whole));
 }
 
 #[test]
 fn tables_are_tidy() {
     let out = tempfile::tempdir().unwrap();
-    let folder = SweepFolder::open(&out.path().join("sweep")).unwrap();
+    let folder = Journal::open(&out.path().join("sweep")).unwrap();
     let sweep = sweep(&["walks.robot.waypoints=[[25.5, -27.8], [25.5, -24.6]]", "plugin=probing"]);
     let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
-    folder.write(&sweep, &runs).unwrap();
+    sweep.write(&folder, &runs).unwrap();
     let files = files(&folder);
     let head = "walks.robot.waypoints,plugin,seed,duration_ms,walked,samples,unanswered,above_target,";
     assert!(files[0].starts_with(head), "{}", files[0]);
@@ -109,15 +109,15 @@ fn tables_are_tidy() {
 #[test]
 fn a_folder_is_open_in_one_process_only() {
     let out = tempfile::tempdir().unwrap();
-    let _first = SweepFolder::open(out.path()).unwrap();
-    let second = SweepFolder::open(out.path()).unwrap_err().to_string();
-    assert!(second.contains("another process runs this sweep"), "{second}");
+    let _first = Journal::open(out.path()).unwrap();
+    let second = Journal::open(out.path()).unwrap_err().to_string();
+    assert!(second.contains("another process uses this folder"), "{second}");
 }
 
 #[test]
 fn programs_leave_logs_only_where_they_failed() {
     let out = tempfile::tempdir().unwrap();
-    let folder = SweepFolder::open(&out.path().join("sweep")).unwrap();
+    let folder = Journal::open(&out.path().join("sweep")).unwrap();
     // The program follows no events: it exits, and is cut off.
     let axis = "plugins=[{id: gone, command: ['true']}],[probing]";
     let sweep = sweep(&[axis]).until(Some(Duration::from_secs(5)));
