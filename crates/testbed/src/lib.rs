@@ -66,4 +66,6 @@ pub use robots::RobotError;
 pub use run::{Run, Stopper};
 pub use run_info::about;
 pub use script::{Rehearsal, ScriptError};
-pub use simulate::{Simulation, simulate, simulate_unrecorded};
+pub use simulate::{
+    Altered, Altering, Fork, Simulation, is_same_subject, simulate, simulate_altered, simulate_unrecorded,
+};

@@ -60,6 +60,8 @@ struct Instances {
     /// By node, in the order of their start.
     by_node: BTreeMap<NodeId, Vec<Instance>>,
     happened: VecDeque<EngineEvent>,
+    /// Nodes whose instances answer so much later.
+    slow: BTreeMap<NodeId, Duration>,
     /// Whether started instances stay unready until this ends.
     starts_held: bool,
 }
@@ -88,6 +90,7 @@ impl Serving {
         answer: &mut Vec<u8>,
     ) -> Option<Duration> {
         let mut all = self.0.lock();
+        let slow = all.slow.get(node).copied().unwrap_or_default();
         let here = all.by_node.get_mut(node).into_iter().flatten();
         here.filter(|instance| instance.port == port && instance.is_ready).find_map(|instance| {
             let later = match instance.mood {
@@ -95,8 +98,15 @@ impl Serving {
                 Mood::Slow(later) => later,
                 Mood::Hung => return None,
             };
-            instance.program.answer(datagram, answer).then_some(later)
+            instance.program.answer(datagram, answer).then_some(later + slow)
         })
+    }
+}
+
+impl Serving {
+    /// Lets the instances on these nodes answer later.
+    pub(super) fn slow_down(&self, slow: BTreeMap<NodeId, Duration>) {
+        self.0.lock().slow = slow;
     }
 }
 

@@ -1,6 +1,7 @@
 //! A testbed in virtual time: the same core, fabric, robots and plug-ins as in real time, driven by their deadlines instead
 //! of a clock. Nothing sleeps, all randomness comes from the seed, and the same seed gives the same events.
 
+mod altered;
 mod engine;
 mod interference;
 mod network;
@@ -25,12 +26,19 @@ use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{InstructionError, vim::Managed};
 use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 
-use self::interference::{Held, Interference};
+pub use self::{
+    altered::{Altered, Fork, is_same_subject},
+    run::simulate,
+    unrecorded::{Altering, simulate_altered, simulate_unrecorded},
+};
+use self::{
+    altered::{Forked, Forking},
+    interference::{Held, Interference},
+};
 pub(crate) use self::{
     engine::{Mood, Serving, VirtualEngine},
     network::VirtualNetwork,
 };
-pub use self::{run::simulate, unrecorded::simulate_unrecorded};
 use crate::{
     core::Core,
     domain::Domains,
@@ -59,6 +67,8 @@ pub struct Simulation {
     interference: Interference,
     host: PluginHost,
     locals: Locals,
+    /// Present if a decision gets another outcome.
+    forking: Option<Forking>,
     /// Ledgers that orchestrators share.
     ledgers: Ledgers,
     ports: HashMap<Ipv4Addr, PortId>,
@@ -164,6 +174,7 @@ impl Simulation {
             host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE)
                 .with_domains(&testbed.graph.domains),
             locals,
+            forking: None,
             ledgers: bundled.into_ledgers(),
             ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),
             outputs: VecDeque::new(),
@@ -185,6 +196,18 @@ impl Simulation {
         self.host.add(id.clone());
         self.locals.add(id, plugin, testbed, None);
         self
+    }
+
+    /// Applies differences from the testbed file.
+    pub(crate) fn altered(mut self, altered: &Altered) -> Self {
+        self.serving.slow_down(altered.slow.clone());
+        self.forking = altered.fork.clone().map(Forking::new);
+        self
+    }
+
+    /// Returns the outcome of the fork's alternative, once the run has passed it.
+    pub(crate) fn forked(&self) -> Option<&Result<(), InstructionError>> {
+        self.forking.as_ref()?.outcome()
     }
 
     /// Sets the longest wait for a plug-in.
@@ -458,7 +481,14 @@ impl Lockstep for Simulation {
 
     fn returned(&mut self, returned: Returned) {
         let (plugin, outcome) = self.locals.returned(returned);
-        self.host.returned(self.network.now(), &plugin, outcome, &mut self.core);
+        let now = self.network.now();
+        match &mut self.forking {
+            Some(forking) => {
+                let mut forked = Forked { core: &mut self.core, forking };
+                self.host.returned(now, &plugin, outcome, &mut forked);
+            }
+            None => self.host.returned(now, &plugin, outcome, &mut self.core),
+        }
         self.locals.end_cut_off(&self.host);
     }
 
@@ -486,6 +516,8 @@ impl Lockstep for Simulation {
     }
 }
 
+#[cfg(test)]
+mod altered_tests;
 #[cfg(test)]
 mod camera_tests;
 #[cfg(test)]

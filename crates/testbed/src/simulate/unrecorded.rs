@@ -2,9 +2,10 @@
 
 use std::{sync::Arc, time::Duration};
 
-use cotorra_graph::{Testbed, Timestamp};
+use cotorra_graph::{Stamped, Testbed, Timestamp};
+use cotorra_network_control::InstructionError;
 
-use super::{Simulation, Stretch};
+use super::{Altered, Simulation, Stretch};
 use crate::{
     clock::wall_clock,
     error::RunError,
@@ -14,6 +15,14 @@ use crate::{
 
 /// Events of a run between two calls of `go_on`.
 const EVENTS_PER_CHECK: usize = 1000;
+
+/// The end of an altered run.
+#[derive(Debug)]
+pub struct Altering {
+    pub summary: Summary,
+    /// The outcome of the fork's alternative; `None` if the run had no fork, or did not reach it.
+    pub forked: Option<Result<(), InstructionError>>,
+}
 
 /// Runs a testbed in virtual time to the end of its walks, or up to `until`, without a folder or a history. Returns `None`
 /// if `go_on` stopped it; it is called now and then.
@@ -25,13 +34,30 @@ pub fn simulate_unrecorded(
     testbed: Arc<Testbed>,
     seed: u64,
     until: Option<Duration>,
-    mut go_on: impl FnMut() -> bool,
+    go_on: impl FnMut() -> bool,
 ) -> Result<Option<Summary>, RunError> {
+    let altering = simulate_altered(testbed, seed, until, &Altered::default(), |_| {}, go_on)?;
+    Ok(altering.map(|altering| altering.summary))
+}
+
+/// Does the same as [`simulate_unrecorded`] with differences from the testbed file. Calls `observe` with each event.
+///
+/// # Errors
+/// Those of [`simulate_unrecorded`].
+pub fn simulate_altered(
+    testbed: Arc<Testbed>,
+    seed: u64,
+    until: Option<Duration>,
+    altered: &Altered,
+    mut observe: impl FnMut(&Stamped),
+    mut go_on: impl FnMut() -> bool,
+) -> Result<Option<Altering>, RunError> {
     let until = until.map(|until| Timestamp::ZERO + until);
     if until.is_none() && testbed.walks.is_empty() {
         return Err(RunError::Endless);
     }
-    let mut simulation = Guarded::new(Simulation::new(Arc::clone(&testbed), seed)?, wall_clock());
+    let simulation = Simulation::new(Arc::clone(&testbed), seed)?.altered(altered);
+    let mut simulation = Guarded::new(simulation, wall_clock());
     let mut report = Report::new(&testbed, seed);
     loop {
         simulation.go(Stretch::Events(EVENTS_PER_CHECK, until));
@@ -40,6 +66,7 @@ pub fn simulate_unrecorded(
         }
         while let Some(event) = simulation.poll_event() {
             report.absorb(&event);
+            observe(&event);
         }
         let (now, end) = match until {
             _ if simulation.is_finished() => (simulation.now(), End::Walked),
@@ -47,6 +74,7 @@ pub fn simulate_unrecorded(
             _ if !go_on() => return Ok(None),
             _ => continue,
         };
-        return Ok(Some(report.summary(now, end.as_str(), Losses::default())));
+        let summary = report.summary(now, end.as_str(), Losses::default());
+        return Ok(Some(Altering { summary, forked: simulation.forked().cloned() }));
     }
 }
