@@ -1,7 +1,9 @@
-//! Experiments made of many runs: sweeps over settings and seeds, and repetitions of published experiments.
+//! Experiments made of many runs: sweeps over settings and seeds, margins of targets, and repetitions of published
+//! experiments.
 //!
-//! [`Sweep`](sweep::Sweep) runs a testbed file in virtual time for all combinations of settings, and keeps each run in a
-//! [`Journal`](journal::Journal). [`okpi::Comparison`] and
+//! [`Sweep`](sweep::Sweep) runs a testbed file in virtual time for all combinations of settings. [`Margin`](margin::Margin)
+//! searches for the smallest change that breaks a target. Both share how runs are made and kept
+//! ([`Journal`](journal::Journal)). [`okpi::Comparison`] and
 //! [`federation::Comparison`] compare runs with published figures. They only read reports and histories: the caller runs
 //! the testbeds, in real or in virtual time.
 #![forbid(unsafe_code)]
@@ -10,6 +12,8 @@ mod batch;
 mod csv;
 pub mod federation;
 pub mod journal;
+mod kept;
+pub mod margin;
 pub mod okpi;
 pub mod sweep;
 

@@ -1,0 +1,248 @@
+//! Changes of a testbed: more delay, more loss, a slower server, a radio unit down.
+
+use std::{fmt, time::Duration};
+
+use cotorra_graph::{
+    ConditionChange, LinkId, Loss, NodeId, NodeKind, Probability, Scheduled, Testbed, millis,
+};
+use cotorra_testbed::Altered;
+
+/// Loss is counted in millionths.
+pub const LOSS_UNITS: u64 = 1_000_000;
+
+/// A quantity of the testbed that can get worse by any amount.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Dimension {
+    /// Delay of a wired link, in each direction. Amounts are in nanoseconds.
+    Delay(LinkId),
+    /// Delay of all links of a wireless network, in each direction. Amounts are in nanoseconds.
+    AirDelay(String),
+    /// Loss of a wired link, in each direction. Amounts are in units of [`LOSS_UNITS`].
+    Loss(LinkId),
+    /// Time that a server's bundled VNFs take to answer. Amounts are in nanoseconds.
+    Answers(NodeId),
+}
+
+impl Dimension {
+    /// Returns the name of the link, network or server.
+    pub fn on(&self) -> &str {
+        match self {
+            Self::Delay(link) | Self::Loss(link) => link.as_str(),
+            Self::AirDelay(network) => network,
+            Self::Answers(server) => server.as_str(),
+        }
+    }
+
+    /// Returns an amount for people.
+    pub fn amount(&self, amount: u64) -> String {
+        match self {
+            Self::Loss(_) => format!("+{} %", amount as f64 * 100.0 / LOSS_UNITS as f64),
+            Self::Delay(_) | Self::AirDelay(_) | Self::Answers(_) => {
+                format!("+{} ms", millis::of(Duration::from_nanos(amount)))
+            }
+        }
+    }
+}
+
+/// A change of a testbed; the default changes nothing.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Change {
+    /// A dimension that gets worse, and the amount.
+    pub worse: Option<(Dimension, u64)>,
+    /// A radio unit that is off from the start.
+    pub down: Option<NodeId>,
+}
+
+impl fmt::Display for Change {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { worse, down } = self;
+        match worse {
+            Some((dimension, amount)) => {
+                let kind = match dimension {
+                    Dimension::Delay(_) | Dimension::AirDelay(_) => "delay",
+                    Dimension::Loss(_) => "loss",
+                    Dimension::Answers(_) => "answers",
+                };
+                write!(f, "{kind} {} {}", dimension.on(), dimension.amount(*amount))?;
+            }
+            None if down.is_none() => f.write_str("unchanged")?,
+            None => {}
+        }
+        match down {
+            Some(unit) if worse.is_some() => write!(f, ", {unit} down"),
+            Some(unit) => write!(f, "{unit} down"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Change {
+    /// Applies the change to a testbed, and returns its part that no testbed file can state.
+    pub(crate) fn apply(&self, testbed: &mut Testbed) -> Altered {
+        if let Some(down) = &self.down {
+            for node in testbed.graph.nodes.iter_mut().filter(|node| node.id == *down) {
+                if let NodeKind::RadioUnit(unit) = &mut node.kind {
+                    unit.serving = false;
+                }
+            }
+        }
+        let mut altered = Altered::default();
+        match &self.worse {
+            None => {}
+            Some((Dimension::Answers(server), amount)) => {
+                altered.slow.insert(server.clone(), Duration::from_nanos(*amount));
+            }
+            Some((Dimension::AirDelay(network), amount)) => {
+                if let Some(network) = testbed.graph.wireless.get_mut(network) {
+                    network.delay += Duration::from_nanos(*amount);
+                }
+            }
+            Some((Dimension::Delay(link), amount)) => add_delay(testbed, link, Duration::from_nanos(*amount)),
+            Some((Dimension::Loss(link), amount)) => {
+                add_loss(testbed, link, *amount as f64 / LOSS_UNITS as f64);
+            }
+        }
+        altered
+    }
+}
+
+/// Adds delay to each direction of a link, at the start and wherever the schedule sets its delay.
+fn add_delay(testbed: &mut Testbed, link: &LinkId, more: Duration) {
+    for link in testbed.graph.links.iter_mut().filter(|other| other.id == *link) {
+        link.forward.delay += more;
+        link.backward.delay += more;
+    }
+    reschedule(testbed, link, |set| match &mut set.delay_ms {
+        Some(delay_ms) => *delay_ms += millis::of(more),
+        None => {}
+    });
+}
+
+/// Adds loss to each direction of a link, at the start and wherever the schedule sets its loss.
+fn add_loss(testbed: &mut Testbed, link: &LinkId, more: f64) {
+    for link in testbed.graph.links.iter_mut().filter(|other| other.id == *link) {
+        for conditions in [&mut link.forward, &mut link.backward] {
+            conditions.loss = with_more(conditions.loss, more);
+        }
+    }
+    reschedule(testbed, link, |set| set.loss = set.loss.map(|loss| with_more(loss, more)));
+}
+
+/// Returns a loss that also loses a share `more` of what it lets pass.
+fn with_more(loss: Loss, more: f64) -> Loss {
+    let rate = |before: Probability| {
+        let rate = 1.0 - (1.0 - before.get()) * (1.0 - more);
+        Probability::new(rate.clamp(0.0, 1.0)).expect("a share")
+    };
+    match loss {
+        Loss::None => Loss::Independent { rate: rate(Probability::ZERO) },
+        Loss::Independent { rate: before } => Loss::Independent { rate: rate(before) },
+        Loss::Bursty { rate: before, .. } if rate(before).get() >= 1.0 => {
+            Loss::Independent { rate: Probability::ONE }
+        }
+        Loss::Bursty { rate: before, mean_burst } => Loss::Bursty { rate: rate(before), mean_burst },
+    }
+}
+
+/// Changes what the schedule sets for one link; other links of the same entries keep theirs.
+fn reschedule(testbed: &mut Testbed, link: &LinkId, change: impl Fn(&mut ConditionChange)) {
+    let entries = std::mem::take(&mut testbed.script.schedule);
+    testbed.script.schedule = entries
+        .into_iter()
+        .flat_map(|entry| {
+            if !entry.links.contains(link) {
+                return vec![entry];
+            }
+            let mut own = Scheduled { links: vec![link.clone()], ..entry.clone() };
+            change(&mut own.set);
+            let mut others = entry;
+            others.links.retain(|other| other != link);
+            if others.links.is_empty() { vec![own] } else { vec![others, own] }
+        })
+        .collect();
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn testbed() -> Testbed {
+        let text = "name: x\nwireless: { w: { delay: 1 ms } }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+                    a: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\n  b: { kind: switch }\n\
+                    links:\n  - { ends: [a, b], delay: 1 ms, loss: 50 % }\n  - { ends: [b, R], delay: 2 ms }\n\
+                    schedule:\n  - { at: 1 s, links: [a-b, b-R], set: { delay: 8 ms, loss: 20 % } }\n  \
+                    - { at: 2 s, links: a-b, set: { delay_scale: 2 } }\n";
+        cotorra_testbed_file::parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"))
+    }
+
+    fn changed(dimension: Dimension, amount: u64) -> (Testbed, Altered) {
+        let mut testbed = testbed();
+        let altered = Change { worse: Some((dimension, amount)), down: None }.apply(&mut testbed);
+        (testbed, altered)
+    }
+
+    fn link(name: &str) -> LinkId {
+        name.parse().unwrap()
+    }
+
+    #[test]
+    fn delay_is_added_at_the_start_and_in_the_schedule_of_that_link_only() {
+        let (testbed, _) = changed(Dimension::Delay(link("a-b")), 3_100_000);
+        let delays = |link: &cotorra_graph::Link| [link.forward.delay, link.backward.delay].map(millis::of);
+        assert_eq!(delays(&testbed.graph.links[0]), [4.1, 4.1]);
+        assert_eq!(delays(&testbed.graph.links[1]), [2.0, 2.0]);
+        let set: Vec<_> = testbed
+            .script
+            .schedule
+            .iter()
+            .map(|entry| (entry.links[0].as_str(), entry.set.delay_ms, entry.set.delay_scale))
+            .collect();
+        let expected = [("b-R", Some(8.0), None), ("a-b", Some(11.1), None), ("a-b", None, Some(2.0))];
+        assert_eq!(set, expected);
+    }
+
+    #[test]
+    fn loss_is_added_to_what_passes() {
+        let (testbed, _) = changed(Dimension::Loss(link("a-b")), LOSS_UNITS / 10);
+        let share = |loss: Option<Loss>| match loss {
+            Some(Loss::Independent { rate }) => rate.get(),
+            other => panic!("{other:?}"),
+        };
+        assert!((share(Some(testbed.graph.links[0].forward.loss)) - 0.55).abs() < 1e-12);
+        assert_eq!(testbed.graph.links[1].forward.loss, Loss::None);
+        assert!((share(testbed.script.schedule[1].set.loss) - 0.28).abs() < 1e-12);
+        let bursty = Loss::Bursty { rate: Probability::new(0.5).unwrap(), mean_burst: 4.0 };
+        let more = Loss::Bursty { rate: Probability::new(0.75).unwrap(), mean_burst: 4.0 };
+        assert_eq!(with_more(bursty, 0.5), more);
+        assert_eq!(with_more(bursty, 1.0), Loss::Independent { rate: Probability::ONE });
+    }
+
+    #[test]
+    fn servers_radio_units_and_the_air_get_worse_too() {
+        let (unchanged, altered) = changed(Dimension::Answers("a".parse().unwrap()), 2_000_000);
+        assert_eq!(unchanged, testbed());
+        let slow: Vec<_> = altered.slow.into_iter().collect();
+        assert_eq!(slow, [("a".parse().unwrap(), Duration::from_millis(2))]);
+        let (air, _) = changed(Dimension::AirDelay("w".to_owned()), 2_000_000);
+        assert_eq!(air.graph.wireless["w"].delay, Duration::from_millis(3));
+        let mut testbed = testbed();
+        Change { worse: None, down: Some("R".parse().unwrap()) }.apply(&mut testbed);
+        assert!(!testbed.graph.radio_units().next().unwrap().1.serving);
+    }
+
+    #[test]
+    fn changes_have_names() {
+        let worse = Some((Dimension::Delay(link("a-b")), 3_100_000));
+        let down: Option<NodeId> = Some("R".parse().unwrap());
+        let name = |worse: &Option<_>, down: &Option<_>| {
+            Change { worse: worse.clone(), down: down.clone() }.to_string()
+        };
+        assert_eq!(name(&worse, &down), "delay a-b +3.1 ms, R down");
+        assert_eq!(name(&worse, &None), "delay a-b +3.1 ms");
+        assert_eq!(name(&None, &down), "R down");
+        assert_eq!(name(&None, &None), "unchanged");
+        assert_eq!(Dimension::Loss(link("a-b")).amount(1500), "+0.15 %");
+    }
+}

@@ -1,0 +1,534 @@
+//! Margins: the smallest change of a testbed that breaks a target, found by runs in virtual time.
+//!
+//! A target breaks if less than a share of a service's samples keeps it, counted over all seeds, or if a walk does not end
+//! that ends without the change. Delays, losses and slow servers are searched by bisection, with the same seeds each time.
+
+mod bisection;
+mod change;
+mod folder;
+mod measured;
+
+use std::{
+    num::NonZero,
+    path::{Path, PathBuf},
+    sync::{Arc, atomic::AtomicBool, atomic::Ordering},
+    time::Duration,
+};
+
+use cotorra_graph::{NodeId, ServiceId, Testbed, seed};
+use cotorra_testbed::{RunError, simulate_altered};
+use serde::Serialize;
+
+use self::{bisection::Bisection, measured::Measured};
+pub use self::{
+    bisection::Grid,
+    change::{Change, Dimension, LOSS_UNITS},
+    folder::FILES,
+};
+use crate::{
+    batch::{self, BatchError},
+    journal::Journal,
+    kept::{self, UnknownService},
+};
+
+/// Longest changed run without an own limit, as a multiple of the unchanged run.
+const LONGEST: f64 = 2.0;
+
+/// Kinds of changes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Extra delay on a link.
+    Delay,
+    /// Extra loss on a link.
+    Loss,
+    /// A server whose VNFs answer later.
+    Answers,
+    /// A radio unit that is off.
+    Down,
+}
+
+impl Kind {
+    /// All kinds, with their names.
+    pub const ALL: [(&'static str, Self); 4] =
+        [("delay", Self::Delay), ("loss", Self::Loss), ("answers", Self::Answers), ("down", Self::Down)];
+
+    /// Returns its name.
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
+}
+
+/// Extent of a search.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Options {
+    /// Names of the services whose targets count; all services without names.
+    pub services: Vec<String>,
+    /// Share of a service's samples that must keep its target.
+    pub keep: f64,
+    /// Seed of the first run.
+    pub seed: u64,
+    /// Number of seeds, counted up from the first.
+    pub seeds: u32,
+    /// Limit of each run; by default, changed runs take twice as long as unchanged ones at most.
+    pub until: Option<Duration>,
+    /// Kinds of changes to try.
+    pub kinds: Vec<Kind>,
+    /// Names of the links, networks, servers and radio units to change; all without names.
+    pub on: Vec<String>,
+    /// Extra delays of links and answers, in nanoseconds.
+    pub delays: Grid,
+    /// Extra losses, in units of [`LOSS_UNITS`].
+    pub losses: Grid,
+    /// Whether delays are also searched with each radio unit down that the target survives.
+    pub pairs: bool,
+}
+
+/// A search for the margins of a testbed.
+#[derive(Debug)]
+pub struct Margin {
+    testbed: Arc<Testbed>,
+    services: Vec<ServiceId>,
+    options: Options,
+    dimensions: Vec<Dimension>,
+    units: Vec<NodeId>,
+}
+
+/// Error of a search.
+#[derive(Debug, thiserror::Error)]
+pub enum MarginError {
+    /// A service is unknown.
+    #[error(transparent)]
+    Service(#[from] UnknownService),
+    /// A name is unknown.
+    #[error("`{0}` is no link, wireless network, server or radio unit that can change; these can: {known}", known = .1.join(", "))]
+    Unknown(String, Vec<String>),
+    /// The testbed has nothing to change.
+    #[error("the testbed has nothing of the kinds to change")]
+    Nothing,
+    /// A recorded run sets the conditions of links.
+    #[error(
+        "`conditions: {{ replay: … }}` sets delay and loss of links, so that more of them cannot be added: remove it"
+    )]
+    Replay,
+    /// There is no service.
+    #[error("the testbed has no service, and so no target")]
+    NoService,
+    /// A service has no samples.
+    #[error("service `{0}` has no samples in virtual time: choose services with --kpi")]
+    NoSamples(ServiceId),
+    /// A target is broken before anything changes.
+    #[error(
+        "service `{service}` keeps its target in {:.2} % of its samples before anything changes; {:.2} % are demanded",
+        kept * 100.0, keep * 100.0
+    )]
+    Broken {
+        service: ServiceId,
+        /// Share of samples within the target.
+        kept: f64,
+        /// Share that is demanded.
+        keep: f64,
+    },
+    /// A run failed.
+    #[error(transparent)]
+    Run(#[from] BatchError),
+}
+
+/// The result of a search.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Margins {
+    /// Share of a service's samples that must keep its target.
+    pub keep: f64,
+    /// Number of seeds.
+    pub seeds: u32,
+    /// The services' shares of samples within their targets before anything changes.
+    pub unchanged: Vec<ServiceKept>,
+    /// One for each search.
+    pub findings: Vec<Finding>,
+    /// Whether all searches ended; false after a stop.
+    pub complete: bool,
+    /// Number of runs that the result is based on.
+    pub runs: usize,
+    /// Number of these that the journal already had.
+    #[serde(skip)]
+    pub resumed: usize,
+}
+
+/// The share of a service's samples within its target, over all seeds.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ServiceKept {
+    pub service: ServiceId,
+    /// Target, milliseconds.
+    pub service_time_target_ms: f64,
+    /// Number of samples.
+    pub samples: usize,
+    /// Share of samples within the target; `None` without samples.
+    pub kept: Option<f64>,
+}
+
+/// The result of one search.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Finding {
+    /// Name of the kind of change.
+    pub change: &'static str,
+    /// The link, wireless network or server that gets worse.
+    pub on: Option<String>,
+    /// The radio unit that is down.
+    pub down: Option<NodeId>,
+    /// Whether an amount broke the target, or the radio unit that is down did.
+    pub breaks: bool,
+    /// Longest extra delay that was tested and survived; 0 if none was. `None` for other kinds of changes, as below.
+    pub survives_ms: Option<f64>,
+    /// Shortest extra delay that was tested and broke the target.
+    pub breaks_ms: Option<f64>,
+    /// Largest extra loss that was tested and survived, as a share.
+    pub survives_loss: Option<f64>,
+    /// Smallest extra loss that was tested and broke the target, as a share.
+    pub breaks_loss: Option<f64>,
+    /// The first service whose target broke there; `None` if only a walk did not end.
+    pub service: Option<ServiceId>,
+    /// Its share of samples within the target.
+    pub kept: Option<f64>,
+    /// Whether the search ended.
+    pub complete: bool,
+}
+
+/// One search.
+struct Search {
+    dimension: Option<Dimension>,
+    down: Option<NodeId>,
+    bisection: Bisection,
+    /// The verdict at the smallest amount that broke the target so far.
+    broken: Option<Verdict>,
+}
+
+impl Search {
+    fn new(dimension: Option<Dimension>, down: Option<NodeId>, grid: Grid) -> Self {
+        Self { dimension, down, bisection: Bisection::new(grid), broken: None }
+    }
+
+    /// Returns the next change to test; `None` at the end.
+    fn next(&self) -> Option<Change> {
+        let amount = self.bisection.next()?;
+        let worse = self.dimension.clone().map(|dimension| (dimension, amount));
+        Some(Change { worse, down: self.down.clone() })
+    }
+
+    fn learn(&mut self, verdict: Verdict) {
+        self.bisection.learn(verdict.breaks);
+        if verdict.breaks {
+            self.broken = Some(verdict);
+        }
+    }
+
+    fn finding(&self) -> Finding {
+        let first = self.broken.as_ref().and_then(|verdict| verdict.first.clone());
+        let (service, kept) = first.map_or((None, None), |its| (Some(its.service), its.kept));
+        let survives = self.bisection.survived() as f64;
+        let breaks = self.bisection.broke().map(|amount| amount as f64);
+        let (none, in_ms) = ([None; 2], || [Some(survives / 1e6), breaks.map(|breaks| breaks / 1e6)]);
+        let units = LOSS_UNITS as f64;
+        let in_share = || [Some(survives / units), breaks.map(|breaks| breaks / units)];
+        let (kind, [survives_ms, breaks_ms], [survives_loss, breaks_loss]) = match &self.dimension {
+            None => (Kind::Down, none, none),
+            Some(Dimension::Loss(_)) => (Kind::Loss, none, in_share()),
+            Some(Dimension::Answers(_)) => (Kind::Answers, in_ms(), none),
+            Some(Dimension::Delay(_) | Dimension::AirDelay(_)) => (Kind::Delay, in_ms(), none),
+        };
+        Finding {
+            change: kind.name(),
+            on: self.dimension.as_ref().map(|dimension| dimension.on().to_owned()),
+            down: self.down.clone(),
+            breaks: breaks.is_some(),
+            survives_ms,
+            breaks_ms,
+            survives_loss,
+            breaks_loss,
+            service,
+            kept,
+            complete: self.bisection.next().is_none(),
+        }
+    }
+}
+
+/// Whether a change breaks a target, over all seeds.
+struct Verdict {
+    breaks: bool,
+    /// The first service whose target is broken.
+    first: Option<ServiceKept>,
+}
+
+/// Number of runs of a search.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Estimate {
+    /// If the target survives every largest change on its own, and no radio unit's loss.
+    pub least: u64,
+    /// If everything breaks it only at some amount, and it survives the loss of each radio unit.
+    pub most: u64,
+}
+
+/// Runs that are under way: their journal, and the progress.
+struct Runs<'a> {
+    journal: &'a Journal,
+    jobs: NonZero<usize>,
+    go_on: &'a mut dyn FnMut(usize, usize) -> bool,
+    done: usize,
+    resumed: usize,
+    /// For each seed, the limit of a changed run, and whether the unchanged one ended its walks.
+    limits: Vec<(Option<Duration>, bool)>,
+    /// The services whose targets count, and have samples in unchanged runs.
+    services: Vec<ServiceId>,
+}
+
+impl Margin {
+    /// Prepares a search.
+    ///
+    /// # Errors
+    /// [`MarginError`] if a name is unknown, or nothing can be changed.
+    pub fn new(testbed: Testbed, options: Options) -> Result<Self, MarginError> {
+        let services = kept::services(&testbed, &options.services)?;
+        let of = |kind| options.kinds.contains(&kind);
+        let graph = &testbed.graph;
+        let real: Vec<_> = graph.real_links().map(|real| &real.link.id).collect();
+        let links = || graph.links.iter().map(|link| &link.id).filter(|link| !real.contains(link)).cloned();
+        let mut dimensions = Vec::new();
+        if of(Kind::Delay) {
+            dimensions.extend(links().map(Dimension::Delay));
+            dimensions.extend(graph.wireless.keys().cloned().map(Dimension::AirDelay));
+        }
+        if of(Kind::Loss) {
+            dimensions.extend(links().map(Dimension::Loss));
+        }
+        if of(Kind::Answers) {
+            dimensions.extend(graph.servers().map(|(node, _)| Dimension::Answers(node.id.clone())));
+        }
+        let serving = graph.radio_units().filter(|(_, unit)| unit.serving && of(Kind::Down));
+        let mut units: Vec<_> = serving.map(|(node, _)| node.id.clone()).collect();
+        let mut known: Vec<String> = dimensions.iter().map(|dimension| dimension.on().to_owned()).collect();
+        known.extend(units.iter().map(ToString::to_string));
+        known.sort();
+        known.dedup();
+        if let Some(unknown) = options.on.iter().find(|name| !known.contains(name)) {
+            return Err(MarginError::Unknown(unknown.clone(), known));
+        }
+        if !options.on.is_empty() {
+            dimensions.retain(|dimension| options.on.iter().any(|name| name == dimension.on()));
+            units.retain(|unit| options.on.iter().any(|name| name == unit.as_str()));
+        }
+        if dimensions.is_empty() && units.is_empty() {
+            return Err(MarginError::Nothing);
+        }
+        let sets_links =
+            |dimension: &Dimension| matches!(dimension, Dimension::Delay(_) | Dimension::Loss(_));
+        if testbed.script.replay.is_some() && dimensions.iter().any(sets_links) {
+            return Err(MarginError::Replay);
+        }
+        Ok(Self { testbed: Arc::new(testbed), services, options, dimensions, units })
+    }
+
+    /// Returns the services whose targets count.
+    pub fn services(&self) -> &[ServiceId] {
+        &self.services
+    }
+
+    /// Returns what gets worse.
+    pub fn dimensions(&self) -> &[Dimension] {
+        &self.dimensions
+    }
+
+    /// Returns the radio units that go down.
+    pub fn units(&self) -> &[NodeId] {
+        &self.units
+    }
+
+    /// Returns a folder in `parent` for searches on this testbed alone. Its name has the testbed's name, and a hash of the
+    /// version, the testbed and the duration. A search with other seeds, services or bounds uses the same folder.
+    pub fn default_folder(&self, parent: &Path) -> PathBuf {
+        // The testbed holds its map and traces, wherever they are.
+        let testbed = Testbed { folder: PathBuf::new(), ..Testbed::clone(&self.testbed) };
+        let depends = format!("{} {testbed:?} {:?}", env!("CARGO_PKG_VERSION"), self.options.until);
+        parent.join(format!("{}-{:08x}", testbed.name, seed::split(0, &depends) >> 32))
+    }
+
+    /// Returns the number of runs.
+    pub fn estimate(&self) -> Estimate {
+        let count = self.dimensions.len() as u64 + self.units.len() as u64;
+        let most: u64 = self.dimensions.iter().map(|dimension| self.grid(dimension).most_tests()).sum();
+        let pairs: u64 = self.paired().map(|dimension| self.grid(dimension).most_tests()).sum();
+        let (seeds, units) = (u64::from(self.options.seeds), self.units.len() as u64);
+        let most = (1 + most + units).saturating_add(pairs.saturating_mul(units));
+        Estimate { least: (1 + count) * seeds, most: most.saturating_mul(seeds) }
+    }
+
+    fn grid(&self, dimension: &Dimension) -> Grid {
+        match dimension {
+            Dimension::Loss(_) => self.options.losses,
+            Dimension::Delay(_) | Dimension::AirDelay(_) | Dimension::Answers(_) => self.options.delays,
+        }
+    }
+
+    /// Returns the delays that are also searched with a radio unit down.
+    fn paired(&self) -> impl Iterator<Item = &Dimension> {
+        let is_delay = |dimension: &&Dimension| matches!(dimension, Dimension::Delay(_));
+        self.dimensions.iter().filter(move |dimension| self.options.pairs && is_delay(dimension))
+    }
+
+    /// Searches, with `jobs` runs at a time. Runs that the journal has are not repeated. Calls `go_on` with the numbers of
+    /// finished and of known runs, at the beginning and after each run; `false` stops the search.
+    ///
+    /// # Errors
+    /// [`MarginError`].
+    pub fn run(
+        &self,
+        journal: &Journal,
+        jobs: NonZero<usize>,
+        mut go_on: impl FnMut(usize, usize) -> bool,
+    ) -> Result<Margins, MarginError> {
+        let (limits, services) = (Vec::new(), self.services.clone());
+        let mut runs = Runs { journal, jobs, go_on: &mut go_on, done: 0, resumed: 0, limits, services };
+        let mut margins = Margins {
+            keep: self.options.keep,
+            seeds: self.options.seeds,
+            unchanged: Vec::new(),
+            findings: Vec::new(),
+            complete: false,
+            runs: 0,
+            resumed: 0,
+        };
+        if let Some(unchanged) = self.measure(&mut runs, &[Change::default()])?.into_iter().flatten().next() {
+            margins.unchanged = self.check(&unchanged)?;
+            let limit = |run: &Measured| {
+                let twice = || Duration::from_secs_f64(run.duration_ms * LONGEST / 1e3);
+                (Some(self.options.until.unwrap_or_else(twice)), run.walked)
+            };
+            runs.limits = unchanged.iter().map(limit).collect();
+            runs.services = margins.unchanged.iter().map(|its| its.service.clone()).collect();
+            let worse =
+                |dimension: &Dimension| Search::new(Some(dimension.clone()), None, self.grid(dimension));
+            let down = |unit: &NodeId| Search::new(None, Some(unit.clone()), Grid::ONE);
+            let mut searches: Vec<_> =
+                self.dimensions.iter().map(worse).chain(self.units.iter().map(down)).collect();
+            margins.complete = self.search(&mut runs, &mut searches)?;
+            if margins.complete {
+                let survived = searches.iter().filter(|search| search.broken.is_none());
+                let survived = survived.filter(|search| search.dimension.is_none());
+                let survived: Vec<_> = survived.filter_map(|search| search.down.clone()).collect();
+                let pairs = survived.iter().flat_map(|unit| self.paired().map(move |of| (unit, of)));
+                let mut pairs: Vec<_> = pairs
+                    .map(|(unit, of)| Search::new(Some(of.clone()), Some(unit.clone()), self.grid(of)))
+                    .collect();
+                margins.complete = self.search(&mut runs, &mut pairs)?;
+                searches.extend(pairs);
+            }
+            margins.findings = searches.iter().map(Search::finding).collect();
+        }
+        (margins.runs, margins.resumed) = (runs.done, runs.resumed);
+        Ok(margins)
+    }
+
+    /// Searches to the end; returns false if it was stopped before. All searches make their next test at the same time.
+    fn search(&self, runs: &mut Runs<'_>, searches: &mut [Search]) -> Result<bool, MarginError> {
+        loop {
+            let (places, changes): (Vec<_>, Vec<_>) = searches
+                .iter()
+                .enumerate()
+                .filter_map(|(place, search)| Some((place, search.next()?)))
+                .unzip();
+            if changes.is_empty() {
+                return Ok(true);
+            }
+            let mut is_complete = true;
+            for (place, measured) in places.into_iter().zip(self.measure(runs, &changes)?) {
+                match measured {
+                    Some(measured) => searches[place].learn(self.verdict(&measured, runs)),
+                    None => is_complete = false,
+                }
+            }
+            if !is_complete {
+                return Ok(false);
+            }
+        }
+    }
+
+    /// Runs each change with each seed. Returns `None` for changes whose runs were stopped.
+    fn measure(
+        &self,
+        runs: &mut Runs<'_>,
+        changes: &[Change],
+    ) -> Result<Vec<Option<Vec<Measured>>>, MarginError> {
+        let seeds = self.options.seeds as usize;
+        let seed = |place: usize| self.options.seed.wrapping_add((place % seeds) as u64);
+        let name = |place: usize| format!("{} seed={}", changes[place / seeds], seed(place));
+        let names: Vec<_> = (0..changes.len() * seeds).map(name).collect();
+        let limits = &runs.limits;
+        let measure = |place: usize, stop: &AtomicBool| {
+            let mut testbed = Testbed::clone(&self.testbed);
+            let altered = changes[place / seeds].apply(&mut testbed);
+            let until = limits.get(place % seeds).map_or(self.options.until, |(until, _)| *until);
+            let go_on = || !stop.load(Ordering::Relaxed);
+            let ended = simulate_altered(Arc::new(testbed), seed(place), until, &altered, |_| {}, go_on);
+            let fail = |source: RunError| BatchError::Run { run: names[place].clone(), source };
+            Ok::<_, BatchError>(ended.map_err(fail)?.map(|ended| Measured::of(&ended.summary)))
+        };
+        let (before, total, go_on) = (runs.done, runs.done + names.len(), &mut runs.go_on);
+        let batch = batch::run(runs.journal, runs.jobs, &names, measure, |done| go_on(before + done, total))?;
+        runs.done += batch.done.iter().flatten().count();
+        runs.resumed += batch.resumed;
+        let mut done = batch.done.into_iter();
+        Ok(changes
+            .iter()
+            .map(|_| done.by_ref().take(seeds).collect::<Vec<_>>().into_iter().collect())
+            .collect())
+    }
+
+    /// Returns the services' shares over these runs.
+    fn kept(&self, runs: &[Measured]) -> Vec<ServiceKept> {
+        let of = |service: &ServiceId| {
+            let its = runs.iter().flat_map(|run| &run.services).filter(|its| its.service == *service);
+            let (samples, within) =
+                its.fold((0, 0), |(samples, within), its| (samples + its.samples, within + its.within));
+            let target = self.testbed.services.iter().find(|of| of.id == *service);
+            let target = target.map_or(Duration::ZERO, |service| service.kpis.service_time);
+            ServiceKept {
+                service: service.clone(),
+                service_time_target_ms: cotorra_graph::millis::of(target),
+                samples,
+                kept: (samples > 0).then(|| within as f64 / samples as f64),
+            }
+        };
+        self.services.iter().map(of).collect()
+    }
+
+    /// Checks that the targets are kept before anything changes. Services without samples count only if they were chosen.
+    fn check(&self, unchanged: &[Measured]) -> Result<Vec<ServiceKept>, MarginError> {
+        let mut all = self.kept(unchanged);
+        if self.options.services.is_empty() {
+            all.retain(|its| its.samples > 0);
+        }
+        for ServiceKept { service, kept, .. } in &all {
+            match kept {
+                None => return Err(MarginError::NoSamples(service.clone())),
+                Some(kept) if *kept < self.options.keep => {
+                    let (kept, keep) = (*kept, self.options.keep);
+                    return Err(MarginError::Broken { service: service.clone(), kept, keep });
+                }
+                Some(_) => {}
+            }
+        }
+        match (all.is_empty(), self.services.first()) {
+            (true, Some(first)) => Err(MarginError::NoSamples(first.clone())),
+            (true, None) => Err(MarginError::NoService),
+            (false, _) => Ok(all),
+        }
+    }
+
+    fn verdict(&self, changed: &[Measured], runs: &Runs<'_>) -> Verdict {
+        let unended = changed.iter().zip(&runs.limits).any(|(run, (_, walked))| *walked && !run.walked);
+        let counts = |its: &ServiceKept| runs.services.contains(&its.service);
+        let is_broken = |its: &ServiceKept| its.kept.is_none_or(|kept| kept < self.options.keep);
+        let first = self.kept(changed).into_iter().find(|its| counts(its) && is_broken(its));
+        Verdict { breaks: unended || first.is_some(), first }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,179 @@
+use std::fs;
+
+use super::*;
+use crate::sweep::Sweep;
+
+const JOBS: NonZero<usize> = NonZero::new(2).unwrap();
+
+/// A robot between two radio units. A service time is 8 ms and the time that frames take, and 15 ms are allowed.
+pub(super) const LAB: &str = "name: lab
+wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
+nodes:
+  robot: { kind: robot, roaming: signal }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  B: { kind: radio_unit, position: [9, 1], channel: 6 }
+  lan: { kind: switch }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [lan, [A, B]], delay: 1 ms }
+  - { ends: [lan, edge], delay: 2 ms }
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 15 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: edge }
+walks:
+  robot: { waypoints: [[0, 0], [3, 0]], speed_limit: 0.5 m/s, position_interval: 50 ms }
+";
+
+fn options(kinds: &[Kind]) -> Options {
+    Options {
+        services: Vec::new(),
+        keep: 0.9,
+        seed: 1,
+        seeds: 1,
+        until: None,
+        kinds: kinds.into(),
+        on: Vec::new(),
+        delays: Grid::new(20_000_000, 100_000).unwrap(),
+        losses: Grid::new(LOSS_UNITS, LOSS_UNITS / 100).unwrap(),
+        pairs: true,
+    }
+}
+
+fn margin(text: &str, options: Options) -> Margin {
+    let testbed = cotorra_testbed_file::parse("lab.yaml", text, Path::new(""));
+    Margin::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), options).unwrap()
+}
+
+fn run(margin: &Margin) -> Margins {
+    let out = tempfile::tempdir().unwrap();
+    margin.run(&Journal::open(out.path()).unwrap(), JOBS, |_, _| true).unwrap()
+}
+
+/// Returns the finding of a search.
+fn of<'a>(margins: &'a Margins, change: Kind, on: Option<&str>, down: Option<&str>) -> &'a Finding {
+    let finding = margins.findings.iter().find(|finding| {
+        finding.change == change.name()
+            && finding.on.as_deref() == on
+            && finding.down.as_ref().map(NodeId::as_str) == down
+    });
+    finding.unwrap_or_else(|| panic!("{change:?} {on:?} {down:?}: {margins:?}"))
+}
+
+#[test]
+fn a_margin_is_where_a_sweep_over_the_same_axis_breaks() {
+    let margins = run(&margin(LAB, Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));
+    assert!(margins.complete && margins.findings.len() == 1, "{margins:?}");
+    let finding = of(&margins, Kind::Delay, Some("lan-edge"), None);
+    let (survives, breaks) = (finding.survives_ms.unwrap(), finding.breaks_ms.unwrap());
+    assert!((breaks - survives - 0.1).abs() < 1e-9, "{survives} {breaks}");
+    // 7 ms less the time of the frames are left for both directions.
+    assert!((2.5..3.6).contains(&breaks), "{breaks}");
+
+    let axis = format!("links.lan-edge.delay={} ms,{} ms", 2.0 + survives, 2.0 + breaks);
+    let sweep = Sweep::new("lab.yaml", LAB.to_owned(), Path::new("")).axis(axis.parse().unwrap());
+    let out = tempfile::tempdir().unwrap();
+    let runs = sweep.run(&Journal::open(out.path()).unwrap(), JOBS, |_, _| true).unwrap();
+    let above: Vec<_> = runs.done.iter().map(|done| done.measured.above_target.unwrap()).collect();
+    assert!(above[0] <= 0.1 && above[1] > 0.1, "{above:?}");
+    assert_eq!(margins.findings[0].kept, Some(1.0 - above[1]));
+}
+
+#[test]
+fn a_slow_server_has_the_margin_of_both_directions_of_its_link() {
+    let margins = run(&margin(LAB, Options { on: vec!["edge".into()], ..options(&[Kind::Answers]) }));
+    let of_link = run(&margin(LAB, Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));
+    let answers = of(&margins, Kind::Answers, Some("edge"), None).breaks_ms.unwrap();
+    let delay = of(&of_link, Kind::Delay, Some("lan-edge"), None).breaks_ms.unwrap();
+    assert!((answers - 2.0 * delay).abs() <= 0.21, "{answers} {delay}");
+}
+
+#[test]
+fn delays_are_searched_again_with_each_radio_unit_that_is_survived() {
+    let margins = run(&margin(LAB, options(&[Kind::Delay, Kind::Down])));
+    assert!(!of(&margins, Kind::Down, None, Some("A")).breaks);
+    assert!(!of(&margins, Kind::Down, None, Some("B")).breaks);
+    // The robot is at A. Without A, it is at B.
+    let delay = |on, down| of(&margins, Kind::Delay, Some(on), down);
+    assert_eq!((delay("lan-B", None).survives_ms, delay("lan-B", None).breaks_ms), (Some(20.0), None));
+    assert!(delay("lan-B", Some("A")).breaks && !delay("lan-A", Some("A")).breaks);
+    assert!(delay("lan-A", None).breaks && delay("w", None).breaks);
+    let without = run(&margin(LAB, Options { pairs: false, ..options(&[Kind::Delay, Kind::Down]) }));
+    assert_eq!(without.findings, margins.findings[..without.findings.len()]);
+    assert!(without.findings.iter().all(|finding| finding.on.is_none() || finding.down.is_none()));
+}
+
+#[test]
+fn a_walk_that_does_not_end_without_a_radio_unit_is_broken() {
+    let alone =
+        LAB.replace("  B: { kind: radio_unit, position: [9, 1], channel: 6 }\n", "").replace("[A, B]", "A");
+    let margins = run(&margin(&alone, options(&[Kind::Down, Kind::Delay])));
+    assert!(of(&margins, Kind::Down, None, Some("A")).breaks);
+    assert!(margins.findings.iter().all(|finding| finding.on.is_none() || finding.down.is_none()));
+}
+
+#[test]
+fn loss_breaks_where_too_few_round_trips_survive() {
+    let on = vec!["lan-edge".into()];
+    let margins = run(&margin(LAB, Options { on, seeds: 4, ..options(&[Kind::Loss]) }));
+    let finding = of(&margins, Kind::Loss, Some("lan-edge"), None);
+    let (survives, breaks) = (finding.survives_loss.unwrap(), finding.breaks_loss.unwrap());
+    // 0.95² is 0.9.
+    assert!((0.02..0.09).contains(&survives), "{finding:?}");
+    assert!((breaks - survives - 0.01).abs() < 1e-9 && finding.breaks_ms.is_none(), "{finding:?}");
+}
+
+#[test]
+fn a_stopped_search_continues_and_ends_with_the_same_bytes() {
+    let out = tempfile::tempdir().unwrap();
+    let open = |name: &str| Journal::open(&out.path().join(name)).unwrap();
+    let margin = margin(LAB, Options { seeds: 2, ..options(&[Kind::Delay, Kind::Answers, Kind::Down]) });
+    let files = |journal: &Journal| FILES.map(|name| fs::read_to_string(journal.path().join(name)).unwrap());
+    let whole = open("whole");
+    let all = margin.run(&whole, JOBS, |_, _| true).unwrap();
+    all.write(&whole).unwrap();
+    let estimate = margin.estimate();
+    assert!((estimate.least..=estimate.most).contains(&(all.runs as u64)), "{estimate:?} {}", all.runs);
+
+    // Once in the first round, and once in a later one.
+    let mut before = 0;
+    for stop_at in [1, 30] {
+        let stopped = margin.run(&open("stopped"), JOBS, |done, _| done < stop_at).unwrap();
+        assert!(!stopped.complete && stopped.runs >= stop_at, "{stopped:?}");
+        assert_eq!(stopped.resumed, before);
+        before = stopped.runs;
+    }
+    let journal = open("stopped");
+    let rest = margin.run(&journal, JOBS, |_, _| true).unwrap();
+    assert_eq!((rest.resumed, rest.runs), (before, all.runs));
+    rest.write(&journal).unwrap();
+    assert_eq!(files(&journal), files(&whole));
+    let [table, _] = files(&whole);
+    assert_eq!(table.lines().count(), 1 + all.findings.len());
+    assert!(table.lines().nth(1).unwrap().starts_with("delay,lan-A,,true,true,navigation,"), "{table}");
+    assert!(table.starts_with("change,on,down,complete,breaks,service,"));
+}
+
+#[test]
+fn a_target_that_is_broken_before_has_no_margin() {
+    let strict = LAB.replace("service_time: 15 ms", "service_time: 5 ms");
+    let out = tempfile::tempdir().unwrap();
+    let journal = Journal::open(out.path()).unwrap();
+    let broken = margin(&strict, options(&[Kind::Delay])).run(&journal, JOBS, |_, _| true).unwrap_err();
+    assert!(broken.to_string().contains("`navigation` keeps its target in 0.00 %"), "{broken}");
+}
+
+#[test]
+fn unknown_names_list_the_known_ones() {
+    let prepare = |options| {
+        let testbed = cotorra_testbed_file::parse("lab.yaml", LAB, Path::new("")).unwrap();
+        Margin::new(testbed, options).unwrap_err().to_string()
+    };
+    let wrong = prepare(Options { services: vec!["x".into()], ..options(&[Kind::Delay]) });
+    assert_eq!(wrong, "there is no service `x` in the testbed file; its services: navigation");
+    let wrong = prepare(Options { on: vec!["x".into()], ..options(&[Kind::Delay]) });
+    assert!(wrong.starts_with("`x` is no link") && wrong.ends_with("lan-A, lan-B, lan-edge, w"), "{wrong}");
+}
