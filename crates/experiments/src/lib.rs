@@ -2,8 +2,8 @@
 //! experiments.
 //!
 //! [`Sweep`](sweep::Sweep) runs a testbed file in virtual time for all combinations of settings. [`Margin`](margin::Margin)
-//! searches for the smallest change that breaks a target. Both share how runs are made and kept
-//! ([`Journal`](journal::Journal)). [`okpi::Comparison`] and
+//! searches for the smallest change that breaks a target, and [`Regret`](regret::Regret) replays decisions of plug-ins with
+//! their alternatives. These three share how runs are made and kept ([`Journal`](journal::Journal)). [`okpi::Comparison`] and
 //! [`federation::Comparison`] compare runs with published figures. They only read reports and histories: the caller runs
 //! the testbeds, in real or in virtual time.
 #![forbid(unsafe_code)]
@@ -15,6 +15,7 @@ pub mod journal;
 mod kept;
 pub mod margin;
 pub mod okpi;
+pub mod regret;
 pub mod sweep;
 
 pub use batch::BatchError;

@@ -1,0 +1,56 @@
+//! The tables of examined decisions.
+
+use cotorra_testbed::{FolderError, write_file};
+
+use super::{Examined, Regrets};
+use crate::{
+    csv::{push, values},
+    journal::Journal,
+};
+
+/// Files that [`Regrets::write`] makes: a row per decision and per alternative, and everything.
+pub const FILES: [&str; 2] = ["decisions.csv", "decisions.json"];
+
+impl Regrets {
+    /// Writes [`FILES`] into the folder of a journal.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn write(&self, journal: &Journal) -> Result<(), FolderError> {
+        let [table, all] = FILES;
+        write_file(journal.path(), table, &table_of(&self.examined))?;
+        let json = serde_json::to_string_pretty(self).expect("results are valid JSON");
+        write_file(journal.path(), all, &format!("{json}\n"))
+    }
+}
+
+fn table_of(examined: &[Examined]) -> String {
+    let mut text =
+        "decision,at_ns,plugin,subject,target,chosen,walked,refused,samples,kept,service_time_p50_ms,regret_kept,regret_ms\n"
+            .to_owned();
+    for Examined { decided, stood, tried, regret_kept, regret_ms } in examined {
+        let own = (decided.chosen(), true, Some(stood), None, [*regret_kept, *regret_ms]);
+        let others = tried.iter().map(|tried| {
+            (tried.target.clone(), false, tried.stood.as_ref(), tried.refused.clone(), [None, None])
+        });
+        for (target, chosen, stood, refused, regrets) in std::iter::once(own).chain(others) {
+            let names = [
+                decided.number.to_string(),
+                decided.at.as_nanos().to_string(),
+                decided.plugin.to_string(),
+                decided.subject().to_owned(),
+                target,
+                chosen.to_string(),
+                stood.map(|stood| stood.walked.to_string()).unwrap_or_default(),
+                refused.unwrap_or_default(),
+            ];
+            values(&mut text, &names);
+            text += &stood.map(|stood| stood.samples.to_string()).unwrap_or_default();
+            push(&mut text, stood.and_then(|stood| stood.kept));
+            push(&mut text, stood.and_then(|stood| stood.service_time_p50_ms));
+            regrets.into_iter().for_each(|figure| push(&mut text, figure));
+            text.push('\n');
+        }
+    }
+    text
+}

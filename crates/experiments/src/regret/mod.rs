@@ -1,0 +1,316 @@
+//! Regrets: what the decisions of a run's plug-ins were worth, beside their alternatives.
+//!
+//! The run is repeated in virtual time with the same seed. At a decision it takes an alternative, and goes on with the same
+//! random streams. Both are compared by the samples that were sent from the decision on.
+
+mod decided;
+mod folder;
+
+use std::{
+    num::NonZero,
+    path::{Path, PathBuf},
+    sync::{Arc, atomic::AtomicBool, atomic::Ordering},
+    time::Duration,
+};
+
+use cotorra_graph::{ServiceId, Testbed, Timestamp, millis, seed};
+use cotorra_testbed::{Altered, Fork, Quantiles, RunError, simulate_altered};
+use serde::{Deserialize, Serialize};
+
+use self::decided::{Observer, Sample};
+pub use self::{
+    decided::{Alternative, Decided},
+    folder::FILES,
+};
+use crate::{
+    batch::{self, BatchError},
+    journal::Journal,
+    kept::{self, UnknownService},
+};
+
+/// Longest run with an alternative and without an own limit, as a multiple of the run as it was.
+const LONGEST: u32 = 2;
+
+/// A run whose decisions are examined.
+#[derive(Debug)]
+pub struct Regret {
+    testbed: Arc<Testbed>,
+    services: Vec<ServiceId>,
+    seed: u64,
+    until: Option<Duration>,
+}
+
+/// Error of examining decisions.
+#[derive(Debug, thiserror::Error)]
+pub enum RegretError {
+    /// A service is unknown.
+    #[error(transparent)]
+    Service(#[from] UnknownService),
+    /// The run cannot start.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A run with an alternative failed.
+    #[error(transparent)]
+    Batch(#[from] BatchError),
+    /// There is no decision of that number.
+    #[error("the run has no decision {number}: its plug-ins made {} about attachments and placements", .of)]
+    NoDecision { number: usize, of: usize },
+    /// A repeated run did not come to the decision, which is a bug.
+    #[error("{0}: the repeated run did not come to the decision, which is a bug")]
+    NotRepeated(String),
+}
+
+/// A run as it was, with its decisions.
+#[derive(Debug)]
+pub struct Recorded {
+    /// The decisions, in order.
+    pub decided: Vec<Decided>,
+    samples: Vec<Sample>,
+    duration: Duration,
+    walked: bool,
+}
+
+/// Samples from a decision on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Stood {
+    /// Number of samples.
+    pub samples: usize,
+    /// Share of samples within their target; `None` without samples.
+    pub kept: Option<f64>,
+    /// Median of answered samples, milliseconds.
+    pub service_time_p50_ms: Option<f64>,
+    /// Whether every walk was done.
+    pub walked: bool,
+}
+
+/// A run with an alternative.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Forked {
+    stood: Stood,
+    /// Reason for which the alternative was rejected.
+    refused: Option<String>,
+}
+
+/// What came of an alternative.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Tried {
+    /// The radio unit or the node.
+    pub target: String,
+    /// Whether the alternative left everything as it was.
+    pub stays: bool,
+    /// The samples; `None` if the alternative was rejected.
+    pub stood: Option<Stood>,
+    /// Reason for which the alternative was rejected.
+    pub refused: Option<String>,
+}
+
+/// A decision beside its alternatives.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Examined {
+    #[serde(flatten)]
+    pub decided: Decided,
+    /// The samples with the decision as it was.
+    pub stood: Stood,
+    pub tried: Vec<Tried>,
+    /// Share of samples kept with the best alternative, less that with the decision: above 0 if an alternative was better.
+    /// `None` without an alternative that can be compared.
+    pub regret_kept: Option<f64>,
+    /// Median service time with the decision, less that with the same alternative, milliseconds.
+    pub regret_ms: Option<f64>,
+}
+
+/// The decisions that were examined.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Regrets {
+    pub seed: u64,
+    /// The services whose samples count.
+    pub services: Vec<ServiceId>,
+    pub examined: Vec<Examined>,
+    /// Whether all alternatives were tried; false after a stop.
+    pub complete: bool,
+    /// Number of runs with alternatives.
+    pub runs: usize,
+    /// Number of these that the journal already had.
+    #[serde(skip)]
+    pub resumed: usize,
+}
+
+impl Regret {
+    /// Prepares a run with that seed. Without names, the samples of all services count.
+    ///
+    /// # Errors
+    /// [`UnknownService`].
+    pub fn new(
+        testbed: Testbed,
+        services: &[String],
+        seed: u64,
+        until: Option<Duration>,
+    ) -> Result<Self, UnknownService> {
+        let services = kept::services(&testbed, services)?;
+        Ok(Self { testbed: Arc::new(testbed), services, seed, until })
+    }
+
+    /// Returns a folder in `parent` for decisions of this testbed alone. Its name has the testbed's name, and a hash of the
+    /// version, the testbed and the duration.
+    pub fn default_folder(&self, parent: &Path) -> PathBuf {
+        // The testbed holds its map and traces, wherever they are.
+        let testbed = Testbed { folder: PathBuf::new(), ..Testbed::clone(&self.testbed) };
+        let depends = format!("{} {testbed:?} {:?}", env!("CARGO_PKG_VERSION"), self.until);
+        parent.join(format!("{}-decisions-{:08x}", testbed.name, seed::split(0, &depends) >> 32))
+    }
+
+    /// Repeats the run as it was, to the end of its walks. Returns `None` if `go_on` stopped it; it is called now and then.
+    ///
+    /// # Errors
+    /// [`RegretError`].
+    pub fn record(&self, go_on: impl FnMut() -> bool) -> Result<Option<Recorded>, RegretError> {
+        let mut observer = Observer::new(&self.testbed);
+        let see = |event: &_| observer.see(event);
+        let testbed = Arc::clone(&self.testbed);
+        let ended = simulate_altered(testbed, self.seed, self.until, &Altered::default(), see, go_on)?;
+        Ok(ended.map(|ended| Recorded {
+            decided: observer.decided,
+            samples: observer.samples,
+            duration: Duration::from_secs_f64(ended.summary.duration_ms / 1e3),
+            walked: ended.summary.is_walked(),
+        }))
+    }
+
+    /// Runs the alternatives of a decision, or of all without a number, with `jobs` runs at a time. An alternative is held
+    /// for `hold`, or else until the next decision about the same robot or VNF. Runs that the journal has are not repeated.
+    /// Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run; `false` stops.
+    ///
+    /// # Errors
+    /// [`RegretError`].
+    pub fn examine(
+        &self,
+        recorded: &Recorded,
+        number: Option<NonZero<usize>>,
+        hold: Option<Duration>,
+        (journal, jobs): (&Journal, NonZero<usize>),
+        mut go_on: impl FnMut(usize, usize) -> bool,
+    ) -> Result<Regrets, RegretError> {
+        let of = recorded.decided.len();
+        let decided = match number.map(NonZero::get) {
+            None => &recorded.decided[..],
+            Some(number) if number > of => return Err(RegretError::NoDecision { number, of }),
+            Some(number) => &recorded.decided[number - 1..number],
+        };
+        let end = |decided: &Decided| match hold {
+            Some(hold) => decided.at + hold,
+            None => decided.next.unwrap_or(Timestamp::from_nanos(u64::MAX)),
+        };
+        let tries: Vec<_> = decided
+            .iter()
+            .flat_map(|decided| decided.alternatives.iter().map(move |alternative| (decided, alternative)))
+            .collect();
+        let services: Vec<_> = self.services.iter().map(ToString::to_string).collect();
+        let name = |(decided, alternative): &(&Decided, &Alternative)| {
+            let (number, subject, target) = (decided.number, decided.subject(), &alternative.target);
+            let (hold, services) = (end(decided).as_nanos(), services.join(","));
+            format!(
+                "decision {number}: {subject} to {target} hold_ns={hold} kpi={services} seed={}",
+                self.seed
+            )
+        };
+        let names: Vec<_> = tries.iter().map(name).collect();
+        let fork = |place: usize, stop: &AtomicBool| {
+            let (decided, alternative) = tries[place];
+            let fork = Fork {
+                index: decided.number - 1,
+                at: decided.at,
+                chosen: decided.instruction.clone(),
+                instead: alternative.instead.clone(),
+                hold: end(decided),
+            };
+            self.fork(recorded, fork, &names[place], stop)
+        };
+        let total = names.len();
+        let batch = batch::run(journal, jobs, &names, fork, |done| go_on(done, total))?;
+        let complete = batch.done.iter().all(Option::is_some);
+        let runs = batch.done.iter().flatten().count();
+        let mut forked = batch.done.into_iter();
+        let examined = decided
+            .iter()
+            .map(|decided| {
+                let stood = self.stood(&recorded.samples, decided.at, recorded.walked);
+                let done = decided.alternatives.iter().zip(forked.by_ref());
+                let tried = done.filter_map(|(alternative, forked)| {
+                    let Forked { stood, refused } = forked?;
+                    let (target, stays) = (alternative.target.clone(), alternative.instead.is_none());
+                    Some(Tried { target, stays, stood: refused.is_none().then_some(stood), refused })
+                });
+                Examined::of(decided.clone(), stood, tried.collect())
+            })
+            .collect();
+        let services = self.services.clone();
+        Ok(Regrets { seed: self.seed, services, examined, complete, runs, resumed: batch.resumed })
+    }
+
+    /// Repeats the run with a fork; returns `None` if it was stopped before its end.
+    fn fork(
+        &self,
+        recorded: &Recorded,
+        fork: Fork,
+        name: &str,
+        stop: &AtomicBool,
+    ) -> Result<Option<Forked>, RegretError> {
+        let (at, altered) = (fork.at, Altered { fork: Some(fork), ..Altered::default() });
+        let until = self.until.unwrap_or(recorded.duration * LONGEST);
+        let mut observer = Observer::new(&self.testbed);
+        let see = |event: &_| observer.see(event);
+        let go_on = || !stop.load(Ordering::Relaxed);
+        let testbed = Arc::clone(&self.testbed);
+        let ended = simulate_altered(testbed, self.seed, Some(until), &altered, see, go_on);
+        let ended = ended.map_err(|source| BatchError::Run { run: name.to_owned(), source })?;
+        let Some(ended) = ended else { return Ok(None) };
+        let outcome = ended.forked.ok_or_else(|| RegretError::NotRepeated(name.to_owned()))?;
+        let stood = self.stood(&observer.samples, at, ended.summary.is_walked());
+        Ok(Some(Forked { stood, refused: outcome.err().map(|reason| reason.to_string()) }))
+    }
+
+    /// Summarizes the samples that were sent from a moment on.
+    fn stood(&self, samples: &[Sample], from: Timestamp, walked: bool) -> Stood {
+        let targets: Vec<_> = self
+            .testbed
+            .services
+            .iter()
+            .map(|service| self.services.contains(&service.id).then_some(service.kpis.service_time))
+            .collect();
+        let counted = samples.iter().filter(|sample| sample.emitted >= from);
+        let counted: Vec<_> =
+            counted.filter_map(|sample| Some((sample.took, targets[sample.service]?))).collect();
+        let within = counted.iter().filter(|(took, target)| took.is_some_and(|took| took <= *target)).count();
+        let answered = counted.iter().filter_map(|(took, _)| Some(millis::of((*took)?))).collect();
+        Stood {
+            samples: counted.len(),
+            kept: (!counted.is_empty()).then(|| within as f64 / counted.len() as f64),
+            service_time_p50_ms: Quantiles::of(answered).map(|quantiles| quantiles.p50),
+            walked,
+        }
+    }
+}
+
+impl Examined {
+    /// Compares a decision with its alternatives. One that leaves a walk undone is worse than all that end it. Of equals,
+    /// the fastest is the best.
+    fn of(decided: Decided, stood: Stood, tried: Vec<Tried>) -> Self {
+        let rank = |stood: &&Stood| {
+            let median = stood.service_time_p50_ms.unwrap_or(f64::INFINITY);
+            (stood.walked, stood.kept.unwrap_or(0.0), -median)
+        };
+        let best = tried.iter().filter_map(|tried| tried.stood.as_ref()).max_by(|a, b| {
+            let (a, b) = (rank(a), rank(b));
+            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
+        });
+        let (mut regret_kept, mut regret_ms) = (None, None);
+        if let Some(best) = best {
+            regret_kept = best.kept.zip(stood.kept).map(|(best, own)| best - own);
+            regret_ms = stood.service_time_p50_ms.zip(best.service_time_p50_ms).map(|(own, best)| own - best);
+        }
+        Self { decided, stood, tried, regret_kept, regret_ms }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,103 @@
+use std::fs;
+
+use super::*;
+
+const JOBS: NonZero<usize> = NonZero::new(2).unwrap();
+
+/// A robot that goes from A to B. `probing` attaches it to B, whose link to the server has the delay DELAY.
+const LAB: &str = "name: lab
+wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
+nodes:
+  robot: { kind: robot, roaming: instructed }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  B: { kind: radio_unit, position: [10, 1], channel: 6 }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [A, edge], delay: 3 ms }
+  - { ends: [B, edge], delay: DELAY }
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 15 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: edge }
+walks:
+  robot: { waypoints: [[0, 0], [10, 0]], speed_limit: 0.7 m/s, position_interval: 50 ms }
+plugins:
+  - { bundled: probing, settings: { interval: 2 s } }
+";
+
+fn regret(delay: &str) -> Regret {
+    let testbed = cotorra_testbed_file::parse("lab.yaml", &LAB.replace("DELAY", delay), Path::new(""));
+    Regret::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), &[], 1, None).unwrap()
+}
+
+fn examine(regret: &Regret, hold: Option<Duration>, out: &Path) -> Regrets {
+    let recorded = regret.record(|| true).unwrap().unwrap();
+    regret.examine(&recorded, None, hold, (&Journal::open(out).unwrap(), JOBS), |_, _| true).unwrap()
+}
+
+#[test]
+fn a_decision_for_a_slow_path_is_regretted() {
+    let out = tempfile::tempdir().unwrap();
+    let regrets = examine(&regret("10 ms"), None, out.path());
+    let [one] = &regrets.examined[..] else { panic!("{regrets:?}") };
+    assert_eq!((one.decided.subject(), one.decided.chosen()), ("robot", "B".to_owned()));
+    let [tried] = &one.tried[..] else { panic!("{one:?}") };
+    assert!(tried.target == "A" && tried.stays, "{tried:?}");
+    let stayed = tried.stood.as_ref().unwrap();
+    assert!(stayed.walked && stayed.kept.unwrap() > 0.9 && one.stood.kept.unwrap() < 0.1, "{one:?}");
+    assert_eq!(one.regret_kept, Some(stayed.kept.unwrap() - one.stood.kept.unwrap()));
+    // 7 ms less in each direction.
+    assert!((one.regret_ms.unwrap() - 14.0).abs() < 0.5, "{one:?}");
+}
+
+#[test]
+fn a_decision_for_a_fast_path_is_not_regretted() {
+    let out = tempfile::tempdir().unwrap();
+    let regrets = examine(&regret("1 ms"), None, out.path());
+    let [one] = &regrets.examined[..] else { panic!("{regrets:?}") };
+    assert!((one.regret_ms.unwrap() + 4.0).abs() < 0.5, "{one:?}");
+}
+
+#[test]
+fn an_alternative_is_held_only_as_long_as_asked() {
+    let out = tempfile::tempdir().unwrap();
+    let regret = regret("10 ms");
+    let kept = |hold| {
+        let regrets = examine(&regret, hold, out.path());
+        regrets.examined[0].tried[0].stood.as_ref().unwrap().kept.unwrap()
+    };
+    let (short, long) = (kept(Some(Duration::from_secs(1))), kept(None));
+    // Two seconds later, `probing` attaches the robot to B anyway.
+    assert!(short < long - 0.2, "{short} {long}");
+}
+
+#[test]
+fn examined_decisions_are_resumed_and_end_with_the_same_bytes() {
+    let out = tempfile::tempdir().unwrap();
+    let regret = regret("10 ms");
+    let files = |folder: &Path| FILES.map(|name| fs::read_to_string(folder.join(name)).unwrap());
+    let recorded = regret.record(|| true).unwrap().unwrap();
+    let examine = |name: &str, go_on: bool| {
+        let journal = Journal::open(&out.path().join(name)).unwrap();
+        let regrets = regret.examine(&recorded, None, None, (&journal, JOBS), |_, _| go_on).unwrap();
+        regrets.write(&journal).unwrap();
+        (regrets, files(journal.path()))
+    };
+    let (whole, bytes) = examine("whole", true);
+    assert!(whole.complete && whole.resumed == 0);
+    let (stopped, _) = examine("stopped", false);
+    assert!(!stopped.complete && stopped.examined[0].regret_kept.is_none());
+    assert_eq!(examine("stopped", true).1, bytes);
+    assert_eq!(examine("stopped", true).0.resumed, 1);
+    assert!(bytes[0].lines().nth(1).unwrap().contains(",probing,robot,B,true,true,,"), "{}", bytes[0]);
+    let beyond = NonZero::new(2);
+    let journal = Journal::open(&out.path().join("whole")).unwrap();
+    let wrong = regret.examine(&recorded, beyond, None, (&journal, JOBS), |_, _| true).unwrap_err();
+    assert_eq!(
+        wrong.to_string(),
+        "the run has no decision 2: its plug-ins made 1 about attachments and placements"
+    );
+}
