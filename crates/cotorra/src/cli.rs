@@ -14,6 +14,7 @@ use crate::{
     history::{self, History},
     link::Link,
     localize::LocalizeArgs,
+    margin::MarginArgs,
     netem::Netem,
     new::New,
     ps::PsArgs,
@@ -60,6 +61,7 @@ Exit status:
 pub enum Command {
     Run(RunArgs),
     Sweep(SweepArgs),
+    Margin(MarginArgs),
     /// Repeat a published experiment, and compare it with the published result
     Experiment {
         #[command(subcommand)]

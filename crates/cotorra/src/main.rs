@@ -23,6 +23,7 @@ mod history;
 mod link;
 mod localize;
 mod logs;
+mod margin;
 mod netem;
 mod new;
 mod progress;
@@ -69,6 +70,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Run(args) => return run::run(args),
         Command::Experiment { experiment } => return experiment::experiment(experiment),
         Command::Sweep(args) => return sweep::sweep(&args),
+        Command::Margin(args) => return margin::margin(&args),
         Command::FaultTest(args) => return fault_test::fault_test(&args),
         Command::History { command } => return history::history(&command),
         Command::Replay(args) => return replay::replay(&args),

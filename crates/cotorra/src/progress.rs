@@ -10,6 +10,8 @@ const LINES: usize = 20;
 pub struct Progress {
     bar: Option<ProgressBar>,
     lines: usize,
+    /// The last total, which grows while a search goes on.
+    of: usize,
 }
 
 impl Progress {
@@ -20,7 +22,7 @@ impl Progress {
         let bar = ProgressBar::new(0).with_style(style);
         bar.enable_steady_tick(Duration::from_millis(200));
         let shown = !headless && !bar.is_hidden();
-        Self { bar: shown.then_some(bar), lines: 0 }
+        Self { bar: shown.then_some(bar), lines: 0, of: 0 }
     }
 
     pub fn show(&mut self, done: usize, of: usize) {
@@ -34,8 +36,8 @@ impl Progress {
                 }
                 bar.set_position(done as u64);
             }
-            None if done * LINES / of.max(1) >= self.lines => {
-                self.lines = done * LINES / of.max(1) + 1;
+            None if done * LINES / of.max(1) >= self.lines || of != self.of => {
+                (self.lines, self.of) = (done * LINES / of.max(1) + 1, of);
                 note!("{done} of {of} runs");
             }
             None => {}

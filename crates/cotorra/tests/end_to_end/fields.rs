@@ -205,6 +205,18 @@ fn every_figure_is_documented_with_its_unit() {
         used.entry("tables").or_default().extend(heads.filter(|head| !words.contains(&head.as_str())));
     }
 
+    let searched = out.path().join("margin");
+    for (file, more) in [
+        ("margins.json", &["--until", "5s", "--change", "delay,loss", "--on", "R1-cloud"][..]),
+        ("decisions.json", &["--until", "15s", "--decision", "all", "--set", "plugin=okpi"]),
+    ] {
+        let mut margin = cotorra(["margin", "--headless", "--out"]);
+        let margin = margin.arg(searched.join(file)).args(more).arg(corridor()).output().unwrap();
+        assert!(margin.status.success(), "{}", stderr(&margin));
+        let result = fs::read_to_string(searched.join(file).join(file)).unwrap();
+        in_document(&serde_json::from_str(&result).unwrap(), used.entry("margins").or_default());
+    }
+
     let mut found = BTreeSet::new();
     for (place, names) in &used {
         for name in names.iter().filter(|name| !NO_QUANTITIES.contains(&name.as_str())) {

@@ -22,6 +22,7 @@ mod kill_cycles;
 mod link;
 mod localize;
 mod map;
+mod margin;
 mod netem;
 mod netem_links;
 mod new;

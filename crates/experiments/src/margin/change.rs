@@ -10,6 +10,30 @@ use cotorra_testbed::Altered;
 /// Loss is counted in millionths.
 pub const LOSS_UNITS: u64 = 1_000_000;
 
+/// Kinds of changes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Extra delay on a link.
+    Delay,
+    /// Extra loss on a link.
+    Loss,
+    /// A server whose VNFs answer later.
+    Answers,
+    /// A radio unit that is off.
+    Down,
+}
+
+impl Kind {
+    /// All kinds, with their names.
+    pub const ALL: [(&'static str, Self); 4] =
+        [("delay", Self::Delay), ("loss", Self::Loss), ("answers", Self::Answers), ("down", Self::Down)];
+
+    /// Returns its name.
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
+}
+
 /// A quantity of the testbed that can get worse by any amount.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Dimension {
@@ -112,10 +136,7 @@ fn add_delay(testbed: &mut Testbed, link: &LinkId, more: Duration) {
         link.forward.delay += more;
         link.backward.delay += more;
     }
-    reschedule(testbed, link, |set| match &mut set.delay_ms {
-        Some(delay_ms) => *delay_ms += millis::of(more),
-        None => {}
-    });
+    reschedule(testbed, link, |set| set.delay_ms = set.delay_ms.map(|delay_ms| delay_ms + millis::of(more)));
 }
 
 /// Adds loss to each direction of a link, at the start and wherever the schedule sets its loss.

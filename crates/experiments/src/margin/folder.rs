@@ -2,7 +2,7 @@
 
 use cotorra_testbed::{FolderError, write_file};
 
-use super::{Finding, Margins};
+use super::finding::{Finding, Margins};
 use crate::{
     csv::{push, values},
     journal::Journal,

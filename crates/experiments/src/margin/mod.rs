@@ -5,8 +5,11 @@
 
 mod bisection;
 mod change;
+mod error;
+mod finding;
 mod folder;
 mod measured;
+mod search;
 
 use std::{
     num::NonZero,
@@ -17,46 +20,26 @@ use std::{
 
 use cotorra_graph::{NodeId, ServiceId, Testbed, seed};
 use cotorra_testbed::{RunError, simulate_altered};
-use serde::Serialize;
 
-use self::{bisection::Bisection, measured::Measured};
 pub use self::{
     bisection::Grid,
-    change::{Change, Dimension, LOSS_UNITS},
+    change::{Change, Dimension, Kind, LOSS_UNITS},
+    error::MarginError,
+    finding::{Finding, Margins, ServiceKept},
     folder::FILES,
+};
+use self::{
+    measured::Measured,
+    search::{Search, Verdict},
 };
 use crate::{
     batch::{self, BatchError},
     journal::Journal,
-    kept::{self, UnknownService},
+    kept,
 };
 
 /// Longest changed run without an own limit, as a multiple of the unchanged run.
 const LONGEST: f64 = 2.0;
-
-/// Kinds of changes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// Extra delay on a link.
-    Delay,
-    /// Extra loss on a link.
-    Loss,
-    /// A server whose VNFs answer later.
-    Answers,
-    /// A radio unit that is off.
-    Down,
-}
-
-impl Kind {
-    /// All kinds, with their names.
-    pub const ALL: [(&'static str, Self); 4] =
-        [("delay", Self::Delay), ("loss", Self::Loss), ("answers", Self::Answers), ("down", Self::Down)];
-
-    /// Returns its name.
-    pub fn name(self) -> &'static str {
-        Self::ALL[self as usize].0
-    }
-}
 
 /// Extent of a search.
 #[derive(Debug, Clone, PartialEq)]
@@ -91,170 +74,6 @@ pub struct Margin {
     options: Options,
     dimensions: Vec<Dimension>,
     units: Vec<NodeId>,
-}
-
-/// Error of a search.
-#[derive(Debug, thiserror::Error)]
-pub enum MarginError {
-    /// A service is unknown.
-    #[error(transparent)]
-    Service(#[from] UnknownService),
-    /// A name is unknown.
-    #[error("`{0}` is no link, wireless network, server or radio unit that can change; these can: {known}", known = .1.join(", "))]
-    Unknown(String, Vec<String>),
-    /// The testbed has nothing to change.
-    #[error("the testbed has nothing of the kinds to change")]
-    Nothing,
-    /// A recorded run sets the conditions of links.
-    #[error(
-        "`conditions: {{ replay: … }}` sets delay and loss of links, so that more of them cannot be added: remove it"
-    )]
-    Replay,
-    /// There is no service.
-    #[error("the testbed has no service, and so no target")]
-    NoService,
-    /// A service has no samples.
-    #[error("service `{0}` has no samples in virtual time: choose services with --kpi")]
-    NoSamples(ServiceId),
-    /// A target is broken before anything changes.
-    #[error(
-        "service `{service}` keeps its target in {:.2} % of its samples before anything changes; {:.2} % are demanded",
-        kept * 100.0, keep * 100.0
-    )]
-    Broken {
-        service: ServiceId,
-        /// Share of samples within the target.
-        kept: f64,
-        /// Share that is demanded.
-        keep: f64,
-    },
-    /// A run failed.
-    #[error(transparent)]
-    Run(#[from] BatchError),
-}
-
-/// The result of a search.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Margins {
-    /// Share of a service's samples that must keep its target.
-    pub keep: f64,
-    /// Number of seeds.
-    pub seeds: u32,
-    /// The services' shares of samples within their targets before anything changes.
-    pub unchanged: Vec<ServiceKept>,
-    /// One for each search.
-    pub findings: Vec<Finding>,
-    /// Whether all searches ended; false after a stop.
-    pub complete: bool,
-    /// Number of runs that the result is based on.
-    pub runs: usize,
-    /// Number of these that the journal already had.
-    #[serde(skip)]
-    pub resumed: usize,
-}
-
-/// The share of a service's samples within its target, over all seeds.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ServiceKept {
-    pub service: ServiceId,
-    /// Target, milliseconds.
-    pub service_time_target_ms: f64,
-    /// Number of samples.
-    pub samples: usize,
-    /// Share of samples within the target; `None` without samples.
-    pub kept: Option<f64>,
-}
-
-/// The result of one search.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Finding {
-    /// Name of the kind of change.
-    pub change: &'static str,
-    /// The link, wireless network or server that gets worse.
-    pub on: Option<String>,
-    /// The radio unit that is down.
-    pub down: Option<NodeId>,
-    /// Whether an amount broke the target, or the radio unit that is down did.
-    pub breaks: bool,
-    /// Longest extra delay that was tested and survived; 0 if none was. `None` for other kinds of changes, as below.
-    pub survives_ms: Option<f64>,
-    /// Shortest extra delay that was tested and broke the target.
-    pub breaks_ms: Option<f64>,
-    /// Largest extra loss that was tested and survived, as a share.
-    pub survives_loss: Option<f64>,
-    /// Smallest extra loss that was tested and broke the target, as a share.
-    pub breaks_loss: Option<f64>,
-    /// The first service whose target broke there; `None` if only a walk did not end.
-    pub service: Option<ServiceId>,
-    /// Its share of samples within the target.
-    pub kept: Option<f64>,
-    /// Whether the search ended.
-    pub complete: bool,
-}
-
-/// One search.
-struct Search {
-    dimension: Option<Dimension>,
-    down: Option<NodeId>,
-    bisection: Bisection,
-    /// The verdict at the smallest amount that broke the target so far.
-    broken: Option<Verdict>,
-}
-
-impl Search {
-    fn new(dimension: Option<Dimension>, down: Option<NodeId>, grid: Grid) -> Self {
-        Self { dimension, down, bisection: Bisection::new(grid), broken: None }
-    }
-
-    /// Returns the next change to test; `None` at the end.
-    fn next(&self) -> Option<Change> {
-        let amount = self.bisection.next()?;
-        let worse = self.dimension.clone().map(|dimension| (dimension, amount));
-        Some(Change { worse, down: self.down.clone() })
-    }
-
-    fn learn(&mut self, verdict: Verdict) {
-        self.bisection.learn(verdict.breaks);
-        if verdict.breaks {
-            self.broken = Some(verdict);
-        }
-    }
-
-    fn finding(&self) -> Finding {
-        let first = self.broken.as_ref().and_then(|verdict| verdict.first.clone());
-        let (service, kept) = first.map_or((None, None), |its| (Some(its.service), its.kept));
-        let survives = self.bisection.survived() as f64;
-        let breaks = self.bisection.broke().map(|amount| amount as f64);
-        let (none, in_ms) = ([None; 2], || [Some(survives / 1e6), breaks.map(|breaks| breaks / 1e6)]);
-        let units = LOSS_UNITS as f64;
-        let in_share = || [Some(survives / units), breaks.map(|breaks| breaks / units)];
-        let (kind, [survives_ms, breaks_ms], [survives_loss, breaks_loss]) = match &self.dimension {
-            None => (Kind::Down, none, none),
-            Some(Dimension::Loss(_)) => (Kind::Loss, none, in_share()),
-            Some(Dimension::Answers(_)) => (Kind::Answers, in_ms(), none),
-            Some(Dimension::Delay(_) | Dimension::AirDelay(_)) => (Kind::Delay, in_ms(), none),
-        };
-        Finding {
-            change: kind.name(),
-            on: self.dimension.as_ref().map(|dimension| dimension.on().to_owned()),
-            down: self.down.clone(),
-            breaks: breaks.is_some(),
-            survives_ms,
-            breaks_ms,
-            survives_loss,
-            breaks_loss,
-            service,
-            kept,
-            complete: self.bisection.next().is_none(),
-        }
-    }
-}
-
-/// Whether a change breaks a target, over all seeds.
-struct Verdict {
-    breaks: bool,
-    /// The first service whose target is broken.
-    first: Option<ServiceKept>,
 }
 
 /// Number of runs of a search.

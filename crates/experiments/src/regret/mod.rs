@@ -123,7 +123,7 @@ pub struct Examined {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Regrets {
     pub seed: u64,
-    /// The services whose samples count.
+    /// The services whose samples count, and that have any.
     pub services: Vec<ServiceId>,
     pub examined: Vec<Examined>,
     /// Whether all alternatives were tried; false after a stop.
@@ -243,7 +243,11 @@ impl Regret {
                 Examined::of(decided.clone(), stood, tried.collect())
             })
             .collect();
-        let services = self.services.clone();
+        let has_samples = |service: &ServiceId| {
+            let place = self.testbed.services.iter().position(|of| of.id == *service);
+            recorded.samples.iter().any(|sample| Some(sample.service) == place)
+        };
+        let services = self.services.iter().filter(|service| has_samples(service)).cloned().collect();
         Ok(Regrets { seed: self.seed, services, examined, complete, runs, resumed: batch.resumed })
     }
 

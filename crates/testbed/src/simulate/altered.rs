@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{Decision, Event, Instruction, NodeId, PluginId, Stamped, Timestamp, VnfId};
 use cotorra_network_control::InstructionError;
 
-use super::{VirtualEngine, VirtualNetwork};
+use super::{engine::VirtualEngine, network::VirtualNetwork};
 use crate::{
     core::Core,
     plugins::host::{Controlled, Fault},

@@ -1,0 +1,195 @@
+//! Decisions beside their alternatives: runs them, and describes the result.
+
+use std::{num::NonZero, path::Path, process::ExitCode};
+
+use cotorra_experiments::regret::{
+    Decided, Examined, FILES, Recorded, Regret, RegretError, Regrets, Stood, Tried,
+};
+use cotorra_graph::{Testbed, Timestamp};
+
+use super::{Error, MarginArgs, WhichDecision, again, exit, open};
+use crate::{
+    output,
+    progress::Progress,
+    table::{Table, wrap},
+    words::count,
+};
+
+/// Maximum number of decisions that the terminal lists.
+const LISTED: usize = 40;
+
+/// Examines decisions of a run.
+pub fn examine(
+    args: &MarginArgs,
+    testbed: Testbed,
+    seed: u64,
+    jobs: NonZero<usize>,
+    which: WhichDecision,
+) -> miette::Result<ExitCode> {
+    let number = match which {
+        WhichDecision::All => None,
+        WhichDecision::Number(number) => Some(number),
+    };
+    let fail = |error: RegretError| Error::from(error);
+    let regret = Regret::new(testbed, &args.kpi, seed, args.until).map_err(|error| fail(error.into()))?;
+    let place = args.out.clone().unwrap_or_else(|| regret.default_folder(Path::new("margins")));
+    if args.dry_run {
+        let recorded = regret.record(|| true).map_err(fail)?.expect("nobody stops it");
+        output::print(&(list(&recorded, number) + &again(&place)))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let (interrupts, journal) = open(args, &place)?;
+    let Some(recorded) = regret.record(|| interrupts.try_recv().is_err()).map_err(fail)? else {
+        return Ok(exit(false));
+    };
+    let mut progress = Progress::new(args.headless);
+    let regrets = regret.examine(&recorded, number, args.hold, (&journal, jobs), |done, of| {
+        progress.show(done, of);
+        interrupts.try_recv().is_err()
+    });
+    progress.close();
+    let regrets = regrets.map_err(fail)?;
+    regrets.write(&journal).map_err(Error::from)?;
+    output::print(&describe(&regrets, journal.path()))?;
+    Ok(exit(regrets.complete))
+}
+
+/// Lists the decisions of a run, and their alternatives.
+fn list(recorded: &Recorded, number: Option<NonZero<usize>>) -> String {
+    let chosen = |decided: &&Decided| number.is_none_or(|number| number.get() == decided.number);
+    let decided: Vec<_> = recorded.decided.iter().filter(chosen).collect();
+    let runs: usize = decided.iter().map(|decided| decided.alternatives.len()).sum();
+    let mut table = Table::new(">><<<<");
+    table.row(["decision", "at", "by", "of", "to", "alternatives"].map(str::to_owned));
+    for decided in decided.iter().take(LISTED) {
+        let name = |alternative: &cotorra_experiments::regret::Alternative| {
+            named(&alternative.target, alternative.instead.is_none())
+        };
+        let alternatives: Vec<_> = decided.alternatives.iter().map(name).collect();
+        table.row(heads(decided).into_iter().chain([alternatives.join(", ")]));
+    }
+    let more = decided.len().saturating_sub(LISTED);
+    let more = if more > 0 { format!("  and {more} more\n") } else { String::new() };
+    let decisions = count(decided.len(), "decision");
+    format!("{decisions}, {} with alternatives\n\n{}{more}", count(runs, "run"), table.render("  "))
+}
+
+/// Returns the first cells of a decision's row.
+fn heads(decided: &Decided) -> [String; 5] {
+    let Decided { number, at, plugin, .. } = decided;
+    [number.to_string(), seconds(*at), plugin.to_string(), decided.subject().to_owned(), decided.chosen()]
+}
+
+fn seconds(at: Timestamp) -> String {
+    format!("{:.1} s", at.as_secs_f64())
+}
+
+fn named(target: &str, stays: bool) -> String {
+    if stays { format!("{target} (no change)") } else { target.to_owned() }
+}
+
+fn describe(regrets: &Regrets, folder: &Path) -> String {
+    let Regrets { seed, services, examined, complete, runs, resumed } = regrets;
+    let before = if *resumed > 0 { format!(", {resumed} of them from before") } else { String::new() };
+    let services: Vec<_> = services.iter().map(ToString::to_string).collect();
+    let runs = count(*runs, "run");
+    let mut text = format!(
+        "{runs} with alternatives{before}; samples of {} from each decision on, seed {seed}\n\n",
+        services.join(", ")
+    );
+    text += &match &examined[..] {
+        [one] => single(one),
+        all => overview(all),
+    };
+    if !complete {
+        text += "\nThe comparison was stopped; the same command resumes it.\n";
+    }
+    text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
+}
+
+/// Describes one decision with all alternatives.
+fn single(Examined { decided, stood, tried, regret_kept, regret_ms }: &Examined) -> String {
+    let Decided { number, at, plugin, reason, .. } = decided;
+    let reason = reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
+    let what = format!(
+        "Decision {number} at {}: {plugin} chose {} for {}{reason}",
+        seconds(*at),
+        decided.chosen(),
+        decided.subject()
+    );
+    let mut table = Table::new("<<>>");
+    table.row(["", "to", "kept, %", "median, ms"].map(str::to_owned));
+    let figures = |of: &Stood| [kept(of, stood), median(of)];
+    table.row(["decision".to_owned(), decided.chosen()].into_iter().chain(figures(stood)));
+    for Tried { target, stays, stood, refused } in tried {
+        let figures = match (stood, refused) {
+            (Some(stood), _) => figures(stood),
+            (None, refused) => {
+                [format!("rejected: {}", refused.as_deref().unwrap_or_default()), String::new()]
+            }
+        };
+        table.row(["alternative".to_owned(), named(target, *stays)].into_iter().chain(figures));
+    }
+    let regret = match (regret_kept, regret_ms) {
+        (Some(regret), regret_ms) => {
+            let median = regret_ms.map(|ms| format!(", and {} ms at the median", signed(ms)));
+            format!("Regret: {} percentage points{}.", signed(regret * 100.0), median.unwrap_or_default())
+        }
+        _ => "No alternative can be compared.".to_owned(),
+    };
+    format!("{}\n{}\n{regret}\n", wrap(&what, "", 100), table.render("  "))
+}
+
+/// Lists decisions, each with its best alternative.
+fn overview(examined: &[Examined]) -> String {
+    let mut table = Table::new(">><<<>>>>");
+    let heads_of =
+        ["decision", "at", "by", "of", "to", "kept, %", "median, ms", "regret, points", "regret, ms"];
+    table.row(heads_of.map(str::to_owned));
+    for Examined { decided, stood, regret_kept, regret_ms, .. } in examined.iter().take(LISTED) {
+        let figure = |figure: Option<f64>| figure.map_or_else(|| "-".to_owned(), signed);
+        let figures = [
+            kept(stood, stood),
+            median(stood),
+            figure(regret_kept.map(|regret| regret * 100.0)),
+            figure(*regret_ms),
+        ];
+        table.row(heads(decided).into_iter().chain(figures));
+    }
+    let mut text = table.render("  ");
+    if examined.len() > LISTED {
+        text += &format!("  and {} more in {}\n", examined.len() - LISTED, FILES[0]);
+    }
+    let regretted = examined.iter().filter(|its| its.regret_kept.is_some_and(|regret| regret > 0.0)).count();
+    text + &format!(
+        "\nAn alternative kept more samples in {regretted} of {}.\n",
+        count(examined.len(), "decision")
+    )
+}
+
+/// Returns the share of samples kept, and whether a walk did not end that ended with the decision.
+fn kept(stood: &Stood, with_decision: &Stood) -> String {
+    let kept = stood.kept.map_or_else(|| "-".to_owned(), |kept| format!("{:.2}", kept * 100.0));
+    if stood.walked || !with_decision.walked { kept } else { format!("{kept}, a walk does not end") }
+}
+
+/// `+0.57`, `-2.96`, `0.00`.
+fn signed(figure: f64) -> String {
+    let text = format!("{figure:+.2}");
+    if matches!(&text[1..], "0.00") { "0.00".to_owned() } else { text }
+}
+
+fn median(stood: &Stood) -> String {
+    stood.service_time_p50_ms.map_or_else(|| "-".to_owned(), |median| format!("{median:.2}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_that_round_to_zero_have_no_sign() {
+        let texts = [0.57, -2.96, 0.004, -0.004].map(signed);
+        assert_eq!(texts, ["+0.57", "-2.96", "0.00", "0.00"]);
+    }
+}

@@ -1,0 +1,122 @@
+//! `cotorra margin`: the smallest changes that break a target, and decisions beside their alternatives.
+
+mod args;
+mod decisions;
+mod show;
+
+use std::{fs, num::NonZero, path::Path, process::ExitCode, thread};
+
+use cotorra_experiments::{
+    journal::Journal,
+    margin::{Grid, Kind, LOSS_UNITS, Margin, MarginError, Options},
+    regret::RegretError,
+};
+use cotorra_testbed::FolderError;
+
+pub use self::args::MarginArgs;
+use self::args::WhichDecision;
+use crate::{output, progress::Progress, signals, testbed_file};
+
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum Error {
+    #[error("{0}")]
+    #[diagnostic(help("lower --keep, raise the target (`kpis:`), or choose services with --kpi"))]
+    Broken(MarginError),
+    #[error(transparent)]
+    Margin(MarginError),
+    #[error("{0}")]
+    #[diagnostic(help("`--decision all --dry-run` lists the decisions"))]
+    NoDecision(RegretError),
+    #[error(transparent)]
+    Regret(RegretError),
+    #[error("--{name} is above zero, and at most --{most}")]
+    Resolution { name: &'static str, most: &'static str },
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error("cannot listen to Ctrl-C: {0}")]
+    Signals(ctrlc::Error),
+}
+
+impl From<MarginError> for Error {
+    fn from(error: MarginError) -> Self {
+        match error {
+            MarginError::Broken { .. } => Self::Broken(error),
+            other => Self::Margin(other),
+        }
+    }
+}
+
+impl From<RegretError> for Error {
+    fn from(error: RegretError) -> Self {
+        match error {
+            RegretError::NoDecision { .. } => Self::NoDecision(error),
+            other => Self::Regret(other),
+        }
+    }
+}
+
+/// Searches for margins, or examines decisions.
+pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
+    let testbed = testbed_file::load(&args.file, &args.settings)?.testbed;
+    let seed = args.seed.unwrap_or(testbed.seed);
+    let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).unwrap_or(NonZero::<usize>::MIN);
+    if let Some(which) = args.decision {
+        return decisions::examine(args, testbed, seed, jobs, which);
+    }
+    let kinds =
+        if args.kinds.is_empty() { Kind::ALL.map(|(_, kind)| kind).into() } else { args.kinds.clone() };
+    let of_loss = |share: f64| (share * LOSS_UNITS as f64).round() as u64;
+    let nanos = |duration: std::time::Duration| duration.as_nanos() as u64;
+    let wrong = |name, most| Error::Resolution { name, most };
+    let options = Options {
+        services: args.kpi.clone(),
+        keep: args.keep,
+        seed,
+        seeds: args.seeds,
+        until: args.until,
+        kinds,
+        on: args.on.clone(),
+        delays: Grid::new(nanos(args.most), nanos(args.resolution)).ok_or(wrong("resolution", "most"))?,
+        losses: Grid::new(of_loss(args.most_loss.get()), of_loss(args.loss_resolution.get()))
+            .ok_or(wrong("loss-resolution", "most-loss"))?,
+        pairs: !args.singles,
+    };
+    let margin = Margin::new(testbed, options).map_err(Error::from)?;
+    let place = args.out.clone().unwrap_or_else(|| margin.default_folder(Path::new("margins")));
+    if args.dry_run {
+        output::print(&(show::plan(&margin, args, jobs) + &again(&place)))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let (interrupts, journal) = open(args, &place)?;
+    let mut progress = Progress::new(args.headless);
+    let margins = margin.run(&journal, jobs, |done, of| {
+        progress.show(done, of);
+        interrupts.try_recv().is_err()
+    });
+    progress.close();
+    let margins = margins.map_err(Error::from)?;
+    margins.write(&journal).map_err(Error::from)?;
+    output::print(&show::describe(&margins, journal.path()))?;
+    Ok(exit(margins.complete))
+}
+
+/// Opens the folder of the results, and listens to Ctrl-C.
+fn open(args: &MarginArgs, place: &Path) -> Result<(std::sync::mpsc::Receiver<()>, Journal), Error> {
+    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let journal = Journal::open(place)?;
+    if args.fresh {
+        journal.clear()?;
+    }
+    Ok((interrupts, journal))
+}
+
+fn exit(is_complete: bool) -> ExitCode {
+    if is_complete { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) }
+}
+
+/// Names the folder of the results before they are there.
+fn again(place: &Path) -> String {
+    let exists = fs::exists(place).unwrap_or(false);
+    let again = if exists { "; it exists: the runs that it has are not repeated" } else { "" };
+    format!("\n{}/{again}\n", place.display())
+}

@@ -1,0 +1,149 @@
+//! Margins beside sweeps, searches that are stopped and resumed, and decisions beside their alternatives.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    fs,
+    io::{BufRead, BufReader},
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use serde_json::Value;
+
+use crate::harness::{cotorra, stderr, stdout};
+
+/// A robot that goes from A to B, where `probing` attaches it in the meantime. B's link is the slower one.
+const LAB: &str = "name: lab
+wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
+nodes:
+  robot: { kind: robot, roaming: instructed }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  B: { kind: radio_unit, position: [8, 1], channel: 6 }
+  lan: { kind: switch }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [lan, A], delay: 1 ms }
+  - { ends: [lan, B], delay: 2 ms }
+  - { ends: [lan, edge], delay: 1 ms }
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 15 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: edge }
+walks:
+  robot: { waypoints: [[0, 0], [8, 0]], speed_limit: 0.7 m/s, position_interval: 50 ms }
+plugins:
+  - { bundled: probing, settings: { interval: 3 s } }
+";
+
+fn lab(folder: &Path) -> PathBuf {
+    let file = folder.join("lab.yaml");
+    fs::write(&file, LAB).unwrap();
+    file
+}
+
+fn margin(folder: &Path, out: &str) -> Command {
+    let mut command =
+        cotorra(["margin", "--headless", "--jobs", "1", "--keep", "0.9", "--kpi", "navigation"]);
+    command.arg(lab(folder)).arg("--out").arg(folder.join(out));
+    command
+}
+
+#[test]
+fn a_margin_agrees_with_a_sweep_over_the_same_axis() {
+    let out = tempfile::tempdir().unwrap();
+    let bounds = ["--change", "delay", "--on", "lan-edge", "--most", "8ms", "--resolution", "0.5ms"];
+    let found = margin(out.path(), "margin").args(bounds).output().unwrap();
+    assert!(found.status.success(), "{}", stderr(&found));
+    let margins = fs::read_to_string(out.path().join("margin/margins.json")).unwrap();
+    let finding = serde_json::from_str::<Value>(&margins).unwrap()["findings"][0].clone();
+    let [survives, breaks] = ["survives_ms", "breaks_ms"].map(|name| finding[name].as_f64().unwrap());
+    assert_eq!(breaks, survives + 0.5);
+    let sentence = format!("delay: fails first at +{breaks} ms on lan-edge.");
+    assert!(stdout(&found).contains(&sentence), "{}", stdout(&found));
+
+    let mut sweep = cotorra(["sweep", "--headless", "--set", "links.lan-edge.delay=1..9:0.5 ms", "--out"]);
+    let sweep = sweep.arg(out.path().join("sweep")).arg(lab(out.path())).output().unwrap();
+    assert!(sweep.status.success(), "{}", stderr(&sweep));
+    let table = fs::read_to_string(out.path().join("sweep/runs.csv")).unwrap();
+    let column = table.lines().next().unwrap().split(',').position(|name| name == "above_target").unwrap();
+    let rows: Vec<_> = table.lines().skip(1).map(|row| row.split(',').collect::<Vec<_>>()).collect();
+    assert_eq!(rows.len(), 17);
+    for row in rows {
+        let extra = row[0].trim_end_matches(" ms").parse::<f64>().unwrap() - 1.0;
+        let is_broken = row[column].parse::<f64>().unwrap() > 0.1;
+        assert_eq!(is_broken, extra >= breaks, "{row:?}");
+    }
+}
+
+#[test]
+fn a_search_stopped_by_ctrl_c_is_resumed_to_the_same_bytes() {
+    let out = tempfile::tempdir().unwrap();
+    let search = |name: &str| {
+        let mut command = margin(out.path(), name);
+        command.args(["--change", "delay,answers,down", "--most", "20ms", "--resolution", "1ms"]);
+        command
+    };
+    let whole = search("whole").output().unwrap();
+    assert!(whole.status.success(), "{}", stderr(&whole));
+    let mut child = search("stopped").stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let pid = child.id().to_string();
+    for line in BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok) {
+        if line.starts_with("2 of ") {
+            assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+        }
+    }
+    let stopped = child.wait_with_output().unwrap();
+    assert_eq!(stopped.status.code(), Some(130), "{}", stdout(&stopped));
+    assert!(stdout(&stopped).contains("the same command resumes it"), "{}", stdout(&stopped));
+
+    let dry = search("stopped").arg("--dry-run").output().unwrap();
+    assert!(stdout(&dry).contains("the runs that it has are not repeated"), "{}", stdout(&dry));
+    let rest = search("stopped").output().unwrap();
+    assert!(rest.status.success() && stdout(&rest).contains(" of them from before"), "{}", stdout(&rest));
+    for name in ["margins.csv", "margins.json"] {
+        let [whole, resumed] = ["whole", "stopped"]
+            .map(|folder| fs::read_to_string(out.path().join(folder).join(name)).unwrap());
+        assert_eq!(whole, resumed);
+    }
+    assert!(stdout(&rest).contains("radio units: survives any single one down."), "{}", stdout(&rest));
+}
+
+#[test]
+fn a_decision_is_compared_with_its_alternatives() {
+    let out = tempfile::tempdir().unwrap();
+    let examine = |more: &[&str]| {
+        let mut command = cotorra(["margin", "--headless"]);
+        command.arg(lab(out.path())).arg("--out").arg(out.path().join("decisions")).args(more);
+        command.output().unwrap()
+    };
+    let dry = examine(&["--decision", "all", "--dry-run"]);
+    assert!(stdout(&dry).starts_with("1 decision, 1 run with alternatives\n"), "{}", stdout(&dry));
+    let one = examine(&["--decision", "1"]);
+    let text = stdout(&one);
+    assert!(text.contains("probing chose B for robot") && text.contains("A (no change)"), "{text}");
+    // B's link takes 1 ms more in each direction.
+    assert!(text.contains("and +2.0") || text.contains("and +1.9"), "{text}");
+    let table = fs::read_to_string(out.path().join("decisions/decisions.csv")).unwrap();
+    assert_eq!(table.lines().count(), 3, "{table}");
+    assert!(stdout(&examine(&["--decision", "all"])).contains("1 of them from before"));
+
+    let beyond = examine(&["--decision", "7"]);
+    assert_eq!(beyond.status.code(), Some(1));
+    assert!(stderr(&beyond).contains("--dry-run` lists the decisions"), "{}", stderr(&beyond));
+}
+
+#[test]
+fn a_target_that_is_broken_already_is_an_error_with_advice() {
+    let out = tempfile::tempdir().unwrap();
+    let broken =
+        margin(out.path(), "broken").args(["--set", "services.navigation.kpis.service_time=4ms"]).output();
+    let broken = broken.unwrap();
+    assert_eq!(broken.status.code(), Some(1));
+    let text = stderr(&broken).replace("\n  │ ", " ");
+    assert!(text.contains("before anything changes") && text.contains("lower --keep"), "{text}");
+    let wrong = margin(out.path(), "broken").args(["--most", "1ms", "--resolution", "2ms"]).output().unwrap();
+    assert!(stderr(&wrong).contains("--resolution is above zero, and at most --most"), "{}", stderr(&wrong));
+}
