@@ -67,5 +67,5 @@ pub use run::{Run, Stopper};
 pub use run_info::about;
 pub use script::{Rehearsal, ScriptError};
 pub use simulate::{
-    Altered, Altering, Fork, Simulation, is_same_subject, simulate, simulate_altered, simulate_unrecorded,
+    Altered, AlteredRun, Fork, Simulation, is_same_subject, simulate, simulate_altered, simulate_unrecorded,
 };

@@ -31,7 +31,9 @@ pub fn examine(
         WhichDecision::Number(number) => Some(number),
     };
     let fail = |error: RegretError| Error::from(error);
-    let regret = Regret::new(testbed, &args.kpi, seed, args.until).map_err(|error| fail(error.into()))?;
+    let regret = Regret::new(testbed, &args.kpi, seed, args.until)
+        .map_err(|error| fail(error.into()))?
+        .hold(args.hold);
     let place = args.out.clone().unwrap_or_else(|| regret.default_folder(Path::new("margins")));
     if args.dry_run {
         let recorded = regret.record(|| true).map_err(fail)?.expect("nobody stops it");
@@ -43,7 +45,7 @@ pub fn examine(
         return Ok(exit(false));
     };
     let mut progress = Progress::new(args.headless);
-    let regrets = regret.examine(&recorded, number, args.hold, (&journal, jobs), |done, of| {
+    let regrets = regret.examine(&recorded, number, &journal, jobs, |done, of| {
         progress.show(done, of);
         interrupts.try_recv().is_err()
     });

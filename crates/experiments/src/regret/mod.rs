@@ -38,6 +38,7 @@ pub struct Regret {
     services: Vec<ServiceId>,
     seed: u64,
     until: Option<Duration>,
+    hold: Option<Duration>,
 }
 
 /// Error of examining decisions.
@@ -147,7 +148,12 @@ impl Regret {
         until: Option<Duration>,
     ) -> Result<Self, UnknownService> {
         let services = kept::services(&testbed, services)?;
-        Ok(Self { testbed: Arc::new(testbed), services, seed, until })
+        Ok(Self { testbed: Arc::new(testbed), services, seed, until, hold: None })
+    }
+
+    /// Holds alternatives for this time; by default, until the next decision about the same robot or VNF.
+    pub fn hold(self, hold: Option<Duration>) -> Self {
+        Self { hold, ..self }
     }
 
     /// Returns a folder in `parent` for decisions of this testbed alone. Its name has the testbed's name, and a hash of the
@@ -176,9 +182,9 @@ impl Regret {
         }))
     }
 
-    /// Runs the alternatives of a decision, or of all without a number, with `jobs` runs at a time. An alternative is held
-    /// for `hold`, or else until the next decision about the same robot or VNF. Runs that the journal has are not repeated.
-    /// Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run; `false` stops.
+    /// Runs the alternatives of a decision, or of all without a number, with `jobs` runs at a time. Runs that the journal
+    /// has are not repeated. Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run;
+    /// `false` stops.
     ///
     /// # Errors
     /// [`RegretError`].
@@ -186,8 +192,8 @@ impl Regret {
         &self,
         recorded: &Recorded,
         number: Option<NonZero<usize>>,
-        hold: Option<Duration>,
-        (journal, jobs): (&Journal, NonZero<usize>),
+        journal: &Journal,
+        jobs: NonZero<usize>,
         mut go_on: impl FnMut(usize, usize) -> bool,
     ) -> Result<Regrets, RegretError> {
         let of = recorded.decided.len();
@@ -196,7 +202,7 @@ impl Regret {
             Some(number) if number > of => return Err(RegretError::NoDecision { number, of }),
             Some(number) => &recorded.decided[number - 1..number],
         };
-        let end = |decided: &Decided| match hold {
+        let end = |decided: &Decided| match self.hold {
             Some(hold) => decided.at + hold,
             None => decided.next.unwrap_or(Timestamp::from_nanos(u64::MAX)),
         };

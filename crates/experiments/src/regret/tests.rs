@@ -33,15 +33,15 @@ fn regret(delay: &str) -> Regret {
     Regret::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), &[], 1, None).unwrap()
 }
 
-fn examine(regret: &Regret, hold: Option<Duration>, out: &Path) -> Regrets {
+fn examine(regret: &Regret, out: &Path) -> Regrets {
     let recorded = regret.record(|| true).unwrap().unwrap();
-    regret.examine(&recorded, None, hold, (&Journal::open(out).unwrap(), JOBS), |_, _| true).unwrap()
+    regret.examine(&recorded, None, &Journal::open(out).unwrap(), JOBS, |_, _| true).unwrap()
 }
 
 #[test]
 fn a_decision_for_a_slow_path_is_regretted() {
     let out = tempfile::tempdir().unwrap();
-    let regrets = examine(&regret("10 ms"), None, out.path());
+    let regrets = examine(&regret("10 ms"), out.path());
     let [one] = &regrets.examined[..] else { panic!("{regrets:?}") };
     assert_eq!((one.decided.subject(), one.decided.chosen()), ("robot", "B".to_owned()));
     let [tried] = &one.tried[..] else { panic!("{one:?}") };
@@ -56,7 +56,7 @@ fn a_decision_for_a_slow_path_is_regretted() {
 #[test]
 fn a_decision_for_a_fast_path_is_not_regretted() {
     let out = tempfile::tempdir().unwrap();
-    let regrets = examine(&regret("1 ms"), None, out.path());
+    let regrets = examine(&regret("1 ms"), out.path());
     let [one] = &regrets.examined[..] else { panic!("{regrets:?}") };
     assert!((one.regret_ms.unwrap() + 4.0).abs() < 0.5, "{one:?}");
 }
@@ -64,9 +64,8 @@ fn a_decision_for_a_fast_path_is_not_regretted() {
 #[test]
 fn an_alternative_is_held_only_as_long_as_asked() {
     let out = tempfile::tempdir().unwrap();
-    let regret = regret("10 ms");
     let kept = |hold| {
-        let regrets = examine(&regret, hold, out.path());
+        let regrets = examine(&regret("10 ms").hold(hold), out.path());
         regrets.examined[0].tried[0].stood.as_ref().unwrap().kept.unwrap()
     };
     let (short, long) = (kept(Some(Duration::from_secs(1))), kept(None));
@@ -82,7 +81,7 @@ fn examined_decisions_are_resumed_and_end_with_the_same_bytes() {
     let recorded = regret.record(|| true).unwrap().unwrap();
     let examine = |name: &str, go_on: bool| {
         let journal = Journal::open(&out.path().join(name)).unwrap();
-        let regrets = regret.examine(&recorded, None, None, (&journal, JOBS), |_, _| go_on).unwrap();
+        let regrets = regret.examine(&recorded, None, &journal, JOBS, |_, _| go_on).unwrap();
         regrets.write(&journal).unwrap();
         (regrets, files(journal.path()))
     };
@@ -95,7 +94,7 @@ fn examined_decisions_are_resumed_and_end_with_the_same_bytes() {
     assert!(bytes[0].lines().nth(1).unwrap().contains(",probing,robot,B,true,true,,"), "{}", bytes[0]);
     let beyond = NonZero::new(2);
     let journal = Journal::open(&out.path().join("whole")).unwrap();
-    let wrong = regret.examine(&recorded, beyond, None, (&journal, JOBS), |_, _| true).unwrap_err();
+    let wrong = regret.examine(&recorded, beyond, &journal, JOBS, |_, _| true).unwrap_err();
     assert_eq!(
         wrong.to_string(),
         "the run has no decision 2: its plug-ins made 1 about attachments and placements"

@@ -29,7 +29,7 @@ use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 pub use self::{
     altered::{Altered, Fork, is_same_subject},
     run::simulate,
-    unrecorded::{Altering, simulate_altered, simulate_unrecorded},
+    unrecorded::{AlteredRun, simulate_altered, simulate_unrecorded},
 };
 use self::{
     altered::{Forked, Forking},

@@ -16,9 +16,9 @@ use crate::{
 /// Events of a run between two calls of `go_on`.
 const EVENTS_PER_CHECK: usize = 1000;
 
-/// The end of an altered run.
+/// A finished run with differences from its testbed file.
 #[derive(Debug)]
-pub struct Altering {
+pub struct AlteredRun {
     pub summary: Summary,
     /// The outcome of the fork's alternative; `None` if the run had no fork, or did not reach it.
     pub forked: Option<Result<(), InstructionError>>,
@@ -36,8 +36,8 @@ pub fn simulate_unrecorded(
     until: Option<Duration>,
     go_on: impl FnMut() -> bool,
 ) -> Result<Option<Summary>, RunError> {
-    let altering = simulate_altered(testbed, seed, until, &Altered::default(), |_| {}, go_on)?;
-    Ok(altering.map(|altering| altering.summary))
+    let run = simulate_altered(testbed, seed, until, &Altered::default(), |_| {}, go_on)?;
+    Ok(run.map(|run| run.summary))
 }
 
 /// Does the same as [`simulate_unrecorded`] with differences from the testbed file. Calls `observe` with each event.
@@ -51,7 +51,7 @@ pub fn simulate_altered(
     altered: &Altered,
     mut observe: impl FnMut(&Stamped),
     mut go_on: impl FnMut() -> bool,
-) -> Result<Option<Altering>, RunError> {
+) -> Result<Option<AlteredRun>, RunError> {
     let until = until.map(|until| Timestamp::ZERO + until);
     if until.is_none() && testbed.walks.is_empty() {
         return Err(RunError::Endless);
@@ -75,6 +75,6 @@ pub fn simulate_altered(
             _ => continue,
         };
         let summary = report.summary(now, end.as_str(), Losses::default());
-        return Ok(Some(Altering { summary, forked: simulation.forked().cloned() }));
+        return Ok(Some(AlteredRun { summary, forked: simulation.forked().cloned() }));
     }
 }
