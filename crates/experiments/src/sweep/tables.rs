@@ -132,7 +132,7 @@ fn names<const N: usize>(figures: [(&str, Option<f64>); N]) -> [String; N] {
 
 /// Returns the names of the columns of intervals.
 fn bounds<const N: usize>(intervals: [(&'static str, Option<Interval>); N]) -> impl Iterator<Item = String> {
-    let names = |(name, _)| [format!("{name}"), format!("{name}_low"), format!("{name}_high")];
+    let names = |(name, _): (&str, _)| [name.to_owned(), format!("{name}_low"), format!("{name}_high")];
     intervals.into_iter().flat_map(names)
 }
 

@@ -618,15 +618,16 @@ mod tests {
 
     /// Returns a report on two robots. The first has the services `navigation` and `detect`, the second has `watch`.
     fn report() -> Report {
-        let robots = ["robot", "other"].map(|robot| format!("{robot}: {{ kind: robot, position: [0, 0] }}"));
-        let text = format!("name: test\nwireless: {{ lab: {{}} }}\nnodes: {{ {} }}\n", robots.join(", "));
-        let testbed = cotorra_testbed_file::parse("test.yaml", &text, Path::new("")).unwrap();
+        let text = "name: test\nnodes: { a: { kind: switch } }\n";
+        let testbed = cotorra_testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
         let served = |(service, robot, target_ms): (&str, &str, f64)| {
             let (service, robot) = (service.parse().unwrap(), robot.parse().unwrap());
             Served { service, robot, target_ms }
         };
         let services = [("navigation", "robot", 15.0), ("detect", "robot", 100.0), ("watch", "other", 30.0)];
-        Report { services: services.map(served).into(), ..Report::new(&testbed, 1) }
+        let (services, robot_ids) =
+            (services.map(served).into(), ["robot", "other"].map(|id| id.parse().unwrap()).into());
+        Report { services, robot_ids, ..Report::new(&testbed, 1) }
     }
 
     fn of_service(service: &ServiceSummary, stamped: Stamped) -> Stamped {
