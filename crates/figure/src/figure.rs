@@ -1,0 +1,565 @@
+//! Figures of panels, one below the other, which share their margins.
+
+use crate::{
+    axis::{Axis, ROW},
+    font,
+    legend::{Entry, LEVEL_DASHES, Legend, Look},
+    scene::{Anchor, Point, Rect, Scene, WIDTH},
+    style::{
+        ALERT, BANDS, BLACK, BOLD, Colour, DASHES, FINE, GREY, LABEL, LIGHT, PALE, SERIES, SMALL, TITLE, mark,
+    },
+};
+
+/// Maximum number of panels. A note says how many more there are.
+pub const MAX_PANELS: usize = 12;
+/// Maximum number of series of a panel, so that each has its own look. A note says how many more there are.
+pub const MAX_SERIES: usize = SERIES.len();
+
+/// Room at the top, at the bottom and at the right, points.
+const SIDE: f64 = 4.0;
+const RIGHT: f64 = 7.0;
+/// Width of a name that reads upwards, points.
+const NAME: f64 = 10.0;
+/// Height of the strip above a plot that names its bands, points.
+const STRIP: f64 = 9.0;
+/// Room between panels, points.
+const BETWEEN: f64 = 5.0;
+/// Room that axes leave at the sides for markers, points.
+const INSET: f64 = 10.0;
+/// Distance between markers of different series at the same place, points, at most.
+const DODGE: f64 = 5.0;
+/// Half of the width of an error bar's ends, points.
+const WHISKER: f64 = 1.6;
+/// Length and distance of ticks for missing values, points.
+const MISSING: f64 = 4.0;
+const MISSING_EVERY: f64 = 0.5;
+
+/// A figure.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Figure {
+    /// Empty for none.
+    pub title: String,
+    pub panels: Vec<Panel>,
+    /// The file with what a bounded figure leaves out.
+    pub data: String,
+}
+
+/// A plot with its axes.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Panel {
+    /// Empty for none.
+    pub title: String,
+    pub x: Axis,
+    pub y: Axis,
+    pub bands: Vec<Band>,
+    pub level: Option<Level>,
+    pub series: Vec<Series>,
+    /// Where values are missing on the horizontal axis, and their name in the legend.
+    pub missing: (String, Vec<f64>),
+}
+
+/// A part of the horizontal axis with a name and a colour.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Band {
+    pub from: f64,
+    pub to: f64,
+    /// Bands with the same name have the same colour in all panels. Bands without a name are grey.
+    pub name: String,
+}
+
+/// A dashed line across the panel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Level {
+    pub at: f64,
+    pub name: String,
+}
+
+/// Values of one thing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    /// Name in the legend; empty for no entry.
+    pub name: String,
+    pub kind: SeriesKind,
+    /// Lines, between which values are missing.
+    pub parts: Vec<Vec<Sample>>,
+}
+
+/// The look of a series.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SeriesKind {
+    /// A thin line for many values.
+    Dense,
+    /// A line with dashes.
+    Line,
+    /// A line in an area from the lowest to the highest values.
+    Range,
+    /// Markers with error bars, joined by a line. Markers of different series stand beside each other.
+    Marked,
+}
+
+/// A value, and the ends of its range or error bar.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    pub x: f64,
+    pub y: f64,
+    pub range: Option<(f64, f64)>,
+}
+
+impl Sample {
+    fn is_finite(&self) -> bool {
+        let (low, high) = self.range.unwrap_or_default();
+        [self.x, self.y, low, high].into_iter().all(f64::is_finite)
+    }
+}
+
+/// Where a panel stands in the figure.
+struct Place<'a> {
+    panel: &'a Panel,
+    legend: Legend,
+    plot: Rect,
+    inset: f64,
+    /// Whether the horizontal axis has labels here, and not only below another panel.
+    is_labelled: bool,
+}
+
+impl Figure {
+    /// Draws the figure.
+    pub fn draw(&self) -> Scene {
+        let shown = &self.panels[..self.panels.len().min(MAX_PANELS)];
+        let names = names(shown);
+        let height = match shown.len() {
+            0 | 1 => 96.0,
+            2 => 76.0,
+            _ => 56.0,
+        };
+        let widths = shown.iter().map(|panel| panel.y.width(height));
+        let left = SIDE + NAME + widths.fold(0.0, f64::max);
+        let mut scene = Scene::new();
+        let mut top = SIDE;
+        if !self.title.is_empty() {
+            let title = font::fit(&self.title, TITLE, WIDTH - 2.0 * SIDE);
+            scene.text((SIDE, top + font::ASCENT * TITLE), &title, TITLE, Anchor::Start, BLACK);
+            top += TITLE + SIDE;
+        }
+        let mut places = Vec::new();
+        for (i, panel) in shown.iter().enumerate() {
+            let is_labelled = shown.get(i + 1).is_none_or(|next| next.x != panel.x);
+            let place = Place::below(&mut top, panel, (left, height), is_labelled, &names);
+            places.push(place);
+        }
+        for place in &places {
+            place.draw(&mut scene, &names);
+        }
+        draw_names(&mut scene, &places);
+        for note in self.notes() {
+            let note = font::fit(&note, SMALL, WIDTH - 2.0 * SIDE);
+            scene.text((SIDE, top + font::ASCENT * SMALL), &note, SMALL, Anchor::Start, BLACK);
+            top += ROW;
+        }
+        scene.height = top.ceil();
+        scene
+    }
+
+    /// Says what the bounds leave out.
+    fn notes(&self) -> Vec<String> {
+        let most = self.panels.iter().map(|panel| panel.series.len()).max().unwrap_or_default();
+        let counts = [(self.panels.len(), MAX_PANELS, "panels"), (most, MAX_SERIES, "lines")];
+        let over = counts.into_iter().filter(|(count, bound, _)| count > bound);
+        over.map(|(count, bound, what)| format!("{bound} of {count} {what}; {} has all", self.data)).collect()
+    }
+}
+
+/// Returns the names of all bands, in the order of their colours.
+fn names(panels: &[Panel]) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    for band in panels.iter().flat_map(|panel| &panel.bands) {
+        if !band.name.is_empty() && !names.contains(&band.name) {
+            names.push(band.name.clone());
+        }
+    }
+    names
+}
+
+fn colour(name: &str, names: &[String]) -> Colour {
+    names.iter().position(|other| other == name).map_or(GREY, |place| BANDS[place % BANDS.len()])
+}
+
+/// Draws the name of each vertical axis, once for panels that follow each other and have the same.
+fn draw_names(scene: &mut Scene, places: &[Place<'_>]) {
+    for group in places.chunk_by(|a, b| a.panel.y.label == b.panel.y.label) {
+        let (first, last) = (&group[0].plot, &group[group.len() - 1].plot);
+        let room = last.bottom - first.top + STRIP;
+        let label = font::fit(&group[0].panel.y.label, LABEL, room);
+        let at = (SIDE + LABEL * 0.8, (first.top + last.bottom) / 2.0);
+        scene.turned(at, &label, LABEL, Anchor::Middle, BLACK);
+    }
+}
+
+impl<'a> Place<'a> {
+    /// Places a panel below `top`, and moves `top` below it.
+    fn below(
+        top: &mut f64,
+        panel: &'a Panel,
+        (left, height): (f64, f64),
+        is_labelled: bool,
+        names: &[String],
+    ) -> Self {
+        let right = WIDTH - RIGHT;
+        let is_marked = panel.series.iter().any(|series| series.kind == SeriesKind::Marked);
+        let inset = if is_marked { INSET } else { 0.0 };
+        let title = font::fit(&panel.title, LABEL, right - left);
+        let mut plot = Rect { left, top: *top, right, bottom: *top + height };
+        let place = Self { panel, legend: Legend::new(Vec::new(), 0.0, WIDTH), plot, inset, is_labelled };
+        let entries = place.entries(names);
+        let has_head = !title.is_empty() || !entries.is_empty();
+        let beside_title = if title.is_empty() { 0.0 } else { font::width(&title, LABEL) + SIDE };
+        let legend = Legend::new(entries, WIDTH - left - beside_title, WIDTH - left);
+        let strip = if panel.bands.is_empty() { 0.0 } else { STRIP };
+        let head = if has_head { ROW + legend.height() + 1.0 } else { 2.0 };
+        plot.top = *top + head + strip;
+        plot.bottom = plot.top + height;
+        let below = if is_labelled { panel.x.height(plot.width() - 2.0 * inset) } else { 2.0 };
+        *top = plot.bottom + below + BETWEEN;
+        Self { legend, plot, ..place }
+    }
+
+    fn top(&self) -> f64 {
+        let strip = if self.panel.bands.is_empty() { 0.0 } else { STRIP };
+        self.plot.top - strip - 1.0 - ROW - self.legend.height()
+    }
+
+    fn entries(&self, names: &[String]) -> Vec<Entry> {
+        let panel = self.panel;
+        let series = panel.series.iter().take(MAX_SERIES).enumerate().map(|(i, series)| {
+            let look = match series.kind {
+                SeriesKind::Dense | SeriesKind::Line => Look::Line(i),
+                SeriesKind::Range => Look::Range(i),
+                SeriesKind::Marked => Look::Marked(i),
+            };
+            Entry { name: series.name.clone(), look }
+        });
+        let level = panel.level.iter().map(|level| Entry { name: level.name.clone(), look: Look::Level });
+        let missing = (!panel.missing.1.is_empty())
+            .then(|| Entry { name: panel.missing.0.clone(), look: Look::Missing });
+        // Bands whose name has no room in the strip.
+        let unnamed = names.iter().filter(|name| {
+            let mut its = panel.bands.iter().filter(|band| band.name == **name).peekable();
+            its.peek().is_some() && its.all(|band| self.room_for_name(band).is_none())
+        });
+        let unnamed = unnamed
+            .map(|name| Entry { name: name.clone(), look: Look::Area(colour(name, names).lighter(LIGHT)) });
+        series.chain(level).chain(missing).filter(|entry| !entry.name.is_empty()).chain(unnamed).collect()
+    }
+
+    fn x(&self, value: f64) -> f64 {
+        self.plot.left + self.inset + self.panel.x.share(value) * (self.plot.width() - 2.0 * self.inset)
+    }
+
+    fn y(&self, value: f64) -> f64 {
+        self.plot.bottom - self.panel.y.share(value) * self.plot.height()
+    }
+
+    /// Returns the ends of a band, points.
+    fn ends(&self, band: &Band) -> (f64, f64) {
+        let within = |value| self.x(value).clamp(self.plot.left, self.plot.right);
+        (within(band.from), within(band.to))
+    }
+
+    /// Returns the middle of a band if its name has room there.
+    fn room_for_name(&self, band: &Band) -> Option<f64> {
+        let (from, to) = self.ends(band);
+        (font::width(&band.name, SMALL) + 2.0 <= to - from).then_some((from + to) / 2.0)
+    }
+
+    fn draw(&self, scene: &mut Scene, names: &[String]) {
+        let (panel, plot) = (self.panel, &self.plot);
+        let title = font::fit(&panel.title, LABEL, plot.width());
+        if !title.is_empty() {
+            let at = (plot.left, self.top() + ROW / 2.0 + LABEL * 0.34);
+            scene.text(at, &title, LABEL, Anchor::Start, BLACK);
+        }
+        self.legend.draw(scene, self.top());
+        for band in panel.bands.iter().filter(|band| band.from.is_finite() && band.to.is_finite()) {
+            let ((left, right), colour) = (self.ends(band), colour(&band.name, names));
+            scene.area(Rect { left, right, ..*plot }.corners(), colour.lighter(PALE));
+            let strip = Rect { left, right, top: plot.top - STRIP, bottom: plot.top };
+            scene.area(strip.corners(), colour.lighter(LIGHT));
+            if let Some(middle) = self.room_for_name(band) {
+                let at = (middle, plot.top - STRIP / 2.0 + SMALL * 0.35);
+                scene.text(at, &band.name, SMALL, Anchor::Middle, BLACK);
+            }
+        }
+        panel.y.draw_beside(scene, plot);
+        panel.x.draw_below(scene, plot, self.inset, self.is_labelled);
+        if let Some(level) =
+            panel.level.as_ref().filter(|level| (panel.y.from..=panel.y.to).contains(&level.at))
+        {
+            let y = self.y(level.at);
+            scene.line(vec![(plot.left, y), (plot.right, y)], ALERT, FINE * 1.4, LEVEL_DASHES);
+        }
+        let shown = panel.series.len().min(MAX_SERIES);
+        for (i, series) in panel.series.iter().take(shown).enumerate() {
+            self.draw_series(scene, i, series, shown);
+        }
+        let mut free_from = f64::NEG_INFINITY;
+        for x in panel.missing.1.iter().map(|at| self.x(*at)) {
+            if x >= free_from && x <= plot.right {
+                scene.line(vec![(x, plot.top), (x, plot.top + MISSING)], ALERT, FINE, &[]);
+                free_from = x + MISSING_EVERY;
+            }
+        }
+    }
+
+    fn draw_series(&self, scene: &mut Scene, place: usize, series: &Series, shown: usize) {
+        let (colour, dashes) = (SERIES[place % SERIES.len()], DASHES[place % DASHES.len()]);
+        let aside = self.dodge(place, shown);
+        for part in &series.parts {
+            let samples: Vec<_> = part.iter().filter(|sample| sample.is_finite()).collect();
+            let at = |sample: &Sample, value: f64| (self.x(sample.x) + aside, self.y(value));
+            let mut line: Vec<Point> = samples.iter().map(|sample| at(sample, sample.y)).collect();
+            match series.kind {
+                SeriesKind::Dense | SeriesKind::Line => {
+                    // A single value is a short line.
+                    if let [(x, y)] = line[..] {
+                        line = vec![(x - FINE / 2.0, y), (x + FINE / 2.0, y)];
+                    }
+                    let (width, dashes) =
+                        if series.kind == SeriesKind::Dense { (FINE, &[][..]) } else { (BOLD, dashes) };
+                    self.clipped(scene, &line, colour, width, dashes);
+                }
+                SeriesKind::Range => {
+                    let edge = |of: fn((f64, f64)) -> f64| -> Vec<Point> {
+                        let inside = |(x, y): Point| (x, y.clamp(self.plot.top, self.plot.bottom));
+                        samples.iter().map(|s| inside(at(s, of(s.range.unwrap_or((s.y, s.y)))))).collect()
+                    };
+                    let (low, mut high) = (edge(|range| range.0), edge(|range| range.1));
+                    high.reverse();
+                    scene.area([low, high].concat(), colour.lighter(0.6));
+                    self.clipped(scene, &line, colour, FINE, &[]);
+                }
+                SeriesKind::Marked => {
+                    self.clipped(scene, &line, colour, BOLD, dashes);
+                    for sample in samples {
+                        if let Some((low, high)) = sample.range {
+                            let [(x, bottom), (_, top)] = [at(sample, low), at(sample, high)];
+                            self.clipped(scene, &[(x, bottom), (x, top)], colour, FINE, &[]);
+                            for y in [bottom, top] {
+                                self.clipped(scene, &[(x - WHISKER, y), (x + WHISKER, y)], colour, FINE, &[]);
+                            }
+                        }
+                        mark(scene, at(sample, sample.y), place);
+                    }
+                }
+            }
+        }
+    }
+
+    fn clipped(&self, scene: &mut Scene, line: &[Point], colour: Colour, width: f64, dashes: &'static [f64]) {
+        for part in self.plot.clip_line(line) {
+            scene.line(part, colour, width, dashes);
+        }
+    }
+
+    /// Returns how far the markers of a series stand aside, points, so that none hides another.
+    fn dodge(&self, place: usize, shown: usize) -> f64 {
+        let is_marked = |series: &&Series| series.kind == SeriesKind::Marked;
+        let mut places: Vec<f64> = self
+            .panel
+            .series
+            .iter()
+            .filter(is_marked)
+            .flat_map(|s| &s.parts)
+            .flatten()
+            .map(|sample| self.x(sample.x))
+            .filter(|x| x.is_finite())
+            .collect();
+        if places.is_empty() || shown < 2 {
+            return 0.0;
+        }
+        places.sort_by(f64::total_cmp);
+        let apart = places.windows(2).map(|pair| pair[1] - pair[0]).filter(|apart| *apart > 1e-6);
+        let room = apart.fold(f64::INFINITY, f64::min).min(2.0 * INSET);
+        let step = (room * 0.8 / (shown - 1) as f64).min(DODGE);
+        (place as f64 - (shown - 1) as f64 / 2.0) * step
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Format, Item, Line};
+
+    fn sample(x: f64, y: f64) -> Sample {
+        Sample { x, y, range: None }
+    }
+
+    fn series(name: &str, kind: SeriesKind, points: &[(f64, f64)]) -> Series {
+        let parts = vec![points.iter().map(|(x, y)| sample(*x, *y)).collect()];
+        Series { name: name.to_owned(), kind, parts }
+    }
+
+    /// A panel with everything: long bands, short bands, spikes above the axis, a target and missing values.
+    fn panel(title: &str) -> Panel {
+        let band = |from, to, name: &str| Band { from, to, name: name.to_owned() };
+        let spikes: Vec<_> =
+            (0..400).map(|i| (f64::from(i), if i % 40 == 0 { 90.0 } else { 11.0 })).collect();
+        Panel {
+            title: title.to_owned(),
+            x: Axis::around("time (s)", 0.0, 400.0),
+            y: Axis::around("service time (ms)", 0.0, 38.0),
+            bands: vec![
+                band(0.0, 150.0, "R1"),
+                band(150.0, 152.0, "a-unit-in-the-yard"),
+                band(152.0, 400.0, ""),
+            ],
+            level: Some(Level { at: 15.0, name: "target 15 ms".to_owned() }),
+            series: vec![series("service time", SeriesKind::Dense, &spikes)],
+            missing: ("no answer".to_owned(), vec![10.0, 10.1, 200.0]),
+        }
+    }
+
+    fn lines(scene: &Scene, colour: Colour) -> Vec<&Line> {
+        let lines = scene.items.iter().filter_map(|item| match item {
+            Item::Line(line) if line.colour == colour => Some(line),
+            _ => None,
+        });
+        lines.collect()
+    }
+
+    fn texts(scene: &Scene) -> Vec<&str> {
+        let texts = scene.items.iter().filter_map(|item| match item {
+            Item::Text(text) => Some(text.text.as_str()),
+            _ => None,
+        });
+        texts.collect()
+    }
+
+    #[test]
+    fn no_text_collides_with_another_or_with_a_line() {
+        for count in [1, 2, 3, 12, 13] {
+            let panels = (0..count).map(|i| panel(&format!("robot-{i}: navigation"))).collect();
+            let title = "corridor: service time and attachment ".repeat(count);
+            let scene = Figure { title, panels, data: "service_time.csv".to_owned() }.draw();
+            assert_eq!(scene.collisions(), Vec::<String>::new(), "{count}");
+        }
+    }
+
+    #[test]
+    fn panels_are_bounded_and_a_note_counts_the_rest() {
+        let panels = (0..30).map(|i| panel(&format!("robot-{i}"))).collect();
+        let scene = Figure { panels, data: "service_time.csv".to_owned(), ..Figure::default() }.draw();
+        let texts = texts(&scene);
+        assert!(texts.contains(&"robot-11") && !texts.contains(&"robot-12"), "{texts:?}");
+        assert!(texts.contains(&"12 of 30 panels; service_time.csv has all"), "{texts:?}");
+    }
+
+    #[test]
+    fn letters_are_legible_in_a_column_of_a_paper() {
+        let scene =
+            Figure { title: "run".to_owned(), panels: vec![panel("robot")], ..Figure::default() }.draw();
+        for item in &scene.items {
+            let Item::Text(text) = item else { continue };
+            assert!(text.size >= 6.5, "{text:?}");
+        }
+        assert!((WIDTH / 72.0 * 2.54 - 8.5).abs() < 0.01);
+    }
+
+    #[test]
+    fn names_of_bands_are_in_the_strip_or_else_in_the_legend() {
+        let scene = Figure { panels: vec![panel("robot")], ..Figure::default() }.draw();
+        let texts = texts(&scene);
+        let count = |name| texts.iter().filter(|text| **text == name).count();
+        assert_eq!((count("R1"), count("a-unit-in-the-yard"), count("no answer")), (1, 1, 1), "{texts:?}");
+        let mut roomy = panel("robot");
+        roomy.bands.truncate(1);
+        let scene = Figure { panels: vec![roomy], ..Figure::default() }.draw();
+        assert!(!self::texts(&scene).contains(&"a-unit-in-the-yard"));
+    }
+
+    #[test]
+    fn spikes_end_at_the_top_of_the_plot() {
+        let scene = Figure { panels: vec![panel("robot")], ..Figure::default() }.draw();
+        let data: Vec<_> = lines(&scene, SERIES[0]).into_iter().filter(|line| line.width == FINE).collect();
+        assert!(data.len() > 5, "spikes leave the plot: {}", data.len());
+        let ys = || data.iter().flat_map(|line| &line.points).map(|point| point.1);
+        let (top, bottom) = (ys().fold(f64::INFINITY, f64::min), ys().fold(0.0, f64::max));
+        assert!(bottom - top <= 96.0 && top > 20.0, "{top} {bottom}");
+    }
+
+    #[test]
+    fn series_on_the_same_values_are_all_visible() {
+        let points = [(1.0, 20.0), (2.0, 20.0), (3.0, 20.0)];
+        for count in 2..=MAX_SERIES {
+            let series = (0..count).map(|i| series(&format!("s{i}"), SeriesKind::Marked, &points)).collect();
+            let values = [1, 2, 3].map(|i| (f64::from(i), i.to_string()));
+            let panel = Panel {
+                x: Axis::values("delay scale", &values),
+                y: Axis::around("ms", 0.0, 25.0),
+                series,
+                ..Panel::default()
+            };
+            let scene = Figure { panels: vec![panel], ..Figure::default() }.draw();
+            assert_eq!(scene.collisions(), Vec::<String>::new());
+            let mut markers: Vec<Rect> = Vec::new();
+            for colour in SERIES.iter().take(count) {
+                let its = lines(&scene, *colour);
+                let joined = its.iter().filter(|line| line.width == BOLD && line.points.len() == 3);
+                assert_eq!(joined.count(), 1);
+                // The first outline of a marker is the legend's.
+                for line in its.iter().filter(|line| line.width == 0.7).skip(1) {
+                    let of = |of: fn(&Point) -> f64, fold: fn(f64, f64) -> f64, from| {
+                        line.points.iter().map(of).fold(from, fold)
+                    };
+                    markers.push(Rect {
+                        left: of(|p| p.0, f64::min, f64::INFINITY),
+                        right: of(|p| p.0, f64::max, 0.0),
+                        top: of(|p| p.1, f64::min, f64::INFINITY),
+                        bottom: of(|p| p.1, f64::max, 0.0),
+                    });
+                }
+            }
+            assert_eq!(markers.len(), 3 * count);
+            markers.sort_by(|a, b| a.left.total_cmp(&b.left));
+            // Each marker shows at least a part as wide as an outline.
+            assert!(markers.windows(2).all(|pair| pair[1].left - pair[0].left > 0.7), "{count}: {markers:?}");
+        }
+    }
+
+    #[test]
+    fn further_series_are_counted_in_a_note() {
+        let series = (0..11).map(|i| series(&format!("s{i}"), SeriesKind::Marked, &[(1.0, 1.0)])).collect();
+        let panel = Panel {
+            y: Axis::around("ms", 0.0, 1.0),
+            x: Axis::around("n", 0.0, 2.0),
+            series,
+            ..Panel::default()
+        };
+        let scene = Figure { panels: vec![panel], data: "cells.csv".to_owned(), ..Figure::default() }.draw();
+        assert!(texts(&scene).contains(&"8 of 11 lines; cells.csv has all"), "{:?}", texts(&scene));
+    }
+
+    #[test]
+    fn values_that_are_no_numbers_are_left_out() {
+        let points = [(0.0, 1.0), (1.0, f64::NAN), (2.0, f64::INFINITY), (3.0, 2.0)];
+        let kinds = [SeriesKind::Dense, SeriesKind::Line, SeriesKind::Range, SeriesKind::Marked];
+        let panel = Panel {
+            x: Axis::around("s", 0.0, f64::NAN),
+            y: Axis::around("ms", 0.0, 3.0),
+            series: kinds.map(|kind| series("", kind, &points)).into(),
+            ..Panel::default()
+        };
+        let scene = Figure { panels: vec![panel, Panel::default()], ..Figure::default() }.draw();
+        let svg = String::from_utf8(scene.render(Format::Svg)).unwrap();
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+    }
+
+    #[test]
+    fn the_same_figure_has_the_same_bytes_in_every_format() {
+        let draw =
+            || Figure { title: "run".to_owned(), panels: vec![panel("robot")], ..Figure::default() }.draw();
+        for format in Format::ALL {
+            let bytes = draw().render(format);
+            assert!(bytes == draw().render(format) && bytes.len() > 1000, "{format}");
+        }
+    }
+}

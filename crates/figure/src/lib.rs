@@ -1,0 +1,23 @@
+//! Figures: panels of lines over an axis, and bars over time, as SVG, PDF and PNG.
+//!
+//! A [`Figure`] or a [`Timeline`] becomes a [`Scene`] of lines, areas and texts, which [`Scene::render`] writes in a
+//! [`Format`]. A scene is as wide as a column of a paper (8.5 cm), with letters of at least 6.5 points. The same scene has
+//! the same bytes each time.
+
+#![forbid(unsafe_code)]
+
+mod axis;
+mod figure;
+mod font;
+mod legend;
+mod pdf;
+mod png;
+mod scene;
+mod style;
+mod svg;
+mod timeline;
+
+pub use axis::Axis;
+pub use figure::{Band, Figure, Level, MAX_PANELS, MAX_SERIES, Panel, Sample, Series, SeriesKind};
+pub use scene::{Format, Scene};
+pub use timeline::{Bar, Row, Timeline};
