@@ -19,6 +19,7 @@ mod duration;
 mod exec;
 mod experiment;
 mod fault_test;
+mod figures;
 mod history;
 mod link;
 mod localize;

@@ -19,6 +19,7 @@ use cotorra_testbed::FolderError;
 
 use crate::{
     duration::parse_duration,
+    figures::FigureArgs,
     output,
     progress::Progress,
     signals,
@@ -40,7 +41,7 @@ use crate::{
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
-  cotorra sweep testbeds/corridor.yaml --set plugin=probing,okpi --seeds 20
+  cotorra sweep testbeds/corridor.yaml --set plugin=probing,okpi --seeds 20 --figure pdf
   cotorra sweep testbeds/corridor.yaml --set links.*.delay_scale=1..4 --set plugin=probing,okpi --seeds 100
   cotorra sweep testbeds/corridor.yaml --set plugin=okpi --set plugins.okpi.settings.gamma=2..20:2 --dry-run")]
 pub struct SweepArgs {
@@ -64,6 +65,8 @@ pub struct SweepArgs {
     /// Discard the runs that the folder has
     #[arg(long)]
     pub fresh: bool,
+    #[command(flatten)]
+    pub figure: FigureArgs,
     /// Write plain lines instead of a progress bar
     #[arg(long)]
     pub headless: bool,
@@ -124,7 +127,10 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
     let runs = runs.map_err(report)?;
     // A sweep that was stopped has its tables, too.
     sweep.write(&folder, &runs).map_err(Error::from)?;
-    output::print(&describe(&sweep, &runs, folder.path()))?;
+    for format in args.figure.further() {
+        sweep.write_figure(&folder, &runs, format).map_err(Error::from)?;
+    }
+    output::print(&describe(&sweep, &runs, folder.path(), &args.figure))?;
     Ok(if runs.done.len() == runs.total { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) })
 }
 
@@ -144,7 +150,7 @@ fn plan(sweep: &Sweep, args: &SweepArgs, place: &Path, runs: usize, jobs: NonZer
     text + &table.render("  ") + &format!("\n{}/{again}\n  {}\n", place.display(), FILES.join("  "))
 }
 
-fn describe(sweep: &Sweep, runs: &Runs, folder: &Path) -> String {
+fn describe(sweep: &Sweep, runs: &Runs, folder: &Path, figure: &FigureArgs) -> String {
     let resumed =
         if runs.resumed > 0 { format!(", {} of them from before", runs.resumed) } else { String::new() };
     let mut text = format!("{} of {}{resumed}\n\n", runs.done.len(), count(runs.total, "run"));
@@ -176,7 +182,8 @@ fn describe(sweep: &Sweep, runs: &Runs, folder: &Path) -> String {
     if runs.done.len() < runs.total {
         text += "\nThe sweep was stopped; the same command resumes it.\n";
     }
-    text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
+    let figures = figure.files("sweep");
+    text + &format!("\n{}/\n  {}{figures}\n", folder.display(), FILES.join("  "))
 }
 
 /// Returns the table of each robot and service, if several have samples. Names those that have none in any run.

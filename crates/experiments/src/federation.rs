@@ -8,6 +8,7 @@ mod ledger_backend;
 
 use std::{fmt::Write as _, path::Path, time::Duration};
 
+use cotorra_figure::Format;
 use cotorra_graph::{DomainId, Testbed, Walk};
 use cotorra_testbed::{DataTable, FolderError, Quantiles, orchestrators, write_file};
 use serde::Serialize;
@@ -127,20 +128,28 @@ impl Comparison {
         table
     }
 
+    /// Writes the figure in the published layout, `federation`, in a format.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn write_figure(&self, folder: &Path, format: Format) -> Result<(), FolderError> {
+        let periods = self.by_period();
+        let published = periods.iter().find(|runs| runs[0].block_period_s == PUBLISHED_PERIOD_S);
+        let Some(runs) = published.or(periods.last()) else { return Ok(()) };
+        let mut runs = runs.clone();
+        runs.sort_by(|a, b| a.total_s().total_cmp(&b.total_s()));
+        let scene = drawn::draw(runs[runs.len() / 2], &self.ledger).draw();
+        write_file(folder, &format!("federation.{format}"), scene.render(format))
+    }
+
     /// Writes [`FILES`]: the figure in the published layout, the table, and all steps of all runs. The figure shows the run of
     /// median total time with the published block period, or with the last period if none has the published one.
     ///
     /// # Errors
     /// [`FolderError`].
     pub fn write(&self, folder: &Path) -> Result<(), FolderError> {
-        let [figure, table, data, csv, for_papers] = FILES;
-        let periods = self.by_period();
-        let published = periods.iter().find(|runs| runs[0].block_period_s == PUBLISHED_PERIOD_S);
-        if let Some(runs) = published.or(periods.last()) {
-            let mut runs = runs.clone();
-            runs.sort_by(|a, b| a.total_s().total_cmp(&b.total_s()));
-            write_file(folder, figure, &drawn::draw(runs[runs.len() / 2], &self.ledger))?;
-        }
+        let [_, table, data, csv, for_papers] = FILES;
+        self.write_figure(folder, Format::Svg)?;
         write_file(folder, table, &self.to_markdown())?;
         write_file(folder, for_papers, &self.table().to_latex())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");

@@ -3,8 +3,9 @@
 
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
+use cotorra_figure::{Figure, Format, Panel, Sample, Series, SeriesKind};
 use cotorra_graph::{HardwareGraph, Instruction, NodeId, Position, Program, ServiceTime, Testbed};
-use cotorra_testbed::{DataTable, FolderError, Panel, Quantiles, Report, draw, service_time_ms, write_file};
+use cotorra_testbed::{DataTable, FolderError, Quantiles, Report, panels, service_time_ms, write_file};
 use serde::Serialize;
 
 /// One of the compared approaches.
@@ -297,22 +298,8 @@ impl Comparison {
         let decided = Decided::by(testbed, okpi);
         let theory = decided.theory(testbed);
         let at = |seconds: f64| decided.at(seconds).and_then(|state| theory.get(state).copied());
-        let end = okpi.samples().end().as_secs_f64();
-        let points = (0..).map(|i| f64::from(i) * POINT_EVERY_S).take_while(|seconds| *seconds <= end);
-        let points = points.filter_map(|seconds| Some((seconds, at(seconds)?))).collect();
-        let panels = [
-            Panel {
-                line: Some("SoA"),
-                ..Panel::of("State of the art: navigation in the cloud, periodic probing".to_owned(), soa)
-            },
-            Panel {
-                line: Some("OKpi-e"),
-                points: Some(("OKpi-t", points)),
-                ..Panel::of("OKpi".to_owned(), okpi)
-            },
-        ];
-        let [figure, tables, data, samples, for_papers, medians] = FILES;
-        write_file(folder, figure, &draw(&panels))?;
+        let [_, tables, data, samples, for_papers, medians] = FILES;
+        self.write_figure(folder, testbed, soa, okpi, Format::Svg)?;
         write_file(folder, tables, &self.to_markdown(how))?;
         write_file(folder, for_papers, &self.tables().map(|table| table.to_latex()).join("\n"))?;
         write_file(folder, medians, &self.medians().to_csv())?;
@@ -339,6 +326,56 @@ impl Comparison {
         }
         write_file(folder, samples, &csv)
     }
+}
+
+impl Comparison {
+    /// Writes the figure in the published layout, `comparison`, in a format.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn write_figure(
+        &self,
+        folder: &Path,
+        testbed: &Testbed,
+        soa: &Report,
+        okpi: &Report,
+        format: Format,
+    ) -> Result<(), FolderError> {
+        let figure = figure(testbed, soa, okpi);
+        write_file(folder, &format!("comparison.{format}"), figure.draw().render(format))
+    }
+}
+
+/// Returns the figure: the measured service times of both walks, and the sum of the known link delays for OKpi's decisions.
+fn figure(testbed: &Testbed, soa: &Report, okpi: &Report) -> Figure {
+    let decided = Decided::by(testbed, okpi);
+    let theory = decided.theory(testbed);
+    let at = |seconds: f64| decided.at(seconds).and_then(|state| theory.get(state).copied());
+    let end = okpi.samples().end().as_secs_f64();
+    let seconds = (0..).map(|i| f64::from(i) * POINT_EVERY_S).take_while(|seconds| *seconds <= end);
+    let points = seconds.filter_map(|x| Some(Sample { x, y: at(x)?, range: None })).collect();
+    let names = ["State of the art: cloud, probing", "OKpi"];
+    let mut all: Vec<Panel> = Vec::new();
+    for ((title, report), line) in names.into_iter().zip([soa, okpi]).zip(["SoA", "OKpi-e"]) {
+        for mut panel in panels(report) {
+            let subject = std::mem::take(&mut panel.title);
+            panel.title = if subject.is_empty() { title.to_owned() } else { format!("{title}, {subject}") };
+            panel.series.iter_mut().for_each(|series| series.name = line.to_owned());
+            all.push(panel);
+        }
+    }
+    let theory = Series { name: "OKpi-t".to_owned(), kind: SeriesKind::Line, parts: vec![points] };
+    if let Some(first) = all.iter_mut().find(|panel| panel.title.starts_with(names[1])) {
+        first.series.push(theory);
+    }
+    // All panels have the same scales, so that they can be compared.
+    let whole = all.iter().cloned().reduce(|a, b| Panel { x: a.x.joined(&b.x), y: a.y.joined(&b.y), ..a });
+    if let Some(Panel { x, y, .. }) = whole {
+        for panel in &mut all {
+            (panel.x, panel.y) = (x.clone(), y.clone());
+        }
+    }
+    Figure { panels: all, data: FILES[3].to_owned(), ..Figure::default() }
 }
 
 fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {

@@ -10,6 +10,8 @@ use crate::{
 const TICK: f64 = 2.0;
 /// Room between a tick and its label, and between labels, points.
 const GAP: f64 = 2.0;
+/// Further room below ticks, so that the first label does not touch that of the vertical axis, points.
+const BELOW: f64 = 0.5;
 /// Room between labels along the horizontal axis, points.
 const BETWEEN: f64 = 6.0;
 /// Room for half of a label beyond the ends of a horizontal axis, points.
@@ -62,6 +64,11 @@ impl Axis {
         Self { label: label.to_owned(), from, to, ticks: values.to_vec() }
     }
 
+    /// Returns an axis with the ends of both.
+    pub fn joined(self, other: &Self) -> Self {
+        Self { from: self.from.min(other.from), to: self.to.max(other.to), ..self }
+    }
+
     /// Returns the share of the axis below a value.
     pub(crate) fn share(&self, value: f64) -> f64 {
         (value - self.from) / (self.to - self.from)
@@ -109,7 +116,7 @@ impl Axis {
 
     /// Returns the height below a plot of this width for ticks, labels and the name of the axis.
     pub(crate) fn height(&self, width: f64) -> f64 {
-        TICK + GAP + self.labels_height(width) + if self.label.is_empty() { 0.0 } else { ROW }
+        TICK + GAP + BELOW + self.labels_height(width) + if self.label.is_empty() { 0.0 } else { ROW }
     }
 
     fn labels_height(&self, width: f64) -> f64 {
@@ -128,7 +135,7 @@ impl Axis {
         let ticks = self.along(width);
         let side_by_side = self.have_room(&ticks, width);
         scene.line(vec![(plot.left, plot.bottom), (plot.right, plot.bottom)], AXIS, THIN, &[]);
-        let labels = plot.bottom + TICK + GAP;
+        let labels = plot.bottom + TICK + GAP + BELOW;
         // Turned labels that are too close leave some out.
         let mut free_from = f64::NEG_INFINITY;
         for (at, label) in &ticks {

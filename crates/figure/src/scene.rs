@@ -1,6 +1,6 @@
 //! Drawings of areas, lines and texts. Lengths are points (1/72 inch); y grows downwards.
 
-use std::{fmt, str::FromStr};
+use std::{fmt, path::Path, str::FromStr};
 
 use crate::{font, pdf, png, style::Colour, svg};
 
@@ -19,6 +19,11 @@ pub enum Format {
 
 impl Format {
     pub const ALL: [Self; 3] = [Self::Svg, Self::Pdf, Self::Png];
+
+    /// Returns the format of a file by the ending of its name.
+    pub fn of(file: &Path) -> Option<Self> {
+        file.extension()?.to_str()?.parse().ok()
+    }
 
     /// Returns its name, which is also the ending of its files.
     pub const fn as_str(self) -> &'static str {
@@ -286,6 +291,7 @@ mod tests {
     fn formats_have_the_names_of_their_files() {
         for format in Format::ALL {
             assert_eq!(format.as_str().parse(), Ok(format));
+            assert_eq!(Format::of(&Path::new("a.b").with_extension(format.as_str())), Some(format));
         }
         assert!("gif".parse::<Format>().unwrap_err().contains("svg, pdf and png"));
     }

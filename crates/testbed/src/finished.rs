@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
+use cotorra_figure::Format;
 use cotorra_measurements::RunId;
 use cotorra_recording::RecordingSummary;
 
-use crate::report::{End, Report, Summary};
+use crate::report::{End, FolderError, Report, Summary, write_figure};
 
 /// The result of a run.
 #[derive(Debug)]
@@ -28,5 +29,13 @@ impl Finished {
     /// Whether a user stopped the run before its end.
     pub fn was_stopped(&self) -> bool {
         self.summary.ended == End::Stopped.as_str()
+    }
+
+    /// Writes `service_time` in a further format beside `service_time.svg`.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn write_figure(&self, format: Format) -> Result<(), FolderError> {
+        write_figure(&self.folder, &self.report, &self.summary, format)
     }
 }

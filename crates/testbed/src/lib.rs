@@ -59,8 +59,8 @@ pub use reflectors::ReflectorError;
 pub use rehearse::{interface_plans, rehearse};
 pub use report::{
     DataTable, DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, LocalizationSummary,
-    Panel, Place, PlacementRecord, Quantiles, RegionSummary, Report, RobotSummary, ServiceSummary, Summary,
-    by_service, draw, service_time_ms, svg, write_file,
+    Place, PlacementRecord, Quantiles, RegionSummary, Report, RobotSummary, ServiceSummary, Summary,
+    by_service, panels, service_time_ms, write_file,
 };
 pub use robots::RobotError;
 pub use run::{Run, Stopper};

@@ -11,6 +11,7 @@ use super::bundled::{CORRIDOR, FEDERATION};
 use crate::{
     arguments::parse_seed,
     duration::parse_duration,
+    figures::FigureArgs,
     history::{HISTORY_VARIABLE, Place},
 };
 
@@ -30,6 +31,8 @@ pub struct WalkArgs {
     /// Folder in which the experiment creates its own folder
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub out: PathBuf,
+    #[command(flatten)]
+    pub figure: FigureArgs,
     /// Write plain lines instead of the live view
     #[arg(long)]
     pub headless: bool,
@@ -58,6 +61,7 @@ pub struct WalkArgs {
 Examples:
   cotorra experiment okpi                      in virtual time, in seconds
   cotorra experiment okpi --emulate            with real packets, in about 15 minutes
+  cotorra experiment okpi --figure pdf,png
   cotorra experiment okpi --set plugins.okpi.settings.gamma=10
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]

@@ -136,6 +136,9 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     }
     let comparison = Comparison { how: how.to_owned(), ledger: on.to_string(), runs };
     comparison.write(&folder).map_err(Error::from)?;
+    for format in args.walks.figure.further() {
+        comparison.write_figure(&folder, format).map_err(Error::from)?;
+    }
     let mut text = comparison.to_markdown();
     text += &format!("\n{}/\n  {}  {}\n", folder.display(), FILES.join("  "), count(planned.len(), "run"));
     for (folder, source) in &failed {

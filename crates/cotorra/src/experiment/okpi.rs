@@ -74,6 +74,10 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let how = format!("{how}, seed {}", soa.summary.seed);
     let comparison = Comparison::of(testbed, &soa.report, &okpi.report);
     comparison.write(&folder, &how, testbed, &soa.report, &okpi.report).map_err(Error::from)?;
+    for format in args.walks.figure.further() {
+        let written = comparison.write_figure(&folder, testbed, &soa.report, &okpi.report, format);
+        written.map_err(Error::from)?;
+    }
     output::print(&describe(&comparison, &how, &walks, &folder, history.as_ref()))?;
     let invalid = walks.iter().find(|walk| !walk.summary.fidelity.valid);
     Ok(run::verdict(&invalid.unwrap_or(okpi).summary))

@@ -7,7 +7,10 @@ use cotorra_graph::{NodeId, SensorId, Timestamp};
 use cotorra_measurements::{Cursor, Kind, RunId, export::Format};
 
 use super::place::{HISTORY_VARIABLE, Place};
-use crate::duration::{parse_step, parse_time};
+use crate::{
+    duration::{parse_step, parse_time},
+    figures::parse_figure_file,
+};
 
 /// Examples in the help of the whole command.
 pub const EXAMPLES: &str = "\
@@ -18,6 +21,7 @@ Examples:
   cotorra history series latest robot --figure service_time
   cotorra history series latest R1-cloud --figure delay --from 1min --to 2min
   cotorra history series latest robot --figure x --csv > x.csv
+  cotorra history series latest R1-cloud --figure delay -o delay.pdf
   cotorra history events latest --kinds handover,decision
   cotorra history diff runs/corridor-20260101-120000 latest
   cotorra history data latest robot camera -o image.raw
@@ -238,12 +242,15 @@ pub struct SeriesArgs {
     pub figure: Option<String>,
     #[command(flatten)]
     pub span: Span,
-    /// Maximum number of points; default: 1000 with --csv, or else the width of the terminal
+    /// Maximum number of points; default: 1000 with --csv, 400 with --out, or else the width of the terminal
     #[arg(long, value_name = "N")]
     pub points: Option<NonZero<usize>>,
     /// Write a table of comma-separated values
     #[arg(long)]
     pub csv: bool,
+    /// Draw the figure into a file: its name ends with .svg, .pdf or .png
+    #[arg(short, long, value_name = "FILE", value_parser = parse_figure_file, conflicts_with = "csv")]
+    pub out: Option<PathBuf>,
     #[command(flatten)]
     pub place: HistoryPlace,
 }

@@ -4,6 +4,7 @@ mod answer;
 mod args;
 mod data;
 mod diff;
+mod drawn;
 mod events;
 mod gaps;
 mod place;

@@ -1,13 +1,14 @@
 //! `cotorra history series`: plots a figure over time, or writes it as a table.
 
-use std::fmt::Write as _;
+use std::{fmt::Write as _, fs, io, path::PathBuf};
 
+use cotorra_figure::Format;
 use cotorra_graph::Timestamp;
 use cotorra_measurements::{Curve, CurveRequest, Figure, InvalidFigure, Values};
 
 use super::{
     args::SeriesArgs,
-    plot,
+    drawn, plot,
     services::services,
     source::{Error, Source},
 };
@@ -30,6 +31,9 @@ enum SeriesError {
     #[error("run {run} has no link, robot or radio unit `{of}`")]
     #[diagnostic(help("{help}; or `service`"))]
     Unknown { run: String, of: String, help: String },
+    #[error("cannot write {}: {source}", out.display())]
+    #[diagnostic(help("choose a file in a folder that exists and that you can write to"))]
+    Write { out: PathBuf, source: io::Error },
 }
 
 /// Plots a figure, or writes it as a table.
@@ -37,7 +41,11 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     let source = Source::find(&args.run, &args.place)?;
     let figure = figure(&args.of, args.figure.as_deref(), &source)?;
     let columns = console::Term::stdout().size_checked().map_or(80, |(_, columns)| columns.into());
-    let default = if args.csv { TABLE_POINTS } else { plot::points(columns) };
+    let default = match &args.out {
+        Some(_) => drawn::POINTS,
+        None if args.csv => TABLE_POINTS,
+        None => plot::points(columns),
+    };
     let points = args.points.map_or(default, |points| points.get());
     let request = CurveRequest { points, quantiles: QUANTILES.to_vec() };
     let curve =
@@ -45,6 +53,12 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     if curve.points.is_empty() {
         let run = source.run.info.name.clone();
         return Err(SeriesError::Nothing { run, figure, help: names(&source) }.into());
+    }
+    if let Some((out, format)) = args.out.as_deref().and_then(|out| Some((out, Format::of(out)?))) {
+        let scene = drawn::draw(&source.run.info.name, &curve).draw();
+        let written = fs::write(out, scene.render(format));
+        written.map_err(|source| SeriesError::Write { out: out.to_owned(), source })?;
+        return output::print(&format!("{}\n", out.display()));
     }
     if args.csv {
         return output::print(&csv(&curve));

@@ -10,6 +10,7 @@ use cotorra_testbed_file::Setting;
 use crate::{
     arguments::{parse_address, parse_seed},
     duration::parse_duration,
+    figures::FigureArgs,
     history::{HISTORY_VARIABLE, Place},
 };
 
@@ -37,6 +38,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --simulate --capture lan-cloud=cloud.pcapng
   cotorra run testbeds/corridor.yaml --record corridor.mcap
   cotorra run testbeds/corridor.yaml --foxglove
+  cotorra run testbeds/corridor.yaml --figure pdf
   cotorra run testbeds/corridor.yaml --set plugin=okpi
   cotorra run testbeds/corridor.yaml --dry-run
   cotorra run abroad.yaml --after latest
@@ -112,6 +114,8 @@ pub struct RunArgs {
     /// ROS 2 messages. If the disk is too slow, messages are dropped and counted; the run never waits.
     #[arg(long, value_name = "FILE.mcap", num_args = 0..=1, value_parser = parse_recording)]
     pub record: Option<Option<PathBuf>>,
+    #[command(flatten)]
+    pub figure: FigureArgs,
     /// Serve the run live to Foxglove; by default on 127.0.0.1:8765
     ///
     /// Needs a cotorra that was built with `--features foxglove`. Whoever can reach the address can watch.

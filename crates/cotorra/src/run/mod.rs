@@ -130,6 +130,9 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     } else {
         stage.emulate(&loaded, &args.file, options)?
     };
+    for format in args.figure.further() {
+        finished.write_figure(format).map_err(|error| Error::from(RunError::from(error)))?;
+    }
     output::print(&summary::describe(&finished, history.as_ref()))?;
     Ok(if finished.unrecorded.is_empty() { verdict(&finished.summary) } else { ExitCode::FAILURE })
 }

@@ -60,16 +60,10 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         text += &gaps(recording);
     }
     let own = if elsewhere.is_some() { "history.json" } else { "history.sqlite" };
-    let files = [
-        "summary.json",
-        "services.csv",
-        "services.tex",
-        "service_time.csv",
-        "service_time.svg",
-        own,
-        "testbed.yaml",
-    ];
-    let there = files.into_iter().filter(|file| folder.join(file).exists());
+    let tables = ["summary.json", "services.csv", "services.tex", "service_time.csv"];
+    let figures = ["service_time.svg", "service_time.pdf", "service_time.png"];
+    let files = tables.into_iter().chain(figures).chain([own, "testbed.yaml"]);
+    let there = files.filter(|file| folder.join(file).exists());
     let there: String = there.map(|file| format!("{file}  ")).collect();
     text += &format!("\n{}/\n  {there}logs/\n", folder.display());
     if let Some(RecordingSummary { file: Some(file), messages, .. }) = &finished.recording {

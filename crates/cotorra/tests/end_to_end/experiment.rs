@@ -17,12 +17,14 @@ fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
     assert!(stdout(&dry).contains("comparison.svg") && dry.status.success(), "{}", stderr(&dry));
     assert_eq!(fs::read_dir(out.path()).unwrap().count(), 0, "a dry run leaves nothing");
 
-    let output = run(&[]);
+    let output = run(&["--figure", "pdf,png"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let folder = fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
     let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
     assert!(stdout(&output).starts_with(&read("comparison.md")));
     assert!(read("comparison.svg").contains("OKpi-t"));
+    assert!(fs::read(folder.join("comparison.pdf")).unwrap().starts_with(b"%PDF-1.4"));
+    assert!(fs::read(folder.join("comparison.png")).unwrap().starts_with(b"\x89PNG"));
     assert!(read("samples.csv").lines().count() > 16_000);
     let (tex, medians) = (read("comparison.tex"), read("medians.csv"));
     assert!(

@@ -87,7 +87,7 @@ fn times_of_flows_lie_between_the_delays_and_what_the_client_measures() {
     assert!(csv.contains(",robot,detect,3,"), "{csv}");
     let drawn = fs::read_to_string(run.folder.join("service_time.svg")).unwrap();
     for service in ["echo", "detect", "first-byte"] {
-        assert!(drawn.contains(&format!("service time and attachment: {service}")), "a panel for {service}");
+        assert!(drawn.contains(&format!(">{service}<")), "a panel for {service}");
     }
 }
 

@@ -113,6 +113,12 @@ fn state_series_and_events_are_shown() {
 
     let drawn = runs.answer(&["series", okpi, "service"]);
     assert!(drawn.starts_with("service_time, ms\n") && drawn.contains("median"), "{drawn}");
+    let folder = tempfile::tempdir().unwrap();
+    for (ending, begin) in [("svg", &b"<svg"[..]), ("pdf", b"%PDF-1.4"), ("png", b"\x89PNG")] {
+        let file = folder.path().join("delay").with_extension(ending);
+        runs.answer(&["series", okpi, "R1-cloud", "-o", text(&file)]);
+        assert!(std::fs::read(&file).unwrap().starts_with(begin), "{ending}");
+    }
     let table =
         runs.answer(&["series", okpi, "R1-cloud", "--from", "2s", "--to", "12s", "--points", "5", "--csv"]);
     assert_eq!(table.lines().count(), 6, "{table}");

@@ -39,7 +39,7 @@ fn a_sweep_stopped_by_ctrl_c_is_resumed() {
     assert!(
         stdout(&dry).contains("6 runs") && stdout(&dry).contains("the runs that it has are not repeated")
     );
-    let rest = sweep(&folder, "3").output().unwrap();
+    let rest = sweep(&folder, "3").args(["--figure", "pdf"]).output().unwrap();
     assert!(rest.status.success(), "{}", stderr(&rest));
     assert!(stdout(&rest).contains("6 of 6 runs, 3 of them from before"), "{}", stdout(&rest));
     assert_eq!(runs().lines().count(), 7);
@@ -47,4 +47,6 @@ fn a_sweep_stopped_by_ctrl_c_is_resumed() {
     let cells = fs::read_to_string(folder.join("cells.csv")).unwrap();
     assert!(cells.lines().nth(2).unwrap().starts_with("2,3,20.2"), "{cells}");
     assert!(fs::read_to_string(folder.join("sweep.svg")).unwrap().starts_with("<svg"));
+    assert!(fs::read(folder.join("sweep.pdf")).unwrap().starts_with(b"%PDF-1.4"));
+    assert!(stdout(&rest).contains("sweep.svg  sweep.pdf\n"), "{}", stdout(&rest));
 }

@@ -1,5 +1,6 @@
 //! A sweep's tables and plot, made from its journal of finished runs.
 
+use cotorra_figure::Format;
 use cotorra_testbed::{DataTable, FolderError, write_file};
 
 use super::{Runs, Sweep, figure, tables};
@@ -24,7 +25,7 @@ impl Sweep {
     /// [`FolderError`].
     pub fn write(&self, journal: &Journal, runs: &Runs) -> Result<(), FolderError> {
         let (path, cells) = (journal.path(), self.cells(runs));
-        let [of_runs, of_cells, of_regions, plot, of_services, of_service_cells, for_papers] = FILES;
+        let [of_runs, of_cells, of_regions, _, of_services, of_service_cells, for_papers] = FILES;
         let csv = |name, table: DataTable| write_file(path, name, &table.to_csv());
         csv(of_runs, tables::runs(self, runs))?;
         csv(of_cells, tables::cells(self, &cells))?;
@@ -32,6 +33,15 @@ impl Sweep {
         csv(of_services, tables::services(self, runs))?;
         csv(of_service_cells, tables::service_cells(self, &cells))?;
         write_file(path, for_papers, &tables::by_service(self, &cells).to_latex())?;
-        write_file(path, plot, &figure::draw(self, &cells))
+        self.write_figure(journal, runs, Format::Svg)
+    }
+
+    /// Writes the plot, `sweep`, in a format.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn write_figure(&self, journal: &Journal, runs: &Runs, format: Format) -> Result<(), FolderError> {
+        let figure = figure::draw(self, &self.cells(runs));
+        write_file(journal.path(), &format!("sweep.{format}"), figure.draw().render(format))
     }
 }

@@ -1,161 +1,106 @@
 //! The service time over time in the layout of the published figure: the target dashed, the attachment shaded and named.
+//! Each robot has its own panel, and each service of a robot.
 
-use cotorra_graph::{ServiceId, ServiceTime};
-use kuva::{
-    backend::svg::SvgBackend,
-    plot::{
-        LinePlot, ScatterPlot,
-        annotations::{ReferenceLine, ShadedRegion, TextAnnotation},
-        legend::LegendPosition,
-    },
-    render::{figure::Figure, layout::Layout, plots::Plot, render::Scene},
-};
+use cotorra_figure::{Axis, Band, Figure, Level, Panel, Sample, Series, SeriesKind};
+use cotorra_graph::{NodeId, ServiceId, ServiceTime};
 
-use super::{
-    samples::Samples,
-    summary::{RegionSummary, Report, ServiceSummary, service_time_ms},
-};
+use super::summary::{Report, service_time_ms};
 
-/// Upper end of the published figure, milliseconds; higher spikes are cut. With a high target the figure ends at twice the
-/// target.
-const TOP_MS: f64 = 40.0;
-const WIDTH: f64 = 1100.0;
-const HEIGHT: f64 = 360.0;
-/// Colours of regions, light enough for a line in front.
-const SHADES: [&str; 6] = ["#4e79a7", "#f28e2b", "#59a14f", "#e15759", "#b07aa1", "#9c755f"];
+/// Number of columns of a panel; more points cannot be told apart.
+const COLUMNS: f64 = 500.0;
+/// The vertical axis shows samples up to so many times the target, or the 99th percentile if that is higher.
+const TARGETS: f64 = 2.0;
 
-/// One panel of the figure.
+/// The samples of a robot and a service.
 #[derive(Debug)]
-pub struct Panel<'a> {
-    /// Title above the panel.
-    pub title: String,
-    pub samples: &'a Samples,
-    /// Restricts samples to this service.
-    pub service: Option<ServiceId>,
-    /// Shaded regions.
-    pub regions: Vec<RegionSummary>,
-    /// Position of the dashed line, milliseconds.
-    pub target_ms: Option<f64>,
-    /// Name of the line; a name here or for points adds a legend.
-    pub line: Option<&'static str>,
-    /// Name of points, and the points: seconds, milliseconds.
-    pub points: Option<(&'static str, Vec<(f64, f64)>)>,
+struct Its {
+    robot: NodeId,
+    service: ServiceId,
+    /// Seconds and milliseconds; `None` without an answer.
+    samples: Vec<(f64, Option<f64>)>,
 }
 
-impl<'a> Panel<'a> {
-    /// Creates a panel with the service times of a run.
-    pub fn of(title: String, report: &'a Report) -> Self {
-        let (samples, regions) = (report.samples(), report.regions());
-        Self {
-            title,
-            samples,
-            service: None,
-            regions,
-            target_ms: report.service_time_target_ms(),
-            line: None,
-            points: None,
+/// Draws a run: a panel for each robot and service that has samples.
+pub fn draw(title: &str, report: &Report) -> Figure {
+    let panels = panels(report);
+    Figure { title: title.to_owned(), panels, data: "service_time.csv".to_owned() }
+}
+
+/// Returns a panel for each robot and service that has samples, with the same time axis. The title says what differs.
+pub fn panels(report: &Report) -> Vec<Panel> {
+    let mut all: Vec<Its> = Vec::new();
+    for sample in report.samples().iter() {
+        let point = (sample.emitted.as_secs_f64(), service_time_ms(&sample));
+        let ServiceTime { robot, service, .. } = sample;
+        match all.iter_mut().find(|its| its.robot == robot && its.service == service) {
+            Some(its) => its.samples.push(point),
+            None => all.push(Its { robot, service, samples: vec![point] }),
         }
     }
-
-    /// Creates a panel for each service that has samples.
-    pub fn of_services(title: &str, report: &'a Report) -> Vec<Self> {
-        let services: Vec<_> = report.services().into_iter().filter(|its| its.samples > 0).collect();
-        if services.len() < 2 {
-            let target_ms = services
-                .first()
-                .map_or(report.service_time_target_ms(), |its| Some(its.service_time_target_ms));
-            return vec![Self { target_ms, ..Self::of(title.to_owned(), report) }];
-        }
-        let panel = |its: ServiceSummary| {
-            let mut regions = report.regions();
-            regions.retain(|region| region.service == its.service);
-            let (title, target_ms) = (format!("{title}: {}", its.service), Some(its.service_time_target_ms));
-            Self { service: Some(its.service), target_ms, regions, ..Self::of(title, report) }
+    all.sort_by(|a, b| (&a.robot, &a.service).cmp(&(&b.robot, &b.service)));
+    let several = |differs: fn(&Its, &Its) -> bool| all.windows(2).any(|pair| differs(&pair[0], &pair[1]));
+    let robots = several(|a, b| a.robot != b.robot);
+    let services = several(|a, b| a.service != b.service);
+    let end = report.samples().end().as_secs_f64();
+    let panel = |its: &Its| {
+        let title = match (robots, services) {
+            (true, true) => format!("{}: {}", its.robot, its.service),
+            (true, false) => its.robot.to_string(),
+            (false, true) => its.service.to_string(),
+            (false, false) => String::new(),
         };
-        services.into_iter().map(panel).collect()
+        panel(title, its, report, end)
+    };
+    let mut panels: Vec<Panel> = all.iter().map(panel).collect();
+    if panels.is_empty() {
+        let x = Axis::around("time (s)", 0.0, 1.0);
+        panels.push(Panel { x, y: Axis::around("service time (ms)", 0.0, 1.0), ..Panel::default() });
+    }
+    panels
+}
+
+fn panel(title: String, its: &Its, report: &Report, end: f64) -> Panel {
+    let services = report.services();
+    let target = services.iter().find(|s| s.service == its.service).map(|s| s.service_time_target_ms);
+    let target = target.filter(|target| target.is_finite());
+    let mut answered: Vec<f64> = its.samples.iter().filter_map(|(_, ms)| *ms).collect();
+    answered.sort_by(f64::total_cmp);
+    let highest = answered.last().copied().unwrap_or_default();
+    let usual = answered.get(answered.len() * 99 / 100).copied().unwrap_or_default();
+    let top = target.map_or(highest, |target| highest.min(usual.max(TARGETS * target)).max(1.2 * target));
+    let regions: Vec<_> = report
+        .regions()
+        .into_iter()
+        .filter(|region| region.robot == its.robot && region.service == its.service)
+        .collect();
+    // The shading has no gaps: a region ends where the next one begins.
+    let ends = regions.iter().skip(1).map(|next| next.from).chain(regions.last().map(|last| last.until));
+    let bands = regions.iter().zip(ends).map(|(region, to)| Band {
+        from: region.from.as_secs_f64(),
+        to: to.as_secs_f64(),
+        name: region.attachment.as_ref().map(ToString::to_string).unwrap_or_default(),
+    });
+    let missing = its.samples.iter().filter(|(_, ms)| ms.is_none()).map(|(at, _)| *at);
+    Panel {
+        title,
+        x: Axis::around("time (s)", 0.0, end),
+        y: Axis::around("service time (ms)", 0.0, top),
+        bands: bands.collect(),
+        level: target.map(|at| Level { at, name: format!("target {at} ms") }),
+        series: vec![Series {
+            name: String::new(),
+            kind: SeriesKind::Dense,
+            parts: parts(&its.samples, end),
+        }],
+        missing: ("no answer".to_owned(), missing.collect()),
     }
 }
 
-/// Draws the panels, one below the other, as SVG.
-pub fn draw(panels: &[Panel<'_>]) -> String {
-    let end = panels.iter().map(|panel| panel.samples.end().as_secs_f64()).fold(1.0, f64::max);
-    // A radio unit has the same colour in all panels.
-    let mut names: Vec<&str> = Vec::new();
-    for region in panels.iter().flat_map(|panel| &panel.regions) {
-        let name = name(region);
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    let (plots, layouts) = panels.iter().map(|panel| draw_panel(panel, end, &names)).unzip();
-    let scene = Figure::new(panels.len(), 1)
-        .with_plots(plots)
-        .with_layouts(layouts)
-        .with_figure_size(WIDTH, HEIGHT * panels.len() as f64)
-        .render();
-    svg(&scene)
-}
-
-/// Renders a scene as SVG. The library numbers clip paths across the whole process; they are renumbered, so that the same
-/// scene always has the same bytes.
-pub fn svg(scene: &Scene) -> String {
-    const MARK: &str = "<clipPath id=\"";
-    let svg = SvgBackend::new().render_scene(scene);
-    let ids = svg.split(MARK).skip(1).filter_map(|rest| rest.split('"').next().map(str::to_owned));
-    ids.collect::<Vec<_>>().iter().enumerate().fold(svg, |svg, (i, id)| {
-        svg.replace(&format!("\"{id}\""), &format!("\"clip{i}\""))
-            .replace(&format!("url(#{id})"), &format!("url(#clip{i})"))
-    })
-}
-
-fn name(region: &RegionSummary) -> &str {
-    region.attachment.as_ref().map_or("none", |attachment| attachment.as_str())
-}
-
-fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout) {
-    // A sample without an answer is drawn at the top, its best case.
-    let top_ms = panel.target_ms.map_or(TOP_MS, |target| TOP_MS.max(target * 2.0));
-    let point = |s: ServiceTime| (s.emitted.as_secs_f64(), service_time_ms(&s).unwrap_or(top_ms).min(top_ms));
-    let is_its = |s: &ServiceTime| panel.service.as_ref().is_none_or(|service| *service == s.service);
-    let points = panel.samples.iter().filter(is_its).map(point);
-    let line = LinePlot::new().with_data(thin(points, end)).with_color("#1f3b5c").with_stroke_width(1.2);
-    let line = if let Some(name) = panel.line { line.with_legend(name) } else { line };
-    let mut plots = vec![Plot::Line(line)];
-    if let Some((name, points)) = &panel.points {
-        let points =
-            ScatterPlot::new().with_data(points.iter().copied()).with_color("#d35400").with_size(2.5);
-        plots.push(Plot::Scatter(points.with_legend(*name)));
-    }
-    let mut layout = Layout::auto_from_plots(&plots)
-        .with_title(panel.title.clone())
-        .with_x_label("time (s)")
-        .with_y_label("service time (ms)")
-        .with_show_grid(false)
-        .with_x_axis_min(0.0)
-        .with_x_axis_max((end / 50.0).ceil() * 50.0)
-        .with_y_axis_min(0.0)
-        .with_y_axis_max(top_ms)
-        .with_legend_position(LegendPosition::InsideBottomRight);
-    if let Some(target) = panel.target_ms {
-        let line =
-            ReferenceLine::horizontal(target).with_color("#c0392b").with_label(format!("target {target} ms"));
-        layout = layout.with_reference_line(line);
-    }
-    for (region, to) in close_gaps(&panel.regions) {
-        let name = name(region);
-        let shade = names.iter().position(|n| *n == name).unwrap_or_default();
-        let shading = ShadedRegion::vertical(region.from.as_secs_f64(), to)
-            .with_color(SHADES[shade % SHADES.len()])
-            .with_opacity(0.22);
-        layout = layout.with_shaded_region(shading);
-        // Names are only drawn where there is room.
-        if (to - region.from.as_secs_f64()) / end > 0.03 {
-            let middle = (region.from.as_secs_f64() + to) / 2.0;
-            layout =
-                layout.with_annotation(TextAnnotation::new(name, middle, top_ms * 0.94).with_font_size(13));
-        }
-    }
-    (plots, layout)
+/// Returns the lines between samples without an answer, with what is visible of them.
+fn parts(samples: &[(f64, Option<f64>)], end: f64) -> Vec<Vec<Sample>> {
+    let answered = samples.split(|(_, ms)| ms.is_none()).filter(|part| !part.is_empty());
+    let thinned = answered.map(|part| thin(part.iter().filter_map(|(at, ms)| Some((*at, (*ms)?))), end));
+    thinned.map(|part| part.into_iter().map(|(x, y)| Sample { x, y, range: None }).collect()).collect()
 }
 
 /// Returns the lowest and the highest point of each column of the figure, in order: everything that is visible.
@@ -173,7 +118,7 @@ fn thin(points: impl Iterator<Item = (f64, f64)>, end: f64) -> Vec<(f64, f64)> {
         }
     };
     for point in points {
-        let column = (point.0 / end * WIDTH) as u32;
+        let column = (point.0 / end * COLUMNS) as u32;
         match &mut open {
             Some((of, [low, high])) if *of == column => {
                 if point.1 < low.1 {
@@ -190,29 +135,81 @@ fn thin(points: impl Iterator<Item = (f64, f64)>, end: f64) -> Vec<(f64, f64)> {
     thinned
 }
 
-/// Returns regions with the end of their shading: the beginning of the next region.
-fn close_gaps(regions: &[RegionSummary]) -> impl Iterator<Item = (&RegionSummary, f64)> {
-    let ends = regions
-        .iter()
-        .skip(1)
-        .map(|next| next.from.as_secs_f64())
-        .chain(regions.last().map(|last| last.until.as_secs_f64()));
-    regions.iter().zip(ends)
-}
-
 #[cfg(test)]
 mod tests {
+    use std::{path::Path, time::Duration};
+
+    use cotorra_graph::{Event, Stamped, Timestamp};
+
     use super::*;
+
+    /// Returns the report of samples of these robots and services, one each second in turn.
+    fn report(of: &[(&str, &str)]) -> Report {
+        let text = "name: test\nnodes: { a: { kind: switch } }\n";
+        let testbed = cotorra_testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
+        let mut report = Report::new(&testbed, 1);
+        for second in 0..60_u32 {
+            let (robot, service) = of[second as usize % of.len()];
+            let emitted = Timestamp::from_secs_f64(f64::from(second));
+            let unit = if second < 30 { "a-radio-unit-with-a-name" } else { "R2" };
+            let event = Event::ServiceTime(ServiceTime {
+                service: service.parse().unwrap(),
+                robot: robot.parse().unwrap(),
+                sequence: second,
+                emitted,
+                took: (second % 7 > 0).then(|| Duration::from_millis(10 + u64::from(second % 3))),
+                attachment: Some(unit.parse().unwrap()),
+                server: "cloud".parse().unwrap(),
+            });
+            report.absorb(&Stamped { at: emitted, event });
+        }
+        report
+    }
+
+    #[test]
+    fn each_robot_and_each_service_has_its_own_panel() {
+        let titles = |of: &[(&str, &str)]| -> Vec<String> {
+            let report = report(of);
+            let figure = draw("test", &report);
+            assert_eq!(figure.draw().collisions(), Vec::<String>::new());
+            for panel in &figure.panels {
+                let samples: usize = panel.series[0].parts.iter().map(Vec::len).sum();
+                assert_eq!(samples + panel.missing.1.len(), 60 / of.len(), "{}", panel.title);
+                assert_eq!((panel.bands.len(), &panel.x), (2, &figure.panels[0].x));
+            }
+            figure.panels.into_iter().map(|panel| panel.title).collect()
+        };
+        assert_eq!(titles(&[("robot", "navigation")]), [""]);
+        assert_eq!(titles(&[("b", "navigation"), ("a", "navigation"), ("c", "navigation")]), ["a", "b", "c"]);
+        assert_eq!(titles(&[("robot", "navigation"), ("robot", "detect")]), ["detect", "navigation"]);
+        let both = [("a", "navigation"), ("b", "navigation"), ("b", "detect")];
+        assert_eq!(titles(&both), ["a: navigation", "b: detect", "b: navigation"]);
+    }
+
+    #[test]
+    fn a_run_without_samples_has_an_empty_panel() {
+        let text = "name: test\nnodes: { a: { kind: switch } }\n";
+        let testbed = cotorra_testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
+        let figure = draw("test", &Report::new(&testbed, 1));
+        assert_eq!((figure.panels.len(), figure.draw().collisions()), (1, Vec::new()));
+    }
 
     #[test]
     fn thinning_keeps_every_spike_and_the_order() {
         let at = |i: u32| f64::from(i) / 10_000.0 * 400.0;
         let spike = |i: u32| if i % 1000 == 500 { 35.0 } else { 11.0 };
         let thinned = thin((0..10_000).map(|i| (at(i), spike(i))), 400.0);
-        assert!(thinned.len() <= 2 * WIDTH as usize, "{}", thinned.len());
+        assert!(thinned.len() <= 2 * COLUMNS as usize, "{}", thinned.len());
         assert!(thinned.windows(2).all(|pair| pair[0].0 < pair[1].0));
         let spikes: Vec<_> = thinned.iter().filter(|point| point.1 == 35.0).map(|point| point.0).collect();
         assert_eq!(spikes, (0..10).map(|i| at(500 + 1000 * i)).collect::<Vec<_>>());
         assert_eq!(thin(std::iter::empty(), 1.0), []);
+    }
+
+    #[test]
+    fn lines_break_where_answers_are_missing() {
+        let samples = [(0.0, Some(1.0)), (1.0, Some(2.0)), (2.0, None), (3.0, None), (4.0, Some(3.0))];
+        let lengths: Vec<_> = parts(&samples, 4.0).iter().map(Vec::len).collect();
+        assert_eq!(lengths, [2, 1]);
     }
 }

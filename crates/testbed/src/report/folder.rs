@@ -82,10 +82,10 @@ impl Place {
 }
 
 /// Writes a file completely or not at all: a reader never sees half of one.
-pub fn write_file(folder: &Path, name: &str, text: &str) -> Result<(), FolderError> {
+pub fn write_file(folder: &Path, name: &str, content: impl AsRef<[u8]>) -> Result<(), FolderError> {
     let path = folder.join(name);
     let draft = folder.join(format!(".{name}.part"));
-    fs::write(&draft, text)
+    fs::write(&draft, content)
         .and_then(|()| fs::rename(&draft, &path))
         // The draft may not exist.
         .inspect_err(|_| drop(fs::remove_file(&draft)))

@@ -13,9 +13,9 @@ mod table;
 mod times;
 
 pub(crate) use end::End;
-pub use figure::{Panel, draw, svg};
+pub use figure::panels;
 pub use folder::{FolderError, Place, write_file};
-pub use run_folder::RunFolder;
+pub use run_folder::{RunFolder, write_figure};
 pub use services::by_service;
 pub use summary::{
     DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, LocalizationSummary, Losses, PlacementRecord,

@@ -6,8 +6,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use cotorra_figure::Format;
+
 use super::{
-    figure::{Panel, draw},
+    figure::draw,
     folder::{FolderError, Place, write_file},
     services,
     summary::{Report, Summary, service_time_ms},
@@ -32,6 +34,8 @@ impl RunFolder {
         "samples",
         "sensors",
         "service_time.csv",
+        "service_time.pdf",
+        "service_time.png",
         "service_time.svg",
         "services.csv",
         "services.tex",
@@ -85,9 +89,23 @@ impl RunFolder {
         let path = self.path.join("service_time.csv");
         let written = File::create(&path).and_then(|file| write_csv(report, file));
         written.map_err(|source| FolderError::new(&path, source))?;
-        let title = format!("{}: service time and attachment", summary.name);
-        write_file(&self.path, "service_time.svg", &draw(&Panel::of_services(&title, report)))
+        write_figure(&self.path, report, summary, Format::Svg)
     }
+}
+
+/// Writes the figure of a run, `service_time`, in a format.
+///
+/// # Errors
+/// [`FolderError`].
+pub fn write_figure(
+    folder: &Path,
+    report: &Report,
+    summary: &Summary,
+    format: Format,
+) -> Result<(), FolderError> {
+    let title = format!("{}: service time and attachment", summary.name);
+    let scene = draw(&title, report).draw();
+    write_file(folder, &format!("service_time.{format}"), scene.render(format))
 }
 
 fn write_csv(report: &Report, to: File) -> io::Result<()> {
