@@ -44,8 +44,8 @@ impl Axis {
     pub fn around(label: &str, low: f64, high: f64) -> Self {
         let (low, high) =
             if low.is_finite() && high.is_finite() { (low.min(high), high.max(low)) } else { (0.0, 0.0) };
-        // Values whose lower half is empty begin at 0.
-        let low = if low > 0.0 && low <= high / 2.0 { 0.0 } else { low };
+        // Values whose lower half is empty begin at 0, and so does a constant.
+        let low = if low > 0.0 && (low <= high / 2.0 || low == high) { 0.0 } else { low };
         let high = if high > low { high } else { low + low.abs().max(1.0) * 0.1 };
         let step = round_step((high - low) / FINE_STEPS);
         // Rounding errors do not add a step.
@@ -207,6 +207,7 @@ mod tests {
         assert_eq!(ends(-80.5, -41.0), (-81.0, -41.0));
         assert_eq!(ends(90.0, 101.0), (90.0, 101.0));
         assert_eq!(ends(0.0, 0.0), (0.0, 0.1));
+        assert_eq!(ends(4.0, 4.0), (0.0, 4.0));
         assert_eq!(ends(f64::INFINITY, f64::NEG_INFINITY), (0.0, 0.1));
         for high in 1..2000 {
             let (_, to) = ends(0.0, f64::from(high));

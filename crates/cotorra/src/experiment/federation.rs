@@ -140,7 +140,8 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
         comparison.write_figure(&folder, format).map_err(Error::from)?;
     }
     let mut text = comparison.to_markdown();
-    text += &format!("\n{}/\n  {}  {}\n", folder.display(), FILES.join("  "), count(planned.len(), "run"));
+    let files = FILES.join("  ") + &args.walks.figure.files("federation");
+    text += &format!("\n{}/\n  {files}  {}\n", folder.display(), count(planned.len(), "run"));
     for (folder, source) in &failed {
         text += &format!("NOT COUNTED: {folder}: {source}\n");
     }

@@ -1,6 +1,6 @@
 //! `cotorra experiment okpi`: OKpi and the state of the art on the published walk.
 
-use std::{path::Path, process::ExitCode};
+use std::process::ExitCode;
 
 use cotorra_experiments::okpi::{CONTENDERS, Comparison, FILES};
 use cotorra_measurements::Location;
@@ -78,7 +78,9 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         let written = comparison.write_figure(&folder, testbed, &soa.report, &okpi.report, format);
         written.map_err(Error::from)?;
     }
-    output::print(&describe(&comparison, &how, &walks, &folder, history.as_ref()))?;
+    let further = args.walks.figure.files("comparison");
+    let files = format!("{}/\n  {}{further}", folder.display(), FILES.join("  "));
+    output::print(&describe(&comparison, &how, &walks, &files, history.as_ref()))?;
     let invalid = walks.iter().find(|walk| !walk.summary.fidelity.valid);
     Ok(run::verdict(&invalid.unwrap_or(okpi).summary))
 }
@@ -96,7 +98,7 @@ fn describe(
     comparison: &Comparison,
     how: &str,
     walks: &[Finished],
-    folder: &Path,
+    files: &str,
     elsewhere: Option<&Location>,
 ) -> String {
     let mut text = comparison.to_markdown(how) + "\n";
@@ -108,7 +110,7 @@ fn describe(
     }
     let [soa, okpi] = walks else { unreachable!("there are two contenders") };
     let walks: Vec<_> = CONTENDERS.iter().map(|contender| format!("{}/", contender.plugin)).collect();
-    text += &format!("\n{}/\n  {}  {}\n", folder.display(), FILES.join("  "), walks.join("  "));
+    text += &format!("\n{files}  {}\n", walks.join("  "));
     if let Some(history) = elsewhere {
         text += &format!("Their histories are runs {} and {} in {history}\n", soa.run, okpi.run);
     }

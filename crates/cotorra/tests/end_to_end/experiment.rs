@@ -23,6 +23,7 @@ fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
     let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
     assert!(stdout(&output).starts_with(&read("comparison.md")));
     assert!(read("comparison.svg").contains("OKpi-t"));
+    assert!(stdout(&output).contains("comparison.pdf  comparison.png"), "{}", stdout(&output));
     assert!(fs::read(folder.join("comparison.pdf")).unwrap().starts_with(b"%PDF-1.4"));
     assert!(fs::read(folder.join("comparison.png")).unwrap().starts_with(b"\x89PNG"));
     assert!(read("samples.csv").lines().count() > 16_000);

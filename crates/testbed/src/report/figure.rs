@@ -10,6 +10,8 @@ use super::summary::{Report, service_time_ms};
 const COLUMNS: f64 = 500.0;
 /// The vertical axis shows samples up to so many times the target, or the 99th percentile if that is higher.
 const TARGETS: f64 = 2.0;
+/// Room above the 99th percentile, as a factor.
+const ROOM: f64 = 1.25;
 
 /// The samples of a robot and a service.
 #[derive(Debug)]
@@ -67,7 +69,8 @@ fn panel(title: String, its: &Its, report: &Report, end: f64) -> Panel {
     answered.sort_by(f64::total_cmp);
     let highest = answered.last().copied().unwrap_or_default();
     let usual = answered.get(answered.len() * 99 / 100).copied().unwrap_or_default();
-    let top = target.map_or(highest, |target| highest.min(usual.max(TARGETS * target)).max(1.2 * target));
+    let top =
+        target.map_or(highest, |target| highest.min((ROOM * usual).max(TARGETS * target)).max(1.2 * target));
     let regions: Vec<_> = report
         .regions()
         .into_iter()
