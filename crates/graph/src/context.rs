@@ -10,6 +10,7 @@ use crate::{
     hardware::Direction,
     id::{LinkId, NodeId, ServiceId, VnfId},
     nodes::Nodes,
+    time_parts::TimeParts,
     units::{Dbm, Position, Timestamp, is_zero, millis},
 };
 
@@ -428,6 +429,10 @@ pub struct ServiceTime {
     pub attachment: Option<NodeId>,
     /// The node that ran the navigation VNF that it was sent to.
     pub server: NodeId,
+    /// Parts of the service time; `None` without an answer, or if the fabric did not carry the packets.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<TimeParts>))]
+    pub parts: Option<Box<TimeParts>>,
 }
 
 /// A finished change of attachment.

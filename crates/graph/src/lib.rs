@@ -27,6 +27,7 @@ pub mod seed;
 mod sensor;
 mod service;
 mod testbed;
+mod time_parts;
 mod units;
 
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
@@ -63,4 +64,5 @@ pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Ser
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,
 };
+pub use time_parts::{LinkTime, TimeParts};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};

@@ -563,6 +563,7 @@ mod tests {
                 took: took.map(std::time::Duration::from_millis),
                 attachment: Some(node(unit)),
                 server: node("fog"),
+                parts: None,
             }),
         };
         let handover = Event::Handover(Handover {

@@ -233,7 +233,7 @@ prop_compose! {
         took in of(duration()),
         attachment in of(node()),
     ) -> ServiceTime {
-        ServiceTime { service, robot, sequence, emitted, took, attachment, server }
+        ServiceTime { service, robot, sequence, emitted, took, attachment, server, parts: None }
     }
 }
 

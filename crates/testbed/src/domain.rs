@@ -9,7 +9,7 @@ use std::{
 
 use cotorra_graph::{
     AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, NodeId, Nodes, Placement,
-    PluginId, RobotContext, Stamped, Testbed, VirtualLinkMapping, VnfId,
+    PluginId, RobotContext, ServiceTime, Stamped, Testbed, VirtualLinkMapping, VnfId,
 };
 
 /// The domains of a testbed, and the plug-ins that are bound to one.
@@ -166,6 +166,15 @@ impl DomainView {
         own.then(seen)
     }
 
+    /// Returns a service time of one of the domain's robots. The time on links of others counts as unknown.
+    pub(crate) fn service_time(&self, sample: &ServiceTime) -> ServiceTime {
+        let mut sample = sample.clone();
+        if let Some(parts) = &mut sample.parts {
+            parts.hide_links(|link| self.sees_link(link));
+        }
+        sample
+    }
+
     /// Returns an event as the domain sees it; `None` if it does not.
     pub(crate) fn event<'a>(&self, stamped: &'a Stamped) -> Option<Cow<'a, Stamped>> {
         let changed = |event| Some(Cow::Owned(Stamped { at: stamped.at, event }));
@@ -184,6 +193,9 @@ impl DomainView {
             Event::Vnf(vnf) => self.sees_vnf(&vnf.vnf, &vnf.node),
             Event::Goal(goal) => self.owns(&goal.robot),
             Event::Sensor(reading) => self.owns(&reading.robot),
+            Event::ServiceTime(sample) if self.owns(&sample.robot) && sample.parts.is_some() => {
+                return changed(Event::ServiceTime(self.service_time(sample)));
+            }
             Event::ServiceTime(sample) => self.owns(&sample.robot),
             Event::AnswersRejected(counts) => self.owns(&counts.robot),
             Event::Handover(handover) => self.owns(&handover.robot),

@@ -73,6 +73,7 @@ mod tests {
             took: took_ms.map(Duration::from_millis),
             attachment: None,
             server: "cloud".parse().unwrap(),
+            parts: None,
         }
     }
 

@@ -280,6 +280,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             took: row.duration()?,
             attachment: row.optional_name()?,
             server: row.name()?,
+            parts: None,
         }),
         Kind::Handover => Event::Handover(Handover {
             robot: row.name()?,

@@ -1,24 +1,27 @@
 //! The fabric itself: takes frames from hosts, forwards them over links, switches and radio units, and hands them out
 //! where and when they are due.
 
+mod observers;
 mod paths;
 mod taps;
 
 use std::{
     collections::{HashMap, VecDeque},
     sync::Arc,
+    time::Duration,
 };
 
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Conditions, Direction, HardwareGraph, HostAddress, Lateness,
-    LinkContext, LinkId, Node, NodeId, NodeKind, Position, Probing, RadioContext, Service, Stamped,
-    ThroughputTest, Timestamp,
+    LinkContext, LinkId, Node, NodeId, NodeKind, Position, Probing, RadioContext, Stamped, ThroughputTest,
+    Timestamp,
 };
 
 use crate::{
     balance::Balance,
     error::GraphError,
-    flows::{Flows, Mark},
+    flows::Flows,
+    following::Following,
     frame::Frame,
     lateness::Histogram,
     link_tests::{LinkTests, ProbeTarget},
@@ -31,6 +34,7 @@ use crate::{
     settings::{FabricError, Settings},
     tap::Tap,
     timers::Timers,
+    trace::Over,
 };
 
 /// Frames that the fabric could not forward.
@@ -79,9 +83,16 @@ pub struct Fabric {
     drops: Drops,
     /// Packets of hosts that were sent, delivered and stranded.
     balance: Balance,
-    /// `None` if no service has a flow.
-    flows: Option<Box<Flows>>,
+    /// `None` if no round trip is measured.
+    observers: Option<Box<Observers>>,
     taps: Vec<Tap>,
+}
+
+/// Those who measure round trips.
+#[derive(Debug, Default)]
+struct Observers {
+    flows: Flows,
+    following: Following,
 }
 
 #[derive(Debug)]
@@ -180,7 +191,7 @@ impl Fabric {
             air_lateness: HashMap::new(),
             drops: Drops::default(),
             balance: Balance::default(),
-            flows: None,
+            observers: None,
             taps: Vec::new(),
         })
     }
@@ -208,8 +219,8 @@ impl Fabric {
         }
         self.balance.sent += u64::from(frame.wire_packets());
         self.learn(port, &frame);
-        if self.flows.is_some() {
-            self.observe_entry(now, port, &frame);
+        if self.observers.is_some() {
+            self.observe_entry(now, port, &mut frame);
         }
         let Port { vertex, is_robot, .. } = self.ports[port.0];
         let Some(target) = self.target(port, vertex, &frame) else { return self.drop_unroutable(frame) };
@@ -226,41 +237,26 @@ impl Fabric {
     /// A late poll changes nothing inside: frames move on as of their due times.
     pub fn poll(&mut self, now: Timestamp, deliver: &mut dyn FnMut(PortId, Frame)) -> Option<Timestamp> {
         let now = self.advance(now);
-        while let Some((due, port, frame)) = self.outbox.pop_front() {
+        while let Some((due, port, mut frame)) = self.outbox.pop_front() {
             self.lateness.record(now.since(due));
             self.balance.delivered += u64::from(frame.wire_packets());
-            if self.flows.is_some() {
-                self.observe_delivery(now, port, &frame);
+            if self.observers.is_some() {
+                self.observe_delivery(now, due, port, &mut frame);
             }
             deliver(port, frame);
         }
-        if self.flows.is_some() {
+        if self.observers.is_some() {
             self.expire_requests(now);
         }
         let wired = self.timers.next().map(|(deadline, _)| deadline);
-        let flows = self.flows.as_ref().and_then(|flows| flows.deadline());
+        let flows = self.observers.as_ref().and_then(|observers| observers.flows.deadline());
         [wired, self.radio_deadline, self.link_tests.deadline(), flows].into_iter().flatten().min()
     }
 
     /// Returns the next event: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned` of attachments, oldest first,
     /// then service times of flows.
     pub fn next_event(&mut self) -> Option<Stamped> {
-        self.radio.next_event().or_else(|| self.flows.as_mut()?.next_event())
-    }
-
-    /// Measures the flows of these services from now on.
-    pub fn measure_flows(&mut self, services: &[Service]) {
-        for service in services {
-            let Some(flow) = &service.kpis.flow else { continue };
-            if let Some(from) = self.port(&flow.from) {
-                self.flows.get_or_insert_default().add(service, flow, from);
-            }
-        }
-    }
-
-    /// Returns remarks on flows for people: flows without any request, and requests that are not measured.
-    pub fn flow_remarks(&self) -> Vec<String> {
-        self.flows.as_ref().map_or_else(Vec::new, |flows| flows.remarks())
+        self.radio.next_event().or_else(|| self.observers.as_mut()?.flows.next_event())
     }
 
     /// Changes the conditions of a link, in one direction or both. Packets in flight stay in flight and in order. A lower
@@ -509,33 +505,6 @@ impl Fabric {
         self.pool.put(frame.into_bytes());
     }
 
-    /// Shows a frame to the flows at the port that it enters. Out of line, because most testbeds have no flows.
-    #[cold]
-    fn observe_entry(&mut self, now: Timestamp, port: PortId, frame: &Frame) {
-        let Some(mut flows) = self.flows.take_if(|flows| flows.watch(port)) else { return };
-        let server = frame.destination().and_then(|address| self.owner(address));
-        let attached = |robot: &NodeId| self.radio.attached_to(self.port(robot)?);
-        flows.entered(now, port, frame, |robot| Mark { server, attachment: attached(robot) });
-        self.flows = Some(flows);
-    }
-
-    /// Shows a frame to the flows at the port where it is delivered.
-    #[cold]
-    fn observe_delivery(&mut self, now: Timestamp, port: PortId, frame: &Frame) {
-        let Some(mut flows) = self.flows.take_if(|flows| flows.watch(port)) else { return };
-        let from = frame.source().and_then(|address| self.owner(address));
-        flows.delivered(now, (from, port), frame, |port| self.ports[port.0].node.clone());
-        self.flows = Some(flows);
-    }
-
-    /// Expires requests of flows without an answer in time.
-    #[cold]
-    fn expire_requests(&mut self, now: Timestamp) {
-        if let Some(flows) = &mut self.flows {
-            flows.expire(now, |port| self.ports[port.0].node.clone());
-        }
-    }
-
     /// Does everything due by `now`, in the order of due times.
     fn advance(&mut self, now: Timestamp) -> Timestamp {
         self.now = self.now.max(now);
@@ -565,7 +534,7 @@ impl Fabric {
             self.send_probe(at, target, Direction::Forward, frame);
         }
         if let Some((edge, frame)) = self.link_tests.poll_test(at, |length| self.pool.take(length)) {
-            self.cross(at, edge, Packet { frame, purpose: Purpose::ThroughputTest, entered: at });
+            self.cross(at, edge, Packet::new(frame, Purpose::ThroughputTest, at));
         }
         self.settle(at);
     }
@@ -574,8 +543,7 @@ impl Fabric {
     fn send_probe(&mut self, now: Timestamp, target: ProbeTarget, direction: Direction, frame: Frame) {
         match target {
             ProbeTarget::Wire(link) => {
-                let packet = Packet { frame, purpose: Purpose::Probe, entered: now };
-                self.cross(now, edge(link, direction), packet);
+                self.cross(now, edge(link, direction), Packet::new(frame, Purpose::Probe, now));
             }
             ProbeTarget::Air(robot, unit) => {
                 self.radio.probe(now, Path { robot, unit, direction }, frame);
@@ -592,7 +560,10 @@ impl Fabric {
     }
 
     /// Handles a packet that has crossed an edge. Probes turn back or end here; others move on.
-    fn crossed(&mut self, now: Timestamp, edge: usize, packet: Packet) {
+    fn crossed(&mut self, now: Timestamp, edge: usize, mut packet: Packet) {
+        if let Some(trace) = packet.frame.trace() {
+            trace.crossed(Over::Wire(edge), [packet.entered, packet.began, now], Duration::ZERO);
+        }
         if !self.taps.is_empty() && packet.counts() {
             self.show_wired(edge, [packet.entered, now], &packet.frame);
         }
@@ -672,7 +643,7 @@ impl Fabric {
 
     /// Forwards a packet from a vertex.
     fn leave(&mut self, now: Timestamp, vertex: usize, frame: Frame, target: Target) {
-        let to = |frame, target| Packet { frame, purpose: Purpose::Target(target), entered: now };
+        let to = |frame, target| Packet::new(frame, Purpose::Target(target), now);
         match &target {
             Target::Port { port, along } => {
                 let pinned = along.as_ref().and_then(|path| self.routes.along(path, vertex));

@@ -2,33 +2,56 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_flows::{Counts, Frame as Seen, Id, Meter, Protocol, Sample};
+use cotorra_flows::{Counts, Id, Meter, Protocol, Sample};
 use cotorra_graph::{
     Event, Flow, FlowId, FlowProtocol, NodeId, Service, ServiceId, ServiceTime, Stamped, Timestamp,
 };
 
-use crate::{frame::Frame, port::PortId};
+use crate::{
+    following::{Following, Trip},
+    frame::Frame,
+    port::PortId,
+};
 
-/// Marks the absence of a port.
-const NONE: u32 = u32::MAX;
+/// Marks the absence of a port. There are fewer hosts.
+const NONE: u16 = u16::MAX;
+/// Marks the absence of a ticket. No run has so many packets.
+const NO_TICKET: u32 = u32::MAX;
 
-/// The server of a request, and its robot's radio unit at that time.
+/// The server of a request, its robot's radio unit at that time, and the ticket of its first frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Mark {
     pub server: Option<PortId>,
     pub attachment: Option<PortId>,
+    pub ticket: Option<u32>,
 }
 
 impl Mark {
     fn pack(self) -> u64 {
-        let half = |port: Option<PortId>| u64::from(port.map_or(NONE, |PortId(place)| place as u32));
-        half(self.server) << 32 | half(self.attachment)
+        let packed = |port: Option<PortId>| u64::from(port.map_or(NONE, |PortId(place)| place as u16));
+        u64::from(self.ticket.unwrap_or(NO_TICKET)) << 32
+            | packed(self.server) << 16
+            | packed(self.attachment)
     }
 
     fn unpack(packed: u64) -> Self {
-        let half = |half: u32| (half != NONE).then_some(PortId(half as usize));
-        Self { server: half((packed >> 32) as u32), attachment: half(packed as u32) }
+        let port = |place: u16| (place != NONE).then_some(PortId(place.into()));
+        Self {
+            server: port((packed >> 16) as u16),
+            attachment: port(packed as u16),
+            ticket: Some((packed >> 32) as u32).filter(|ticket| *ticket != NO_TICKET),
+        }
     }
+}
+
+/// A delivery that may answer requests.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Measuring<'a> {
+    pub now: Timestamp,
+    /// The sending host, if known.
+    pub from: Option<PortId>,
+    /// The frame's way, if it was followed.
+    pub back: Option<&'a Trip>,
 }
 
 /// The flow of a service.
@@ -84,30 +107,31 @@ impl Flows {
     /// Records a frame that enters the network at a port. `mark` gives the mark for a robot's service.
     pub fn entered(&mut self, now: Timestamp, port: PortId, frame: &Frame, mark: impl Fn(&NodeId) -> Mark) {
         for flow in self.flows.iter_mut().filter(|flow| flow.from == port) {
-            flow.meter.entered(since_start(now), &seen(frame), mark(&flow.robot).pack());
+            flow.meter.entered(since_start(now), &frame.seen(), mark(&flow.robot).pack());
         }
         self.set_deadline();
     }
 
-    /// Records a frame that is delivered at a port. `from` is the sending host, if known.
+    /// Records a frame that is delivered at a port.
     pub fn delivered(
         &mut self,
-        now: Timestamp,
-        (from, port): (Option<PortId>, PortId),
+        measuring: Measuring<'_>,
+        port: PortId,
         frame: &Frame,
+        following: &mut Following,
         name: impl Fn(PortId) -> NodeId,
     ) {
         for flow in self.flows.iter_mut().filter(|flow| flow.from == port) {
-            flow.meter.delivered(since_start(now), &seen(frame));
+            flow.meter.delivered(since_start(measuring.now), &frame.seen());
         }
-        self.collect_samples(now, from, name);
+        self.collect_samples(measuring, following, name);
     }
 
     /// Expires requests without an answer in time.
-    pub fn expire(&mut self, now: Timestamp, name: impl Fn(PortId) -> NodeId) {
+    pub fn expire(&mut self, now: Timestamp, following: &mut Following, name: impl Fn(PortId) -> NodeId) {
         if self.deadline.is_some_and(|deadline| deadline <= now) {
             self.flows.iter_mut().for_each(|flow| flow.meter.expire(since_start(now)));
-            self.collect_samples(now, None, name);
+            self.collect_samples(Measuring { now, from: None, back: None }, following, name);
         }
     }
 
@@ -124,22 +148,40 @@ impl Flows {
         self.deadline = deadlines.min().map(|deadline| Timestamp::ZERO + deadline);
     }
 
-    /// Turns new samples into events. `from` is the host that sent the frame behind them, if any.
-    fn collect_samples(&mut self, now: Timestamp, from: Option<PortId>, name: impl Fn(PortId) -> NodeId) {
+    /// Turns new samples into events.
+    fn collect_samples(
+        &mut self,
+        measuring: Measuring<'_>,
+        following: &mut Following,
+        name: impl Fn(PortId) -> NodeId,
+    ) {
+        let Measuring { now, from, back } = measuring;
         for flow in &mut self.flows {
             while let Some(Sample { sequence, entered, took, mark }) = flow.meter.poll() {
-                let Mark { server, attachment } = Mark::unpack(mark);
+                let Mark { server, attachment, ticket } = Mark::unpack(mark);
+                let emitted = Timestamp::ZERO + entered;
+                let parts = back.zip(took).and_then(|(back, took)| {
+                    let later: Vec<u32> = flow
+                        .meter
+                        .pending()
+                        .into_iter()
+                        .filter_map(|mark| Mark::unpack(mark).ticket)
+                        .collect();
+                    let out = following.completing(flow.from, ticket?, &later, back.entered)?;
+                    Some(Box::new(out.split(back.clone(), emitted, took)))
+                });
                 // The server of a request to a group is the host that answered.
                 let server = server.or(from.filter(|_| took.is_some()));
                 let sample = ServiceTime {
                     service: flow.service.clone(),
                     robot: flow.robot.clone(),
                     sequence,
-                    emitted: Timestamp::ZERO + entered,
+                    emitted,
                     took,
                     attachment: attachment.map(&name),
                     // The request went to no host, or to a group that did not answer.
                     server: name(server.unwrap_or(flow.from)),
+                    parts,
                 };
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(sample) });
             }
@@ -180,13 +222,4 @@ fn remarks(service: &ServiceId, counts: Counts) -> Vec<String> {
 
 fn since_start(at: Timestamp) -> Duration {
     at.since(Timestamp::ZERO)
-}
-
-fn seen(frame: &Frame) -> Seen<'_> {
-    let offload = frame.offload();
-    Seen {
-        bytes: frame.bytes(),
-        checksum_left: offload.checksum.is_some(),
-        segment: offload.segmentation.map(|segmentation| segmentation.size),
-    }
 }

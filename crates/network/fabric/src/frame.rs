@@ -4,13 +4,13 @@
 use std::ops::Range;
 
 use cotorra_flows::{
-    checksum,
+    Frame as Seen, checksum,
     headers::{
         self, ETHERNET, IPV6, IpVersion, PROTOCOL_TCP, PROTOCOL_UDP, UDP, find_ip, pseudo_header_sum, u16_at,
     },
 };
 
-use crate::pool::Pool;
+use crate::{pool::Pool, trace::Trace};
 
 /// A checksum to complete (virtio 1.2, 5.1.6.2). The ones' complement sum of everything from `start` on belongs at
 /// `start + offset`, which holds the sum of the pseudo header.
@@ -84,6 +84,8 @@ pub enum Malformed {
 pub struct Frame {
     bytes: Vec<u8>,
     offload: Offload,
+    /// The way so far, of a frame that is followed.
+    trace: Option<Box<Trace>>,
 }
 
 /// Offsets of a super-packet's headers.
@@ -105,19 +107,43 @@ const CWR: u8 = 0x80;
 impl Frame {
     /// Creates a frame without an offload.
     pub fn new(bytes: Vec<u8>) -> Self {
-        Self { bytes, offload: Offload::NONE }
+        Self::with_offload(bytes, Offload::NONE)
     }
 
     /// Creates a frame with an offload.
     pub fn with_offload(bytes: Vec<u8>, offload: Offload) -> Self {
-        Self { bytes, offload }
+        Self { bytes, offload, trace: None }
     }
 
     /// Copies the frame into a buffer of the pool.
     pub(crate) fn copy(&self, pool: &mut Pool) -> Self {
         let mut buffer = pool.take(self.bytes.len());
         buffer.extend_from_slice(&self.bytes);
-        Self::with_offload(buffer, self.offload)
+        Self { bytes: buffer, offload: self.offload, trace: self.trace.clone() }
+    }
+
+    /// Follows the frame from now on.
+    pub(crate) fn follow(&mut self, trace: Trace) {
+        self.trace = Some(Box::new(trace));
+    }
+
+    /// Returns the way so far, of a frame that is followed.
+    pub(crate) fn trace(&mut self) -> Option<&mut Trace> {
+        self.trace.as_deref_mut()
+    }
+
+    /// Ends following the frame, and returns its way.
+    pub(crate) fn take_trace(&mut self) -> Option<Box<Trace>> {
+        self.trace.take()
+    }
+
+    /// Returns the frame as meters of flows see it.
+    pub(crate) fn seen(&self) -> Seen<'_> {
+        Seen {
+            bytes: &self.bytes,
+            checksum_left: self.offload.checksum.is_some(),
+            segment: self.offload.segmentation.map(|segmentation| segmentation.size),
+        }
     }
 
     /// Returns the frame's bytes, destination address first.
@@ -237,7 +263,7 @@ impl Frame {
             bytes.extend_from_slice(headers);
             bytes.extend_from_slice(part);
             layout.renumber(&mut bytes, segmentation.kind, i, size, i == last);
-            let mut packet = Self::with_offload(bytes, offload);
+            let mut packet = Self { bytes, offload, trace: self.trace.clone() };
             if offload.checksum.is_none() {
                 let offset = checksum_offset(segmentation.kind) as u16;
                 packet.offload.checksum = Some(Checksum { start: layout.transport as u16, offset });

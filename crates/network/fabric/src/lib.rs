@@ -18,7 +18,8 @@
 //!   [attach](Fabric::attach) to other radio units.
 //! - **Measurement.** The packets of [probes](Fabric::probe_links) and [throughput tests](Fabric::test_throughput) cross
 //!   links as others do. They reach no host and are in no counter. The [service times of flows](Fabric::measure_flows)
-//!   are measured where frames enter and leave.
+//!   are measured where frames enter and leave. [Followed](Fabric::follow) frames tell the time on each link; others carry
+//!   no trace.
 //! - **Taps.** [Readers](Fabric::tap) see the packets that cross the links they name. Without any, this costs nothing.
 //! - **Offloads.** A super-packet stays whole where no link on its way needs single packets; all counters count its
 //!   packets. Random impairments, rates below 1 Gbit/s, traces and the air cut it. A checksum left to do stays so, unless
@@ -30,6 +31,7 @@ mod balance;
 mod error;
 mod fabric;
 mod flows;
+mod following;
 mod frame;
 mod impairment;
 mod lateness;
@@ -44,11 +46,13 @@ mod routes;
 mod settings;
 mod tap;
 mod timers;
+mod trace;
 mod transmitter;
 
 pub use balance::Balance;
 pub use error::{GraphError, NoPath};
 pub use fabric::{Drops, Fabric};
+pub use following::{Datagrams, RoundTrip, RoundTripReader, Trip};
 pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;
 pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};

@@ -36,16 +36,24 @@ pub(crate) struct Packet {
     pub(crate) purpose: Purpose,
     /// Time of entering the current link.
     pub(crate) entered: Timestamp,
+    /// Start of its transmission over the link.
+    pub(crate) began: Timestamp,
 }
 
 impl Packet {
+    /// Creates a packet that enters a link now.
+    pub(crate) fn new(frame: Frame, purpose: Purpose, now: Timestamp) -> Self {
+        Self { frame, purpose, entered: now, began: now }
+    }
+
     /// Whether the link's counters include it. Packets that only measure are not counted.
     pub(crate) fn counts(&self) -> bool {
         matches!(self.purpose, Purpose::Target(_))
     }
 
     fn copy(&self, pool: &mut Pool) -> Self {
-        Self { frame: self.frame.copy(pool), purpose: self.purpose.clone(), entered: self.entered }
+        let Self { frame, purpose, entered, began } = self;
+        Self { frame: frame.copy(pool), purpose: purpose.clone(), entered: *entered, began: *began }
     }
 }
 
@@ -154,7 +162,7 @@ impl Pipe {
             self.lateness.record(Duration::ZERO);
             return Some(packet);
         }
-        packet.entered = now;
+        (packet.entered, packet.began) = (now, now);
         let whole = !self.needs_packets && (!self.transmitter.is_busy() || self.fits(&packet.frame));
         if whole {
             self.enter(now, packet, pool);
@@ -261,9 +269,10 @@ impl Pipe {
     /// Starts to send the next packet of the queue, or all of them if that takes no time.
     fn send_queued(&mut self, now: Timestamp, pool: &mut Pool) {
         while !self.transmitter.is_busy() {
-            let Some(packet) = self.queue.pop_front() else { return };
+            let Some(mut packet) = self.queue.pop_front() else { return };
             self.queued_packets -= u64::from(packet.frame.wire_packets());
             self.queued_bytes -= packet.frame.wire_bytes();
+            packet.began = now;
             let bits = packet.frame.wire_bytes() * 8;
             self.send(now, packet, bits, pool);
         }
@@ -280,9 +289,9 @@ impl Pipe {
             return each(self, packet, pool);
         }
         let mut cut = std::mem::take(&mut self.cut);
-        let Packet { frame, purpose, entered } = packet;
+        let Packet { frame, purpose, entered, began } = packet;
         frame
-            .segment_with(pool, |frame| cut.push(Packet { frame, purpose: purpose.clone(), entered }))
+            .segment_with(pool, |frame| cut.push(Packet { frame, purpose: purpose.clone(), entered, began }))
             .expect("a frame's offload is checked where it enters the fabric");
         cut.drain(..).for_each(|packet| each(self, packet, pool));
         self.cut = cut;

@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod carried;
 pub mod checksum;
 mod fragments;
 pub mod headers;
@@ -16,6 +17,7 @@ mod tcp;
 mod testing;
 mod udp;
 
+pub use carried::{Carried, Place};
 pub use meter::{Meter, Protocol};
 pub use packet::Frame;
 pub use requests::{Counts, Id, Sample};

@@ -150,6 +150,15 @@ impl Meter {
         }
     }
 
+    /// Returns the marks of all pending requests, oldest first.
+    pub fn pending(&self) -> Vec<u64> {
+        match &self.0 {
+            Followed::Udp(udp) => udp.requests.marks(),
+            Followed::Tcp(tcp) => tcp.requests.marks(),
+            Followed::Ros2(ros) => ros.requests.marks(),
+        }
+    }
+
     /// Returns the counters.
     pub fn counts(&self) -> Counts {
         match &self.0 {

@@ -45,13 +45,17 @@ impl<'a> Packet<'a> {
     /// Parses the packet in a frame, behind up to two VLAN tags. `None` if there is none, or if its receiver would drop it
     /// because of a wrong checksum.
     pub fn of(frame: &Frame<'a>) -> Option<Self> {
+        Self::unchecked(frame).filter(|packet| packet.is_intact(frame))
+    }
+
+    /// [`Packet::of`] without a check of the transport's checksum.
+    pub fn unchecked(frame: &Frame<'a>) -> Option<Self> {
         let (at, version) = find_ip(frame.bytes)?;
         let bytes = frame.bytes.get(at..)?;
-        let packet = match version {
-            IpVersion::V4 => Self::v4(bytes, frame.checksum_left)?,
-            IpVersion::V6 => Self::v6(bytes)?,
-        };
-        packet.is_intact(frame).then_some(packet)
+        match version {
+            IpVersion::V4 => Self::v4(bytes, frame.checksum_left),
+            IpVersion::V6 => Self::v6(bytes),
+        }
     }
 
     fn v4(bytes: &'a [u8], checksum_left: bool) -> Option<Self> {

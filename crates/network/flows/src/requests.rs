@@ -141,6 +141,11 @@ impl<K: PartialEq> Requests<K> {
         }
     }
 
+    /// Returns the marks of all pending requests, oldest first.
+    pub fn marks(&self) -> Vec<u64> {
+        self.pending.iter().map(|pending| pending.mark).collect()
+    }
+
     pub fn deadline(&self) -> Option<Duration> {
         Some(self.pending.front()?.entered + self.timeout)
     }

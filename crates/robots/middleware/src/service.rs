@@ -311,6 +311,7 @@ impl ServiceEndpoint {
             attachment: pending.attachment,
             // Without an answer, the preferred server.
             server: pending.servers.swap_remove(by.unwrap_or(0)),
+            parts: None,
         }
     }
 }

@@ -123,6 +123,7 @@ fn events() -> Vec<Event> {
             took: Some(Duration::from_micros(11_250)),
             attachment: Some(node("R-1")),
             server: node("edge"),
+            parts: None,
         }),
         Event::Handover(Handover {
             robot: node("tb2"),

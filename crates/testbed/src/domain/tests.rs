@@ -1,7 +1,8 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    Attachment, ConditionChange, Dbm, Pose, PoseSource, SensorData, ServiceTime, Timestamp, Velocity,
+    Attachment, ConditionChange, Dbm, LinkTime, Pose, PoseSource, SensorData, ServiceTime, TimeParts,
+    Timestamp, Velocity,
 };
 
 use super::*;
@@ -82,6 +83,7 @@ fn events_of_other_domains_are_not_seen() {
         took: None,
         attachment: None,
         server: id("s1"),
+        parts: None,
     };
     for event in [
         Event::ServiceTime(sample),
@@ -111,6 +113,35 @@ fn events_of_other_domains_are_not_seen() {
     }
     let message = String::from("r2 stands still");
     assert_eq!(seen_by_domains(Event::Notice { message }), [None, None], "whose it is cannot be known");
+}
+
+#[test]
+fn the_time_on_links_of_others_is_unknown_to_a_domain() {
+    let ms = std::time::Duration::from_millis;
+    let on = |link: &str| LinkTime {
+        link: id(link),
+        direction: cotorra_graph::Direction::Forward,
+        back: false,
+        queueing: ms(1),
+        retries: ms(0),
+        crossing: ms(4),
+    };
+    let parts = TimeParts { unknown: ms(1), links: vec![on("A-s1"), on("B-s2")], ..TimeParts::default() };
+    let took = Some(parts.total());
+    let sample = |parts| {
+        Event::ServiceTime(ServiceTime {
+            service: id("n1"),
+            robot: id("r1"),
+            sequence: 0,
+            emitted: Timestamp::ZERO,
+            took,
+            attachment: None,
+            server: id("s1"),
+            parts: Some(Box::new(parts)),
+        })
+    };
+    let own = TimeParts { unknown: ms(6), links: vec![on("A-s1")], ..TimeParts::default() };
+    assert_eq!(seen_by_domains(sample(parts)), [Some(sample(own)), None]);
 }
 
 #[test]

@@ -174,6 +174,7 @@ fn sample(took: Option<Duration>) -> Event {
         took,
         attachment: None,
         server: node("one"),
+        parts: None,
     })
 }
 

@@ -135,6 +135,7 @@ impl Samples {
             took: (took != NONE).then(|| Duration::from_nanos(took)),
             attachment: (attachment != NONE).then(|| self.nodes.list[attachment as usize].clone()),
             server: self.nodes.list[low(sequence_server)].clone(),
+            parts: None,
         }
     }
 }
@@ -177,6 +178,7 @@ mod tests {
             took: took.map(Duration::from_nanos),
             attachment: (!number.is_multiple_of(4)).then(|| format!("R{}", number % 4).parse().unwrap()),
             server: "cloud".parse().unwrap(),
+            parts: None,
         }
     }
 

@@ -612,6 +612,7 @@ mod tests {
             took: service_time_ms.map(Duration::from_millis),
             attachment: Some(attachment.parse().unwrap()),
             server: "cloud".parse().unwrap(),
+            parts: None,
         });
         Stamped { at: emitted, event }
     }

@@ -70,6 +70,18 @@ pub(super) struct Landing {
     pub(super) twice: bool,
 }
 
+impl Flight {
+    /// Returns the start of the first attempt.
+    pub(super) fn start(&self) -> Timestamp {
+        self.start
+    }
+
+    /// Returns the airtime of all attempts but the first.
+    pub(super) fn retries(&self) -> Duration {
+        self.retries
+    }
+}
+
 impl WirelessLink {
     pub(super) fn new(id: LinkId, settings: &Settings, seed: u64) -> Self {
         let lane = |direction: &str| Lane {

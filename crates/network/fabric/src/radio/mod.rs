@@ -52,6 +52,7 @@ use crate::{
     random::stream,
     settings::{Carries, FabricError, Settings},
     timers::Timers,
+    trace::Over,
 };
 
 /// Interval of scans of a moving station without a radio unit.
@@ -375,12 +376,18 @@ impl Radio {
         self.advance(now);
         self.lost.drain(..).for_each(|frame| pool.put(frame.into_bytes()));
         while self.in_flight.peek().is_some_and(|Reverse(f)| f.due <= now) {
-            let Some(Reverse(InFlight { due, path, since, frame, is_probe, .. })) = self.in_flight.pop()
+            let Some(Reverse(InFlight { due, path, since, flight, mut frame, is_probe, .. })) =
+                self.in_flight.pop()
             else {
                 break;
             };
             if !is_probe {
                 self.lane(path).meter().crossed(since, due, 1, frame.wire_bytes());
+            }
+            if let Some(trace) = frame.trace() {
+                let Path { robot, unit, direction } = path;
+                let began = flight.start();
+                trace.crossed(Over::Air(robot, unit, direction), [since, began, due], flight.retries());
             }
             let (robot, unit) = (self.robots[path.robot].port, self.units[path.unit].port);
             let (from, at) = match path.direction {

@@ -1,0 +1,55 @@
+//! The way of a followed frame through the fabric: when it entered, and how long it spent on each link.
+
+use std::time::Duration;
+
+use cotorra_graph::{Direction, Timestamp};
+
+use crate::port::{PortId, RadioUnitIndex, StationIndex};
+
+/// The way of a frame so far.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Trace {
+    /// Port where it entered.
+    pub port: PortId,
+    /// Number of the frame among the followed ones of a client; `None` if it only answers one.
+    pub ticket: Option<u32>,
+    /// Time of entering.
+    pub entered: Timestamp,
+    pub crossings: Vec<Crossing>,
+}
+
+/// The crossing of one link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Crossing {
+    pub over: Over,
+    pub queueing: Duration,
+    pub retries: Duration,
+    pub crossing: Duration,
+}
+
+/// One direction of a link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Over {
+    /// A wired link, by its edge.
+    Wire(usize),
+    Air(StationIndex, RadioUnitIndex, Direction),
+}
+
+impl Trace {
+    /// Most crossings. The time of further ones stays unknown.
+    const MOST: usize = 32;
+
+    pub fn new(port: PortId, ticket: Option<u32>, entered: Timestamp) -> Self {
+        Self { port, ticket, entered, crossings: Vec::new() }
+    }
+
+    /// Adds a crossing, from entering the link over the start of the transmission to the arrival.
+    pub fn crossed(&mut self, over: Over, [entered, began, due]: [Timestamp; 3], retries: Duration) {
+        if self.crossings.len() < Self::MOST {
+            let sent = due.since(began);
+            let retries = retries.min(sent);
+            let (queueing, crossing) = (began.since(entered), sent - retries);
+            self.crossings.push(Crossing { over, queueing, retries, crossing });
+        }
+    }
+}
