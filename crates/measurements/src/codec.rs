@@ -4,6 +4,7 @@
 pub(crate) mod binary;
 mod decode;
 mod encode;
+pub(crate) mod time_parts;
 
 use std::borrow::Cow;
 
@@ -78,9 +79,11 @@ pub(crate) const fn table(kind: Kind) -> Table {
             series: &["from_vnf", "to_vnf"],
             children: Some(("hop", &["link"])),
         },
-        Kind::ServiceTime => {
-            plain(&["service", "robot", "sequence", "emitted_ns", "service_time_ms", "attachment", "server"])
-        }
+        Kind::ServiceTime => Table {
+            columns: &["service", "robot", "sequence", "emitted_ns", "service_time_ms", "attachment", "server"],
+            series: &[],
+            children: Some(("time_part", &["part", "direction", "total_ms", "queueing_ms", "retries_ms"])),
+        },
         Kind::Handover => plain(&["robot", "from_radio_unit", "to_radio_unit", "fast", "gap_ms"]),
         Kind::Detached => plain(&["robot", "from_radio_unit"]),
         Kind::Scanned | Kind::WalkFinished => plain(&["robot"]),

@@ -5,7 +5,10 @@ use std::{fmt, str::FromStr};
 use cotorra_graph::{ComponentId, Direction, Event, LinkId, NodeId, SensorId, SensorKind, ServiceId, millis};
 use serde::{Deserialize, Serialize};
 
-use crate::kind::{Kind, Series};
+use crate::{
+    codec::time_parts,
+    kind::{Kind, Series},
+};
 
 macro_rules! quantities {
     ($(#[$doc:meta])* $of:ident { $($(#[$its:meta])* $quantity:ident = $name:literal, $unit:literal, $column:literal;)* }) => {
@@ -93,7 +96,8 @@ quantities! {
 /// A figure. As text, its name and its subject, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
 /// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if the direction is left out); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`,
 /// `vertical:…`, `angular:…`, `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (all robots or
-/// services if they are left out); `handover_gap:ROBOT` (likewise);
+/// services if they are left out); `time_part:LINK:SERVICE:ROBOT` (likewise;
+/// also of `sender`, `vnf`, `receiver`, `unknown`); `handover_gap:ROBOT` (likewise);
 /// `sensor:ROBOT:SENSOR:COMPONENT`; `lateness_p50`, `lateness_p99`, `lateness_max`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -113,6 +117,15 @@ pub enum Figure {
     Load(NodeId),
     /// Service times that were answered, ms, at the time when they were recorded.
     ServiceTime {
+        /// `None` for all services.
+        service: Option<ServiceId>,
+        /// `None` for all robots.
+        robot: Option<NodeId>,
+    },
+    /// Time of answered samples on a link, or in one of the parts `sender`, `vnf`, `receiver` and `unknown`, ms.
+    TimePart {
+        /// Name of the link or part.
+        part: String,
         /// `None` for all services.
         service: Option<ServiceId>,
         /// `None` for all robots.
@@ -157,7 +170,7 @@ impl Figure {
             Self::Robot(_, quantity) => quantity.unit(),
             Self::Signal { .. } => "dBm",
             Self::Load(_) => "",
-            Self::ServiceTime { .. } | Self::HandoverGap { .. } => "ms",
+            Self::ServiceTime { .. } | Self::TimePart { .. } | Self::HandoverGap { .. } => "ms",
             Self::Lateness(quantity) => quantity.unit(),
         }
     }
@@ -181,10 +194,13 @@ impl Figure {
                 Kept { series: Some(Series::Radio(unit.clone())), ..plain(Kind::Radio, "load") }
             }
             Self::ServiceTime { service, robot } => {
-                let service = service.iter().map(|service| ("service", service.as_str()));
-                let robot = robot.iter().map(|robot| ("robot", robot.as_str()));
-                Kept { named: service.chain(robot).collect(), ..plain(Kind::ServiceTime, "service_time_ms") }
+                Kept { named: samples(service, robot), ..plain(Kind::ServiceTime, "service_time_ms") }
             }
+            Self::TimePart { part, service, robot } => Kept {
+                named: samples(service, robot),
+                child: Some(("part", part)),
+                ..plain(Kind::ServiceTime, "total_ms")
+            },
             Self::HandoverGap { robot } => {
                 let named = robot.iter().map(|robot| ("robot", robot.as_str())).collect();
                 Kept { named, ..plain(Kind::Handover, "gap_ms") }
@@ -243,6 +259,13 @@ impl Figure {
             {
                 time.took.map(millis::of).into_iter().for_each(each);
             }
+            (Self::TimePart { part, service, robot }, Event::ServiceTime(time))
+                if service.as_ref().is_none_or(|service| time.service == *service)
+                    && robot.as_ref().is_none_or(|robot| time.robot == *robot) =>
+            {
+                let rows = time.parts.iter().flat_map(|parts| time_parts::rows(parts));
+                rows.filter(|row| row.name() == part).for_each(|row| each(millis::of(row.total())));
+            }
             (Self::HandoverGap { robot }, Event::Handover(handover))
                 if robot.as_ref().is_none_or(|robot| handover.robot == *robot) =>
             {
@@ -278,13 +301,11 @@ impl fmt::Display for Figure {
             Self::Load(unit) => write!(f, "load:{unit}"),
             Self::ServiceTime { service, robot } => {
                 f.write_str("service_time")?;
-                match (service, robot) {
-                    (None, None) => Ok(()),
-                    (Some(service), None) => write!(f, ":{service}"),
-                    (service, Some(robot)) => {
-                        write!(f, ":{}:{robot}", service.as_ref().map_or("", ServiceId::as_str))
-                    }
-                }
+                write_samples(f, service.as_ref(), robot.as_ref())
+            }
+            Self::TimePart { part, service, robot } => {
+                write!(f, "time_part:{part}")?;
+                write_samples(f, service.as_ref(), robot.as_ref())
             }
             Self::HandoverGap { robot: None } => f.write_str("handover_gap"),
             Self::HandoverGap { robot: Some(robot) } => write!(f, "handover_gap:{robot}"),
@@ -294,12 +315,31 @@ impl fmt::Display for Figure {
     }
 }
 
+/// Returns the columns of samples, and the names that they must have.
+fn samples<'a>(service: &'a Option<ServiceId>, robot: &'a Option<NodeId>) -> Vec<(&'static str, &'a str)> {
+    let service = service.iter().map(|service| ("service", service.as_str()));
+    service.chain(robot.iter().map(|robot| ("robot", robot.as_str()))).collect()
+}
+
+fn write_samples(
+    f: &mut fmt::Formatter<'_>,
+    service: Option<&ServiceId>,
+    robot: Option<&NodeId>,
+) -> fmt::Result {
+    match (service, robot) {
+        (None, None) => Ok(()),
+        (Some(service), None) => write!(f, ":{service}"),
+        (service, Some(robot)) => write!(f, ":{}:{robot}", service.map_or("", ServiceId::as_str)),
+    }
+}
+
 /// A text that is not a figure.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is not a figure: give delay, throughput, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
      with :LINK or :LINK:DIRECTION; x, y, z, heading, speed, climb, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
-     or :SERVICE:ROBOT if you like; handover_gap, with :ROBOT if you like; sensor:ROBOT:SENSOR:COMPONENT; \
+     or :SERVICE:ROBOT if you like; time_part with :LINK, :sender, :vnf, \
+     :receiver or :unknown, and more as of service_time; handover_gap, with :ROBOT if you like; sensor:ROBOT:SENSOR:COMPONENT; \
      lateness_p50, lateness_p99 or lateness_max"
 )]
 pub struct InvalidFigure(String);
@@ -335,6 +375,8 @@ fn parse(text: &str) -> Option<Figure> {
         "" => Some(None),
         text => ServiceId::new(text).ok().map(Some),
     };
+    // Parts that are no links have names of the same kind.
+    let name_of = |part: &str| LinkId::new(part).ok().map(|part| part.to_string());
     Some(match (name, &of[..]) {
         ("signal", [robot, unit]) => Figure::Signal { robot: node(robot)?, radio_unit: node(unit)? },
         ("load", [unit]) => Figure::Load(node(unit)?),
@@ -349,6 +391,13 @@ fn parse(text: &str) -> Option<Figure> {
             sensor: SensorId::new(sensor).ok()?,
             component: ComponentId::new(component).ok()?,
         },
+        ("time_part", [part]) => Figure::TimePart { part: name_of(part)?, service: None, robot: None },
+        ("time_part", [part, of]) => {
+            Figure::TimePart { part: name_of(part)?, service: service(of)?, robot: None }
+        }
+        ("time_part", [part, of, robot]) => {
+            Figure::TimePart { part: name_of(part)?, service: service(of)?, robot: Some(node(robot)?) }
+        }
         ("handover_gap", [robot]) => Figure::HandoverGap { robot: Some(node(robot)?) },
         _ => return None,
     })

@@ -5,11 +5,11 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, DataFormat,
     Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, InstancePath, Instruction, Jitter,
-    JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes,
-    PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext,
-    Rate, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime,
-    Stamped, StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping,
-    VnfEvent, VnfId, VnfState,
+    JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters, LinkId, LinkTime, Loss, NodeId,
+    Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit,
+    RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId,
+    ServiceTime, Stamped, StationContext, Tested, ThroughputTest, TimeParts, Timestamp, Trace, Velocity,
+    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -232,9 +232,42 @@ prop_compose! {
         emitted in any::<u64>().prop_map(Timestamp::from_nanos),
         took in of(duration()),
         attachment in of(node()),
+        parts in of(time_parts().prop_map(Box::new)),
     ) -> ServiceTime {
-        ServiceTime { service, robot, sequence, emitted, took, attachment, server, parts: None }
+        ServiceTime { service, robot, sequence, emitted, took, attachment, server, parts }
     }
+}
+
+prop_compose! {
+    fn link_time()(
+        link in link(),
+        direction in direction(),
+        [queueing, retries, crossing] in [short(), short(), short()],
+    ) -> LinkTime {
+        LinkTime { link, direction, back: false, queueing, retries, crossing }
+    }
+}
+
+prop_compose! {
+    fn time_parts()(
+        [sender, vnf, receiver, unknown] in [short(), short(), short(), short()],
+        out in vec(link_time(), 0..3),
+        back in vec(link_time(), 0..3),
+    ) -> TimeParts {
+        let back = back.into_iter().map(|on| LinkTime { back: true, ..on });
+        TimeParts { sender, vnf, receiver, unknown, links: out.into_iter().chain(back).collect() }
+    }
+}
+
+/// Draws a part of a service time.
+fn part() -> impl Strategy<Value = String> {
+    let hosts = select(vec!["sender", "vnf", "receiver", "unknown"]).prop_map(str::to_owned);
+    prop_oneof![hosts, link().prop_map(|link| link.to_string())]
+}
+
+/// A duration that is exact in milliseconds even if three are added up.
+fn short() -> impl Strategy<Value = Duration> {
+    (0..1_u64 << 50).prop_map(|ns| Duration::from_nanos(if ns % 3 == 0 { 0 } else { ns }))
 }
 
 prop_compose! {
@@ -429,6 +462,8 @@ pub fn figure() -> impl Strategy<Value = crate::Figure> {
         2 => (node(), node()).prop_map(|(robot, radio_unit)| Figure::Signal { robot, radio_unit }),
         1 => node().prop_map(Figure::Load),
         2 => (of(service()), of(node())).prop_map(|(service, robot)| Figure::ServiceTime { service, robot }),
+        2 => (part(), of(service()), of(node()))
+            .prop_map(|(part, service, robot)| Figure::TimePart { part, service, robot }),
         1 => of(node()).prop_map(|robot| Figure::HandoverGap { robot }),
         2 => (node(), sensor(), component())
             .prop_map(|(robot, sensor, component)| Figure::Sensor { robot, sensor, component }),

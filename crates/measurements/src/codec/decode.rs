@@ -5,13 +5,13 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     AnswersRejected, Attachment, BitRate, ComponentId, Conditions, DataFormat, Dbm, Decision, Direction,
     Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, LargeData, Lateness,
-    LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource,
-    Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale,
-    SensorData, SensorReading, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity,
-    VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
+    LinkContext, LinkCounters, LinkId, LinkTime, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose,
+    PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault,
+    Scale, SensorData, SensorReading, ServiceId, ServiceTime, StationContext, Tested, TimeParts, Timestamp,
+    Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
-use super::direction_of;
+use super::{direction_of, time_parts};
 use crate::{error::Error, kind::Kind};
 
 /// A row that is read column by column, from the first to the last.
@@ -272,16 +272,20 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             let links = children(source, |mut row| row.name::<LinkId>())?;
             Event::VirtualLink(VirtualLinkMapping { from, to, links, path, others })
         }
-        Kind::ServiceTime => Event::ServiceTime(ServiceTime {
-            service: row.name::<ServiceId>()?,
-            robot: row.name()?,
-            sequence: row.small()?,
-            emitted: Timestamp::from_nanos(row.unsigned()?),
-            took: row.duration()?,
-            attachment: row.optional_name()?,
-            server: row.name()?,
-            parts: None,
-        }),
+        Kind::ServiceTime => {
+            let mut sample = ServiceTime {
+                service: row.name::<ServiceId>()?,
+                robot: row.name()?,
+                sequence: row.small()?,
+                emitted: Timestamp::from_nanos(row.unsigned()?),
+                took: row.duration()?,
+                attachment: row.optional_name()?,
+                server: row.name()?,
+                parts: None,
+            };
+            sample.parts = time_parts_of(source)?;
+            Event::ServiceTime(sample)
+        }
         Kind::Handover => Event::Handover(Handover {
             robot: row.name()?,
             from: row.optional_name()?,
@@ -346,6 +350,32 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
         }),
         Kind::Notice => Event::Notice { message: row.text()? },
     })
+}
+
+/// Reads the parts of a service time; `None` without any.
+fn time_parts_of(source: &mut dyn Source) -> Result<Option<Box<TimeParts>>> {
+    let mut parts: Option<Box<TimeParts>> = None;
+    let mut back = false;
+    source.children(&mut |child| {
+        let mut row = Columns(child);
+        let parts = parts.get_or_insert_default();
+        let part: Arc<str> = required(row.0.name()?)?;
+        let direction = row.optional_direction()?;
+        let total = required(row.duration()?)?;
+        let [queueing, retries] = [row.duration()?, row.duration()?].map(Option::unwrap_or_default);
+        let Some(direction) = direction else {
+            back |= time_parts::is_turn(&part);
+            let is_known = time_parts::set_host(parts, &part, total);
+            let error = || unreadable(format_args!("`{part}` is not a part of a service time"));
+            return is_known.then_some(()).ok_or_else(error);
+        };
+        let crossing = total.checked_sub(queueing).and_then(|left| left.checked_sub(retries));
+        let crossing = crossing.ok_or_else(|| unreadable("the parts of a link's time exceed it"))?;
+        let link = part.parse::<LinkId>().map_err(unreadable)?;
+        parts.links.push(LinkTime { link, direction, back, queueing, retries, crossing });
+        Ok(())
+    })?;
+    Ok(parts)
 }
 
 fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {

@@ -7,7 +7,10 @@ use cotorra_graph::{
     Loss, Pose, PoseSource, QueueLimit, Rate, RobotFault, SensorReading, VnfState, millis,
 };
 
-use super::{Role, Value, direction_code};
+use super::{
+    Role, Value, direction_code,
+    time_parts::{self, Row},
+};
 
 /// Columns of one row, or of several child rows one after the other.
 #[derive(Debug, Default)]
@@ -160,6 +163,25 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .optional(time.took, Fields::duration)
                 .optional(time.attachment.as_ref(), |f, unit| f.name(unit.as_str()))
                 .name(time.server.as_str());
+            for part in time.parts.iter().flat_map(|parts| time_parts::rows(parts)) {
+                match part {
+                    Row::Host(name, took) => {
+                        children.name(name);
+                        children.0.push(Value::Null);
+                        children.duration(took);
+                        children.0.extend([Value::Null, Value::Null]);
+                    }
+                    Row::Link(on) => {
+                        let some = |took: Duration| (!took.is_zero()).then_some(took);
+                        children
+                            .name(on.link.as_str())
+                            .direction(on.direction)
+                            .duration(on.total())
+                            .optional(some(on.queueing), Fields::duration)
+                            .optional(some(on.retries), Fields::duration);
+                    }
+                }
+            }
         }
         Event::Handover(handover) => {
             row.name(handover.robot.as_str())

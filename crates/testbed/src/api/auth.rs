@@ -205,6 +205,11 @@ impl Caller {
         }
     }
 
+    /// Returns the view of a domain's caller; `None` for a caller who sees everything.
+    pub(super) fn view(&self) -> Option<&DomainView> {
+        self.view.as_deref()
+    }
+
     /// Whether the caller sees an object, for filters.
     pub(super) fn keeps(&self, is_seen: impl FnOnce(&DomainView) -> bool) -> bool {
         self.view.as_deref().is_none_or(is_seen)

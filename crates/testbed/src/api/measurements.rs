@@ -169,6 +169,9 @@ pub(super) async fn service_times(
     ask(context, part.run, move |history, run, present| {
         let mut page = history.service_times(run, part.until(present), part.page())?;
         page.items.retain(|sample| caller.keeps(|view| view.owns(&sample.value.robot)));
+        if let Some(view) = caller.view() {
+            page.items.iter_mut().for_each(|sample| sample.value = view.service_time(&sample.value));
+        }
         Ok(page)
     })
     .await
@@ -264,7 +267,8 @@ pub(super) struct Which {
     /// The figure and its object: `delay:LINK:DIRECTION`, `throughput:…`, `delay_scale:…` or `drop_scale:…` (forward
     /// without a direction); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…` or
     /// `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or
-    /// `handover_gap:ROBOT` (of all without an object); `lateness_p50`, `lateness_p99` or `lateness_max`.
+    /// `handover_gap:ROBOT` (of all without an object); `time_part:LINK:SERVICE:ROBOT` (also of `sender`, `vnf`,
+    /// `receiver` or `unknown`); `lateness_p50`, `lateness_p99` or `lateness_max`.
     #[cfg_attr(feature = "openapi", param(value_type = String))]
     figure: Figure,
     /// Beginning, nanoseconds since the run began.
