@@ -37,6 +37,8 @@ const FIRST_PORT: u16 = 7711;
 const END_OF_PORTS: u16 = 32_768;
 /// Bytes of the header.
 pub const HEADER_LEN: usize = 32;
+/// Offset of the nonce in the header.
+pub const NONCE_AT: usize = 24;
 
 const MAGIC: [u8; 4] = *b"ctra";
 const VERSION: u8 = 3;

@@ -30,6 +30,7 @@ use crate::{
     plugins::host::{Controlled, Fault},
     robots::RobotError,
     script::{Change, Script},
+    trips::Trips,
 };
 
 /// Author of scripted instructions.
@@ -57,6 +58,8 @@ pub(crate) struct Core<N, E> {
     navigators: BTreeMap<NodeId, Answerer>,
     /// Localization VNF of each robot that has one.
     localizers: BTreeMap<NodeId, Answerer>,
+    /// Round trips of navigation packets.
+    trips: Trips,
     /// VNF that each camera's images go to.
     receivers: BTreeMap<(NodeId, SensorId), Answerer>,
     /// Large data to poll.
@@ -89,16 +92,19 @@ impl<N: Network, E: Engine> Core<N, E> {
         script: Script,
         drive: impl FnMut(&Node, SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError>,
     ) -> Result<Self, RobotError> {
-        let of_robots = |program: Program| {
+        let of_robots = |program: Program| -> BTreeMap<NodeId, Answerer> {
             let of_service = |service: &cotorra_graph::Service| {
                 Some((service.robot.clone(), Answerer::of(&testbed, service, &program)?))
             };
             testbed.services.iter().filter_map(of_service).collect()
         };
+        let navigators = of_robots(Program::Navigation);
+        let ports = navigators.iter().map(|(robot, of)| (robot.clone(), of.port));
         Ok(Self {
+            trips: Trips::follow(&network, ports),
             middleware: RobotMiddleware::driven(&testbed, seed, CONTEXT, nonces, drive)?,
             control: NetworkControl::new(&testbed, network, engine),
-            navigators: of_robots(Program::Navigation),
+            navigators,
             localizers: of_robots(Program::Localization),
             receivers: images::receivers(&testbed),
             data: VecDeque::new(),
@@ -256,7 +262,11 @@ impl<N: Network, E: Engine> Core<N, E> {
     /// Receives a datagram at a robot.
     pub(crate) fn receive(&mut self, at: Timestamp, robot: &NodeId, from: SocketAddrV4, bytes: &[u8]) {
         match Answer::decode(bytes) {
-            Ok(Answer::Navigation(packet)) => self.middleware.receive(at, robot, from, &packet),
+            Ok(Answer::Navigation(packet)) => {
+                if let Some(sample) = self.middleware.receive(at, robot, from, &packet) {
+                    self.trips.split(packet.nonce, sample);
+                }
+            }
             Ok(Answer::Pose(packet)) => self.middleware.localized(at, robot, from, &packet),
             Err(error) => {
                 tracing::debug!("robot {robot} received a datagram that is not an answer: {error}");

@@ -40,6 +40,7 @@ mod run_info;
 mod script;
 mod simulate;
 mod traffic;
+mod trips;
 mod whole;
 
 pub use api::{ApiError, Token, Tokens, TokensError, openapi};

@@ -12,7 +12,8 @@ use std::{
 
 use cotorra_graph::{
     AnswersRejected, Attachment, Event, GoalState, Node, NodeId, NodeKind, OccupancyGrid, Position, Program,
-    RobotContext, RobotFault, RobotModel, SensorData, SensorId, Stamped, Testbed, Timestamp, Velocity,
+    RobotContext, RobotFault, RobotModel, SensorData, SensorId, ServiceTime, Stamped, Testbed, Timestamp,
+    Velocity,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket};
@@ -507,14 +508,27 @@ impl RobotMiddleware {
     }
 
     /// Receives a navigation packet. The robot follows it unless it is rejected, overtaken or beyond the robot's limits.
-    /// Results are reported as events.
-    pub fn receive(&mut self, now: Timestamp, robot: &NodeId, from: SocketAddrV4, packet: &NavigationPacket) {
-        let Some(managed) = self.robots.get_mut(robot) else { return };
-        let Some(service) = &mut managed.service else { return managed.reject(AnswerError::Unknown) };
-        let answer = match service.receive(now, from, packet) {
-            Ok(answer) => answer,
-            Err(rejection) => return managed.reject(rejection),
+    /// Results are reported as events. Returns the service time, which is still to be reported, unless it is rejected.
+    pub fn receive(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        from: SocketAddrV4,
+        packet: &NavigationPacket,
+    ) -> Option<&mut ServiceTime> {
+        let managed = self.robots.get_mut(robot)?;
+        let answer = match &mut managed.service {
+            None => Err(AnswerError::Unknown),
+            Some(service) => service.receive(now, from, packet),
         };
+        let answer = match answer {
+            Ok(answer) => answer,
+            Err(rejection) => {
+                managed.reject(rejection);
+                return None;
+            }
+        };
+        let place = self.events.len();
         self.events.push_back(Stamped { at: now, event: Event::ServiceTime(answer.service_time) });
         if let Some(velocity) = answer.velocity.filter(|_| !managed.halted) {
             // A rejected command becomes a notice; the sender of a datagram cannot be told.
@@ -530,6 +544,10 @@ impl RobotMiddleware {
             self.events.push_back(Stamped { at: now, event: Event::Goal(goal) });
         }
         self.note_due(robot);
+        match self.events.get_mut(place) {
+            Some(Stamped { event: Event::ServiceTime(sample), .. }) => Some(sample),
+            _ => None,
+        }
     }
 
     /// Moves a robot ([`cotorra_graph::Instruction::Move`]).

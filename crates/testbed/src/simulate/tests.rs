@@ -392,15 +392,17 @@ fn a_flow_on_navigations_port_has_navigations_times() {
         }
         while let Some(Stamped { at, event }) = simulation.poll_event() {
             if let Event::ServiceTime(sample) = event {
-                let cotorra_graph::ServiceTime { sequence, emitted, took, attachment, server, .. } = sample;
+                let cotorra_graph::ServiceTime { sequence, emitted, took, attachment, server, parts, .. } =
+                    sample;
+                assert_eq!(parts.as_ref().map(|parts| parts.total()), took);
                 let its = samples.entry(sample.service.to_string()).or_default();
-                its.push((at, sequence, emitted, took, attachment, server));
+                its.push((at, sequence, emitted, took, attachment, server, parts));
             }
         }
     }
     let navigation = &samples["navigation"];
     assert!(navigation.len() > 400, "{} samples", navigation.len());
-    let lost = navigation.iter().filter(|(.., took, _, _)| took.is_none()).count();
+    let lost = navigation.iter().filter(|(.., took, _, _, _)| took.is_none()).count();
     assert!(lost > 10, "{lost} are lost");
     assert_eq!(&samples["flow"], navigation);
 }
