@@ -5,6 +5,7 @@ mod lines;
 mod plan;
 mod summary;
 mod tally;
+mod time_parts;
 mod view;
 
 use std::{

@@ -7,8 +7,9 @@ use super::{Runs, Sweep, figure, tables};
 use crate::journal::Journal;
 
 /// Files that [`Sweep::write`] makes: a row per run, a row per combination, a row per region of a run, and the plot; a row
-/// per service of a run, a row per service of a combination, and the latter for papers.
-pub const FILES: [&str; 7] = [
+/// per service of a run, a row per service of a combination, and the latter for papers; a row per part of the service times
+/// of a run.
+pub const FILES: [&str; 8] = [
     "runs.csv",
     "cells.csv",
     "regions.csv",
@@ -16,6 +17,7 @@ pub const FILES: [&str; 7] = [
     "services.csv",
     "service_cells.csv",
     "service_cells.tex",
+    "time_parts.csv",
 ];
 
 impl Sweep {
@@ -25,13 +27,14 @@ impl Sweep {
     /// [`FolderError`].
     pub fn write(&self, journal: &Journal, runs: &Runs) -> Result<(), FolderError> {
         let (path, cells) = (journal.path(), self.cells(runs));
-        let [of_runs, of_cells, of_regions, _, of_services, of_service_cells, for_papers] = FILES;
+        let [of_runs, of_cells, of_regions, _, of_services, of_service_cells, for_papers, of_parts] = FILES;
         let csv = |name, table: DataTable| write_file(path, name, &table.to_csv());
         csv(of_runs, tables::runs(self, runs))?;
         csv(of_cells, tables::cells(self, &cells))?;
         csv(of_regions, tables::regions(self, runs))?;
         csv(of_services, tables::services(self, runs))?;
         csv(of_service_cells, tables::service_cells(self, &cells))?;
+        csv(of_parts, tables::time_parts(self, runs))?;
         write_file(path, for_papers, &tables::by_service(self, &cells).to_latex())?;
         self.write_figure(journal, runs, Format::Svg)
     }

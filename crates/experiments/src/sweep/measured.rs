@@ -4,6 +4,8 @@ use cotorra_graph::{NodeId, ServiceId, Timestamp};
 use cotorra_testbed::{Quantiles, RegionSummary, ServiceSummary, Summary};
 use serde::{Deserialize, Serialize};
 
+use super::time_parts::MeasuredPart;
+
 /// The results of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
@@ -43,6 +45,9 @@ pub struct Measured {
     pub longest_blind_m: f64,
     /// Service times of each service.
     pub services: Vec<MeasuredService>,
+    /// Parts of the service times.
+    #[serde(default)]
+    pub time_parts: Vec<MeasuredPart>,
     /// Stretches with one attachment and one server.
     pub regions: Vec<Region>,
 }
@@ -122,6 +127,7 @@ impl Measured {
             blind_m: summary.driving.iter().map(|driven| driven.blind_m).sum(),
             longest_blind_m: summary.driving.iter().map(|driven| driven.longest_blind_m).fold(0.0, f64::max),
             services: summary.services.iter().map(MeasuredService::of).collect(),
+            time_parts: MeasuredPart::of(summary),
             regions: summary.regions.iter().map(region).collect(),
         }
     }

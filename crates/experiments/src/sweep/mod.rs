@@ -29,6 +29,7 @@ mod figure;
 mod folder;
 mod measured;
 mod tables;
+mod time_parts;
 
 use std::{
     fs,

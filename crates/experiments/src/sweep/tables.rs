@@ -62,6 +62,20 @@ pub(super) fn services(sweep: &Sweep, runs: &Runs) -> DataTable {
     table
 }
 
+/// Returns a row for each part of the service times of each run.
+pub(super) fn time_parts(sweep: &Sweep, runs: &Runs) -> DataTable {
+    let first = runs.done.iter().find_map(|done| done.measured.time_parts.first());
+    let mut table = table(sweep, ["seed", "service", "part"], first.map(|part| names(part.figures())));
+    for done in &runs.done {
+        for part in &done.measured.time_parts {
+            let fixed = [done.point.seed.to_string(), part.service.to_string(), part.part.clone()];
+            let figures = part.figures().map(|(_, figure)| number(figure));
+            table.row(of(&done.point.values).chain(fixed).chain(figures));
+        }
+    }
+    table
+}
+
 /// Returns a row for each service of each combination.
 pub(super) fn service_cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
     let first = cells.iter().find_map(|cell| cell.services.first());

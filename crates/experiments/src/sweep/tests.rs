@@ -104,6 +104,8 @@ fn tables_are_tidy() {
     assert!(files[4].contains(",probing,1,robot,navigation,15,"), "{}", files[4]);
     assert!(files[5].contains(",probing,robot,localization,0,200,,"), "{}", files[5]);
     assert!(files[6].contains("probing & robot & navigation & 1 & 15 & 11"), "{}", files[6]);
+    let slow = files[7].lines().find(|row| row.contains(",R1-cloud,")).unwrap();
+    assert!(slow.contains("probing,1,navigation,R1-cloud,"), "{slow}");
 }
 
 #[test]

@@ -10,6 +10,7 @@ mod samples;
 mod services;
 mod summary;
 mod table;
+mod time_parts;
 mod times;
 
 pub(crate) use end::End;
@@ -22,4 +23,5 @@ pub use summary::{
     RegionSummary, Report, RobotSummary, ServiceSummary, Summary, service_time_ms,
 };
 pub use table::DataTable;
+pub use time_parts::{MeanParts, PartSummary, ServiceParts};
 pub use times::Quantiles;

@@ -14,6 +14,7 @@ use super::{
     end::End,
     folder::FolderError,
     samples::Samples,
+    time_parts::{ServiceParts, TimePartsReport},
     times::{Quantiles, Times},
 };
 
@@ -54,6 +55,8 @@ pub struct Summary {
     pub robots: Vec<RobotSummary>,
     /// Summaries of all services, in the file's order, those without samples included.
     pub services: Vec<ServiceSummary>,
+    /// Parts of the service times of services with answered samples, in the file's order.
+    pub time_parts: Vec<ServiceParts>,
     /// Stretches with one attachment and one server, in order.
     pub regions: Vec<RegionSummary>,
     /// Changes of attachment, in order.
@@ -311,6 +314,7 @@ pub struct Report {
     /// Services whose requests go to all instances.
     asking_all: Vec<ServiceId>,
     samples: Samples,
+    time_parts: TimePartsReport,
     driving: Driving,
     handovers: Vec<HandoverRecord>,
     placements: Vec<PlacementRecord>,
@@ -352,6 +356,7 @@ impl Report {
                 .map(|service| service.id.clone())
                 .collect(),
             samples: Samples::default(),
+            time_parts: TimePartsReport::new(testbed),
             driving: Driving::new(testbed),
             handovers: Vec::new(),
             placements: Vec::new(),
@@ -389,7 +394,10 @@ impl Report {
         self.driving.absorb(stamped);
         let Stamped { at, event } = stamped;
         match event {
-            Event::ServiceTime(sample) => self.samples.push(sample),
+            Event::ServiceTime(sample) => {
+                self.samples.push(sample);
+                self.time_parts.absorb(sample);
+            }
             Event::Robot(context) => {
                 let position = context.sensors.pose.position();
                 self.pose_source = Some(context.sensors.pose.source);
@@ -530,6 +538,7 @@ impl Report {
             service_time_ms: Quantiles::of(whole.answered),
             robots: self.robots(&by_service),
             services: self.summarize(by_service),
+            time_parts: self.time_parts.summary(),
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),

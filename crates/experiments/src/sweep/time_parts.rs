@@ -1,0 +1,48 @@
+//! The parts of service times in a run of a sweep.
+
+use cotorra_graph::ServiceId;
+use cotorra_testbed::{PartSummary, Summary};
+use serde::{Deserialize, Serialize};
+
+/// A link or host, and what it added to the samples above the target.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredPart {
+    pub service: ServiceId,
+    /// Name of the link, or `sender`, `vnf`, `receiver` or `unknown`.
+    pub part: String,
+    /// Median time of samples within the target, ms.
+    pub within_p50_ms: Option<f64>,
+    /// 95th percentile of samples above the target, ms.
+    pub above_p95_ms: Option<f64>,
+    /// 95th percentile of the time that it added to samples above the target, ms.
+    pub added_p95_ms: Option<f64>,
+    /// Share of samples above the target to which it added most.
+    pub explains: Option<f64>,
+}
+
+impl MeasuredPart {
+    /// Returns the parts of all services of a run.
+    pub(super) fn of(summary: &Summary) -> Vec<Self> {
+        let parts =
+            summary.time_parts.iter().flat_map(|its| its.parts.iter().map(|part| (&its.service, part)));
+        let measured = |(service, part): (&ServiceId, &PartSummary)| Self {
+            service: service.clone(),
+            part: part.part.clone(),
+            within_p50_ms: part.within_p50_ms,
+            above_p95_ms: part.above_p95_ms,
+            added_p95_ms: part.added_p95_ms,
+            explains: part.explains,
+        };
+        parts.map(measured).collect()
+    }
+
+    /// Returns the figures with their names.
+    pub(super) fn figures(&self) -> [(&'static str, Option<f64>); 4] {
+        [
+            ("within_p50_ms", self.within_p50_ms),
+            ("above_p95_ms", self.above_p95_ms),
+            ("added_p95_ms", self.added_p95_ms),
+            ("explains", self.explains),
+        ]
+    }
+}
