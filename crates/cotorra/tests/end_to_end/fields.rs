@@ -165,7 +165,10 @@ fn every_figure_is_documented_with_its_unit() {
             in_schema(&named, &openapi["components"]["schemas"], api);
         }
     }
-    in_tables(&read("crates/measurements/src/schema/1.sql"), used.entry("the history").or_default());
+    for version in ["1.sql", "2.sql"] {
+        let schema = read(&format!("crates/measurements/src/schema/{version}"));
+        in_tables(&schema, used.entry("the history").or_default());
+    }
     in_messages(&read("crates/robots/recording/src/messages.rs"), used.entry("recordings").or_default());
 
     for kind in [SensorKind::Odometry, SensorKind::Battery { charge: Some(1.0) }, SensorKind::Imu] {
@@ -197,11 +200,12 @@ fn every_figure_is_documented_with_its_unit() {
         .unwrap();
     assert!(sweep.status.success(), "{}", stdout(&sweep));
     let of_run = ["service_time.csv", "services.csv"].map(|table| folder.join(table));
-    let of_sweep = ["runs.csv", "regions.csv", "services.csv"].map(|table| swept.join(table));
+    let of_sweep =
+        ["runs.csv", "regions.csv", "services.csv", "time_parts.csv"].map(|table| swept.join(table));
     for table in of_run.iter().chain(&of_sweep) {
         let text = fs::read_to_string(table).unwrap();
         let heads = text.lines().next().unwrap().split(',').map(str::to_owned);
-        let words = ["robot", "service", "attachment", "server"];
+        let words = ["robot", "service", "attachment", "server", "part"];
         used.entry("tables").or_default().extend(heads.filter(|head| !words.contains(&head.as_str())));
     }
 

@@ -40,5 +40,6 @@ mod sensors;
 mod stamp;
 mod steer;
 mod sweep;
+mod time_parts;
 mod wais;
 mod whole;
