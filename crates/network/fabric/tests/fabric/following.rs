@@ -290,3 +290,26 @@ fn a_segment_that_was_sent_again_counts_where_it_came_first() {
     let parts = samples[0].parts.as_deref().unwrap();
     assert_eq!((parts.sender, parts.vnf), (Duration::ZERO, Duration::from_millis(10)));
 }
+
+#[test]
+fn the_gap_of_a_handover_shows_as_queueing_on_the_new_link() {
+    let network = Network::new().radio_unit("R1", 0.0).radio_unit("R2", 100.0).robot("p", 50.0).server("b");
+    let mut fabric = network.link("R1", "b", delay(3)).link("R2", "b", delay(3)).fabric(1);
+    let [p, b] = ["p", "b"].map(|name| fabric.port(&name.parse().unwrap()).unwrap());
+    let trips = follow(&mut fabric, "p");
+    let from = fabric.attached_to(&"p".parse().unwrap()).unwrap().clone();
+    let to = if from.as_str() == "R1" { "R2" } else { "R1" };
+    fabric.attach(ms(0.0), &"p".parse().unwrap(), &to.parse().unwrap()).unwrap();
+    fabric.push(ms(1.0), p, datagram((p, CLIENT), (b, PORT), 7));
+    let mut now = ms(1.0);
+    run(&mut fabric, &mut now, ms(999.0), |fabric, Delivery { at, port, .. }| {
+        if port == b {
+            fabric.push(at, b, datagram((b, PORT), (p, CLIENT), 7));
+        }
+    });
+    let Event::Handover(handover) = fabric.next_event().unwrap().event else { panic!("a handover") };
+    let RoundTrip { out, back, .. } = trips.try_recv().unwrap();
+    assert_eq!(out.links[0].link.as_str(), format!("p~{to}"));
+    assert_eq!(out.links[0].queueing, handover.gap - Duration::from_millis(1));
+    assert_eq!(back.links[1].queueing, Duration::ZERO);
+}
