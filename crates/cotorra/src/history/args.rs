@@ -20,6 +20,7 @@ Examples:
   cotorra history series latest service
   cotorra history series latest robot --figure service_time
   cotorra history series latest R1-cloud --figure delay --from 1min --to 2min
+  cotorra history series latest R1-cloud --figure time_part
   cotorra history series latest robot --figure x --csv > x.csv
   cotorra history series latest R1-cloud --figure delay -o delay.pdf
   cotorra history events latest --kinds handover,decision
