@@ -1,4 +1,5 @@
 //! Parts of service times, with real packets.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::collections::BTreeMap;
 
