@@ -150,8 +150,8 @@ impl Comparison {
     pub fn write(&self, folder: &Path) -> Result<(), FolderError> {
         let [_, table, data, csv, for_papers] = FILES;
         self.write_figure(folder, Format::Svg)?;
-        write_file(folder, table, &self.to_markdown())?;
-        write_file(folder, for_papers, &self.table().to_latex())?;
+        write_file(folder, table, self.to_markdown())?;
+        write_file(folder, for_papers, self.table().to_latex())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");
         write_file(folder, data, &(json + "\n"))?;
         let mut rows = String::from("block_period_s,run,seed");

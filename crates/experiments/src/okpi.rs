@@ -300,9 +300,9 @@ impl Comparison {
         let at = |seconds: f64| decided.at(seconds).and_then(|state| theory.get(state).copied());
         let [_, tables, data, samples, for_papers, medians] = FILES;
         self.write_figure(folder, testbed, soa, okpi, Format::Svg)?;
-        write_file(folder, tables, &self.to_markdown(how))?;
-        write_file(folder, for_papers, &self.tables().map(|table| table.to_latex()).join("\n"))?;
-        write_file(folder, medians, &self.medians().to_csv())?;
+        write_file(folder, tables, self.to_markdown(how))?;
+        write_file(folder, for_papers, self.tables().map(|table| table.to_latex()).join("\n"))?;
+        write_file(folder, medians, self.medians().to_csv())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");
         write_file(folder, data, &(json + "\n"))?;
         let mut csv = String::from("contender,emitted_ns,service_time_ms,theory_ms,attachment,server\n");

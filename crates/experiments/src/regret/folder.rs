@@ -18,9 +18,9 @@ impl Regrets {
     /// [`FolderError`].
     pub fn write(&self, journal: &Journal) -> Result<(), FolderError> {
         let [table, all] = FILES;
-        write_file(journal.path(), table, &table_of(&self.examined))?;
+        write_file(journal.path(), table, table_of(&self.examined))?;
         let json = serde_json::to_string_pretty(self).expect("results are valid JSON");
-        write_file(journal.path(), all, &format!("{json}\n"))
+        write_file(journal.path(), all, json + "\n")
     }
 }
 

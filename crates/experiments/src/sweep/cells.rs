@@ -237,6 +237,7 @@ mod tests {
         blind_m: 0.0,
         longest_blind_m: 0.0,
         services: Vec::new(),
+        time_parts: Vec::new(),
         regions: Vec::new(),
     };
 }

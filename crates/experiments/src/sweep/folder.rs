@@ -28,14 +28,14 @@ impl Sweep {
     pub fn write(&self, journal: &Journal, runs: &Runs) -> Result<(), FolderError> {
         let (path, cells) = (journal.path(), self.cells(runs));
         let [of_runs, of_cells, of_regions, _, of_services, of_service_cells, for_papers, of_parts] = FILES;
-        let csv = |name, table: DataTable| write_file(path, name, &table.to_csv());
+        let csv = |name, table: DataTable| write_file(path, name, table.to_csv());
         csv(of_runs, tables::runs(self, runs))?;
         csv(of_cells, tables::cells(self, &cells))?;
         csv(of_regions, tables::regions(self, runs))?;
         csv(of_services, tables::services(self, runs))?;
         csv(of_service_cells, tables::service_cells(self, &cells))?;
         csv(of_parts, tables::time_parts(self, runs))?;
-        write_file(path, for_papers, &tables::by_service(self, &cells).to_latex())?;
+        write_file(path, for_papers, tables::by_service(self, &cells).to_latex())?;
         self.write_figure(journal, runs, Format::Svg)
     }
 

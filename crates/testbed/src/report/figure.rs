@@ -163,6 +163,7 @@ mod tests {
                 took: (second % 7 > 0).then(|| Duration::from_millis(10 + u64::from(second % 3))),
                 attachment: Some(unit.parse().unwrap()),
                 server: "cloud".parse().unwrap(),
+                parts: None,
             });
             report.absorb(&Stamped { at: emitted, event });
         }

@@ -23,7 +23,7 @@ pub struct RunFolder {
 
 impl RunFolder {
     /// Names in the folder that the run itself uses.
-    pub const NAMES: [&str; 15] = [
+    pub const NAMES: [&str; 17] = [
         "history.json",
         "history.sqlite",
         "history.sqlite-journal",
@@ -84,8 +84,8 @@ impl RunFolder {
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
         let json = serde_json::to_string_pretty(summary).expect("a summary is valid JSON");
         write_file(&self.path, "summary.json", &(json + "\n"))?;
-        write_file(&self.path, "services.csv", &services::exact(&summary.services).to_csv())?;
-        write_file(&self.path, "services.tex", &summary.by_service().to_latex())?;
+        write_file(&self.path, "services.csv", services::exact(&summary.services).to_csv())?;
+        write_file(&self.path, "services.tex", summary.by_service().to_latex())?;
         let path = self.path.join("service_time.csv");
         let written = File::create(&path).and_then(|file| write_csv(report, file));
         written.map_err(|source| FolderError::new(&path, source))?;
