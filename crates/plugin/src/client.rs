@@ -429,7 +429,7 @@ impl Client {
             request = request.query("filter", filter);
         }
         if let Some(snap) = snap {
-            request = request.query("snap", snap.to_string());
+            request = request.query("snap_bytes", snap.to_string());
         }
         Ok(self.answer(&url, request.call())?.into_body().into_reader())
     }

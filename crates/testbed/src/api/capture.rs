@@ -29,7 +29,7 @@ pub(super) struct Which {
     /// A filter such as `udp and host edge`, a subset of pcap-filter(7); all packets by default.
     filter: Option<String>,
     /// Bytes to keep of each packet; all by default.
-    snap: Option<u32>,
+    snap_bytes: Option<u32>,
 }
 
 /// Streams the packets that cross a link, or the links of a node, as a pcapng file without an end. Each packet has a comment
@@ -43,13 +43,13 @@ pub(super) async fn capture(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Path(id): Path<String>,
-    Query(Which { filter, snap }): Query<Which>,
+    Query(Which { filter, snap_bytes }): Query<Which>,
 ) -> Result<Response, Failure> {
     caller.operator()?;
     let wiretap = context.wiretap.ok_or_else(|| Failure::refused("a replay carries no packets"))?;
     let parse = |text: String| Filter::parse(&text, &context.testbed.graph);
     let filter = filter.map(parse).transpose().map_err(|error| Failure::bad_request(error.to_string()))?;
-    let (capture, reader) = Capture::new(filter, snap.unwrap_or(WHOLE));
+    let (capture, reader) = Capture::new(filter, snap_bytes.unwrap_or(WHOLE));
     wiretap(&id, reader).map_err(|error| match error {
         WiretapError::Tap(TapError::Unknown(_)) => Failure::not_found(error.to_string()),
         WiretapError::Tap(TapError::TooMany) => {

@@ -794,7 +794,7 @@ fn a_taken_port_says_what_to_do() {
 #[test]
 fn captures_stream_the_packets_of_a_link() {
     let served = serve(false);
-    let (status, mut stream) = served.open("network/captures/left-ap?filter=arp&snap=40");
+    let (status, mut stream) = served.open("network/captures/left-ap?filter=arp&snap_bytes=40");
     assert_eq!(status, 200);
     // The length of a chunk, and the first block.
     let mut line = String::new();
