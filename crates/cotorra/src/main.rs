@@ -18,6 +18,7 @@ mod doctor;
 mod duration;
 mod exec;
 mod experiment;
+mod explanation;
 mod fault_test;
 mod figures;
 mod history;

@@ -1,14 +1,22 @@
 //! Verdicts on services: a sentence for each robot on how often it kept its target.
 
-use cotorra_testbed::ServiceSummary;
+use cotorra_testbed::{ServiceParts, ServiceSummary};
 
-use crate::words::percent;
+use crate::{explanation::explanation, words::percent};
 
-/// Returns a sentence for each service, in their order, and one that names the worst of several.
+/// Returns a sentence for each service, in their order, and one that names the worst of several. A service that missed its
+/// target has the part of its service times that explains most of that.
 ///
 /// A testbed file demands no share of samples, so a service "did not keep" its target if most of its samples missed it.
-pub fn verdicts(services: &[ServiceSummary]) -> Vec<String> {
-    let mut sentences: Vec<_> = services.iter().map(|its| verdict(its, &name(its, services))).collect();
+pub fn verdicts(services: &[ServiceSummary], parts: &[ServiceParts]) -> Vec<String> {
+    let sentence = |its: &ServiceSummary| {
+        let verdict = verdict(its, &name(its, services));
+        match reason(its, parts) {
+            None => verdict + ".",
+            Some(reason) => format!("{verdict}; {reason}."),
+        }
+    };
+    let mut sentences: Vec<_> = services.iter().map(sentence).collect();
     sentences.extend(worst(services));
     sentences
 }
@@ -21,19 +29,25 @@ fn name(of: &ServiceSummary, services: &[ServiceSummary]) -> String {
     }
 }
 
+/// Explains the samples above the target; `None` if there are none, or none with parts.
+fn reason(its: &ServiceSummary, parts: &[ServiceParts]) -> Option<String> {
+    its.above_target.filter(|above| *above > 0.0)?;
+    explanation(parts.iter().find(|parts| parts.service == its.service)?)
+}
+
 fn verdict(its: &ServiceSummary, name: &str) -> String {
     let target = its.service_time_target_ms;
     let Some(kept) = kept(its) else {
-        return format!("{name} has no samples; its target is {target} ms.");
+        return format!("{name} has no samples; its target is {target} ms");
     };
     if kept >= 1.0 {
-        format!("{name} kept {target} ms in all samples.")
+        format!("{name} kept {target} ms in all samples")
     } else if kept >= 0.5 {
-        format!("{name} kept {target} ms in {} of samples.", percent(kept))
+        format!("{name} kept {target} ms in {} of samples", percent(kept))
     } else if kept > 0.0 {
-        format!("{name} did not keep {target} ms: only {} of samples did.", percent(kept))
+        format!("{name} did not keep {target} ms: only {} of samples did", percent(kept))
     } else {
-        format!("{name} did not keep {target} ms in any sample.")
+        format!("{name} did not keep {target} ms in any sample")
     }
 }
 
@@ -76,7 +90,7 @@ mod tests {
         let robots = [("r1", Some(8)), ("r2", Some(0)), ("r3", Some(86)), ("r4", Some(500))];
         let services = robots.map(|(robot, above)| service(robot, &format!("navigation-{robot}"), above));
         assert_eq!(
-            verdicts(&services),
+            verdicts(&services, &[]),
             [
                 "r1 kept 15 ms in 99.2 % of samples.",
                 "r2 kept 15 ms in all samples.",
@@ -89,7 +103,7 @@ mod tests {
 
     #[test]
     fn a_robot_that_missed_its_target_mostly_did_not_keep_it() {
-        let of = |above| verdicts(&[service("r1", "navigation", Some(above))]);
+        let of = |above| verdicts(&[service("r1", "navigation", Some(above))], &[]);
         assert_eq!(of(501), ["r1 did not keep 15 ms: only 49.9 % of samples did."]);
         assert_eq!(of(1000), ["r1 did not keep 15 ms in any sample."]);
     }
@@ -98,13 +112,13 @@ mod tests {
     fn services_of_one_robot_are_told_apart_and_missing_samples_are_said() {
         let services = [service("r1", "navigation", Some(100)), service("r1", "localization", None)];
         assert_eq!(
-            verdicts(&services),
+            verdicts(&services, &[]),
             [
                 "navigation of r1 kept 15 ms in 90.0 % of samples.",
                 "localization of r1 has no samples; its target is 15 ms.",
             ]
         );
         let equal = ["r1", "r2"].map(|robot| service(robot, "navigation", Some(10)));
-        assert_eq!(verdicts(&equal).len(), 2, "none of them is the worst");
+        assert_eq!(verdicts(&equal, &[]).len(), 2, "none of them is the worst");
     }
 }

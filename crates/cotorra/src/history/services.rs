@@ -4,7 +4,7 @@ use std::ops::Bound;
 
 use cotorra_graph::{Event, Stamped, Timestamp};
 use cotorra_measurements::PageRequest;
-use cotorra_testbed::{Report, ServiceSummary, by_service};
+use cotorra_testbed::{Report, ServiceParts, ServiceSummary, by_service};
 
 use super::source::{Error, Source};
 use crate::{table::Table, testbed_file, verdict::verdicts};
@@ -27,13 +27,13 @@ pub fn services(source: &Source, range: (Bound<Timestamp>, Bound<Timestamp>)) ->
         let Some(next) = page.next else { break };
         request = PageRequest::after(next, PageRequest::MAX);
     }
-    Ok(describe(&report.services()))
+    Ok(describe(&report.services(), &report.time_parts()))
 }
 
-fn describe(services: &[ServiceSummary]) -> String {
+fn describe(services: &[ServiceSummary], parts: &[ServiceParts]) -> String {
     let table = match services {
         [] | [_] => String::new(),
         several => Table::of(by_service(several).rows(), 2).render("  ") + "\n",
     };
-    verdicts(services).iter().fold(table, |text, verdict| text + "  " + verdict + "\n")
+    verdicts(services, parts).iter().fold(table, |text, verdict| text + "  " + verdict + "\n")
 }

@@ -5,7 +5,6 @@ mod lines;
 mod plan;
 mod summary;
 mod tally;
-mod time_parts;
 mod view;
 
 use std::{

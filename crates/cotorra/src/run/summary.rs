@@ -1,13 +1,10 @@
 //! Output of a run at its end: its summary, formatted for people.
 
-use std::iter;
-
 use console::style;
 use cotorra_measurements::Location;
 use cotorra_recording::RecordingSummary;
-use cotorra_testbed::{Finished, Quantiles, RobotSummary, ServiceSummary, Summary};
+use cotorra_testbed::{Finished, Quantiles, RobotSummary, Summary};
 
-use super::time_parts;
 use crate::{
     table::Table,
     verdict::verdicts,
@@ -31,16 +28,10 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         clock(summary.duration_ms / 1e3),
         summary.ended,
     );
-    let verdicts = verdicts(&summary.services);
+    let verdicts = verdicts(&summary.services, &summary.time_parts);
     if !verdicts.is_empty() {
         text += "\n";
-        let reasons = summary.services.iter().map(|its| reason(summary, its)).chain(iter::repeat(None));
-        for (verdict, reason) in verdicts.iter().zip(reasons) {
-            match reason {
-                None => text += &format!("  {verdict}\n"),
-                Some(reason) => text += &format!("  {}; {reason}.\n", verdict.trim_end_matches('.')),
-            }
-        }
+        verdicts.iter().for_each(|verdict| text += &format!("  {verdict}\n"));
     }
     if !summary.regions.is_empty() {
         text += "\n";
@@ -82,12 +73,6 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         text += &format!("Its history is run {} in {history}\n", finished.run);
     }
     text
-}
-
-/// Explains the samples of a service above its target; `None` if there are none, or none with parts.
-fn reason(summary: &Summary, its: &ServiceSummary) -> Option<String> {
-    its.above_target.filter(|above| *above > 0.0)?;
-    time_parts::explanation(summary.time_parts.iter().find(|parts| parts.service == its.service)?)
 }
 
 /// Describes the gaps of a recording.

@@ -64,11 +64,15 @@ fn a_run_says_of_each_robot_whether_it_kept_its_target() {
         if robot != "r2" {
             let share = kept as f64 / of_robot as f64 * 100.0;
             assert!(
-                printed.contains(&format!("\n  {robot} kept 15 ms in {share:.1} % of samples.\n")),
+                printed.contains(&format!("\n  {robot} kept 15 ms in {share:.1} % of samples; ")),
                 "{printed}"
             );
         }
     }
+    assert!(
+        printed.lines().any(|line| line.starts_with("  r3 ") && line.contains("; lan-cloud added ")),
+        "{printed}"
+    );
     let whole = above_all as f64 / samples.len() as f64;
     assert_eq!(summary["samples"], samples.len());
     assert!((summary["above_target"].as_f64().unwrap() - whole).abs() < 1e-9, "{summary}");

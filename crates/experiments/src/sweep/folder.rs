@@ -6,18 +6,18 @@ use cotorra_testbed::{DataTable, FolderError, write_file};
 use super::{Runs, Sweep, figure, tables};
 use crate::journal::Journal;
 
-/// Files that [`Sweep::write`] makes: a row per run, a row per combination, a row per region of a run, and the plot; a row
-/// per service of a run, a row per service of a combination, and the latter for papers; a row per part of the service times
-/// of a run.
+/// Files that [`Sweep::write`] makes: a row per run, a row per combination, a row per region of a run, a row per service of
+/// a run, a row per service of a combination, and the latter for papers, a row per part of the service times of a run, and
+/// the plot.
 pub const FILES: [&str; 8] = [
     "runs.csv",
     "cells.csv",
     "regions.csv",
-    "sweep.svg",
     "services.csv",
     "service_cells.csv",
     "service_cells.tex",
     "time_parts.csv",
+    "sweep.svg",
 ];
 
 impl Sweep {
@@ -27,7 +27,7 @@ impl Sweep {
     /// [`FolderError`].
     pub fn write(&self, journal: &Journal, runs: &Runs) -> Result<(), FolderError> {
         let (path, cells) = (journal.path(), self.cells(runs));
-        let [of_runs, of_cells, of_regions, _, of_services, of_service_cells, for_papers, of_parts] = FILES;
+        let [of_runs, of_cells, of_regions, of_services, of_service_cells, for_papers, of_parts, _] = FILES;
         let csv = |name, table: DataTable| write_file(path, name, table.to_csv());
         csv(of_runs, tables::runs(self, runs))?;
         csv(of_cells, tables::cells(self, &cells))?;

@@ -477,6 +477,11 @@ impl Report {
         self.summarize(self.by_service())
     }
 
+    /// Returns the parts of the service times of services with answered samples, in the file's order.
+    pub fn time_parts(&self) -> Vec<ServiceParts> {
+        self.time_parts.summary()
+    }
+
     /// Returns the service times of each service, in the file's order.
     fn by_service(&self) -> Vec<Times> {
         let places: BTreeMap<_, _> =
@@ -538,7 +543,7 @@ impl Report {
             service_time_ms: Quantiles::of(whole.answered),
             robots: self.robots(&by_service),
             services: self.summarize(by_service),
-            time_parts: self.time_parts.summary(),
+            time_parts: self.time_parts(),
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
