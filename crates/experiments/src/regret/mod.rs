@@ -22,10 +22,11 @@ pub use self::{
     decided::{Alternative, Decided},
     folder::FILES,
 };
+pub use crate::kept::UnknownService;
 use crate::{
     batch::{self, BatchError},
     journal::Journal,
-    kept::{self, UnknownService},
+    kept,
 };
 
 /// Longest run with an alternative and without an own limit, as a multiple of the run as it was.
