@@ -81,11 +81,14 @@ fn assert_readings(run: &Run) {
     assert!(images.len() as u64 <= seconds + 2, "five a second at most: {images:?}");
     // A sensor that cannot be read is reported once, and the others continue.
     assert_eq!([read("depth"), read("toes"), read("nobody")], [Value::Null, Value::Null, Value::Null]);
-    let notices = run.get("/api/v1/measurements/events?kinds=notice")["items"].to_string();
-    for notice in [
+    let notices = || run.get("/api/v1/measurements/events?kinds=notice")["items"].to_string();
+    let expected = [
         "robot tb, sensor depth: its pixels are `16UC1`, where `mono8`, `rgb8` and `bgr8` are read",
         "robot tb, sensor toes: it has 2 numbers, and its topic 5",
-    ] {
+    ];
+    wait_until(|| expected.iter().all(|notice| notices().contains(notice)));
+    let notices = notices();
+    for notice in expected {
         assert_eq!(notices.matches(notice).count(), 1, "{notices}");
     }
 }
