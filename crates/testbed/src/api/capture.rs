@@ -15,10 +15,7 @@ use super::{
     context::Context,
     types::{Failure, Path, Query},
 };
-use crate::capture::{Capture, Filter, WHOLE, WiretapError};
-
-/// Media type of pcapng, as Wireshark registers it.
-pub(super) const PCAPNG: &str = "application/x-pcapng";
+use crate::capture::{Capture, Filter, PCAPNG, WHOLE, WiretapError};
 
 /// The packets of a capture.
 #[derive(Debug, Deserialize)]

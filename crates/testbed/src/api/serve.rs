@@ -40,10 +40,10 @@ use tokio::{
 use tokio_stream::StreamExt as _;
 
 use super::{
-    capture::PCAPNG,
     connections::{Connections, Full, Limits, Whose},
     types::Failure,
 };
+use crate::capture::PCAPNG;
 
 /// Buffer of a connection per direction, bytes; also the longest head of a request.
 const BUFFER: usize = 16 << 10;

@@ -23,6 +23,8 @@ pub use self::file::{CaptureError, CapturePlan, InvalidCapturePlan, create_captu
 use self::pcapng::{Captured, Writer};
 pub(crate) use self::{file::CaptureFile, filter::Filter};
 
+/// Media type of pcapng, as Wireshark registers it.
+pub(crate) const PCAPNG: &str = "application/x-pcapng";
 /// Bytes to keep of a packet by default: more than any has.
 pub(crate) const WHOLE: u32 = 262_144;
 /// Most packets that wait for a reader. Further ones are missed.
