@@ -512,7 +512,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_is_of_what_was_asked_for() {
+    fn a_curve_has_the_selected_samples() {
         let (history, run) = recorded(&[10, 20, 30, 40].map(|t| lateness(t, t as f64)));
         let figure = Figure::Lateness(LatenessQuantity::P99);
         let s = |seconds: u64| Timestamp::from_nanos(seconds * 1_000_000_000);
@@ -536,7 +536,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_tells_what_was_lost() {
+    fn a_curve_reports_lost_samples() {
         let (history, run) =
             recorded(&[lateness(1, 1.0), notice(u64::MAX, "after 584 years"), lateness(2, 2.0)]);
         let request = CurveRequest::default();
@@ -549,7 +549,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_are_told_side_by_side() {
+    fn the_diff_shows_runs_side_by_side() {
         use cotorra_graph::{Decision, Handover, Instruction, PluginId, ServiceId, VnfId};
         let node = |name: &str| NodeId::new(name).unwrap();
         let s = |seconds: u64| Timestamp::from_nanos(seconds * 1_000_000_000);

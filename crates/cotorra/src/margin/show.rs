@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_margin_and_radio_units_are_told_in_sentences() {
+    fn sentences_name_the_smallest_margin_and_the_radio_units() {
         let margins = Margins {
             keep: 0.99,
             seeds: 2,

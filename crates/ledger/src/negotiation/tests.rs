@@ -422,7 +422,7 @@ fn negotiations_take_only_the_necessary_blocks() {
 }
 
 #[test]
-fn the_worse_of_two_bids_loses_and_is_told() {
+fn the_losing_bidder_is_notified() {
     let mut world = World::new(&[(Manner::Honest, 7), (Manner::Honest, 9)], Faults::default());
     world.run(seconds(100.0));
     let lost = |domain: &Domain| domain.steps.iter().any(|(_, step)| *step == ProviderStep::Lost);

@@ -43,7 +43,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn what_is_exported_and_imported_gives_the_same_answers(
+    fn exported_and_imported_histories_give_the_same_answers(
         events in vec(stamped(), 0..60),
         gaps in vec((0..1000_u64, 0..1000_u64, 1..9_u64), 0..3),
         ended: bool,

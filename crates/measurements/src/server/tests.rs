@@ -370,7 +370,7 @@ fn a_server_that_hangs_is_one_that_is_gone() {
 
 /// A batch whose acknowledgement was lost is spooled, and not taken in again.
 #[test]
-fn a_batch_whose_fate_is_unknown_is_taken_in_once() {
+fn a_batch_with_unknown_outcome_is_stored_once() {
     let Some(server) = MariaDb::shared() else { return };
     let url = server.fresh();
     let store = Remote::open(&place(&url)).unwrap();
@@ -432,7 +432,7 @@ fn a_full_spool_makes_gaps_in_the_end() {
 
 /// Events without room at the end of a process become a gap.
 #[test]
-fn a_full_spool_that_is_left_behind_tells_its_gap() {
+fn an_abandoned_full_spool_reports_its_gap() {
     let Some(server) = MariaDb::start() else { return };
     let place = place(&server.fresh());
     let history = History::of(Arc::new(Remote::within(&place, SMALL).unwrap())).unwrap();

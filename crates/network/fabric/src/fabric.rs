@@ -34,7 +34,7 @@ use crate::{
     settings::{FabricError, Settings},
     tap::Tap,
     timers::Timers,
-    trace::Over,
+    trace::DirectedLink,
 };
 
 /// Frames that the fabric could not forward.
@@ -562,7 +562,7 @@ impl Fabric {
     /// Handles a packet that has crossed an edge. Probes turn back or end here; others move on.
     fn crossed(&mut self, now: Timestamp, edge: usize, mut packet: Packet) {
         if let Some(trace) = packet.frame.trace() {
-            trace.crossed(Over::Wire(edge), [packet.entered, packet.began, now], Duration::ZERO);
+            trace.crossed(DirectedLink::Wire(edge), [packet.entered, packet.began, now], Duration::ZERO);
         }
         if !self.taps.is_empty() && packet.counts() {
             self.show_wired(edge, [packet.entered, now], &packet.frame);

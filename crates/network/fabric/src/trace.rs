@@ -21,7 +21,7 @@ pub(crate) struct Trace {
 /// The crossing of one link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Crossing {
-    pub over: Over,
+    pub link: DirectedLink,
     pub queueing: Duration,
     pub retries: Duration,
     pub crossing: Duration,
@@ -29,7 +29,7 @@ pub(crate) struct Crossing {
 
 /// One direction of a link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Over {
+pub(crate) enum DirectedLink {
     /// A wired link, by its edge.
     Wire(usize),
     Air(StationIndex, RadioUnitIndex, Direction),
@@ -44,12 +44,12 @@ impl Trace {
     }
 
     /// Adds a crossing, from entering the link over the start of the transmission to the arrival.
-    pub fn crossed(&mut self, over: Over, [entered, began, due]: [Timestamp; 3], retries: Duration) {
+    pub fn crossed(&mut self, link: DirectedLink, [entered, began, due]: [Timestamp; 3], retries: Duration) {
         if self.crossings.len() < Self::MOST {
             let sent = due.since(began);
             let retries = retries.min(sent);
             let (queueing, crossing) = (began.since(entered), sent - retries);
-            self.crossings.push(Crossing { over, queueing, retries, crossing });
+            self.crossings.push(Crossing { link, queueing, retries, crossing });
         }
     }
 }

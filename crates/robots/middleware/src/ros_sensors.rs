@@ -127,9 +127,9 @@ mod tests {
     }
 
     /// A source of the images in a channel.
-    struct Told(mpsc::Receiver<Result<Picture, NoPicture>>);
+    struct ChannelSource(mpsc::Receiver<Result<Picture, NoPicture>>);
 
-    impl Source for Told {
+    impl Source for ChannelSource {
         type Message = Result<Picture, NoPicture>;
 
         fn next(&self) -> Option<Self::Message> {
@@ -159,7 +159,7 @@ mod tests {
         let (sender, receiver) = mpsc::sync_channel(0);
         let camera = SensorId::new("camera").unwrap();
         let mut topics = SensorTopics::default();
-        topics.images(&camera, Told(receiver), |told| told).unwrap();
+        topics.images(&camera, ChannelSource(receiver), |told| told).unwrap();
         // Once an image is received, the one before it is stored. Sending the last one twice makes sure that it is stored.
         let tell = |told: &[Result<Picture, NoPicture>]| {
             told.iter().chain(told.last()).for_each(|told| sender.send(told.clone()).unwrap());

@@ -39,7 +39,7 @@ fn write_all(keeper: &Keeper, bytes: u64) {
 }
 
 #[test]
-fn what_waits_can_be_read_and_what_finds_no_room_is_lost_and_counted() {
+fn queued_events_are_readable_and_overflow_is_counted() {
     let folder = tempfile::tempdir().unwrap();
     let keeper = Keeper::of_folder(folder.path(), Pace::Live);
     let half = WAITING_BYTES as usize / 2;
@@ -77,7 +77,7 @@ fn so_many_readings_wait_however_small_and_one_that_is_too_large_waits_alone() {
 }
 
 #[test]
-fn what_cannot_be_written_is_told_and_the_rest_is_kept() {
+fn write_errors_are_reported_and_the_rest_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let keeper = Keeper::of_folder(folder.path(), Pace::Live);
     for (sequence, bytes) in [(0, 10), (1, 100), (2, 10)] {

@@ -9,7 +9,7 @@ use crate::{
     frame::Frame,
     port::PortId,
     radio::Path,
-    trace::{Crossing, Over, Trace},
+    trace::{Crossing, DirectedLink, Trace},
 };
 
 impl Fabric {
@@ -92,11 +92,13 @@ impl Fabric {
 
     /// Returns the way of a frame with the names of its links.
     fn trip(&self, trace: Trace, due: Timestamp, delivered: Timestamp) -> Trip {
-        let on = |Crossing { over, queueing, retries, crossing }: Crossing| {
-            let (link, direction) = match over {
-                Over::Wire(edge) if edge.is_multiple_of(2) => (&self.links[edge / 2], Direction::Forward),
-                Over::Wire(edge) => (&self.links[edge / 2], Direction::Backward),
-                Over::Air(robot, unit, direction) => {
+        let on = |Crossing { link, queueing, retries, crossing }: Crossing| {
+            let (link, direction) = match link {
+                DirectedLink::Wire(edge) if edge.is_multiple_of(2) => {
+                    (&self.links[edge / 2], Direction::Forward)
+                }
+                DirectedLink::Wire(edge) => (&self.links[edge / 2], Direction::Backward),
+                DirectedLink::Air(robot, unit, direction) => {
                     (self.radio.counters(Path { robot, unit, direction })?.0, direction)
                 }
             };

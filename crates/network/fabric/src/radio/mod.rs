@@ -52,7 +52,7 @@ use crate::{
     random::stream,
     settings::{Carries, FabricError, Settings},
     timers::Timers,
-    trace::Over,
+    trace::DirectedLink,
 };
 
 /// Interval of scans of a moving station without a radio unit.
@@ -387,7 +387,11 @@ impl Radio {
             if let Some(trace) = frame.trace() {
                 let Path { robot, unit, direction } = path;
                 let began = flight.start();
-                trace.crossed(Over::Air(robot, unit, direction), [since, began, due], flight.retries());
+                trace.crossed(
+                    DirectedLink::Air(robot, unit, direction),
+                    [since, began, due],
+                    flight.retries(),
+                );
             }
             let (robot, unit) = (self.robots[path.robot].port, self.units[path.unit].port);
             let (from, at) = match path.direction {
