@@ -10,7 +10,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    conditions::{Conditions, Scale},
+    conditions::{Conditions, Loss, Scale},
     driver::Driver,
     exposure::IpNetwork,
     id::{DomainId, LinkId, NodeId},
@@ -399,6 +399,9 @@ pub struct WirelessNetwork {
     /// Highest rate of one station, whatever its signal. A frame's airtime is at least its bits over this rate.
     #[serde(rename = "rate_bps")]
     pub rate: Option<BitRate>,
+    /// Loss of frames that the air would deliver, in each direction.
+    #[serde(default)]
+    pub loss: Loss,
     /// Fast transition (IEEE 802.11r) within the mobility domain.
     pub fast_transition: bool,
     /// The mobility domain of its radio units.

@@ -167,6 +167,8 @@ record! {
         delay: Duration = "1 ms",
         /// Highest rate of one station, whatever its signal. Without it, the signal alone decides.
         rate: Option<BitRate>,
+        /// Frames that vanish though the air would deliver them: a share, or a mapping for losses in bursts.
+        loss: Option<Either<Probability, LossRecord>>,
         /// Fast transition (IEEE 802.11r) in one mobility domain: a handover leaves the key handshakes out.
         fast_transition: bool = true,
         /// Mobility domain of its radio units.

@@ -64,13 +64,13 @@ pub struct MarginArgs {
     /// Link, wireless network, server or radio unit to change; can be given several times; default: all
     #[arg(long, value_name = "NAME")]
     pub on: Vec<String>,
-    /// Largest extra delay of a link, in each direction, and of a server's answers
+    /// Largest extra delay of a link or on the air, in each direction, and of a server's answers
     #[arg(long, value_name = "DURATION", default_value = "100ms", value_parser = parse_time)]
     pub most: Duration,
     /// Resolution of delays
     #[arg(long, value_name = "DURATION", default_value = "0.1ms", value_parser = parse_time)]
     pub resolution: Duration,
-    /// Largest extra loss of a link, in each direction
+    /// Largest extra loss of a link or on the air, in each direction
     #[arg(long, value_name = "SHARE", default_value = "10%", value_parser = parse_share)]
     pub most_loss: Probability,
     /// Resolution of losses; 0.0001% at least

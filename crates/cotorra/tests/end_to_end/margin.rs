@@ -51,30 +51,64 @@ fn margin(folder: &Path, out: &str) -> Command {
     command
 }
 
+/// Returns the `breaks` figure of the only search, as many times the resolution above `survives`.
+fn breaks_at(folder: &Path, quantity: &str, resolution: f64) -> f64 {
+    let margins = fs::read_to_string(folder.join("margin/margins.json")).unwrap();
+    let found = serde_json::from_str::<Value>(&margins).unwrap()["findings"].clone();
+    assert_eq!(found.as_array().unwrap().len(), 1);
+    let [survives, breaks] =
+        ["survives", "breaks"].map(|end| found[0][format!("{end}_{quantity}")].as_f64().unwrap());
+    assert!((breaks - survives - resolution).abs() < 1e-9, "{survives} {breaks}");
+    breaks
+}
+
+/// Sweeps an axis. Returns each value, without its unit, and whether it breaks the target.
+fn swept(folder: &Path, axis: &str, unit: &str) -> Vec<(f64, bool)> {
+    let mut sweep = cotorra(["sweep", "--headless", "--set", axis, "--out"]);
+    let sweep = sweep.arg(folder.join("sweep")).arg(lab(folder)).output().unwrap();
+    assert!(sweep.status.success(), "{}", stderr(&sweep));
+    let table = fs::read_to_string(folder.join("sweep/runs.csv")).unwrap();
+    let column = table.lines().next().unwrap().split(',').position(|name| name == "above_target").unwrap();
+    let rows = table.lines().skip(1).map(|row| row.split(',').collect::<Vec<_>>());
+    rows.map(|row| {
+        (row[0].trim_end_matches(unit).parse().unwrap(), row[column].parse::<f64>().unwrap() > 0.1)
+    })
+    .collect()
+}
+
 #[test]
 fn a_margin_agrees_with_a_sweep_over_the_same_axis() {
     let out = tempfile::tempdir().unwrap();
     let bounds = ["--change", "delay", "--on", "lan-edge", "--most", "8ms", "--resolution", "0.5ms"];
     let found = margin(out.path(), "margin").args(bounds).output().unwrap();
     assert!(found.status.success(), "{}", stderr(&found));
-    let margins = fs::read_to_string(out.path().join("margin/margins.json")).unwrap();
-    let finding = serde_json::from_str::<Value>(&margins).unwrap()["findings"][0].clone();
-    let [survives, breaks] = ["survives_ms", "breaks_ms"].map(|name| finding[name].as_f64().unwrap());
-    assert_eq!(breaks, survives + 0.5);
+    let breaks = breaks_at(out.path(), "ms", 0.5);
     let sentence = format!("delay: fails first at +{breaks} ms on lan-edge.");
     assert!(stdout(&found).contains(&sentence), "{}", stdout(&found));
 
-    let mut sweep = cotorra(["sweep", "--headless", "--set", "links.lan-edge.delay=1..9:0.5 ms", "--out"]);
-    let sweep = sweep.arg(out.path().join("sweep")).arg(lab(out.path())).output().unwrap();
-    assert!(sweep.status.success(), "{}", stderr(&sweep));
-    let table = fs::read_to_string(out.path().join("sweep/runs.csv")).unwrap();
-    let column = table.lines().next().unwrap().split(',').position(|name| name == "above_target").unwrap();
-    let rows: Vec<_> = table.lines().skip(1).map(|row| row.split(',').collect::<Vec<_>>()).collect();
-    assert_eq!(rows.len(), 17);
-    for row in rows {
-        let extra = row[0].trim_end_matches(" ms").parse::<f64>().unwrap() - 1.0;
-        let is_broken = row[column].parse::<f64>().unwrap() > 0.1;
-        assert_eq!(is_broken, extra >= breaks, "{row:?}");
+    let values = swept(out.path(), "links.lan-edge.delay=1..9:0.5 ms", " ms");
+    assert_eq!(values.len(), 17);
+    for (delay, is_broken) in values {
+        assert_eq!(is_broken, delay - 1.0 >= breaks, "{delay}");
+    }
+}
+
+#[test]
+fn a_margin_of_loss_on_the_air_agrees_with_a_sweep() {
+    let out = tempfile::tempdir().unwrap();
+    let bounds = ["--change", "loss", "--on", "w", "--most-loss", "10%", "--loss-resolution", "1%"];
+    let found = margin(out.path(), "margin").args(bounds).output().unwrap();
+    assert!(found.status.success(), "{}", stderr(&found));
+    let breaks = breaks_at(out.path(), "loss", 0.01);
+    assert!((0.02..0.09).contains(&breaks), "0.95² is 0.9: {breaks}");
+
+    let values = swept(out.path(), "wireless.w.loss=0..10:1 %", " %");
+    assert_eq!(values.len(), 11);
+    let tested = [breaks - 0.01, breaks].map(|share| (share * 100.0).round());
+    for (percent, is_broken) in values {
+        if tested.contains(&percent) || percent == 0.0 {
+            assert_eq!(is_broken, percent == tested[1], "{percent} %");
+        }
     }
 }
 

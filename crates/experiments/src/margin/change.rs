@@ -1,9 +1,9 @@
 //! Changes of a testbed: more delay, more loss, a slower server, a radio unit down.
 
-use std::{fmt, time::Duration};
+use std::{collections::BTreeSet, fmt, time::Duration};
 
 use cotorra_graph::{
-    ConditionChange, LinkId, Loss, NodeId, NodeKind, Probability, Scheduled, Testbed, millis,
+    ConditionChange, Conditions, LinkId, Loss, NodeId, NodeKind, Probability, Scheduled, Testbed, millis,
 };
 use cotorra_testbed::Altered;
 
@@ -13,9 +13,9 @@ pub const LOSS_UNITS: u64 = 1_000_000;
 /// Kinds of changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Extra delay on a link.
+    /// Extra delay on a link, or on the air.
     Delay,
-    /// Extra loss on a link.
+    /// Extra loss on a link, or on the air.
     Loss,
     /// A server whose VNFs answer later.
     Answers,
@@ -43,6 +43,8 @@ pub enum Dimension {
     AirDelay(String),
     /// Loss of a wired link, in each direction. Amounts are in units of [`LOSS_UNITS`].
     Loss(LinkId),
+    /// Loss of all links of a wireless network, in each direction. Amounts are in units of [`LOSS_UNITS`].
+    AirLoss(String),
     /// Time that a server's bundled VNFs take to answer. Amounts are in nanoseconds.
     Answers(NodeId),
 }
@@ -52,18 +54,25 @@ impl Dimension {
     pub fn on(&self) -> &str {
         match self {
             Self::Delay(link) | Self::Loss(link) => link.as_str(),
-            Self::AirDelay(network) => network,
+            Self::AirDelay(network) | Self::AirLoss(network) => network,
             Self::Answers(server) => server.as_str(),
+        }
+    }
+
+    /// Returns the kind of change that makes it worse.
+    pub(super) fn kind(&self) -> Kind {
+        match self {
+            Self::Delay(_) | Self::AirDelay(_) => Kind::Delay,
+            Self::Loss(_) | Self::AirLoss(_) => Kind::Loss,
+            Self::Answers(_) => Kind::Answers,
         }
     }
 
     /// Returns an amount for people.
     pub fn amount(&self, amount: u64) -> String {
-        match self {
-            Self::Loss(_) => format!("+{} %", amount as f64 * 100.0 / LOSS_UNITS as f64),
-            Self::Delay(_) | Self::AirDelay(_) | Self::Answers(_) => {
-                format!("+{} ms", millis::of(Duration::from_nanos(amount)))
-            }
+        match self.kind() {
+            Kind::Loss => format!("+{} %", amount as f64 * 100.0 / LOSS_UNITS as f64),
+            _ => format!("+{} ms", millis::of(Duration::from_nanos(amount))),
         }
     }
 }
@@ -82,11 +91,7 @@ impl fmt::Display for Change {
         let Self { worse, down } = self;
         match worse {
             Some((dimension, amount)) => {
-                let kind = match dimension {
-                    Dimension::Delay(_) | Dimension::AirDelay(_) => "delay",
-                    Dimension::Loss(_) => "loss",
-                    Dimension::Answers(_) => "answers",
-                };
+                let kind = dimension.kind().name();
                 write!(f, "{kind} {} {}", dimension.on(), dimension.amount(*amount))?;
             }
             None if down.is_none() => f.write_str("unchanged")?,
@@ -111,42 +116,62 @@ impl Change {
             }
         }
         let mut altered = Altered::default();
-        match &self.worse {
-            None => {}
-            Some((Dimension::Answers(server), amount)) => {
-                altered.slow.insert(server.clone(), Duration::from_nanos(*amount));
-            }
-            Some((Dimension::AirDelay(network), amount)) => {
-                if let Some(network) = testbed.graph.wireless.get_mut(network) {
-                    network.delay += Duration::from_nanos(*amount);
+        if let Some((dimension, amount)) = &self.worse {
+            let (delay, loss) = (Duration::from_nanos(*amount), *amount as f64 / LOSS_UNITS as f64);
+            match dimension {
+                Dimension::Answers(server) => drop(altered.slow.insert(server.clone(), delay)),
+                Dimension::Delay(link) => {
+                    each_direction(testbed, link, |conditions| conditions.delay += delay);
+                    delay_schedule(testbed, &[link.clone()].into(), delay);
                 }
-            }
-            Some((Dimension::Delay(link), amount)) => add_delay(testbed, link, Duration::from_nanos(*amount)),
-            Some((Dimension::Loss(link), amount)) => {
-                add_loss(testbed, link, *amount as f64 / LOSS_UNITS as f64);
+                Dimension::Loss(link) => {
+                    each_direction(testbed, link, |conditions| {
+                        conditions.loss = with_more(conditions.loss, loss);
+                    });
+                    thin_schedule(testbed, &[link.clone()].into(), loss);
+                }
+                Dimension::AirDelay(ssid) => {
+                    if let Some(network) = testbed.graph.wireless.get_mut(ssid) {
+                        network.delay += delay;
+                    }
+                    delay_schedule(testbed, &links_of(testbed, ssid), delay);
+                }
+                Dimension::AirLoss(ssid) => {
+                    if let Some(network) = testbed.graph.wireless.get_mut(ssid) {
+                        network.loss = with_more(network.loss, loss);
+                    }
+                    thin_schedule(testbed, &links_of(testbed, ssid), loss);
+                }
             }
         }
         altered
     }
 }
 
-/// Adds delay to each direction of a link, at the start and wherever the schedule sets its delay.
-fn add_delay(testbed: &mut Testbed, link: &LinkId, more: Duration) {
+/// Changes the conditions of each direction of a wired link at the start.
+fn each_direction(testbed: &mut Testbed, link: &LinkId, change: impl Fn(&mut Conditions)) {
     for link in testbed.graph.links.iter_mut().filter(|other| other.id == *link) {
-        link.forward.delay += more;
-        link.backward.delay += more;
+        change(&mut link.forward);
+        change(&mut link.backward);
     }
-    reschedule(testbed, link, |set| set.delay_ms = set.delay_ms.map(|delay_ms| delay_ms + millis::of(more)));
 }
 
-/// Adds loss to each direction of a link, at the start and wherever the schedule sets its loss.
-fn add_loss(testbed: &mut Testbed, link: &LinkId, more: f64) {
-    for link in testbed.graph.links.iter_mut().filter(|other| other.id == *link) {
-        for conditions in [&mut link.forward, &mut link.backward] {
-            conditions.loss = with_more(conditions.loss, more);
-        }
-    }
-    reschedule(testbed, link, |set| set.loss = set.loss.map(|loss| with_more(loss, more)));
+/// Returns the links of a wireless network.
+fn links_of(testbed: &Testbed, ssid: &str) -> BTreeSet<LinkId> {
+    let graph = &testbed.graph;
+    let units = || graph.radio_units().filter(|(_, unit)| unit.network == ssid).map(|(node, _)| &node.id);
+    let robots = graph.robots().filter(|(_, robot)| robot.network == ssid);
+    robots.flat_map(|(node, _)| units().map(|unit| LinkId::wireless(&node.id, unit))).collect()
+}
+
+/// Adds delay wherever the schedule sets that of these links.
+fn delay_schedule(testbed: &mut Testbed, links: &BTreeSet<LinkId>, more: Duration) {
+    reschedule(testbed, links, |set| set.delay_ms = set.delay_ms.map(|delay_ms| delay_ms + millis::of(more)));
+}
+
+/// Adds loss wherever the schedule sets that of these links.
+fn thin_schedule(testbed: &mut Testbed, links: &BTreeSet<LinkId>, more: f64) {
+    reschedule(testbed, links, |set| set.loss = set.loss.map(|loss| with_more(loss, more)));
 }
 
 /// Returns a loss that also loses a share `more` of what it lets pass.
@@ -165,20 +190,18 @@ fn with_more(loss: Loss, more: f64) -> Loss {
     }
 }
 
-/// Changes what the schedule sets for one link; other links of the same entries keep theirs.
-fn reschedule(testbed: &mut Testbed, link: &LinkId, change: impl Fn(&mut ConditionChange)) {
+/// Changes what the schedule sets for these links; other links of the same entries keep theirs.
+fn reschedule(testbed: &mut Testbed, links: &BTreeSet<LinkId>, change: impl Fn(&mut ConditionChange)) {
     let entries = std::mem::take(&mut testbed.script.schedule);
     testbed.script.schedule = entries
         .into_iter()
         .flat_map(|entry| {
-            if !entry.links.contains(link) {
-                return vec![entry];
-            }
-            let mut own = Scheduled { links: vec![link.clone()], ..entry.clone() };
-            change(&mut own.set);
-            let mut others = entry;
-            others.links.retain(|other| other != link);
-            if others.links.is_empty() { vec![own] } else { vec![others, own] }
+            let (own, others): (Vec<_>, Vec<_>) =
+                entry.links.iter().cloned().partition(|link| links.contains(link));
+            let mut changed = Scheduled { links: own, ..entry.clone() };
+            change(&mut changed.set);
+            let others = Scheduled { links: others, ..entry };
+            [others, changed].into_iter().filter(|entry| !entry.links.is_empty())
         })
         .collect();
 }
@@ -191,10 +214,12 @@ mod tests {
 
     fn testbed() -> Testbed {
         let text = "name: x\nwireless: { w: { delay: 1 ms } }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+                    r: { kind: robot, position: [1, 0] }\n  \
                     a: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\n  b: { kind: switch }\n\
                     links:\n  - { ends: [a, b], delay: 1 ms, loss: 50 % }\n  - { ends: [b, R], delay: 2 ms }\n\
                     schedule:\n  - { at: 1 s, links: [a-b, b-R], set: { delay: 8 ms, loss: 20 % } }\n  \
-                    - { at: 2 s, links: a-b, set: { delay_scale: 2 } }\n";
+                    - { at: 2 s, links: a-b, set: { delay_scale: 2 } }\n  \
+                    - { at: 3 s, links: [r~R, b-R], set: { delay: 4 ms, loss: 10 % } }\n";
         cotorra_testbed_file::parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"))
     }
 
@@ -220,17 +245,25 @@ mod tests {
             .iter()
             .map(|entry| (entry.links[0].as_str(), entry.set.delay_ms, entry.set.delay_scale))
             .collect();
-        let expected = [("b-R", Some(8.0), None), ("a-b", Some(11.1), None), ("a-b", None, Some(2.0))];
+        let expected = [
+            ("b-R", Some(8.0), None),
+            ("a-b", Some(11.1), None),
+            ("a-b", None, Some(2.0)),
+            ("r~R", Some(4.0), None),
+        ];
         assert_eq!(set, expected);
+    }
+
+    fn share(loss: Option<Loss>) -> f64 {
+        match loss {
+            Some(Loss::Independent { rate }) => rate.get(),
+            other => panic!("{other:?}"),
+        }
     }
 
     #[test]
     fn loss_is_added_to_what_passes() {
         let (testbed, _) = changed(Dimension::Loss(link("a-b")), LOSS_UNITS / 10);
-        let share = |loss: Option<Loss>| match loss {
-            Some(Loss::Independent { rate }) => rate.get(),
-            other => panic!("{other:?}"),
-        };
         assert!((share(Some(testbed.graph.links[0].forward.loss)) - 0.55).abs() < 1e-12);
         assert_eq!(testbed.graph.links[1].forward.loss, Loss::None);
         assert!((share(testbed.script.schedule[1].set.loss) - 0.28).abs() < 1e-12);
@@ -241,13 +274,35 @@ mod tests {
     }
 
     #[test]
-    fn servers_radio_units_and_the_air_get_worse_too() {
+    fn the_air_gets_worse_at_the_start_and_in_the_schedule_of_its_links_only() {
+        let at_3_s = |testbed: &Testbed| -> Vec<_> {
+            let entries = testbed.script.schedule.iter().filter(|entry| entry.set.delay_ms < Some(8.0));
+            let entries = entries.filter(|entry| entry.set.loss.is_some());
+            entries.map(|entry| (entry.links.clone(), entry.set.clone())).collect()
+        };
+        let (slow, _) = changed(Dimension::AirDelay("w".to_owned()), 2_000_000);
+        assert_eq!(slow.graph.wireless["w"].delay, Duration::from_millis(3));
+        let [(others, unchanged), (own, worse)] = &at_3_s(&slow)[..] else { panic!("{slow:?}") };
+        assert_eq!((&others[..], &own[..]), (&[link("b-R")][..], &[link("r~R")][..]));
+        assert_eq!((unchanged.delay_ms, worse.delay_ms), (Some(4.0), Some(6.0)));
+        assert_eq!(slow.graph.links, testbed().graph.links);
+
+        let (lossy, _) = changed(Dimension::AirLoss("w".to_owned()), LOSS_UNITS / 2);
+        assert_eq!(share(Some(lossy.graph.wireless["w"].loss)), 0.5);
+        let [(_, unchanged), (_, worse)] = &at_3_s(&lossy)[..] else { panic!("{lossy:?}") };
+        assert_eq!((share(unchanged.loss), share(worse.loss)), (0.1, 0.55));
+        assert_eq!(lossy.graph.links, testbed().graph.links);
+        // Links of another network stay.
+        let (other, _) = changed(Dimension::AirLoss("x".to_owned()), LOSS_UNITS / 2);
+        assert_eq!(other, testbed());
+    }
+
+    #[test]
+    fn servers_and_radio_units_get_worse_too() {
         let (unchanged, altered) = changed(Dimension::Answers("a".parse().unwrap()), 2_000_000);
         assert_eq!(unchanged, testbed());
         let slow: Vec<_> = altered.slow.into_iter().collect();
         assert_eq!(slow, [("a".parse().unwrap(), Duration::from_millis(2))]);
-        let (air, _) = changed(Dimension::AirDelay("w".to_owned()), 2_000_000);
-        assert_eq!(air.graph.wireless["w"].delay, Duration::from_millis(3));
         let mut testbed = testbed();
         Change { worse: None, down: Some("R".parse().unwrap()) }.apply(&mut testbed);
         assert!(!testbed.graph.radio_units().next().unwrap().1.serving);

@@ -116,6 +116,7 @@ impl Margin {
         }
         if of(Kind::Loss) {
             dimensions.extend(links().map(Dimension::Loss));
+            dimensions.extend(graph.wireless.keys().cloned().map(Dimension::AirLoss));
         }
         if of(Kind::Answers) {
             dimensions.extend(graph.servers().map(|(node, _)| Dimension::Answers(node.id.clone())));
@@ -136,8 +137,7 @@ impl Margin {
         if dimensions.is_empty() && units.is_empty() {
             return Err(MarginError::Nothing);
         }
-        let sets_links =
-            |dimension: &Dimension| matches!(dimension, Dimension::Delay(_) | Dimension::Loss(_));
+        let sets_links = |dimension: &Dimension| dimension.kind() != Kind::Answers;
         if testbed.script.replay.is_some() && dimensions.iter().any(sets_links) {
             return Err(MarginError::Replay);
         }
@@ -179,10 +179,7 @@ impl Margin {
     }
 
     fn grid(&self, dimension: &Dimension) -> Grid {
-        match dimension {
-            Dimension::Loss(_) => self.options.losses,
-            Dimension::Delay(_) | Dimension::AirDelay(_) | Dimension::Answers(_) => self.options.delays,
-        }
+        if dimension.kind() == Kind::Loss { self.options.losses } else { self.options.delays }
     }
 
     /// Returns the delays that are also searched with a radio unit down.

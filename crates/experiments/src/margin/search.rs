@@ -44,11 +44,11 @@ impl Search {
         let (none, in_ms) = ([None; 2], || [Some(survives / 1e6), breaks.map(|breaks| breaks / 1e6)]);
         let units = LOSS_UNITS as f64;
         let in_share = || [Some(survives / units), breaks.map(|breaks| breaks / units)];
-        let (kind, [survives_ms, breaks_ms], [survives_loss, breaks_loss]) = match &self.dimension {
-            None => (Kind::Down, none, none),
-            Some(Dimension::Loss(_)) => (Kind::Loss, none, in_share()),
-            Some(Dimension::Answers(_)) => (Kind::Answers, in_ms(), none),
-            Some(Dimension::Delay(_) | Dimension::AirDelay(_)) => (Kind::Delay, in_ms(), none),
+        let kind = self.dimension.as_ref().map_or(Kind::Down, Dimension::kind);
+        let ([survives_ms, breaks_ms], [survives_loss, breaks_loss]) = match kind {
+            Kind::Down => (none, none),
+            Kind::Loss => (none, in_share()),
+            Kind::Delay | Kind::Answers => (in_ms(), none),
         };
         Finding {
             change: kind.name(),

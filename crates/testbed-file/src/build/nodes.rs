@@ -1,8 +1,8 @@
 //! Nodes, and the wireless networks that connect them.
 
 use cotorra_graph::{
-    Capacity, DomainId, HandoverTimes, HostAddress, Machine, Node, NodeId, NodeKind, PathLoss, Position,
-    Probability, RadioUnit, Reached, Robot, Server, Shadowing, WirelessNetwork,
+    Capacity, DomainId, HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, PathLoss,
+    Position, Probability, RadioUnit, Reached, Robot, Server, Shadowing, WirelessNetwork,
 };
 
 use super::{
@@ -34,11 +34,16 @@ impl Builder<'_> {
                 .error(&correlation.span, "a correlation distance of zero")
                 .help("write one above zero, such as `5 m`; `deviation: 0 dB` switches shadowing off");
         }
+        let loss = match &record.loss {
+            None => Loss::None,
+            Some(loss) => self.loss(loss)?,
+        };
         let handover = &record.handover;
         Some(WirelessNetwork {
             standard: record.standard,
             delay: record.delay,
             rate: record.rate,
+            loss,
             fast_transition: record.fast_transition,
             mobility_domain: record.mobility_domain,
             path_loss: match &record.path_loss {

@@ -26,7 +26,7 @@ pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<S
         None => Rate::Unlimited,
         Some(rate) => Rate::Fixed { bits_per_second: rate.min(medium.rate) },
     };
-    let asked = Conditions { delay: network.delay, rate, ..Conditions::default() };
+    let asked = Conditions { delay: network.delay, loss: network.loss, rate, ..Conditions::default() };
     Settings::new(asked, Scale::default(), medium)
 }
 

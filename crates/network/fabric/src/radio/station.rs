@@ -232,7 +232,7 @@ impl Station {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Dbm, GapPolicy, PathLoss, Shadowing, WifiStandard};
+    use cotorra_graph::{Dbm, GapPolicy, Loss, PathLoss, Shadowing, WifiStandard};
 
     use super::*;
     use crate::random::stream;
@@ -250,6 +250,7 @@ mod tests {
             standard: WifiStandard::N,
             delay: ms(1),
             rate: None,
+            loss: Loss::None,
             fast_transition,
             mobility_domain: 1,
             path_loss: PathLoss::FreeSpace,

@@ -32,6 +32,7 @@ fn network() -> WirelessNetwork {
         standard: WifiStandard::N,
         delay: ms(1),
         rate: Some(mbps(8.0)),
+        loss: Loss::None,
         fast_transition: true,
         mobility_domain: 1,
         path_loss: PathLoss::LogDistance { exponent: 3.0 },
@@ -533,6 +534,25 @@ fn conditions_and_scales_apply_to_a_wireless_link() {
     let above = ConditionChange { drop_scale: Some(0.1), ..ConditionChange::default() };
     let error = world.radio.change(at(100), &link, None, &above).unwrap_err();
     assert_eq!(error, FabricError::AboveMedium { asked_mbps: 80.0, medium: mbps(65.0) });
+}
+
+#[test]
+fn a_network_loses_its_share_of_what_the_air_delivers() {
+    let loss = Loss::Independent { rate: Probability::new(0.3).unwrap() };
+    let mut world = corridor(WirelessNetwork { loss, ..network() }, Roaming::Instructed);
+    for i in 0..2000 {
+        world.up(at(20 * i), "r", 100);
+        world.down(at(20 * i + 10), "R1", "r", 100);
+    }
+    world.run(at(41_000));
+    for (port, direction) in [("R1", Direction::Forward), ("r", Direction::Backward)] {
+        let arrived = world.arrived.iter().filter(|(_, at, _)| *at == world.port(port)).count();
+        // Three standard deviations are 61 frames.
+        assert!((1339..=1461).contains(&arrived), "{arrived}");
+        let contexts = world.radio.link_contexts(at(41_000), |_, _| None);
+        let context = contexts.iter().find(|context| context.direction == direction).unwrap();
+        assert_eq!((context.effective.loss, context.counters.lost), (loss, 2000 - arrived as u64));
+    }
 }
 
 #[test]

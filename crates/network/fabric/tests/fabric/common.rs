@@ -5,8 +5,8 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_graph::{
     BitRate, Capacity, Conditions, Dbm, Driver, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link,
-    LinkContext, Node, NodeKind, PathLoss, Position, RadioUnit, Rate, Roaming, Robot, RobotModel, Server,
-    Shadowing, Tier, Timestamp, WifiStandard, WirelessNetwork,
+    LinkContext, Loss, Node, NodeKind, PathLoss, Position, RadioUnit, Rate, Roaming, Robot, RobotModel,
+    Server, Shadowing, Tier, Timestamp, WifiStandard, WirelessNetwork,
 };
 
 /// A builder of networks.
@@ -19,6 +19,7 @@ impl Network {
             standard: WifiStandard::N,
             delay: Duration::from_millis(1),
             rate: None,
+            loss: Loss::None,
             fast_transition: true,
             mobility_domain: 1,
             path_loss: PathLoss::LogDistance { exponent: 3.0 },
