@@ -63,9 +63,19 @@ pub fn python(modules: &str, peer: &str) -> Option<PathBuf> {
 
 /// Returns a command for tshark, which reads captures.
 pub fn tshark() -> Option<Command> {
-    let is_there =
-        Command::new("tshark").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
-    found(is_there.is_ok(), "tshark", "install the package tshark").then(|| Command::new("tshark"))
+    installed("tshark", "--version", "tshark")
+}
+
+/// Returns commands for pdfinfo and pdftotext, which read PDF.
+pub fn pdf_readers() -> Option<[Command; 2]> {
+    let [info, text] = ["pdfinfo", "pdftotext"].map(|program| installed(program, "-v", "poppler-utils"));
+    Some([info?, text?])
+}
+
+/// Returns a command for a program, if it is installed by that package. `version` lets it print its version.
+fn installed(program: &str, version: &str, package: &str) -> Option<Command> {
+    let is_there = Command::new(program).arg(version).stdout(Stdio::null()).stderr(Stdio::null()).status();
+    found(is_there.is_ok(), program, &format!("install the package {package}")).then(|| Command::new(program))
 }
 
 /// Returns whether a program was found, and says how to install it otherwise.

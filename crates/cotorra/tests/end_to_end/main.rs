@@ -12,6 +12,7 @@ mod disk;
 mod documents;
 mod experiment;
 mod fields;
+mod figures;
 mod flows;
 mod going_on;
 mod harness;
