@@ -39,6 +39,7 @@ mod stamp;
 mod stop;
 mod sweep;
 mod table;
+mod temporary;
 mod testbed_file;
 mod verdict;
 mod words;

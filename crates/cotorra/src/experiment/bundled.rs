@@ -1,15 +1,13 @@
 //! The testbeds of the published experiments, for a program without its checkout.
 
 use std::{
-    env,
-    fs::{self, DirBuilder},
-    io,
-    os::unix::fs::DirBuilderExt,
+    fs, io,
     path::{Path, PathBuf},
-    process,
 };
 
 use cotorra_testbed::FolderError;
+
+use crate::temporary::TemporaryFolder;
 
 /// Default testbed file of `cotorra experiment okpi`.
 pub const CORRIDOR: &str = "testbeds/corridor.yaml";
@@ -25,13 +23,10 @@ const FILES: [(&str, &str); 3] = [
 const PICTURE: (&str, &[u8]) =
     ("maps/corridor.pgm", include_bytes!(concat!(env!("OUT_DIR"), "/corridor.packed")));
 
-/// Maximum number of folders that killed processes with the same number left.
-const LEFT: usize = 100;
-
 /// Bundled testbeds in a folder of their own, which is removed on drop.
 #[derive(Debug)]
 pub struct Bundled {
-    folder: PathBuf,
+    folder: TemporaryFolder,
 }
 
 impl Bundled {
@@ -41,44 +36,21 @@ impl Bundled {
         if !is_default || file.exists() {
             return Ok(None);
         }
-        let bundled = Self::write(&env::temp_dir())?;
+        let bundled = Self::write(TemporaryFolder::new()?)?;
         note!("there is no {} here: the bundled one is used", file.display());
-        *file = bundled.folder.join(file.file_name().expect("the defaults have names"));
+        *file = bundled.folder.path().join(file.file_name().expect("the defaults have names"));
         Ok(Some(bundled))
     }
 
-    fn write(base: &Path) -> Result<Self, FolderError> {
-        let stem = format!("cotorra-testbeds-{}", process::id());
-        let names = (0..LEFT).map(|n| base.join(format!("{stem}-{n}")));
-        // New and for this user alone, so that nobody else has put a file there.
-        let make = |folder: &PathBuf| DirBuilder::new().mode(0o700).create(folder);
-        let mut refused = None;
-        let made = names.into_iter().find(|folder| match make(folder) {
-            Ok(()) => true,
-            Err(error) => {
-                refused = Some(FolderError::new(folder, error));
-                false
-            }
-        });
-        let bundled = match made {
-            Some(folder) => Self { folder },
-            None => return Err(refused.expect("at least one name was tried")),
-        };
-        let maps = bundled.folder.join("maps");
+    fn write(folder: TemporaryFolder) -> Result<Self, FolderError> {
+        let maps = folder.path().join("maps");
         fs::create_dir(&maps).map_err(|error| FolderError::new(&maps, error))?;
         let texts = FILES.iter().map(|(name, text)| (*name, text.as_bytes().to_vec()));
         for (name, bytes) in texts.chain([(PICTURE.0, unpacked(PICTURE.1))]) {
-            let path = bundled.folder.join(name);
+            let path = folder.path().join(name);
             fs::write(&path, bytes).map_err(|error: io::Error| FolderError::new(&path, error))?;
         }
-        Ok(bundled)
-    }
-}
-
-impl Drop for Bundled {
-    fn drop(&mut self) {
-        // A file that stays in the folder for temporary files harms nobody.
-        let _ = fs::remove_dir_all(&self.folder);
+        Ok(Self { folder })
     }
 }
 
@@ -95,18 +67,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bundled_testbeds_are_those_of_the_checkout_and_leave_nothing() {
+    fn bundled_testbeds_are_those_of_the_checkout() {
         let base = tempfile::tempdir().unwrap();
-        let bundled = Bundled::write(base.path()).unwrap();
-        let second = Bundled::write(base.path()).unwrap();
+        let bundled = Bundled::write(TemporaryFolder::within(base.path()).unwrap()).unwrap();
         for (name, _) in FILES.map(|(name, _)| (name, ())).into_iter().chain([(PICTURE.0, ())]) {
-            for copy in [&bundled, &second] {
-                let read = |path: PathBuf| fs::read(path).unwrap();
-                assert!(read(copy.folder.join(name)) == read(project_file("testbeds").join(name)), "{name}");
-            }
+            let read = |path: PathBuf| fs::read(path).unwrap();
+            let copy = bundled.folder.path().join(name);
+            assert!(read(copy) == read(project_file("testbeds").join(name)), "{name}");
         }
-        drop((bundled, second));
-        assert_eq!(fs::read_dir(base.path()).unwrap().count(), 0);
     }
 
     #[test]

@@ -183,6 +183,28 @@ fn clean_lists_leftovers_or_reports_none() {
 }
 
 #[test]
+fn clean_removes_temporary_folders_of_killed_commands() {
+    let temporary = tempfile::tempdir().unwrap();
+    let mut killed = Command::new("true").spawn().unwrap();
+    killed.wait().unwrap();
+    let [left, used] = [killed.id(), std::process::id()]
+        .map(|process| temporary.path().join(format!("cotorra-testbeds-{process}-0")));
+    for folder in [&left, &used] {
+        fs::create_dir_all(folder.join("maps")).unwrap();
+    }
+    let clean = |dry: &[&str]| {
+        let printed = cotorra(["clean"]).args(dry).env("TMPDIR", temporary.path()).output().unwrap();
+        assert!(printed.status.success(), "{}", stderr(&printed));
+        stdout(&printed)
+    };
+    let line = |done: &str| format!("{}: the temporary folder of a killed command {done}\n", left.display());
+    let listed = clean(&["--dry-run"]);
+    assert!(listed.contains(&line("would be removed")) && left.exists(), "{listed}");
+    let removed = clean(&[]);
+    assert!(removed.contains(&line("removed")) && !left.exists() && used.exists(), "{removed}");
+}
+
+#[test]
 fn exec_without_a_run_says_how_to_start_one() {
     let printed = output(["exec", "robot", "--api", "127.0.0.1:9", "--", "true"]);
     assert_eq!(printed.status.code(), Some(1));
