@@ -48,7 +48,7 @@ pub struct Measured {
     /// Parts of the service times.
     #[serde(default)]
     pub time_parts: Vec<MeasuredPart>,
-    /// Stretches with one attachment and one server.
+    /// Stretches of services with one attachment and one server.
     pub regions: Vec<Region>,
 }
 
@@ -75,13 +75,14 @@ pub struct MeasuredService {
     pub service_time_max_ms: Option<f64>,
 }
 
-/// A stretch with one attachment and one server.
+/// A stretch of a service with one attachment and one server.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Region {
     pub robot: NodeId,
+    pub service: ServiceId,
     /// Radio unit; `None` without attachment.
     pub attachment: Option<NodeId>,
-    /// Node of the navigation VNF.
+    /// Node of the service's VNF that answered.
     pub server: NodeId,
     /// Emission of the first sample.
     #[serde(rename = "from_ns")]
@@ -101,6 +102,7 @@ impl Measured {
         let gaps = Quantiles::of(summary.handovers.iter().map(|handover| handover.gap_ms).collect());
         let region = |region: &RegionSummary| Region {
             robot: region.robot.clone(),
+            service: region.service.clone(),
             attachment: region.attachment.clone(),
             server: region.server.clone(),
             from: region.from,

@@ -27,13 +27,15 @@ pub(super) fn cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
 
 /// Returns a row for each region of each run.
 pub(super) fn regions(sweep: &Sweep, runs: &Runs) -> DataTable {
-    let heads = ["robot", "attachment", "server", "from_ns", "until_ns", "samples", "service_time_p50_ms"];
-    let mut table = table(sweep, ["seed"], Some(heads.map(str::to_owned)));
+    let fixed = ["seed", "robot", "service", "attachment", "server"];
+    let figures = ["from_ns", "until_ns", "samples", "service_time_p50_ms"];
+    let mut table = table(sweep, fixed, Some(figures.map(str::to_owned)));
     for done in &runs.done {
         for region in &done.measured.regions {
             let cells = [
                 done.point.seed.to_string(),
                 region.robot.to_string(),
+                region.service.to_string(),
                 region.attachment.as_ref().map(ToString::to_string).unwrap_or_default(),
                 region.server.to_string(),
                 region.from.as_nanos().to_string(),

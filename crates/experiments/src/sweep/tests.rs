@@ -109,6 +109,26 @@ fn tables_are_tidy() {
 }
 
 #[test]
+fn regions_name_the_robot_and_the_service() {
+    let out = tempfile::tempdir().unwrap();
+    let sweep = sweep(&[]);
+    let mut runs = sweep.run(&Journal::open(out.path()).unwrap(), JOBS, |_, _| true).unwrap();
+    let measured = &mut runs.done[0].measured;
+    // As if the robot had a second service on another server.
+    let mut other = measured.regions[0].clone();
+    (other.service, other.server) = ("second".parse().unwrap(), "fog".parse().unwrap());
+    measured.regions.push(other);
+    let table = tables::regions(&sweep, &runs).to_csv();
+    let rows: Vec<Vec<_>> = table.lines().map(|row| row.split(',').take(5).collect()).collect();
+    let expected = [
+        ["seed", "robot", "service", "attachment", "server"],
+        ["1", "robot", "navigation", "R1", "cloud"],
+        ["1", "robot", "second", "R1", "fog"],
+    ];
+    assert_eq!(rows, expected);
+}
+
+#[test]
 fn a_folder_is_open_in_one_process_only() {
     let out = tempfile::tempdir().unwrap();
     let _first = Journal::open(out.path()).unwrap();
