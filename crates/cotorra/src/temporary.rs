@@ -43,6 +43,11 @@ impl TemporaryFolder {
     pub fn path(&self) -> &Path {
         &self.0
     }
+
+    /// Leaves it to [`clean`].
+    pub fn keep(self) {
+        std::mem::forget(self);
+    }
 }
 
 impl Drop for TemporaryFolder {

@@ -4,12 +4,14 @@ use std::{
     num::NonZero,
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
+        Arc,
         atomic::{AtomicBool, AtomicUsize, Ordering},
         mpsc,
     },
 };
 
-use cotorra_testbed::{FolderError, RunError, panic_text};
+use cotorra_graph::{Stamped, Testbed};
+use cotorra_testbed::{FolderError, RunError, Unrecorded, UnrecordedRun, panic_text, simulate_unrecorded};
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::journal::Journal;
@@ -28,6 +30,14 @@ pub enum BatchError {
         /// Error of the run.
         source: RunError,
     },
+    /// A plug-in was cut off, so that the run shows nothing of it.
+    #[error("{run}: {fault}")]
+    CutOff {
+        /// Name of the run.
+        run: String,
+        /// The plug-in, and the reason.
+        fault: String,
+    },
     /// A run panicked, which is a bug.
     #[error("{run} panicked, which is a bug: {reason}")]
     Panicked {
@@ -36,6 +46,28 @@ pub enum BatchError {
         /// The panic's message.
         reason: String,
     },
+}
+
+/// Makes one run of many for a search. Unlike a sweep, which counts them, a search accepts no run in which a plug-in was cut
+/// off: it would find what the testbed does without the plug-in.
+pub(crate) fn sound(
+    testbed: Arc<Testbed>,
+    run: &Unrecorded<'_>,
+    name: &str,
+    observe: impl FnMut(&Stamped),
+    go_on: impl FnMut() -> bool,
+) -> Result<Option<UnrecordedRun>, BatchError> {
+    let ended = simulate_unrecorded(testbed, run, observe, go_on);
+    let ended = ended.map_err(|source| BatchError::Run { run: name.to_owned(), source })?;
+    match ended.as_ref().and_then(|ended| ended.summary.plugin_faults.first()) {
+        None => Ok(ended),
+        Some(fault) => {
+            let logs = run.folder.join("logs");
+            let logs = logs.exists().then(|| format!("; its log is in {}", logs.display()));
+            let fault = format!("plug-in {fault}{}", logs.unwrap_or_default());
+            Err(BatchError::CutOff { run: name.to_owned(), fault })
+        }
+    }
 }
 
 /// The results of many runs.

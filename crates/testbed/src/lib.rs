@@ -68,5 +68,5 @@ pub use run::{Run, Stopper};
 pub use run_info::about;
 pub use script::{Rehearsal, ScriptError};
 pub use simulate::{
-    Altered, AlteredRun, Fork, Simulation, is_same_subject, simulate, simulate_altered, simulate_unrecorded,
+    Altered, Fork, Simulation, Unrecorded, UnrecordedRun, is_same_subject, simulate, simulate_unrecorded,
 };

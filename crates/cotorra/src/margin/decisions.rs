@@ -5,13 +5,15 @@ use std::{num::NonZero, path::Path, process::ExitCode};
 use cotorra_experiments::regret::{
     Decided, Examined, FILES, Recorded, Regret, RegretError, Regrets, Stood, Tried,
 };
-use cotorra_graph::{Testbed, Timestamp};
+use cotorra_graph::Timestamp;
 
 use super::{Error, MarginArgs, WhichDecision, again, exit, open};
 use crate::{
     output,
     progress::Progress,
     table::{Table, wrap},
+    temporary::TemporaryFolder,
+    testbed_file::Loaded,
     words::count,
 };
 
@@ -21,7 +23,7 @@ const LISTED: usize = 40;
 /// Examines decisions of a run.
 pub fn examine(
     args: &MarginArgs,
-    testbed: Testbed,
+    Loaded { testbed, text }: Loaded,
     seed: u64,
     jobs: NonZero<usize>,
     which: WhichDecision,
@@ -31,19 +33,26 @@ pub fn examine(
         WhichDecision::Number(number) => Some(number),
     };
     let fail = |error: RegretError| Error::from(error);
-    let regret = Regret::new(testbed, &args.kpi, seed, args.until)
+    let regret = Regret::new(testbed, text, &args.kpi, seed, args.until)
         .map_err(|error| fail(error.into()))?
         .hold(args.hold);
     let place = args.out.clone().unwrap_or_else(|| regret.default_folder(Path::new("margins")));
     if args.dry_run {
-        let recorded = regret.record(|| true).map_err(fail)?.expect("nobody stops it");
+        let folder = TemporaryFolder::new().map_err(Error::from)?;
+        let recorded = match regret.record(&folder.path().join("run"), || true) {
+            Ok(recorded) => recorded.expect("nobody stops it"),
+            Err(error) => {
+                // It may have a plug-in's log.
+                folder.keep();
+                return Err(fail(error).into());
+            }
+        };
         output::print(&(list(&recorded, number) + &again(&place)))?;
         return Ok(ExitCode::SUCCESS);
     }
     let (interrupts, journal) = open(args, &place)?;
-    let Some(recorded) = regret.record(|| interrupts.try_recv().is_err()).map_err(fail)? else {
-        return Ok(exit(false));
-    };
+    let recorded = regret.record(&journal.path().join("run"), || interrupts.try_recv().is_err());
+    let Some(recorded) = recorded.map_err(fail)? else { return Ok(exit(false)) };
     let mut progress = Progress::new(args.headless);
     let regrets = regret.examine(&recorded, number, &journal, jobs, |done, of| {
         progress.show(done, of);

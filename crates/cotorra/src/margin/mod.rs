@@ -57,11 +57,11 @@ impl From<RegretError> for Error {
 
 /// Searches for margins, or examines decisions.
 pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
-    let testbed = testbed_file::load(&args.file, &args.settings)?.testbed;
-    let seed = args.seed.unwrap_or(testbed.seed);
+    let loaded = testbed_file::load(&args.file, &args.settings)?;
+    let seed = args.seed.unwrap_or(loaded.testbed.seed);
     let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).unwrap_or(NonZero::<usize>::MIN);
     if let Some(which) = args.decision {
-        return decisions::examine(args, testbed, seed, jobs, which);
+        return decisions::examine(args, loaded, seed, jobs, which);
     }
     let kinds =
         if args.kinds.is_empty() { Kind::ALL.map(|(_, kind)| kind).into() } else { args.kinds.clone() };
@@ -81,7 +81,7 @@ pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
             .ok_or(wrong("loss-resolution", "most-loss"))?,
         pairs: !args.singles,
     };
-    let margin = Margin::new(testbed, options).map_err(Error::from)?;
+    let margin = Margin::new(loaded.testbed, loaded.text, options).map_err(Error::from)?;
     let place = args.out.clone().unwrap_or_else(|| margin.default_folder(Path::new("margins")));
     if args.dry_run {
         output::print(&(show::plan(&margin, args, jobs) + &again(&place)))?;

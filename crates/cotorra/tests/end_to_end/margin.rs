@@ -10,7 +10,7 @@ use std::{
 
 use serde_json::Value;
 
-use crate::harness::{cotorra, stderr, stdout};
+use crate::harness::{cotorra, project_file, stderr, stdout};
 
 /// A robot that goes from A to B, where `probing` attaches it in the meantime. B's link is the slower one.
 const LAB: &str = "name: lab
@@ -37,6 +37,22 @@ walks:
 plugins:
   - { bundled: probing, settings: { interval: 3 s } }
 ";
+
+/// The plug-in of [`LAB`].
+const PLUGIN: &str = "  - { bundled: probing, settings: { interval: 3 s } }\n";
+
+/// Writes [`LAB`] with a program as its plug-in.
+fn with_program(folder: &Path, command: &str) -> PathBuf {
+    let file = folder.join("program.yaml");
+    assert!(LAB.contains(PLUGIN));
+    fs::write(&file, LAB.replace(PLUGIN, &format!("  - {{ id: mine, command: [{command}] }}\n"))).unwrap();
+    file
+}
+
+/// The Python example, which scans every second and attaches to the strongest radio unit.
+fn strongest_signal() -> String {
+    format!("python3, {}, '1'", project_file("examples/strongest_signal.py").display())
+}
 
 fn lab(folder: &Path) -> PathBuf {
     let file = folder.join("lab.yaml");
@@ -167,6 +183,70 @@ fn a_decision_is_compared_with_its_alternatives() {
     let beyond = examine(&["--decision", "7"]);
     assert_eq!(beyond.status.code(), Some(1));
     assert!(stderr(&beyond).contains("--dry-run` lists the decisions"), "{}", stderr(&beyond));
+}
+
+#[test]
+fn plug_ins_that_are_programs_take_part_in_searches() {
+    let out = tempfile::tempdir().unwrap();
+    let file = with_program(out.path(), &strongest_signal());
+    let search = |name: &str, jobs: &str| {
+        let mut command = cotorra(["margin", "--headless", "--keep", "0.9", "--jobs", jobs]);
+        command.args(["--change", "delay", "--on", "lan-edge", "--on", "lan-B", "--singles"]);
+        command.args(["--most", "8ms", "--resolution", "1ms"]).arg(&file).arg("--out");
+        let found = command.arg(out.path().join(name)).output().unwrap();
+        assert!(found.status.success(), "{}", stderr(&found));
+        let text = fs::read_to_string(out.path().join(name).join("margins.json")).unwrap();
+        let mut names: Vec<_> =
+            fs::read_dir(out.path().join(name)).unwrap().flatten().map(|file| file.file_name()).collect();
+        names.sort();
+        assert_eq!(names, ["journal.jsonl", "margins.csv", "margins.json"], "a run's folder is left");
+        text
+    };
+    let one = search("one", "1");
+    // Several at a time, each with its own API.
+    assert_eq!(search("two", "2"), one);
+    let margins: Value = serde_json::from_str(&one).unwrap();
+    let findings = margins["findings"].as_array().unwrap();
+    assert_eq!(findings.len(), 2, "{one}");
+    // The robot goes to B in time only if the program attaches it there.
+    assert!(findings.iter().all(|finding| finding["breaks"] == true), "{one}");
+}
+
+#[test]
+fn decisions_of_programs_are_compared_with_their_alternatives() {
+    let out = tempfile::tempdir().unwrap();
+    let file = with_program(out.path(), &strongest_signal());
+    let examine = |more: &[&str]| {
+        let mut command = cotorra(["margin", "--headless", "--decision", "1"]);
+        command.arg(&file).arg("--out").arg(out.path().join("decisions")).args(more);
+        let done = command.output().unwrap();
+        assert!(done.status.success(), "{}", stderr(&done));
+        stdout(&done)
+    };
+    let dry = examine(&["--dry-run"]);
+    assert!(dry.starts_with("1 decision, 1 run with alternatives\n") && dry.contains("mine"), "{dry}");
+    assert!(!out.path().join("decisions").exists());
+    let text = examine(&[]);
+    assert!(text.contains("mine chose B for robot: B is received with"), "{text}");
+    assert!(text.contains("A (no change)") && text.contains("Regret: "), "{text}");
+}
+
+#[test]
+fn a_program_that_fails_ends_a_search_with_its_log() {
+    let out = tempfile::tempdir().unwrap();
+    let file = with_program(out.path(), "sh, -c, 'echo no such luck; exit 1'");
+    for more in [&["--change", "down"][..], &["--decision", "all"]] {
+        let folder = out.path().join(more[1]);
+        let mut command = cotorra(["margin", "--headless", "--jobs", "1"]);
+        let failed = command.arg(&file).arg("--out").arg(&folder).args(more).output().unwrap();
+        assert_eq!(failed.status.code(), Some(1));
+        let text = stderr(&failed).replace("\n  │ ", " ");
+        assert!(text.contains("plug-in mine: ") && text.contains("its log is in"), "{text}");
+        let runs =
+            fs::read_dir(&folder).unwrap().flatten().map(|entry| entry.path().join("logs/plugin-mine.log"));
+        let logs: Vec<_> = runs.filter_map(|log| fs::read_to_string(log).ok()).collect();
+        assert_eq!(logs, ["no such luck\n"]);
+    }
 }
 
 #[test]

@@ -19,7 +19,7 @@ use std::{
 };
 
 use cotorra_graph::{NodeId, ServiceId, Testbed, seed};
-use cotorra_testbed::{RunError, simulate_altered};
+use cotorra_testbed::Unrecorded;
 
 pub use self::{
     bisection::Grid,
@@ -70,6 +70,7 @@ pub struct Options {
 #[derive(Debug)]
 pub struct Margin {
     testbed: Arc<Testbed>,
+    text: String,
     services: Vec<ServiceId>,
     options: Options,
     dimensions: Vec<Dimension>,
@@ -99,11 +100,11 @@ struct Runs<'a> {
 }
 
 impl Margin {
-    /// Prepares a search.
+    /// Prepares a search on the testbed of a file with this text.
     ///
     /// # Errors
     /// [`MarginError`] if a name is unknown, or nothing can be changed.
-    pub fn new(testbed: Testbed, options: Options) -> Result<Self, MarginError> {
+    pub fn new(testbed: Testbed, text: String, options: Options) -> Result<Self, MarginError> {
         let services = kept::services(&testbed, &options.services)?;
         let of = |kind| options.kinds.contains(&kind);
         let graph = &testbed.graph;
@@ -141,7 +142,7 @@ impl Margin {
         if testbed.script.replay.is_some() && dimensions.iter().any(sets_links) {
             return Err(MarginError::Replay);
         }
-        Ok(Self { testbed: Arc::new(testbed), services, options, dimensions, units })
+        Ok(Self { testbed: Arc::new(testbed), text, services, options, dimensions, units })
     }
 
     /// Returns the services whose targets count.
@@ -280,10 +281,12 @@ impl Margin {
             let mut testbed = Testbed::clone(&self.testbed);
             let altered = changes[place / seeds].apply(&mut testbed);
             let until = limits.get(place % seeds).map_or(self.options.until, |(until, _)| *until);
+            let folder = runs.journal.path().join(format!("run-{place}"));
+            let run =
+                Unrecorded { seed: seed(place), until, altered: &altered, folder: &folder, text: &self.text };
             let go_on = || !stop.load(Ordering::Relaxed);
-            let ended = simulate_altered(Arc::new(testbed), seed(place), until, &altered, |_| {}, go_on);
-            let fail = |source: RunError| BatchError::Run { run: names[place].clone(), source };
-            Ok::<_, BatchError>(ended.map_err(fail)?.map(|ended| Measured::of(&ended.summary)))
+            let ended = batch::sound(Arc::new(testbed), &run, &names[place], |_| {}, go_on)?;
+            Ok::<_, BatchError>(ended.map(|ended| Measured::of(&ended.summary)))
         };
         let (before, total, go_on) = (runs.done, runs.done + names.len(), &mut runs.go_on);
         let batch = batch::run(runs.journal, runs.jobs, &names, measure, |done| go_on(before + done, total))?;

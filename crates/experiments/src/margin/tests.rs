@@ -45,7 +45,7 @@ fn options(kinds: &[Kind]) -> Options {
 
 fn margin(text: &str, options: Options) -> Margin {
     let testbed = cotorra_testbed_file::parse("lab.yaml", text, Path::new(""));
-    Margin::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), options).unwrap()
+    Margin::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), text.to_owned(), options).unwrap()
 }
 
 fn run(margin: &Margin) -> Margins {
@@ -170,7 +170,7 @@ fn a_target_that_is_broken_before_has_no_margin() {
 fn unknown_names_list_the_known_ones() {
     let prepare = |options| {
         let testbed = cotorra_testbed_file::parse("lab.yaml", LAB, Path::new("")).unwrap();
-        Margin::new(testbed, options).unwrap_err().to_string()
+        Margin::new(testbed, LAB.to_owned(), options).unwrap_err().to_string()
     };
     let wrong = prepare(Options { services: vec!["x".into()], ..options(&[Kind::Delay]) });
     assert_eq!(wrong, "there is no service `x` in the testbed file; its services: navigation");

@@ -14,7 +14,7 @@ use std::{
 };
 
 use cotorra_graph::{ServiceId, Testbed, Timestamp, millis, seed};
-use cotorra_testbed::{Altered, Fork, Quantiles, RunError, simulate_altered};
+use cotorra_testbed::{Altered, Fork, Quantiles, Unrecorded};
 use serde::{Deserialize, Serialize};
 
 use self::decided::{Observer, Sample};
@@ -36,6 +36,7 @@ const LONGEST: u32 = 2;
 #[derive(Debug)]
 pub struct Regret {
     testbed: Arc<Testbed>,
+    text: String,
     services: Vec<ServiceId>,
     seed: u64,
     until: Option<Duration>,
@@ -48,17 +49,16 @@ pub enum RegretError {
     /// A service is unknown.
     #[error(transparent)]
     Service(#[from] UnknownService),
-    /// The run cannot start.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// A run with an alternative failed.
+    /// A run failed.
     #[error(transparent)]
     Batch(#[from] BatchError),
     /// There is no decision of that number.
     #[error("the run has no decision {number}: its plug-ins made {} about attachments and placements", .of)]
     NoDecision { number: usize, of: usize },
-    /// A repeated run did not come to the decision, which is a bug.
-    #[error("{0}: the repeated run did not come to the decision, which is a bug")]
+    /// A repeated run did not come to the decision. Plug-ins in process decide the same each time.
+    #[error(
+        "{0}: the repeated run did not come to the decision; does a plug-in decide by chance, or by the machine's clock?"
+    )]
     NotRepeated(String),
 }
 
@@ -138,18 +138,20 @@ pub struct Regrets {
 }
 
 impl Regret {
-    /// Prepares a run with that seed. Without names, the samples of all services count.
+    /// Prepares a run with that seed on the testbed of a file with this text. Without names, the samples of all services
+    /// count.
     ///
     /// # Errors
     /// [`UnknownService`].
     pub fn new(
         testbed: Testbed,
+        text: String,
         services: &[String],
         seed: u64,
         until: Option<Duration>,
     ) -> Result<Self, UnknownService> {
         let services = kept::services(&testbed, services)?;
-        Ok(Self { testbed: Arc::new(testbed), services, seed, until, hold: None })
+        Ok(Self { testbed: Arc::new(testbed), text, services, seed, until, hold: None })
     }
 
     /// Holds alternatives for this time; by default, until the next decision about the same robot or VNF.
@@ -166,15 +168,22 @@ impl Regret {
         parent.join(format!("{}-decisions-{:08x}", testbed.name, seed::split(0, &depends) >> 32))
     }
 
-    /// Repeats the run as it was, to the end of its walks. Returns `None` if `go_on` stopped it; it is called now and then.
+    /// Repeats the run as it was, to the end of its walks. If a plug-in is a program, it uses a new folder. Returns `None` if
+    /// `go_on` stopped it; it is called now and then.
     ///
     /// # Errors
     /// [`RegretError`].
-    pub fn record(&self, go_on: impl FnMut() -> bool) -> Result<Option<Recorded>, RegretError> {
+    pub fn record(
+        &self,
+        folder: &Path,
+        go_on: impl FnMut() -> bool,
+    ) -> Result<Option<Recorded>, RegretError> {
         let mut observer = Observer::new(&self.testbed);
         let see = |event: &_| observer.see(event);
         let testbed = Arc::clone(&self.testbed);
-        let ended = simulate_altered(testbed, self.seed, self.until, &Altered::default(), see, go_on)?;
+        let (altered, text) = (&Altered::default(), self.text.as_str());
+        let run = Unrecorded { seed: self.seed, until: self.until, altered, folder, text };
+        let ended = batch::sound(testbed, &run, "the run", see, go_on)?;
         Ok(ended.map(|ended| Recorded {
             decided: observer.decided,
             samples: observer.samples,
@@ -230,7 +239,8 @@ impl Regret {
                 instead: alternative.instead.clone(),
                 hold: end(decided),
             };
-            self.fork(recorded, fork, &names[place], stop)
+            let folder = journal.path().join(format!("run-{place}"));
+            self.fork(recorded, fork, &names[place], &folder, stop)
         };
         let total = names.len();
         let batch = batch::run(journal, jobs, &names, fork, |done| go_on(done, total))?;
@@ -264,6 +274,7 @@ impl Regret {
         recorded: &Recorded,
         fork: Fork,
         name: &str,
+        folder: &Path,
         stop: &AtomicBool,
     ) -> Result<Option<Forked>, RegretError> {
         let (at, altered) = (fork.at, Altered { fork: Some(fork), ..Altered::default() });
@@ -272,9 +283,9 @@ impl Regret {
         let see = |event: &_| observer.see(event);
         let go_on = || !stop.load(Ordering::Relaxed);
         let testbed = Arc::clone(&self.testbed);
-        let ended = simulate_altered(testbed, self.seed, Some(until), &altered, see, go_on);
-        let ended = ended.map_err(|source| BatchError::Run { run: name.to_owned(), source })?;
-        let Some(ended) = ended else { return Ok(None) };
+        let (until, altered, text) = (Some(until), &altered, self.text.as_str());
+        let run = Unrecorded { seed: self.seed, until, altered, folder, text };
+        let Some(ended) = batch::sound(testbed, &run, name, see, go_on)? else { return Ok(None) };
         let outcome = ended.forked.ok_or_else(|| RegretError::NotRepeated(name.to_owned()))?;
         let stood = self.stood(&observer.samples, at, ended.summary.is_walked());
         Ok(Some(Forked { stood, refused: outcome.err().map(|reason| reason.to_string()) }))

@@ -29,12 +29,13 @@ plugins:
 ";
 
 fn regret(delay: &str) -> Regret {
-    let testbed = cotorra_testbed_file::parse("lab.yaml", &LAB.replace("DELAY", delay), Path::new(""));
-    Regret::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), &[], 1, None).unwrap()
+    let text = LAB.replace("DELAY", delay);
+    let testbed = cotorra_testbed_file::parse("lab.yaml", &text, Path::new(""));
+    Regret::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), text, &[], 1, None).unwrap()
 }
 
 fn examine(regret: &Regret, out: &Path) -> Regrets {
-    let recorded = regret.record(|| true).unwrap().unwrap();
+    let recorded = regret.record(Path::new(""), || true).unwrap().unwrap();
     regret.examine(&recorded, None, &Journal::open(out).unwrap(), JOBS, |_, _| true).unwrap()
 }
 
@@ -78,7 +79,7 @@ fn examined_decisions_are_resumed_and_end_with_the_same_bytes() {
     let out = tempfile::tempdir().unwrap();
     let regret = regret("10 ms");
     let files = |folder: &Path| FILES.map(|name| fs::read_to_string(folder.join(name)).unwrap());
-    let recorded = regret.record(|| true).unwrap().unwrap();
+    let recorded = regret.record(Path::new(""), || true).unwrap().unwrap();
     let examine = |name: &str, go_on: bool| {
         let journal = Journal::open(&out.path().join(name)).unwrap();
         let regrets = regret.examine(&recorded, None, &journal, JOBS, |_, _| go_on).unwrap();

@@ -32,7 +32,6 @@ mod tables;
 mod time_parts;
 
 use std::{
-    fs,
     num::NonZero,
     path::{Path, PathBuf},
     sync::{
@@ -42,8 +41,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{PluginProgram, Testbed, seed};
-use cotorra_testbed::{DataTable, Options, Place, RunError, simulate, simulate_unrecorded};
+use cotorra_graph::{Testbed, seed};
+use cotorra_testbed::{Altered, DataTable, Unrecorded, simulate_unrecorded};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
@@ -230,40 +229,13 @@ impl Sweep {
         folder: &Path,
         stop: &AtomicBool,
     ) -> Result<Option<Measured>, SweepError> {
-        let testbed = self.testbed(&point.values)?;
-        let measured = if testbed.plugins.iter().any(|spec| matches!(spec.program, PluginProgram::Command(_)))
-        {
-            self.simulate_with_programs(testbed, point, folder, stop)
-        } else {
-            let go_on = || !stop.load(Ordering::Relaxed);
-            let summary = simulate_unrecorded(Arc::new(testbed), point.seed, self.until, go_on);
-            summary.map(|summary| summary.as_ref().map(Measured::of))
-        };
-        measured.map_err(|source| BatchError::Run { run: self.name(point), source }.into())
-    }
-
-    /// Runs a point whose plug-ins are programs, which need a run's folder. The folder stays if a plug-in was cut off:
-    /// it holds the program's log.
-    fn simulate_with_programs(
-        &self,
-        testbed: Testbed,
-        point: &Point,
-        folder: &Path,
-        stop: &AtomicBool,
-    ) -> Result<Option<Measured>, RunError> {
-        // A killed process may have left it.
-        let _ = fs::remove_dir_all(folder);
-        let place = Place::At(folder.to_owned());
-        let settings = self.settings(&point.values).expect("the testbed was made with them");
-        let text = cotorra_testbed_file::annotated(&self.text, &settings);
-        let options =
-            Options { seed: Some(point.seed), until: self.until, folder: place, ..Options::default() };
-        let finished = simulate(testbed, &text, &options, |_| !stop.load(Ordering::Relaxed))?;
-        if finished.was_stopped() || finished.summary.plugin_faults.is_empty() {
-            // The folder is not needed any more; failing to remove it does no harm.
-            let _ = fs::remove_dir_all(folder);
-        }
-        Ok((!finished.was_stopped()).then(|| Measured::of(&finished.summary)))
+        let testbed = Arc::new(self.testbed(&point.values)?);
+        let text = cotorra_testbed_file::annotated(&self.text, &self.settings(&point.values)?);
+        let (until, altered) = (self.until, &Altered::default());
+        let run = Unrecorded { seed: point.seed, until, altered, folder, text: &text };
+        let ended = simulate_unrecorded(testbed, &run, |_| {}, || !stop.load(Ordering::Relaxed));
+        let ended = ended.map_err(|source| BatchError::Run { run: self.name(point), source })?;
+        Ok(ended.map(|ended| Measured::of(&ended.summary)))
     }
 
     /// Returns the statistics of each combination, in the order of [`Sweep::combinations`], without those that have no run.

@@ -12,8 +12,9 @@ fn events(altered: &Altered) -> (Vec<Stamped>, Option<Result<(), InstructionErro
     let testbed = Arc::new(cotorra_testbed_file::load(file).unwrap());
     let mut events = Vec::new();
     let until = Some(Duration::from_secs(100));
-    let ended =
-        simulate_altered(testbed, SEED, until, altered, |event| events.push(event.clone()), || true).unwrap();
+    // No plug-in is a program, so that there is no folder.
+    let run = Unrecorded { seed: SEED, until, altered, folder: Path::new(""), text: "" };
+    let ended = simulate_unrecorded(testbed, &run, |event| events.push(event.clone()), || true).unwrap();
     (events, ended.unwrap().forked)
 }
 

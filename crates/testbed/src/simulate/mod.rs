@@ -29,7 +29,7 @@ use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 pub use self::{
     altered::{Altered, Fork, is_same_subject},
     run::simulate,
-    unrecorded::{AlteredRun, simulate_altered, simulate_unrecorded},
+    unrecorded::{Unrecorded, UnrecordedRun, simulate_unrecorded},
 };
 use self::{
     altered::{Forked, Forking},
@@ -276,7 +276,14 @@ impl Simulation {
         instruction: Instruction,
         reason: Option<String>,
     ) -> Result<(), InstructionError> {
-        let done = self.host.instruct(self.network.now(), plugin, instruction, reason, &mut self.core);
+        let now = self.network.now();
+        let done = match &mut self.forking {
+            Some(forking) => {
+                let mut forked = Forked { core: &mut self.core, forking };
+                self.host.instruct(now, plugin, instruction, reason, &mut forked)
+            }
+            None => self.host.instruct(now, plugin, instruction, reason, &mut self.core),
+        };
         // The caller may have used the name of a plug-in in process.
         self.locals.end_cut_off(&self.host);
         done

@@ -13,7 +13,7 @@ use cotorra_network_control::InstructionError;
 use cotorra_recording::{Pace, Recording, Tap};
 use cotorra_robot_middleware::{SensedData, SensedScan};
 
-use super::{Output, Simulation, Stretch};
+use super::{Altered, Output, Simulation, Stretch};
 use crate::{
     api::{self, Listener, Lockstep},
     capture::CaptureFile,
@@ -53,26 +53,40 @@ pub fn simulate(
     options: &Options,
     go_on: impl FnMut(Timestamp) -> bool,
 ) -> Result<Finished, RunError> {
-    simulate_with(testbed, text, options, PATIENCE, wall_clock(), go_on)
+    let (altered, observe) = (&Altered::default(), &mut |_: &Stamped| {});
+    let conduct = Conduct { patience: PATIENCE, wall: wall_clock(), altered, observe };
+    simulate_with(Arc::new(testbed), text, options, conduct, go_on).map(|(finished, _)| finished)
 }
 
-/// Simulates with this longest wait for plug-ins, measured by the clock `wall`.
+/// How a run is conducted.
+pub(super) struct Conduct<'a> {
+    /// Longest wait for plug-ins.
+    pub(super) patience: Duration,
+    /// The clock that measures it.
+    pub(super) wall: Clock,
+    /// Differences from the testbed file.
+    pub(super) altered: &'a Altered,
+    /// Called with each event.
+    pub(super) observe: &'a mut dyn FnMut(&Stamped),
+}
+
+/// Simulates, and also returns the outcome of a fork's alternative.
 pub(super) fn simulate_with(
-    testbed: Testbed,
+    testbed: Arc<Testbed>,
     text: &str,
     options: &Options,
-    patience: Duration,
-    wall: Clock,
+    conduct: Conduct<'_>,
     go_on: impl FnMut(Timestamp) -> bool,
-) -> Result<Finished, RunError> {
-    let testbed = Arc::new(testbed);
+) -> Result<(Finished, Option<Result<(), InstructionError>>), RunError> {
+    let Conduct { patience, wall, altered, observe } = conduct;
     let seed = options.seed.unwrap_or(testbed.seed);
     let until = options.until.map(|until| Timestamp::ZERO + until);
     if until.is_none() && testbed.walks.is_empty() {
         return Err(RunError::Endless);
     }
     plugins::check_programs(&testbed)?;
-    let simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?.with_patience(patience);
+    let simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?;
+    let simulation = simulation.altered(altered).with_patience(patience);
     let wiretap = simulation.network.wiretap();
     let captures = CaptureFile::begin_all(&options.captures, &wiretap)?;
     let mut simulation = Guarded::new(simulation, Arc::clone(&wall));
@@ -93,7 +107,7 @@ pub(super) fn simulate_with(
     let recorder = history.paced_recorder(run)?;
     let report = Report::new(&testbed, seed).on_disk(folder.path())?;
     let records = Records { report, recorder: recorder.clone(), unwritten: 0, tap, keeper: keeper.clone() };
-    let mut recorded = RecordedSimulation { simulation, records, go_on, stopped: false };
+    let mut recorded = RecordedSimulation { simulation, records, observe, go_on, stopped: false };
     let mut external = None;
     if programs(&testbed).next().is_some() {
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
@@ -168,19 +182,21 @@ pub(super) fn simulate_with(
     folder.write_report(&report, &summary)?;
     history.end_run(run, simulation.now())?;
     let folder = folder.path().to_owned();
-    Ok(Finished { summary, report, folder, run, recording, unrecorded })
+    let forked = simulation.forked().cloned();
+    Ok((Finished { summary, report, folder, run, recording, unrecorded }, forked))
 }
 
 /// A simulation whose events are recorded.
-struct RecordedSimulation<G> {
+struct RecordedSimulation<'a, G> {
     simulation: Guarded<Simulation>,
     records: Records,
+    observe: &'a mut dyn FnMut(&Stamped),
     go_on: G,
     /// Set once `go_on` returned false, because it may not do so again.
     stopped: bool,
 }
 
-impl<G: FnMut(Timestamp) -> bool> RecordedSimulation<G> {
+impl<G: FnMut(Timestamp) -> bool> RecordedSimulation<'_, G> {
     /// Runs a stretch, and publishes its outputs. Returns whether to go on.
     fn advance(&mut self, stretch: Stretch, mut programs: Option<&mut ExternalPlugins>) -> bool {
         self.simulation.go(stretch);
@@ -192,6 +208,7 @@ impl<G: FnMut(Timestamp) -> bool> RecordedSimulation<G> {
                     if let Some(programs) = &mut programs {
                         programs.publish(&event, self.simulation.host());
                     }
+                    (self.observe)(&event);
                     self.records.keep(event);
                 }
                 Output::Scan(scan) => self.records.scan(scan),
@@ -202,7 +219,7 @@ impl<G: FnMut(Timestamp) -> bool> RecordedSimulation<G> {
     }
 }
 
-impl<G: FnMut(Timestamp) -> bool> Stage for RecordedSimulation<G> {
+impl<G: FnMut(Timestamp) -> bool> Stage for RecordedSimulation<'_, G> {
     fn now(&self) -> Timestamp {
         self.simulation.now()
     }

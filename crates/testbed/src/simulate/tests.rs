@@ -717,7 +717,9 @@ fn run_with_program(command: &[&str], settings: serde_json::Value, patience: Dur
         folder: Place::In(out.path().to_owned()),
         ..Options::default()
     };
-    let finished = run::simulate_with(testbed, "", &options, patience, wall_clock(), |_| true).unwrap();
+    let (altered, observe) = (&Altered::default(), &mut |_: &Stamped| {});
+    let conduct = run::Conduct { patience, wall: wall_clock(), altered, observe };
+    let (finished, _) = run::simulate_with(Arc::new(testbed), "", &options, conduct, |_| true).unwrap();
     let samples = std::fs::read_to_string(finished.folder.join("service_time.csv")).unwrap();
     (finished, samples)
 }
