@@ -205,7 +205,8 @@ impl Engine {
         punctual::be_punctual();
         let mut ready: Vec<Ready> = Vec::new();
         let mut deadline = self.poll();
-        loop {
+        // Also where a command has cleared the wake-up of the stop.
+        while !self.shared.stopping.load(Ordering::Relaxed) {
             let before = self.clock.now();
             let timeout = deadline.map(|at| self.punctuality.sleep(before, at - self.ports.handover));
             ready.clear();
@@ -219,8 +220,7 @@ impl Engine {
             let mut arrived = Some(self.punctuality.event_at(before, now));
             for event in &ready {
                 if self.shared.stopping.load(Ordering::Relaxed) {
-                    port::close(self.ports.ports);
-                    return Ok(self.fabric);
+                    break;
                 }
                 if event.token == self.ports.ports.len() {
                     self.run_commands();
@@ -235,6 +235,8 @@ impl Engine {
                 deadline = self.poll();
             }
         }
+        port::close(self.ports.ports);
+        Ok(self.fabric)
     }
 
     /// Lets the fabric deliver what is due, and returns its next deadline.
@@ -298,4 +300,24 @@ fn is_membership_report(frame: &[u8]) -> bool {
     const IGMP_V3: [u8; 6] = [0x01, 0x00, 0x5e, 0x00, 0x00, 0x16];
     const MLD_V2: [u8; 6] = [0x33, 0x33, 0x00, 0x00, 0x00, 0x16];
     frame.starts_with(&IGMP_V3) || frame.starts_with(&MLD_V2)
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::HardwareGraph;
+
+    use super::*;
+
+    #[test]
+    fn a_stop_whose_wake_up_a_command_cleared_ends_the_thread() {
+        let graph =
+            HardwareGraph { domains: Vec::new(), nodes: Vec::new(), links: Vec::new(), wireless: [].into() };
+        let shared = Arc::new(Shared::new().unwrap());
+        let fabric = Fabric::new(&graph, 1).unwrap();
+        let (clock, also_shared) = (Clock::start(), Arc::clone(&shared));
+        let engine = Engine::new(fabric, clock, Vec::new(), also_shared, BusyPoll::Never, None).unwrap();
+        shared.stop();
+        shared.waker.clear();
+        engine.run().unwrap();
+    }
 }
