@@ -98,11 +98,17 @@ fn an_interrupted_capture_leaves_a_whole_file() {
     let folder = TempDir::new().unwrap();
     let mut run = Run::start(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"]);
     let [file, other] = ["interrupted.pcapng", "ended.pcapng"].map(|name| folder.path().join(name));
-    let interrupted = begin(&run, &file, &["lan", "--snap", "60"]);
+    let mut interrupted = begin(&run, &file, &["lan", "--snap", "60"]);
     let ended = begin(&run, &other, &["lan"]);
     ping(&run);
-    // Requests and answers, on both links of the switch.
-    wait_until(|| fs::metadata(&file).unwrap().len() > 12 * 60);
+    // Requests and answers, on both links of the switch. A capture that has ended has an error to show.
+    let is_written = || fs::metadata(&file).unwrap().len() > 12 * 60;
+    wait_until(|| is_written() || interrupted.try_wait().unwrap().is_some());
+    assert!(
+        interrupted.try_wait().unwrap().is_none(),
+        "{}",
+        stderr(&interrupted.wait_with_output().unwrap())
+    );
     kill("INT", &interrupted.id().to_string());
     let output = interrupted.wait_with_output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));

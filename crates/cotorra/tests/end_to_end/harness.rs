@@ -55,7 +55,10 @@ pub struct Alone {
 fn alone() -> Alone {
     let name = format!("cotorra-end-to-end-{}.lock", fs::metadata("/proc/self").unwrap().uid());
     let lock = File::create(env::temp_dir().join(name)).unwrap();
-    lock.lock().unwrap();
+    if lock.try_lock().is_err() {
+        eprintln!("waits until the run of another test has ended, which may be one of another checkout");
+        lock.lock().unwrap();
+    }
     Alone { _lock: lock }
 }
 
