@@ -7,7 +7,7 @@
 use std::{collections::BTreeSet, time::Duration};
 
 use cotorra_graph::{
-    Event, Instruction, NodeId, NodeKind, RobotContext, ServiceTime, Testbed, Timestamp, VnfId,
+    Event, Instruction, NodeId, NodeKind, RobotContext, ServiceId, ServiceTime, Testbed, Timestamp, VnfId,
 };
 use cotorra_plugin::{Actions, Plugin, client};
 
@@ -26,7 +26,7 @@ struct Stepwise {
 }
 
 struct Service {
-    robot: NodeId,
+    id: ServiceId,
     vnf: VnfId,
     target: Duration,
     late: u32,
@@ -49,9 +49,10 @@ impl Plugin for Stepwise {
         self.servers = servers.into_iter().map(|(_, id)| id).collect();
         let movable = |service: &cotorra_graph::Service| {
             let vnf = service.vnfs.iter().find(|vnf| vnf.pinned_to.is_none())?.id.clone();
-            Some(Service { robot: service.robot.clone(), vnf, target: service.kpis.service_time, late: 0 })
+            Some(Service { id: service.id.clone(), vnf, target: service.kpis.service_time, late: 0 })
         };
-        self.services = testbed.services.iter().filter_map(movable).collect();
+        let navigation = testbed.services.iter().filter(|service| service.navigates());
+        self.services = navigation.filter_map(movable).collect();
     }
 
     fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {
@@ -75,7 +76,7 @@ impl Plugin for Stepwise {
 
 impl Stepwise {
     fn step(&mut self, sample: &ServiceTime, actions: &mut Actions) {
-        let Some(service) = self.services.iter_mut().find(|s| s.robot == sample.robot) else { return };
+        let Some(service) = self.services.iter_mut().find(|s| s.id == sample.service) else { return };
         let is_late = sample.took.is_none_or(|took| took > service.target);
         service.late = if is_late { service.late + 1 } else { 0 };
         if service.late == PATIENCE {

@@ -77,6 +77,7 @@ mod tests {
         ServiceSummary {
             robot: robot.parse().unwrap(),
             service: service.parse().unwrap(),
+            in_total: service != "localization",
             samples: above.map_or(0, |_| 1000),
             unanswered: 0,
             service_time_target_ms: 15.0,
@@ -110,13 +111,19 @@ mod tests {
 
     #[test]
     fn services_of_one_robot_are_told_apart_and_missing_samples_are_said() {
-        let services = [service("r1", "navigation", Some(100)), service("r1", "localization", None)];
+        let of = |localization| {
+            [service("r1", "navigation", Some(100)), service("r1", "localization", localization)]
+        };
         assert_eq!(
-            verdicts(&services, &[]),
+            verdicts(&of(None), &[]),
             [
                 "navigation of r1 kept 15 ms in 90.0 % of samples.",
                 "localization of r1 has no samples; its target is 15 ms.",
             ]
+        );
+        assert_eq!(
+            verdicts(&of(Some(0)), &[])[1..],
+            ["localization of r1 kept 15 ms in all samples.", "navigation of r1 kept its target least."]
         );
         let equal = ["r1", "r2"].map(|robot| service(robot, "navigation", Some(10)));
         assert_eq!(verdicts(&equal, &[]).len(), 2, "none of them is the worst");

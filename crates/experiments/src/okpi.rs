@@ -1,10 +1,13 @@
 //! The COTORRA letter's first validation (arXiv 2101.07676). A robot walks the corridor and back twice. With the state of
 //! the art, navigation stays in the cloud and the robot roams by periodic probing; the second walk is orchestrated by OKpi.
+//! Both are compared by the service times of the first service, which is navigation.
 
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
 use cotorra_figure::{Figure, Format, Panel, Sample, Series, SeriesKind};
-use cotorra_graph::{HardwareGraph, Instruction, NodeId, Position, Program, ServiceTime, Testbed};
+use cotorra_graph::{
+    HardwareGraph, Instruction, NodeId, Position, Program, Service, ServiceId, ServiceTime, Testbed, millis,
+};
 use cotorra_testbed::{DataTable, FolderError, Quantiles, Report, panels, service_time_ms, write_file};
 use serde::Serialize;
 
@@ -176,19 +179,17 @@ impl Comparison {
     pub fn of(testbed: &Testbed, soa: &Report, okpi: &Report) -> Self {
         let decided = Decided::by(testbed, okpi);
         let theory = decided.theory(testbed);
-        let at_samples: Vec<_> = okpi
-            .samples()
-            .iter()
+        let at_samples: Vec<_> = samples(testbed, okpi)
             .map(|sample| {
                 let state = decided.at(sample.emitted.as_secs_f64());
                 (sample, state.and_then(|state| theory.get(state).copied()))
             })
             .collect();
-        let [soa_legs, okpi_legs] = [soa, okpi].map(Legs::of);
+        let [soa_legs, okpi_legs] = [soa, okpi].map(|report| Legs::of(testbed, report));
         let median = |values: Vec<f64>| Quantiles::of(values).map(|quantiles| quantiles.p50);
         let parts = PUBLISHED.iter().map(|published| {
             let measured = |report: &Report, legs: &Legs| {
-                let inside = report.samples().iter().filter(|sample| legs.is_in(sample, published));
+                let inside = samples(testbed, report).filter(|sample| legs.is_in(sample, published));
                 median(inside.filter_map(|sample| service_time_ms(&sample)).collect())
             };
             let inside = at_samples.iter().filter(|(sample, _)| okpi_legs.is_in(sample, published));
@@ -202,8 +203,9 @@ impl Comparison {
                 published_soa_ms: published.soa,
             }
         });
-        let target_ms = soa.service_time_target_ms();
-        let above = |name, report: &Report| target_ms.and_then(|target| above_target(name, report, target));
+        let target_ms = compared(testbed).map(|service| millis::of(service.kpis.service_time));
+        let above =
+            |name, report: &Report| target_ms.and_then(|target| above_target(name, testbed, report, target));
         let [first, second] = CONTENDERS.map(|contender| contender.name);
         Self {
             parts: parts.collect(),
@@ -307,7 +309,7 @@ impl Comparison {
         write_file(folder, data, &(json + "\n"))?;
         let mut csv = String::from("contender,emitted_ns,service_time_ms,theory_ms,attachment,server\n");
         for (contender, report) in CONTENDERS.iter().zip([soa, okpi]) {
-            for sample in report.samples().iter() {
+            for sample in self::samples(testbed, report) {
                 let emitted = sample.emitted.as_secs_f64();
                 let number = |value: Option<f64>| value.map(|ms| format!("{ms:.6}")).unwrap_or_default();
                 let theory = if contender.plugin == "okpi" { number(at(emitted)) } else { String::new() };
@@ -351,13 +353,14 @@ fn figure(testbed: &Testbed, soa: &Report, okpi: &Report) -> Figure {
     let decided = Decided::by(testbed, okpi);
     let theory = decided.theory(testbed);
     let at = |seconds: f64| decided.at(seconds).and_then(|state| theory.get(state).copied());
-    let end = okpi.samples().end().as_secs_f64();
+    let end = samples(testbed, okpi).map(|sample| sample.emitted.as_secs_f64()).fold(0.0, f64::max);
     let seconds = (0..).map(|i| f64::from(i) * POINT_EVERY_S).take_while(|seconds| *seconds <= end);
     let points = seconds.filter_map(|x| Some(Sample { x, y: at(x)?, range: None })).collect();
     let names = ["State of the art: cloud, probing", "OKpi"];
     let mut all: Vec<Panel> = Vec::new();
     for ((title, report), line) in names.into_iter().zip([soa, okpi]).zip(["SoA", "OKpi-e"]) {
-        for mut panel in panels(report) {
+        let is_compared = |id: &ServiceId| compared(testbed).is_some_and(|service| service.id == *id);
+        for mut panel in panels(report, is_compared) {
             let subject = std::mem::take(&mut panel.title);
             panel.title = if subject.is_empty() { title.to_owned() } else { format!("{title}, {subject}") };
             panel.series.iter_mut().for_each(|series| series.name = line.to_owned());
@@ -382,7 +385,23 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
     writeln!(text, "{arguments}").expect("writing into a string cannot fail");
 }
 
-fn above_target(contender: &'static str, report: &Report, target_ms: f64) -> Option<AboveTarget> {
+/// Returns the service that is compared.
+fn compared(testbed: &Testbed) -> Option<&Service> {
+    testbed.totalled().next()
+}
+
+/// Returns the samples of the service that is compared.
+fn samples<'a>(testbed: &'a Testbed, report: &'a Report) -> impl Iterator<Item = ServiceTime> + 'a {
+    let compared = compared(testbed);
+    report.samples().iter().filter(move |sample| compared.is_some_and(|its| its.id == sample.service))
+}
+
+fn above_target(
+    contender: &'static str,
+    testbed: &Testbed,
+    report: &Report,
+    target_ms: f64,
+) -> Option<AboveTarget> {
     let handovers: Vec<_> = report
         .handovers()
         .iter()
@@ -395,15 +414,16 @@ fn above_target(contender: &'static str, report: &Report, target_ms: f64) -> Opt
             .any(|(done, gap)| (done - gap - AROUND_HANDOVER_S..=done + AROUND_HANDOVER_S).contains(&at))
     };
     let above = |sample: &ServiceTime| service_time_ms(sample).is_none_or(|ms| ms > target_ms);
-    let samples = report.samples().len();
-    let of = |wanted: &dyn Fn(&ServiceTime) -> bool| {
-        report.samples().iter().filter(|sample| wanted(sample)).count() as f64 / samples as f64
+    let count = |wanted: &dyn Fn(&ServiceTime) -> bool| {
+        samples(testbed, report).filter(|sample| wanted(sample)).count()
     };
-    (samples > 0).then(|| AboveTarget {
+    let all = count(&|_| true);
+    let of = |wanted: &dyn Fn(&ServiceTime) -> bool| count(wanted) as f64 / all as f64;
+    (all > 0).then(|| AboveTarget {
         contender,
         of_all: of(&above),
         away_from_handovers: of(&|sample| above(sample) && !near(sample)),
-        samples,
+        samples: all,
     })
 }
 
@@ -414,10 +434,10 @@ struct Legs {
 }
 
 impl Legs {
-    fn of(report: &Report) -> Self {
+    fn of(testbed: &Testbed, report: &Report) -> Self {
         let in_c =
             |sample: &ServiceTime| sample.attachment.as_ref().and_then(Segment::of) == Some(Segment::C);
-        let times = report.samples().iter().filter(in_c).map(|sample| sample.emitted.as_secs_f64());
+        let times = samples(testbed, report).filter(in_c).map(|sample| sample.emitted.as_secs_f64());
         Self { turned_s: times.fold(f64::INFINITY, f64::min) }
     }
 
@@ -445,14 +465,14 @@ struct Decided {
 }
 
 impl Decided {
-    /// Follows the decisions for the first service's robot, from its state at the first sample.
+    /// Follows the decisions for the compared service's robot, from its state at the first sample.
     fn by(testbed: &Testbed, report: &Report) -> Self {
-        let service = testbed.services.first();
+        let service = compared(testbed);
         let navigation = service.and_then(|s| s.vnfs.iter().find(|vnf| vnf.program == Program::Navigation));
         let (Some(service), Some(navigation)) = (service, navigation) else {
             return Self { robot: None, states: Vec::new() };
         };
-        let first = report.samples().iter().find_map(|sample| sample.attachment.clone());
+        let first = samples(testbed, report).find_map(|sample| sample.attachment.clone());
         let mut state = first.map(|unit| (unit, navigation.node.first().clone()));
         let mut states: Vec<_> = state.iter().map(|state| (0.0, None, state.clone())).collect();
         for decision in report.decisions() {

@@ -31,6 +31,22 @@ pub struct Service {
     pub requests: Requests,
 }
 
+impl Service {
+    /// Whether its service times are those of localization, from scans to poses.
+    pub fn localizes(&self) -> bool {
+        self.runs(&Program::Localization)
+    }
+
+    /// Whether its service times are those of navigation, from position packets to their answers.
+    pub fn navigates(&self) -> bool {
+        self.runs(&Program::RobotDriver) && !self.localizes()
+    }
+
+    fn runs(&self, program: &Program) -> bool {
+        self.vnfs.iter().any(|vnf| vnf.program == *program)
+    }
+}
+
 /// Destination of requests to a VNF that has several instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

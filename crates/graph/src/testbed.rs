@@ -66,6 +66,13 @@ impl Testbed {
     pub fn walk(&self, robot: &NodeId) -> Option<&Walk> {
         self.walks.iter().find(|w| w.robot == *robot)
     }
+
+    /// Returns the services that figures of several services together cover: all but those that localize, unless there are
+    /// no others.
+    pub fn totalled(&self) -> impl Iterator<Item = &Service> {
+        let all_localize = self.services.iter().all(Service::localizes);
+        self.services.iter().filter(move |service| all_localize || !service.localizes())
+    }
 }
 
 /// Retention of samples of each embedding; `None` keeps them for ever.

@@ -117,8 +117,10 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             }
             break;
         }
-        let read =
-            |history: &History, run: RunId| Federated::read(history, run, plan.block_period, plan.seed);
+        let testbed = &plan.loaded.testbed;
+        let read = |history: &History, run: RunId| {
+            Federated::read(history, run, testbed, plan.block_period, plan.seed)
+        };
         let recorded = Recorded::of_folder(&finished.folder).map_err(Error::from)?;
         let history = History::open(&recorded.history).map_err(Error::from)?;
         match read(&history, finished.run) {

@@ -68,7 +68,8 @@ fn describe(difference: &Difference) -> String {
 
     let regions = difference.regions.iter().map(|entry| {
         let attachment = entry.of.attachment.as_ref().map_or("none", |id| id.as_str());
-        (format!("{} by {attachment}, {}", entry.of.robot, entry.of.server), samples(&entry.runs))
+        let of = format!("{} of {}", entry.of.service, entry.of.robot);
+        (format!("{of} by {attachment}, {}", entry.of.server), samples(&entry.runs))
     });
     section("Service time by region, ms", figures("region", regions.take(ROWS)), difference.regions.len());
 

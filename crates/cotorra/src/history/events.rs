@@ -99,7 +99,10 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             let took =
                 sample.took.map_or("no answer".to_owned(), |t| format!("{:.3} ms", t.as_secs_f64() * 1e3));
             let attached = or_none(&sample.attachment);
-            format!("{} #{}: {took} by {attached}, {}", sample.robot, sample.sequence, sample.server)
+            format!(
+                "{} of {} #{}: {took} by {attached}, {}",
+                sample.service, sample.robot, sample.sequence, sample.server
+            )
         }
         Event::Handover(handover) => format!(
             "{} from {} to {}: {:.1} ms{}",

@@ -9,7 +9,7 @@ use cotorra_measurements::{Curve, CurveRequest, Figure, InvalidFigure, Values};
 use super::{
     args::SeriesArgs,
     drawn, plot,
-    services::services,
+    services::{only_service, services},
     source::{Error, Source},
 };
 use crate::{output, table::Table};
@@ -70,7 +70,7 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     let drawn = if drawn.points == points { curve } else { ask(&drawn).map_err(Error::from)? };
     let whole = ask(&whole).map_err(Error::from)?;
     let mut text = describe(&drawn, &whole);
-    if figure == (Figure::ServiceTime { service: None, robot: None }) {
+    if args.of == SERVICE && matches!(figure, Figure::ServiceTime { .. }) {
         text += &format!("\n{}", services(&source, args.span.range())?);
     }
     output::print(&text)
@@ -82,9 +82,12 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
     let parse = |text: &str| text.parse().map_err(SeriesError::Figure);
     match name {
         Some(name) if of == SERVICE => parse(name),
-        Some("service_time") if is_robot(of, source) => parse(&format!("service_time::{of}")),
+        Some("service_time") if is_robot(of, source) => {
+            let service = only_service(source, Some(of)).map(|service| service.to_string());
+            parse(&format!("service_time:{}:{of}", service.unwrap_or_default()))
+        }
         Some(name) => parse(&format!("{name}:{of}")),
-        None if of == SERVICE => parse("service_time"),
+        None if of == SERVICE => Ok(Figure::ServiceTime { service: only_service(source, None), robot: None }),
         None => {
             let default = |state: &cotorra_measurements::GraphState| {
                 let is = |id: &str| id == node;

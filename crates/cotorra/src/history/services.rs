@@ -2,22 +2,37 @@
 
 use std::ops::Bound;
 
-use cotorra_graph::{Event, Stamped, Timestamp};
+use cotorra_graph::{Event, ServiceId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::PageRequest;
 use cotorra_testbed::{Report, ServiceParts, ServiceSummary, by_service};
+use cotorra_testbed_file::Diagnostics;
 
 use super::source::{Error, Source};
 use crate::{table::Table, testbed_file, verdict::verdicts};
 
+/// Returns the service that stands for all of the run, or of a robot, because no other is in the total; `None` if there are
+/// several.
+pub fn only_service(source: &Source, robot: Option<&str>) -> Option<ServiceId> {
+    let testbed = testbed(source).ok()?;
+    let mut services =
+        testbed.totalled().filter(|service| robot.is_none_or(|robot| service.robot.as_str() == robot));
+    let first = services.next()?.id.clone();
+    services.next().is_none().then_some(first)
+}
+
+/// Parses the testbed file of a run. One of another machine may lack its map.
+fn testbed(source: &Source) -> Result<Testbed, Diagnostics> {
+    let info = &source.run.info;
+    testbed_file::recorded(&info.testbed, &info.name, &source.base(None), None)
+}
+
 /// Describes the services of a run in a range of time. A plot describes the figures of a single one.
 pub fn services(source: &Source, range: (Bound<Timestamp>, Bound<Timestamp>)) -> Result<String, Error> {
-    let info = &source.run.info;
-    // A run of another machine may lack its map.
-    let testbed = match testbed_file::recorded(&info.testbed, &info.name, &source.base(None), None) {
+    let testbed = match testbed(source) {
         Ok(testbed) => testbed,
         Err(wrong) => return Ok(format!("services are not listed: {wrong}\n")),
     };
-    let mut report = Report::new(&testbed, info.seed);
+    let mut report = Report::new(&testbed, source.run.info.seed);
     let mut request = PageRequest::first(PageRequest::MAX);
     loop {
         let page = source.history.service_times(source.run.id, range, request)?;

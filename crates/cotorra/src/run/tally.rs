@@ -8,7 +8,7 @@ use cotorra_graph::{ServiceId, ServiceTime};
 #[derive(Debug, Default)]
 pub struct Tally {
     services: BTreeMap<ServiceId, Counted>,
-    /// Times of answered requests in milliseconds, ascending.
+    /// Times of answered requests of services in the total, in milliseconds, ascending.
     answered_ms: Vec<f64>,
 }
 
@@ -17,21 +17,24 @@ pub struct Tally {
 struct Counted {
     /// Sequence number of the last one.
     last: Option<u32>,
+    in_total: bool,
     total: usize,
     above: usize,
 }
 
 impl Tally {
     /// Counts a service's last sample, unless it was counted before.
-    pub fn count(&mut self, sample: &ServiceTime, target_ms: f64) {
+    /// `in_total` is whether the service counts in the statistics of the whole run.
+    pub fn count(&mut self, sample: &ServiceTime, target_ms: f64, in_total: bool) {
         let its = self.services.entry(sample.service.clone()).or_default();
         if its.last.replace(sample.sequence) == Some(sample.sequence) {
             return;
         }
+        its.in_total = in_total;
         its.total += 1;
         let ms = sample.took.map(|took| took.as_secs_f64() * 1e3);
         its.above += usize::from(ms.is_none_or(|ms| ms > target_ms));
-        if let Some(ms) = ms {
+        if let Some(ms) = ms.filter(|_| in_total) {
             self.answered_ms.insert(self.answered_ms.partition_point(|&other| other <= ms), ms);
         }
     }
@@ -43,7 +46,8 @@ impl Tally {
 
     /// Returns the share of requests above their target. Unanswered requests count as above.
     pub fn above(&self) -> Option<f64> {
-        let sum = |of: fn(&Counted) -> usize| self.services.values().map(of).sum::<usize>();
+        let in_total = || self.services.values().filter(|its| its.in_total);
+        let sum = |of: fn(&Counted) -> usize| in_total().map(of).sum::<usize>();
         share(sum(|its| its.above), sum(|its| its.total))
     }
 
@@ -82,7 +86,7 @@ mod tests {
         let mut tally = Tally::default();
         assert_eq!((tally.median_ms(), tally.above()), (None, None));
         for (sequence, took) in [(0, Some(30)), (0, Some(30)), (1, Some(10)), (2, None), (3, Some(12))] {
-            tally.count(&sample(sequence, took), 15.0);
+            tally.count(&sample(sequence, took), 15.0, true);
         }
         assert_eq!(tally.median_ms(), Some(12.0));
         assert_eq!(tally.above(), Some(0.5));
@@ -92,13 +96,15 @@ mod tests {
     fn each_service_has_its_own_share() {
         let mut tally = Tally::default();
         for (service, sequence, took) in
-            [("a", 0, Some(10)), ("b", 0, Some(20)), ("a", 1, None), ("a", 1, None)]
+            [("a", 0, Some(10)), ("b", 0, Some(20)), ("a", 1, None), ("a", 1, None), ("apart", 0, Some(90))]
         {
+            let in_total = service != "apart";
             let service = service.parse().unwrap();
-            tally.count(&ServiceTime { service, ..sample(sequence, took) }, 15.0);
+            tally.count(&ServiceTime { service, ..sample(sequence, took) }, 15.0, in_total);
         }
         let kept = |service: &str| tally.kept(&service.parse().unwrap());
-        assert_eq!([kept("a"), kept("b"), kept("c")], [Some(0.5), Some(0.0), None]);
+        assert_eq!([kept("a"), kept("b"), kept("apart"), kept("c")], [Some(0.5), Some(0.0), Some(0.0), None]);
         assert_eq!(tally.above(), Some(2.0 / 3.0));
+        assert_eq!(tally.median_ms(), Some(20.0), "of 10 and 20 ms");
     }
 }

@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_federation::Step;
-use cotorra_graph::{Event, Instruction, NodeId, Stamped, Timestamp};
+use cotorra_graph::{Event, Instruction, NodeId, ServiceId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{History, Kind, PageRequest, RunId};
 use serde::Serialize;
 
@@ -75,6 +75,7 @@ impl Federated {
     pub fn read(
         history: &History,
         run: RunId,
+        testbed: &Testbed,
         block_period: Duration,
         seed: u64,
     ) -> Result<Self, NoFederation> {
@@ -87,6 +88,11 @@ impl Federated {
             let Some(next) = page.next else { break };
             request.after = Some(next);
         }
+        let navigates = |id: &ServiceId| testbed.services.iter().any(|its| its.id == *id && its.navigates());
+        events.retain(|stamped: &Stamped| match &stamped.event {
+            Event::ServiceTime(sample) => navigates(&sample.service),
+            _ => true,
+        });
         Self::of(&events, block_period, seed)
     }
 

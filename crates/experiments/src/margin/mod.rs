@@ -44,7 +44,7 @@ const LONGEST: f64 = 2.0;
 /// Extent of a search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// Names of the services whose targets count; all services without names.
+    /// Names of the services whose targets count. Without names, all count but those that localize.
     pub services: Vec<String>,
     /// Share of a service's samples that must keep its target.
     pub keep: f64,

@@ -139,7 +139,7 @@ pub struct Regrets {
 
 impl Regret {
     /// Prepares a run with that seed on the testbed of a file with this text. Without names, the samples of all services
-    /// count.
+    /// count but those that localize.
     ///
     /// # Errors
     /// [`UnknownService`].

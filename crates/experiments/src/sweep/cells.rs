@@ -38,6 +38,8 @@ pub struct Cell {
 pub struct ServiceCell {
     pub robot: NodeId,
     pub service: ServiceId,
+    /// Whether it counts in the figures of all services together.
+    pub in_total: bool,
     /// Number of runs with samples of the service.
     pub runs: usize,
     /// Target, ms.
@@ -147,6 +149,7 @@ impl ServiceCell {
         Self {
             robot: runs[0].robot.clone(),
             service: runs[0].service.clone(),
+            in_total: runs[0].in_total,
             runs: measured().count(),
             service_time_target_ms: runs[0].service_time_target_ms,
             service_time_p50_ms: over(|its| its.service_time_p50_ms),
@@ -196,6 +199,7 @@ mod tests {
         let service = |robot: &str, median: Option<f64>| MeasuredService {
             robot: robot.parse().unwrap(),
             service: format!("navigation-{robot}").parse().unwrap(),
+            in_total: true,
             service_time_target_ms: 15.0,
             samples: if median.is_some() { 10 } else { 0 },
             unanswered: 0,

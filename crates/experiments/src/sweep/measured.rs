@@ -57,6 +57,9 @@ pub struct Measured {
 pub struct MeasuredService {
     pub robot: NodeId,
     pub service: ServiceId,
+    /// Whether it counts in the figures of the run.
+    #[serde(default = "in_total")]
+    pub in_total: bool,
     /// Target, ms.
     pub service_time_target_ms: f64,
     /// Number of service times, unanswered ones included.
@@ -73,6 +76,11 @@ pub struct MeasuredService {
     pub service_time_p99_ms: Option<f64>,
     /// Longest service time, ms.
     pub service_time_max_ms: Option<f64>,
+}
+
+/// In journals of earlier versions, all services do.
+fn in_total() -> bool {
+    true
 }
 
 /// A stretch of a service with one attachment and one server.
@@ -165,6 +173,7 @@ impl MeasuredService {
         Self {
             robot: summary.robot.clone(),
             service: summary.service.clone(),
+            in_total: summary.in_total,
             service_time_target_ms: summary.service_time_target_ms,
             samples: summary.samples,
             unanswered: summary.unanswered,

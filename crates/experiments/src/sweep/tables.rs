@@ -1,6 +1,6 @@
 //! Tables of a sweep: tidy ones for programs, and a rounded one for readers.
 
-use cotorra_testbed::DataTable;
+use cotorra_testbed::{DataTable, name_of_total};
 
 use super::{Cell, Interval, MeasuredService, Runs, ServiceCell, Sweep};
 
@@ -99,8 +99,8 @@ pub(super) fn service_cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
     table
 }
 
-/// Returns a row for each service of each combination, and one for all services together if there are several. Figures are
-/// rounded, and have half the width of their confidence interval.
+/// Returns a row for each service of each combination, and one for all services in the total together if there are several.
+/// Figures are rounded, and have half the width of their confidence interval.
 pub(super) fn by_service(sweep: &Sweep, cells: &[Cell]) -> DataTable {
     let heads = ["runs", "target (ms)", "median (ms)", "p95 (ms)", "p99 (ms)", "kept (%)"];
     let names = sweep.axes().iter().map(|axis| axis.path()).chain(["robot", "service"]);
@@ -117,8 +117,8 @@ pub(super) fn by_service(sweep: &Sweep, cells: &[Cell]) -> DataTable {
             table
                 .row(of(&cell.values).chain(fixed).chain(times.map(rounded)).chain([kept(its.above_target)]));
         }
-        if cell.services.len() > 1 {
-            let fixed = ["all", "", &cell.runs.to_string(), ""].map(str::to_owned);
+        if let Some(name) = name_of_total(cell.services.iter().map(|its| its.in_total)) {
+            let fixed = [name, "", &cell.runs.to_string(), ""].map(str::to_owned);
             let times = [cell.service_time_p50_ms, cell.service_time_p95_ms, cell.service_time_p99_ms];
             table.row(
                 of(&cell.values).chain(fixed).chain(times.map(rounded)).chain([kept(cell.above_target)]),

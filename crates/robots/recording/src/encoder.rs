@@ -197,8 +197,8 @@ impl Encoder {
 
     fn service_time(&mut self, at: Timestamp, sample: &ServiceTime, out: Out<'_>) {
         let Some(robot) = self.robots.get_mut(&sample.robot) else { return };
-        let is_flow = |service: &Service| service.id == sample.service && service.kpis.flow.is_some();
-        if !self.testbed.services.iter().any(is_flow) {
+        let is_other = |service: &Service| service.id == sample.service && !service.navigates();
+        if !self.testbed.services.iter().any(is_other) {
             robot.last = Some(sample.clone());
         }
         let message = messages::ServiceTime {

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use cotorra_fabric::Balance;
 use cotorra_graph::{
     AccessPoint, Decision, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, PluginId, Program,
-    Stamped, Testbed, Timestamp, VnfEvent, VnfId, VnfState,
+    ServiceId, Stamped, Testbed, Timestamp, VnfEvent, VnfId, VnfState,
 };
 use cotorra_network_control::vim::{InstanceId, Managed, Stage};
 use cotorra_robot_middleware::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, SimulatedRobot};
@@ -102,16 +102,27 @@ const BRAKES: (f64, f64) = (0.6, 4.2);
 const NOISE: (f64, f64) = (0.03, 0.05);
 
 /// [`Invariant::Stops`].
-#[derive(Default)]
 pub(super) struct Stops {
+    /// Services whose answers are commands.
+    navigating: BTreeSet<ServiceId>,
     /// Time of each robot's last fresh command.
     commanded: BTreeMap<NodeId, Timestamp>,
 }
 
 impl Stops {
+    pub(super) fn new(testbed: &Testbed) -> Self {
+        let navigating = testbed.services.iter().filter(|service| service.navigates());
+        Self {
+            navigating: navigating.map(|service| service.id.clone()).collect(),
+            commanded: BTreeMap::new(),
+        }
+    }
+
     pub(super) fn event(&mut self, stamped: &Stamped, checked: &mut Checked) -> Result<(), Broken> {
         match &stamped.event {
-            Event::ServiceTime(sample) if sample.took.is_some() => {
+            Event::ServiceTime(sample)
+                if sample.took.is_some() && self.navigating.contains(&sample.service) =>
+            {
                 self.commanded.insert(sample.robot.clone(), stamped.at);
             }
             Event::Decision(Decision {
@@ -446,7 +457,7 @@ pub(super) struct Watch {
 impl Watch {
     pub(super) fn new(testbed: &Testbed) -> Self {
         Self {
-            stops: Stops::default(),
+            stops: Stops::new(testbed),
             slow: Slow::default(),
             fits: Fits::new(&testbed.graph),
             decided: Decided::default(),

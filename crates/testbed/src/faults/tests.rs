@@ -180,8 +180,9 @@ fn sample(took: Option<Duration>) -> Event {
 
 #[test]
 fn a_robot_that_moves_without_fresh_commands_is_found() {
+    let testbed = lab();
     let moved = |commands: Event, seconds: f64, linear: f64, angular: f64| {
-        let (mut stops, mut checked) = (Stops::default(), Checked::default());
+        let (mut stops, mut checked) = (Stops::new(&testbed), Checked::default());
         stops.event(&stamped(1.0, commands), &mut checked).unwrap();
         let found_violation = found(stops.event(&stamped(seconds, context(linear, angular)), &mut checked));
         (found_violation.is_some(), checked.exercised)

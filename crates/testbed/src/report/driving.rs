@@ -1,8 +1,11 @@
 //! Measures how far robots drive blind: while the answer that they follow is older than it would be with timely answers.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
 
-use cotorra_graph::{Event, NodeId, Program, Stamped, Testbed, Timestamp};
+use cotorra_graph::{Event, NodeId, Program, ServiceId, Stamped, Testbed, Timestamp};
 use serde::Serialize;
 
 /// Distances that a robot drove.
@@ -20,7 +23,11 @@ pub struct DrivingSummary {
 
 /// The robots that are navigated along a walk.
 #[derive(Debug, Default)]
-pub(super) struct Driving(BTreeMap<NodeId, Driven>);
+pub(super) struct Driving {
+    robots: BTreeMap<NodeId, Driven>,
+    /// Services whose answers the robots follow.
+    followed: BTreeSet<ServiceId>,
+}
 
 #[derive(Debug)]
 struct Driven {
@@ -48,20 +55,26 @@ impl Driving {
             let fresh = service.kpis.service_time + walk.position_interval;
             Some((service.robot.clone(), Driven::new(fresh)))
         };
-        Self(navigated.filter_map(driven).collect())
+        let followed = testbed.services.iter().filter(|service| service.navigates());
+        Self {
+            robots: navigated.filter_map(driven).collect(),
+            followed: followed.map(|service| service.id.clone()).collect(),
+        }
     }
 
     pub(super) fn absorb(&mut self, Stamped { at, event }: &Stamped) {
         match event {
             Event::Robot(context) => {
-                if let Some(driven) = self.0.get_mut(&context.robot) {
+                if let Some(driven) = self.robots.get_mut(&context.robot) {
                     driven.advance(*at);
                     let velocity = context.sensors.velocity;
                     driven.speed = velocity.linear.hypot(velocity.vertical);
                 }
             }
-            Event::ServiceTime(sample) if sample.took.is_some() => {
-                if let Some(driven) = self.0.get_mut(&sample.robot) {
+            Event::ServiceTime(sample)
+                if sample.took.is_some() && self.followed.contains(&sample.service) =>
+            {
+                if let Some(driven) = self.robots.get_mut(&sample.robot) {
                     driven.advance(*at);
                     driven.answered = driven.answered.max(sample.emitted);
                 }
@@ -77,7 +90,7 @@ impl Driving {
             blind_m: driven.blind_m,
             longest_blind_m: driven.longest_m,
         };
-        self.0.iter().map(summary).collect()
+        self.robots.iter().map(summary).collect()
     }
 }
 

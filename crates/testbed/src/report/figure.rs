@@ -1,10 +1,12 @@
 //! The service time over time in the layout of the published figure: the target dashed, the attachment shaded and named.
 //! Each robot has its own panel, and each service of a robot.
 
+use std::collections::BTreeMap;
+
 use cotorra_figure::{Axis, Band, Figure, Level, Panel, Sample, Series, SeriesKind};
 use cotorra_graph::{NodeId, ServiceId, ServiceTime};
 
-use super::summary::{Report, service_time_ms};
+use super::summary::{RegionSummary, Report, ServiceSummary, service_time_ms};
 
 /// Number of columns of a panel; more points cannot be told apart.
 const COLUMNS: f64 = 500.0;
@@ -24,14 +26,17 @@ struct Its {
 
 /// Draws a run: a panel for each robot and service that has samples.
 pub fn draw(title: &str, report: &Report) -> Figure {
-    let panels = panels(report);
+    let panels = panels(report, |_| true);
     Figure { title: title.to_owned(), panels, data: "service_time.csv".to_owned() }
 }
 
-/// Returns a panel for each robot and service that has samples, with the same time axis. The title says what differs.
-pub fn panels(report: &Report) -> Vec<Panel> {
+/// Returns a panel for each robot and service that has samples, of these services, with the same time axis. Services are in
+/// the file's order. The title says what differs.
+pub fn panels(report: &Report, of: impl Fn(&ServiceId) -> bool) -> Vec<Panel> {
     let mut all: Vec<Its> = Vec::new();
-    for sample in report.samples().iter() {
+    let mut end = 0.0_f64;
+    for sample in report.samples().iter().filter(|sample| of(&sample.service)) {
+        end = end.max(sample.emitted.as_secs_f64());
         let point = (sample.emitted.as_secs_f64(), service_time_ms(&sample));
         let ServiceTime { robot, service, .. } = sample;
         match all.iter_mut().find(|its| its.robot == robot && its.service == service) {
@@ -39,19 +44,22 @@ pub fn panels(report: &Report) -> Vec<Panel> {
             None => all.push(Its { robot, service, samples: vec![point] }),
         }
     }
-    all.sort_by(|a, b| (&a.robot, &a.service).cmp(&(&b.robot, &b.service)));
+    let services = report.services();
+    let places: BTreeMap<_, _> = services.iter().zip(0..).map(|(its, place)| (&its.service, place)).collect();
+    let rank = |its: &Its| (its.robot.clone(), places.get(&its.service).copied(), its.service.clone());
+    all.sort_by_cached_key(rank);
     let several = |differs: fn(&Its, &Its) -> bool| all.windows(2).any(|pair| differs(&pair[0], &pair[1]));
     let robots = several(|a, b| a.robot != b.robot);
-    let services = several(|a, b| a.service != b.service);
-    let end = report.samples().end().as_secs_f64();
+    let several_services = several(|a, b| a.service != b.service);
+    let regions = report.regions();
     let panel = |its: &Its| {
-        let title = match (robots, services) {
+        let title = match (robots, several_services) {
             (true, true) => format!("{}: {}", its.robot, its.service),
             (true, false) => its.robot.to_string(),
             (false, true) => its.service.to_string(),
             (false, false) => String::new(),
         };
-        panel(title, its, report, end)
+        panel(title, its, &services, &regions, end)
     };
     let mut panels: Vec<Panel> = all.iter().map(panel).collect();
     if panels.is_empty() {
@@ -61,8 +69,13 @@ pub fn panels(report: &Report) -> Vec<Panel> {
     panels
 }
 
-fn panel(title: String, its: &Its, report: &Report, end: f64) -> Panel {
-    let services = report.services();
+fn panel(
+    title: String,
+    its: &Its,
+    services: &[ServiceSummary],
+    regions: &[RegionSummary],
+    end: f64,
+) -> Panel {
     let target = services.iter().find(|s| s.service == its.service).map(|s| s.service_time_target_ms);
     let target = target.filter(|target| target.is_finite());
     let mut answered: Vec<f64> = its.samples.iter().filter_map(|(_, ms)| *ms).collect();
@@ -71,11 +84,8 @@ fn panel(title: String, its: &Its, report: &Report, end: f64) -> Panel {
     let usual = answered.get(answered.len() * 99 / 100).copied().unwrap_or_default();
     let top =
         target.map_or(highest, |target| highest.min((ROOM * usual).max(TARGETS * target)).max(1.2 * target));
-    let regions: Vec<_> = report
-        .regions()
-        .into_iter()
-        .filter(|region| region.robot == its.robot && region.service == its.service)
-        .collect();
+    let regions: Vec<_> =
+        regions.iter().filter(|region| region.robot == its.robot && region.service == its.service).collect();
     // The shading has no gaps: a region ends where the next one begins.
     let ends = regions.iter().skip(1).map(|next| next.from).chain(regions.last().map(|last| last.until));
     let bands = regions.iter().zip(ends).map(|(region, to)| Band {
@@ -186,6 +196,9 @@ mod tests {
         assert_eq!(titles(&[("robot", "navigation")]), [""]);
         assert_eq!(titles(&[("b", "navigation"), ("a", "navigation"), ("c", "navigation")]), ["a", "b", "c"]);
         assert_eq!(titles(&[("robot", "navigation"), ("robot", "detect")]), ["detect", "navigation"]);
+        let report = report(&[("robot", "navigation"), ("robot", "detect")]);
+        let [only] = &panels(&report, |service| service.as_str() == "detect")[..] else { panic!() };
+        assert_eq!((only.title.as_str(), only.missing.1.len()), ("", 4));
         let both = [("a", "navigation"), ("b", "navigation"), ("b", "detect")];
         assert_eq!(titles(&both), ["a: navigation", "b: detect", "b: navigation"]);
     }

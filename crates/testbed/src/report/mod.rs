@@ -17,7 +17,7 @@ pub(crate) use end::End;
 pub use figure::panels;
 pub use folder::{FolderError, Place, write_file};
 pub use run_folder::{RunFolder, write_figure};
-pub use services::by_service;
+pub use services::{by_service, name_of_total};
 pub use summary::{
     DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, LocalizationSummary, Losses, PlacementRecord,
     RegionSummary, Report, RobotSummary, ServiceSummary, Summary, service_time_ms,

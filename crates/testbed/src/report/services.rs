@@ -43,15 +43,23 @@ pub fn by_service(services: &[ServiceSummary]) -> DataTable {
 }
 
 impl Summary {
-    /// Returns a row for each service, rounded for readers. Several services also have a row for all together.
+    /// Returns a row for each service, rounded for readers. Several services in the total also have a row for all of them.
     pub fn by_service(&self) -> DataTable {
         let mut table = by_service(&self.services);
-        if self.services.len() > 1 {
+        if let Some(name) = name_of_total(self.services.iter().map(|its| its.in_total)) {
             let figures = figures(self.samples, self.unanswered, self.above_target, self.service_time_ms);
-            table.row(["all", "", ""].map(str::to_owned).into_iter().chain(figures));
+            table.row([name, "", ""].map(str::to_owned).into_iter().chain(figures));
         }
         table
     }
+}
+
+/// Returns the name of a row for services together; `None` if it would say no more than that of a service. The items are
+/// whether each service is in the total.
+pub fn name_of_total(in_total: impl Iterator<Item = bool>) -> Option<&'static str> {
+    let (counted, apart): (Vec<_>, Vec<_>) = in_total.partition(|in_total| *in_total);
+    let name = if apart.is_empty() { "all" } else { "all but localization" };
+    (counted.len() > 1).then_some(name)
 }
 
 fn figures(
@@ -82,6 +90,7 @@ mod tests {
         let service = |robot: &str, samples: usize| ServiceSummary {
             robot: robot.parse().unwrap(),
             service: "navigation".parse().unwrap(),
+            in_total: true,
             samples,
             unanswered: samples / 4,
             service_time_target_ms: 15.0,
@@ -89,6 +98,16 @@ mod tests {
             service_time_ms: Quantiles::of(vec![10.0; samples]),
         };
         [service("r1", 4), service("r2", 0)]
+    }
+
+    #[test]
+    fn a_row_for_several_services_says_what_it_leaves_out() {
+        let name = |in_total: &[bool]| name_of_total(in_total.iter().copied());
+        assert_eq!((name(&[]), name(&[true]), name(&[true, false])), (None, None, None));
+        assert_eq!(
+            (name(&[true, true]), name(&[true, false, true])),
+            (Some("all"), Some("all but localization"))
+        );
     }
 
     #[test]

@@ -29,7 +29,8 @@ const VALID_PROBES: u64 = 100;
 /// Maximum number of notices.
 const MOST_NOTICES: usize = 100;
 
-/// The content of `summary.json`.
+/// The content of `summary.json`. Figures of the run as a whole, of robots and of regions cover the services that are in the
+/// total ([`ServiceSummary::in_total`]).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// Name of the testbed.
@@ -45,7 +46,7 @@ pub struct Summary {
     pub samples: usize,
     /// Number of service times without an answer within the robot's command timeout.
     pub unanswered: usize,
-    /// Target service time of the first service, milliseconds.
+    /// Target service time of the first service in the total, milliseconds.
     pub service_time_target_ms: Option<f64>,
     /// Share of samples above the target of their service. Unanswered ones count as above it.
     pub above_target: Option<f64>,
@@ -79,7 +80,7 @@ pub struct Summary {
     pub history_dropped: u64,
 }
 
-/// All services of one robot together, and its handovers.
+/// All services of one robot in the total together, and its handovers.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RobotSummary {
     pub robot: NodeId,
@@ -101,6 +102,8 @@ pub struct ServiceSummary {
     /// The robot that it serves.
     pub robot: NodeId,
     pub service: ServiceId,
+    /// Whether it counts in the figures of the run and of its robot. Services that localize do not, unless all do.
+    pub in_total: bool,
     /// Number of service times, unanswered ones included.
     pub samples: usize,
     /// Number of service times without an answer in time.
@@ -299,6 +302,7 @@ pub struct Losses {
 struct Served {
     service: ServiceId,
     robot: NodeId,
+    in_total: bool,
     target_ms: f64,
 }
 
@@ -331,9 +335,14 @@ pub struct Report {
 }
 
 impl Served {
-    fn of(service: &Service) -> Self {
-        let (robot, target_ms) = (service.robot.clone(), millis::of(service.kpis.service_time));
-        Self { service: service.id.clone(), robot, target_ms }
+    fn all(testbed: &Testbed) -> Vec<Self> {
+        let served = |service: &Service| Self {
+            service: service.id.clone(),
+            robot: service.robot.clone(),
+            in_total: testbed.totalled().any(|other| other.id == service.id),
+            target_ms: millis::of(service.kpis.service_time),
+        };
+        testbed.services.iter().map(served).collect()
     }
 }
 
@@ -348,7 +357,7 @@ impl Report {
                 None => MeasuredFrames::All,
             },
             robot_ids: testbed.graph.robots().map(|(node, _)| node.id.clone()).collect(),
-            services: testbed.services.iter().map(Served::of).collect(),
+            services: Served::all(testbed),
             asking_all: testbed
                 .services
                 .iter()
@@ -467,9 +476,9 @@ impl Report {
         &self.samples
     }
 
-    /// Returns the target of the first service, milliseconds.
+    /// Returns the target of the first service in the total, milliseconds.
     pub fn service_time_target_ms(&self) -> Option<f64> {
-        self.services.first().map(|its| its.target_ms)
+        self.services.iter().find(|its| its.in_total).map(|its| its.target_ms)
     }
 
     /// Returns the summaries of all services, in the file's order.
@@ -499,6 +508,7 @@ impl Report {
         let summary = |(its, times): (&Served, Times)| ServiceSummary {
             robot: its.robot.clone(),
             service: its.service.clone(),
+            in_total: its.in_total,
             samples: times.samples,
             unanswered: times.unanswered(),
             service_time_target_ms: its.target_ms,
@@ -508,10 +518,15 @@ impl Report {
         self.services.iter().zip(by_service).map(summary).collect()
     }
 
+    /// Returns the times of these services together, as far as they are in the total.
+    fn merged(&self, by_service: &[Times], of: impl Fn(&Served) -> bool) -> Times {
+        let its = self.services.iter().zip(by_service).filter(|(its, _)| its.in_total && of(its));
+        Times::merged(its.map(|(_, times)| times))
+    }
+
     fn robots(&self, by_service: &[Times]) -> Vec<RobotSummary> {
         let summary = |robot: &NodeId| {
-            let its = self.services.iter().zip(by_service).filter(|(its, _)| its.robot == *robot);
-            let times = Times::merged(its.map(|(_, times)| times));
+            let times = self.merged(by_service, |its| its.robot == *robot);
             let gaps = self.handovers.iter().filter(|handover| handover.robot == *robot);
             let gaps: Vec<_> = gaps.map(|handover| handover.gap_ms).collect();
             RobotSummary {
@@ -529,7 +544,7 @@ impl Report {
     /// Returns the summary of a run that ended at `end`.
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let by_service = self.by_service();
-        let whole = Times::merged(&by_service);
+        let whole = self.merged(&by_service, |_| true);
         Summary {
             name: self.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
@@ -544,7 +559,7 @@ impl Report {
             robots: self.robots(&by_service),
             services: self.summarize(by_service),
             time_parts: self.time_parts(),
-            regions: self.regions(),
+            regions: self.regions().into_iter().filter(|region| !self.is_apart(&region.service)).collect(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
             fidelity: Fidelity::of(
@@ -560,6 +575,11 @@ impl Report {
             notices: self.notices.clone(),
             history_dropped: losses.history_dropped,
         }
+    }
+
+    /// Whether a service is not in the total.
+    fn is_apart(&self, service: &ServiceId) -> bool {
+        self.services.iter().any(|its| its.service == *service && !its.in_total)
     }
 
     /// Returns the stretches with one attachment and one server, by robot and service.
@@ -631,17 +651,25 @@ mod tests {
         Stamped { at: emitted, event }
     }
 
-    /// Returns a report on two robots. The first has the services `navigation` and `detect`, the second has `watch`.
+    /// Returns a report on two robots. The first has the services `navigation`, `detect` and `localization`, which is not in
+    /// the total; the second has `watch`.
     fn report() -> Report {
         let text = "name: test\nnodes: { a: { kind: switch } }\n";
         let testbed = cotorra_testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
         let served = |(service, robot, target_ms): (&str, &str, f64)| {
             let (service, robot) = (service.parse().unwrap(), robot.parse().unwrap());
-            Served { service, robot, target_ms }
+            Served { service, robot, in_total: true, target_ms }
         };
-        let services = [("navigation", "robot", 15.0), ("detect", "robot", 100.0), ("watch", "other", 30.0)];
+        let services = [
+            ("navigation", "robot", 15.0),
+            ("detect", "robot", 100.0),
+            ("watch", "other", 30.0),
+            ("localization", "robot", 50.0),
+        ];
+        let mut services = services.map(served);
+        services[3].in_total = false;
         let (services, robot_ids) =
-            (services.map(served).into(), ["robot", "other"].map(|id| id.parse().unwrap()).into());
+            (services.into(), ["robot", "other"].map(|id| id.parse().unwrap()).into());
         Report { services, robot_ids, ..Report::new(&testbed, 1) }
     }
 
@@ -654,7 +682,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_whole_is_the_sum_of_robots_and_these_of_services(
-            samples in vec((0..3_usize, option::of(0..200_u64)), 0..80),
+            samples in vec((0..4_usize, option::of(0..200_u64)), 0..80),
             handovers in vec((0..2_usize, 0..500_u64), 0..10),
         ) {
             let mut report = report();
@@ -674,17 +702,21 @@ mod tests {
             let sum = |parts: Vec<[usize; 3]>| parts.iter().fold([0; 3], |all, its| [0, 1, 2].map(|i| all[i] + its[i]));
             let of_service = |s: &ServiceSummary| [s.samples, s.unanswered, above(s.samples, s.above_target)];
             let of_robot = |r: &RobotSummary| [r.samples, r.unanswered, above(r.samples, r.above_target)];
-            prop_assert_eq!(whole[0], samples.len());
-            prop_assert_eq!(sum(summary.services.iter().map(of_service).collect()), whole);
+            let (counted, apart): (Vec<_>, Vec<_>) = samples.iter().partition(|(service, _)| *service < 3);
+            prop_assert_eq!(whole[0], counted.len());
+            prop_assert_eq!(summary.services[3].samples, apart.len());
+            prop_assert_eq!(summary.regions.iter().map(|region| region.samples).sum::<usize>(), counted.len());
+            let in_total = || summary.services.iter().filter(|service| service.in_total);
+            prop_assert_eq!(sum(in_total().map(of_service).collect()), whole);
             prop_assert_eq!(sum(summary.robots.iter().map(of_robot).collect()), whole);
             for robot in &summary.robots {
-                let its = summary.services.iter().filter(|service| service.robot == robot.robot);
+                let its = in_total().filter(|service| service.robot == robot.robot);
                 prop_assert_eq!(sum(its.map(of_service).collect()), of_robot(robot));
             }
             let max = |times: Option<Quantiles>| times.map_or(0.0, |times| times.max);
-            let highest = summary.services.iter().map(|service| max(service.service_time_ms)).fold(0.0, f64::max);
+            let highest = in_total().map(|service| max(service.service_time_ms)).fold(0.0, f64::max);
             prop_assert_eq!(max(summary.service_time_ms), highest);
-            let all = Quantiles::of(samples.iter().filter_map(|(_, took)| Some((*took)? as f64)).collect());
+            let all = Quantiles::of(counted.iter().filter_map(|(_, took)| Some((*took)? as f64)).collect());
             prop_assert_eq!(summary.service_time_ms, all);
             prop_assert_eq!(summary.robots.iter().map(|robot| robot.handovers).sum::<usize>(), handovers.len());
             let longest = handovers.iter().map(|(_, gap)| *gap as f64).fold(0.0, f64::max);
@@ -700,7 +732,13 @@ mod tests {
         let summary = report.summary(Timestamp::ZERO, "finished", Losses::default());
         let services: Vec<_> =
             summary.services.iter().map(|s| (s.robot.as_str(), s.service.as_str(), s.samples)).collect();
-        assert_eq!(services, [("robot", "navigation", 1), ("robot", "detect", 0), ("other", "watch", 0)]);
+        let expected = [
+            ("robot", "navigation", 1),
+            ("robot", "detect", 0),
+            ("other", "watch", 0),
+            ("robot", "localization", 0),
+        ];
+        assert_eq!(services, expected);
         let robots: Vec<_> =
             summary.robots.iter().map(|r| (r.robot.as_str(), r.samples, r.above_target)).collect();
         assert_eq!(robots, [("robot", 1, Some(0.0)), ("other", 0, None)]);
