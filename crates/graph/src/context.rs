@@ -408,7 +408,8 @@ impl PathKind {
 }
 
 /// One measured service time: from the emission of a robot's position packet to the reception of the navigation
-/// packet that answers it, both read on the robot's clock.
+/// packet that answers it, both read on the robot's clock. Of a service that localizes, from a scan to the pose; of one with a
+/// `flow`, from a request to its answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ServiceTime {
@@ -416,18 +417,18 @@ pub struct ServiceTime {
     pub service: ServiceId,
     /// The robot.
     pub robot: NodeId,
-    /// Number of the position packet, from 0.
+    /// Number of the position packet, scan or request, from 0.
     pub sequence: u32,
     /// Time of emission.
     #[serde(rename = "emitted_ns")]
     pub emitted: Timestamp,
-    /// Service time; `None` if no answer came within the robot's command timeout.
+    /// Service time; `None` if no answer came in time: within the robot's command timeout, or 3 s for a scan.
     #[serde(rename = "service_time_ms", with = "millis::option")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
     pub took: Option<Duration>,
     /// The radio unit that the robot was attached to when it was emitted.
     pub attachment: Option<NodeId>,
-    /// The node that ran the navigation VNF that it was sent to.
+    /// The node of the VNF that answered; without an answer, of the one that it was sent to.
     pub server: NodeId,
     /// Parts of the service time; `None` without an answer, or if the fabric did not carry the packets.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -58,7 +58,7 @@ pub(crate) struct Core<N, E> {
     navigators: BTreeMap<NodeId, Answerer>,
     /// Localization VNF of each robot that has one.
     localizers: BTreeMap<NodeId, Answerer>,
-    /// Round trips of navigation packets.
+    /// Round trips of position packets and scans.
     trips: Trips,
     /// VNF that each camera's images go to.
     receivers: BTreeMap<(NodeId, SensorId), Answerer>,
@@ -96,16 +96,17 @@ impl<N: Network, E: Engine> Core<N, E> {
             let of_service = |service: &cotorra_graph::Service| {
                 Some((service.robot.clone(), Answerer::of(&testbed, service, &program)?))
             };
-            testbed.services.iter().filter_map(of_service).collect()
+            // A robot uses its first service of a kind.
+            testbed.services.iter().rev().filter_map(of_service).collect()
         };
-        let navigators = of_robots(Program::Navigation);
-        let ports = navigators.iter().map(|(robot, of)| (robot.clone(), of.port));
+        let (navigators, localizers) = (of_robots(Program::Navigation), of_robots(Program::Localization));
+        let ports = navigators.iter().chain(&localizers).map(|(robot, of)| (robot.clone(), of.port));
         Ok(Self {
             trips: Trips::follow(&network, ports),
             middleware: RobotMiddleware::driven(&testbed, seed, CONTEXT, nonces, drive)?,
             control: NetworkControl::new(&testbed, network, engine),
             navigators,
-            localizers: of_robots(Program::Localization),
+            localizers,
             receivers: images::receivers(&testbed),
             data: VecDeque::new(),
             images: VecDeque::new(),
@@ -210,12 +211,11 @@ impl<N: Network, E: Engine> Core<N, E> {
                 };
                 of.asked(&self.control).into_iter().map(socket).collect()
             };
-            // Without a navigation VNF the robot talks to itself, and nobody answers.
+            // Without a VNF the robot talks to itself, and nobody answers.
             let itself = || vec![(robot.clone(), address(&testbed, robot, DISCARD))];
-            let localization = self.localizers.get(robot).map(servers).unwrap_or_default();
             let servers = Servers {
                 navigation: self.navigators.get(robot).map_or_else(itself, servers),
-                localization: localization.into_iter().filter_map(|(_, address)| address).collect(),
+                localization: self.localizers.get(robot).map_or_else(itself, servers),
             };
             self.middleware.set_servers(robot, servers);
         }
@@ -261,17 +261,18 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     /// Receives a datagram at a robot.
     pub(crate) fn receive(&mut self, at: Timestamp, robot: &NodeId, from: SocketAddrV4, bytes: &[u8]) {
-        match Answer::decode(bytes) {
+        let (nonce, sample) = match Answer::decode(bytes) {
             Ok(Answer::Navigation(packet)) => {
-                if let Some(sample) = self.middleware.receive(at, robot, from, &packet) {
-                    self.trips.split(packet.nonce, sample);
-                }
+                (packet.nonce, self.middleware.receive(at, robot, from, &packet))
             }
-            Ok(Answer::Pose(packet)) => self.middleware.localized(at, robot, from, &packet),
+            Ok(Answer::Pose(packet)) => (packet.nonce, self.middleware.localized(at, robot, from, &packet)),
             Err(error) => {
                 tracing::debug!("robot {robot} received a datagram that is not an answer: {error}");
-                self.middleware.reject(robot);
+                return self.middleware.reject(robot);
             }
+        };
+        if let Some(sample) = sample {
+            self.trips.split(nonce, sample);
         }
     }
 

@@ -1,4 +1,4 @@
-//! Round trips of navigation packets, which the fabric follows, and the parts of service times that they give.
+//! Round trips of position packets and scans, which the fabric follows, and the parts of service times that they give.
 
 use std::{
     collections::VecDeque,

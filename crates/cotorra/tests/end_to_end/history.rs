@@ -112,7 +112,7 @@ fn state_series_and_events_are_shown() {
     assert_eq!(json["links"].as_array().unwrap().len(), 46);
 
     let drawn = runs.answer(&["series", okpi, "service"]);
-    assert!(drawn.starts_with("service_time, ms\n") && drawn.contains("median"), "{drawn}");
+    assert!(drawn.starts_with("service_time:navigation, ms\n") && drawn.contains("median"), "{drawn}");
     let folder = tempfile::tempdir().unwrap();
     for (ending, begin) in [("svg", &b"<svg"[..]), ("pdf", b"%PDF-1.4"), ("png", b"\x89PNG")] {
         let file = folder.path().join("delay").with_extension(ending);

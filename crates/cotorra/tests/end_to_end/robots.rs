@@ -46,6 +46,8 @@ fn a_run_says_of_each_robot_whether_it_kept_its_target() {
     // The samples themselves say how many of them each robot has, and how many were in time.
     let samples = read("service_time.csv");
     let samples = rows(&samples);
+    let (samples, scans): (Vec<_>, Vec<_>) =
+        samples.into_iter().partition(|sample| sample["service"] != "localization-2");
     let count = |robot: &str, target_ms: f64| {
         let its = samples.iter().filter(|sample| sample["robot"] == robot);
         let (took, lost): (Vec<_>, Vec<_>) = its.map(|s| s["service_time_ms"]).partition(|ms| !ms.is_empty());
@@ -77,7 +79,8 @@ fn a_run_says_of_each_robot_whether_it_kept_its_target() {
     assert_eq!(summary["samples"], samples.len());
     assert!((summary["above_target"].as_f64().unwrap() - whole).abs() < 1e-9, "{summary}");
     assert!(printed.contains("navigation-2 of r2 did not keep 8 ms"), "{printed}");
-    assert!(printed.contains("localization-2 of r2 has no samples; its target is 200 ms."), "{printed}");
+    assert!(printed.contains("localization-2 of r2 kept 200 ms in all samples."), "{printed}");
+    assert!(scans.len() > 20 && scans.iter().all(|scan| !scan["service_time_ms"].is_empty()), "{scans:?}");
     assert!(printed.contains("navigation-2 of r2 kept its target least."), "{printed}");
     let by_robot = summary["robots"].as_array().unwrap().iter().map(|its| its["handovers"].as_u64().unwrap());
     assert_eq!(by_robot.sum::<u64>(), summary["handovers"].as_array().unwrap().len() as u64);
@@ -94,8 +97,13 @@ fn a_run_says_of_each_robot_whether_it_kept_its_target() {
         let median = service["service_time_p50_ms"].parse().ok();
         assert_eq!(median, of["service_time_ms"]["p50"].as_f64(), "{csv}");
     }
+    assert_eq!(services[2]["samples"], scans.len().to_string());
+    let apart: Vec<_> =
+        summary["services"].as_array().unwrap().iter().map(|its| its["in_total"] == false).collect();
+    assert_eq!(apart, [false, false, true, false]);
     let tex = read("services.tex");
-    assert!(tex.contains("r2 & localization-2 & 200 & 0 & 0 & - &") && tex.contains("\nall & "), "{tex}");
+    let localization = format!("r2 & localization-2 & 200 & {} & 0 & 100.00 & ", scans.len());
+    assert!(tex.contains(&localization) && tex.contains("\nall but localization & "), "{tex}");
 }
 
 #[test]
@@ -112,6 +120,7 @@ fn a_recorded_run_tells_robots_apart() {
     };
     assert_eq!(said(&drawn), said(&printed), "the history tells what the run told");
     assert_eq!(said(&drawn).len(), 5);
+    assert!(drawn.contains("localization-2 of r2 kept 200 ms in all samples."), "{drawn}");
     let early = series(&["service", "--to", "100ms"]);
     assert!(
         early.contains("r1 kept 15 ms in all samples.") && early.contains("r3 has no samples"),
@@ -124,7 +133,9 @@ fn a_recorded_run_tells_robots_apart() {
     };
     let of_robots = ["r1", "r2", "r3"].map(|robot| points(&[robot, "--figure", "service_time"]));
     assert!(of_robots.iter().all(|count| *count > 100), "{of_robots:?}");
-    assert_eq!(of_robots.iter().sum::<usize>(), points(&["service"]));
+    let localization = points(&["service_time:localization-2"]);
+    assert!((10..100).contains(&localization), "{localization}");
+    assert_eq!(of_robots.iter().sum::<usize>() + localization, points(&["service"]));
 }
 
 #[test]
@@ -157,9 +168,12 @@ fn a_sweep_gives_each_robot_its_own_intervals() {
     // Only r3 uses the cloud, there and back.
     assert!((median("5ms", "r3") - median("4ms", "r3") - 2.0).abs() < 0.1);
     assert!((median("5ms", "r1") - median("4ms", "r1")).abs() < 0.1);
-    let silent = cells.iter().find(|cell| cell["service"] == "localization-2").unwrap();
-    assert_eq!((silent["runs"], silent["service_time_p50_ms"], silent["above_target"]), ("0", "", ""));
-    assert!(printed.contains("without samples: localization-2 of r2\n"), "{printed}");
+    for cell in cells.iter().filter(|cell| cell["service"] == "localization-2") {
+        assert_eq!((cell["runs"], cell["service_time_target_ms"], cell["above_target"]), ("3", "200", "0"));
+        // 4.5 ms over the wire, there and back.
+        assert!(number(cell, "service_time_p50_ms") > 9.0, "{cell:?}");
+    }
+    assert!(printed.contains("all but localization") && !printed.contains("without samples"), "{printed}");
     let rounded = format!("{:.2} ± ", median("5ms", "r3"));
     let row = printed.lines().find(|line| line.contains("5ms") && line.contains("navigation-3")).unwrap();
     assert!(row.contains(&rounded), "{row}");

@@ -50,7 +50,17 @@ fn the_corridor_is_walked_and_measured() {
     assert!(printed.contains("fidelity") && printed.contains("summary.json"), "{printed}");
 
     let csv = fs::read_to_string(run.folder.join("service_time.csv")).unwrap();
-    assert_eq!(csv.lines().count() as u64, summary["samples"].as_u64().unwrap() + 1);
+    let rows =
+        |service: &str| csv.lines().filter(|row| row.split(',').nth(2) == Some(service)).count() as u64;
+    assert_eq!(rows("navigation"), summary["samples"].as_u64().unwrap());
+    let of_localization = &summary["services"][1];
+    assert_eq!(
+        (&of_localization["service"], &of_localization["in_total"]),
+        (&"localization".into(), &false.into())
+    );
+    assert!(rows("localization") > 10);
+    assert_eq!(of_localization["samples"], rows("localization"));
+    assert!(printed.contains("localization of robot kept 200 ms in "), "{printed}");
     assert!(csv.starts_with("emitted_ns,"), "{csv:.100}");
     assert!(fs::read_to_string(run.folder.join("service_time.svg")).unwrap().contains("<svg"));
     let as_run = fs::read_to_string(run.folder.join("testbed.yaml")).unwrap();
@@ -74,6 +84,15 @@ fn localization_moves_to_another_server_while_the_robot_walks() {
     let served: Vec<_> = placed.iter().filter(|p| p["vnf"] == "localization").map(|p| &p["node"]).collect();
     assert_eq!(served, ["edge", "fog"]);
     assert!(summary["localization"][0]["error_m"]["max"].as_f64().unwrap() < 0.5, "{summary:#}");
+    let csv = fs::read_to_string(run.folder.join("service_time.csv")).unwrap();
+    let scans: Vec<Vec<_>> = csv.lines().map(|row| row.split(',').collect()).collect();
+    let scans: Vec<_> = scans.iter().filter(|row| row[2] == "localization").collect();
+    // Each scan has one sample, in order of emission.
+    let numbers: Vec<_> = scans.iter().map(|row| row[3].parse::<usize>().unwrap()).collect();
+    assert!(numbers.len() > 20 && numbers.iter().copied().eq(0..numbers.len()), "{numbers:?}");
+    let mut servers: Vec<_> = scans.iter().map(|row| row[6]).collect();
+    servers.dedup();
+    assert_eq!(servers, ["edge", "fog"]);
     assert!(printed.contains("localization  off by a median of"), "{printed}");
     let log = fs::read_to_string(run.folder.join("logs/localization.log")).unwrap();
     assert_eq!(log.matches("localizing `robot`").count(), 2, "{log}");

@@ -10,10 +10,11 @@ use crate::harness::{Run, corridor, project_file, wait_until};
 const PARTS: [&str; 4] = ["sender_ms", "vnf_ms", "receiver_ms", "unknown_time_ms"];
 const ON_LINKS: [&str; 3] = ["queueing_ms", "retries_ms", "crossing_ms"];
 
-/// Returns all service times so far.
-fn samples(run: &Run) -> Vec<Value> {
+/// Returns all answered service times of a service so far.
+fn answered(run: &Run, service: &str) -> Vec<Value> {
     let mut page = run.get("/api/v1/measurements/service-times?limit=10000");
-    page["items"].as_array_mut().unwrap().drain(..).collect()
+    let samples = page["items"].as_array_mut().unwrap().drain(..);
+    samples.filter(|sample| sample["service"] == service && !sample["service_time_ms"].is_null()).collect()
 }
 
 /// Returns the time on each link in each leg, and checks that the parts add up to the sample within 1 %.
@@ -36,11 +37,8 @@ fn checked(sample: &Value) -> BTreeMap<(String, bool), f64> {
 fn parts_of_real_packets_add_up_and_name_the_slow_link() {
     let slow = ["--set", "links.R1-cloud.delay=20 ms", "--until", "8s"];
     let mut run = Run::start(&corridor(), &slow);
-    wait_until(|| samples(&run).len() > 40);
-    let answered: Vec<_> =
-        samples(&run).into_iter().filter(|sample| !sample["service_time_ms"].is_null()).collect();
-    assert!(!answered.is_empty());
-    for sample in &answered {
+    wait_until(|| answered(&run, "navigation").len() > 40);
+    for sample in &answered(&run, "navigation") {
         let links = checked(sample);
         assert_eq!(links.len(), 4, "{links:?}");
         for back in [false, true] {
@@ -49,6 +47,13 @@ fn parts_of_real_packets_add_up_and_name_the_slow_link() {
         }
         // A process has answered.
         assert!(sample["parts"]["vnf_ms"].as_f64().unwrap() > 0.0, "{sample:#}");
+    }
+    wait_until(|| answered(&run, "localization").len() > 2);
+    for sample in &answered(&run, "localization") {
+        let links = checked(sample);
+        assert!(links.contains_key(&("R1-edge".to_owned(), true)) && links.len() == 4, "{links:?}");
+        // The filter takes part of a millisecond.
+        assert!(sample["parts"]["vnf_ms"].as_f64().unwrap() > 0.1, "{sample:#}");
     }
     let (summary, printed) = run.report();
     let parts = &summary["time_parts"][0];
@@ -60,13 +65,10 @@ fn parts_of_real_packets_add_up_and_name_the_slow_link() {
 #[test]
 fn parts_of_flows_add_up_with_real_packets() {
     let run = Run::start(&project_file("testbeds/flows.yaml"), &["--until", "5min"]);
-    let of = |service: &str| -> Vec<Value> {
-        let its = |sample: &Value| sample["service"] == service && !sample["service_time_ms"].is_null();
-        samples(&run).into_iter().filter(its).collect()
-    };
-    wait_until(|| ["echo", "detect", "first-byte"].iter().all(|service| of(service).len() > 10));
-    for service in ["echo", "detect", "first-byte"] {
-        for sample in of(service) {
+    let services = ["echo", "detect", "first-byte"];
+    wait_until(|| services.iter().all(|service| answered(&run, service).len() > 10));
+    for service in services {
+        for sample in answered(&run, service) {
             let links = checked(&sample);
             // Twice the air and the wire, of 1 and 4 ms.
             assert!(links.len() == 4 && links.values().sum::<f64>() >= 10.0, "{sample:#}");

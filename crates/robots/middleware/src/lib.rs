@@ -12,6 +12,7 @@ mod answer_error;
 mod battery;
 mod camera;
 mod driver;
+mod exchange;
 #[cfg(test)]
 mod fixtures;
 mod goal;

@@ -12,8 +12,8 @@ use std::{
 
 use cotorra_graph::{
     AnswersRejected, Attachment, Event, GoalState, Node, NodeId, NodeKind, OccupancyGrid, Position, Program,
-    RobotContext, RobotFault, RobotModel, SensorData, SensorId, ServiceTime, Stamped, Testbed, Timestamp,
-    Velocity,
+    RobotContext, RobotFault, RobotModel, SensorData, SensorId, Service, ServiceTime, Stamped, Testbed,
+    Timestamp, Velocity,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket};
@@ -21,13 +21,14 @@ use cotorra_plugin::wire::{NavigationPacket, PosePacket};
 use crate::{
     answer_error::AnswerError,
     driver::{CommandError, RobotDriver, slowed},
+    exchange::Route,
     large::SensedData,
     lidar::Scan,
     localization::{LocalizationEndpoint, believed, planar},
     nonce::Nonces,
-    request::{Datagram, Recipients, Request, Servers},
+    request::{Datagram, Servers},
     sensing::{ReportError, Sensing},
-    service::{Route, ServiceEndpoint},
+    service::ServiceEndpoint,
     simulated::{SimulatedRobot, SimulationError},
     world::World,
 };
@@ -245,12 +246,9 @@ impl RobotMiddleware {
             let walk = testbed.walk(&node.id);
             let driver = drive(node, SimulatedRobot::new(node, walk, Arc::clone(&world), seed)?)?;
             let of_robot = || testbed.services.iter().filter(|service| service.robot == node.id);
-            let runs = |service: &cotorra_graph::Service, program| {
-                service.vnfs.iter().any(|vnf| vnf.program == program)
-            };
-            let mut navigated =
-                of_robot().filter(|s| runs(s, Program::RobotDriver) && !runs(s, Program::Localization));
-            let endpoint = walk.zip(navigated.next()).map(|(walk, service)| {
+            let runs = |service: &Service, program| service.vnfs.iter().any(|vnf| vnf.program == program);
+            let navigated = of_robot().find(|service| service.navigates());
+            let endpoint = walk.zip(navigated).map(|(walk, service)| {
                 ServiceEndpoint::new(service.id.clone(), walk, driver.command_timeout(), seed)
             });
             let navigated = endpoint.is_some() && of_robot().any(|s| runs(s, Program::Navigation));
@@ -262,18 +260,19 @@ impl RobotMiddleware {
                 managed.sensing = Sensing::new(&robot.sensors);
             }
             middleware.note_due(&node.id);
-            if of_robot().any(|service| runs(service, Program::Localization)) {
-                middleware.localize(node);
+            if let Some(service) = of_robot().find(|service| service.localizes()) {
+                middleware.localize(node, service);
             }
         }
         Ok(middleware)
     }
 
-    /// Lets a VNF localize a robot, which stands at its driver's pose.
-    fn localize(&mut self, node: &Node) {
+    /// Lets the VNF of a service localize a robot, which stands at its driver's pose.
+    fn localize(&mut self, node: &Node, service: &Service) {
         if let (NodeKind::Robot(robot), Some(managed)) = (&node.kind, self.robots.get_mut(&node.id)) {
             let SensorData { pose, odometry, .. } = managed.driver.sensors();
-            let endpoint = LocalizationEndpoint::new(node.id.clone(), robot.model, &pose, &odometry);
+            let (service, id) = (service.id.clone(), node.id.clone());
+            let endpoint = LocalizationEndpoint::new(service, id, robot.model, &pose, &odometry);
             managed.localization = Some(Localized { endpoint, errors: Errors::default() });
         }
     }
@@ -286,7 +285,8 @@ impl RobotMiddleware {
         let (flagged, halted, speed_limit) = (false, false, None);
         let rejected = RejectedAnswers::none(&robot);
         // Until servers are known, nobody answers.
-        let servers = Servers { navigation: vec![(robot.clone(), None)], localization: Vec::new() };
+        let nobody = || vec![(robot.clone(), None)];
+        let servers = Servers { navigation: nobody(), localization: nobody() };
         let managed = Managed {
             driver,
             attachments: Vec::new(),
@@ -314,8 +314,11 @@ impl RobotMiddleware {
     fn note_due(&mut self, robot: &NodeId) {
         let Some(managed) = self.robots.get_mut(robot) else { return };
         let service = managed.service.as_ref().and_then(ServiceEndpoint::next_deadline);
-        let next =
-            service.into_iter().chain(managed.scan_deadline()).chain(managed.sensing.next_deadline()).min();
+        let next = service
+            .into_iter()
+            .chain(managed.localization_deadline())
+            .chain(managed.sensing.next_deadline())
+            .min();
         let before = std::mem::replace(&mut managed.due, next);
         if before != next {
             before.map(|at| self.due.remove(&(at, robot.clone())));
@@ -398,7 +401,7 @@ impl RobotMiddleware {
         let all = context_due.then(|| self.robots.keys().cloned().collect());
         for robot in all.as_ref().unwrap_or(&due) {
             let Some(managed) = self.robots.get_mut(robot) else { continue };
-            while let Some(missing) = managed.service.as_mut().and_then(|service| service.expire(now)) {
+            while let Some(missing) = managed.expire(now) {
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(missing) });
             }
             managed.read_sensors(now, &mut self.events, &mut self.data);
@@ -449,19 +452,16 @@ impl RobotMiddleware {
             return;
         }
         managed.driver.advance(now);
-        let (pose, route) = (managed.sensors().pose, managed.route());
+        let (pose, route) = (managed.sensors().pose, managed.route(&managed.servers.navigation));
         let Some(service) = &mut managed.service else { return };
         // Nobody knows the place of a robot with a fault, and it would not follow the answer.
         if !managed.driver.health().is_empty() {
             service.skip(now);
         } else if let Some(request) = service.emit(now, &pose, route, &mut self.nonces) {
-            let Request { mut packet, copies } = request;
-            for (to, nonce) in copies {
+            self.outbox.extend(request.datagrams(robot, |packet, nonce, bytes| {
                 packet.nonce = nonce;
-                let mut bytes = Vec::with_capacity(512);
-                packet.encode(&mut bytes);
-                self.outbox.push_back(Datagram { robot: robot.clone(), to, bytes });
-            }
+                packet.encode(bytes);
+            }));
         }
         self.note_due(robot);
     }
@@ -469,34 +469,41 @@ impl RobotMiddleware {
     /// Queues a robot's scan if it is due and no datagram waits.
     fn emit_scan(&mut self, now: Timestamp, robot: &NodeId) {
         let Some(managed) = self.robots.get_mut(robot).filter(|_| self.outbox.is_empty()) else { return };
-        let quiet = managed.is_quiet();
+        let (quiet, route) = (managed.is_quiet(), managed.route(&managed.servers.localization));
         let Some(Localized { endpoint, .. }) = &mut managed.localization else { return };
-        if endpoint.next_deadline(quiet).is_none_or(|at| at > now) {
-            return;
-        }
-        let addresses = managed.servers.localization.iter().copied().map(Some);
-        let recipients = Recipients::new(addresses, &mut self.nonces);
-        let copies = recipients.copies();
-        if let Some(mut packet) = endpoint.emit(now, quiet, recipients) {
-            for (to, nonce) in copies {
+        if let Some(request) = endpoint.emit(now, quiet, route, &mut self.nonces) {
+            self.outbox.extend(request.datagrams(robot, |packet, nonce, bytes| {
                 packet.nonce = nonce;
-                let mut bytes = Vec::with_capacity(1024);
-                packet.encode(&mut bytes);
-                self.outbox.push_back(Datagram { robot: robot.clone(), to, bytes });
-            }
+                packet.encode(bytes);
+            }));
+            self.note_due(robot);
         }
-        self.note_due(robot);
     }
 
     /// Receives an answer of a localization VNF. The robot's pose is the answer's, moved on by odometry since the answered
-    /// scan.
-    pub fn localized(&mut self, now: Timestamp, robot: &NodeId, from: SocketAddrV4, packet: &PosePacket) {
-        let Some(managed) = self.robots.get_mut(robot) else { return };
-        let Some(Localized { endpoint, .. }) = &mut managed.localization else {
-            return managed.reject(AnswerError::Unknown);
+    /// scan. Returns the service time, which is still to be reported, unless the answer is rejected.
+    pub fn localized(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        from: SocketAddrV4,
+        packet: &PosePacket,
+    ) -> Option<&mut ServiceTime> {
+        let managed = self.robots.get_mut(robot)?;
+        let measured = match &mut managed.localization {
+            None => Err(AnswerError::Unknown),
+            Some(Localized { endpoint, .. }) => endpoint.receive(now, from, packet),
         };
-        if let Err(rejection) = endpoint.receive(now, from, packet) {
-            managed.reject(rejection);
+        match measured {
+            Ok(sample) => {
+                self.note_due(robot);
+                self.events.push_back(Stamped { at: now, event: Event::ServiceTime(sample) });
+                self.sample(self.events.len() - 1)
+            }
+            Err(rejection) => {
+                managed.reject(rejection);
+                None
+            }
         }
     }
 
@@ -544,6 +551,11 @@ impl RobotMiddleware {
             self.events.push_back(Stamped { at: now, event: Event::Goal(goal) });
         }
         self.note_due(robot);
+        self.sample(place)
+    }
+
+    /// Returns the service time that is the event at this place of the queue.
+    fn sample(&mut self, place: usize) -> Option<&mut ServiceTime> {
         match self.events.get_mut(place) {
             Some(Stamped { event: Event::ServiceTime(sample), .. }) => Some(sample),
             _ => None,
@@ -705,19 +717,26 @@ impl Managed {
         }
     }
 
-    fn route(&self) -> Route {
+    /// Returns the route of a request to these servers.
+    fn route(&self, servers: &[(NodeId, Option<SocketAddrV4>)]) -> Route {
         let attached = self.attachments.iter().find(|attachment| attachment.attached);
         Route {
             attachment: attached.map(|attachment| attachment.radio_unit.clone()),
-            servers: self.servers.navigation.clone(),
+            servers: servers.to_vec(),
         }
+    }
+
+    /// Gives up the oldest packet of a service without an answer in time; `None` if there is none.
+    fn expire(&mut self, now: Timestamp) -> Option<ServiceTime> {
+        let position = self.service.as_mut().and_then(|service| service.expire(now));
+        position.or_else(|| self.localization.as_mut()?.endpoint.expire(now))
     }
 
     fn is_quiet(&self) -> bool {
         self.service.as_ref().is_none_or(ServiceEndpoint::is_quiet)
     }
 
-    fn scan_deadline(&self) -> Option<Timestamp> {
+    fn localization_deadline(&self) -> Option<Timestamp> {
         self.localization.as_ref()?.endpoint.next_deadline(self.is_quiet())
     }
 

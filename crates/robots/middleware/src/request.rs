@@ -14,8 +14,8 @@ pub struct Servers {
     /// Nodes that a position packet goes to, and the sockets there; at least one node. A node without an address gets no
     /// copy.
     pub navigation: Vec<(NodeId, Option<SocketAddrV4>)>,
-    /// Sockets that a scan goes to.
-    pub localization: Vec<SocketAddrV4>,
+    /// The same for scans.
+    pub localization: Vec<(NodeId, Option<SocketAddrV4>)>,
 }
 
 /// A datagram that a robot sends.
@@ -35,6 +35,22 @@ pub(crate) struct Request<P> {
     pub packet: P,
     /// Empty where no server can be reached.
     pub copies: Vec<(SocketAddrV4, u64)>,
+}
+
+impl<P> Request<P> {
+    /// Returns a datagram for each copy. `encode` writes the packet with a copy's nonce.
+    pub fn datagrams(
+        self,
+        robot: &NodeId,
+        encode: impl Fn(&mut P, u64, &mut Vec<u8>),
+    ) -> impl Iterator<Item = Datagram> {
+        let Self { mut packet, copies } = self;
+        copies.into_iter().map(move |(to, nonce)| {
+            let mut bytes = Vec::with_capacity(1024);
+            encode(&mut packet, nonce, &mut bytes);
+            Datagram { robot: robot.clone(), to, bytes }
+        })
+    }
 }
 
 /// Recipients of one request.

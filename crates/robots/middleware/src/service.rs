@@ -1,10 +1,10 @@
 //! The robot's end of the navigation service: emits position packets, decides which answers the robot follows, and measures
 //! service times.
 
-use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
+use std::{net::SocketAddrV4, time::Duration};
 
 use cotorra_graph::{
-    GoalEvent, GoalState, NodeId, Pose, Position, ServiceId, ServiceTime, Timestamp, Velocity, Walk,
+    GoalEvent, GoalState, Pose, Position, ServiceId, ServiceTime, Timestamp, Velocity, Walk,
 };
 use cotorra_plugin::{
     convert::{from_twist, to_pose},
@@ -13,20 +13,12 @@ use cotorra_plugin::{
 
 use crate::{
     answer_error::AnswerError,
+    exchange::{Exchange, Reply, Route, Sent},
     goal::Goal,
     nonce::Nonces,
     random::Stream,
-    request::{Recipients, Request},
+    request::Request,
 };
-
-/// The route of a position packet.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Route {
-    /// The radio unit that the robot is attached to; `None` if it is detached.
-    pub attachment: Option<NodeId>,
-    /// Nodes that the packet goes to, and the sockets there; at least one node. A node without an address gets no copy.
-    pub servers: Vec<(NodeId, Option<SocketAddrV4>)>,
-}
 
 /// The robot's end of the navigation service, as a state machine.
 ///
@@ -38,14 +30,10 @@ pub(crate) struct Route {
 /// that belong to packets from before a change of goal, are measured but not followed.
 #[derive(Debug, Clone)]
 pub(crate) struct ServiceEndpoint {
-    service: ServiceId,
-    robot: NodeId,
+    exchange: Exchange<Purpose>,
     walk_length: u32,
     interval: Duration,
-    timeout: Duration,
     next_emission: Timestamp,
-    /// Sequence number of the next position packet.
-    sequence: u32,
     /// Index of the next waypoint.
     waypoint: u32,
     /// Replaces the walk while it is there.
@@ -54,29 +42,14 @@ pub(crate) struct ServiceEndpoint {
     goal_changes: u32,
     /// Sequence number of the newest packet whose answer was followed.
     followed: Option<u32>,
-    /// Packets under way, oldest first.
-    pending: VecDeque<Pending>,
-    /// The last packets that were answered or given up, oldest first.
-    past: VecDeque<Past>,
 }
 
-#[derive(Debug, Clone)]
-struct Pending {
-    sequence: u32,
-    emitted: Timestamp,
-    recipients: Recipients,
-    attachment: Option<NodeId>,
-    /// Nodes of the recipients.
-    servers: Vec<NodeId>,
-    /// Number of goal changes at the emission, and whether there was a goal.
-    goal: (u32, bool),
-}
-
-#[derive(Debug, Clone)]
-struct Past {
-    sequence: u32,
-    recipients: Recipients,
-    answered: bool,
+/// What a position packet was sent for.
+#[derive(Debug, Clone, Copy)]
+struct Purpose {
+    /// Number of goal changes at the emission.
+    goal_changes: u32,
+    has_goal: bool,
 }
 
 /// Result of an answer.
@@ -93,8 +66,6 @@ pub(crate) struct Answer {
 }
 
 impl ServiceEndpoint {
-    /// Number of past packets that are remembered, to distinguish late answers from invented ones.
-    const REMEMBERED: usize = 256;
     /// Shortest interval between position packets.
     pub const LEAST_INTERVAL: Duration = Duration::from_millis(1);
 
@@ -104,19 +75,14 @@ impl ServiceEndpoint {
         let interval = walk.position_interval.max(Self::LEAST_INTERVAL);
         let phase = Stream::new(seed, &format!("{}/phase", walk.robot)).uniform();
         Self {
-            service,
-            robot: walk.robot.clone(),
+            exchange: Exchange::new(service, walk.robot.clone(), command_timeout),
             walk_length: u32::try_from(walk.waypoints.len()).unwrap_or(u32::MAX),
             interval,
-            timeout: command_timeout,
             next_emission: Timestamp::ZERO + interval.mul_f64(phase),
-            sequence: 0,
             waypoint: walk.next.unwrap_or(0),
             goal: None,
             goal_changes: 0,
             followed: None,
-            pending: VecDeque::new(),
-            past: VecDeque::new(),
         }
     }
 
@@ -145,8 +111,8 @@ impl ServiceEndpoint {
         let before = self.goal.take().filter(|goal| !goal.has_ended());
         self.goal = goal.map(|position| Goal::new(now, position));
         self.goal_changes = self.goal_changes.wrapping_add(1);
-        let before = before.map(|goal| goal.event(&self.robot, ends));
-        let set = self.goal.as_ref().map(|goal| goal.event(&self.robot, GoalState::Set));
+        let before = before.map(|goal| goal.event(self.exchange.robot(), ends));
+        let set = self.goal.as_ref().map(|goal| goal.event(self.exchange.robot(), GoalState::Set));
         before.into_iter().chain(set)
     }
 
@@ -166,14 +132,13 @@ impl ServiceEndpoint {
 
     /// Whether no position packet is under way.
     pub fn is_quiet(&self) -> bool {
-        self.pending.is_empty()
+        self.exchange.is_quiet()
     }
 
     /// Returns the time at which a position packet is due or an unanswered one is given up.
     pub fn next_deadline(&self) -> Option<Timestamp> {
         let emission = (!self.is_idle()).then_some(self.next_emission);
-        let given_up = self.pending.front().map(|p| p.emitted + self.timeout);
-        [emission, given_up].into_iter().flatten().min()
+        [emission, self.exchange.next_deadline()].into_iter().flatten().min()
     }
 
     /// Whether a position packet is due.
@@ -194,22 +159,16 @@ impl ServiceEndpoint {
             return None;
         }
         self.skip(now);
-        let sequence = self.sequence;
-        self.sequence = sequence.wrapping_add(1);
         let position = self.goal.as_ref().map(Goal::position);
-        let goal = (self.goal_changes, position.is_some());
-        let Route { attachment, servers } = route;
-        let recipients = Recipients::new(servers.iter().map(|(_, address)| *address), nonces);
-        let servers = servers.into_iter().map(|(server, _)| server).collect();
-        let (nonce, copies) = (recipients.nonce(), recipients.copies());
-        self.pending.push_back(Pending { sequence, emitted: now, recipients, attachment, servers, goal });
+        let purpose = Purpose { goal_changes: self.goal_changes, has_goal: position.is_some() };
+        let Sent { sequence, nonce, copies } = self.exchange.emit(now, route, purpose, nonces);
         let packet = PositionPacket {
             sequence,
             emitted: now,
             nonce,
             waypoint: self.waypoint,
             goal: position,
-            robot: self.robot.clone(),
+            robot: self.exchange.robot().clone(),
             pose: to_pose(pose),
         };
         Some(Request { packet, copies })
@@ -236,31 +195,18 @@ impl ServiceEndpoint {
         from: SocketAddrV4,
         packet: &NavigationPacket,
     ) -> Result<Answer, AnswerError> {
-        let Some(place) = self.pending.iter().position(|p| p.sequence == packet.sequence) else {
-            return Err(self.reject_past(from, packet));
-        };
-        let pending = &self.pending[place];
-        let by = pending.recipients.find(from, packet.nonce).filter(|_| pending.emitted == packet.emitted);
-        let by = by.ok_or(AnswerError::Forged)?;
-        let took = now.since(pending.emitted);
-        if took >= self.timeout {
-            // The packet is given up at the next `expire`.
-            return Err(AnswerError::Late);
-        }
-        if packet.headway.is_some() != pending.goal.1 {
-            return Err(AnswerError::Invalid);
-        }
-        let mut pending = self.pending.remove(place).expect("`position` found it there");
-        let of_this_goal = pending.goal.0 == self.goal_changes;
-        pending.recipients.accept(by);
-        let service_time = self.measured(pending, Some((by, took)));
+        let NavigationPacket { sequence, emitted, nonce, .. } = *packet;
+        let is_valid = |purpose: &Purpose| packet.headway.is_some() == purpose.has_goal;
+        let reply = Reply { from, sequence, emitted, nonce };
+        let (service_time, purpose) = self.exchange.receive(now, reply, is_valid)?;
+        let of_this_goal = purpose.goal_changes == self.goal_changes;
         let mut answer = Answer { service_time, velocity: None, finished: false, goal: None };
         let newest = self.followed.is_none_or(|followed| packet.sequence > followed);
         if !newest || !of_this_goal {
             return Ok(answer);
         }
         if let (Some(goal), Some(headway)) = (&mut self.goal, &packet.headway) {
-            answer.goal = goal.update(now, &self.robot, headway);
+            answer.goal = goal.update(now, self.exchange.robot(), headway);
             if goal.has_ended() {
                 return Ok(answer);
             }
@@ -274,45 +220,9 @@ impl ServiceEndpoint {
         Ok(answer)
     }
 
-    /// Returns the reason for which an answer to a packet that is not under way is rejected.
-    fn reject_past(&mut self, from: SocketAddrV4, packet: &NavigationPacket) -> AnswerError {
-        match self.past.iter_mut().find(|past| past.sequence == packet.sequence) {
-            None => AnswerError::Unknown,
-            Some(past) if !past.recipients.has_nonce(packet.nonce) => AnswerError::Forged,
-            Some(past) if past.answered => past.recipients.reject_further(from, packet.nonce),
-            Some(_) => AnswerError::Late,
-        }
-    }
-
     /// Gives up the oldest position packet without an answer in time; `None` if there is none.
     pub fn expire(&mut self, now: Timestamp) -> Option<ServiceTime> {
-        let pending = self.pending.pop_front_if(|p| now.since(p.emitted) >= self.timeout)?;
-        Some(self.measured(pending, None))
-    }
-
-    /// Remembers a packet, and returns its service time: with the index of the answering server and the delay, or without
-    /// an answer.
-    fn measured(&mut self, mut pending: Pending, answer: Option<(usize, Duration)>) -> ServiceTime {
-        if self.past.len() == Self::REMEMBERED {
-            self.past.pop_front();
-        }
-        let (by, took) = answer.unzip();
-        self.past.push_back(Past {
-            sequence: pending.sequence,
-            recipients: pending.recipients,
-            answered: took.is_some(),
-        });
-        ServiceTime {
-            service: self.service.clone(),
-            robot: self.robot.clone(),
-            sequence: pending.sequence,
-            emitted: pending.emitted,
-            took,
-            attachment: pending.attachment,
-            // Without an answer, the preferred server.
-            server: pending.servers.swap_remove(by.unwrap_or(0)),
-            parts: None,
-        }
+        self.exchange.expire(now)
     }
 }
 

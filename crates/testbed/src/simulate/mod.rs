@@ -532,6 +532,8 @@ mod federation_tests;
 #[cfg(test)]
 mod large_data_tests;
 #[cfg(test)]
+mod localization_tests;
+#[cfg(test)]
 mod replica_tests;
 #[cfg(test)]
 mod sensor_tests;

@@ -65,7 +65,9 @@ impl Outcome {
     fn poll(&mut self, simulation: &mut Simulation) {
         while let Some(stamped) = simulation.poll_event() {
             match stamped.event {
-                Event::ServiceTime(sample) => self.samples.push(sample),
+                Event::ServiceTime(sample) if sample.service.as_str() == "navigation" => {
+                    self.samples.push(sample);
+                }
                 Event::AnswersRejected(counts) => self.rejected = Some(counts),
                 _ => {}
             }

@@ -2,7 +2,7 @@ use std::path::Path;
 
 use cotorra_graph::{
     Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, LinkId, Loss, Nodes, OccupancyGrid,
-    PoseSource, Position, Probability, Program, RobotContext, Velocity,
+    PoseSource, Position, Probability, Program, RobotContext, ServiceTime, Velocity,
 };
 use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
@@ -20,6 +20,11 @@ fn corridor() -> Arc<Testbed> {
 fn loaded(name: &str) -> Arc<Testbed> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds").join(name);
     Arc::new(cotorra_testbed_file::load(file).unwrap())
+}
+
+/// Whether a sample is of navigation.
+fn is_of_navigation(sample: &ServiceTime) -> bool {
+    sample.service.as_str() == "navigation"
 }
 
 /// Returns the events of the first seconds.
@@ -60,9 +65,12 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
     // Each probe, every 20 to 25 s, causes a spike of 40 to 180 ms, and nothing else does.
     let probes = events.iter().filter(|e| matches!(e.event, Event::Scanned { .. })).count();
     assert!((16..=21).contains(&probes), "{probes} probes");
-    let spikes: Vec<_> =
-        report.samples().iter().filter(|s| s.took.is_some_and(|t| t.as_millis() >= 40)).collect();
-    let apart = |s: &[cotorra_graph::ServiceTime]| s[1].emitted.since(s[0].emitted).as_secs() >= 10;
+    let spikes: Vec<_> = report
+        .samples()
+        .iter()
+        .filter(|sample| is_of_navigation(sample) && sample.took.is_some_and(|took| took.as_millis() >= 40))
+        .collect();
+    let apart = |s: &[ServiceTime]| s[1].emitted.since(s[0].emitted).as_secs() >= 10;
     assert_eq!(1 + spikes.windows(2).filter(|s| apart(s)).count(), probes);
     assert!(spikes.iter().all(|s| s.took.unwrap().as_millis() <= 180));
     assert_eq!(summary.unanswered, 0);
@@ -251,7 +259,9 @@ fn a_robot_reaches_its_goal_waits_and_continues_its_walk() {
     let last = contexts(&events).last().unwrap().1;
     assert!(last.waypoint > waypoint.unwrap(), "it goes on with its walk");
     let answered = |stamped: &Stamped| match &stamped.event {
-        Event::ServiceTime(sample) => Some((sample.took.is_some(), sample.server.to_string())),
+        Event::ServiceTime(sample) if is_of_navigation(sample) => {
+            Some((sample.took.is_some(), sample.server.to_string()))
+        }
         _ => None,
     };
     let mut servers: Vec<_> = events.iter().filter_map(answered).collect();
@@ -345,7 +355,9 @@ fn a_moving_vnf_leaves_no_position_packet_unanswered() {
     let mut moved = false;
     while simulation.step().as_secs_f64() < 10.0 {
         while let Some(event) = simulation.poll_event() {
-            if let Event::ServiceTime(sample) = event.event {
+            if let Event::ServiceTime(sample) = event.event
+                && is_of_navigation(&sample)
+            {
                 assert!(sample.took.is_some(), "sample {} got no answer", sample.sequence);
                 servers.push(sample.server.to_string());
             }
@@ -360,12 +372,12 @@ fn a_moving_vnf_leaves_no_position_packet_unanswered() {
     assert_eq!(servers, ["cloud", "edge"]);
 }
 
-/// Returns the testbed with a second service: a flow of the robot's traffic with its navigation.
-fn with_navigation_as_a_flow() -> Arc<Testbed> {
+/// Returns the corridor with a further service: a flow of the robot's traffic with this VNF.
+fn with_a_flow_to(vnf: &str, timeout: &str) -> Arc<Testbed> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
-    let port = cotorra_plugin::wire::port(&corridor(), &"navigation".parse().unwrap()).unwrap();
-    // An answer has the nonce of its position packet. A TurtleBot 2 waits 0.6 s for it.
-    let flow = format!("protocol: udp, port: {port}, id: {{ offset: 24, length: 8 }}, timeout: 600 ms");
+    let port = cotorra_plugin::wire::port(&corridor(), &vnf.parse().unwrap()).unwrap();
+    // An answer has the nonce of its packet.
+    let flow = format!("protocol: udp, port: {port}, id: {{ offset: 24, length: 8 }}, timeout: {timeout}");
     let service = format!(
         "\nservices:\n  flow:\n    robot: robot\n    kpis: {{ service_time: 15 ms, flow: {{ {flow} }} }}\n    vnfs: {{}}\n"
     );
@@ -374,37 +386,41 @@ fn with_navigation_as_a_flow() -> Arc<Testbed> {
     Arc::new(testbed)
 }
 
+/// The service's name is that of its VNF. The fabric measures the flow without knowing the robot's middleware.
 #[test]
-fn a_flow_on_navigations_port_has_navigations_times() {
-    let testbed = with_navigation_as_a_flow();
-    let mut simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
-    let loss = Loss::Independent { rate: Probability::new(0.05).unwrap() };
-    let change = ConditionChange { loss: Some(loss), ..ConditionChange::default() };
-    let mut samples: HashMap<String, Vec<_>> = HashMap::new();
-    let mut is_lossy = false;
-    while simulation.step().as_secs_f64() < 100.0 {
-        if !std::mem::replace(&mut is_lossy, true) {
-            for link in ["R1-cloud", "R3-cloud"] {
-                let (link, change) = (LinkId::new(link).unwrap(), change.clone());
-                let change = Instruction::Condition { link, direction: None, change };
-                simulation.instruct("test".parse().unwrap(), change, None).unwrap();
+fn a_flow_on_the_port_of_a_service_has_the_times_of_that_service() {
+    // A TurtleBot 2 waits 0.6 s for navigation's answers, and 3 s for poses.
+    for (name, timeout, least, least_lost) in
+        [("navigation", "600 ms", 400, 10), ("localization", "3 s", 80, 4)]
+    {
+        let mut simulation = Simulation::new(with_a_flow_to(name, timeout), 1).unwrap();
+        let loss = Loss::Independent { rate: Probability::new(0.05).unwrap() };
+        let change = ConditionChange { loss: Some(loss), ..ConditionChange::default() };
+        let mut samples: HashMap<String, Vec<_>> = HashMap::new();
+        let mut is_lossy = false;
+        while simulation.step().as_secs_f64() < 100.0 {
+            if !std::mem::replace(&mut is_lossy, true) {
+                for link in ["R1-cloud", "R3-cloud", "R1-edge", "R3-edge"] {
+                    let (link, change) = (LinkId::new(link).unwrap(), change.clone());
+                    let change = Instruction::Condition { link, direction: None, change };
+                    simulation.instruct("test".parse().unwrap(), change, None).unwrap();
+                }
+            }
+            while let Some(Stamped { at, event }) = simulation.poll_event() {
+                if let Event::ServiceTime(sample) = event {
+                    let ServiceTime { sequence, emitted, took, attachment, server, parts, .. } = sample;
+                    assert_eq!(parts.as_ref().map(|parts| parts.total()), took);
+                    let its = samples.entry(sample.service.to_string()).or_default();
+                    its.push((at, sequence, emitted, took, attachment, server, parts));
+                }
             }
         }
-        while let Some(Stamped { at, event }) = simulation.poll_event() {
-            if let Event::ServiceTime(sample) = event {
-                let cotorra_graph::ServiceTime { sequence, emitted, took, attachment, server, parts, .. } =
-                    sample;
-                assert_eq!(parts.as_ref().map(|parts| parts.total()), took);
-                let its = samples.entry(sample.service.to_string()).or_default();
-                its.push((at, sequence, emitted, took, attachment, server, parts));
-            }
-        }
+        let its = &samples[name];
+        assert!(its.len() > least, "{} samples of {name}", its.len());
+        let lost = its.iter().filter(|(.., took, _, _, _)| took.is_none()).count();
+        assert!(lost > least_lost, "{lost} of {name} are lost");
+        assert_eq!(&samples["flow"], its, "{name}");
     }
-    let navigation = &samples["navigation"];
-    assert!(navigation.len() > 400, "{} samples", navigation.len());
-    let lost = navigation.iter().filter(|(.., took, _, _, _)| took.is_none()).count();
-    assert!(lost > 10, "{lost} are lost");
-    assert_eq!(&samples["flow"], navigation);
 }
 
 #[test]
@@ -424,7 +440,7 @@ fn every_position_packet_is_answered_whenever_a_vnf_moves() {
                     node = placement.node.to_string();
                     switched.push((at, node.clone()));
                 }
-                Event::ServiceTime(sample) => {
+                Event::ServiceTime(sample) if is_of_navigation(&sample) => {
                     assert!(sample.took.is_some(), "sample {} got no answer", sample.sequence);
                     // Packets go to the VNF's placement at their emission.
                     let placed = switched.iter().rev().find(|(at, _)| *at <= sample.emitted);
@@ -442,87 +458,6 @@ fn every_position_packet_is_answered_whenever_a_vnf_moves() {
     }
     assert_eq!((node.as_str(), switched.len()), ("cloud", 101));
     assert!(samples > 330, "{samples} samples");
-}
-
-/// Returns localization's nodes and errors over the first minute, in which it moves to each of these nodes in turn.
-fn localized_on(nodes: &[&str]) -> (Vec<String>, cotorra_localization::trajectory::Errors) {
-    let mut simulation = Simulation::new(corridor(), 1).unwrap();
-    let mut moves = nodes.iter().enumerate();
-    let mut next = 10.0;
-    let mut served = Vec::new();
-    while simulation.step().as_secs_f64() < 60.0 {
-        while let Some(event) = simulation.poll_event() {
-            match event.event {
-                Event::Placement(placement) if placement.vnf.as_str() == "localization" => {
-                    served.push(placement.node.to_string());
-                }
-                Event::Robot(context) => {
-                    assert_eq!(context.sensors.pose.source, PoseSource::Localization);
-                    assert!(context.sensors.pose.covariance[0] < 0.1, "{:?}", context.sensors.pose);
-                }
-                _ => {}
-            }
-        }
-        if simulation.now().as_secs_f64() > next
-            && let Some((_, node)) = moves.next()
-        {
-            next += 10.0;
-            let place = Instruction::Place { vnf: "localization".parse().unwrap(), node: on(node) };
-            simulation.instruct("test".parse().unwrap(), place, None).unwrap();
-        }
-    }
-    let (_, errors) = simulation.localization_errors().next().unwrap();
-    (served, errors.clone())
-}
-
-#[test]
-fn localization_moves_between_nodes_and_never_loses_the_robot() {
-    let (stayed, there) = localized_on(&[]);
-    let (served, errors) = localized_on(&["fog", "robot", "cloud", "edge"]);
-    assert_eq!(stayed, ["edge"]);
-    assert_eq!(served, ["edge", "fog", "robot", "cloud", "edge"]);
-    for errors in [there, errors] {
-        assert!(errors.len() > 550);
-        assert!(errors.position_rmse() < 0.1 && errors.farthest() < 0.3, "{errors}");
-        assert!((0.3..6.0).contains(&errors.mean_nees()), "{errors}");
-    }
-}
-
-#[test]
-fn an_unlocalized_robot_becomes_less_certain_and_is_found_again() {
-    let mut testbed = Testbed::clone(&corridor());
-    // Nothing crosses this link until it is repaired.
-    let cut = |loss| Instruction::Condition {
-        link: "R1-edge".parse().unwrap(),
-        direction: None,
-        change: cotorra_graph::ConditionChange {
-            loss: Some(cotorra_graph::Loss::Independent {
-                rate: cotorra_graph::Probability::new(loss).unwrap(),
-            }),
-            ..Default::default()
-        },
-    };
-    testbed.plugins.clear();
-    let mut simulation = Simulation::new(Arc::new(testbed), 1).unwrap();
-    let spread = |pose: &cotorra_graph::Pose| (pose.covariance[0] + pose.covariance[4]).sqrt();
-    let mut spreads = Vec::new();
-    let mut conditions = [(5.0, 1.0), (25.0, 0.0)].into_iter().peekable();
-    while simulation.step().as_secs_f64() < 32.0 {
-        while let Some(Stamped { at, event }) = simulation.poll_event() {
-            if let Event::Robot(context) = event {
-                spreads.push((at.as_secs_f64(), spread(&context.sensors.pose)));
-            }
-        }
-        let now = simulation.now().as_secs_f64();
-        if let Some((_, loss)) = conditions.next_if(|(at, _)| *at <= now) {
-            simulation.instruct("test".parse().unwrap(), cut(loss), None).unwrap();
-        }
-    }
-    let at = |time: f64| spreads.iter().find(|(at, _)| *at >= time).unwrap().1;
-    assert!(at(24.9) > 2.0 * at(4.9), "{} m after {} m", at(24.9), at(4.9));
-    assert!(at(28.0) < 1.5 * at(4.9), "{} m after {} m", at(28.0), at(24.9));
-    let (_, errors) = simulation.localization_errors().next().unwrap();
-    assert!(errors.farthest() < 0.5 && errors.mean_nees() < 9.0, "{errors}");
 }
 
 #[test]
@@ -595,7 +530,7 @@ fn okpi_keeps_the_target_with_the_published_placements() {
     let regions = report.regions();
     let mut decided: Vec<_> = regions
         .iter()
-        .filter(|region| region.samples > 20)
+        .filter(|region| region.service.as_str() == "navigation" && region.samples > 20)
         .map(|region| (region.attachment.as_ref().unwrap().as_str(), region.server.as_str()))
         .filter(|(attachment, _)| *attachment != "R4")
         .collect();
@@ -604,8 +539,9 @@ fn okpi_keeps_the_target_with_the_published_placements() {
     let out = [("R1", "cloud"), ("R3", "cloud"), ("R2", "edge"), ("R5", "fog")];
     let back = [("R2", "edge"), ("R3", "cloud"), ("R1", "cloud")];
     assert_eq!(decided, [&out[..], &back[..]].concat());
-    let over = report.samples().iter().filter(|s| s.took.is_none_or(|took| took.as_millis() >= 15)).count();
-    assert!(over * 200 < report.samples().len(), "{over} of {} over the target", report.samples().len());
+    let took: Vec<_> = report.samples().iter().filter(is_of_navigation).map(|sample| sample.took).collect();
+    let over = took.iter().filter(|took| took.is_none_or(|took| took.as_millis() >= 15)).count();
+    assert!(over * 200 < took.len(), "{over} of {} over the target", took.len());
 }
 
 /// Returns the two-paths testbed, with or without its plug-in.

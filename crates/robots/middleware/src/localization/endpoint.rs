@@ -2,16 +2,22 @@
 
 use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
-use cotorra_graph::{NodeId, Pose, RobotModel, Timestamp};
+use cotorra_graph::{NodeId, Pose, RobotModel, ServiceId, ServiceTime, Timestamp};
 use cotorra_localization::{Belief, Parameters, Pose2};
 use cotorra_plugin::wire::{MAX_BEAMS, PosePacket, ScanPacket};
 
 use super::{believed, parameters, planar, to_pose};
-use crate::{answer_error::AnswerError, lidar::Scan, request::Recipients};
+use crate::{
+    answer_error::AnswerError,
+    exchange::{Exchange, Reply, Route, Sent},
+    lidar::Scan,
+    nonce::Nonces,
+    request::Request,
+};
 
 /// Time without an answer after which the next scan is sent, however little the robot moved.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Time after which an answer is rejected as late.
+/// Time after which a scan counts as unanswered, and an answer is rejected as late.
 const GIVEN_UP: Duration = Duration::from_secs(3);
 /// Longest time that a scan waits until no position packet is under way.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
@@ -22,16 +28,17 @@ const PUT_DOWN: [f64; 2] = [0.1, 0.05];
 ///
 /// A scan is sent when the robot has moved far enough, by its odometry, for the filter to use it. Until the next answer,
 /// odometry moves the pose of the last one on, with growing covariance.
+///
+/// Each scan is measured once, by the first answer of its recipients. An answer that the answer to a later scan overtook
+/// is measured, but not used.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalizationEndpoint {
-    robot: NodeId,
+    exchange: Exchange<()>,
     parameters: Parameters,
     /// The last accepted answer, and all later scans without an answer.
     pub(super) trail: VecDeque<Mark>,
     /// Sequence number of the scan whose answer was accepted last.
     since: Option<u32>,
-    /// Sequence number of the next scan.
-    sequence: u32,
     /// Time and odometry of the last observation.
     observed: Option<(Timestamp, Pose2)>,
     /// Start of the last observed scan.
@@ -43,32 +50,23 @@ pub(crate) struct LocalizationEndpoint {
 /// The robot's state when a scan was sent.
 #[derive(Debug, Clone)]
 pub(super) struct Mark {
-    /// The scan; `None` at the start.
-    scan: Option<Sent>,
+    /// Sequence number and emission of the scan; `None` at the start.
+    scan: Option<(u32, Timestamp)>,
     odometry: Pose2,
     believed: Belief,
 }
 
-/// A scan that was sent.
-#[derive(Debug, Clone)]
-struct Sent {
-    sequence: u32,
-    emitted: Timestamp,
-    recipients: Recipients,
-}
-
 impl LocalizationEndpoint {
     /// Creates the endpoint of a robot that starts near this pose.
-    pub fn new(robot: NodeId, model: RobotModel, start: &Pose, odometry: &Pose) -> Self {
+    pub fn new(service: ServiceId, robot: NodeId, model: RobotModel, start: &Pose, odometry: &Pose) -> Self {
         let [way, turn] = PUT_DOWN.map(|deviation| deviation * deviation);
         let covariance = [way, 0.0, 0.0, 0.0, way, 0.0, 0.0, 0.0, turn];
         let believed = Belief { pose: planar(start), covariance };
         Self {
-            robot,
+            exchange: Exchange::new(service, robot, GIVEN_UP),
             parameters: parameters(model),
             trail: VecDeque::from([Mark { scan: None, odometry: planar(odometry), believed }]),
             since: None,
-            sequence: 0,
             observed: None,
             seen: None,
             waiting: None,
@@ -90,8 +88,7 @@ impl LocalizationEndpoint {
     pub fn observe(&mut self, now: Timestamp, odometry: &Pose, scan: Option<&Scan>) {
         let odometry = planar(odometry);
         let before = self.observed.replace((now, odometry));
-        let given_up =
-            |mark: &Mark| mark.scan.as_ref().is_some_and(|sent| now.since(sent.emitted) > GIVEN_UP);
+        let given_up = |mark: &Mark| mark.scan.is_some_and(|(_, emitted)| now.since(emitted) > GIVEN_UP);
         while self.trail.get(1).is_some_and(given_up) {
             self.trail.pop_front();
         }
@@ -106,10 +103,10 @@ impl LocalizationEndpoint {
         let usable = |range: &f32| if f64::from(*range) < scan.range_max { *range } else { f32::INFINITY };
         let ranges = ScanPacket::in_millimetres(scan.ranges.iter().step_by(step).map(usable)).collect();
         let packet = ScanPacket {
-            sequence: self.sequence,
+            sequence: 0,
             emitted: now,
             nonce: 0,
-            robot: self.robot.clone(),
+            robot: self.exchange.robot().clone(),
             odometry: [odometry.x, odometry.y, odometry.heading],
             sweep: [x, y, heading].map(|part| (share * part) as f32),
             believed: to_pose(&self.belief(odometry)),
@@ -127,35 +124,53 @@ impl LocalizationEndpoint {
         let step = mark.odometry.step_to(odometry);
         let far = step.x.hypot(step.y) >= self.parameters.update_distance
             || step.heading.abs() >= self.parameters.update_angle;
-        let unanswered = match &mark.scan {
+        let unanswered = match mark.scan {
             None => true,
-            Some(sent) => self.since != Some(sent.sequence) && now.since(sent.emitted) >= PATIENCE,
+            Some((sequence, emitted)) => self.since != Some(sequence) && now.since(emitted) >= PATIENCE,
         };
         self.waiting.is_none() && (far || unanswered)
     }
 
-    /// Returns the time at which the waiting scan is to be sent. `quiet` is whether no position packet is under way.
+    /// Returns the time at which the waiting scan is to be sent, or an unanswered one is given up. `quiet` is whether no
+    /// position packet is under way.
     pub fn next_deadline(&self, quiet: bool) -> Option<Timestamp> {
+        [self.next_emission(quiet), self.exchange.next_deadline()].into_iter().flatten().min()
+    }
+
+    /// Whether the waiting scan is to be sent.
+    pub fn is_due(&self, now: Timestamp, quiet: bool) -> bool {
+        self.next_emission(quiet).is_some_and(|at| at <= now)
+    }
+
+    fn next_emission(&self, quiet: bool) -> Option<Timestamp> {
         let (since, _) = self.waiting.as_ref()?;
         Some(if quiet { *since } else { *since + LONGEST_WAIT })
     }
 
-    /// Sends the waiting scan to these recipients, if it is due.
-    pub fn emit(&mut self, now: Timestamp, quiet: bool, recipients: Recipients) -> Option<ScanPacket> {
-        self.next_deadline(quiet).filter(|at| *at <= now)?;
+    /// Sends the waiting scan on this route, if it is due, with a nonce for each server.
+    pub fn emit(
+        &mut self,
+        now: Timestamp,
+        quiet: bool,
+        route: Route,
+        nonces: &mut Nonces,
+    ) -> Option<Request<ScanPacket>> {
+        if !self.is_due(now, quiet) {
+            return None;
+        }
         let (_, packet) = self.waiting.take()?;
-        let packet = ScanPacket { emitted: now, nonce: recipients.nonce(), ..packet };
+        let Sent { sequence, nonce, copies } = self.exchange.emit(now, route, (), nonces);
+        let packet = ScanPacket { sequence, emitted: now, nonce, ..packet };
         let [x, y, heading] = packet.odometry;
         self.trail.push_back(Mark {
-            scan: Some(Sent { sequence: packet.sequence, emitted: now, recipients }),
+            scan: Some((sequence, now)),
             odometry: Pose2::new(x, y, heading),
             believed: believed(&packet.believed),
         });
-        self.sequence = self.sequence.wrapping_add(1);
-        Some(packet)
+        Some(Request { packet, copies })
     }
 
-    /// Receives an answer.
+    /// Receives an answer. Returns the service time.
     ///
     /// # Errors
     /// [`AnswerError`] if the answer is rejected; nothing changes then.
@@ -164,27 +179,14 @@ impl LocalizationEndpoint {
         now: Timestamp,
         from: SocketAddrV4,
         packet: &PosePacket,
-    ) -> Result<(), AnswerError> {
-        let is_of = |sent: &&mut Sent| sent.sequence == packet.sequence;
-        let mut marks = self.trail.iter_mut().enumerate();
-        let found = marks.find_map(|(place, mark)| Some((place, mark.scan.as_mut().filter(is_of)?)));
-        let Some((place, sent)) = found else {
-            let was_sent = packet.sequence < self.sequence;
-            return Err(if was_sent { AnswerError::Late } else { AnswerError::Unknown });
-        };
-        let by = sent.recipients.find(from, packet.nonce).filter(|_| sent.emitted == packet.emitted);
-        let by = by.ok_or(AnswerError::Forged)?;
-        if self.since == Some(packet.sequence) {
-            return Err(sent.recipients.reject_further(from, packet.nonce));
-        }
-        if now.since(sent.emitted) > GIVEN_UP {
-            return Err(AnswerError::Late);
-        }
-        if [0, 4, 8].iter().any(|&entry| packet.pose.covariance[entry] < 0.0) {
-            return Err(AnswerError::Invalid);
-        }
-        sent.recipients.accept(by);
-        self.since = Some(packet.sequence);
+    ) -> Result<ServiceTime, AnswerError> {
+        let PosePacket { sequence, emitted, nonce, .. } = *packet;
+        let has_variances = [0, 4, 8].iter().all(|&entry| packet.pose.covariance[entry] >= 0.0);
+        let reply = Reply { from, sequence, emitted, nonce };
+        let (service_time, ()) = self.exchange.receive(now, reply, |()| has_variances)?;
+        let is_its = |mark: &Mark| mark.scan.is_some_and(|(of, _)| of == sequence);
+        let Some(place) = self.trail.iter().position(is_its) else { return Ok(service_time) };
+        self.since = Some(sequence);
         self.trail.drain(..place);
         let mut last = (self.trail[0].odometry, believed(&packet.pose));
         self.trail[0].believed = last.1;
@@ -194,6 +196,11 @@ impl LocalizationEndpoint {
             mark.believed = last.1.moved_on(step, &self.parameters.motion);
             last = (mark.odometry, mark.believed);
         }
-        Ok(())
+        Ok(service_time)
+    }
+
+    /// Gives up the oldest scan without an answer in time; `None` if there is none.
+    pub fn expire(&mut self, now: Timestamp) -> Option<ServiceTime> {
+        self.exchange.expire(now)
     }
 }

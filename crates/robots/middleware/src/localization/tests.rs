@@ -1,4 +1,4 @@
-use std::{collections::VecDeque, net::SocketAddrV4, sync::Arc};
+use std::{collections::VecDeque, net::SocketAddrV4, sync::Arc, time::Duration};
 
 use cotorra_graph::{DomainId, HardwareGraph, Node, NodeId, PoseSource, Testbed, Timestamp, Velocity};
 use cotorra_plugin::wire::{PosePacket, ScanPacket};
@@ -7,9 +7,10 @@ use super::*;
 use crate::{
     answer_error::AnswerError,
     driver::RobotDriver,
+    exchange::Route,
     fixtures::{SERVER, id, robot, room, walk},
     nonce::Nonces,
-    request::Recipients,
+    request::Request,
     simulated::SimulatedRobot,
     world::World,
 };
@@ -35,8 +36,13 @@ fn vnf() -> LocalizationVnf {
     LocalizationVnf::new(&testbed(), &id("robot1"), 1).unwrap()
 }
 
-fn recipients() -> Recipients {
-    Recipients::new([Some(SERVER)].into_iter(), &mut Nonces::seeded(7))
+fn route() -> Route {
+    Route { attachment: Some(id("R1")), servers: vec![(id("edge"), Some(SERVER))] }
+}
+
+/// Sends the scan that is due at this time.
+fn emit(endpoint: &mut LocalizationEndpoint, ms: u64, quiet: bool) -> Option<ScanPacket> {
+    endpoint.emit(at(ms), quiet, route(), &mut Nonces::seeded(ms)).map(|sent| sent.packet)
 }
 
 /// A robot that drives in a circle and is observed every 100 ms, as by the middleware.
@@ -53,23 +59,25 @@ impl Drive {
         let walk = walk("robot1", &[(3.0, 1.0), (5.0, 1.0)]);
         let robot = SimulatedRobot::new(&node, Some(&walk), world, seed).unwrap();
         let sensors = robot.sensors();
+        let service = "localization".parse().unwrap();
+        let model = RobotModel::Turtlebot2;
         let endpoint =
-            LocalizationEndpoint::new(id("robot1"), RobotModel::Turtlebot2, &sensors.pose, &sensors.odometry);
+            LocalizationEndpoint::new(service, id("robot1"), model, &sensors.pose, &sensors.odometry);
         Self { robot, endpoint, ms: 0 }
     }
 
     /// Drives on to the next observation, and returns the scan that is sent then.
     fn observe(&mut self) -> Option<ScanPacket> {
-        self.observe_and_send(recipients())
+        self.observe_and_send(route()).map(|sent| sent.packet)
     }
 
-    fn observe_and_send(&mut self, recipients: Recipients) -> Option<ScanPacket> {
+    fn observe_and_send(&mut self, route: Route) -> Option<Request<ScanPacket>> {
         let circle = Velocity::planar(0.3, 0.3);
         self.robot.command(at(self.ms), circle).unwrap();
         self.ms += 100;
         self.robot.advance(at(self.ms));
         self.endpoint.observe(at(self.ms), &self.robot.sensors().odometry, self.robot.scan());
-        self.endpoint.emit(at(self.ms), true, recipients)
+        self.endpoint.emit(at(self.ms), true, route, &mut Nonces::seeded(self.ms))
     }
 
     fn believed(&self) -> Pose {
@@ -134,9 +142,9 @@ fn standing_robot_asks_again_until_it_is_answered() {
     let mut look = |ms: u64| {
         drive.robot.advance(at(ms));
         drive.endpoint.observe(at(ms), &drive.robot.sensors().odometry, drive.robot.scan());
-        (drive.endpoint.emit(at(ms), true, recipients()), drive.endpoint.clone())
+        emit(&mut drive.endpoint, ms, true)
     };
-    let sent: Vec<_> = (0..=35).filter_map(|i| look(100 * i).0).collect();
+    let sent: Vec<_> = (0..=35).filter_map(|i| look(100 * i)).collect();
     assert_eq!(sent.iter().map(|packet| packet.emitted).collect::<Vec<_>>(), [100, 1100, 2100, 3100].map(at));
     // An answer to any of them is enough.
     let answer = answered(&mut vnf(), &sent[3]);
@@ -144,7 +152,7 @@ fn standing_robot_asks_again_until_it_is_answered() {
     let more = (36..80).filter_map(|i| {
         drive.robot.advance(at(100 * i));
         drive.endpoint.observe(at(100 * i), &drive.robot.sensors().odometry, drive.robot.scan());
-        drive.endpoint.emit(at(100 * i), true, recipients())
+        emit(&mut drive.endpoint, 100 * i, true)
     });
     assert_eq!(more.count(), 0);
 }
@@ -168,6 +176,39 @@ fn late_answer_counts_as_of_its_scan() {
         assert!(drive.error() < 0.2, "{} m off after {} ms", drive.error(), drive.ms);
     }
     assert!(longest >= 3);
+}
+
+#[test]
+fn overtaken_answer_is_measured_but_not_used() {
+    let (mut drive, mut vnf) = (Drive::new(1), vnf());
+    let mut next = || std::iter::repeat_with(|| drive.observe()).flatten().next().unwrap();
+    let [first, second] = [next(), next()];
+    let answers = [&first, &second].map(|packet| answered(&mut vnf, packet));
+    let now = drive.ms + 30;
+    let latest = drive.endpoint.receive(at(now), SERVER, &answers[1]).unwrap();
+    assert_eq!((latest.sequence, latest.took), (1, Some(at(now).since(second.emitted))));
+    let believed = drive.believed();
+    let overtaken = drive.endpoint.receive(at(now + 5), SERVER, &answers[0]).unwrap();
+    assert_eq!((overtaken.sequence, overtaken.took), (0, Some(at(now + 5).since(first.emitted))));
+    assert_eq!(drive.believed(), believed);
+    assert_eq!(drive.endpoint.expire(at(now + 10_000)), None, "each was measured");
+}
+
+#[test]
+fn scan_without_an_answer_in_time_is_unanswered_once() {
+    let (mut drive, mut vnf) = (Drive::new(1), vnf());
+    let packet = std::iter::repeat_with(|| drive.observe()).flatten().next().unwrap();
+    let sent = drive.ms;
+    let deadline = at(sent + 3000);
+    assert_eq!(drive.endpoint.next_deadline(true), Some(deadline));
+    assert_eq!(drive.endpoint.expire(at(sent + 2999)), None);
+    let missing = drive.endpoint.expire(deadline).unwrap();
+    assert_eq!((missing.sequence, missing.emitted, missing.took), (0, at(sent), None));
+    assert_eq!((missing.service.as_str(), missing.server.as_str()), ("localization", "edge"));
+    assert_eq!(missing.attachment, Some(id("R1")));
+    assert_eq!(drive.endpoint.expire(deadline), None);
+    let late = drive.endpoint.receive(deadline, SERVER, &answered(&mut vnf, &packet));
+    assert_eq!(late, Err(AnswerError::Late));
 }
 
 #[test]
@@ -229,12 +270,14 @@ fn scan_waits_for_a_quiet_moment_up_to_a_limit() {
             break drive.ms;
         }
     };
-    assert_eq!(drive.endpoint.next_deadline(false), Some(at(emitted + 100)));
-    assert_eq!(drive.endpoint.emit(at(emitted + 99), false, recipients()), None);
-    let packet = drive.endpoint.clone().emit(at(emitted + 30), true, recipients()).unwrap();
+    let endpoint = &mut drive.endpoint;
+    assert_eq!(endpoint.next_deadline(false), Some(at(emitted + 100)));
+    assert_eq!(emit(endpoint, emitted + 99, false), None);
+    let packet = emit(&mut endpoint.clone(), emitted + 30, true).unwrap();
     assert_eq!(packet.emitted, at(emitted + 30));
-    assert!(drive.endpoint.emit(at(emitted + 100), false, recipients()).is_some());
-    assert_eq!(drive.endpoint.next_deadline(true), None);
+    assert!(emit(endpoint, emitted + 100, false).is_some());
+    // Only the scan's patience is left.
+    assert_eq!(endpoint.next_deadline(true), Some(at(emitted + 3100)));
 }
 
 #[test]
@@ -306,15 +349,17 @@ fn map_without_walls_or_free_space_is_an_error() {
 #[test]
 fn first_answer_of_several_instances_counts_and_the_other_is_redundant() {
     const OTHER: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(10, 0, 0, 99), 7712);
-    let both = || Recipients::new([Some(SERVER), Some(OTHER)].into_iter(), &mut Nonces::seeded(9));
+    let both =
+        || Route { attachment: None, servers: vec![(id("edge"), Some(SERVER)), (id("fog"), Some(OTHER))] };
     let mut drive = Drive::new(1);
-    let packet = std::iter::repeat_with(|| drive.observe_and_send(both())).flatten().next().unwrap();
+    let sent = std::iter::repeat_with(|| drive.observe_and_send(both())).flatten().next().unwrap();
     let now = at(drive.ms);
-    let nonces = both().copies();
+    let Request { packet, copies } = sent;
     let [by_first, by_second] =
-        [nonces[0].1, nonces[1].1].map(|nonce| answered(&mut vnf(), &ScanPacket { nonce, ..packet.clone() }));
+        [copies[0].1, copies[1].1].map(|nonce| answered(&mut vnf(), &ScanPacket { nonce, ..packet.clone() }));
     assert_eq!(drive.endpoint.receive(now, SERVER, &by_second), Err(AnswerError::Forged));
-    assert_eq!(drive.endpoint.receive(now, OTHER, &by_second), Ok(()));
+    let sample = drive.endpoint.receive(now, OTHER, &by_second).unwrap();
+    assert_eq!((sample.server.as_str(), sample.took), ("fog", Some(Duration::ZERO)));
     let believed = drive.believed();
     assert_eq!(drive.endpoint.receive(now, SERVER, &by_first), Err(AnswerError::Redundant));
     assert_eq!(drive.endpoint.receive(now, SERVER, &by_first), Err(AnswerError::Repeated));

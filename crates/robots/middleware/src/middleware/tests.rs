@@ -82,8 +82,9 @@ fn connect(middleware: &mut RobotMiddleware) {
     for robot in [id("robot1"), id("idle")] {
         let attachment = Attachment { radio_unit: id("R1"), attached: true, signal: None };
         middleware.set_attachments(&robot, vec![attachment]);
-        let navigation = vec![(id("cloud"), Some(SERVER))];
-        middleware.set_servers(&robot, Servers { navigation, localization: vec![SERVER] });
+        let servers = vec![(id("cloud"), Some(SERVER))];
+        let servers = Servers { navigation: servers.clone(), localization: servers };
+        middleware.set_servers(&robot, servers);
     }
 }
 
@@ -599,7 +600,7 @@ fn localized_robot_reports_its_estimate_and_the_radio_uses_its_true_position() {
     // The order of services does not matter.
     testbed.services.insert(0, localization);
     let mut middleware = simulated(&testbed, 1);
-    let (mut scans, mut last) = (Vec::new(), None);
+    let (mut scans, mut measured) = (Vec::new(), Vec::new());
     for now in (0..8000).step_by(50) {
         middleware.advance(at(now));
         while let Some(datagram) = middleware.poll_transmit(at(now)) {
@@ -613,9 +614,15 @@ fn localized_robot_reports_its_estimate_and_the_radio_uses_its_true_position() {
             assert_eq!(middleware.poll_transmit(at(now)), None, "a position packet is under way");
             middleware.receive(at(now), &id("robot1"), SERVER, &answer);
         }
-        last = service_times(&events(&mut middleware)).last().map(|time| time.service.clone()).or(last);
+        measured.extend(service_times(&events(&mut middleware)).into_iter().cloned());
     }
-    assert_eq!(last, Some(ServiceId::new("navigation").unwrap()));
+    let (unanswered, answered): (Vec<_>, Vec<_>) = measured.iter().partition(|time| time.took.is_none());
+    assert!(answered.len() > 30 && answered.iter().all(|time| time.service.as_str() == "navigation"));
+    // Nobody answers scans. Those of the last three seconds are under way.
+    let given_up: Vec<_> = scans.iter().filter(|scan| scan.emitted <= at(4950)).collect();
+    assert!(unanswered.iter().all(|time| time.service.as_str() == "localization"));
+    let emitted: Vec<_> = unanswered.iter().map(|time| (time.sequence, time.emitted)).collect();
+    assert_eq!(emitted, given_up.iter().map(|scan| (scan.sequence, scan.emitted)).collect::<Vec<_>>());
     assert!((8..12).contains(&scans.len()), "{} scans", scans.len());
     let believed = middleware.sensors(&id("robot1")).unwrap().pose;
     let truth = middleware.driver(&id("robot1")).unwrap().truth().unwrap();

@@ -33,7 +33,7 @@ fn emit(endpoint: &mut ServiceEndpoint) -> PositionPacket {
 }
 
 fn emit_at(endpoint: &mut ServiceEndpoint, now: Timestamp) -> Option<PositionPacket> {
-    let mut nonces = Nonces::seeded(endpoint.sequence.into());
+    let mut nonces = Nonces::seeded(endpoint.next_emission.as_nanos());
     endpoint.emit(now, &pose(), route(), &mut nonces).map(|sent| sent.packet)
 }
 
@@ -237,7 +237,7 @@ const OTHER: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(10, 0, 0, 
 fn emit_to_both(endpoint: &mut ServiceEndpoint) -> [PositionPacket; 2] {
     let servers = vec![(id("cloud"), Some(SERVER)), (id("edge"), Some(OTHER))];
     let route = Route { attachment: Some(id("R1")), servers };
-    let mut nonces = Nonces::seeded(endpoint.sequence.into());
+    let mut nonces = Nonces::seeded(endpoint.next_emission.as_nanos());
     let Request { packet, copies } =
         endpoint.emit(endpoint.next_emission, &pose(), route, &mut nonces).unwrap();
     assert_eq!([copies[0].0, copies[1].0], [SERVER, OTHER]);
