@@ -202,6 +202,10 @@ fn a_robot_that_moves_without_fresh_commands_is_found() {
     assert_eq!(moved(answered(), 3.0, 0.0, 0.0), (false, 1));
     // An unanswered packet is no command, and neither is a rejected instruction.
     assert!(moved(sample(None), 1.1, 0.1, 0.0).0);
+    // Neither is an answer of another service.
+    let Event::ServiceTime(answer) = answered() else { panic!("it is one") };
+    let pose = ServiceTime { service: "localization".parse().unwrap(), ..answer };
+    assert!(moved(Event::ServiceTime(pose), 1.1, 0.1, 0.0).0);
     let order = |refused: Option<&str>| {
         let instruction =
             Instruction::Move { robot: node("robot"), velocity: Velocity::default(), waypoint: 0 };

@@ -118,10 +118,53 @@ impl Driven {
 
 #[cfg(test)]
 mod tests {
+    use cotorra_graph::ServiceTime;
+
     use super::*;
 
     fn at(ms: u64) -> Timestamp {
         Timestamp::from_nanos(ms * 1_000_000)
+    }
+
+    #[test]
+    fn a_robot_follows_answers_of_its_navigation_alone() {
+        let text = "
+name: lab
+wireless: { lab: {} }
+nodes:
+  robot: { kind: robot }
+  unit: { kind: radio_unit, position: [0, 0], channel: 1 }
+  edge: { kind: server, tier: edge, cpus: 1, memory: 1 GB }
+links: [{ ends: [unit, edge] }]
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 500 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: robot }
+      brain: { program: navigation, node: edge }
+  detect: { robot: robot, kpis: { service_time: 50 ms, flow: { protocol: udp, port: 9 } }, vnfs: {} }
+walks: { robot: { waypoints: [[0, 0], [1, 0]] } }
+";
+        let testbed = cotorra_testbed_file::parse("lab.yaml", text, std::path::Path::new(""));
+        let mut driving = Driving::new(&testbed.unwrap_or_else(|wrong| panic!("{wrong}")));
+        let robot: NodeId = "robot".parse().unwrap();
+        let mut answered = |service: &str| {
+            let sample = ServiceTime {
+                service: service.parse().unwrap(),
+                robot: robot.clone(),
+                sequence: 0,
+                emitted: at(90),
+                took: Some(Duration::from_millis(10)),
+                attachment: None,
+                server: "edge".parse().unwrap(),
+                parts: None,
+            };
+            driving.absorb(&Stamped { at: at(100), event: Event::ServiceTime(sample) });
+            driving.robots[&robot].answered
+        };
+        assert_eq!(answered("detect"), Timestamp::ZERO);
+        assert_eq!(answered("navigation"), at(90));
     }
 
     #[test]
