@@ -10,14 +10,14 @@ pub struct UnknownService {
     known: Vec<String>,
 }
 
-/// Returns the services of these names; without names, those in the total ([`Testbed::totalled`]).
+/// Returns the services of these names; without names, those in the total ([`Testbed::services_in_total`]).
 ///
 /// # Errors
 /// [`UnknownService`].
 pub(crate) fn services(testbed: &Testbed, names: &[String]) -> Result<Vec<ServiceId>, UnknownService> {
     let all: Vec<_> = testbed.services.iter().map(|service| service.id.clone()).collect();
     if names.is_empty() {
-        return Ok(testbed.totalled().map(|service| service.id.clone()).collect());
+        return Ok(testbed.services_in_total().map(|service| service.id.clone()).collect());
     }
     let of = |name: &String| {
         let known = || all.iter().map(ToString::to_string).collect();

@@ -387,7 +387,7 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
 
 /// Returns the service that is compared.
 fn compared(testbed: &Testbed) -> Option<&Service> {
-    testbed.totalled().next()
+    testbed.services_in_total().next()
 }
 
 /// Returns the samples of the service that is compared.

@@ -69,7 +69,7 @@ impl Testbed {
 
     /// Returns the services that figures of several services together cover: all but those that localize, unless there are
     /// no others.
-    pub fn totalled(&self) -> impl Iterator<Item = &Service> {
+    pub fn services_in_total(&self) -> impl Iterator<Item = &Service> {
         let all_localize = self.services.iter().all(Service::localizes);
         self.services.iter().filter(move |service| all_localize || !service.localizes())
     }

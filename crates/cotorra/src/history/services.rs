@@ -14,8 +14,9 @@ use crate::{table::Table, testbed_file, verdict::verdicts};
 /// several.
 pub fn only_service(source: &Source, robot: Option<&str>) -> Option<ServiceId> {
     let testbed = testbed(source).ok()?;
-    let mut services =
-        testbed.totalled().filter(|service| robot.is_none_or(|robot| service.robot.as_str() == robot));
+    let mut services = testbed
+        .services_in_total()
+        .filter(|service| robot.is_none_or(|robot| service.robot.as_str() == robot));
     let first = services.next()?.id.clone();
     services.next().is_none().then_some(first)
 }

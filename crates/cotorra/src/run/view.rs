@@ -98,7 +98,7 @@ impl<'a> View<'a> {
     pub fn show(&mut self, now: &Snapshot) {
         for service in &self.testbed.services {
             if let Some(sample) = now.service_times.get(&service.id) {
-                let in_total = self.testbed.totalled().any(|other| other.id == service.id);
+                let in_total = self.testbed.services_in_total().any(|other| other.id == service.id);
                 self.tally.count(sample, target_ms(service), in_total);
             }
         }
@@ -230,7 +230,7 @@ fn summary(testbed: &Testbed, tally: &Tally) -> String {
     let Some(median) = tally.median_ms() else { return "no service time yet".to_owned() };
     let mut text = format!("median {}", in_ms(median));
     let above = tally.above().unwrap_or(0.0) * 100.0;
-    match &testbed.totalled().collect::<Vec<_>>()[..] {
+    match &testbed.services_in_total().collect::<Vec<_>>()[..] {
         [] => {}
         [first, rest @ ..] if rest.iter().all(|other| other.kpis.service_time == first.kpis.service_time) => {
             text += &format!(", {above:.1} % over the target of {} ms", target_ms(first));

@@ -339,7 +339,7 @@ impl Served {
         let served = |service: &Service| Self {
             service: service.id.clone(),
             robot: service.robot.clone(),
-            in_total: testbed.totalled().any(|other| other.id == service.id),
+            in_total: testbed.services_in_total().any(|other| other.id == service.id),
             target_ms: millis::of(service.kpis.service_time),
         };
         testbed.services.iter().map(served).collect()
