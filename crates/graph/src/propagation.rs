@@ -1,6 +1,28 @@
-//! Frequencies of channels, and path loss over distance. The radio model and coverage decisions share it.
+//! Frequencies of channels, path loss over distance, and the mean signal at a place. The radio model and coverage decisions
+//! share them.
 
-use crate::hardware::{PathLoss, WifiStandard};
+use crate::{
+    hardware::{HardwareGraph, Node, NodeKind, PathLoss, RadioUnit, WifiStandard, WirelessNetwork},
+    units::{Dbm, Position},
+};
+
+impl HardwareGraph {
+    /// Returns the mean signal of a radio unit at a place: without shadowing, fading and walls. `None` if the node is no
+    /// radio unit, or has no position.
+    pub fn mean_signal(&self, radio_unit: &Node, place: Position) -> Option<Dbm> {
+        let NodeKind::RadioUnit(unit) = &radio_unit.kind else { return None };
+        let network = self.wireless.get(&unit.network)?;
+        Some(network.mean_signal(unit, radio_unit.position?.distance(place)))
+    }
+}
+
+impl WirelessNetwork {
+    /// Returns the mean signal of a radio unit of this network at a distance in metres: transmitted power less path loss.
+    pub fn mean_signal(&self, unit: &RadioUnit, distance_m: f64) -> Dbm {
+        let frequency_mhz = self.standard.frequency_mhz(unit.channel);
+        Dbm(unit.tx_power.0 - self.path_loss.loss_db(distance_m, frequency_mhz))
+    }
+}
 
 impl WifiStandard {
     /// Centre frequency of a 20 MHz channel, in MHz: 2407 + 5·n at 2.4 GHz, where channel 14 lies apart at 2484

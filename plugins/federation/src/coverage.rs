@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{Dbm, HardwareGraph, NodeId, PathLoss, Pose, Position, Walk};
+use cotorra_graph::{Dbm, HardwareGraph, NodeId, Pose, Position, RadioUnit, Walk, WirelessNetwork};
 
 /// Distance between checked points of a walk, metres.
 const STEP_M: f64 = 0.1;
@@ -24,9 +24,8 @@ pub struct Coverage {
 struct Cell {
     radio_unit: NodeId,
     position: Position,
-    tx_power: Dbm,
-    path_loss: PathLoss,
-    frequency_mhz: u16,
+    radio: RadioUnit,
+    network: WirelessNetwork,
 }
 
 /// Point where a walk leaves the coverage.
@@ -49,14 +48,13 @@ impl Edge {
 impl Coverage {
     /// Computes the coverage of a graph's radio units.
     pub fn of(graph: &HardwareGraph, edge: Dbm) -> Self {
-        let cells = graph.radio_units().filter_map(|(node, unit)| {
-            let network = graph.wireless.get(&unit.network)?;
+        let cells = graph.radio_units().filter_map(|(node, radio)| {
+            let network = graph.wireless.get(&radio.network)?.clone();
             Some(Cell {
                 radio_unit: node.id.clone(),
                 position: node.position?,
-                tx_power: unit.tx_power,
-                path_loss: network.path_loss,
-                frequency_mhz: network.standard.frequency_mhz(unit.channel),
+                radio: radio.clone(),
+                network,
             })
         });
         Self { cells: cells.collect(), edge }
@@ -115,7 +113,7 @@ impl Coverage {
 
 impl Cell {
     fn signal(&self, distance_m: f64) -> Dbm {
-        Dbm(self.tx_power.0 - self.path_loss.loss_db(distance_m, self.frequency_mhz))
+        self.network.mean_signal(&self.radio, distance_m)
     }
 }
 

@@ -33,15 +33,10 @@ impl Coverage {
         location: Position,
         present: Option<&NodeId>,
     ) -> Vec<NodeId> {
-        let Some(wireless) = graph.wireless.get(network) else { return Vec::new() };
         let mut heard: Vec<(f64, &NodeId)> = graph
             .radio_units()
             .filter(|(_, unit)| unit.network == network)
-            .filter_map(|(node, unit)| {
-                let frequency_mhz = wireless.standard.frequency_mhz(unit.channel);
-                let loss_db = wireless.path_loss.loss_db(node.position?.distance(location), frequency_mhz);
-                Some((unit.tx_power.0 - loss_db, &node.id))
-            })
+            .filter_map(|(node, _)| Some((graph.mean_signal(node, location)?.0, &node.id)))
             .collect();
         // Stable: of equals, the first in the testbed file.
         heard.sort_by(|a, b| b.0.total_cmp(&a.0));
