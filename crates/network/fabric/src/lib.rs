@@ -57,5 +57,6 @@ pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationK
 pub use lateness::Histogram;
 pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};
 pub use port::PortId;
+pub use radio::sensitivity;
 pub use settings::{Carries, FabricError};
 pub use tap::{Passage, TapError, TapReader};

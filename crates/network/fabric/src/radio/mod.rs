@@ -35,6 +35,8 @@ use cotorra_graph::{
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+pub use self::phy::sensitivity;
+
 use self::{
     link::WirelessLink,
     medium::{Flow, Medium, Waiting},
@@ -660,7 +662,7 @@ impl Network {
         let phy = Phy::of(spec.standard);
         Ok(Self {
             phy,
-            sensitivity: Dbm(spec.noise_floor.0 + phy.sensitivity_db()),
+            sensitivity: sensitivity(spec),
             settings: link::initial_settings(spec, phy)?,
             units: Vec::new(),
             ssid: ssid.to_owned(),

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{BitRate, WifiStandard};
+use cotorra_graph::{BitRate, Dbm, WifiStandard, WirelessNetwork};
 
 /// Modulation of each subcarrier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -199,7 +199,7 @@ impl Phy {
 
     /// Returns the lowest signal-to-noise ratio that a receiver can decode, dB. There, one in ten PSDUs of 1000 bytes at
     /// the slowest rate is lost, by the standard's definition of sensitivity (17.3.10.2).
-    pub(super) fn sensitivity_db(&self) -> f64 {
+    fn sensitivity_db(&self) -> f64 {
         let (mut deaf, mut hears) = (-20.0, 30.0);
         while hears - deaf > 1e-6 {
             let snr = 0.5 * (deaf + hears);
@@ -208,6 +208,11 @@ impl Phy {
         }
         hears
     }
+}
+
+/// Returns the weakest signal that receivers of a network can decode, at its slowest rate.
+pub fn sensitivity(network: &WirelessNetwork) -> Dbm {
+    Dbm(network.noise_floor.0 + Phy::of(network.standard).sensitivity_db())
 }
 
 /// Error rates of one receiver at one signal-to-noise ratio.
