@@ -54,6 +54,11 @@ impl Axis {
         Self { label: label.to_owned(), from, to, ticks: Vec::new() }
     }
 
+    /// Creates an axis with exactly these ends.
+    pub(crate) fn between(label: &str, from: f64, to: f64) -> Self {
+        Self { label: label.to_owned(), from, to, ticks: Vec::new() }
+    }
+
     /// Creates an axis with these values: numbers at their places, or names at 1, 2, 3 and so on.
     pub fn values(label: &str, values: &[(f64, String)]) -> Self {
         let places = || values.iter().map(|(at, _)| *at);
@@ -163,11 +168,13 @@ impl Axis {
         }
     }
 
-    /// Draws ticks, labels and lines of a vertical axis beside and in a plot.
-    pub(crate) fn draw_beside(&self, scene: &mut Scene, plot: &Rect) {
+    /// Draws ticks and labels of a vertical axis beside a plot, and lines in it if `has_grid`.
+    pub(crate) fn draw_beside(&self, scene: &mut Scene, plot: &Rect, has_grid: bool) {
         for (at, label) in self.up(plot.height()) {
             let y = plot.bottom - self.share(at) * plot.height();
-            scene.line(vec![(plot.left, y), (plot.right, y)], GRID, THIN, &[]);
+            if has_grid {
+                scene.line(vec![(plot.left, y), (plot.right, y)], GRID, THIN, &[]);
+            }
             scene.line(vec![(plot.left - TICK, y), (plot.left, y)], AXIS, THIN, &[]);
             let baseline = y + LABEL * 0.36;
             scene.text((plot.left - TICK - GAP, baseline), &label, LABEL, Anchor::End, BLACK);

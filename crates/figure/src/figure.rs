@@ -289,7 +289,7 @@ impl<'a> Place<'a> {
                 scene.text(at, &band.name, SMALL, Anchor::Middle, BLACK);
             }
         }
-        panel.y.draw_beside(scene, plot);
+        panel.y.draw_beside(scene, plot, true);
         panel.x.draw_below(scene, plot, self.inset, self.is_labelled);
         if let Some(level) =
             panel.level.as_ref().filter(|level| (panel.y.from..=panel.y.to).contains(&level.at))

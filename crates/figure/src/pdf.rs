@@ -9,7 +9,7 @@ use miniz_oxide::deflate::compress_to_vec_zlib;
 
 use crate::{
     font,
-    scene::{Item, Line, Point, Scene, WIDTH},
+    scene::{Cells, Item, Line, Point, Scene, WIDTH},
     style::Colour,
     svg::number,
 };
@@ -18,6 +18,8 @@ use crate::{
 const FONT: &str = "FIGURE+Arimo";
 /// Level of compression.
 const LEVEL: u8 = 6;
+/// Number of the first image's object; the others follow.
+const FIRST_IMAGE: usize = 10;
 
 /// A file whose objects are numbered from 1.
 struct File {
@@ -67,8 +69,15 @@ pub fn render(scene: &Scene) -> Vec<u8> {
     let mut file = File { bytes: b"%PDF-1.4\n%\xc3\xa4\xc3\xb6\n".to_vec(), offsets: Vec::new() };
     file.object("<< /Type /Catalog /Pages 2 0 R >>");
     file.object("<< /Type /Pages /Kids [3 0 R] /Count 1 >>");
+    let cells: Vec<&Cells> = scene
+        .items
+        .iter()
+        .filter_map(|item| if let Item::Cells(cells) = item { Some(cells) } else { None })
+        .collect();
+    let images: String = (0..cells.len()).map(|i| format!("/I{i} {} 0 R ", FIRST_IMAGE + i)).collect();
+    let images = if images.is_empty() { images } else { format!(" /XObject << {images}>>") };
     file.object(&format!(
-        "<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {} {}] /Contents 4 0 R /Resources << /Font << /F 5 0 R >> >> >>",
+        "<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {} {}] /Contents 4 0 R /Resources << /Font << /F 5 0 R >>{images} >> >>",
         number(WIDTH),
         number(scene.height)
     ));
@@ -87,6 +96,13 @@ pub fn render(scene: &Scene) -> Vec<u8> {
     ));
     file.stream(&format!(" /Length1 {}", font::FILE.len()), font::FILE);
     file.stream("", to_unicode(&letters).as_bytes());
+    for cells in cells {
+        let (columns, rows) = (cells.columns, cells.rows());
+        let head = format!(
+            " /Type /XObject /Subtype /Image /Width {columns} /Height {rows} /ColorSpace /DeviceRGB /BitsPerComponent 8"
+        );
+        file.stream(&head, &cells.colours.iter().flat_map(|Colour(rgb)| *rgb).collect::<Vec<_>>());
+    }
     file.end()
 }
 
@@ -100,10 +116,18 @@ fn content(scene: &Scene) -> String {
         moves.collect::<Vec<_>>().join("\n")
     };
     let mut page = "1 j\n".to_owned();
+    let mut image = 0;
     for item in &scene.items {
         let written = match item {
             Item::Area(points, colour) => {
                 writeln!(page, "{} rg\n{}\nf", components(*colour), path(points))
+            }
+            Item::Cells(Cells { area, .. }) => {
+                // An image fills the unit square.
+                let (width, height) = (number(area.width()), number(area.height()));
+                image += 1;
+                let at = place((area.left, area.bottom));
+                writeln!(page, "q\n{width} 0 0 {height} {at} cm\n/I{} Do\nQ", image - 1)
             }
             Item::Line(Line { points, colour, width, dashes }) => {
                 let dashes = dashes.iter().map(|dash| number(*dash)).collect::<Vec<_>>().join(" ");
@@ -169,7 +193,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        scene::Anchor,
+        scene::{Anchor, tests::checkers},
         style::{ALERT, BLACK},
     };
 
@@ -233,6 +257,24 @@ mod tests {
         let shown = format!("1 0 0 1 10 80 Tm\n<{a:04x}{b:04x}{space:04x}{micro:04x}> Tj");
         assert!(page.contains(&shown), "{page}");
         assert!(page.contains(&format!("0 1 -1 0 10 10 Tm\n<{b:04x}0000> Tj")), "{page}");
+    }
+
+    #[test]
+    fn cells_are_images_in_their_place() {
+        let mut scene = scene();
+        scene.cells(checkers());
+        scene.cells(Cells { columns: 1, ..checkers() });
+        let file = render(&scene);
+        let text = |number| String::from_utf8_lossy(object(&file, number)).into_owned();
+        assert!(text(3).contains("/XObject << /I0 10 0 R /I1 11 0 R >>"), "{}", text(3));
+        assert!(
+            text(10).contains("/Width 2 /Height 1 ") && text(11).contains("/Width 1 /Height 2 "),
+            "{}",
+            text(11)
+        );
+        assert_eq!(unpack(object(&file, 10)), [0, 0, 0, 255, 255, 255]);
+        let page = String::from_utf8(unpack(object(&file, 4))).unwrap();
+        assert!(page.contains("q\n20 0 0 10 10 88 cm\n/I0 Do\nQ\n"), "{page}");
     }
 
     #[test]

@@ -4,7 +4,7 @@ use miniz_oxide::deflate::compress_to_vec_zlib;
 
 use crate::{
     font,
-    scene::{Item, Line, Point, Scene, Text, WIDTH},
+    scene::{Cells, Item, Line, Point, Scene, Text, WIDTH},
     style::Colour,
 };
 
@@ -26,6 +26,12 @@ pub fn render(scene: &Scene) -> Vec<u8> {
     Picture::of(scene).encode()
 }
 
+/// Returns cells as a picture with one pixel each.
+pub fn encode(cells: &Cells) -> Vec<u8> {
+    let pixels = cells.colours.iter().map(|Colour(rgb)| *rgb).collect();
+    Picture { width: cells.columns, height: cells.rows(), pixels }.encode()
+}
+
 impl Picture {
     fn of(scene: &Scene) -> Self {
         let [width, height] = [WIDTH, scene.height].map(|length| (length * SCALE).ceil() as usize);
@@ -33,6 +39,7 @@ impl Picture {
         for item in &scene.items {
             match item {
                 Item::Area(points, colour) => picture.fill(&[scaled(points)], *colour),
+                Item::Cells(cells) => picture.copy(cells),
                 Item::Line(line) => {
                     let points = scaled(&line.points);
                     let mut parts = Vec::new();
@@ -83,6 +90,18 @@ impl Picture {
         }
     }
 
+    /// Copies cells: each pixel has the colour of the cell at its middle.
+    fn copy(&mut self, cells: &Cells) {
+        let area = &cells.area;
+        let rows = along((area.top, area.bottom), cells.rows(), self.height);
+        let columns = along((area.left, area.right), cells.columns, self.width);
+        for (y, row) in rows {
+            for (x, column) in &columns {
+                self.pixels[y * self.width + x] = cells.colours[row * cells.columns + column].0;
+            }
+        }
+    }
+
     fn encode(&self) -> Vec<u8> {
         let mut rows = Vec::with_capacity((3 * self.width + 1) * self.height);
         for row in self.pixels.chunks(self.width) {
@@ -100,6 +119,14 @@ impl Picture {
         chunk(&mut file, b"IEND", &[]);
         file
     }
+}
+
+/// Returns the pixels between two places, of `size`, each with the cell at its middle, of `count`.
+fn along((from, to): (f64, f64), count: usize, size: usize) -> Vec<(usize, usize)> {
+    let (from, to) = (from * SCALE, to * SCALE);
+    let pixels = (from.round().max(0.0) as usize)..(to.round().max(0.0) as usize).min(size);
+    let cell = |pixel: usize| ((pixel as f64 + 0.5 - from) / (to - from) * count as f64) as usize;
+    pixels.map(|pixel| (pixel, cell(pixel).min(count.saturating_sub(1)))).collect()
 }
 
 fn chunk(file: &mut Vec<u8>, kind: &[u8; 4], data: &[u8]) {
@@ -251,7 +278,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        scene::Anchor,
+        scene::{Anchor, tests::checkers},
         style::{BLACK, WHITE},
     };
 
@@ -290,6 +317,22 @@ mod tests {
         let mut cut = blank();
         cut.fill(&[square(-5.0, 50.0)], BLACK);
         assert_eq!(darkness(&cut), 32.0);
+    }
+
+    #[test]
+    fn cells_fill_their_area() {
+        let mut scene = Scene { height: 14.0, ..Scene::new() };
+        scene.area(vec![(0.0, 0.0), (WIDTH, 0.0), (WIDTH, 14.0), (0.0, 14.0)], WHITE);
+        scene.cells(checkers());
+        // The black cell is 10 by 10 points.
+        let picture = Picture::of(&scene);
+        assert_eq!(darkness(&picture) / SCALE / SCALE, 100.0);
+        let colour_at =
+            |x: f64, y: f64| picture.pixels[(y * SCALE) as usize * picture.width + (x * SCALE) as usize][0];
+        assert_eq!(
+            [(9.9, 5.0), (10.1, 2.1), (19.9, 11.9), (20.1, 5.0)].map(|(x, y)| colour_at(x, y)),
+            [255, 0, 0, 255]
+        );
     }
 
     #[test]

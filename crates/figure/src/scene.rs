@@ -73,11 +73,22 @@ impl Rect {
         vec![(left, top), (right, top), (right, bottom), (left, bottom)]
     }
 
-    fn overlaps(&self, other: &Self) -> bool {
+    pub fn overlaps(&self, other: &Self) -> bool {
         self.left < other.right
             && other.left < self.right
             && self.top < other.bottom
             && other.top < self.bottom
+    }
+
+    /// Returns the rectangle that is so much larger on each side.
+    pub fn grown(&self, by: f64) -> Self {
+        let Self { left, top, right, bottom } = *self;
+        Self { left: left - by, top: top - by, right: right + by, bottom: bottom + by }
+    }
+
+    /// Whether a line crosses the rectangle.
+    pub fn is_crossed(&self, line: &[Point]) -> bool {
+        line.windows(2).any(|pair| self.clip((pair[0], pair[1])).is_some())
     }
 
     /// Returns the part of a segment inside the rectangle (Liang and Barsky).
@@ -173,11 +184,29 @@ pub(crate) struct Line {
     pub dashes: &'static [f64],
 }
 
+/// Cells of one colour each.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Cells {
+    /// The area that they fill.
+    pub area: Rect,
+    /// Number of cells in a row.
+    pub columns: usize,
+    /// Row by row from the top.
+    pub colours: Vec<Colour>,
+}
+
+impl Cells {
+    pub fn rows(&self) -> usize {
+        self.colours.len() / self.columns.max(1)
+    }
+}
+
 /// A part of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Item {
     /// A filled polygon.
     Area(Vec<Point>, Colour),
+    Cells(Cells),
     Line(Line),
     Text(Text),
 }
@@ -196,6 +225,10 @@ impl Scene {
 
     pub(crate) fn area(&mut self, points: Vec<Point>, colour: Colour) {
         self.items.push(Item::Area(points, colour));
+    }
+
+    pub(crate) fn cells(&mut self, cells: Cells) {
+        self.items.push(Item::Cells(cells));
     }
 
     pub(crate) fn line(&mut self, points: Vec<Point>, colour: Colour, width: f64, dashes: &'static [f64]) {
@@ -238,14 +271,7 @@ impl Scene {
             }
             for item in &self.items {
                 let Item::Line(line) = item else { continue };
-                let half = line.width / 2.0;
-                let wide = Rect {
-                    left: bounds.left - half,
-                    top: bounds.top - half,
-                    right: bounds.right + half,
-                    bottom: bounds.bottom + half,
-                };
-                if line.points.windows(2).any(|pair| wide.clip((pair[0], pair[1])).is_some()) {
+                if bounds.grown(line.width / 2.0).is_crossed(&line.points) {
                     found.push(format!("a line crosses `{}` at {:?}", text.text, text.at));
                 }
             }
@@ -255,9 +281,15 @@ impl Scene {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
-    use crate::style::BLACK;
+    use crate::style::{BLACK, WHITE};
+
+    /// Two columns and one row: black and white.
+    pub(crate) fn checkers() -> Cells {
+        let area = Rect { left: 10.0, top: 2.0, right: 30.0, bottom: 12.0 };
+        Cells { area, columns: 2, colours: vec![BLACK, WHITE] }
+    }
 
     const PAGE: Rect = Rect { left: 0.0, top: 0.0, right: 10.0, bottom: 10.0 };
 

@@ -1,7 +1,8 @@
 //! Colours, dashes, markers and sizes of all figures.
 //!
 //! The colours are those of Okabe and Ito ("Color Universal Design", 2008), which colour-blind readers can tell apart. Lines
-//! also differ in dashes and markers, so that a printout without colours shows them as well.
+//! also differ in dashes and markers, so that a printout without colours shows them as well. Values have the colours of
+//! viridis (van der Walt and Smith, 2015), which become lighter in equal steps.
 
 use std::f64::consts::TAU;
 
@@ -56,6 +57,33 @@ pub(crate) const DASHES: [&[f64]; 8] = [
 /// Colours of bands, in order.
 pub(crate) const BANDS: [Colour; 7] = [SKY, ORANGE, GREEN, PURPLE, YELLOW, VERMILLION, BLUE];
 
+/// Colours of values from the lowest to the highest, at equal distances.
+const RAMP: [Colour; 11] = [
+    Colour::new(0x44_0154),
+    Colour::new(0x48_2576),
+    Colour::new(0x41_4487),
+    Colour::new(0x35_608d),
+    Colour::new(0x2a_788e),
+    Colour::new(0x21_908c),
+    Colour::new(0x22_a884),
+    Colour::new(0x43_bf71),
+    Colour::new(0x7a_d151),
+    Colour::new(0xbb_df27),
+    Colour::new(0xfd_e725),
+];
+/// Share of white in the colours of values, so that walls and lines are seen on them.
+const WASHED: f64 = 0.3;
+
+/// Returns the colour of a value at this share of its scale. Beyond its ends, it is that of the end.
+pub(crate) fn ramp(share: f64) -> Colour {
+    let place = share.clamp(0.0, 1.0) * (RAMP.len() - 1) as f64;
+    let below = (place as usize).min(RAMP.len() - 2);
+    let (Colour(from), Colour(to)) = (RAMP[below], RAMP[below + 1]);
+    let between =
+        |i: usize| f64::from(from[i]) + (f64::from(to[i]) - f64::from(from[i])) * (place - below as f64);
+    Colour([0, 1, 2].map(|i| between(i).round() as u8)).lighter(WASHED)
+}
+
 /// Share of white in the shading of a plot, and in the band above it.
 pub(crate) const PALE: f64 = 0.85;
 pub(crate) const LIGHT: f64 = 0.55;
@@ -103,6 +131,21 @@ pub(crate) fn mark(scene: &mut Scene, (x, y): Point, series: usize) {
 mod tests {
     use super::*;
     use crate::scene::Item;
+
+    /// Relative luminance (WCAG 2).
+    fn luminance(Colour(rgb): Colour) -> f64 {
+        let linear = rgb.map(|part| (f64::from(part) / 255.0).powf(2.2));
+        0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    }
+
+    #[test]
+    fn higher_values_are_lighter_also_without_colours() {
+        let shades: Vec<_> = (0..=40).map(|i| luminance(ramp(f64::from(i) / 40.0))).collect();
+        assert!(shades.windows(2).all(|pair| pair[1] > pair[0] + 0.003), "{shades:?}");
+        assert_eq!((ramp(-1.0), ramp(2.0)), (ramp(0.0), ramp(1.0)));
+        // Walls are seen on the darkest, by the contrast that WCAG 2 wants of graphics.
+        assert!((shades[0] + 0.05) / (luminance(BLACK) + 0.05) >= 3.0, "{shades:?}");
+    }
 
     #[test]
     fn every_series_has_its_own_colour_dashes_and_marker() {

@@ -2,8 +2,11 @@
 
 use std::fmt::Write as _;
 
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+
 use crate::{
-    scene::{Anchor, Item, Line, Point, Scene, WIDTH},
+    png,
+    scene::{Anchor, Cells, Item, Line, Point, Scene, WIDTH},
     style::Colour,
 };
 
@@ -24,6 +27,7 @@ pub fn render(scene: &Scene) -> String {
             Item::Area(area, colour) => {
                 writeln!(svg, "<polygon points=\"{}\" fill=\"{}\"/>", points(area), hex(*colour))
             }
+            Item::Cells(cells) => writeln!(svg, "{}", image(cells)),
             Item::Line(Line { points: line, colour, width, dashes }) => {
                 let dashes = dashes.iter().map(|dash| number(*dash)).collect::<Vec<_>>().join(" ");
                 let dashes =
@@ -63,6 +67,18 @@ pub fn render(scene: &Scene) -> String {
     svg + "</svg>\n"
 }
 
+/// Returns cells as a PNG picture inside the file. Programs must not smooth their edges.
+fn image(cells: &Cells) -> String {
+    let area = &cells.area;
+    let [x, y, width, height] = [area.left, area.top, area.width(), area.height()].map(number);
+    format!(
+        "<image x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\" preserveAspectRatio=\"none\" \
+         style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\" \
+         xmlns:xlink=\"http://www.w3.org/1999/xlink\" xlink:href=\"data:image/png;base64,{}\"/>",
+        STANDARD.encode(png::encode(cells))
+    )
+}
+
 /// Formats a length with two decimals at most.
 pub fn number(value: f64) -> String {
     let text = format!("{value:.2}");
@@ -98,7 +114,18 @@ fn escape(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::style::BLACK;
+    use crate::{scene::tests::checkers, style::BLACK};
+
+    #[test]
+    fn cells_are_a_picture_that_is_not_smoothed() {
+        let cells = checkers();
+        let mut scene = Scene { height: 20.0, ..Scene::new() };
+        scene.cells(cells.clone());
+        let svg = render(&scene);
+        assert!(svg.contains("x=\"10\" y=\"2\" width=\"20\" height=\"10\""), "{svg}");
+        let (_, data) = svg.split_once("base64,").unwrap();
+        assert_eq!(STANDARD.decode(data.split('"').next().unwrap()).unwrap(), png::encode(&cells));
+    }
 
     #[test]
     fn texts_are_escaped_and_numbers_are_short() {
