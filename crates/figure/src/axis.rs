@@ -81,7 +81,10 @@ impl Axis {
 
     /// Returns the ticks and labels of a vertical axis of this height.
     pub(crate) fn up(&self, height: f64) -> Vec<(f64, String)> {
-        self.round_ticks((height / (LABEL * 1.9)).clamp(2.0, 7.0))
+        let most = (height / (LABEL * 1.9)).clamp(2.0, 7.0);
+        // An axis that does not end at round numbers can have a single one of them.
+        let ticks = self.round_ticks(most);
+        if ticks.len() > 1 { ticks } else { self.round_ticks(2.0 * most) }
     }
 
     /// Returns the ticks and labels of a horizontal axis of this width.

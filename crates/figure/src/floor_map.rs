@@ -35,7 +35,13 @@ const WIDE: f64 = 2.2;
 const SPOT: f64 = 2.6;
 const SMALL_SPOT: f64 = 1.3;
 /// Width of the white edge around lines and spots, points.
-const EDGE: f64 = 0.7;
+const EDGE: f64 = 0.6;
+/// Width of lines in a column, points.
+const THINNER: f64 = 0.8;
+/// Room between the middles of markers and spots, points.
+const APART: f64 = 6.0;
+/// The marker of a path stands at most so far from its begin, points.
+const FARTHEST: u32 = 60;
 
 /// Values over a floor.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,7 +102,7 @@ pub struct Spot {
     pub y: f64,
 }
 
-/// A line with a name. Its begin is marked.
+/// A line with a name. A marker stands at its begin, or at the next free place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
     pub name: String,
@@ -211,8 +217,9 @@ impl FloorMap {
             for (column, panel) in row.iter().enumerate() {
                 let left = left + column as f64 * (room + COLUMNS);
                 let plot = Rect { left, top: *top + ROW, right: left + width, bottom: *top + ROW + height };
-                // The axis of a column stands below its last panel.
-                let next = rows.get(i + 1).filter(|next| has_whole_width(next[0]) == is_whole && !is_whole);
+                // The axis of a column stands below the last of its panels about one spot.
+                let is_single = |row: &[&FloorPanel]| row[0].about.len() == 1;
+                let next = rows.get(i + 1).filter(|next| is_single(row) && is_single(next));
                 let x_is_labelled = next.is_none_or(|next| next.len() <= column);
                 below = below.max(if x_is_labelled { x.height(width) } else { 2.0 });
                 let y_is_labelled = column == 0;
@@ -233,10 +240,12 @@ impl FloorMap {
         let at = |(metres_x, metres_y): (f64, f64)| -> Point {
             (plot.left + x.share(metres_x) * plot.width(), plot.bottom - y.share(metres_y) * plot.height())
         };
-        for wall in &self.walls {
+        let wall = |wall: &Extent| {
             let ((left, bottom), (right, top)) = (at((wall.left, wall.bottom)), at((wall.right, wall.top)));
-            scene.area(Rect { left, top, right, bottom }.corners(), BLACK);
-        }
+            Rect { left, top, right, bottom }
+        };
+        let walls: Vec<_> = self.walls.iter().map(wall).collect();
+        walls.iter().for_each(|wall| scene.area(wall.corners(), BLACK));
         if place.y_is_labelled {
             y.draw_beside(scene, plot, false);
             let middle = f64::midpoint(plot.top, plot.bottom);
@@ -249,8 +258,10 @@ impl FloorMap {
 
         let paths: Vec<Vec<Point>> =
             self.paths.iter().map(|path| path.points.iter().map(|point| at(*point)).collect()).collect();
-        self.draw_paths(scene, place, &paths);
         let spots: Vec<Point> = self.spots.iter().map(|spot| at((spot.x, spot.y))).collect();
+        draw_paths(scene, place, &paths);
+        let markers = markers(&paths, &spots);
+        markers.into_iter().for_each(|(path, at)| mark(scene, at, path));
         let (about, others): (Vec<usize>, Vec<usize>) =
             (0..spots.len()).partition(|i| panel.about.contains(i));
         for spot in others {
@@ -261,7 +272,7 @@ impl FloorMap {
         }
         if about.len() > 1 {
             let named: Vec<_> = about.iter().map(|i| (spots[*i], self.spots[*i].name.as_str())).collect();
-            names::draw(scene, plot, &named, &paths);
+            names::draw(scene, plot, &named, &paths, &walls);
         }
     }
 
@@ -271,24 +282,49 @@ impl FloorMap {
         let colours = rows.flatten().map(|value| self.colour(*value, panel.weakest.at)).collect();
         scene.cells(Cells { area: *plot, columns: panel.columns, colours });
     }
+}
 
-    /// Draws the paths with a white edge, all edges first, so that no path hides another.
-    fn draw_paths(&self, scene: &mut Scene, place: &Place<'_>, paths: &[Vec<Point>]) {
-        let width = if place.has_whole_width { BOLD } else { FINE };
-        for path in paths {
-            for part in place.plot.clip_line(path) {
-                scene.line(part, WHITE, width + 2.0 * EDGE, &[]);
-            }
-        }
-        for (i, path) in paths.iter().enumerate() {
-            for part in place.plot.clip_line(path) {
-                scene.line(part, SERIES[i % SERIES.len()], width, DASHES[i % DASHES.len()]);
-            }
-        }
-        for (i, path) in paths.iter().enumerate() {
-            path.first().into_iter().for_each(|begin| mark(scene, *begin, i));
+/// Draws the paths with a white edge, all edges first, so that no path hides another.
+fn draw_paths(scene: &mut Scene, place: &Place<'_>, paths: &[Vec<Point>]) {
+    let width = if place.has_whole_width { BOLD } else { THINNER };
+    for path in paths {
+        for part in place.plot.clip_line(path) {
+            scene.line(part, WHITE, width + 2.0 * EDGE, &[]);
         }
     }
+    for (i, path) in paths.iter().enumerate() {
+        for part in place.plot.clip_line(path) {
+            scene.line(part, SERIES[i % SERIES.len()], width, DASHES[i % DASHES.len()]);
+        }
+    }
+}
+
+/// Returns the place of each path's marker: the first that is apart from all spots and markers, or else its begin.
+fn markers(paths: &[Vec<Point>], spots: &[Point]) -> Vec<(usize, Point)> {
+    let mut markers: Vec<(usize, Point)> = Vec::new();
+    for (i, path) in paths.iter().enumerate() {
+        let is_free = |(x, y): &Point| {
+            let mut others = spots.iter().chain(markers.iter().map(|(_, at)| at));
+            others.all(|(other_x, other_y)| (x - other_x).hypot(y - other_y) >= APART)
+        };
+        let free = (0..FARTHEST).filter_map(|far| along(path, f64::from(far))).find(is_free);
+        let at = free.or_else(|| path.first().copied());
+        markers.extend(at.map(|at| (i, at)));
+    }
+    markers
+}
+
+/// Returns the place so far along a line; `None` beyond its end.
+fn along(line: &[Point], mut far: f64) -> Option<Point> {
+    for pair in line.windows(2) {
+        let ((x, y), (to_x, to_y)) = (pair[0], pair[1]);
+        let length = (to_x - x).hypot(to_y - y);
+        if far < length {
+            return Some((x + (to_x - x) * far / length, y + (to_y - y) * far / length));
+        }
+        far -= length;
+    }
+    None
 }
 
 /// Draws a disc with an edge: black in white, or white in black.
@@ -398,6 +434,19 @@ mod tests {
             assert_eq!(texts(&several).iter().filter(|text| **text == name).count(), 1, "{name}");
         }
         assert!(!texts(&floor(40.0, 30.0, 1, 2).draw()).contains(&"radio-unit-0"));
+    }
+
+    #[test]
+    fn markers_stand_beside_spots_and_each_other() {
+        let line = vec![(0.0, 0.0), (10.0, 0.0), (10.0, 50.0)];
+        let paths = [line.clone(), line.clone(), vec![(0.0, 1.0)]];
+        let alone = markers(&paths, &[(100.0, 0.0)]);
+        assert_eq!(
+            alone,
+            [(0, (0.0, 0.0)), (1, (6.0, 0.0)), (2, (0.0, 1.0))],
+            "a path without length has one place"
+        );
+        assert_eq!(markers(&paths[..2], &[(0.0, 0.0)]), [(0, (6.0, 0.0)), (1, (10.0, 5.0))]);
     }
 
     #[test]

@@ -17,8 +17,15 @@ const PLATE: f64 = 0.8;
 /// Room between a name and lines, points.
 const ROOM: f64 = 1.6;
 
-/// Draws names on white plates inside a plot. A name without a free place near its spot is left out.
-pub(crate) fn draw(scene: &mut Scene, plot: &Rect, spots: &[(Point, &str)], lines: &[Vec<Point>]) {
+/// Draws names on white plates inside a plot, beside walls if there is room. A name without a free place near its spot is
+/// left out.
+pub(crate) fn draw(
+    scene: &mut Scene,
+    plot: &Rect,
+    spots: &[(Point, &str)],
+    lines: &[Vec<Point>],
+    walls: &[Rect],
+) {
     let mut groups: Vec<(Point, String)> = Vec::new();
     for ((x, y), name) in spots {
         match groups.iter_mut().find(|((near_x, near_y), _)| (near_x - x).hypot(near_y - y) < SAME) {
@@ -40,7 +47,9 @@ pub(crate) fn draw(scene: &mut Scene, plot: &Rect, spots: &[(Point, &str)], line
                 && !taken.iter().any(|other| other.overlaps(plate))
                 && !lines.iter().any(|line| wide.is_crossed(line))
         };
-        if let Some(plate) = plates(at, &name).find(is_free) {
+        let hides_no_wall = |plate: &Rect| !walls.iter().any(|wall| wall.overlaps(plate));
+        let free = || plates(at, &name).filter(is_free);
+        if let Some(plate) = free().find(hides_no_wall).or_else(|| free().next()) {
             scene.area(plate.corners(), WHITE);
             let baseline = plate.bottom - PLATE - font::DESCENT * SMALL;
             scene.text((plate.left + PLATE, baseline), &name, SMALL, Anchor::Start, BLACK);
@@ -82,8 +91,12 @@ mod tests {
     const PLOT: Rect = Rect { left: 0.0, top: 0.0, right: 100.0, bottom: 60.0 };
 
     fn names(spots: &[(Point, &str)], lines: &[Vec<Point>]) -> Vec<(String, Rect)> {
+        names_beside(&[], spots, lines)
+    }
+
+    fn names_beside(walls: &[Rect], spots: &[(Point, &str)], lines: &[Vec<Point>]) -> Vec<(String, Rect)> {
         let mut scene = Scene { height: 60.0, ..Scene::new() };
-        draw(&mut scene, &PLOT, spots, lines);
+        draw(&mut scene, &PLOT, spots, lines, walls);
         assert_eq!(scene.collisions(), Vec::<String>::new());
         let text = |item: &Item| match item {
             Item::Text(text) => Some((text.text.clone(), text.bounds())),
@@ -108,6 +121,16 @@ mod tests {
         let named = names(&spots, std::slice::from_ref(&line));
         assert_eq!(named.len(), 3);
         assert!(named.iter().all(|(_, bounds)| !bounds.is_crossed(&line)), "{named:?}");
+    }
+
+    #[test]
+    fn names_hide_walls_only_without_another_place() {
+        let spot = [((50.0, 30.0), "R1")];
+        let wall = Rect { left: 56.0, top: 0.0, right: 58.0, bottom: 60.0 };
+        let beside = names_beside(&[wall], &spot, &[]);
+        assert!(beside[0].1.right < 50.0, "{beside:?}");
+        let everywhere = names_beside(&[PLOT], &spot, &[]);
+        assert_eq!(everywhere, names(&spot, &[]));
     }
 
     #[test]

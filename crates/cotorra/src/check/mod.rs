@@ -1,11 +1,16 @@
-//! `cotorra check`: reports every mistake in testbed files, and summarises valid ones.
+//! `cotorra check`: reports every mistake in testbed files, and summarises valid ones. `--coverage` draws the signal of
+//! their radio units.
+
+mod coverage;
+mod extent;
+mod walls;
 
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::Args;
 use cotorra_testbed::Rehearsal;
 
-use crate::{output, testbed_file};
+use crate::{figures::parse_figure_file, output, testbed_file};
 
 /// Check testbed files
 ///
@@ -15,12 +20,19 @@ use crate::{output, testbed_file};
 #[command(after_long_help = "\
 Examples:
   cotorra check testbeds/*.yaml
+  cotorra check testbeds/corridor.yaml --coverage signal.svg     the signal of its radio units, over its map
 
 Exit status: 0 if all files are valid, 1 if one is not.")]
 pub struct CheckArgs {
     /// The testbed files
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
+    /// Draw the mean signal of each radio unit over the map into a file: its name ends with .svg, .pdf or .png
+    ///
+    /// The mean is that of path loss alone, without walls, shadowing and fading, at the height at which robots walk farthest.
+    /// It takes one testbed file. A file that exists is not overwritten.
+    #[arg(long, value_name = "PICTURE", value_parser = parse_figure_file)]
+    pub coverage: Option<PathBuf>,
 }
 
 /// Summarises the scripted changes of links. Empty if there are none.
@@ -38,6 +50,9 @@ fn scripted(Rehearsal { timed, areas, replayed }: Rehearsal) -> String {
 
 /// Checks every file, also after one that is not valid.
 pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
+    if let Some(out) = &args.coverage {
+        coverage::check(out, args.files.len())?;
+    }
     let mut all_valid = true;
     for file in &args.files {
         match testbed_file::load(file, &[]) {
@@ -45,6 +60,10 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
                 Ok(script) => {
                     let overview = testbed_file::overview(&loaded.testbed) + &scripted(script);
                     output::print(&format!("{}: {overview}\n", file.display()))?;
+                    if let Some(out) = &args.coverage {
+                        let shown = coverage::write(&loaded.testbed, out)?;
+                        output::print(&format!("{}: {shown}\n", out.display()))?;
+                    }
                 }
                 Err(error) => {
                     all_valid = false;
@@ -58,4 +77,22 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
         }
     }
     Ok(if all_valid { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use cotorra_graph::Testbed;
+
+    /// Returns a testbed of these radio units and one robot with this walk.
+    pub fn testbed(units: &str, walk: &str) -> Testbed {
+        let text = format!(
+            "name: floor\nwireless: {{ lab: {{ path_loss: {{ model: log_distance, exponent: 3.0 }} }} }}\nnodes:\n  \
+             robot: {{ kind: robot, model: quadrotor }}\n{units}\
+             walks:\n  robot: {{ waypoints: {walk}, speed_limit: 1 m/s }}\n"
+        );
+        cotorra_testbed_file::parse("floor.yaml", &text, Path::new(""))
+            .unwrap_or_else(|wrong| panic!("{wrong}"))
+    }
 }
