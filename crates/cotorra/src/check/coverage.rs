@@ -46,9 +46,8 @@ pub fn check(out: &Path, files: usize) -> Result<(), CoverageError> {
 
 /// Writes the picture into a file, whose name ends with a format's. Returns what it shows.
 pub fn write(testbed: &Testbed, out: &Path) -> Result<String, CoverageError> {
-    let (Some(format), Some(name)) = (Format::of(out), out.file_name()) else {
-        unreachable!("the parser of arguments lets only names of figures pass");
-    };
+    let is_figure = "the parser of arguments accepts names of figures only";
+    let (format, name) = (Format::of(out).expect(is_figure), out.file_name().expect(is_figure));
     let units = testbed.graph.radio_units().count();
     if units == 0 {
         return Err(CoverageError::NoRadioUnits(testbed.name.clone()));

@@ -8,6 +8,7 @@ mod chain;
 mod clients;
 mod command_line;
 mod confinement;
+mod coverage;
 mod disk;
 mod documents;
 mod experiment;
