@@ -82,9 +82,14 @@ impl Axis {
     /// Returns the ticks and labels of a vertical axis of this height.
     pub(crate) fn up(&self, height: f64) -> Vec<(f64, String)> {
         let most = (height / (LABEL * 1.9)).clamp(2.0, 7.0);
-        // An axis that does not end at round numbers can have a single one of them.
         let ticks = self.round_ticks(most);
-        if ticks.len() > 1 { ticks } else { self.round_ticks(2.0 * most) }
+        // An axis that does not end at round numbers can have a single one of them.
+        let have_room = |ticks: &Vec<(f64, String)>| {
+            let apart = |pair: &[(f64, String)]| (self.share(pair[1].0) - self.share(pair[0].0)) * height;
+            ticks.len() > 1 && ticks.windows(2).all(|pair| apart(pair) > LABEL * 1.2)
+        };
+        let mut finer = [1.5, 2.0, 3.0].into_iter().map(|more| self.round_ticks(more * most));
+        if ticks.len() > 1 { ticks } else { finer.find(have_room).unwrap_or(ticks) }
     }
 
     /// Returns the ticks and labels of a horizontal axis of this width.

@@ -77,7 +77,7 @@ fn draw(testbed: &Testbed) -> FloorMap {
         shown.iter().map(|subject| panel(graph, &units, subject, &grid, height.metres)).collect();
     let lowest = panels.iter().map(|panel| panel.weakest.at).fold(f64::INFINITY, f64::min);
     let highest = panels.iter().flat_map(|panel| &panel.values).fold(f64::NEG_INFINITY, |a, b| a.max(*b));
-    let highest = (highest / ROUND_DB).ceil() * ROUND_DB;
+    let highest = (highest.clamp(lowest + RANGE_DB.0, lowest + RANGE_DB.1) / ROUND_DB).ceil() * ROUND_DB;
     let spot = |(node, _): &(&Node, &RadioUnit)| {
         let Position { x, y, .. } = node.position.unwrap_or_default();
         Spot { name: node.id.to_string(), x, y }
@@ -89,7 +89,7 @@ fn draw(testbed: &Testbed) -> FloorMap {
     FloorMap {
         title: testbed.name.clone(),
         label: "mean signal (dBm)".to_owned(),
-        scale: (lowest, highest.clamp(lowest + RANGE_DB.0, lowest + RANGE_DB.1)),
+        scale: (lowest, highest),
         extent,
         panels,
         walls: testbed.map.as_ref().map(walls).unwrap_or_default(),
@@ -127,8 +127,8 @@ fn panel(
     let title = match subject.units[..] {
         [i] => {
             let (Node { id, .. }, RadioUnit { channel, tx_power, serving, .. }) = units[i];
-            let off = if *serving { "" } else { ", off at the start" };
-            format!("{id}: channel {channel}, {} dBm{off}", tx_power.0)
+            let off = if *serving { "" } else { " (off)" };
+            format!("{id}{off}: channel {channel}, {} dBm", tx_power.0)
         }
         _ => format!("strongest of {} radio units{}", subject.units.len(), of_network()),
     };
@@ -138,7 +138,8 @@ fn panel(
     };
     let weakest =
         graph.wireless.get(subject.network).map_or(f64::NEG_INFINITY, |network| sensitivity(network).0);
-    let name = format!("sensitivity{}: {weakest:.1} dBm", of_network()).replace('-', "−");
+    let dbm = format!("{weakest:.1} dBm").replace('-', "−");
+    let name = format!("sensitivity{}: {dbm}", of_network());
     FloorPanel {
         title,
         columns: grid.columns,
@@ -200,23 +201,21 @@ impl Height {
     /// Returns the height at which robots walk the longest way; of equals, the lowest. Without level parts of walks, it is
     /// that of the lowest robot.
     fn of(testbed: &Testbed) -> Self {
-        let waypoints = || testbed.walks.iter().flat_map(|walk| &walk.waypoints);
         let robots = testbed.graph.robots().filter_map(|(node, _)| node.position);
-        let all: Vec<f64> = waypoints().copied().chain(robots).map(|place| place.z).collect();
-        let Some((low, high)) = all.iter().map(|z| (*z, *z)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+        let walks = || testbed.walks.iter().map(|walk| &walk.waypoints);
+        let level_legs =
+            walks().flat_map(|waypoints| waypoints.windows(2)).filter(|leg| leg[0].z == leg[1].z);
+        let walked = level_legs.map(|leg| (leg[0].z, leg[0].distance(leg[1])));
+        let places = walks().flatten().copied().chain(robots).map(|place| (place.z, 0.0));
+        let mut heights: Vec<(f64, f64)> = walked.chain(places).collect();
+        heights.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let at_each = heights.chunk_by(|a, b| a.0 == b.0);
+        let lengths = at_each.map(|parts| (parts[0].0, parts.iter().map(|(_, length)| length).sum::<f64>()));
+        let longest = lengths.reduce(|a, b| if b.1 > a.1 { b } else { a });
+        let (Some((metres, _)), Some((low, _)), Some((high, _))) = (longest, heights.first(), heights.last())
         else {
             return Self { metres: 0.0, note: "At a height of 0 m: there are no robots.".to_owned() };
         };
-        let legs = || testbed.walks.iter().flat_map(|walk| walk.waypoints.windows(2));
-        let walked = |z: f64| -> f64 {
-            legs().filter(|leg| leg[0].z == z && leg[1].z == z).map(|leg| leg[0].distance(leg[1])).sum()
-        };
-        let mut heights = all;
-        heights.sort_by(f64::total_cmp);
-        heights.dedup();
-        let longest =
-            heights.into_iter().map(|z| (z, walked(z))).reduce(|a, b| if b.1 > a.1 { b } else { a });
-        let metres = longest.map_or(low, |(z, _)| z);
         let note = if low == high {
             format!("At a height of {metres} m, that of the robots.")
         } else {
@@ -268,7 +267,7 @@ mod tests {
 
     #[test]
     fn the_height_is_that_of_the_longest_way() {
-        let height = |walk: &str| Height::of(&testbed("", walk));
+        let height = |walk: &str| Height::of(&testbed(TWO, walk));
         let flat = height("[[0, 0], [5, 0]]");
         assert_eq!((flat.metres, flat.note.as_str()), (0.0, "At a height of 0 m, that of the robots."));
         let up = height("[[0, 0], [0, 0, 2], [9, 0, 2], [9, 0, 6], [0, 0, 6]]");

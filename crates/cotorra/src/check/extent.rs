@@ -76,7 +76,7 @@ mod tests {
         assert_eq!((extent.width(), extent.height()), (1200.0, 200.0));
         let longer = Testbed {
             map: OccupancyGrid::new(800, 1, 2.0, Position::default(), vec![Cell::Free; 800]),
-            ..testbed("", "[[0, 1], [9, 1]]")
+            ..testbed("  R: { kind: radio_unit, position: [5, 1], channel: 1 }\n", "[[0, 1], [9, 1]]")
         };
         assert_eq!(of(&longer), Extent { left: 0.0, bottom: -99.0, right: 1600.0, top: 101.0 });
     }

@@ -85,14 +85,20 @@ mod tests {
 
     use cotorra_graph::Testbed;
 
-    /// Returns a testbed of these radio units and one robot with this walk.
+    /// Returns a testbed of a switch, these radio units, whose lines begin with their names, and a robot with this walk.
     pub fn testbed(units: &str, walk: &str) -> Testbed {
+        let names: Vec<_> = units.lines().filter_map(|line| line.split(':').next()).map(str::trim).collect();
+        let links = if names.is_empty() {
+            String::new()
+        } else {
+            format!("links:\n  - {{ ends: [lan, [{}]] }}\n", names.join(", "))
+        };
         let text = format!(
             "name: floor\nwireless: {{ lab: {{ path_loss: {{ model: log_distance, exponent: 3.0 }} }} }}\nnodes:\n  \
-             robot: {{ kind: robot, model: quadrotor }}\n{units}\
+             lan: {{ kind: switch }}\n  robot: {{ kind: robot, model: quadrotor }}\n{units}{links}\
              walks:\n  robot: {{ waypoints: {walk}, speed_limit: 1 m/s }}\n"
         );
         cotorra_testbed_file::parse("floor.yaml", &text, Path::new(""))
-            .unwrap_or_else(|wrong| panic!("{wrong}"))
+            .unwrap_or_else(|wrong| panic!("{wrong}\n{text}"))
     }
 }
