@@ -132,13 +132,17 @@ impl Axis {
         TICK + GAP + BELOW + self.labels_height(width) + if self.label.is_empty() { 0.0 } else { ROW }
     }
 
+    /// Returns the width of the widest label of a horizontal axis of this width.
+    pub(crate) fn label_width(&self, width: f64) -> f64 {
+        self.along(width).iter().map(|(_, label)| font::width(label, LABEL)).fold(0.0, f64::max)
+    }
+
     fn labels_height(&self, width: f64) -> f64 {
         let ticks = self.along(width);
         if self.have_room(&ticks, width) {
             return ROW - 1.0;
         }
-        let longest = ticks.iter().map(|(_, label)| font::width(label, LABEL)).fold(0.0, f64::max);
-        longest.min(TURNED_ROOM) + GAP
+        self.label_width(width).min(TURNED_ROOM) + GAP
     }
 
     /// Draws ticks below a plot, and labels and the name of the axis if `is_labelled`. The axis ends `inset` from the sides of

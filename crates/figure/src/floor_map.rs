@@ -24,8 +24,8 @@ const SHADES: usize = 200;
 const BELOW: f64 = 0.06;
 /// Room between panels, points.
 const BETWEEN: f64 = 6.0;
-/// Room between two columns, for labels at the ends of their axes, points.
-const COLUMNS: f64 = 14.0;
+/// Room between two columns, beside labels at the ends of their axes, points.
+const COLUMNS: f64 = 5.0;
 /// Heights of a plot that has the whole width, and of one in a column, points, at most.
 const HIGH: f64 = 200.0;
 const LOW: f64 = 130.0;
@@ -196,6 +196,7 @@ impl FloorMap {
     fn places(&self, top: &mut f64, left: f64, x: &Axis) -> Vec<Place<'_>> {
         let ratio = self.extent.width() / self.extent.height();
         let whole = WIDTH - RIGHT - left;
+        let between = COLUMNS + x.label_width(whole / 2.0);
         let has_whole_width =
             |panel: &FloorPanel| panel.about.len() > 1 || self.panels.len() == 1 || ratio > WIDE;
         let mut rows: Vec<Vec<&FloorPanel>> = Vec::new();
@@ -210,12 +211,12 @@ impl FloorMap {
         let mut places = Vec::new();
         for (i, row) in rows.iter().enumerate() {
             let is_whole = has_whole_width(row[0]);
-            let (room, highest) = if is_whole { (whole, HIGH) } else { ((whole - COLUMNS) / 2.0, LOW) };
+            let (room, highest) = if is_whole { (whole, HIGH) } else { ((whole - between) / 2.0, LOW) };
             let width = room.min(highest * ratio);
             let height = width / ratio;
             let mut below: f64 = 0.0;
             for (column, panel) in row.iter().enumerate() {
-                let left = left + column as f64 * (room + COLUMNS);
+                let left = left + column as f64 * (room + between);
                 let plot = Rect { left, top: *top + ROW, right: left + width, bottom: *top + ROW + height };
                 // The axis of a column stands below the last of its panels about one spot.
                 let is_single = |row: &[&FloorPanel]| row[0].about.len() == 1;
