@@ -37,7 +37,9 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Run(#[from] running::Error),
-    #[error("`{0}` is a switch or a real machine: it has no network namespace to run a program in")]
+    #[error(
+        "`{0}` is a switch, a gateway or a real machine: it has no network namespace to run a program in"
+    )]
     Switch(NodeId),
     #[error("the run says that `{node}` is {}, which its process {process} does not hold", namespace.display())]
     #[diagnostic(help("the program was not started; please report this as a bug, with the run's folder"))]

@@ -7,7 +7,7 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{Node, NodeKind, Position, Testbed};
+use cotorra_graph::{NodeKind, Position, Testbed};
 use cotorra_testbed_file::{Diagnostics, Setting};
 use miette::{LabeledSpan, NamedSource, Severity};
 
@@ -123,16 +123,14 @@ impl From<Diagnostics> for FileError {
 /// Summarises a testbed in one line.
 pub fn overview(testbed: &Testbed) -> String {
     let graph = &testbed.graph;
-    let others = |machine: bool| {
-        let is_one = |node: &&Node| matches!(node.kind, NodeKind::Machine(_)) == machine && !node.is_host();
-        graph.nodes.iter().filter(is_one).count()
-    };
+    let of = |is_one: fn(&NodeKind) -> bool| graph.nodes.iter().filter(|node| is_one(&node.kind)).count();
     let nodes = [
         (graph.robots().count(), "robot"),
         (graph.radio_units().count(), "radio unit"),
-        (others(false), "switch"),
+        (of(|kind| matches!(kind, NodeKind::Switch)), "switch"),
         (graph.servers().count(), "server"),
-        (others(true), "real machine"),
+        (graph.gateways().count(), "gateway"),
+        (of(|kind| matches!(kind, NodeKind::Machine(_))), "real machine"),
         (graph.links.len(), "link"),
     ];
     let mut text =

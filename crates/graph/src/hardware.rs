@@ -71,6 +71,11 @@ impl HardwareGraph {
         self.nodes.iter().filter(|n| n.is_host())
     }
 
+    /// The gateways, in order.
+    pub fn gateways(&self) -> impl Iterator<Item = (&Node, &Gateway)> {
+        self.nodes.iter().filter_map(|n| if let NodeKind::Gateway(g) = &n.kind { Some((n, g)) } else { None })
+    }
+
     /// The links over interfaces of this machine, in order.
     pub fn real_links(&self) -> impl Iterator<Item = RealLink<'_>> {
         let machines: HashMap<_, _> =
@@ -115,9 +120,14 @@ pub struct Node {
 }
 
 impl Node {
-    /// Whether it runs programs of cotorra's: all but switches and real machines do.
+    /// Whether it runs programs of cotorra's: all but switches, gateways and real machines do.
     pub fn is_host(&self) -> bool {
-        !matches!(self.kind, NodeKind::Switch | NodeKind::Machine(_))
+        !matches!(self.kind, NodeKind::Switch | NodeKind::Gateway(_) | NodeKind::Machine(_))
+    }
+
+    /// Whether packets enter and leave the emulated network there: hosts and gateways.
+    pub fn has_port(&self) -> bool {
+        self.is_host() || matches!(self.kind, NodeKind::Gateway(_))
     }
 
     /// Whether it passes on frames that are not for it: switches and radio units do.
@@ -133,13 +143,13 @@ impl Node {
         }
     }
 
-    /// Returns its capacity for VNFs; `None` for a switch and a real machine.
+    /// Returns its capacity for VNFs; `None` for nodes that are no hosts.
     pub fn capacity(&self) -> Option<Capacity> {
         match &self.kind {
             NodeKind::Robot(r) => Some(r.capacity),
             NodeKind::RadioUnit(r) => Some(r.capacity),
             NodeKind::Server(s) => Some(s.capacity),
-            NodeKind::Switch | NodeKind::Machine(_) => None,
+            NodeKind::Switch | NodeKind::Gateway(_) | NodeKind::Machine(_) => None,
         }
     }
 }
@@ -157,6 +167,8 @@ pub enum NodeKind {
     Switch,
     /// Runs VNFs.
     Server(Server),
+    /// Joins real machines to the emulated network.
+    Gateway(Gateway),
     /// A real machine.
     Machine(Machine),
 }
@@ -291,6 +303,24 @@ pub struct Server {
     pub cost: f64,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
+}
+
+/// A gateway: joins an interface to the emulated network. Packets pass between the hosts and the real machines behind it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Gateway {
+    /// The interface, as `ip link` names it.
+    pub interface: String,
+    /// Network namespace of the interface: a name of `ip netns`, or an absolute path; `None` for this machine's.
+    pub netns: Option<String>,
+    /// Addresses of the real machines behind it, by name. No other machine passes.
+    #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, String>))]
+    pub machines: BTreeMap<NodeId, Ipv4Addr>,
+}
+
+impl Gateway {
+    /// Real machines behind a gateway, at most.
+    pub const MAX_MACHINES: usize = 64;
 }
 
 /// A real machine: this one, or one that is reached through an interface of this one. Only the link between the two is
@@ -525,6 +555,8 @@ pub struct HostAddress {
 }
 
 impl HostAddress {
+    /// Network of all IPv4 addresses.
+    pub const NETWORK: &'static str = "10.77.0.0/16";
     /// Length of the IPv4 prefix.
     pub const IPV4_PREFIX: u8 = 16;
     /// Length of the IPv6 prefix.
@@ -544,5 +576,16 @@ impl HostAddress {
             ipv4: Ipv4Addr::new(10, 77, high, low),
             ipv6: Ipv6Addr::new(0xfd77, 0, 0, 0, 0, 0, 0, place as u16 + 1),
         }
+    }
+
+    /// Returns the place of the host that a MAC address belongs to: the inverse of [`Self::of`].
+    pub fn place_of(mac: [u8; 6]) -> Option<usize> {
+        let place = usize::from(u16::from_be_bytes([mac[4], mac[5]])).checked_sub(1)?;
+        (place < Self::MAX_HOSTS && Self::of(place).mac == mac).then_some(place)
+    }
+
+    /// Whether an IPv4 address is in the network of all hosts.
+    pub fn is_near(address: Ipv4Addr) -> bool {
+        address.octets()[..2] == Self::of(0).ipv4.octets()[..2]
     }
 }

@@ -49,8 +49,8 @@ pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
-    Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Machine, Node, NodeKind,
-    PathLoss, RadioUnit, Reached, RealLink, Roaming, Robot, RobotModel, Server, Shadowing, Tier,
+    Capacity, Direction, GapPolicy, Gateway, HandoverTimes, HardwareGraph, HostAddress, Link, Machine, Node,
+    NodeKind, PathLoss, RadioUnit, Reached, RealLink, Roaming, Robot, RobotModel, Server, Shadowing, Tier,
     WifiStandard, WirelessNetwork,
 };
 pub use id::{ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId};

@@ -1,6 +1,7 @@
 //! Checks between the records of a testbed: duplicate names, unreachable nodes, KPIs that no placement keeps, walks
 //! through walls.
 
+mod gateways;
 mod kpis;
 mod machines;
 mod sensors;
@@ -22,6 +23,7 @@ use crate::{
 pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
     links(record, &testbed.graph, sink);
     machines::machines(record, &testbed.graph, sink);
+    gateways::gateways(record, &testbed.graph, sink);
     radio_units(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);
     sensors::receivers(record, testbed, sink);

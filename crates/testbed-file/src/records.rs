@@ -1,6 +1,6 @@
 //! Records of a testbed file, key by key. The JSON Schema, and so editors, show the documentation here.
 
-use std::time::Duration;
+use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
     BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, GapPolicy, IpNetwork, JitterDistribution,
@@ -255,6 +255,7 @@ tagged! {
         "radio_unit" => RadioUnit(RadioUnitRecord),
         "switch" => Switch(SwitchRecord),
         "server" => Server(ServerRecord),
+        "gateway" => Gateway(GatewayRecord),
         "machine" => Machine(MachineRecord),
     }
 }
@@ -267,6 +268,7 @@ impl NodeRecord {
             Self::RadioUnit(r) => r.domain.as_ref(),
             Self::Switch(s) => s.domain.as_ref(),
             Self::Server(s) => s.domain.as_ref(),
+            Self::Gateway(g) => g.domain.as_ref(),
             Self::Machine(m) => m.domain.as_ref(),
         }
     }
@@ -548,6 +550,23 @@ record! {
         cost: Amount = 1,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
+    }
+}
+
+record! {
+    /// A gateway: joins an interface of this machine to the emulated network, so that packets pass between its hosts and
+    /// the real machines behind the interface.
+    GatewayRecord {
+        /// Domain that runs it. Without one: the first.
+        domain: Option<Spanned<DomainId>>,
+        /// Position, for pictures.
+        position: Option<Position>,
+        /// The interface, as `ip link` names it.
+        interface: Spanned<String>,
+        /// Network namespace of the interface: a name as in `ip netns`, or an absolute path. Without one: this machine's.
+        netns: Option<Spanned<String>>,
+        /// IPv4 addresses of the real machines behind the interface, by name. Packets of others do not pass.
+        machines: Spanned<Table<NodeId, Spanned<Ipv4Addr>>>,
     }
 }
 

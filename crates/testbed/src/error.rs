@@ -2,6 +2,7 @@
 
 use std::io;
 
+use cotorra_graph::NodeId;
 use cotorra_recording::RecordingError;
 
 use crate::{
@@ -59,6 +60,11 @@ pub enum RunError {
     /// The run would never end, as in virtual time without walks.
     #[error("the testbed has no walk that would end the run: say how long it is to be, as in `--until 60s`")]
     Endless,
+    /// Virtual time has no real machines.
+    #[error(
+        "`{0}` is a gateway, and virtual time has no real machines: run in real time, or put a server in its place"
+    )]
+    VirtualGateway(NodeId),
     /// The core's thread panicked, which is a bug.
     #[error("the run's core panicked; please report this as a bug, with the run's folder")]
     Panicked,

@@ -19,11 +19,13 @@ pub fn rehearse(testbed: &Testbed) -> Result<Rehearsal, RunError> {
     Ok(Script::load(testbed)?.1)
 }
 
-/// Returns the changes that a run of the testbed would make to interfaces of this machine, by name.
+/// Returns the changes that a run of the testbed would make to interfaces of this machine, by name. Checks the interfaces of
+/// gateways, too, which a run does not change.
 ///
 /// # Errors
 /// [`RunError`], as the run would return it.
 pub fn interface_plans(testbed: &Testbed, confirmed: &Confirmed) -> Result<Vec<(String, Plan)>, RunError> {
+    cotorra_datapath::check_gateways(&testbed.graph, &confirmed.interfaces)?;
     if testbed.graph.real_links().next().is_none() {
         return Ok(Vec::new());
     }

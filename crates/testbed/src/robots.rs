@@ -71,9 +71,11 @@ pub(crate) fn simulated(node: &Node, robot: SimulatedRobot) -> Result<Box<dyn Ro
 fn driver(node: &Node) -> Driver {
     match &node.kind {
         NodeKind::Robot(robot) => robot.driver.clone(),
-        NodeKind::RadioUnit(_) | NodeKind::Switch | NodeKind::Server(_) | NodeKind::Machine(_) => {
-            Driver::default()
-        }
+        NodeKind::RadioUnit(_)
+        | NodeKind::Switch
+        | NodeKind::Server(_)
+        | NodeKind::Gateway(_)
+        | NodeKind::Machine(_) => Driver::default(),
     }
 }
 

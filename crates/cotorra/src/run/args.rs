@@ -131,10 +131,11 @@ pub struct RunArgs {
     /// Replace existing queueing disciplines on interfaces of the testbed's links; the end of the run restores them
     #[arg(long)]
     pub replace: bool,
-    /// Allow a link over this interface even if it is the loopback, or carries the default route
+    /// Allow a link over this interface even if it is the loopback, or carries the default route; or a gateway on one with
+    /// the default route
     ///
-    /// All other traffic of the interface then has the link's conditions, too, until the run ends. Can be given several
-    /// times.
+    /// All other traffic of the interface then has the link's conditions, too, until the run ends. A gateway leaves other
+    /// traffic as it is. Can be given several times.
     #[arg(long, value_name = "NAME")]
     pub allow_interface: Vec<String>,
     /// Only list what would be started, and what would be changed on interfaces of this machine

@@ -1,6 +1,6 @@
 //! Output of `run --dry-run`: everything that a run would start.
 
-use cotorra_graph::{NodeKind, Program, Tier, Vnf};
+use cotorra_graph::{HostAddress, NodeKind, Program, Tier, Vnf};
 use cotorra_measurements::Location;
 use cotorra_netem::Plan;
 
@@ -34,6 +34,7 @@ pub fn describe(
         ]);
     }
     text += &hosts.render("  ");
+    text += &gateways(testbed);
     for (name, plan) in interfaces {
         text +=
             &format!("\nInterface {name} of this machine, restored at the end, as commands of tc and ip:\n");
@@ -85,11 +86,34 @@ pub fn describe(
     text + "\n" + &rest.render("")
 }
 
+/// Describes the gateways, and what each machine behind them needs.
+fn gateways(testbed: &Testbed) -> String {
+    let mut text = String::new();
+    for (node, gateway) in testbed.graph.gateways() {
+        let netns = gateway.netns.as_ref().map(|netns| format!(" in the network namespace {netns}"));
+        let whose = netns.unwrap_or_else(|| " of this machine".to_owned());
+        text += &format!(
+            "\nGateway {} on the interface {}{whose}, for the machines behind it. Each needs a route, as by\n  \
+             ip route add {} dev INTERFACE\n",
+            node.id,
+            gateway.interface,
+            HostAddress::NETWORK
+        );
+        let mut machines = Table::new("<<");
+        for (name, address) in &gateway.machines {
+            machines.row([name.to_string(), address.to_string()]);
+        }
+        text += &machines.render("  ");
+    }
+    text
+}
+
 fn kind(kind: &NodeKind) -> &'static str {
     match kind {
         NodeKind::Robot(_) => "robot",
         NodeKind::RadioUnit(_) => "radio unit",
         NodeKind::Switch => "switch",
+        NodeKind::Gateway(_) => "gateway",
         NodeKind::Machine(_) => "machine",
         NodeKind::Server(server) => match server.tier {
             Tier::Fog => "server, fog",

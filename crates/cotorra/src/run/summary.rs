@@ -3,7 +3,7 @@
 use console::style;
 use cotorra_measurements::Location;
 use cotorra_recording::RecordingSummary;
-use cotorra_testbed::{Finished, Quantiles, RobotSummary, Summary};
+use cotorra_testbed::{Finished, GatewaySummary, Quantiles, RobotSummary, Summary};
 
 use crate::{
     table::Table,
@@ -129,6 +129,20 @@ fn figures(summary: &Summary, several: bool) -> Table {
         };
         let text = format!("off by a median of {p50:.2} m, p95 {p95:.2} m, max {max:.2} m");
         table.row([format!("localization{robot}"), text]);
+    }
+    for gateway in &summary.gateways {
+        let GatewaySummary { received_frames, sent_frames, rejected_frames, .. } = gateway;
+        let (received, sent) = (gateway.received_lateness_us, gateway.sent_lateness_us);
+        let text = format!(
+            "{} in, p50 {:.0} µs, p99 {:.0} µs; {} out, p50 {:.0} µs, p99 {:.0} µs; {rejected_frames} rejected",
+            count(*received_frames as usize, "frame"),
+            received.p50,
+            received.p99,
+            count(*sent_frames as usize, "frame"),
+            sent.p50,
+            sent.p99,
+        );
+        table.row([format!("gateway {}", gateway.gateway), text]);
     }
     let of_robot = |robot: &RobotSummary| format!("{} {}", robot.robot, robot.handovers);
     let by_robot = match &summary.robots[..] {

@@ -15,6 +15,7 @@ mod experiment;
 mod fields;
 mod figures;
 mod flows;
+mod gateway;
 mod going_on;
 mod harness;
 mod history;

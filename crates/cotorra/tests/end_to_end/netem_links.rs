@@ -21,7 +21,7 @@ links:
 ";
 
 /// Runs a script at this machine's end, `va`, of a wire whose far end has two addresses.
-fn on_a_wire(testbed: &str, lines: &str) -> Output {
+pub fn on_a_wire(testbed: &str, lines: &str) -> Output {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     let file = folder.path().join("real.yaml");
     std::fs::write(&file, testbed).expect("there is room for a file");
@@ -51,13 +51,13 @@ fn on_a_wire(testbed: &str, lines: &str) -> Output {
     script(&format!("FILE={}\n{set_up}\n{lines}", file.display()))
 }
 
-fn lines(done: &Output) -> Vec<String> {
+pub fn lines(done: &Output) -> Vec<String> {
     assert!(done.status.success(), "{}{}", stdout(done), stderr(done));
     stdout(done).lines().map(str::to_owned).collect()
 }
 
 /// Returns whether this user can create namespaces, inspect interfaces and save records in /run, as root can.
-fn has_namespaces() -> bool {
+pub fn has_namespaces() -> bool {
     let tried = script("command -v tc >/dev/null && test -w /run && unshare --net ip link add va type veth");
     if !tried.status.success() {
         eprintln!("skipped: {}", stderr(&tried));

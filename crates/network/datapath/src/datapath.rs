@@ -16,6 +16,7 @@ use crate::{
     clock::Clock,
     engine::{Engine, EventSink, Handle, Shared},
     error::{Action, Error},
+    gateway::{self, GatewayTraffic, Opened},
     hosts::{self, Host, PortKind},
     kernel_network::KernelNetwork,
     namespace::Namespace,
@@ -35,6 +36,8 @@ pub struct Options {
     pub let_cores_sleep: bool,
     /// Receiver of the fabric's events.
     pub events: Option<EventSink>,
+    /// Interfaces that gateways may use even if they carry the default route.
+    pub allowed_interfaces: Vec<String>,
     /// A network in which the kernel carries the packets between its own hosts. The fabric then only keeps the
     /// counters and conditions.
     pub kernel: Option<KernelNetwork>,
@@ -44,6 +47,7 @@ pub struct Options {
 /// programs started by [`Self::spawn`], which the caller must drop first.
 pub struct Datapath {
     hosts: Vec<Namespace>,
+    gateways: Vec<Opened>,
     kernel: Option<Arc<KernelNetwork>>,
     places: HashMap<NodeId, usize>,
     hosts_file: Option<HostsFile>,
@@ -59,17 +63,19 @@ impl Datapath {
     /// starts now.
     ///
     /// # Errors
-    /// [`Error::Kernel`] with the rejected action.
+    /// [`Error::Kernel`] with the rejected action, [`Error::Gateway`].
     pub fn start(graph: &HardwareGraph, fabric: Fabric, options: Options) -> Result<Self, Error> {
         sys::raise_open_files();
         let places: HashMap<_, _> = graph.hosts().enumerate().map(|(i, node)| (node.id.clone(), i)).collect();
         let kind = hosts::resolve(options.port);
         let kernel = options.kernel.map(Arc::new);
-        let (hosts, ports): (Vec<_>, Vec<_>) =
-            hosts::bring_up(if kernel.is_some() { 0 } else { places.len() }, kind)?
-                .into_iter()
-                .map(|Host { namespace, port }| (namespace, Port::new(port)))
-                .unzip();
+        let (gateways, ports_of_gateways) = gateway::open(graph, &options.allowed_interfaces)?;
+        let count = if kernel.is_some() { 0 } else { places.len() };
+        let (hosts, mut ports): (Vec<_>, Vec<_>) = hosts::bring_up(count, kind, &gateway::machines(graph))?
+            .into_iter()
+            .map(|Host { namespace, port }| (namespace, Port::new(port)))
+            .unzip();
+        ports.extend(ports_of_gateways);
         let hosts_file = HostsFile::of(graph)
             .inspect_err(|e| tracing::warn!("programs in nodes cannot use the names of other nodes: {e}"))
             .ok();
@@ -84,7 +90,7 @@ impl Datapath {
             .action("start the fabric's thread")?;
         let awake = (!options.let_cores_sleep).then(Awake::keep);
         let (handle, thread) = (Handle(shared), Some(thread));
-        Ok(Self { hosts, kernel, places, hosts_file, kind, clock, handle, thread, _awake: awake })
+        Ok(Self { hosts, gateways, kernel, places, hosts_file, kind, clock, handle, thread, _awake: awake })
     }
 
     pub fn clock(&self) -> Clock {
@@ -128,10 +134,15 @@ impl Datapath {
         self.namespace(host)?.spawn(command, SpawnOptions { hosts, hostname, ..options })
     }
 
-    /// Returns the number of frames that ports dropped since the run began, because an interface was down or its
+    /// Returns the number of frames that hosts' ports dropped since the run began, because an interface was down or its
     /// queue full.
     pub fn dropped_frames(&self) -> u64 {
         self.handle.0.dropped()
+    }
+
+    /// Returns the traffic of each gateway since the run began.
+    pub fn gateways(&self) -> Vec<GatewayTraffic> {
+        self.gateways.iter().map(Opened::traffic).collect()
     }
 
     /// Stops the datapath and returns the fabric with its final figures.

@@ -134,6 +134,9 @@ impl Ports {
         if self.shared.stopping.load(Ordering::Relaxed) {
             return;
         }
+        if self.ports[index].gate.is_some() {
+            return self.send_out(index, frame);
+        }
         let port = &mut self.ports[index];
         self.sent += 1;
         let begin = self.sent.is_multiple_of(MEASURED).then(|| self.clock.now());
@@ -145,9 +148,31 @@ impl Ports {
         match sent {
             Sent::Now => {}
             Sent::Dropped => self.shared.count_drop(),
-            // A failure leaves the frame queued until the next one to this port.
-            Sent::Waits => drop(self.epoll.set_writable(port.as_fd(), index, true)),
+            Sent::Waits => self.wait_to_send(index),
         }
+    }
+
+    /// Sends a frame out of a gateway, if its rules let it.
+    fn send_out(&mut self, index: usize, frame: Frame) {
+        let port = &mut self.ports[index];
+        let Some(gate) = port.gate.clone() else { return };
+        let begin = self.clock.now();
+        if !gate.lock().lets_out(begin, frame.bytes()) {
+            return self.spent.push(frame);
+        }
+        let sent = port.send(frame, &mut self.spent);
+        match sent {
+            Sent::Dropped => gate.lock().lost(1),
+            Sent::Now | Sent::Waits => gate.lock().went_out(self.clock.now().since(begin)),
+        }
+        if sent == Sent::Waits {
+            self.wait_to_send(index);
+        }
+    }
+
+    fn wait_to_send(&self, index: usize) {
+        // A failure leaves the frame queued until the next one to this port.
+        drop(self.epoll.set_writable(self.ports[index].as_fd(), index, true));
     }
 
     fn flush(&mut self, index: usize) {
@@ -261,9 +286,19 @@ impl Engine {
         let port = &mut self.ports.ports[index];
         for count in 0..port.batch {
             match port.receive(&mut self.fabric, &mut self.spill) {
-                Ok(Some(frame)) if is_membership_report(frame.bytes()) => self.fabric.recycle(frame),
-                Ok(Some(frame)) => {
-                    let at = arrived.take().unwrap_or_else(|| self.clock.now());
+                Ok(Some((frame, _))) if is_membership_report(frame.bytes()) => self.fabric.recycle(frame),
+                Ok(Some((frame, age))) => {
+                    let at = match &port.gate {
+                        Some(gate) => {
+                            let now = self.clock.now();
+                            if !gate.lock().admits(now, age, &frame) {
+                                self.fabric.recycle(frame);
+                                continue;
+                            }
+                            now - age
+                        }
+                        None => arrived.take().unwrap_or_else(|| self.clock.now()),
+                    };
                     self.fabric.push(at, PortId(index), frame);
                 }
                 Ok(None) => {
@@ -271,7 +306,10 @@ impl Engine {
                     return;
                 }
                 Err(e) => {
-                    self.shared.count_drop();
+                    match &port.gate {
+                        Some(gate) => gate.lock().reject(),
+                        None => self.shared.count_drop(),
+                    }
                     // A program in the node removed its interface: the descriptor would stay ready for ever.
                     if e.raw_os_error() == Some(libc::EBADFD) {
                         drop(self.ports.epoll.remove(port.as_fd()));

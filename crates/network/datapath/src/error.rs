@@ -4,6 +4,8 @@ use std::io;
 
 use cotorra_graph::NodeId;
 
+use crate::gateway::GatewayError;
+
 /// A failure of the datapath.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
@@ -19,6 +21,9 @@ pub enum Error {
          set kernel.apparmor_restrict_unprivileged_userns=0, or run as root"
     )]
     RightsWithheld,
+    /// A gateway's interface cannot be used.
+    #[error("gateway `{gateway}`: {source}")]
+    Gateway { gateway: NodeId, source: GatewayError },
     /// The graph has no host of that name. Switches have no namespace.
     #[error("`{0}` is not a host of this testbed: hosts are robots, radio units and servers")]
     NoSuchHost(NodeId),

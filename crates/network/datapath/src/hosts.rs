@@ -22,11 +22,11 @@ use crate::{
 };
 
 /// Largest payload of a frame, bytes.
-const MTU: u32 = 1500;
+pub(crate) const MTU: u32 = 1500;
 /// Frames queued between the kernel and the fabric's thread. A TAP drops the excess without telling the sender.
 const QUEUE: u32 = 4096;
 /// Bytes buffered between the kernel and the fabric's thread at a packet socket.
-const SOCKET_BUFFER: i32 = 32 << 20;
+pub(crate) const SOCKET_BUFFER: i32 = 32 << 20;
 const TUN: &str = "/dev/net/tun";
 
 /// Kind of port that connects a host to the fabric.
@@ -56,16 +56,16 @@ pub(crate) fn resolve(kind: PortKind) -> PortKind {
     }
 }
 
-/// Brings up `count` hosts, with the addresses that follow from their places.
-pub(crate) fn bring_up(count: usize, kind: PortKind) -> Result<Vec<Host>, Error> {
+/// Brings up `count` hosts, with the addresses that follow from their places. They reach `others` without a router.
+pub(crate) fn bring_up(count: usize, kind: PortKind, others: &[Ipv4Addr]) -> Result<Vec<Host>, Error> {
     // Namespace of the virtual Ethernet pairs' other ends, invisible to others.
     let wiring = match kind {
         PortKind::PacketSocket => Some(Namespace::new()?),
         _ => None,
     };
     let host = |place: usize| match &wiring {
-        Some(wiring) => packet_socket_host(place, wiring),
-        None => tap_host(place),
+        Some(wiring) => packet_socket_host(place, wiring, others),
+        None => tap_host(place, others),
     };
     let workers = thread::available_parallelism().map_or(1, |cores| cores.get().min(8));
     let share = count.div_ceil(workers).max(1);
@@ -94,21 +94,27 @@ fn enter_new_namespace() -> Result<Namespace, Error> {
     Namespace::enter_new().action("make a network namespace")
 }
 
-/// Configures the addresses of `eth0` in the calling thread's namespace.
-pub(crate) fn configure(netlink: &Netlink, place: usize) -> Result<(), Error> {
+/// Configures the addresses of `eth0` in the calling thread's namespace, and its routes to `others`.
+pub(crate) fn configure(netlink: &Netlink, place: usize, others: &[Ipv4Addr]) -> Result<(), Error> {
     let eth0 = sys::interface_index(c"eth0").action("find a host's interface")?;
     // The fabric has no router to solicit. Without IPv6 this file does not exist.
     let _ = fs::write("/proc/sys/net/ipv6/conf/eth0/router_solicitations", "0");
-    netlink
-        .execute(netlink::host(eth0, &HostAddress::of(place), MTU, QUEUE))
-        .action("configure a host's interface")
+    let mut requests = netlink::host(eth0, &HostAddress::of(place), MTU, QUEUE);
+    let far = others.iter().filter(|address| !HostAddress::is_near(**address));
+    requests.extend(far.map(|address| netlink::route(eth0, *address, 32)));
+    // A message must fit the socket's buffer.
+    let mut requests = requests.into_iter().peekable();
+    while requests.peek().is_some() {
+        netlink.execute(requests.by_ref().take(64).collect()).action("configure a host's interface")?;
+    }
+    Ok(())
 }
 
-fn tap_host(place: usize) -> Result<Host, Error> {
+fn tap_host(place: usize, others: &[Ipv4Addr]) -> Result<Host, Error> {
     let namespace = enter_new_namespace()?;
     let device = open_tun().action("open /dev/net/tun")?;
     sys::make_tap(&device, c"eth0").action("make a TAP with offloads")?;
-    configure(&Netlink::open().action("open a netlink socket")?, place)?;
+    configure(&Netlink::open().action("open a netlink socket")?, place, others)?;
     Ok(Host { namespace, port: device.into() })
 }
 
@@ -138,7 +144,7 @@ fn kernel() -> (u32, u32) {
     (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0))
 }
 
-fn packet_socket_host(place: usize, wiring: &Namespace) -> Result<Host, Error> {
+fn packet_socket_host(place: usize, wiring: &Namespace, others: &[Ipv4Addr]) -> Result<Host, Error> {
     // The loopback interface has index 1, and kernels with built-in tunnels use the next few.
     let index = 100 + place as u32;
     let namespace = enter_new_namespace()?;
@@ -156,6 +162,6 @@ fn packet_socket_host(place: usize, wiring: &Namespace) -> Result<Host, Error> {
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).action("open a socket in a namespace")?;
     sys::restrict_offloads(socket.as_fd(), c"eth0", &offloads())
         .action("restrict the offloads of a virtual Ethernet pair")?;
-    configure(&inside, place)?;
+    configure(&inside, place, others)?;
     Ok(Host { namespace, port })
 }

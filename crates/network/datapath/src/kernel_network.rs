@@ -30,6 +30,9 @@ pub enum KernelNetworkError {
     /// A node is reached by radio, which NetEm does not emulate.
     #[error("`{0}` is reached by radio, which NetEm does not emulate: let the fabric emulate")]
     Radio(NodeId),
+    /// A gateway joins real machines, which only the fabric does.
+    #[error("`{0}` is a gateway, which the kernel's bridges do not have: let the fabric emulate")]
+    Gateway(NodeId),
     /// The links form a circle, in which bridges would forward packets for ever.
     #[error("the link `{0}` closes a circle: the kernel's bridges need a tree; let the fabric emulate")]
     Circle(LinkId),
@@ -98,6 +101,9 @@ impl KernelNetwork {
     ) -> Result<Self, KernelNetworkError> {
         if let Some((robot, _)) = graph.robots().next() {
             return Err(KernelNetworkError::Radio(robot.id.clone()));
+        }
+        if let Some((gateway, _)) = graph.gateways().next() {
+            return Err(KernelNetworkError::Gateway(gateway.id.clone()));
         }
         let nodes: HashMap<_, _> = graph.nodes.iter().enumerate().map(|(i, node)| (&node.id, i)).collect();
         check_tree(graph, &nodes)?;
@@ -297,7 +303,7 @@ fn attach_host(place: usize, port: u32, bridge: u32, wiring: &Namespace) -> Resu
     wiring
         .run(|| Netlink::open()?.execute(vec![netlink::up(port, vec![netlink::in_bridge(bridge)])]))
         .action("set a port up")?;
-    host.run(|| hosts::configure(&Netlink::open().action("open a netlink socket")?, place))?;
+    host.run(|| hosts::configure(&Netlink::open().action("open a netlink socket")?, place, &[]))?;
     debug_assert!(place < HostAddress::MAX_HOSTS);
     Ok(host)
 }

@@ -148,8 +148,9 @@ fn address(index: u32, address: IpAddr, prefix: u8, scope: AddressScope) -> Rout
     RouteNetlinkMessage::NewAddress(message)
 }
 
-/// Adds a route for broadcast or multicast, which the kernel would otherwise not send.
-fn route(index: u32, to: Ipv4Addr, prefix: u8) -> RouteNetlinkMessage {
+/// Adds a route to what is reached without a router, also for broadcast or multicast, which the kernel would otherwise not
+/// send.
+pub(crate) fn route(index: u32, to: Ipv4Addr, prefix: u8) -> RouteNetlinkMessage {
     let mut route = RouteMessage::default();
     route.header.address_family = AddressFamily::Inet;
     route.header.destination_prefix_length = prefix;

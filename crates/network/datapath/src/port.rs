@@ -5,12 +5,15 @@ use std::{
     collections::VecDeque,
     io,
     os::fd::{AsFd, BorrowedFd, OwnedFd},
+    sync::Arc,
     thread,
+    time::Duration,
 };
 
 use cotorra_fabric::{Fabric, Frame};
+use parking_lot::Mutex;
 
-use crate::{sys, vnet};
+use crate::{gateway::gate::Gate, sys, vnet};
 
 /// Most frames queued for a port that takes no more. The excess is dropped, as at a network card.
 const BACKLOG: usize = 256;
@@ -39,24 +42,41 @@ pub(crate) struct Port {
     /// Whether the last frame was a super-packet. The next probably is one, too, and is then read without a copy.
     expects_large: bool,
     backlog: VecDeque<Frame>,
+    /// The rules of a gateway, if this is one's port.
+    pub(crate) gate: Option<Arc<Mutex<Gate>>>,
 }
 
 impl Port {
     /// Makes a port from a non-blocking TAP or packet socket with [`vnet`] headers.
     pub(crate) fn new(fd: OwnedFd) -> Self {
-        Self { fd, batch: 1, expects_large: false, backlog: VecDeque::new() }
+        Self { fd, batch: 1, expects_large: false, backlog: VecDeque::new(), gate: None }
+    }
+
+    /// Makes a gateway's port from its packet socket.
+    pub(crate) fn of_gateway(fd: OwnedFd, gate: Arc<Mutex<Gate>>) -> Self {
+        Self { gate: Some(gate), ..Self::new(fd) }
     }
 
     /// Reads the next frame into one of the fabric's buffers; `Ok(None)` if there is none now. The part beyond an
-    /// ordinary buffer goes through `spill`, which has room for [`LARGEST`] bytes.
+    /// ordinary buffer goes through `spill`, which has room for [`LARGEST`] bytes. Returns the age of a gateway's frame,
+    /// too; that of others is zero.
     ///
     /// # Errors
     /// If a frame was unreadable; the next one may be fine.
-    pub(crate) fn receive(&mut self, fabric: &mut Fabric, spill: &mut [u8]) -> io::Result<Option<Frame>> {
+    pub(crate) fn receive(
+        &mut self,
+        fabric: &mut Fabric,
+        spill: &mut [u8],
+    ) -> io::Result<Option<(Frame, Duration)>> {
         let mut header = [0; vnet::LENGTH];
         let mut buffer = fabric.buffer(if self.expects_large { LARGEST } else { ORDINARY });
-        let length = match sys::read_frame(self.fd.as_fd(), &mut header, &mut buffer, spill) {
-            Ok(length) => length,
+        let read = match &self.gate {
+            Some(_) => sys::read_frame_with_age(self.fd.as_fd(), &mut header, &mut buffer, spill),
+            None => sys::read_frame(self.fd.as_fd(), &mut header, &mut buffer, spill)
+                .map(|length| (length, Duration::ZERO)),
+        };
+        let (length, age) = match read {
+            Ok(read) => read,
             Err(e) => {
                 fabric.recycle(Frame::new(buffer));
                 return if e.kind() == io::ErrorKind::WouldBlock { Ok(None) } else { Err(e) };
@@ -74,14 +94,14 @@ impl Port {
             fabric.recycle(Frame::new(buffer));
             return Err(io::ErrorKind::InvalidData.into());
         };
-        Ok(Some(Frame::with_offload(buffer, offload)))
+        Ok(Some((Frame::with_offload(buffer, offload), age)))
     }
 
     /// Sends a frame behind those queued. Sent and dropped frames go to `spent`.
     pub(crate) fn send(&mut self, frame: Frame, spent: &mut Vec<Frame>) -> Sent {
         if self.backlog.is_empty() {
             match self.write(&frame) {
-                Err(e) if is_full(&e) => {}
+                Err(e) if self.is_full(&e) => {}
                 result => {
                     spent.push(frame);
                     return if result.is_ok() { Sent::Now } else { Sent::Dropped };
@@ -100,7 +120,7 @@ impl Port {
     pub(crate) fn flush(&mut self, spent: &mut Vec<Frame>) -> bool {
         while let Some(frame) = self.backlog.pop_front() {
             match self.write(&frame) {
-                Err(e) if is_full(&e) => {
+                Err(e) if self.is_full(&e) => {
                     self.backlog.push_front(frame);
                     return false;
                 }
@@ -108,6 +128,16 @@ impl Port {
             }
         }
         true
+    }
+
+    /// Whether an error means that the port takes no more for now. A real interface answers `ENOBUFS` for a frame that its
+    /// queue has dropped, as it does without a carrier.
+    fn is_full(&self, error: &io::Error) -> bool {
+        match error.raw_os_error() {
+            Some(libc::EAGAIN) => true,
+            Some(libc::ENOBUFS) => self.gate.is_none(),
+            _ => false,
+        }
     }
 
     fn write(&self, frame: &Frame) -> io::Result<()> {
@@ -132,9 +162,4 @@ pub(crate) fn close(mut ports: Vec<Port>) {
             scope.spawn(|| drop(some));
         }
     });
-}
-
-/// Whether an error means that the port takes no more for now.
-fn is_full(error: &io::Error) -> bool {
-    matches!(error.raw_os_error(), Some(libc::EAGAIN | libc::ENOBUFS))
 }

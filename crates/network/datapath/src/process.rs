@@ -186,6 +186,9 @@ fn names(graph: &HardwareGraph) -> String {
         let HostAddress { ipv4, ipv6, .. } = HostAddress::of(i);
         writeln!(text, "{ipv4} {id}\n{ipv6} {id}", id = node.id).expect("a string takes all");
     }
+    for (name, address) in graph.gateways().flat_map(|(_, gateway)| &gateway.machines) {
+        writeln!(text, "{address} {name}").expect("a string takes all");
+    }
     text
 }
 
@@ -197,7 +200,7 @@ pub struct HostsFile {
 }
 
 impl HostsFile {
-    /// Makes one with the names of a graph's hosts.
+    /// Makes one with the names of a graph's hosts, and of the real machines behind its gateways.
     ///
     /// # Errors
     /// As [`Self::new`].

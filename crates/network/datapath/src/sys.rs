@@ -1,6 +1,8 @@
 //! System calls missing from the standard library, each behind a safe signature. All unsafe code of the project is
 //! here and in [`crate::init`]. This module knows nothing of the fabric.
 
+mod packet;
+
 use std::{
     ffi::{CStr, CString},
     fs::File,
@@ -16,6 +18,11 @@ use std::{
 };
 
 use libc::{c_int, c_short, c_uint, c_ulong, c_void};
+
+pub(crate) use packet::{
+    Interface, filtered_packet_socket, interface, overflows, packet_socket, read_frame_with_age,
+    read_with_age, stamped_packet_socket,
+};
 
 /// Turns the -1 of a system call into its error.
 pub(crate) fn check(result: c_int) -> io::Result<c_int> {
@@ -516,64 +523,6 @@ fn set_option<T>(socket: &OwnedFd, level: c_int, option: c_int, value: &T) -> io
     .map(drop)
 }
 
-/// Opens a packet socket on an interface of the calling thread's network namespace. It receives incoming frames only,
-/// each behind its `virtio_net_hdr`.
-pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<OwnedFd> {
-    const PACKET_IGNORE_OUTGOING: c_int = 23;
-    let socket = unbound_packet_socket(buffer_bytes)?;
-    let on: c_int = 1;
-    set_option(&socket, libc::SOL_PACKET, libc::PACKET_VNET_HDR, &on)?;
-    set_option(&socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING, &on)?;
-    set_option(&socket, libc::SOL_PACKET, libc::PACKET_QDISC_BYPASS, &on)?;
-    bind_packet_socket(&socket, interface, libc::ETH_P_ALL as u16)?;
-    Ok(socket)
-}
-
-/// Opens a packet socket that sends through an interface's queueing discipline and receives frames of one EtherType.
-/// [`read_with_age`] returns their age.
-pub(crate) fn stamped_packet_socket(
-    interface: u32,
-    ethertype: u16,
-    buffer_bytes: c_int,
-) -> io::Result<OwnedFd> {
-    let socket = unbound_packet_socket(buffer_bytes)?;
-    let on: c_int = 1;
-    set_option(&socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, &on)?;
-    bind_packet_socket(&socket, interface, ethertype)?;
-    Ok(socket)
-}
-
-fn unbound_packet_socket(buffer_bytes: c_int) -> io::Result<OwnedFd> {
-    // Protocol 0 receives nothing. Until the socket is bound, it would get frames of other interfaces.
-    // SAFETY: takes no pointer and makes a descriptor.
-    let socket = unsafe {
-        own(libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC, 0))?
-    };
-    // Only root may exceed the system's limit. An ordinary user gets as much as it allows.
-    for (force, plain) in [(libc::SO_RCVBUFFORCE, libc::SO_RCVBUF), (libc::SO_SNDBUFFORCE, libc::SO_SNDBUF)] {
-        set_option(&socket, libc::SOL_SOCKET, force, &buffer_bytes)
-            .or_else(|_| set_option(&socket, libc::SOL_SOCKET, plain, &buffer_bytes))?;
-    }
-    Ok(socket)
-}
-
-fn bind_packet_socket(socket: &OwnedFd, interface: u32, ethertype: u16) -> io::Result<()> {
-    // SAFETY: a sockaddr_ll is integers and bytes, for which zero is a value.
-    let mut address: libc::sockaddr_ll = unsafe { mem::zeroed() };
-    address.sll_family = libc::AF_PACKET as u16;
-    address.sll_protocol = ethertype.to_be();
-    address.sll_ifindex = interface as c_int;
-    // SAFETY: the pointer is to a live sockaddr_ll of the size given.
-    check(unsafe {
-        libc::bind(
-            socket.as_raw_fd(),
-            (&raw const address).cast(),
-            mem::size_of::<libc::sockaddr_ll>() as libc::socklen_t,
-        )
-    })
-    .map(drop)
-}
-
 /// Waits for many descriptors at once, with nanosecond timeouts (`epoll_pwait2`, Linux 5.11).
 pub(crate) struct Epoll {
     fd: OwnedFd,
@@ -684,18 +633,31 @@ pub(crate) fn read_frame(
     buffer: &mut Vec<u8>,
     spill: &mut [u8],
 ) -> io::Result<usize> {
+    // SAFETY: the parts are live memory of the lengths stated; the kernel only writes to them.
+    // The C library's function checks for thread cancellation first, which takes 4 % of the thread's time.
+    fill_frame(header, buffer, spill, |parts| {
+        check_len(unsafe {
+            libc::syscall(libc::SYS_readv, fd.as_raw_fd(), parts.as_ptr(), parts.len()) as isize
+        })
+    })
+}
+
+/// Lets `receive` fill a header, the buffer up to its capacity, and `spill`, in this order. It returns the number of bytes
+/// that it filled. Returns the length of the frame behind the header.
+fn fill_frame(
+    header: &mut [u8],
+    buffer: &mut Vec<u8>,
+    spill: &mut [u8],
+    receive: impl FnOnce(&mut [libc::iovec]) -> io::Result<usize>,
+) -> io::Result<usize> {
     buffer.clear();
     let room = buffer.capacity();
-    let parts = [
+    let mut parts = [
         libc::iovec { iov_base: header.as_mut_ptr().cast(), iov_len: header.len() },
         libc::iovec { iov_base: buffer.as_mut_ptr().cast(), iov_len: room },
         libc::iovec { iov_base: spill.as_mut_ptr().cast(), iov_len: spill.len() },
     ];
-    // SAFETY: the parts are live memory of ours, of the lengths stated; the kernel only writes to them.
-    // The C library's function checks for thread cancellation first, which takes 4 % of the thread's time.
-    let read = check_len(unsafe {
-        libc::syscall(libc::SYS_readv, fd.as_raw_fd(), parts.as_ptr(), parts.len()) as isize
-    })?;
+    let read = receive(&mut parts)?;
     let length = read.checked_sub(header.len()).filter(|l| *l > 0).ok_or(io::ErrorKind::UnexpectedEof)?;
     // SAFETY: the kernel filled the parts in order, so that this many bytes of the buffer are initialised.
     unsafe { buffer.set_len(length.min(room)) };
@@ -711,53 +673,6 @@ pub(crate) fn write_frame(fd: BorrowedFd<'_>, header: &[u8], frame: &[u8]) -> io
         libc::syscall(libc::SYS_writev, fd.as_raw_fd(), parts.as_ptr(), parts.len()) as isize
     })
     .map(drop)
-}
-
-/// Reads one frame of a [`stamped_packet_socket`], truncated to the buffer, and returns its length and its age since
-/// the kernel received it.
-pub(crate) fn read_with_age(fd: BorrowedFd<'_>, buffer: &mut [u8]) -> io::Result<(usize, Duration)> {
-    /// Room for one control message with a timespec, aligned as its header is.
-    #[repr(C)]
-    struct Control {
-        _align: [libc::cmsghdr; 0],
-        bytes: [u8; 64],
-    }
-    let mut control = Control { _align: [], bytes: [0; 64] };
-    let mut part = libc::iovec { iov_base: buffer.as_mut_ptr().cast(), iov_len: buffer.len() };
-    // SAFETY: a msghdr is integers and pointers, for which zero is a value.
-    let mut message: libc::msghdr = unsafe { mem::zeroed() };
-    message.msg_iov = &mut part;
-    message.msg_iovlen = 1;
-    message.msg_control = control.bytes.as_mut_ptr().cast();
-    message.msg_controllen = control.bytes.len() as _;
-    // SAFETY: the message points to live memory of ours, of the lengths stated.
-    let length = check_len(unsafe { libc::recvmsg(fd.as_raw_fd(), &mut message, 0) })?;
-    let now = realtime()?;
-    // SAFETY: the kernel filled the message in, whose control buffer is live and aligned.
-    let first = unsafe { libc::CMSG_FIRSTHDR(&message) };
-    // SAFETY: it is null, or points to a header in that buffer.
-    let header = unsafe { first.as_ref() };
-    let got = header.filter(|h| h.cmsg_level == libc::SOL_SOCKET && h.cmsg_type == libc::SCM_TIMESTAMPNS);
-    let age = got.map_or(Duration::ZERO, |_| {
-        // SAFETY: the data of such a message is a timespec, which need not be aligned. The pointer to the header
-        // points into the whole buffer: a reference to the header alone does not reach what follows it.
-        let at = unsafe { libc::CMSG_DATA(first).cast::<libc::timespec>().read_unaligned() };
-        now.saturating_sub(since_1970(at))
-    });
-    Ok((length, age))
-}
-
-/// Returns the kernel's wall clock, by which it timestamps packets.
-fn realtime() -> io::Result<Duration> {
-    // SAFETY: a timespec is integers, for which zero is a value.
-    let mut now: libc::timespec = unsafe { mem::zeroed() };
-    // SAFETY: the pointer is to a live timespec.
-    check(unsafe { libc::clock_gettime(libc::CLOCK_REALTIME, &mut now) })?;
-    Ok(since_1970(now))
-}
-
-fn since_1970(at: libc::timespec) -> Duration {
-    Duration::new(at.tv_sec.max(0) as u64, at.tv_nsec.clamp(0, 999_999_999) as u32)
 }
 
 #[cfg(test)]

@@ -54,7 +54,9 @@ const MOST_LEARNT: usize = 65_536;
 pub struct Fabric {
     /// Latest time of any call.
     now: Timestamp,
+    /// Those of hosts, then those of gateways.
     ports: Vec<Port>,
+    hosts: usize,
     /// Vertices by name; they are nodes in the graph's order.
     vertices: HashMap<NodeId, usize>,
     port_of_vertex: Vec<Option<PortId>>,
@@ -127,7 +129,7 @@ impl Fabric {
                 return Err(GraphError::Duplicate(node.id.to_string()));
             }
         }
-        let vertex = |node: &Node| Vertex { forwards: node.forwards(), is_host: node.is_host() };
+        let vertex = |node: &Node| Vertex { forwards: node.forwards(), has_port: node.has_port() };
         let mut routes = Routes::new(graph.nodes.iter().map(vertex).collect());
         let mut link_by_name = HashMap::new();
         let mut pipes = Vec::new();
@@ -162,7 +164,8 @@ impl Fabric {
             vertex: vertices[&node.id],
             is_robot: matches!(node.kind, NodeKind::Robot(_)),
         };
-        let ports: Vec<Port> = graph.hosts().map(port).collect();
+        let gateways = graph.gateways().map(|(node, _)| node);
+        let ports: Vec<Port> = graph.hosts().chain(gateways).map(port).collect();
         let mut port_of_vertex = vec![None; graph.nodes.len()];
         for (i, port) in ports.iter().enumerate() {
             port_of_vertex[port.vertex] = Some(PortId(i));
@@ -171,6 +174,7 @@ impl Fabric {
         Ok(Self {
             now: Timestamp::ZERO,
             ports,
+            hosts,
             vertices,
             port_of_vertex,
             routes,
@@ -196,17 +200,17 @@ impl Fabric {
         })
     }
 
-    /// Returns the port of a host; `None` for a switch or an unknown name.
+    /// Returns the port of a host or a gateway; `None` for a switch or an unknown name.
     pub fn port(&self, host: &NodeId) -> Option<PortId> {
         self.port_of_vertex[*self.vertices.get(host)?]
     }
 
-    /// Returns the host at a port.
+    /// Returns the host or gateway at a port.
     pub fn host(&self, port: PortId) -> Option<&NodeId> {
         self.ports.get(port.0).map(|p| &p.node)
     }
 
-    /// Sends a frame from a host's port. Call [`Self::poll`] after the last frame of a batch.
+    /// Sends a frame from a port. Call [`Self::poll`] after the last frame of a batch.
     pub fn push(&mut self, now: Timestamp, port: PortId, mut frame: Frame) {
         let now = self.advance(now);
         if port.0 >= self.ports.len() {
@@ -725,13 +729,13 @@ impl Fabric {
         self.assigned(address).or_else(|| self.learnt.get(&address).copied())
     }
 
-    /// Returns the host that an address was assigned to: the inverse of [`HostAddress::of`].
+    /// Returns the host that an address was assigned to.
     fn assigned(&self, address: [u8; 6]) -> Option<PortId> {
-        let place = usize::from(u16::from_be_bytes([address[4], address[5]])).checked_sub(1)?;
-        (place < self.ports.len() && HostAddress::of(place).mac == address).then_some(PortId(place))
+        HostAddress::place_of(address).filter(|place| *place < self.hosts).map(PortId)
     }
 
-    /// Records that a host uses an address besides its own, as containers and macvlan interfaces do.
+    /// Records that an address is behind a port besides the host's own, as those of containers, of macvlan interfaces and
+    /// of real machines are.
     fn learn(&mut self, port: PortId, frame: &Frame) {
         let Some(source) = frame.source() else { return };
         if source[0] & GROUP != 0 || self.assigned(source).is_some() {

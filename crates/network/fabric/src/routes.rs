@@ -61,7 +61,7 @@ pub(crate) struct Vertex {
     /// Whether it forwards frames for others.
     pub(crate) forwards: bool,
     /// Whether frames are delivered there.
-    pub(crate) is_host: bool,
+    pub(crate) has_port: bool,
 }
 
 #[derive(Debug)]
@@ -185,14 +185,14 @@ impl Routes {
             return Arc::clone(tree);
         }
         let (steps, order) = self.shortest(root, Sense::Away);
-        let mut leads_to_host: Vec<bool> = self.vertices.iter().map(|v| v.is_host).collect();
+        let mut leads_to_port: Vec<bool> = self.vertices.iter().map(|v| v.has_port).collect();
         let mut branches = Vec::new();
         // Goes from the leaves to the root.
         for &vertex in order.iter().rev().filter(|v| **v as usize != root) {
-            if leads_to_host[vertex as usize] {
+            if leads_to_port[vertex as usize] {
                 let edge = steps[vertex as usize].edge;
                 let from = self.edges[edge as usize].ends[0];
-                leads_to_host[from as usize] = true;
+                leads_to_port[from as usize] = true;
                 branches.push((from, edge));
             }
         }

@@ -136,7 +136,7 @@ impl Site {
                     let identity = StaIdentity { mac_id: Mac(address.mac), ssid, ip_address: ip };
                     stations.insert(node.id.clone(), identity);
                 }
-                NodeKind::Switch | NodeKind::Server(_) | NodeKind::Machine(_) => {}
+                NodeKind::Switch | NodeKind::Server(_) | NodeKind::Gateway(_) | NodeKind::Machine(_) => {}
             }
         }
         Self { units, stations }

@@ -34,7 +34,7 @@ pub(crate) fn standing(testbed: &Testbed) -> MarkerArray {
         let (kind, scale, height, color) = match node.kind {
             NodeKind::RadioUnit(_) => (CYLINDER, (0.4, 0.4, 0.1), CEILING, RADIO_UNIT),
             NodeKind::Server(_) => (CUBE, (0.5, 0.5, 1.0), 0.5, SERVER),
-            NodeKind::Robot(_) | NodeKind::Switch | NodeKind::Machine(_) => continue,
+            NodeKind::Robot(_) | NodeKind::Switch | NodeKind::Gateway(_) | NodeKind::Machine(_) => continue,
         };
         let id = number as i32;
         let body =

@@ -1,7 +1,7 @@
 //! Nodes, and the wireless networks that connect them.
 
 use cotorra_graph::{
-    Capacity, DomainId, HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, PathLoss,
+    Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, PathLoss,
     Position, Probability, RadioUnit, Reached, Robot, Server, Shadowing, WirelessNetwork,
 };
 
@@ -10,7 +10,7 @@ use super::{
     ros, sensors,
 };
 use crate::{
-    records::{MachineRecord, NodeRecord, PathLossRecord, WalkRecord, WirelessRecord},
+    records::{GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, WalkRecord, WirelessRecord},
     yaml::{
         Bytes, Sink,
         decode::{Amount, Spanned, words},
@@ -137,6 +137,7 @@ impl Builder<'_> {
                 };
                 (s.position, NodeKind::Server(server))
             }
+            NodeRecord::Gateway(g) => (g.position, NodeKind::Gateway(self.gateway(g)?)),
             NodeRecord::Machine(m) => (m.position, NodeKind::Machine(self.machine(m)?)),
         };
         Some(Node { id: id.value.clone(), domain: domain?, position, kind })
@@ -152,7 +153,38 @@ impl Builder<'_> {
             }
             return Some(Machine { reached: None });
         };
-        // As the kernel has it (dev_valid_name).
+        let name = self.interface(interface)?;
+        let address = record.address.as_ref().map(|address| address.value);
+        let reflector = record.reflector.value;
+        if reflector && !address.is_some_and(|address| address.is_one()) {
+            self.sink
+                .error(&record.reflector.span, "a reflector, and not the one address at which it is")
+                .help("write the machine's own, such as `address: 192.168.1.7`");
+        }
+        Some(Machine { reached: Some(Reached { interface: name, address, reflector }) })
+    }
+
+    fn gateway(&mut self, record: &GatewayRecord) -> Option<Gateway> {
+        let interface = self.interface(&record.interface);
+        if let Some(netns) = &record.netns {
+            let name = netns.value.as_str();
+            let is_name = !name.is_empty() && !name.contains('/') && !matches!(name, "." | "..");
+            if !is_name && !name.starts_with('/') {
+                self.sink
+                    .error(&netns.span, format!("no network namespace can have the name `{name}`"))
+                    .help(
+                        "write one as `ip netns` names it, or a path from the root such as `/proc/1/ns/net`",
+                    );
+            }
+        }
+        let netns = record.netns.as_ref().map(|netns| netns.value.clone());
+        let machines = &record.machines.value.0;
+        let machines = machines.iter().map(|(name, address)| (name.value.clone(), address.value)).collect();
+        Some(Gateway { interface: interface?, netns, machines })
+    }
+
+    /// Returns the name of an interface, as the kernel has it (dev_valid_name).
+    fn interface(&mut self, interface: &Spanned<String>) -> Option<String> {
         let name = &interface.value;
         let fits = |c: char| !c.is_whitespace() && !matches!(c, '/' | ':');
         if !(1..=15).contains(&name.len()) || matches!(name.as_str(), "." | "..") || !name.chars().all(fits) {
@@ -161,14 +193,7 @@ impl Builder<'_> {
                 .help("write one as `ip link` names it, such as `eth1`");
             return None;
         }
-        let address = record.address.as_ref().map(|address| address.value);
-        let reflector = record.reflector.value;
-        if reflector && !address.is_some_and(|address| address.is_one()) {
-            self.sink
-                .error(&record.reflector.span, "a reflector, and not the one address at which it is")
-                .help("write the machine's own, such as `address: 192.168.1.7`");
-        }
-        Some(Machine { reached: Some(Reached { interface: name.clone(), address, reflector }) })
+        Some(name.clone())
     }
 
     pub(super) fn domain(&mut self, wanted: Option<&Spanned<DomainId>>) -> Option<DomainId> {
@@ -252,5 +277,5 @@ fn capacity(cpus: Amount, memory: Bytes) -> Capacity {
 
 /// Whether programs of cotorra's run on it.
 fn is_host(record: &NodeRecord) -> bool {
-    !matches!(record, NodeRecord::Switch(_) | NodeRecord::Machine(_))
+    !matches!(record, NodeRecord::Switch(_) | NodeRecord::Gateway(_) | NodeRecord::Machine(_))
 }

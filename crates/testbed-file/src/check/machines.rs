@@ -1,5 +1,5 @@
-//! Checks of real machines and the links between them. The emulated and the real network are separate: no packet passes
-//! from one to the other.
+//! Checks of real machines and the links between them. They are a network of their own: packets pass from it to the
+//! emulated one at a gateway only.
 
 use std::collections::{HashMap, HashSet};
 
@@ -99,7 +99,7 @@ fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
             ),
             _ => (
                 "leads from what is emulated to a real machine, and no packet passes there",
-                "link real machines to this one, a node with `kind: machine` and no `interface`",
+                "reach it through a gateway: `gate: { kind: gateway, interface: eth1, machines: { arm: 192.168.1.7 } }`",
             ),
         };
         sink.error(place, format!("`{}` {what}", link.id)).help(help);

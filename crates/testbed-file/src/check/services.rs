@@ -27,6 +27,7 @@ pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
                 let node = graph.node(node).expect("the builder found it");
                 let Some(capacity) = node.capacity() else {
                     let what = match node.kind {
+                        NodeKind::Gateway(_) => "a gateway, and a gateway runs no VNF",
                         NodeKind::Machine(_) => "a real machine, on which cotorra runs nothing",
                         _ => "a switch, and a switch runs no VNF",
                     };

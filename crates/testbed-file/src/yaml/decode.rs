@@ -1,5 +1,7 @@
 //! Decodes trees to values. Each type of a file declares here how it is read, and its JSON Schema.
 
+use std::net::Ipv4Addr;
+
 use serde_json::{Value as Json, json};
 
 pub(crate) use super::tree::{Entry, Node, Value};
@@ -653,6 +655,19 @@ impl Decode for IpNetwork {
                 None
             }
         }
+    }
+}
+
+impl Decode for Ipv4Addr {
+    fn schema() -> Json {
+        json!({ "type": "string", "format": "ipv4" })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let address = node.text().and_then(|text| text.parse().ok());
+        if address.is_none() {
+            expected(node, "an IPv4 address", "write it like `192.168.1.7`", sink);
+        }
+        address
     }
 }
 

@@ -5,6 +5,7 @@ mod driving;
 mod end;
 mod figure;
 mod folder;
+mod gateways;
 mod run_folder;
 mod samples;
 mod services;
@@ -16,6 +17,7 @@ mod times;
 pub(crate) use end::End;
 pub use figure::panels;
 pub use folder::{FolderError, Place, write_file};
+pub use gateways::GatewaySummary;
 pub use run_folder::{RunFolder, write_figure};
 pub use services::{by_service, name_of_total};
 pub use summary::{

@@ -2,6 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
+use cotorra_datapath::GatewayTraffic;
 use cotorra_graph::{
     Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Requests, Service, ServiceId,
     ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
@@ -13,15 +14,16 @@ use super::{
     driving::{Driving, DrivingSummary},
     end::End,
     folder::FolderError,
+    gateways::GatewaySummary,
     samples::Samples,
     time_parts::{ServiceParts, TimePartsReport},
     times::{Quantiles, Times},
 };
 
 /// Highest trusted lateness at the 99th percentile, µs.
-const VALID_P99_US: f64 = 1000.0;
+pub(super) const VALID_P99_US: f64 = 1000.0;
 /// Highest trusted lateness at the median, µs.
-const VALID_P50_US: f64 = 250.0;
+pub(super) const VALID_P50_US: f64 = 250.0;
 /// Highest trusted share of frames lost unintentionally.
 const VALID_DROPPED: f64 = 1e-4;
 /// Lowest number of probes that says something about one in a hundred.
@@ -64,6 +66,8 @@ pub struct Summary {
     pub handovers: Vec<HandoverRecord>,
     /// Placements, in order, those at the start included.
     pub placements: Vec<PlacementRecord>,
+    /// Gateways, in the file's order.
+    pub gateways: Vec<GatewaySummary>,
     /// Verdict on the emulation.
     pub fidelity: Fidelity,
     /// Last source of the robots' poses; `None` without robots.
@@ -257,10 +261,7 @@ impl Fidelity {
         } else if frames == 0 && !is_idle {
             (false, "no frame crossed the emulated network".to_owned())
         } else if frames_dropped as f64 > frames as f64 * VALID_DROPPED {
-            (
-                false,
-                format!("{frames_dropped} frames were lost at hosts' interfaces though nobody asked for it"),
-            )
+            (false, format!("{frames_dropped} frames were lost at interfaces though nobody asked for it"))
         } else if frames == 0 {
             (true, "no service is measured, and no frame crossed the emulated network".to_owned())
         } else if p99_us > VALID_P99_US {
@@ -291,7 +292,7 @@ impl Fidelity {
 /// Unintentional losses.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Losses {
-    /// Frames lost at hosts' interfaces.
+    /// Frames lost at the interfaces of hosts.
     pub frames_dropped: u64,
     /// Events that did not reach the history.
     pub history_dropped: u64,
@@ -324,6 +325,7 @@ pub struct Report {
     placements: Vec<PlacementRecord>,
     decisions: Vec<DecisionRecord>,
     lateness: Lateness,
+    gateways: Vec<GatewaySummary>,
     faults: Vec<String>,
     notices: Vec<String>,
     localization: Vec<LocalizationSummary>,
@@ -371,6 +373,7 @@ impl Report {
             placements: Vec::new(),
             decisions: Vec::new(),
             lateness: Lateness::default(),
+            gateways: Vec::new(),
             faults: Vec::new(),
             notices: Vec::new(),
             localization: Vec::new(),
@@ -455,6 +458,11 @@ impl Report {
             Some(LocalizationSummary { robot, samples, error_m, nees })
         };
         self.localization = errors.filter_map(summary).collect();
+    }
+
+    /// Adds the traffic of gateways. It is in no event.
+    pub(crate) fn passed(&mut self, gateways: Vec<GatewayTraffic>) {
+        self.gateways = gateways.into_iter().map(GatewaySummary::from).collect();
     }
 
     fn position_for(&self, vnf: &VnfId) -> Option<Position> {
@@ -565,9 +573,12 @@ impl Report {
             fidelity: Fidelity::of(
                 self.measured_frames,
                 self.lateness,
-                losses.frames_dropped,
+                losses.frames_dropped
+                    + self.gateways.iter().map(|gateway| gateway.frames_dropped).sum::<u64>(),
                 self.services.is_empty(),
-            ),
+            )
+            .with_gateways(&self.gateways),
+            gateways: self.gateways.clone(),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             driving: self.driving.summary(),

@@ -196,7 +196,7 @@ impl Run {
     /// [`RunError::Panicked`].
     pub fn finish(mut self) -> Result<Finished, RunError> {
         let core = self.core.take().ok_or(RunError::Panicked)?;
-        let (report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
+        let (mut report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
         let recording = self.recording.take().map(Recording::finish);
         let mut unrecorded: Vec<_> = self.keeping.take().and_then(Keeping::finish).into_iter().collect();
         if let Err(error) = self.recorder.flush() {
@@ -204,6 +204,7 @@ impl Run {
             let events = recorded - written;
             unrecorded.push(format!("the last {events} events are not in the history: {error}"));
         }
+        report.passed(self.datapath.gateways());
         let losses = Losses {
             frames_dropped: self.datapath.dropped_frames(),
             history_dropped: self.recorder.stats().dropped,

@@ -54,6 +54,7 @@ impl NetworkUp {
         let datapath_options = cotorra_datapath::Options {
             events: Some(events),
             let_cores_sleep: options.save_power,
+            allowed_interfaces: options.interfaces.interfaces.clone(),
             kernel,
             ..Default::default()
         };

@@ -128,6 +128,9 @@ impl Simulation {
         ledgers: Ledgers,
         earlier: Option<&PreviousRun>,
     ) -> Result<Self, RunError> {
+        if let Some((gateway, _)) = testbed.graph.gateways().next() {
+            return Err(RunError::VirtualGateway(gateway.id.clone()));
+        }
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;
         if let Some(probing) = testbed.probes {

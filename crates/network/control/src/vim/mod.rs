@@ -40,7 +40,7 @@ pub enum VimError {
     #[error("there is no node `{0}`")]
     UnknownNode(NodeId),
     /// A switch or a real machine.
-    #[error("`{0}` is a switch or a real machine, which runs no VNFs")]
+    #[error("`{0}` is a switch, a gateway or a real machine, which runs no VNFs")]
     NotAHost(NodeId),
     /// A VNF that is pinned to a node.
     #[error("VNF `{vnf}` is pinned to `{node}`")]

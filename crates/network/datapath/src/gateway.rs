@@ -1,0 +1,203 @@
+//! Gateways: ports of the fabric on interfaces that cotorra did not make, by which real machines reach hosts and are
+//! reached.
+//!
+//! A gateway passes Ethernet frames on as they are, so that a real machine is on the same link as all hosts: they find each
+//! other by ARP, and multicast discovery works. The machine keeps its address. Hosts have a route to it, and it needs one
+//! route to them. No machine is changed otherwise, and nothing translates addresses.
+//!
+//! The socket takes copies of frames to hosts' own MAC addresses. The interface's other traffic and this machine's IP stack
+//! are left alone: the stack ignores frames to other addresses. All that changes on the interface, its list of addresses to
+//! receive, belongs to the socket, and goes with it however the process ends.
+
+mod filter;
+pub(crate) mod gate;
+
+use std::{
+    ffi::CString,
+    fs::File,
+    io,
+    net::{Ipv4Addr, UdpSocket},
+    os::{
+        fd::{AsFd, OwnedFd},
+        linux::net::SocketAddrExt,
+        unix::net::{SocketAddr, UnixDatagram},
+    },
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use cotorra_graph::{Gateway, HardwareGraph, HostAddress, NodeId};
+use cotorra_netem::Kernel;
+use parking_lot::Mutex;
+
+use crate::{
+    error::Error,
+    hosts::{MTU, SOCKET_BUFFER},
+    namespace::on_a_thread,
+    port::Port,
+    sys,
+};
+use gate::{Gate, Passed};
+
+/// An interface that cannot be that of a gateway. Nothing has changed.
+#[derive(Debug, thiserror::Error)]
+pub enum GatewayError {
+    /// The namespace cannot be entered.
+    #[error("cannot enter the network namespace {}: {source}", path.display())]
+    Namespace { path: PathBuf, source: io::Error },
+    /// There is no such interface.
+    #[error("there is no interface `{0}` there: `ip link` lists them")]
+    Missing(String),
+    /// It is down.
+    #[error("`{0}` is down: `ip link set {0} up` sets it up")]
+    Down(String),
+    /// It carries no Ethernet frames to other machines.
+    #[error("`{0}` is not an Ethernet interface")]
+    NotEthernet(String),
+    /// Its frames are shorter than those of hosts.
+    #[error(
+        "`{interface}` has an MTU of {mtu} bytes, and hosts have {MTU}: `ip link set {interface} mtu {MTU}` raises it"
+    )]
+    ShortFrames { interface: String, mtu: u32 },
+    /// It carries the default route, so that frames of hosts would go to the network that others use.
+    #[error(
+        "`{0}` carries the default route, and frames of hosts would go to that network: pass `--allow-interface {0}` to \
+         use it anyway"
+    )]
+    DefaultRoute(String),
+    /// A gateway of another run has it.
+    #[error("`{0}` is the gateway of another run")]
+    Held(String),
+    /// The kernel does not tell its routes.
+    #[error(transparent)]
+    Routes(#[from] cotorra_netem::Error),
+    /// The kernel rejected the socket.
+    #[error("cannot open a packet socket on `{interface}`: {source} (gateways need root)")]
+    Socket { interface: String, source: io::Error },
+}
+
+/// An open gateway.
+pub(crate) struct Opened {
+    id: NodeId,
+    gate: Arc<Mutex<Gate>>,
+    socket: OwnedFd,
+    _claim: UnixDatagram,
+}
+
+/// The traffic of a gateway so far.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GatewayTraffic {
+    pub gateway: NodeId,
+    pub passed: Passed,
+}
+
+/// Checks the interfaces of a graph's gateways, without changing anything. `allowed` are interfaces that may carry the
+/// default route.
+///
+/// # Errors
+/// [`Error::Gateway`].
+pub fn check_gateways(graph: &HardwareGraph, allowed: &[String]) -> Result<(), Error> {
+    for (node, gateway) in graph.gateways() {
+        in_namespace(gateway, || inspect(&gateway.interface, allowed).map(drop))
+            .map_err(|source| Error::Gateway { gateway: node.id.clone(), source })?;
+    }
+    Ok(())
+}
+
+/// Returns the addresses of all machines behind gateways.
+pub(crate) fn machines(graph: &HardwareGraph) -> Vec<Ipv4Addr> {
+    graph.gateways().flat_map(|(_, gateway)| gateway.machines.values().copied()).collect()
+}
+
+/// Opens the gateways of a graph and their ports, in order.
+///
+/// # Errors
+/// [`Error::Gateway`].
+pub(crate) fn open(graph: &HardwareGraph, allowed: &[String]) -> Result<(Vec<Opened>, Vec<Port>), Error> {
+    let hosts = graph.hosts().count();
+    let open = |id: &NodeId, gateway: &Gateway| {
+        let machines: Vec<_> = gateway.machines.values().copied().collect();
+        let (socket, claim) = in_namespace(gateway, || socket(gateway, &machines, hosts, allowed))?;
+        let gate = Arc::new(Mutex::new(Gate::new(hosts, machines)));
+        let refused = |source| GatewayError::Socket { interface: gateway.interface.clone(), source };
+        let port = Port::of_gateway(socket.try_clone().map_err(refused)?, Arc::clone(&gate));
+        Ok((Opened { id: id.clone(), gate, socket, _claim: claim }, port))
+    };
+    let opened = graph.gateways().map(|(node, gateway)| {
+        open(&node.id, gateway).map_err(|source| Error::Gateway { gateway: node.id.clone(), source })
+    });
+    opened.collect::<Result<Vec<_>, _>>().map(|opened| opened.into_iter().unzip())
+}
+
+impl Opened {
+    pub(crate) fn traffic(&self) -> GatewayTraffic {
+        let mut gate = self.gate.lock();
+        // Reading the counter resets it. It cannot fail on an open packet socket.
+        gate.lost(sys::overflows(self.socket.as_fd()).unwrap_or(0));
+        GatewayTraffic { gateway: self.id.clone(), passed: gate.passed() }
+    }
+}
+
+/// Runs a closure in the namespace of a gateway's interface.
+fn in_namespace<T: Send>(
+    gateway: &Gateway,
+    inside: impl FnOnce() -> Result<T, GatewayError> + Send,
+) -> Result<T, GatewayError> {
+    let Some(netns) = &gateway.netns else { return inside() };
+    // An absolute path replaces the folder.
+    let path = Path::new("/run/netns").join(netns);
+    on_a_thread(|| {
+        let enter = || sys::setns(File::open(&path)?.as_fd(), libc::CLONE_NEWNET);
+        enter().map_err(|source| GatewayError::Namespace { path: path.clone(), source })?;
+        inside()
+    })
+}
+
+/// Returns the interface if it can be a gateway's.
+fn inspect(name: &str, allowed: &[String]) -> Result<sys::Interface, GatewayError> {
+    let refused = |source| GatewayError::Socket { interface: name.to_owned(), source };
+    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).map_err(refused)?;
+    let c_name = CString::new(name).map_err(|error| refused(error.into()))?;
+    let interface = sys::interface(socket.as_fd(), &c_name).map_err(|error| match error.raw_os_error() {
+        Some(libc::ENODEV) => GatewayError::Missing(name.to_owned()),
+        _ => refused(error),
+    })?;
+    if !interface.is_ethernet {
+        return Err(GatewayError::NotEthernet(name.to_owned()));
+    }
+    if !interface.is_up {
+        return Err(GatewayError::Down(name.to_owned()));
+    }
+    if interface.mtu < MTU {
+        return Err(GatewayError::ShortFrames { interface: name.to_owned(), mtu: interface.mtu });
+    }
+    if !allowed.iter().any(|allowed| allowed == name)
+        && Kernel::open()?.default_routes()?.contains(&interface.index)
+    {
+        return Err(GatewayError::DefaultRoute(name.to_owned()));
+    }
+    Ok(interface)
+}
+
+/// Opens a gateway's socket in the calling thread's namespace, and what shows other runs that the interface is taken.
+fn socket(
+    gateway: &Gateway,
+    machines: &[Ipv4Addr],
+    hosts: usize,
+    allowed: &[String],
+) -> Result<(OwnedFd, UnixDatagram), GatewayError> {
+    let name = &gateway.interface;
+    let interface = inspect(name, allowed)?;
+    let refused = |source| GatewayError::Socket { interface: name.clone(), source };
+    // A socket in this network namespace, which ends with the process.
+    let claim = SocketAddr::from_abstract_name(format!("cotorra-gateway-{}", interface.index));
+    let claim = claim.and_then(|address| UnixDatagram::bind_addr(&address));
+    let claim = claim.map_err(|error| match error.kind() {
+        io::ErrorKind::AddrInUse => GatewayError::Held(name.clone()),
+        _ => refused(error),
+    })?;
+    let addresses = (0..hosts).map(|place| HostAddress::of(place).mac);
+    let filter = filter::filter(machines);
+    let socket = sys::filtered_packet_socket(interface.index, &filter, addresses, SOCKET_BUFFER);
+    Ok((socket.map_err(refused)?, claim))
+}
