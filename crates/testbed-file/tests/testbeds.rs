@@ -100,6 +100,16 @@ fn strongest_radio_units_follow_the_published_regions() {
 }
 
 #[test]
+fn the_gateway_has_a_port_and_is_no_host() {
+    let graph = shipped("gateway.yaml").graph;
+    let (node, gateway) = graph.gateways().next().unwrap();
+    assert!(node.has_port() && !node.is_host() && node.capacity().is_none());
+    assert_eq!((gateway.interface.as_str(), gateway.netns.as_deref()), ("cotorra0", None));
+    assert_eq!(gateway.machines[&id("plc")].to_string(), "192.168.77.2");
+    assert_eq!(graph.address(&node.id), None);
+}
+
+#[test]
 fn two_hosts_loads() {
     let testbed = shipped("two-hosts.yaml");
     assert_eq!(testbed.graph.hosts().count(), 2);

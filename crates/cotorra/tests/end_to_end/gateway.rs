@@ -245,6 +245,28 @@ fn a_gateway_uses_an_interface_of_another_namespace() {
     assert!(said.iter().all(|line| least_ms(line) >= 22.0) && said.len() == 2, "{said:?}");
 }
 
+/// Which of these a kernel has differs. Each prints its kind, a round trip and the state of the wire afterwards.
+#[test]
+fn a_gateway_uses_bridges_and_macvlan_interfaces_in_passthru() {
+    if !has_namespaces() {
+        return;
+    }
+    let done = at_a_gateway(
+        &TESTBED.replace("interface: va", "interface: gate0"),
+        &format!(
+            "{PING}
+         used() {{ ip link set gate0 up; start; echo $1; pinged far ping -q -c 2 -i 0.2 10.77.0.3
+            kill -INT $run; ends; ip link delete gate0; joined; }}
+         ip address flush dev va
+         if ip link add gate0 type bridge; then ip link set va master gate0; used bridge; fi
+         if ip link add link va name gate0 type macvlan mode passthru; then used macvlan; fi"
+        ),
+    );
+    for used in lines(&done).chunks(3) {
+        assert!(least_ms(&used[1]) >= 22.0 && used[2] == "promiscuity 0", "{used:?}");
+    }
+}
+
 #[test]
 fn a_dry_run_lists_gateways_and_the_route_that_machines_need() {
     if !has_namespaces() {
