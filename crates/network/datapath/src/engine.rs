@@ -19,6 +19,7 @@ use parking_lot::Mutex;
 use crate::{
     clock::Clock,
     error::Error,
+    gateway::gate::Gate,
     port::{self, Port, Sent},
     punctual::{self, BusyPoll, Punctuality},
     sys::{Epoll, Ready, Waker},
@@ -134,10 +135,10 @@ impl Ports {
         if self.shared.stopping.load(Ordering::Relaxed) {
             return;
         }
-        if self.ports[index].gate.is_some() {
-            return self.send_out(index, frame);
-        }
         let port = &mut self.ports[index];
+        if let Some(gate) = port.gate.clone() {
+            return self.send_out(index, &gate, frame);
+        }
         self.sent += 1;
         let begin = self.sent.is_multiple_of(MEASURED).then(|| self.clock.now());
         let sent = port.send(frame, &mut self.spent);
@@ -153,14 +154,12 @@ impl Ports {
     }
 
     /// Sends a frame out of a gateway, if its rules let it.
-    fn send_out(&mut self, index: usize, frame: Frame) {
-        let port = &mut self.ports[index];
-        let Some(gate) = port.gate.clone() else { return };
+    fn send_out(&mut self, index: usize, gate: &Mutex<Gate>, frame: Frame) {
         let begin = self.clock.now();
         if !gate.lock().lets_out(begin, frame.bytes()) {
             return self.spent.push(frame);
         }
-        let sent = port.send(frame, &mut self.spent);
+        let sent = self.ports[index].send(frame, &mut self.spent);
         match sent {
             Sent::Dropped => gate.lock().lost(1),
             Sent::Now | Sent::Waits => gate.lock().went_out(self.clock.now().since(begin)),
