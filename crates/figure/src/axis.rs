@@ -2,7 +2,8 @@
 
 use crate::{
     font,
-    scene::{Anchor, Rect, Scene, WIDTH},
+    geometry::Rect,
+    scene::{Anchor, Scene, WIDTH},
     style::{AXIS, BLACK, GRID, LABEL, THIN},
 };
 

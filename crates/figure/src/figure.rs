@@ -2,12 +2,12 @@
 
 use crate::{
     axis::{Axis, ROW},
+    colour::Colour,
     font,
+    geometry::{Point, Rect},
     legend::{Entry, LEVEL_DASHES, Legend, Look},
-    scene::{Anchor, Point, Rect, Scene, WIDTH},
-    style::{
-        ALERT, BANDS, BLACK, BOLD, Colour, DASHES, FINE, GREY, LABEL, LIGHT, PALE, SERIES, SMALL, TITLE, mark,
-    },
+    scene::{Anchor, Scene, WIDTH},
+    style::{ALERT, BANDS, BLACK, BOLD, DASHES, FINE, GREY, LABEL, LIGHT, PALE, SERIES, SMALL, TITLE, mark},
 };
 
 /// Maximum number of panels. A note says how many more there are.
@@ -387,7 +387,10 @@ impl<'a> Place<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Format, Item, Line};
+    use crate::{
+        format::Format,
+        scene::{Item, Line},
+    };
 
     fn sample(x: f64, y: f64) -> Sample {
         Sample { x, y, range: None }

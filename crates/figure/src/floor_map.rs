@@ -2,14 +2,14 @@
 
 use crate::{
     axis::{Axis, ROW},
+    colour::Colour,
     figure::Level,
     font,
+    geometry::{Point, Rect},
     legend::{Entry, Legend, Look},
     names,
-    scene::{Anchor, Cells, Point, Rect, Scene, WIDTH},
-    style::{
-        AXIS, BLACK, BOLD, Colour, DASHES, FINE, GRID, LABEL, SERIES, SMALL, THIN, TITLE, WHITE, mark, ramp,
-    },
+    scene::{Anchor, Cells, Scene, WIDTH},
+    style::{AXIS, BLACK, BOLD, DASHES, FINE, GRID, LABEL, SERIES, SMALL, THIN, TITLE, WHITE, mark, ramp},
 };
 
 const SIDE: f64 = 4.0;

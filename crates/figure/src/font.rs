@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use crate::scene::Point;
+use crate::geometry::Point;
 
 /// The font as TrueType.
 pub const FILE: &[u8] = include_bytes!("arimo.ttf");

@@ -2,9 +2,10 @@
 
 use crate::{
     axis::ROW,
+    colour::Colour,
     font,
     scene::{Anchor, Scene, WIDTH},
-    style::{ALERT, AXIS, BLACK, BOLD, Colour, DASHES, FINE, SERIES, SMALL, THIN, mark},
+    style::{ALERT, AXIS, BLACK, BOLD, DASHES, FINE, SERIES, SMALL, THIN, mark},
 };
 
 /// Width of a sample, points.

@@ -7,9 +7,12 @@
 #![forbid(unsafe_code)]
 
 mod axis;
+mod colour;
 mod figure;
 mod floor_map;
 mod font;
+mod format;
+mod geometry;
 mod legend;
 mod names;
 mod pdf;
@@ -22,5 +25,6 @@ mod timeline;
 pub use axis::Axis;
 pub use figure::{Band, Figure, Level, MAX_PANELS, MAX_SERIES, Panel, Sample, Series, SeriesKind};
 pub use floor_map::{Extent, FloorMap, FloorPanel, Path, Spot};
-pub use scene::{Format, Scene};
+pub use format::Format;
+pub use scene::Scene;
 pub use timeline::{Bar, Row, Timeline};

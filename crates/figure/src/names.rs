@@ -2,7 +2,8 @@
 
 use crate::{
     font,
-    scene::{Anchor, Point, Rect, Scene},
+    geometry::{Point, Rect},
+    scene::{Anchor, Scene},
     style::{BLACK, SMALL, WHITE},
 };
 

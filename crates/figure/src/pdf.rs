@@ -8,9 +8,10 @@ use std::{
 use miniz_oxide::deflate::compress_to_vec_zlib;
 
 use crate::{
+    colour::Colour,
     font,
-    scene::{Cells, Item, Line, Point, Scene, WIDTH},
-    style::Colour,
+    geometry::Point,
+    scene::{Cells, Item, Line, Scene, WIDTH},
     svg::number,
 };
 

@@ -3,9 +3,10 @@
 use miniz_oxide::deflate::compress_to_vec_zlib;
 
 use crate::{
+    colour::Colour,
     font,
-    scene::{Cells, Item, Line, Point, Scene, Text, WIDTH},
-    style::Colour,
+    geometry::Point,
+    scene::{Cells, Item, Line, Scene, Text, WIDTH},
 };
 
 /// Pixels of a point: 432 pixels to the inch.

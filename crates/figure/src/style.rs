@@ -6,22 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::scene::{Point, Scene};
-
-/// Red, green and blue.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Colour(pub [u8; 3]);
-
-impl Colour {
-    const fn new(rgb: u32) -> Self {
-        Self([(rgb >> 16) as u8, (rgb >> 8) as u8, rgb as u8])
-    }
-
-    /// Mixes the colour with white: 0 is the colour, 1 is white.
-    pub fn lighter(self, share: f64) -> Self {
-        Self(self.0.map(|part| (f64::from(part) + (255.0 - f64::from(part)) * share).round() as u8))
-    }
-}
+use crate::{colour::Colour, geometry::Point, scene::Scene};
 
 pub(crate) const BLACK: Colour = Colour::new(0x00_0000);
 pub(crate) const WHITE: Colour = Colour::new(0xff_ffff);

@@ -5,9 +5,10 @@ use std::fmt::Write as _;
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 
 use crate::{
+    colour::Colour,
+    geometry::Point,
     png,
-    scene::{Anchor, Cells, Item, Line, Point, Scene, WIDTH},
-    style::Colour,
+    scene::{Anchor, Cells, Item, Line, Scene, WIDTH},
 };
 
 /// Pixels of a point where a browser shows the figure at its own size.

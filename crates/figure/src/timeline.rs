@@ -3,7 +3,8 @@
 use crate::{
     axis::{Axis, ROW},
     font,
-    scene::{Anchor, Rect, Scene, WIDTH},
+    geometry::Rect,
+    scene::{Anchor, Scene, WIDTH},
     style::{AXIS, BANDS, BLACK, GREY, LABEL, LIGHT, SMALL, THIN, TITLE},
 };
 
