@@ -127,9 +127,9 @@ mod tests {
         symlink(used.path(), base.path().join(format!("{STEM}{}-2", ended.id()))).unwrap();
         let before = fs::read_dir(base.path()).unwrap().count();
 
-        assert_eq!(leftovers_in(base.path()), [gone.clone()]);
+        assert_eq!(leftovers_in(base.path()), std::slice::from_ref(&gone));
         let (removed, kept) = clean_in(base.path());
-        assert_eq!((&removed[..], kept.len()), (&[gone][..], 0));
+        assert_eq!((removed, kept.len()), (vec![gone], 0));
         assert_eq!(fs::read_dir(base.path()).unwrap().count(), before - 1);
         assert!(used.path().is_dir() && leftovers_in(base.path()).is_empty());
     }

@@ -51,7 +51,8 @@ pub fn examine(
         return Ok(ExitCode::SUCCESS);
     }
     let (interrupts, journal) = open(args, &place)?;
-    let recorded = regret.record(&journal.path().join("run"), || interrupts.try_recv().is_err());
+    let folder = journal.path().join("run-as-it-was");
+    let recorded = regret.record(&folder, || interrupts.try_recv().is_err());
     let Some(recorded) = recorded.map_err(fail)? else { return Ok(exit(false)) };
     let mut progress = Progress::new(args.headless);
     let regrets = regret.examine(&recorded, number, &journal, jobs, |done, of| {
