@@ -4,7 +4,7 @@ use std::io;
 
 use cotorra_graph::NodeId;
 
-use crate::gateway::GatewayError;
+use crate::gateway::error::GatewayError;
 
 /// A failure of the datapath.
 #[derive(Debug, thiserror::Error)]

@@ -9,6 +9,7 @@
 //! are left alone: the stack ignores frames to other addresses. All that changes on the interface, its list of addresses to
 //! receive, belongs to the socket, and goes with it however the process ends.
 
+pub(crate) mod error;
 mod filter;
 pub(crate) mod gate;
 
@@ -22,7 +23,7 @@ use std::{
         linux::net::SocketAddrExt,
         unix::net::{SocketAddr, UnixDatagram},
     },
-    path::{Path, PathBuf},
+    path::Path,
     sync::Arc,
 };
 
@@ -37,44 +38,8 @@ use crate::{
     port::Port,
     sys,
 };
+use error::GatewayError;
 use gate::{Gate, Passed};
-
-/// An interface that cannot be that of a gateway. Nothing has changed.
-#[derive(Debug, thiserror::Error)]
-pub enum GatewayError {
-    /// The namespace cannot be entered.
-    #[error("cannot enter the network namespace {}: {source}", path.display())]
-    Namespace { path: PathBuf, source: io::Error },
-    /// There is no such interface.
-    #[error("there is no interface `{0}` there: `ip link` lists them")]
-    Missing(String),
-    /// It is down.
-    #[error("`{0}` is down: `ip link set {0} up` sets it up")]
-    Down(String),
-    /// It carries no Ethernet frames to other machines.
-    #[error("`{0}` is not an Ethernet interface")]
-    NotEthernet(String),
-    /// Its frames are shorter than those of hosts.
-    #[error(
-        "`{interface}` has an MTU of {mtu} bytes, and hosts have {MTU}: `ip link set {interface} mtu {MTU}` raises it"
-    )]
-    ShortFrames { interface: String, mtu: u32 },
-    /// It carries the default route, so that frames of hosts would go to the network that others use.
-    #[error(
-        "`{0}` carries the default route, and frames of hosts would go to that network: pass `--allow-interface {0}` to \
-         use it anyway"
-    )]
-    DefaultRoute(String),
-    /// A gateway of another run has it.
-    #[error("`{0}` is the gateway of another run")]
-    Held(String),
-    /// The kernel does not tell its routes.
-    #[error(transparent)]
-    Routes(#[from] cotorra_netem::Error),
-    /// The kernel rejected the socket.
-    #[error("cannot open a packet socket on `{interface}`: {source} (gateways need root)")]
-    Socket { interface: String, source: io::Error },
-}
 
 /// An open gateway.
 pub(crate) struct Opened {
@@ -169,7 +134,11 @@ fn inspect(name: &str, allowed: &[String]) -> Result<sys::Interface, GatewayErro
         return Err(GatewayError::Down(name.to_owned()));
     }
     if interface.mtu < MTU {
-        return Err(GatewayError::ShortFrames { interface: name.to_owned(), mtu: interface.mtu });
+        return Err(GatewayError::ShortFrames {
+            interface: name.to_owned(),
+            mtu: interface.mtu,
+            needed: MTU,
+        });
     }
     if !allowed.iter().any(|allowed| allowed == name)
         && Kernel::open()?.default_routes()?.contains(&interface.index)

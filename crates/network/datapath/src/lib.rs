@@ -46,7 +46,7 @@ pub use confine::Confinement;
 pub use datapath::{Datapath, Options};
 pub use engine::{EventSink, Handle};
 pub use error::Error;
-pub use gateway::{GatewayError, GatewayTraffic, check_gateways, gate::Passed};
+pub use gateway::{GatewayTraffic, check_gateways, error::GatewayError, gate::Passed};
 pub use hosts::PortKind;
 pub use init::end_with_us;
 pub use kernel_network::{KernelNetwork, KernelNetworkError, Observed};

@@ -4,7 +4,7 @@ use cotorra_datapath::{GatewayTraffic, Passed};
 use cotorra_graph::{Lateness, NodeId};
 use serde::Serialize;
 
-use super::summary::{Fidelity, LatenessSummary, VALID_P50_US, VALID_P99_US};
+use super::fidelity::{Fidelity, LatenessSummary, VALID_P50_US, VALID_P99_US};
 
 /// The traffic of a gateway between the real and the emulated network.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -3,6 +3,7 @@
 
 mod driving;
 mod end;
+mod fidelity;
 mod figure;
 mod folder;
 mod gateways;
@@ -15,14 +16,15 @@ mod time_parts;
 mod times;
 
 pub(crate) use end::End;
+pub use fidelity::{Fidelity, LatenessSummary};
 pub use figure::panels;
 pub use folder::{FolderError, Place, write_file};
 pub use gateways::GatewaySummary;
 pub use run_folder::{RunFolder, write_figure};
 pub use services::{by_service, name_of_total};
 pub use summary::{
-    DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, LocalizationSummary, Losses, PlacementRecord,
-    RegionSummary, Report, RobotSummary, ServiceSummary, Summary, service_time_ms,
+    DecisionRecord, HandoverRecord, LocalizationSummary, Losses, PlacementRecord, RegionSummary, Report,
+    RobotSummary, ServiceSummary, Summary, service_time_ms,
 };
 pub use table::DataTable;
 pub use time_parts::{MeanParts, PartSummary, ServiceParts};

@@ -13,6 +13,7 @@ use serde::Serialize;
 use super::{
     driving::{Driving, DrivingSummary},
     end::End,
+    fidelity::{Fidelity, MeasuredFrames},
     folder::FolderError,
     gateways::GatewaySummary,
     samples::Samples,
@@ -20,14 +21,6 @@ use super::{
     times::{Quantiles, Times},
 };
 
-/// Highest trusted lateness at the 99th percentile, µs.
-pub(super) const VALID_P99_US: f64 = 1000.0;
-/// Highest trusted lateness at the median, µs.
-pub(super) const VALID_P50_US: f64 = 250.0;
-/// Highest trusted share of frames lost unintentionally.
-const VALID_DROPPED: f64 = 1e-4;
-/// Lowest number of probes that says something about one in a hundred.
-const VALID_PROBES: u64 = 100;
 /// Maximum number of notices.
 const MOST_NOTICES: usize = 100;
 
@@ -194,98 +187,10 @@ pub struct DecisionRecord {
     pub position: Option<Position>,
 }
 
-/// Verdict on the emulation: whether it did what the testbed file demands.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Fidelity {
-    /// Whether the figures can be trusted.
-    pub valid: bool,
-    /// Lateness of frames, µs.
-    pub lateness_us: LatenessSummary,
-    /// Number of frames in the verdict: all, or only probes if the kernel's NetEm carried the frames.
-    pub frames: u64,
-    /// Frames lost unintentionally: an interface was down, or its queue was full.
-    pub frames_dropped: u64,
-    /// Reason for the verdict, with the limits.
-    pub reason: String,
-}
-
-/// Quantiles of the lateness, µs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct LatenessSummary {
-    /// Median.
-    pub p50: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// Maximum.
-    pub max: f64,
-}
-
 impl Summary {
     /// Whether the run ended because every walk was done.
     pub fn is_walked(&self) -> bool {
         self.ended == End::Walked.as_str()
-    }
-}
-
-/// Frames whose lateness is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum MeasuredFrames {
-    /// All frames, because the fabric carried them.
-    All,
-    /// The frames that the fabric carried; others crossed interfaces of this machine.
-    Emulated,
-    /// Probes alone, because the kernel carried the frames.
-    Probes,
-}
-
-impl Fidelity {
-    /// Judges the frames of a run. Without any, it is valid only if `is_idle`, i.e. nothing that it measures needs one.
-    fn of(measured_frames: MeasuredFrames, lateness: Lateness, frames_dropped: u64, is_idle: bool) -> Self {
-        let Lateness { frames, p50_us, p99_us, max_us } = lateness;
-        let (which, what) = match measured_frames {
-            MeasuredFrames::All | MeasuredFrames::Emulated => ("", "the frames"),
-            MeasuredFrames::Probes => {
-                ("the kernel's NetEm carried the frames, and only probes tell how late; ", "the probes")
-            }
-        };
-        let (valid, reason) = if measured_frames == MeasuredFrames::Probes && frames < VALID_PROBES {
-            (
-                false,
-                format!(
-                    "{which}{frames} of them did, and {VALID_PROBES} are needed (those of links with jitter or reordering \
-                     cannot tell)"
-                ),
-            )
-        } else if frames == 0 && measured_frames == MeasuredFrames::Emulated {
-            (false, "the kernel's NetEm carried the frames, and tells nobody how late they were".to_owned())
-        } else if frames == 0 && !is_idle {
-            (false, "no frame crossed the emulated network".to_owned())
-        } else if frames_dropped as f64 > frames as f64 * VALID_DROPPED {
-            (false, format!("{frames_dropped} frames were lost at interfaces though nobody asked for it"))
-        } else if frames == 0 {
-            (true, "no service is measured, and no frame crossed the emulated network".to_owned())
-        } else if p99_us > VALID_P99_US {
-            (
-                false,
-                format!(
-                    "{which}1 % of {what} came later than {p99_us:.0} µs; {VALID_P99_US:.0} µs are allowed"
-                ),
-            )
-        } else if p50_us > VALID_P50_US {
-            (
-                false,
-                format!(
-                    "{which}half of {what} came later than {p50_us:.0} µs; {VALID_P50_US:.0} µs are allowed"
-                ),
-            )
-        } else {
-            let reason = format!(
-                "{which}lateness p50 {p50_us:.0} µs (limit {VALID_P50_US:.0}), p99 {p99_us:.0} µs (limit {VALID_P99_US:.0})"
-            );
-            (true, reason)
-        };
-        let lateness_us = LatenessSummary { p50: p50_us, p99: p99_us, max: max_us };
-        Self { valid, lateness_us, frames, frames_dropped, reason }
     }
 }
 
@@ -819,49 +724,5 @@ mod tests {
             .map(|r| (r.attachment.as_ref().unwrap().to_string(), r.samples))
             .collect();
         assert_eq!(regions, [("R1".into(), 3), ("R3".into(), 1), ("R1".into(), 1)]);
-    }
-
-    #[test]
-    fn a_run_without_frames_or_with_late_ones_is_not_valid() {
-        let fidelity = |lateness, dropped| Fidelity::of(MeasuredFrames::All, lateness, dropped, false);
-        assert!(!fidelity(Lateness::default(), 0).valid);
-        let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
-        assert!(fidelity(good, 0).valid);
-        assert!(!fidelity(good, 1).valid);
-        let late = fidelity(Lateness { p99_us: 1500.0, ..good }, 0);
-        assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
-        let real = Fidelity::of(MeasuredFrames::Emulated, Lateness::default(), 0, false);
-        assert!(!real.valid && real.reason.contains("NetEm"), "{real:?}");
-        // The fabric's own frames are known, beside real links.
-        assert!(Fidelity::of(MeasuredFrames::Emulated, good, 0, false).valid);
-    }
-
-    #[test]
-    fn a_testbed_without_services_needs_no_frames() {
-        let fidelity = |lateness, dropped| Fidelity::of(MeasuredFrames::All, lateness, dropped, true);
-        let idle = fidelity(Lateness::default(), 0);
-        assert!(idle.valid && idle.reason.contains("no service"), "{idle:?}");
-        assert!(!fidelity(Lateness::default(), 1).valid);
-        assert!(!fidelity(Lateness { frames: 10, p50_us: 20.0, p99_us: 1500.0, max_us: 5000.0 }, 0).valid);
-    }
-
-    #[test]
-    fn with_the_kernel_carrying_frames_enough_probes_decide() {
-        let fidelity = |frames, p99_us| {
-            Fidelity::of(
-                MeasuredFrames::Probes,
-                Lateness { frames, p50_us: 20.0, p99_us, max_us: 5000.0 },
-                0,
-                false,
-            )
-        };
-        for few in [0, VALID_PROBES - 1] {
-            let few = fidelity(few, 300.0);
-            assert!(!few.valid && few.reason.contains("NetEm") && few.reason.contains("100"), "{few:?}");
-        }
-        let good = fidelity(VALID_PROBES, 300.0);
-        assert!(good.valid && good.reason.contains("only probes"), "{good:?}");
-        let late = fidelity(VALID_PROBES, 1500.0);
-        assert!(!late.valid && late.reason.contains("1 % of the probes"), "{late:?}");
     }
 }
