@@ -143,6 +143,7 @@ fn real_and_emulated_machines_reach_each_other_through_a_gateway() {
          done
          ! ping -q -c 1 -W 1 10.77.0.3 >/dev/null 2>&1
          ! $COTORRA run $FILE --headless --api 127.0.0.1:7798 --until 1s 2>&1 | plain; echo
+         ls runs | wc -l
          kill -INT $run; ends
          joined
          cat runs/*/summary.json | tr -d '\\n'"
@@ -156,8 +157,12 @@ fn real_and_emulated_machines_reach_each_other_through_a_gateway() {
     }
     assert_eq!(said[5..9], ["True"; 4], "all bytes arrived: {said:?}");
     assert!(said[9].contains("gateway `gate`: `va` is the gateway of another run"), "{said:?}");
-    assert_eq!(said[10], "promiscuity 0", "the interface is as before: {said:?}");
-    let summary: Value = serde_json::from_str(&said[11]).unwrap();
+    assert_eq!(
+        said[10..12],
+        ["1", "promiscuity 0"],
+        "no folder is left, and the interface is as before: {said:?}"
+    );
+    let summary: Value = serde_json::from_str(&said[12]).unwrap();
     let gateway = &summary["gateways"][0];
     let count = |name: &str| gateway[name].as_u64().unwrap();
     assert_eq!(gateway["gateway"], "gate");
@@ -310,6 +315,30 @@ fn interfaces_that_cannot_be_gateways_are_rejected() {
         "ip route add default via 10.9.0.2; $COTORRA run $FILE --allow-interface va --dry-run >/dev/null",
     );
     lines(&allowed);
+}
+
+/// Rights in a namespace of one's own are none over the interfaces of others.
+#[test]
+fn a_gateway_needs_rights_over_its_interface() {
+    if !has_namespaces() {
+        return;
+    }
+    let testbed = TESTBED.replace("interface: va", "interface: vb");
+    let done = on_a_wire(
+        &testbed,
+        "for way in '--dry-run' '--headless --until 1s'; do
+            ! far capsh --drop=cap_net_raw,cap_net_admin,cap_sys_admin -- -c \"$COTORRA run $FILE $way\"
+         done; ls runs 2>/dev/null || true",
+    );
+    let said = stderr(&done).replace('│', " ");
+    if said.contains("capsh") {
+        eprintln!("skipped: {said}");
+        return;
+    }
+    assert_eq!(lines(&done), [""; 0], "no folder is left");
+    let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert_eq!(said.matches("gateway `gate`: cannot open a packet socket on `vb`").count(), 2, "{said}");
+    assert!(said.contains("gateways need root"), "{said}");
 }
 
 #[test]

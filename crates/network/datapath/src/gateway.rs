@@ -56,14 +56,14 @@ pub struct GatewayTraffic {
     pub passed: Passed,
 }
 
-/// Checks the interfaces of a graph's gateways, without changing anything. `allowed` are interfaces that may carry the
-/// default route.
+/// Checks whether a graph's gateways could be opened now, without changing anything. `allowed` are interfaces that may carry
+/// the default route.
 ///
 /// # Errors
 /// [`Error::Gateway`].
 pub fn check_gateways(graph: &HardwareGraph, allowed: &[String]) -> Result<(), Error> {
     for (node, gateway) in graph.gateways() {
-        in_namespace(gateway, || inspect(&gateway.interface, allowed).map(drop))
+        in_namespace(gateway, || Unbound::new(&gateway.interface, allowed).map(drop))
             .map_err(|source| Error::Gateway { gateway: node.id.clone(), source })?;
     }
     Ok(())
@@ -82,9 +82,14 @@ pub(crate) fn open(graph: &HardwareGraph, allowed: &[String]) -> Result<(Vec<Ope
     let hosts = graph.hosts().count();
     let open = |id: &NodeId, gateway: &Gateway| {
         let machines: Vec<_> = gateway.machines.values().copied().collect();
-        let (socket, claim) = in_namespace(gateway, || socket(gateway, &machines, hosts, allowed))?;
+        let name = &gateway.interface;
+        let refused = |source| GatewayError::Socket { interface: name.clone(), source };
+        let Unbound { socket, claim, .. } = in_namespace(gateway, || {
+            let socket = Unbound::new(name, allowed)?;
+            socket.bind(&machines, hosts).map_err(refused)?;
+            Ok(socket)
+        })?;
         let gate = Arc::new(Mutex::new(Gate::new(hosts, machines)));
-        let refused = |source| GatewayError::Socket { interface: gateway.interface.clone(), source };
         let port = Port::of_gateway(socket.try_clone().map_err(refused)?, Arc::clone(&gate));
         Ok((Opened { id: id.clone(), gate, socket, _claim: claim }, port))
     };
@@ -148,25 +153,33 @@ fn inspect(name: &str, allowed: &[String]) -> Result<sys::Interface, GatewayErro
     Ok(interface)
 }
 
-/// Opens a gateway's socket in the calling thread's namespace, and what shows other runs that the interface is taken.
-fn socket(
-    gateway: &Gateway,
-    machines: &[Ipv4Addr],
-    hosts: usize,
-    allowed: &[String],
-) -> Result<(OwnedFd, UnixDatagram), GatewayError> {
-    let name = &gateway.interface;
-    let interface = inspect(name, allowed)?;
-    let refused = |source| GatewayError::Socket { interface: name.clone(), source };
-    // A socket in this network namespace, which ends with the process.
-    let claim = SocketAddr::from_abstract_name(format!("cotorra-gateway-{}", interface.index));
-    let claim = claim.and_then(|address| UnixDatagram::bind_addr(&address));
-    let claim = claim.map_err(|error| match error.kind() {
-        io::ErrorKind::AddrInUse => GatewayError::Held(name.clone()),
-        _ => refused(error),
-    })?;
-    let addresses = (0..hosts).map(|place| HostAddress::of(place).mac);
-    let filter = filter::filter(machines);
-    let socket = sys::filtered_packet_socket(interface.index, &filter, addresses, SOCKET_BUFFER);
-    Ok((socket.map_err(refused)?, claim))
+/// A gateway's socket that is not bound to its interface yet.
+struct Unbound {
+    interface: sys::Interface,
+    /// A socket whose name shows other runs that the interface is taken. It ends with the process.
+    claim: UnixDatagram,
+    socket: OwnedFd,
+}
+
+impl Unbound {
+    /// Opens the socket in the calling thread's namespace.
+    fn new(name: &str, allowed: &[String]) -> Result<Self, GatewayError> {
+        let interface = inspect(name, allowed)?;
+        let refused = |source| GatewayError::Socket { interface: name.to_owned(), source };
+        let socket = sys::unbound_packet_socket(SOCKET_BUFFER).map_err(refused)?;
+        // Abstract names belong to a network namespace, as interfaces do.
+        let claim = SocketAddr::from_abstract_name(format!("cotorra-gateway-{}", interface.index));
+        let claim = claim.and_then(|address| UnixDatagram::bind_addr(&address));
+        let claim = claim.map_err(|error| match error.kind() {
+            io::ErrorKind::AddrInUse => GatewayError::Held(name.to_owned()),
+            _ => refused(error),
+        })?;
+        Ok(Self { interface, claim, socket })
+    }
+
+    /// Binds the socket, so that it receives frames from these machines to hosts.
+    fn bind(&self, machines: &[Ipv4Addr], hosts: usize) -> io::Result<()> {
+        let addresses = (0..hosts).map(|place| HostAddress::of(place).mac);
+        sys::bind_filtered(&self.socket, self.interface.index, &filter::filter(machines), addresses)
+    }
 }

@@ -20,8 +20,8 @@ use std::{
 use libc::{c_int, c_short, c_uint, c_ulong, c_void};
 
 pub(crate) use packet::{
-    Interface, filtered_packet_socket, interface, overflows, packet_socket, read_frame_with_age,
-    read_with_age, stamped_packet_socket,
+    Interface, bind_filtered, interface, overflows, packet_socket, read_frame_with_age, read_with_age,
+    stamped_packet_socket, unbound_packet_socket,
 };
 
 /// Turns the -1 of a system call into its error.

@@ -65,29 +65,28 @@ pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<O
     Ok(socket)
 }
 
-/// Opens a packet socket on an interface of the calling thread's network namespace that receives the incoming frames that
-/// a program of classic BPF accepts, each behind its `virtio_net_hdr`. Its own frames take the way of all others through
-/// the interface's queueing discipline. [`read_frame_with_age`] returns the age of frames.
+/// Binds a packet socket to an interface of its network namespace. It receives the incoming frames that a program of classic
+/// BPF accepts, each behind its `virtio_net_hdr`. Its own frames take the way of all others through the interface's queueing
+/// discipline. [`read_frame_with_age`] returns the age of frames.
 ///
 /// The interface also receives frames to `addresses`, promiscuously if it cannot tell them apart, and all multicast, until
 /// the socket is closed.
-pub(crate) fn filtered_packet_socket(
+pub(crate) fn bind_filtered(
+    socket: &OwnedFd,
     interface: u32,
     filter: &[libc::sock_filter],
     addresses: impl ExactSizeIterator<Item = [u8; 6]>,
-    buffer_bytes: c_int,
-) -> io::Result<OwnedFd> {
+) -> io::Result<()> {
     /// Network cards tell few addresses apart.
     const MOST_ADDRESSES: usize = 64;
-    let socket = unbound_packet_socket(buffer_bytes)?;
     let on: c_int = 1;
-    set_option(&socket, libc::SOL_PACKET, libc::PACKET_VNET_HDR, &on)?;
-    set_option(&socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING, &on)?;
-    set_option(&socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, &on)?;
+    set_option(socket, libc::SOL_PACKET, libc::PACKET_VNET_HDR, &on)?;
+    set_option(socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING, &on)?;
+    set_option(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, &on)?;
     let length = u16::try_from(filter.len()).map_err(|_| io::ErrorKind::InvalidInput)?;
     // The kernel copies the program, and changes nothing.
     let program = libc::sock_fprog { len: length, filter: filter.as_ptr().cast_mut() };
-    set_option(&socket, libc::SOL_SOCKET, libc::SO_ATTACH_FILTER, &program)?;
+    set_option(socket, libc::SOL_SOCKET, libc::SO_ATTACH_FILTER, &program)?;
     let join = |kind: c_int, address: [u8; 6]| {
         // SAFETY: a packet_mreq is integers and bytes, for which zero is a value.
         let mut membership: libc::packet_mreq = unsafe { mem::zeroed() };
@@ -95,7 +94,7 @@ pub(crate) fn filtered_packet_socket(
         membership.mr_type = kind as u16;
         membership.mr_alen = address.len() as u16;
         membership.mr_address[..address.len()].copy_from_slice(&address);
-        set_option(&socket, libc::SOL_PACKET, libc::PACKET_ADD_MEMBERSHIP, &membership)
+        set_option(socket, libc::SOL_PACKET, libc::PACKET_ADD_MEMBERSHIP, &membership)
     };
     join(libc::PACKET_MR_ALLMULTI, [0; 6])?;
     if addresses.len() > MOST_ADDRESSES {
@@ -103,8 +102,7 @@ pub(crate) fn filtered_packet_socket(
     } else {
         addresses.into_iter().try_for_each(|address| join(libc::PACKET_MR_UNICAST, address))?;
     }
-    bind_packet_socket(&socket, interface, libc::ETH_P_ALL as u16)?;
-    Ok(socket)
+    bind_packet_socket(socket, interface, libc::ETH_P_ALL as u16)
 }
 
 /// Returns how many frames a packet socket had no room for since the last call.
@@ -134,8 +132,9 @@ pub(crate) fn stamped_packet_socket(
     Ok(socket)
 }
 
-fn unbound_packet_socket(buffer_bytes: c_int) -> io::Result<OwnedFd> {
-    // Protocol 0 receives nothing. Until the socket is bound, it would get frames of other interfaces.
+/// Opens a packet socket in the calling thread's network namespace, which receives nothing until it is bound.
+pub(crate) fn unbound_packet_socket(buffer_bytes: c_int) -> io::Result<OwnedFd> {
+    // With any other protocol it would get frames of all interfaces.
     // SAFETY: takes no pointer and makes a descriptor.
     let socket = unsafe {
         own(libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC, 0))?
