@@ -9,7 +9,9 @@ pub enum GatewayError {
     #[error("cannot enter the network namespace {}: {source}", path.display())]
     Namespace { path: PathBuf, source: io::Error },
     /// There is no such interface.
-    #[error("there is no interface `{0}` there: `ip link` lists them")]
+    #[error(
+        "there is no interface `{0}` there: `ip link` lists them, and docs/gateway.md makes a virtual one"
+    )]
     Missing(String),
     /// It is down.
     #[error("`{0}` is down: `ip link set {0} up` sets it up")]
