@@ -129,17 +129,18 @@ fn loss_breaks_where_too_few_round_trips_survive() {
 #[test]
 fn localization_counts_by_name_and_has_a_margin_of_its_own() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
-    let testbed = cotorra_testbed_file::load(file).unwrap();
+    let testbed = cotorra_testbed_file::load(&file).unwrap();
+    let text = fs::read_to_string(file).unwrap();
     let options = Options {
         until: Some(Duration::from_secs(15)),
         on: vec!["R1-edge".into()],
         delays: Grid::new(200_000_000, 5_000_000).unwrap(),
         ..options(&[Kind::Delay])
     };
-    let all = Margin::new(testbed.clone(), options.clone()).unwrap();
+    let all = Margin::new(testbed.clone(), text.clone(), options.clone()).unwrap();
     assert_eq!(all.services().iter().map(ServiceId::as_str).collect::<Vec<_>>(), ["navigation"]);
     let named = Options { services: vec!["localization".into()], ..options };
-    let margins = run(&Margin::new(testbed, named).unwrap());
+    let margins = run(&Margin::new(testbed, text, named).unwrap());
     assert!(margins.unchanged[0].samples > 8 && margins.unchanged[0].kept == Some(1.0), "{margins:?}");
     let finding = of(&margins, Kind::Delay, Some("R1-edge"), None);
     assert_eq!(finding.service.as_ref().map(ServiceId::as_str), Some("localization"));
