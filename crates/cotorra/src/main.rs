@@ -34,6 +34,7 @@ mod quantity;
 mod replay;
 mod run;
 mod running;
+mod service_table;
 mod signals;
 mod stamp;
 mod stop;

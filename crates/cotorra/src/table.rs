@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use console::{Alignment, measure_text_width, pad_str};
+use console::{Alignment, Term, measure_text_width, pad_str};
 
 /// Rows of cells, each column as wide as its widest cell.
 #[derive(Debug, Default)]
@@ -50,13 +50,18 @@ impl Table {
     }
 }
 
+/// Returns the columns of the terminal that shows the output. Output that goes elsewhere has no limit.
+pub fn columns() -> usize {
+    Term::stdout().size_checked().map_or(usize::MAX, |(_, columns)| columns.into())
+}
+
 /// Breaks text into lines of at most `width` columns, each prefixed with `indent`. A longer word gets a line of its own.
 pub fn wrap(text: &str, indent: &str, width: usize) -> String {
     let mut wrapped = String::new();
-    let mut column = usize::MAX;
+    let mut column = 0;
     for word in text.split_whitespace() {
         let length = measure_text_width(word);
-        if column.saturating_add(1 + length) > width {
+        if wrapped.is_empty() || column + 1 + length > width {
             if !wrapped.is_empty() {
                 wrapped.push('\n');
             }
@@ -88,6 +93,7 @@ mod tests {
     #[test]
     fn text_breaks_between_words_and_nowhere_else() {
         assert_eq!(wrap("one two three", "  ", 9), "  one two\n  three\n");
+        assert_eq!(wrap("one two three", "  ", usize::MAX), "  one two three\n");
         assert_eq!(wrap("incomprehensibilities so", "> ", 8), "> incomprehensibilities\n> so\n");
     }
 }

@@ -6,6 +6,7 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 
 use crate::{
     colour::Colour,
+    font,
     geometry::Point,
     png,
     scene::{Anchor, Cells, Item, Line, Scene, WIDTH},
@@ -17,7 +18,7 @@ const PIXELS: f64 = 3.0;
 pub fn render(scene: &Scene) -> String {
     let (wide, high) = (number(WIDTH * PIXELS), number(scene.height * PIXELS));
     let view = format!("0 0 {} {}", number(WIDTH), number(scene.height));
-    // All of these fonts have the same widths.
+    // All of these fonts have the same widths. Where none is installed, `textLength` keeps the widths.
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{wide}\" height=\"{high}\" viewBox=\"{view}\" \
          font-family=\"Arimo, Liberation Sans, Arial, Helvetica, sans-serif\">\n\
@@ -56,9 +57,11 @@ pub fn render(scene: &Scene) -> String {
                 };
                 writeln!(
                     svg,
-                    "<text x=\"{x}\" y=\"{y}\" font-size=\"{}\" text-anchor=\"{anchor}\" fill=\"{}\"{turn}>{}</text>",
+                    "<text x=\"{x}\" y=\"{y}\" font-size=\"{}\" text-anchor=\"{anchor}\" fill=\"{}\" \
+                     textLength=\"{}\" lengthAdjust=\"spacingAndGlyphs\"{turn}>{}</text>",
                     number(text.size),
                     hex(text.colour),
+                    number(font::width(&text.text, text.size)),
                     escape(&text.text)
                 )
             }

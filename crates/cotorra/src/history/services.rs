@@ -8,7 +8,12 @@ use cotorra_testbed::{Report, ServiceParts, ServiceSummary, by_service};
 use cotorra_testbed_file::Diagnostics;
 
 use super::source::{Error, Source};
-use crate::{table::Table, testbed_file, verdict::verdicts};
+use crate::{
+    service_table::service_table,
+    table::{columns, wrap},
+    testbed_file,
+    verdict::verdicts,
+};
 
 /// Returns the service that stands for all of the run, or of a robot, because no other is in the total; `None` if there are
 /// several.
@@ -49,7 +54,7 @@ pub fn services(source: &Source, range: (Bound<Timestamp>, Bound<Timestamp>)) ->
 fn describe(services: &[ServiceSummary], parts: &[ServiceParts]) -> String {
     let table = match services {
         [] | [_] => String::new(),
-        several => Table::of(by_service(several).rows(), 2).render("  ") + "\n",
+        several => service_table(&by_service(several)) + "\n",
     };
-    verdicts(services, parts).iter().fold(table, |text, verdict| text + "  " + verdict + "\n")
+    verdicts(services, parts).iter().fold(table, |text, verdict| text + &wrap(verdict, "  ", columns()))
 }

@@ -6,7 +6,8 @@ use cotorra_recording::RecordingSummary;
 use cotorra_testbed::{Finished, GatewaySummary, Quantiles, RobotSummary, Summary};
 
 use crate::{
-    table::Table,
+    service_table::service_table,
+    table::{Table, columns, wrap},
     verdict::verdicts,
     words::{clock, count, in_ms},
 };
@@ -31,7 +32,7 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     let verdicts = verdicts(&summary.services, &summary.time_parts);
     if !verdicts.is_empty() {
         text += "\n";
-        verdicts.iter().for_each(|verdict| text += &format!("  {verdict}\n"));
+        verdicts.iter().for_each(|verdict| text += &wrap(verdict, "  ", columns()));
     }
     if !summary.regions.is_empty() {
         text += "\n";
@@ -40,7 +41,7 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     let several = summary.services.iter().filter(|its| its.samples > 0).nth(1).is_some();
     if several {
         text += "\n";
-        text += &Table::of(summary.by_service().rows(), 2).render("  ");
+        text += &service_table(&summary.by_service());
     }
     text += "\n";
     text += &figures(summary, several).render("  ");
@@ -64,8 +65,8 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     let figures = ["service_time.svg", "service_time.pdf", "service_time.png"];
     let files = tables.into_iter().chain(figures).chain([own, "testbed.yaml"]);
     let there = files.filter(|file| folder.join(file).exists());
-    let there: String = there.map(|file| format!("{file}  ")).collect();
-    text += &format!("\n{}/\n  {there}logs/\n", folder.display());
+    let there: Vec<_> = there.chain(["logs/"]).collect();
+    text += &format!("\n{}/\n{}", folder.display(), wrap(&there.join(" "), "  ", columns()));
     if let Some(RecordingSummary { file: Some(file), messages, .. }) = &finished.recording {
         text += &format!("{}: {}\n", file.display(), count(*messages as usize, "message"));
     }
