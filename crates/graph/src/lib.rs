@@ -53,7 +53,9 @@ pub use hardware::{
     NodeKind, PathLoss, RadioUnit, Reached, RealLink, Roaming, Robot, RobotModel, Server, Shadowing, Tier,
     WifiStandard, WirelessNetwork,
 };
-pub use id::{ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId};
+pub use id::{
+    AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
+};
 pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use nodes::{InvalidNodes, Nodes};
