@@ -1,0 +1,291 @@
+//! The folder that makes credentials and knows who may connect.
+
+use std::{
+    fmt,
+    fs::File,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use chrono::{DateTime, Utc};
+use cotorra_graph::AgentId;
+
+use crate::{
+    AgentCertificate, Bundle, CoreEndpoint, Enrolled, EnrolmentError, Granted,
+    certificates::{self, Credentials},
+    files,
+    registry::{Registry, after},
+    time_text::whole_seconds,
+};
+
+/// Certificate and key of the authority.
+const AUTHORITY: &str = "authority.pem";
+/// Certificate and key of the core.
+const CORE: &str = "core.pem";
+const REGISTRY: &str = "agents.json";
+
+/// Longest file with a certificate and a key, in bytes.
+const LONGEST_PEM: u64 = 64 << 10;
+/// Longest registry in bytes: its bounds allow less.
+const LONGEST_REGISTRY: u64 = 16 << 20;
+
+const DAY: Duration = Duration::from_hours(24);
+const AUTHORITY_VALIDITY: Duration = Duration::from_hours(24 * 3652);
+const CORE_VALIDITY: Duration = Duration::from_hours(24 * 365);
+/// The core's certificate is made anew when it is valid for less.
+const CORE_REST: Duration = Duration::from_hours(24 * 120);
+
+/// A folder of the user with a certificate authority, the certificate of the core, and a registry of agents.
+///
+/// Every call reads the files, so that a running core sees what commands change. Files change one at a time and as a
+/// whole, while the folder is locked: a process can be killed at any time.
+#[derive(Debug, Clone)]
+pub struct Authority {
+    folder: PathBuf,
+}
+
+/// What the core shows to agents, and how it knows them.
+#[derive(Clone)]
+pub struct CoreCredentials {
+    /// The authority's certificate, by which the core knows agents.
+    pub authority_pem: String,
+    /// The core's certificate. It has the hosts at which agents reach the core.
+    pub certificate_pem: String,
+    /// The core's key, which is secret.
+    pub key_pem: String,
+}
+
+/// Leaves the key out.
+impl fmt::Debug for CoreCredentials {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let certificate = &self.certificate_pem;
+        f.debug_struct("CoreCredentials").field("certificate_pem", certificate).finish_non_exhaustive()
+    }
+}
+
+/// Choices of a renewal.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Renewal {
+    /// Address of the core; `None` keeps the address.
+    pub core: Option<CoreEndpoint>,
+    /// Validity of the new certificate; `None` keeps that of the one before.
+    pub validity: Option<Duration>,
+    /// How long the generations before may still connect.
+    pub overlap: Duration,
+}
+
+impl Renewal {
+    /// Overlap by default.
+    pub const OVERLAP: Duration = Duration::from_hours(1);
+}
+
+impl Default for Renewal {
+    fn default() -> Self {
+        Self { core: None, validity: None, overlap: Self::OVERLAP }
+    }
+}
+
+impl Authority {
+    /// Validity of an agent's certificate by default.
+    pub const VALIDITY: Duration = DAY.saturating_mul(90);
+
+    /// Opens an authority. Changes nothing.
+    ///
+    /// # Errors
+    /// [`EnrolmentError::NoAuthority`] if there is none; others if it cannot be read or trusted.
+    pub fn open(folder: impl Into<PathBuf>) -> Result<Self, EnrolmentError> {
+        let authority = Self { folder: folder.into() };
+        authority.opened()?;
+        authority.credentials()?;
+        authority.registry()?;
+        Ok(authority)
+    }
+
+    /// Opens an authority, or creates it.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if that fails. A folder may be left.
+    pub fn create_or_open(folder: impl Into<PathBuf>, now: DateTime<Utc>) -> Result<Self, EnrolmentError> {
+        let authority = Self { folder: folder.into() };
+        files::create_folder(&authority.folder)?;
+        let _alone = authority.lock()?;
+        let [its, registry] = [AUTHORITY, REGISTRY].map(|name| authority.folder.join(name));
+        if files::read(&its, LONGEST_PEM)?.is_none() {
+            // The registry comes first: without one beside the credentials, generations might begin again.
+            match authority.read_registry()? {
+                None => files::save(&registry, &Registry::new().text())?,
+                Some(registry) if registry.is_empty() => {}
+                Some(_) => {
+                    let reason = format!("it is missing, and {REGISTRY} has agents");
+                    return Err(EnrolmentError::Damaged { path: its, reason });
+                }
+            }
+            let now = whole_seconds(now);
+            files::save(&its, &certificates::make_authority(now, after(now, AUTHORITY_VALIDITY))?.text())?;
+        }
+        Self::open(authority.folder)
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Enrols an agent that is new or revoked. If the process is killed before it has written the bundle, a renewal makes
+    /// another.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if it is enrolled, the validity is not possible, or a file cannot be used.
+    pub fn enrol(
+        &self,
+        name: &AgentId,
+        core: &CoreEndpoint,
+        validity: Duration,
+        now: DateTime<Utc>,
+    ) -> Result<Bundle, EnrolmentError> {
+        self.issue(now, |registry, now| Ok((core.clone(), registry.enrol(name, core, validity, now)?)))
+    }
+
+    /// Makes the next generation of an agent. Those before may connect until the overlap ends.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if it is not enrolled, the validity is not possible, or a file cannot be used.
+    pub fn renew(
+        &self,
+        name: &AgentId,
+        renewal: &Renewal,
+        now: DateTime<Utc>,
+    ) -> Result<Bundle, EnrolmentError> {
+        let Renewal { core, validity, overlap } = renewal;
+        self.issue(now, |registry, now| registry.renew(name, core.as_ref(), *validity, *overlap, now))
+    }
+
+    /// Saves the registry before the credentials leave, so that no two certificates have one common name.
+    fn issue(
+        &self,
+        now: DateTime<Utc>,
+        change: impl FnOnce(
+            &mut Registry,
+            DateTime<Utc>,
+        ) -> Result<(CoreEndpoint, AgentCertificate), EnrolmentError>,
+    ) -> Result<Bundle, EnrolmentError> {
+        let now = whole_seconds(now);
+        let _alone = self.lock()?;
+        let (authority, authority_ends) = self.unexpired(now)?;
+        let mut registry = self.registry()?;
+        let (core, agent) = change(&mut registry, now)?;
+        if agent.not_after <= now || agent.not_after > authority_ends {
+            return Err(EnrolmentError::Validity { authority_ends });
+        }
+        let credentials = certificates::make_agent(&authority, &agent, now)?;
+        self.save_registry(&registry)?;
+        Ok(Bundle::new(core, authority.certificate_pem, credentials, agent))
+    }
+
+    /// Ends all generations of an agent at once. Returns their common names: none, if it was revoked before.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if the authority does not know it, or a file cannot be used.
+    pub fn revoke(&self, name: &AgentId) -> Result<Vec<String>, EnrolmentError> {
+        let _alone = self.lock()?;
+        let mut registry = self.registry()?;
+        let ended = registry.revoke(name)?;
+        self.save_registry(&registry)?;
+        Ok(ended)
+    }
+
+    /// Returns all agents by name, with revoked ones.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if the registry cannot be read.
+    pub fn agents(&self) -> Result<Vec<Enrolled>, EnrolmentError> {
+        Ok(self.registry()?.agents())
+    }
+
+    /// Returns who may connect now, by name and generation.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if the registry cannot be read.
+    pub fn granted(&self, now: DateTime<Utc>) -> Result<Vec<Granted>, EnrolmentError> {
+        Ok(self.registry()?.granted(now))
+    }
+
+    /// Returns the core's credentials. Makes them if there are none, if they expire within 120 days, or if agents reach
+    /// the core at a host that the certificate lacks.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if the authority expired, or a file cannot be used.
+    pub fn core(&self, now: DateTime<Utc>) -> Result<CoreCredentials, EnrolmentError> {
+        let now = whole_seconds(now);
+        let _alone = self.lock()?;
+        let (authority, authority_ends) = self.unexpired(now)?;
+        let hosts = self.registry()?.hosts();
+        let path = self.folder.join(CORE);
+        let found = files::read(&path, LONGEST_PEM)?.and_then(|text| Credentials::split(&text));
+        let serves = |found: &Credentials| {
+            found.core(&authority.certificate_pem).is_ok_and(|(not_after, has)| {
+                not_after >= authority_ends.min(after(now, CORE_REST)) && hosts.is_subset(&has)
+            })
+        };
+        let core = match found.filter(serves) {
+            Some(core) => core,
+            None => {
+                let until = authority_ends.min(after(now, CORE_VALIDITY));
+                let core = certificates::make_core(&authority, &hosts, now, until)?;
+                files::save(&path, &core.text())?;
+                core
+            }
+        };
+        let Credentials { certificate_pem, key_pem } = core;
+        Ok(CoreCredentials { authority_pem: authority.certificate_pem, certificate_pem, key_pem })
+    }
+
+    fn opened(&self) -> Result<File, EnrolmentError> {
+        let missing = || EnrolmentError::NoAuthority { folder: self.folder.clone() };
+        files::open_folder(&self.folder)?.ok_or_else(missing)
+    }
+
+    fn lock(&self) -> Result<File, EnrolmentError> {
+        files::lock(self.opened()?, &self.folder)
+    }
+
+    /// Returns the authority's credentials, and the end of their validity.
+    fn credentials(&self) -> Result<(Credentials, DateTime<Utc>), EnrolmentError> {
+        let path = self.folder.join(AUTHORITY);
+        let text = files::read(&path, LONGEST_PEM)?;
+        let text = text.ok_or_else(|| EnrolmentError::NoAuthority { folder: self.folder.clone() })?;
+        let read = || {
+            let credentials = Credentials::split(&text).ok_or("it has no key")?;
+            let ends = credentials.authority_ends()?;
+            Ok((credentials, ends))
+        };
+        read().map_err(|reason: String| EnrolmentError::Damaged { path, reason })
+    }
+
+    fn unexpired(&self, now: DateTime<Utc>) -> Result<(Credentials, DateTime<Utc>), EnrolmentError> {
+        let (credentials, at) = self.credentials()?;
+        if now < at {
+            Ok((credentials, at))
+        } else {
+            Err(EnrolmentError::AuthorityExpired { folder: self.folder.clone(), at })
+        }
+    }
+
+    fn registry(&self) -> Result<Registry, EnrolmentError> {
+        let missing = || EnrolmentError::Damaged {
+            path: self.folder.join(REGISTRY),
+            reason: "it is missing".to_owned(),
+        };
+        self.read_registry()?.ok_or_else(missing)
+    }
+
+    fn read_registry(&self) -> Result<Option<Registry>, EnrolmentError> {
+        let path = self.folder.join(REGISTRY);
+        let Some(text) = files::read(&path, LONGEST_REGISTRY)? else { return Ok(None) };
+        Registry::parse(&text).map(Some).map_err(|reason| EnrolmentError::Damaged { path, reason })
+    }
+
+    fn save_registry(&self, registry: &Registry) -> Result<(), EnrolmentError> {
+        files::save(&self.folder.join(REGISTRY), &registry.text())
+    }
+}

@@ -1,0 +1,32 @@
+//! Credentials of agents: who may connect to the core, and how an agent knows that it is the core.
+//!
+//! An [`Authority`] is a folder of the user with a certificate authority, the certificate of the core, and a registry of
+//! agents. Enrolling an agent yields a [`Bundle`], the one file that the agent needs. The crate opens no connection and
+//! reads no clock. A transport takes [`Authority::core`] and [`Authority::granted`] at the core, and [`Bundle::parse`] at
+//! the agent.
+//!
+//! Each certificate of an agent names the agent and a generation: `robot.2`. A renewal makes the next generation, and the
+//! one before ends after an overlap. The transport grants exact common names, so that both can be told apart. Agents'
+//! certificates are for clients only, and the core's is for servers only, so that no agent can pass for the core.
+//!
+//! Zenoh's TLS also trusts the public certificate authorities of the web when it connects. An agent must therefore verify
+//! the host's name, which the core's certificate has, and accept messages only of [`CORE_COMMON_NAME`], which no public
+//! authority certifies.
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+
+mod authority;
+mod bundle;
+mod certificates;
+mod endpoint;
+mod error;
+mod files;
+mod registry;
+mod time_text;
+
+pub use authority::{Authority, CoreCredentials, Renewal};
+pub use bundle::{Bundle, BundleError};
+pub use certificates::{AgentCertificate, CORE_COMMON_NAME};
+pub use endpoint::{CoreEndpoint, InvalidEndpoint};
+pub use error::EnrolmentError;
+pub use registry::{AgentState, Enrolled, Granted};
