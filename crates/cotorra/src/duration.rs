@@ -20,7 +20,7 @@ pub fn parse_step(text: &str) -> Result<Duration, String> {
 
 /// Parses a time, which can be zero. A bare number is an error, because seconds and milliseconds look alike.
 pub fn parse_time(text: &str) -> Result<Duration, String> {
-    const UNITS: [(&str, f64); 4] = [("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0)];
+    const UNITS: [(&str, f64); 5] = [("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0), ("d", 86400.0)];
     let text = text.trim();
     let (figure, unit) = text.split_at(text.find(|c: char| c.is_alphabetic()).unwrap_or(text.len()));
     let figure = figure.trim_end();
@@ -29,7 +29,7 @@ pub fn parse_time(text: &str) -> Result<Duration, String> {
         return Err(match unit {
             "" => format!("it has no unit: write {figure}s or {figure}min"),
             "m" => format!("`m` could be minutes or metres: write {figure}min"),
-            _ => "the units are ms, s, min and h".to_owned(),
+            _ => "the units are ms, s, min, h and d".to_owned(),
         });
     };
     if number < 0.0 {
@@ -47,8 +47,9 @@ mod tests {
         assert_eq!(parse_duration("60s"), Ok(Duration::from_secs(60)));
         assert_eq!(parse_duration("1.5 min"), Ok(Duration::from_secs(90)));
         assert_eq!(parse_duration("250ms"), Ok(Duration::from_millis(250)));
+        assert_eq!(parse_duration("90d"), Ok(Duration::from_hours(24 * 90)));
         assert_eq!(parse_duration("60"), Err("it has no unit: write 60s or 60min".to_owned()));
-        for wrong in ["", "s", "-1s", "0s", "1 day", "5m", "1e400s", "1e300h", "nans", "infs"] {
+        for wrong in ["", "s", "-1s", "0s", "1 day", "1days", "5m", "1e400s", "1e300h", "nans", "infs"] {
             assert!(parse_duration(wrong).is_err(), "{wrong}");
         }
         assert_eq!(parse_time("0s"), Ok(Duration::ZERO));

@@ -8,6 +8,8 @@
 #[macro_use]
 mod output;
 
+#[cfg(feature = "agents")]
+mod agent;
 mod arguments;
 mod bench;
 mod capture;
@@ -84,6 +86,15 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Schema => output::print(&format!("{:#}\n", cotorra_testbed_file::schema()))?,
         Command::OpenApi { wais: false } => output::print(&cotorra_testbed::openapi())?,
         Command::OpenApi { wais: true } => output::print(&cotorra_testbed::wais_openapi())?,
+        #[cfg(feature = "agents")]
+        Command::Agent { agent } => agent::agent(&agent)?,
+        #[cfg(not(feature = "agents"))]
+        Command::Agent { .. } => {
+            return Err(miette::miette!(
+                help = "build it with `--features agents`",
+                "this cotorra was built without agents"
+            ));
+        }
         Command::Doctor => doctor::doctor()?,
         Command::Clean(args) => clean::clean(&args)?,
         Command::Exec(args) => match exec::exec(&args)? {},

@@ -1,7 +1,7 @@
 //! The folder that makes credentials and knows who may connect.
 
 use std::{
-    fmt,
+    env, fmt,
     fs::File,
     path::{Path, PathBuf},
     time::Duration,
@@ -29,7 +29,6 @@ const LONGEST_PEM: u64 = 64 << 10;
 /// Longest registry in bytes: its bounds allow less.
 const LONGEST_REGISTRY: u64 = 16 << 20;
 
-const DAY: Duration = Duration::from_hours(24);
 const AUTHORITY_VALIDITY: Duration = Duration::from_hours(24 * 3652);
 const CORE_VALIDITY: Duration = Duration::from_hours(24 * 365);
 /// The core's certificate is made anew when it is valid for less.
@@ -74,20 +73,21 @@ pub struct Renewal {
     pub overlap: Duration,
 }
 
-impl Renewal {
-    /// Overlap by default.
-    pub const OVERLAP: Duration = Duration::from_hours(1);
-}
-
+/// Keeps the address and the validity. The overlap is an hour.
 impl Default for Renewal {
     fn default() -> Self {
-        Self { core: None, validity: None, overlap: Self::OVERLAP }
+        Self { core: None, validity: None, overlap: Duration::from_hours(1) }
     }
 }
 
 impl Authority {
-    /// Validity of an agent's certificate by default.
-    pub const VALIDITY: Duration = DAY.saturating_mul(90);
+    /// Returns the default folder: `cotorra/agents` in the user's folder for configuration, as the XDG base directory
+    /// specification says. `None` if the environment names neither that nor a home.
+    pub fn default_folder() -> Option<PathBuf> {
+        let set = |name: &str| env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+        let config = set("XDG_CONFIG_HOME").or_else(|| set("HOME").map(|home| home.join(".config")));
+        config.map(|config| config.join("cotorra/agents"))
+    }
 
     /// Opens an authority. Changes nothing.
     ///

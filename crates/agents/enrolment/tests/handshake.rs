@@ -1,7 +1,7 @@
 //! Agents and the core know each other by TLS, and nobody else. All handshakes are in memory, at a given time.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
-use std::{fmt, sync::Arc, time::Duration};
+use std::{fmt, fs, sync::Arc, time::Duration};
 
 use chrono::{DateTime, TimeDelta, Utc};
 use cotorra_enrolment::{Authority, Bundle, CORE_COMMON_NAME, CoreCredentials, CoreEndpoint, EnrolmentError};
@@ -144,7 +144,9 @@ impl fmt::Display for Refused {
 
 fn roots(pem: &str) -> RootCertStore {
     let mut roots = RootCertStore::empty();
-    roots.add(CertificateDer::from_pem_slice(pem.as_bytes()).unwrap()).unwrap();
+    for certificate in CertificateDer::pem_slice_iter(pem.as_bytes()) {
+        roots.add(certificate.unwrap()).unwrap();
+    }
     roots
 }
 
@@ -153,7 +155,7 @@ fn chain(shown: Shown<'_>) -> (Vec<CertificateDer<'static>>, PrivateKeyDer<'stat
     (vec![certificate], PrivateKeyDer::from_pem_slice(shown.key.as_bytes()).unwrap())
 }
 
-/// Connects an agent to a core, each with the authority that it trusts. An empty host is not verified.
+/// Connects an agent to a core, each with the authorities that it trusts. An empty host is not verified.
 fn handshake(
     agent: Option<Shown<'_>>,
     core: Shown<'_>,
@@ -318,6 +320,29 @@ fn the_core_has_the_hosts_at_which_agents_reach_it() {
     let anew = lab.authority.core(start()).unwrap();
     assert_eq!((at(&anew, "10.0.0.7"), at(&anew, HOST)), (Ok(()), Ok(())));
     assert!(at(&anew, "10.0.0.8").is_err());
+}
+
+/// Zenoh's TLS also trusts the authorities of the web. Another authority stands for them here.
+#[test]
+fn servers_of_public_authorities_are_refused_by_their_host() {
+    let [lab, public] = [Lab::new(), Lab::new()];
+    let (name, host) = (AgentId::new("evil").unwrap(), "evil.example.org");
+    public.authority.revoke(&public.agent.certificate().name).unwrap();
+    public.authority.enrol(&name, &format!("{host}:7448").parse().unwrap(), DAY, start()).unwrap();
+    fs::remove_file(public.authority.folder().join("core.pem")).unwrap();
+    let evil = public.authority.core(start()).unwrap();
+    let both = format!("{}{}", lab.agent.authority_pem(), public.agent.authority_pem());
+    let at = |host| {
+        let trusted = (&*both, lab.agent.authority_pem());
+        handshake(Some(agents(&lab.agent)), cores(&evil), trusted, start(), host)
+    };
+    let error = at(HOST).unwrap_err();
+    let Refused::ByAgent(Error::InvalidCertificate(CertificateError::NotValidForNameContext { .. })) = error
+    else {
+        panic!("{error}");
+    };
+    // What verification of the host is for.
+    assert!(at("").is_ok());
 }
 
 #[test]

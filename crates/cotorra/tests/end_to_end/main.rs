@@ -1,5 +1,7 @@
 //! End-to-end tests of the real program: its output, its files, and that it leaves nothing behind.
 
+#[cfg(feature = "agents")]
+mod agent_enrolment;
 mod api;
 mod camera;
 mod capture;
