@@ -14,12 +14,14 @@ mod flow;
 mod goal;
 mod hardware;
 mod id;
+mod machine_context;
 mod map;
 mod medium;
 mod nodes;
 #[cfg(feature = "openapi")]
 pub mod openapi;
 mod propagation;
+mod real;
 mod ros1_environment;
 mod routing;
 mod schedule;
@@ -49,16 +51,20 @@ pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
-    Capacity, Direction, GapPolicy, Gateway, HandoverTimes, HardwareGraph, HostAddress, Link, Machine, Node,
-    NodeKind, PathLoss, RadioUnit, Reached, RealLink, Roaming, Robot, RobotModel, Server, Shadowing, Tier,
-    WifiStandard, WirelessNetwork,
+    Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind,
+    PathLoss, RadioUnit, Roaming, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,
 };
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
+pub use machine_context::{
+    CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext, WifiChannel,
+    WifiContext, WifiRole, WifiStation,
+};
 pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use nodes::{InvalidNodes, Nodes};
+pub use real::{Gateway, Machine, Reached, RealLink, RealPort, RealServer};
 pub use routing::{Arrival, Edge, Route, Topology};
 pub use schedule::{Scheduled, Script, When};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
