@@ -1,7 +1,7 @@
 //! The reader of this machine's context.
 
 use std::{
-    collections::{BTreeSet, HashMap},
+    collections::BTreeSet,
     fmt,
     fs::File,
     io::{self, Read},
@@ -39,7 +39,7 @@ pub struct Reading {
 
 /// A part of the context that could not be read.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot read the machine's {part}, and leaves it out: {cause}")]
+#[error("the machine's context lacks its {part}: {cause}")]
 pub struct Unavailable {
     /// The part.
     pub part: Part,
@@ -117,11 +117,8 @@ impl Host {
 
         let links = missing.note(Part::Interfaces, Interfaces::links(&mut self.route)).unwrap_or_default();
         self.look_again_after_a_change(&links);
-        let speeds = if links.is_empty() {
-            HashMap::new()
-        } else {
-            missing.note(Part::Speeds, self.interfaces.speeds(&mut self.generic)).unwrap_or_default()
-        };
+        let speeds =
+            missing.note(Part::Speeds, self.interfaces.speeds(&mut self.generic)).unwrap_or_default();
         let (interfaces, interfaces_left_out) = self.interfaces.contexts(now, links, &speeds);
         let wifi = self.wifi.read(&mut self.generic);
         missing.note(Part::Wifi, wifi.error.map_or(Ok(()), Err));
@@ -198,7 +195,7 @@ mod tests {
         let expected = [(Part::Cpu, io::ErrorKind::NotFound), (Part::Memory, io::ErrorKind::InvalidData)];
         assert_eq!(files(&first.unavailable), expected);
         let text = first.unavailable[0].to_string();
-        assert!(text.starts_with("cannot read the machine's CPU time, and leaves it out: "), "{text}");
+        assert!(text.starts_with("the machine's context lacks its CPU time: "), "{text}");
         assert!(text.contains(&proc.path().join("stat").display().to_string()), "{text}");
         assert_eq!((first.context.cpu, first.context.memory), (None, None));
         assert_eq!(first.context.load_average.map(|load| load.five_minutes), Some(0.64));
