@@ -1,9 +1,8 @@
 //! The hardware graph G: robots, radio units, switches and servers, and the links between them.
 
 use std::{
-    collections::{BTreeMap, HashMap},
-    net::Ipv4Addr,
-    net::Ipv6Addr,
+    collections::BTreeMap,
+    net::{Ipv4Addr, Ipv6Addr},
     time::Duration,
 };
 
@@ -12,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use crate::{
     conditions::{Conditions, Loss, Scale},
     driver::Driver,
-    exposure::IpNetwork,
     id::{DomainId, LinkId, NodeId},
     medium::Medium,
+    real::{Gateway, Machine, RealServer},
     sensor::Sensor,
     units::{BitRate, Dbm, Position, millis},
 };
@@ -65,42 +64,30 @@ impl HardwareGraph {
         self.nodes.iter().filter_map(|n| if let NodeKind::Server(s) = &n.kind { Some((n, s)) } else { None })
     }
 
-    /// The hosts, in order: nodes that run programs and so have an interface and addresses, which is all but
-    /// switches. The place of a host in this order is what [`HostAddress::of`] takes.
+    /// The hosts, in order: robots, radio units and servers, which run programs. The place of a host in this order is what
+    /// [`HostAddress::of`] takes. That of a real server stays free, so that other hosts have the same addresses where it is
+    /// emulated.
     pub fn hosts(&self) -> impl Iterator<Item = &Node> {
         self.nodes.iter().filter(|n| n.is_host())
     }
 
-    /// The gateways, in order.
-    pub fn gateways(&self) -> impl Iterator<Item = (&Node, &Gateway)> {
-        self.nodes.iter().filter_map(|n| if let NodeKind::Gateway(g) = &n.kind { Some((n, g)) } else { None })
+    /// The nodes at which packets enter and leave the emulated network, in the order of its ports: hosts, then gateways.
+    pub fn ports(&self) -> impl Iterator<Item = &Node> {
+        self.hosts().chain(self.gateways().map(|(node, _)| node))
     }
 
-    /// The links over interfaces of this machine, in order.
-    pub fn real_links(&self) -> impl Iterator<Item = RealLink<'_>> {
-        let machines: HashMap<_, _> =
-            self.nodes.iter().filter_map(|node| Some((&node.id, node.reached()?))).collect();
-        self.links.iter().filter_map(move |link| {
-            match link.ends.each_ref().map(|end| machines.get(end).copied()) {
-                [_, Some(reached)] => Some(RealLink { link, reached, leaving: Direction::Forward }),
-                [Some(reached), None] => Some(RealLink { link, reached, leaving: Direction::Backward }),
-                [None, None] => None,
-            }
-        })
-    }
-
-    /// The graph without real machines and the links between them: what is emulated as a whole.
-    pub fn without_machines(&self) -> Self {
-        let real: Vec<_> = self.real_links().map(|real| real.link.id.clone()).collect();
-        let mut graph = self.clone();
-        graph.nodes.retain(|node| !matches!(node.kind, NodeKind::Machine(_)));
-        graph.links.retain(|link| !real.contains(&link.id));
-        graph
-    }
-
-    /// The addresses of a host; `None` for any other node or an unknown name.
+    /// The addresses of an emulated host; `None` for any other node or an unknown name.
     pub fn address(&self, id: &NodeId) -> Option<HostAddress> {
-        self.hosts().position(|n| n.id == *id).map(HostAddress::of)
+        let (place, node) = self.hosts().enumerate().find(|(_, node)| node.id == *id)?;
+        node.real_server().is_none().then(|| HostAddress::of(place))
+    }
+
+    /// The IPv4 address of a host, emulated or real; `None` for any other node or an unknown name.
+    pub fn ipv4(&self, id: &NodeId) -> Option<Ipv4Addr> {
+        match self.node(id)?.real_server() {
+            Some(real) => Some(real.address),
+            None => self.address(id).map(|address| address.ipv4),
+        }
     }
 }
 
@@ -120,7 +107,7 @@ pub struct Node {
 }
 
 impl Node {
-    /// Whether it runs programs of cotorra's: all but switches, gateways and real machines do.
+    /// Whether it runs programs of a testbed: robots, radio units and servers do.
     pub fn is_host(&self) -> bool {
         !matches!(self.kind, NodeKind::Switch | NodeKind::Gateway(_) | NodeKind::Machine(_))
     }
@@ -133,14 +120,6 @@ impl Node {
     /// Whether it passes on frames that are not for it: switches and radio units do.
     pub fn forwards(&self) -> bool {
         matches!(self.kind, NodeKind::Switch | NodeKind::RadioUnit(_))
-    }
-
-    /// Returns how a real machine other than this one is reached.
-    pub fn reached(&self) -> Option<&Reached> {
-        match &self.kind {
-            NodeKind::Machine(machine) => machine.reached.as_ref(),
-            _ => None,
-        }
     }
 
     /// Returns its capacity for VNFs; `None` for nodes that are no hosts.
@@ -303,59 +282,9 @@ pub struct Server {
     pub cost: f64,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
-}
-
-/// A gateway: joins an interface to the emulated network. Packets pass between the hosts and the real machines behind it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-pub struct Gateway {
-    /// The interface, as `ip link` names it.
-    pub interface: String,
-    /// Network namespace of the interface: a name of `ip netns`, or an absolute path; `None` for this machine's.
-    pub netns: Option<String>,
-    /// Addresses of the real machines behind it, by name. No other machine passes.
-    #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, String>))]
-    pub machines: BTreeMap<NodeId, Ipv4Addr>,
-}
-
-impl Gateway {
-    /// Real machines behind a gateway, at most.
-    pub const MAX_MACHINES: usize = 64;
-}
-
-/// A real machine: this one, or one that is reached through an interface of this one. Only the link between the two is
-/// emulated: on that interface, for the packets that whatever programs send there.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-pub struct Machine {
-    /// Interface and address by which it is reached; `None` for this machine.
-    pub reached: Option<Reached>,
-}
-
-/// Interface and address of another real machine.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-pub struct Reached {
-    /// Through this interface of this machine, as `ip link` names it.
-    pub interface: String,
-    /// Addresses of the machine; `None` for everything behind the interface that no other machine has.
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
-    pub address: Option<IpNetwork>,
-    /// Whether a reflector of STAMP (RFC 8762) is at its address, by which a run measures the delay of the medium before
-    /// it begins, and then what the link does.
-    #[serde(default)]
-    pub reflector: bool,
-}
-
-/// A link over an interface of this machine.
-#[derive(Debug, Clone, Copy)]
-pub struct RealLink<'a> {
-    /// The link.
-    pub link: &'a Link,
-    /// Interface and address of the other machine.
-    pub reached: &'a Reached,
-    /// The direction in which packets leave this machine; in the other one they arrive.
-    pub leaving: Direction,
+    /// The real machine that it is; `None` for an emulated one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub real: Option<RealServer>,
 }
 
 /// Distance of a server from the robots.

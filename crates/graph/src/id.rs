@@ -6,13 +6,11 @@ use serde::{Deserialize, Serialize};
 
 /// Error of a text that cannot be a name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "`{name}` is not a name: use 1 to {longest} letters, digits, {marks}, beginning with a letter or digit"
-)]
+#[error("`{name}` is not a name: {}", rule(*longest, others))]
 pub struct InvalidId {
     name: String,
     longest: usize,
-    marks: &'static str,
+    others: &'static str,
 }
 
 /// A name fits a file name and a DNS label.
@@ -22,21 +20,26 @@ const LONGEST_LINK: usize = 2 * LONGEST + 1;
 /// An agent's fits the common name of a certificate, 64 characters, with a dot and a generation.
 const LONGEST_AGENT: usize = 53;
 
-/// Characters of names besides letters and digits, as an error lists them.
-const MARKS: &str = "`_`, `-`, `.` or `~`";
-/// A dot ends an agent's name in a certificate.
-const MARKS_WITHOUT_DOT: &str = "`_`, `-` or `~`";
+/// Says what a name may be, of this length and with these characters besides letters and digits.
+fn rule(longest: usize, others: &str) -> String {
+    let mut quoted: Vec<_> = others.chars().map(|c| format!("`{c}`")).collect();
+    let last = quoted.pop().unwrap_or_default();
+    let others = quoted.join(", ");
+    format!("use 1 to {longest} letters, digits, {others} or {last}, beginning with a letter or digit")
+}
 
-fn check(name: &str, longest: usize, marks: &'static str) -> Result<(), InvalidId> {
-    let is_mark = |c: char| "_-.~".contains(c) && marks.contains(c);
+fn check(name: &str, longest: usize, others: &'static str) -> Result<(), InvalidId> {
     let starts_well = name.chars().next().is_some_and(|c| c.is_ascii_alphanumeric());
-    let all_well = name.chars().all(|c| c.is_ascii_alphanumeric() || is_mark(c));
+    let all_well = name.chars().all(|c| c.is_ascii_alphanumeric() || others.contains(c));
     let well = starts_well && all_well && name.len() <= longest;
-    if well { Ok(()) } else { Err(InvalidId { name: name.to_owned(), longest, marks }) }
+    if well { Ok(()) } else { Err(InvalidId { name: name.to_owned(), longest, others }) }
 }
 
 macro_rules! id {
-    ($(#[$doc:meta])* $name:ident, $longest:expr, $marks:expr) => {
+    ($(#[$doc:meta])* $name:ident, $longest:expr) => {
+        id! { $(#[$doc])* $name, $longest, "_-.~" }
+    };
+    ($(#[$doc:meta])* $name:ident, $longest:expr, $others:expr) => {
         $(#[$doc])*
         #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -47,14 +50,21 @@ macro_rules! id {
         impl $name {
             /// Characters of the longest name.
             pub const LONGEST: usize = $longest;
+            /// Characters of names, other than letters and digits.
+            pub const OTHERS: &str = $others;
 
             /// The name, if it can be one.
             ///
             /// # Errors
             /// [`InvalidId`] when it is empty, too long, or holds a character that a file name could not.
             pub fn new(name: &str) -> Result<Self, InvalidId> {
-                check(name, Self::LONGEST, $marks)?;
+                check(name, Self::LONGEST, Self::OTHERS)?;
                 Ok(Self(name.into()))
+            }
+
+            /// Says what a name may be.
+            pub fn rule() -> String {
+                rule(Self::LONGEST, Self::OTHERS)
             }
 
             /// The name as text.
@@ -117,40 +127,40 @@ macro_rules! id {
 
 id! {
     /// An administrative domain.
-    DomainId, LONGEST, MARKS
+    DomainId, LONGEST
 }
 id! {
     /// A node of the hardware graph: a robot, radio unit, switch or server.
-    NodeId, LONGEST, MARKS
+    NodeId, LONGEST
+}
+id! {
+    /// An agent: the program that starts VNFs on a real machine. A dot would end the name in its certificate.
+    AgentId, LONGEST_AGENT, "_-~"
 }
 id! {
     /// A link of the hardware graph. A wired one is named in the testbed file (by default `<end>-<end>`);
     /// the wireless one between a robot and a radio unit is `<robot>~<radio unit>`.
-    LinkId, LONGEST_LINK, MARKS
+    LinkId, LONGEST_LINK
 }
 id! {
     /// A service: VNFs, the virtual links between them, and the KPIs that they must keep.
-    ServiceId, LONGEST, MARKS
+    ServiceId, LONGEST
 }
 id! {
     /// A virtual network function of a service.
-    VnfId, LONGEST, MARKS
+    VnfId, LONGEST
 }
 id! {
     /// A plug-in, as the testbed file names it.
-    PluginId, LONGEST, MARKS
+    PluginId, LONGEST
 }
 id! {
     /// A sensor of a robot.
-    SensorId, LONGEST, MARKS
+    SensorId, LONGEST
 }
 id! {
     /// One of the numbers that a sensor reads.
-    ComponentId, LONGEST, MARKS
-}
-id! {
-    /// An agent: the program on a real machine that connects it to a testbed. Its name has no dot.
-    AgentId, LONGEST_AGENT, MARKS_WITHOUT_DOT
+    ComponentId, LONGEST
 }
 
 impl LinkId {
@@ -170,23 +180,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_have_a_first_letter_or_digit_marks_and_a_length() {
-        for name in ["a", "7", "robot-2", "lan.cloud_1~x", &"n".repeat(63)] {
-            assert_eq!(NodeId::new(name).unwrap().as_str(), name);
-        }
-        for name in ["", "-a", ".a", "a b", "é", "a/b", "a`", "a,b", &"n".repeat(64)] {
-            assert!(NodeId::new(name).is_err(), "{name}");
-        }
-        assert!(LinkId::new(&"n".repeat(127)).is_ok() && LinkId::new(&"n".repeat(128)).is_err());
-    }
-
-    #[test]
-    fn agents_have_no_dot_and_fit_a_common_name_with_their_generation() {
+    fn names_of_agents_have_no_dots_and_fit_a_common_name_with_their_generation() {
         let longest = "a".repeat(AgentId::LONGEST);
-        assert_eq!(format!("{}.{}", AgentId::new(&longest).unwrap(), u32::MAX).len(), 64);
-        assert!(AgentId::new("robot-2_a~b").is_ok() && AgentId::new(&(longest + "a")).is_err());
-        let error = AgentId::new("robot.2").unwrap_err().to_string();
-        let expected = "`robot.2` is not a name: use 1 to 53 letters, digits, `_`, `-` or `~`, beginning with a letter or digit";
-        assert_eq!(error, expected);
+        assert_eq!(format!("{longest}.{}", u32::MAX).len(), 64);
+        for name in ["edge1", "E-1_a~b", &longest] {
+            assert_eq!(AgentId::new(name).unwrap().as_str(), name);
+        }
+        for name in ["", "edge.1", "-edge", "edge 1", "édge", &(longest.clone() + "a")] {
+            let refused = AgentId::new(name).unwrap_err().to_string();
+            assert!(refused.contains("1 to 53 letters, digits, `_`, `-` or `~`"), "{refused}");
+        }
+        let refused = NodeId::new("edge 1").unwrap_err().to_string();
+        assert!(refused.contains("1 to 63 letters, digits, `_`, `-`, `.` or `~`"), "{refused}");
     }
 }

@@ -10,7 +10,7 @@ impl HardwareGraph {
     /// Returns the environment variables by which ROS 1 programs on a host find each other: `ROS_IP`, and `ROS_MASTER_URI`
     /// of the first master in the emulated network. Empty without such a master.
     pub fn ros1_environment(&self, host: &NodeId) -> Vec<(&'static str, String)> {
-        let address = |node: &NodeId| self.address(node).map(|address| address.ipv4.to_string());
+        let address = |node: &NodeId| self.ipv4(node).map(|address| address.to_string());
         let master = self.robots().find_map(|(_, robot)| {
             let (Driver::Ros1(ros1) | Driver::Simulated { offer: Some(Offer { ros: Ros::Ros1(ros1), .. }) }) =
                 &robot.driver

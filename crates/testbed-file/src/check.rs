@@ -1,9 +1,9 @@
 //! Checks between the records of a testbed: duplicate names, unreachable nodes, KPIs that no placement keeps, walks
 //! through walls.
 
-mod gateways;
 mod kpis;
 mod machines;
+mod real_ports;
 mod sensors;
 mod services;
 
@@ -23,7 +23,7 @@ use crate::{
 pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
     links(record, &testbed.graph, sink);
     machines::machines(record, &testbed.graph, sink);
-    gateways::gateways(record, &testbed.graph, sink);
+    real_ports::real_ports(record, &testbed.graph, sink);
     radio_units(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);
     sensors::receivers(record, testbed, sink);

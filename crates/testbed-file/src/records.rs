@@ -3,9 +3,9 @@
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, GapPolicy, IpNetwork, JitterDistribution,
-    LinkId, LinuxCapability, NodeId, PluginId, Position, Probability, QueueLimit, Rate, Requests, Roaming,
-    RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, WifiStandard,
+    AgentId, BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, GapPolicy, IpNetwork,
+    JitterDistribution, LinkId, LinuxCapability, NodeId, PluginId, Position, Probability, QueueLimit, Rate,
+    Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, WifiStandard,
 };
 
 use crate::yaml::{
@@ -534,7 +534,7 @@ record! {
 }
 
 record! {
-    /// A server: runs VNFs.
+    /// A server: runs VNFs. With `agent`, `interface` and `address` it is a real machine, which virtual time emulates.
     ServerRecord {
         /// Domain that runs it. Without one: the first.
         domain: Option<Spanned<DomainId>>,
@@ -550,6 +550,15 @@ record! {
         cost: Amount = 1,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
+        /// The agent that starts VNFs on the real machine.
+        agent: Option<Spanned<AgentId>>,
+        /// The interface of this machine through which the real machine is reached, as `ip link` names it. Several real
+        /// servers can share one.
+        interface: Option<Spanned<String>>,
+        /// Network namespace of the interface: a name as in `ip netns`, or an absolute path. Without one: this machine's.
+        netns: Option<Spanned<String>>,
+        /// IPv4 address of the real machine.
+        address: Option<Spanned<Ipv4Addr>>,
     }
 }
 

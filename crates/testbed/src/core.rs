@@ -46,7 +46,7 @@ const OBSERVATION: Duration = Duration::from_secs(1);
 
 /// Returns the socket of a node's port; `None` for a node without an address.
 fn address(testbed: &Testbed, node: &NodeId, port: u16) -> Option<SocketAddrV4> {
-    testbed.graph.address(node).map(|address| SocketAddrV4::new(address.ipv4, port))
+    testbed.graph.ipv4(node).map(|address| SocketAddrV4::new(address, port))
 }
 
 pub(crate) struct Core<N, E> {

@@ -188,8 +188,7 @@ impl Robots {
         let wrong = |reason: ConfigError| RobotError::Master { robot: robot.clone(), reason };
         let name = node_name(robot, what);
         let namespace = ros1.namespace.clone();
-        let address =
-            |node: &NodeId| self.testbed.graph.address(node).map(|address| address.ipv4.to_string());
+        let address = |node: &NodeId| self.testbed.graph.ipv4(node).map(|address| address.to_string());
         let parse = |uri: &str| uri.parse::<Endpoint>().map_err(|error| wrong(error.into()));
         let (master, host) = match &ros1.master {
             RosMaster::Machine { uri } => {

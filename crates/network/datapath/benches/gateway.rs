@@ -41,6 +41,7 @@ fn graph(gateway: Gateway) -> (HardwareGraph, NodeId) {
         capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
         cost: 0.0,
         reliability: 1.0,
+        real: None,
     });
     let node = |id: &NodeId, kind| Node { id: id.clone(), domain: domain.clone(), position: None, kind };
     let link = Link {

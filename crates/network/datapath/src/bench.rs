@@ -449,6 +449,7 @@ fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
         capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
         cost: 0.0,
         reliability: 1.0,
+        real: None,
     });
     let link = |a: NodeId, b: NodeId| Link {
         id: LinkId::new(&format!("{a}-{b}")).expect("two names and a dash"),

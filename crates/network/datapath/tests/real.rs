@@ -74,6 +74,7 @@ fn star(hosts: usize, conditions: Conditions) -> (HardwareGraph, Vec<NodeId>) {
         capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
         cost: 0.0,
         reliability: 1.0,
+        real: None,
     });
     let switch = NodeId::new("switch").unwrap();
     let names: Vec<_> = (0..hosts).map(|i| NodeId::new(&format!("host{i}")).unwrap()).collect();

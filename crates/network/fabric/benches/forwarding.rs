@@ -34,7 +34,7 @@ fn chain(hops: usize, conditions: &Conditions) -> Fabric {
     let domain: DomainId = "home".parse().expect("letters make a name");
     let server = || {
         let capacity = Capacity { cpus: 1.0, memory_bytes: 1 << 30 };
-        NodeKind::Server(Server { tier: Tier::Edge, capacity, cost: 1.0, reliability: 1.0 })
+        NodeKind::Server(Server { tier: Tier::Edge, capacity, cost: 1.0, reliability: 1.0, real: None })
     };
     let node = |i| {
         let kind = if i == 0 || i == hops { server() } else { NodeKind::Switch };

@@ -164,8 +164,7 @@ impl Fabric {
             vertex: vertices[&node.id],
             is_robot: matches!(node.kind, NodeKind::Robot(_)),
         };
-        let gateways = graph.gateways().map(|(node, _)| node);
-        let ports: Vec<Port> = graph.hosts().chain(gateways).map(port).collect();
+        let ports: Vec<Port> = graph.ports().map(port).collect();
         let mut port_of_vertex = vec![None; graph.nodes.len()];
         for (i, port) in ports.iter().enumerate() {
             port_of_vertex[port.vertex] = Some(PortId(i));

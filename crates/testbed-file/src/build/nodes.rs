@@ -2,7 +2,7 @@
 
 use cotorra_graph::{
     Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, PathLoss,
-    Position, Probability, RadioUnit, Reached, Robot, Server, Shadowing, WirelessNetwork,
+    Position, Probability, RadioUnit, Reached, RealServer, Robot, Server, Shadowing, WirelessNetwork,
 };
 
 use super::{
@@ -10,7 +10,9 @@ use super::{
     ros, sensors,
 };
 use crate::{
-    records::{GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, WalkRecord, WirelessRecord},
+    records::{
+        GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, ServerRecord, WalkRecord, WirelessRecord,
+    },
     yaml::{
         Bytes, Sink,
         decode::{Amount, Spanned, words},
@@ -101,7 +103,7 @@ impl Builder<'_> {
                 };
                 let nodes = &self.nodes;
                 let mut host = |node: &Spanned<NodeId>, sink: &mut Sink| {
-                    find(nodes, node, "node with a network of its own", is_host, sink)
+                    find(nodes, node, "node with a network of its own", has_namespace, sink)
                 };
                 let driver = ros::driver(r, &id.value, &mut host, self.sink);
                 let robot = Robot {
@@ -134,6 +136,7 @@ impl Builder<'_> {
                     capacity: capacity(s.cpus, s.memory),
                     cost: s.cost.0,
                     reliability: self.reliability(&s.reliability),
+                    real: self.real_server(s)?,
                 };
                 (s.position, NodeKind::Server(server))
             }
@@ -166,21 +169,50 @@ impl Builder<'_> {
 
     fn gateway(&mut self, record: &GatewayRecord) -> Option<Gateway> {
         let interface = self.interface(&record.interface);
-        if let Some(netns) = &record.netns {
-            let name = netns.value.as_str();
-            let is_name = !name.is_empty() && !name.contains('/') && !matches!(name, "." | "..");
-            if !is_name && !name.starts_with('/') {
-                self.sink
-                    .error(&netns.span, format!("no network namespace can have the name `{name}`"))
-                    .help(
-                        "write one as `ip netns` names it, or a path from the root such as `/proc/1/ns/net`",
-                    );
-            }
-        }
-        let netns = record.netns.as_ref().map(|netns| netns.value.clone());
+        let netns = self.netns(record.netns.as_ref());
         let machines = &record.machines.value.0;
         let machines = machines.iter().map(|(name, address)| (name.value.clone(), address.value)).collect();
         Some(Gateway { interface: interface?, netns, machines })
+    }
+
+    /// Returns the real machine that a server is, if it is one; `None` for a mistake.
+    fn real_server(&mut self, record: &ServerRecord) -> Option<Option<RealServer>> {
+        let ServerRecord { agent, interface, netns, address, .. } = record;
+        let present = [
+            ("agent", agent.as_ref().map(|agent| &agent.span)),
+            ("interface", interface.as_ref().map(|interface| &interface.span)),
+            ("address", address.as_ref().map(|address| &address.span)),
+            ("netns", netns.as_ref().map(|netns| &netns.span)),
+        ];
+        let Some((name, span)) = present.iter().find_map(|(name, span)| Some((name, (*span)?))) else {
+            return Some(None);
+        };
+        let (Some(agent), Some(interface), Some(address)) = (agent, interface, address) else {
+            let missing: Vec<_> =
+                present[..3].iter().filter(|(_, span)| span.is_none()).map(|(name, _)| *name).collect();
+            self.sink.error(span, format!("`{name}` without {}", words(&missing))).help(
+                "a server that is a real machine has all three, such as \
+                 `agent: edge1, interface: eth1, address: 192.168.1.7`",
+            );
+            return None;
+        };
+        let interface = self.interface(interface);
+        let netns = self.netns(netns.as_ref());
+        let (agent, address) = (agent.value.clone(), address.value);
+        Some(Some(RealServer { agent, interface: interface?, netns, address }))
+    }
+
+    /// Returns the name or path of a network namespace.
+    fn netns(&mut self, netns: Option<&Spanned<String>>) -> Option<String> {
+        let netns = netns?;
+        let name = netns.value.as_str();
+        let is_name = !name.is_empty() && !name.contains('/') && !matches!(name, "." | "..");
+        if !is_name && !name.starts_with('/') {
+            self.sink
+                .error(&netns.span, format!("no network namespace can have the name `{name}`"))
+                .help("write one as `ip netns` names it, or a path from the root such as `/proc/1/ns/net`");
+        }
+        Some(name.to_owned())
     }
 
     /// Returns the name of an interface, as the kernel has it (dev_valid_name).
@@ -275,7 +307,12 @@ fn capacity(cpus: Amount, memory: Bytes) -> Capacity {
     Capacity { cpus: cpus.0, memory_bytes: memory.0 }
 }
 
-/// Whether programs of cotorra's run on it.
+/// Whether it has a network namespace on this machine.
+fn has_namespace(record: &NodeRecord) -> bool {
+    is_host(record) && !matches!(record, NodeRecord::Server(server) if server.interface.is_some())
+}
+
+/// Whether programs of a testbed run on it.
 fn is_host(record: &NodeRecord) -> bool {
     !matches!(record, NodeRecord::Switch(_) | NodeRecord::Gateway(_) | NodeRecord::Machine(_))
 }

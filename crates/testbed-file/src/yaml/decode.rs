@@ -6,7 +6,9 @@ use serde_json::{Value as Json, json};
 
 pub(crate) use super::tree::{Entry, Node, Value};
 use super::{Sink, Span, tree::shorten};
-use cotorra_graph::{DomainId, IpNetwork, LinkId, NodeId, PluginId, Position, SensorId, ServiceId, VnfId};
+use cotorra_graph::{
+    AgentId, DomainId, IpNetwork, LinkId, NodeId, PluginId, Position, SensorId, ServiceId, VnfId,
+};
 
 /// A type that stands in a file.
 pub(crate) trait Decode: Sized {
@@ -459,14 +461,13 @@ macro_rules! ids {
     ($($id:ty),*) => {$(
         impl Name for $id {
             fn schema() -> Json {
-                let rest = Self::LONGEST - 1;
-                json!({ "type": "string", "pattern": format!("^[A-Za-z0-9][A-Za-z0-9_.~-]{{0,{rest}}}$") })
+                // A `-` stands for itself only at the end.
+                let (others, rest) = (Self::OTHERS.replace('-', ""), Self::LONGEST - 1);
+                let pattern = format!("^[A-Za-z0-9][A-Za-z0-9{others}-]{{0,{rest}}}$");
+                json!({ "type": "string", "pattern": pattern })
             }
             fn rule() -> String {
-                format!(
-                    "use 1 to {} letters, digits, `_`, `-`, `.` or `~`, beginning with a letter or digit",
-                    Self::LONGEST
-                )
+                Self::rule()
             }
             fn read(text: &str) -> Option<Self> {
                 Self::new(text).ok()
@@ -488,7 +489,7 @@ macro_rules! ids {
     )*};
 }
 
-ids!(DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId);
+ids!(AgentId, DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId);
 
 impl Name for String {
     fn schema() -> Json {

@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use cotorra_flows::headers::{ETHERNET, IPV6, IpVersion, PROTOCOL_TCP, PROTOCOL_UDP, find_ip, u16_at};
-use cotorra_graph::HardwareGraph;
+use cotorra_graph::{HardwareGraph, NodeId};
 
 /// Longest text of a filter, bytes.
 const LONGEST: usize = 1000;
@@ -238,10 +238,11 @@ impl<'a> Parser<'a> {
         if let Ok(address) = name.parse() {
             return Ok(Filter::Host(end, vec![address]));
         }
-        let place = self.graph.hosts().position(|node| node.id == *name);
-        let address = place.map(cotorra_graph::HostAddress::of);
-        let address = address.ok_or_else(|| FilterError(format!("there is no host `{name}`")))?;
-        Ok(Filter::Host(end, vec![address.ipv4.into(), address.ipv6.into()]))
+        let id = NodeId::new(name).ok();
+        let ipv4 = id.as_ref().and_then(|id| self.graph.ipv4(id));
+        let ipv4 = ipv4.ok_or_else(|| FilterError(format!("there is no host `{name}`")))?;
+        let ipv6 = id.and_then(|id| self.graph.address(&id)).map(|address| address.ipv6.into());
+        Ok(Filter::Host(end, [ipv4.into()].into_iter().chain(ipv6).collect()))
     }
 
     fn port(&mut self, end: Option<End>, transport: Option<u8>) -> Result<Filter, FilterError> {

@@ -59,6 +59,14 @@ const ROBOT_PORT: u16 = 40_000;
 /// Source port of robots' cameras.
 const IMAGE_PORT: u16 = 40_001;
 
+/// Returns the testbed as it is in virtual time: all servers are emulated.
+fn emulated(mut testbed: Arc<Testbed>) -> Arc<Testbed> {
+    if testbed.graph.real_servers().next().is_some() {
+        Arc::make_mut(&mut testbed).graph.emulate_servers();
+    }
+    testbed
+}
+
 /// A testbed in virtual time.
 pub struct Simulation {
     core: Core<VirtualNetwork, VirtualEngine>,
@@ -131,6 +139,7 @@ impl Simulation {
         if let Some((gateway, _)) = testbed.graph.gateways().next() {
             return Err(RunError::VirtualGateway(gateway.id.clone()));
         }
+        let testbed = emulated(testbed);
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;
         if let Some(probing) = testbed.probes {

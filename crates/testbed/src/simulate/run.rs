@@ -13,7 +13,7 @@ use cotorra_network_control::InstructionError;
 use cotorra_recording::{Pace, Recording, Tap};
 use cotorra_robot_middleware::{SensedData, SensedScan};
 
-use super::{Altered, Output, Simulation, Stretch};
+use super::{Altered, Output, Simulation, Stretch, emulated};
 use crate::{
     api::{self, Listener, Lockstep},
     capture::CaptureFile,
@@ -85,6 +85,7 @@ pub(super) fn simulate_with(
         return Err(RunError::Endless);
     }
     plugins::check_programs(&testbed)?;
+    let testbed = emulated(testbed);
     let simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?;
     let simulation = simulation.altered(altered).with_patience(patience);
     let wiretap = simulation.network.wiretap();

@@ -14,6 +14,7 @@ fn server(id: &str, cpus: f64) -> Node {
             capacity: Capacity { cpus, memory_bytes: 8 << 30 },
             cost: 1.0,
             reliability: 1.0,
+            real: None,
         }),
     }
 }

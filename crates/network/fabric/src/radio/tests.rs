@@ -616,7 +616,7 @@ fn runs_depend_only_on_the_seed() {
 
 #[test]
 fn frames_follow_the_robot_through_the_fabric() {
-    let server = Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0 };
+    let server = Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0, real: None };
     let wire = |unit: &str, delay: Duration| {
         let conditions = Conditions { delay, ..Conditions::default() };
         Link {

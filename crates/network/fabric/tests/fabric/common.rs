@@ -49,7 +49,7 @@ impl Network {
     }
 
     pub fn server(self, name: &str) -> Self {
-        let server = Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0 };
+        let server = Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0, real: None };
         self.node(name, 0.0, NodeKind::Server(server))
     }
 

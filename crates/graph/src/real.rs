@@ -1,0 +1,177 @@
+//! Real machines and networks in G: real servers, gateways, and links over interfaces of this machine.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    net::Ipv4Addr,
+};
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    exposure::IpNetwork,
+    hardware::{Direction, HardwareGraph, Link, Node, NodeKind},
+    id::{AgentId, NodeId},
+};
+
+/// The real machine that a server is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct RealServer {
+    /// The agent that starts VNFs there.
+    pub agent: AgentId,
+    /// Through this interface of this machine, as `ip link` names it. Several real servers can share it.
+    pub interface: String,
+    /// Network namespace of the interface: a name of `ip netns`, or an absolute path; `None` for this machine's.
+    pub netns: Option<String>,
+    /// Its address there.
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    pub address: Ipv4Addr,
+}
+
+/// A port of the emulated network on an interface of this machine: a gateway's, or a real server's.
+#[derive(Debug, Clone)]
+pub struct RealPort<'a> {
+    /// The node.
+    pub node: &'a Node,
+    /// The interface, as `ip link` names it.
+    pub interface: &'a str,
+    /// Network namespace of the interface; `None` for this machine's.
+    pub netns: Option<&'a str>,
+    /// Addresses of the real machines there. No other machine passes.
+    pub machines: Vec<Ipv4Addr>,
+}
+
+/// A gateway: joins an interface to the emulated network. Packets pass between the hosts and the real machines behind it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Gateway {
+    /// The interface, as `ip link` names it.
+    pub interface: String,
+    /// Network namespace of the interface: a name of `ip netns`, or an absolute path; `None` for this machine's.
+    pub netns: Option<String>,
+    /// Addresses of the real machines behind it, by name. No other machine passes.
+    #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, String>))]
+    pub machines: BTreeMap<NodeId, Ipv4Addr>,
+}
+
+impl Gateway {
+    /// Real machines behind a gateway, at most.
+    pub const MAX_MACHINES: usize = 64;
+}
+
+/// A real machine: this one, or one that is reached through an interface of this one. Only the link between the two is
+/// emulated: on that interface, for the packets that whatever programs send there.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Machine {
+    /// Interface and address by which it is reached; `None` for this machine.
+    pub reached: Option<Reached>,
+}
+
+/// Interface and address of another real machine.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Reached {
+    /// Through this interface of this machine, as `ip link` names it.
+    pub interface: String,
+    /// Addresses of the machine; `None` for everything behind the interface that no other machine has.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    pub address: Option<IpNetwork>,
+    /// Whether a reflector of STAMP (RFC 8762) is at its address, by which a run measures the delay of the medium before
+    /// it begins, and then what the link does.
+    #[serde(default)]
+    pub reflector: bool,
+}
+
+/// A link over an interface of this machine.
+#[derive(Debug, Clone, Copy)]
+pub struct RealLink<'a> {
+    /// The link.
+    pub link: &'a Link,
+    /// Interface and address of the other machine.
+    pub reached: &'a Reached,
+    /// The direction in which packets leave this machine; in the other one they arrive.
+    pub leaving: Direction,
+}
+
+impl HardwareGraph {
+    /// The gateways, in order.
+    pub fn gateways(&self) -> impl Iterator<Item = (&Node, &Gateway)> {
+        self.nodes.iter().filter_map(|n| if let NodeKind::Gateway(g) = &n.kind { Some((n, g)) } else { None })
+    }
+
+    /// The ports of the emulated network on interfaces of this machine: those of real servers and of gateways, in order.
+    pub fn real_ports(&self) -> impl Iterator<Item = RealPort<'_>> {
+        self.nodes.iter().filter_map(Node::real_port)
+    }
+
+    /// The real servers, in order.
+    pub fn real_servers(&self) -> impl Iterator<Item = (&Node, &RealServer)> {
+        self.servers().filter_map(|(node, server)| Some((node, server.real.as_ref()?)))
+    }
+
+    /// Makes all real servers emulated ones, as in virtual time.
+    pub fn emulate_servers(&mut self) {
+        for node in &mut self.nodes {
+            if let NodeKind::Server(server) = &mut node.kind {
+                server.real = None;
+            }
+        }
+    }
+
+    /// The links over interfaces of this machine, in order.
+    pub fn real_links(&self) -> impl Iterator<Item = RealLink<'_>> {
+        let machines: HashMap<_, _> =
+            self.nodes.iter().filter_map(|node| Some((&node.id, node.reached()?))).collect();
+        self.links.iter().filter_map(move |link| {
+            match link.ends.each_ref().map(|end| machines.get(end).copied()) {
+                [_, Some(reached)] => Some(RealLink { link, reached, leaving: Direction::Forward }),
+                [Some(reached), None] => Some(RealLink { link, reached, leaving: Direction::Backward }),
+                [None, None] => None,
+            }
+        })
+    }
+
+    /// The graph without real machines and the links between them: what is emulated as a whole.
+    pub fn without_machines(&self) -> Self {
+        let real: Vec<_> = self.real_links().map(|real| real.link.id.clone()).collect();
+        let mut graph = self.clone();
+        graph.nodes.retain(|node| !matches!(node.kind, NodeKind::Machine(_)));
+        graph.links.retain(|link| !real.contains(&link.id));
+        graph
+    }
+}
+
+impl Node {
+    /// Returns the real machine that a server is, if it is one.
+    pub fn real_server(&self) -> Option<&RealServer> {
+        if let NodeKind::Server(server) = &self.kind { server.real.as_ref() } else { None }
+    }
+
+    /// Returns the port of the emulated network on an interface of this machine, if the node has one.
+    fn real_port(&self) -> Option<RealPort<'_>> {
+        match (&self.kind, self.real_server()) {
+            (_, Some(real)) => Some(RealPort {
+                node: self,
+                interface: &real.interface,
+                netns: real.netns.as_deref(),
+                machines: vec![real.address],
+            }),
+            (NodeKind::Gateway(gateway), _) => Some(RealPort {
+                node: self,
+                interface: &gateway.interface,
+                netns: gateway.netns.as_deref(),
+                machines: gateway.machines.values().copied().collect(),
+            }),
+            _ => None,
+        }
+    }
+
+    /// Returns how a real machine other than this one is reached.
+    pub fn reached(&self) -> Option<&Reached> {
+        match &self.kind {
+            NodeKind::Machine(machine) => machine.reached.as_ref(),
+            _ => None,
+        }
+    }
+}
