@@ -9,7 +9,7 @@ use std::{
 };
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{HardwareGraph, NodeId};
+use cotorra_graph::{HardwareGraph, Node, NodeId};
 
 use crate::{
     awake::Awake,
@@ -36,7 +36,7 @@ pub struct Options {
     pub let_cores_sleep: bool,
     /// Receiver of the fabric's events.
     pub events: Option<EventSink>,
-    /// Interfaces that gateways may use even if they carry the default route.
+    /// Interfaces that gateways and real servers may use even if they carry the default route.
     pub allowed_interfaces: Vec<String>,
     /// A network in which the kernel carries the packets between its own hosts. The fabric then only keeps the
     /// counters and conditions.
@@ -46,9 +46,11 @@ pub struct Options {
 /// A fabric that carries real packets between hosts in network namespaces. Dropping it stops everything except
 /// programs started by [`Self::spawn`], which the caller must drop first.
 pub struct Datapath {
+    /// Namespaces of emulated hosts.
     hosts: Vec<Namespace>,
     gateways: Vec<Opened>,
     kernel: Option<Arc<KernelNetwork>>,
+    /// Indices of their namespaces.
     places: HashMap<NodeId, usize>,
     hosts_file: Option<HostsFile>,
     kind: PortKind,
@@ -66,16 +68,20 @@ impl Datapath {
     /// [`Error::Kernel`] with the rejected action, [`Error::Gateway`].
     pub fn start(graph: &HardwareGraph, fabric: Fabric, options: Options) -> Result<Self, Error> {
         sys::raise_open_files();
-        let places: HashMap<_, _> = graph.hosts().enumerate().map(|(i, node)| (node.id.clone(), i)).collect();
         let kind = hosts::resolve(options.port);
         let kernel = options.kernel.map(Arc::new);
-        let (gateways, ports_of_gateways) = gateway::open(graph, &options.allowed_interfaces)?;
-        let count = if kernel.is_some() { 0 } else { places.len() };
-        let (hosts, mut ports): (Vec<_>, Vec<_>) = hosts::bring_up(count, kind, &gateway::machines(graph))?
+        let (gateways, mut real_ports) = gateway::open(graph, &options.allowed_interfaces)?;
+        let emulated = graph.hosts().enumerate().filter(|(_, node)| node.real_server().is_none());
+        let (emulated, names): (Vec<_>, Vec<_>) =
+            emulated.filter(|_| kernel.is_none()).map(|(place, node)| (place, &node.id)).unzip();
+        let places = names.into_iter().cloned().zip(0..).collect();
+        let (hosts, ports): (Vec<_>, Vec<_>) = hosts::bring_up(&emulated, kind, &gateway::machines(graph))?
             .into_iter()
             .map(|Host { namespace, port }| (namespace, Port::new(port)))
             .unzip();
-        ports.extend(ports_of_gateways);
+        let mut ports = ports.into_iter();
+        let port = |node: &Node| real_ports.remove(&node.id).or_else(|| ports.next());
+        let ports = graph.ports().filter_map(port).collect();
         let hosts_file = HostsFile::of(graph)
             .inspect_err(|e| tracing::warn!("programs in nodes cannot use the names of other nodes: {e}"))
             .ok();
@@ -140,7 +146,7 @@ impl Datapath {
         self.handle.0.dropped()
     }
 
-    /// Returns the traffic of each gateway since the run began.
+    /// Returns the traffic of each gateway and real server since the run began.
     pub fn gateways(&self) -> Vec<GatewayTraffic> {
         self.gateways.iter().map(Opened::traffic).collect()
     }

@@ -156,9 +156,11 @@ impl Ports {
     /// Sends a frame out of a gateway, if its rules let it.
     fn send_out(&mut self, index: usize, gate: &Mutex<Gate>, frame: Frame) {
         let begin = self.clock.now();
-        if !gate.lock().lets_out(begin, frame.bytes()) {
-            return self.spent.push(frame);
-        }
+        let way_out = gate.lock().way_out(begin, frame.bytes());
+        let Some(to) = way_out else { return self.spent.push(frame) };
+        let (offload, mut bytes) = (frame.offload(), frame.into_bytes());
+        bytes[..to.len()].copy_from_slice(&to);
+        let frame = Frame::with_offload(bytes, offload);
         let sent = self.ports[index].send(frame, &mut self.spent);
         match sent {
             Sent::Dropped => gate.lock().lost(1),

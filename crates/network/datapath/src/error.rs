@@ -21,11 +21,11 @@ pub enum Error {
          set kernel.apparmor_restrict_unprivileged_userns=0, or run as root"
     )]
     RightsWithheld,
-    /// A gateway's interface cannot be used.
-    #[error("gateway `{gateway}`: {source}")]
+    /// The interface of a gateway or a real server cannot be used.
+    #[error("interface of `{gateway}`: {source}")]
     Gateway { gateway: NodeId, source: GatewayError },
-    /// The graph has no host of that name. Switches have no namespace.
-    #[error("`{0}` is not a host of this testbed: hosts are robots, radio units and servers")]
+    /// The graph has no host of that name with a namespace. Switches and real servers have none.
+    #[error("`{0}` is not a host of this machine: those are robots, radio units and emulated servers")]
     NoSuchHost(NodeId),
     /// A program could not be started.
     #[error("cannot start `{program}`: {source}")]

@@ -1,5 +1,6 @@
 //! Gateways: ports of the fabric on interfaces that cotorra did not make, by which real machines reach hosts and are
-//! reached.
+//! reached. A real server is a gateway with one machine. Several can share an interface: each has a socket of its own, which
+//! receives frames from its machine only.
 //!
 //! A gateway passes Ethernet frames on as they are, so that a real machine is on the same link as all hosts: they find each
 //! other by ARP, and multicast discovery works. The machine keeps its address. Hosts have a route to it, and it needs one
@@ -14,6 +15,7 @@ mod filter;
 pub(crate) mod gate;
 
 use std::{
+    collections::HashMap,
     ffi::CString,
     fs::File,
     io,
@@ -27,7 +29,7 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{Gateway, HardwareGraph, HostAddress, NodeId};
+use cotorra_graph::{HardwareGraph, HostAddress, NodeId, RealPort};
 use cotorra_netem::Kernel;
 use parking_lot::Mutex;
 
@@ -46,57 +48,89 @@ pub(crate) struct Opened {
     id: NodeId,
     gate: Arc<Mutex<Gate>>,
     socket: OwnedFd,
-    _claim: UnixDatagram,
+    _claim: Arc<Claim>,
 }
 
-/// The traffic of a gateway so far.
+/// A socket whose name shows other runs that an interface is taken. It ends with the process.
+type Claim = UnixDatagram;
+
+/// The traffic of a gateway or a real server so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GatewayTraffic {
     pub gateway: NodeId,
     pub passed: Passed,
 }
 
-/// Checks whether a graph's gateways could be opened now, without changing anything. `allowed` are interfaces that may carry
-/// the default route.
+/// Checks whether the interfaces of a graph's gateways and real servers could be opened now, without changing anything.
+/// `allowed` are interfaces that may carry the default route.
 ///
 /// # Errors
 /// [`Error::Gateway`].
 pub fn check_gateways(graph: &HardwareGraph, allowed: &[String]) -> Result<(), Error> {
-    for (node, gateway) in graph.gateways() {
-        in_namespace(gateway, || Unbound::new(&gateway.interface, allowed).map(drop))
-            .map_err(|source| Error::Gateway { gateway: node.id.clone(), source })?;
+    for port in graph.real_ports() {
+        in_namespace(port.netns, || {
+            let interface = inspect(port.interface, allowed)?;
+            unbound_socket(port.interface)?;
+            claim(port.interface, interface.index).map(drop)
+        })
+        .map_err(|source| Error::Gateway { gateway: port.node.id.clone(), source })?;
     }
     Ok(())
 }
 
-/// Returns the addresses of all machines behind gateways.
+/// Returns the addresses of all real machines: those behind gateways, and real servers.
 pub(crate) fn machines(graph: &HardwareGraph) -> Vec<Ipv4Addr> {
-    graph.gateways().flat_map(|(_, gateway)| gateway.machines.values().copied()).collect()
+    graph.real_ports().flat_map(|port| port.machines).collect()
 }
 
-/// Opens the gateways of a graph and their ports, in order.
+/// Opens the gateways and real servers of a graph, and returns their ports by name, too.
 ///
 /// # Errors
 /// [`Error::Gateway`].
-pub(crate) fn open(graph: &HardwareGraph, allowed: &[String]) -> Result<(Vec<Opened>, Vec<Port>), Error> {
+pub(crate) fn open(
+    graph: &HardwareGraph,
+    allowed: &[String],
+) -> Result<(Vec<Opened>, HashMap<NodeId, Port>), Error> {
     let hosts = graph.hosts().count();
-    let open = |id: &NodeId, gateway: &Gateway| {
-        let machines: Vec<_> = gateway.machines.values().copied().collect();
-        let name = &gateway.interface;
-        let refused = |source| GatewayError::Socket { interface: name.clone(), source };
-        let Unbound { socket, claim, .. } = in_namespace(gateway, || {
-            let socket = Unbound::new(name, allowed)?;
-            socket.bind(&machines, hosts).map_err(refused)?;
-            Ok(socket)
-        })?;
-        let gate = Arc::new(Mutex::new(Gate::new(hosts, machines)));
-        let port = Port::of_gateway(socket.try_clone().map_err(refused)?, Arc::clone(&gate));
-        Ok((Opened { id: id.clone(), gate, socket, _claim: claim }, port))
-    };
-    let opened = graph.gateways().map(|(node, gateway)| {
-        open(&node.id, gateway).map_err(|source| Error::Gateway { gateway: node.id.clone(), source })
+    let mut claims = HashMap::new();
+    let opened = graph.real_ports().map(|port| {
+        let id = port.node.id.clone();
+        match open_port(&port, hosts, allowed, &mut claims) {
+            Ok((opened, port)) => Ok((opened, (id, port))),
+            Err(source) => Err(Error::Gateway { gateway: id, source }),
+        }
     });
     opened.collect::<Result<Vec<_>, _>>().map(|opened| opened.into_iter().unzip())
+}
+
+/// Opens one, with the claims of the interfaces so far.
+fn open_port<'a>(
+    &RealPort { node, interface: name, netns, ref machines }: &RealPort<'a>,
+    hosts: usize,
+    allowed: &[String],
+    claims: &mut HashMap<(Option<&'a str>, &'a str), Arc<Claim>>,
+) -> Result<(Opened, Port), GatewayError> {
+    let refused = |source| GatewayError::Socket { interface: name.to_owned(), source };
+    let claimed = claims.get(&(netns, name));
+    let (socket, claim) = in_namespace(netns, || {
+        let interface = inspect(name, allowed)?;
+        let socket = unbound_socket(name)?;
+        let claim =
+            claimed.map_or_else(|| claim(name, interface.index).map(Arc::new), |it| Ok(Arc::clone(it)))?;
+        let addresses = (0..hosts).map(|place| HostAddress::of(place).mac);
+        // From now on it receives frames from these machines to hosts.
+        sys::bind_filtered(&socket, interface.index, &filter::filter(machines), addresses)
+            .map_err(refused)?;
+        Ok((socket, claim))
+    })?;
+    claims.insert((netns, name), Arc::clone(&claim));
+    let gate = match node.real_server() {
+        Some(real) => Gate::of_server(hosts, real.address),
+        None => Gate::new(hosts, machines.iter().copied()),
+    };
+    let gate = Arc::new(Mutex::new(gate));
+    let port = Port::of_gateway(socket.try_clone().map_err(refused)?, Arc::clone(&gate));
+    Ok((Opened { id: node.id.clone(), gate, socket, _claim: claim }, port))
 }
 
 impl Opened {
@@ -108,12 +142,12 @@ impl Opened {
     }
 }
 
-/// Runs a closure in the namespace of a gateway's interface.
+/// Runs a closure in the network namespace of that name or path, if there is one.
 fn in_namespace<T: Send>(
-    gateway: &Gateway,
+    netns: Option<&str>,
     inside: impl FnOnce() -> Result<T, GatewayError> + Send,
 ) -> Result<T, GatewayError> {
-    let Some(netns) = &gateway.netns else { return inside() };
+    let Some(netns) = netns else { return inside() };
     // An absolute path replaces the folder.
     let path = Path::new("/run/netns").join(netns);
     on_a_thread(|| {
@@ -153,33 +187,18 @@ fn inspect(name: &str, allowed: &[String]) -> Result<sys::Interface, GatewayErro
     Ok(interface)
 }
 
-/// A gateway's socket that is not bound to its interface yet.
-struct Unbound {
-    interface: sys::Interface,
-    /// A socket whose name shows other runs that the interface is taken. It ends with the process.
-    claim: UnixDatagram,
-    socket: OwnedFd,
+/// Opens a packet socket in the calling thread's namespace.
+fn unbound_socket(name: &str) -> Result<OwnedFd, GatewayError> {
+    sys::unbound_packet_socket(SOCKET_BUFFER)
+        .map_err(|source| GatewayError::Socket { interface: name.to_owned(), source })
 }
 
-impl Unbound {
-    /// Opens the socket in the calling thread's namespace.
-    fn new(name: &str, allowed: &[String]) -> Result<Self, GatewayError> {
-        let interface = inspect(name, allowed)?;
-        let refused = |source| GatewayError::Socket { interface: name.to_owned(), source };
-        let socket = sys::unbound_packet_socket(SOCKET_BUFFER).map_err(refused)?;
-        // Abstract names belong to a network namespace, as interfaces do.
-        let claim = SocketAddr::from_abstract_name(format!("cotorra-gateway-{}", interface.index));
-        let claim = claim.and_then(|address| UnixDatagram::bind_addr(&address));
-        let claim = claim.map_err(|error| match error.kind() {
-            io::ErrorKind::AddrInUse => GatewayError::Held(name.to_owned()),
-            _ => refused(error),
-        })?;
-        Ok(Self { interface, claim, socket })
-    }
-
-    /// Binds the socket, so that it receives frames from these machines to hosts.
-    fn bind(&self, machines: &[Ipv4Addr], hosts: usize) -> io::Result<()> {
-        let addresses = (0..hosts).map(|place| HostAddress::of(place).mac);
-        sys::bind_filtered(&self.socket, self.interface.index, &filter::filter(machines), addresses)
-    }
+/// Claims an interface for this run.
+fn claim(name: &str, index: u32) -> Result<Claim, GatewayError> {
+    // Abstract names belong to a network namespace, as interfaces do.
+    let claim = SocketAddr::from_abstract_name(format!("cotorra-gateway-{index}"));
+    claim.and_then(|address| UnixDatagram::bind_addr(&address)).map_err(|error| match error.kind() {
+        io::ErrorKind::AddrInUse => GatewayError::Held(name.to_owned()),
+        _ => GatewayError::Socket { interface: name.to_owned(), source: error },
+    })
 }

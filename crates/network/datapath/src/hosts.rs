@@ -56,8 +56,8 @@ pub(crate) fn resolve(kind: PortKind) -> PortKind {
     }
 }
 
-/// Brings up `count` hosts, with the addresses that follow from their places. They reach `others` without a router.
-pub(crate) fn bring_up(count: usize, kind: PortKind, others: &[Ipv4Addr]) -> Result<Vec<Host>, Error> {
+/// Brings up the hosts at these places, with the addresses that follow from them. They reach `others` without a router.
+pub(crate) fn bring_up(places: &[usize], kind: PortKind, others: &[Ipv4Addr]) -> Result<Vec<Host>, Error> {
     // Namespace of the virtual Ethernet pairs' other ends, invisible to others.
     let wiring = match kind {
         PortKind::PacketSocket => Some(Namespace::new()?),
@@ -68,16 +68,16 @@ pub(crate) fn bring_up(count: usize, kind: PortKind, others: &[Ipv4Addr]) -> Res
         None => tap_host(place, others),
     };
     let workers = thread::available_parallelism().map_or(1, |cores| cores.get().min(8));
-    let share = count.div_ceil(workers).max(1);
+    let share = places.len().div_ceil(workers).max(1);
     thread::scope(|scope| {
-        let shares: Vec<_> = (0..count)
-            .step_by(share)
-            .map(|from| {
+        let shares: Vec<_> = places
+            .chunks(share)
+            .map(|places| {
                 let host = &host;
-                scope.spawn(move || (from..count.min(from + share)).map(host).collect::<Result<Vec<_>, _>>())
+                scope.spawn(move || places.iter().map(|place| host(*place)).collect::<Result<Vec<_>, _>>())
             })
             .collect();
-        let mut hosts = Vec::with_capacity(count);
+        let mut hosts = Vec::with_capacity(places.len());
         for share in shares {
             hosts.extend(share.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
         }

@@ -30,9 +30,11 @@ pub enum KernelNetworkError {
     /// A node is reached by radio, which NetEm does not emulate.
     #[error("`{0}` is reached by radio, which NetEm does not emulate: let the fabric emulate")]
     Radio(NodeId),
-    /// A gateway joins real machines, which only the fabric does.
-    #[error("`{0}` is a gateway, which the kernel's bridges do not have: let the fabric emulate")]
-    Gateway(NodeId),
+    /// A gateway or a real server joins real machines, which only the fabric does.
+    #[error(
+        "`{0}` is a gateway or a real server, which the kernel's bridges do not join: let the fabric emulate"
+    )]
+    RealPort(NodeId),
     /// The links form a circle, in which bridges would forward packets for ever.
     #[error("the link `{0}` closes a circle: the kernel's bridges need a tree; let the fabric emulate")]
     Circle(LinkId),
@@ -102,8 +104,8 @@ impl KernelNetwork {
         if let Some((robot, _)) = graph.robots().next() {
             return Err(KernelNetworkError::Radio(robot.id.clone()));
         }
-        if let Some((gateway, _)) = graph.gateways().next() {
-            return Err(KernelNetworkError::Gateway(gateway.id.clone()));
+        if let Some(port) = graph.real_ports().next() {
+            return Err(KernelNetworkError::RealPort(port.node.id.clone()));
         }
         let nodes: HashMap<_, _> = graph.nodes.iter().enumerate().map(|(i, node)| (&node.id, i)).collect();
         check_tree(graph, &nodes)?;

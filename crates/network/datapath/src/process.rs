@@ -184,7 +184,11 @@ fn names(graph: &HardwareGraph) -> String {
     let mut text = String::from("127.0.0.1 localhost\n::1 localhost ip6-localhost ip6-loopback\n");
     for (i, node) in graph.hosts().enumerate() {
         let HostAddress { ipv4, ipv6, .. } = HostAddress::of(i);
-        writeln!(text, "{ipv4} {id}\n{ipv6} {id}", id = node.id).expect("a string takes all");
+        match node.real_server() {
+            Some(real) => writeln!(text, "{} {}", real.address, node.id),
+            None => writeln!(text, "{ipv4} {id}\n{ipv6} {id}", id = node.id),
+        }
+        .expect("a string takes all");
     }
     for (name, address) in graph.gateways().flat_map(|(_, gateway)| &gateway.machines) {
         writeln!(text, "{address} {name}").expect("a string takes all");

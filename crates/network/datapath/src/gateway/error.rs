@@ -1,8 +1,8 @@
-//! Reasons for which an interface cannot be that of a gateway.
+//! Reasons for which an interface cannot be that of a gateway or a real server.
 
 use std::{io, path::PathBuf};
 
-/// An interface that cannot be that of a gateway. Nothing has changed.
+/// An interface that cannot be that of a gateway or a real server. Nothing has changed.
 #[derive(Debug, thiserror::Error)]
 pub enum GatewayError {
     /// The namespace cannot be entered.
@@ -30,13 +30,13 @@ pub enum GatewayError {
          use it anyway"
     )]
     DefaultRoute(String),
-    /// A gateway of another run has it.
-    #[error("`{0}` is the gateway of another run")]
+    /// Another run has it.
+    #[error("`{0}` is in use by another run")]
     Held(String),
     /// The kernel does not tell its routes.
     #[error(transparent)]
     Routes(#[from] cotorra_netem::Error),
     /// The kernel rejected the socket.
-    #[error("cannot open a packet socket on `{interface}`: {source} (gateways need root)")]
+    #[error("cannot open a packet socket on `{interface}`: {source} (gateways and real servers need root)")]
     Socket { interface: String, source: io::Error },
 }

@@ -50,11 +50,22 @@ pub(crate) struct Gate {
     machines: BTreeSet<Ipv4Addr>,
     /// MAC addresses of machines.
     learnt: HashSet<[u8; 6]>,
+    groups: Groups,
     inward: Allowance,
     outward: Allowance,
     passed: Passed,
     received: Histogram,
     sent: Histogram,
+}
+
+/// Destination of frames of hosts to groups.
+#[derive(Debug)]
+enum Groups {
+    /// The group: all machines on the interface's network receive them.
+    Group,
+    /// The only machine, at the MAC address that it used last. No other machine receives them, not even another real server
+    /// behind the interface, which has copies of its own.
+    Machine(Option<[u8; 6]>),
 }
 
 /// The frames to groups that may still pass now.
@@ -123,12 +134,18 @@ impl Gate {
             hosts,
             machines: machines.into_iter().collect(),
             learnt: HashSet::new(),
+            groups: Groups::Group,
             inward: Allowance::FULL,
             outward: Allowance::FULL,
             passed: Passed::default(),
             received: Histogram::default(),
             sent: Histogram::default(),
         }
+    }
+
+    /// Makes the gate of a real server.
+    pub(super) fn of_server(hosts: usize, address: Ipv4Addr) -> Self {
+        Self { groups: Groups::Machine(None), ..Self::new(hosts, [address]) }
     }
 
     /// Decides whether a frame from outside goes on to the emulated network. `age` is the time since the kernel received
@@ -164,25 +181,34 @@ impl Gate {
         } else {
             HostAddress::place_of(*destination).is_some_and(|place| place < self.hosts)
         };
-        is_wanted
+        let is_learnt = is_wanted
             && (self.learnt.contains(source)
-                || self.learnt.len() < MOST_ADDRESSES && self.learnt.insert(*source))
+                || self.learnt.len() < MOST_ADDRESSES && self.learnt.insert(*source));
+        if let (true, Groups::Machine(last)) = (is_learnt, &mut self.groups) {
+            *last = Some(*source);
+        }
+        is_learnt
     }
 
-    /// Decides whether a frame of the emulated network goes out: one to a machine or to a group, from a host's own
-    /// addresses.
-    pub(crate) fn lets_out(&mut self, now: Timestamp, frame: &[u8]) -> bool {
-        let Some(addresses) = Addresses::of(frame) else { return false };
-        let Addresses { destination, source, sender, target } = &addresses;
-        let host = HostAddress::place_of(*source).filter(|place| *place < self.hosts);
-        if host.is_none_or(|place| HostAddress::of(place).ipv4 != *sender) {
-            return false;
+    /// Returns the MAC address to which a frame of the emulated network goes out. Only frames to a machine or to a group, from
+    /// a host's own addresses, do.
+    pub(crate) fn way_out(&mut self, now: Timestamp, frame: &[u8]) -> Option<[u8; 6]> {
+        let addresses = Addresses::of(frame)?;
+        let Addresses { destination, source, sender, target } = addresses;
+        let host = HostAddress::place_of(source).filter(|place| *place < self.hosts)?;
+        if HostAddress::of(host).ipv4 != sender {
+            return None;
         }
-        if addresses.is_to_group() {
-            target.is_none_or(|target| self.machines.contains(&target)) && self.outward.take(now)
-        } else {
-            self.learnt.contains(destination)
+        if !addresses.is_to_group() {
+            return self.learnt.contains(&destination).then_some(destination);
         }
+        let to = match (target, &self.groups) {
+            // Who has the address? Only an answer tells its MAC address.
+            (Some(target), _) => self.machines.contains(&target).then_some(destination)?,
+            (None, Groups::Group) => destination,
+            (None, Groups::Machine(last)) => (*last)?,
+        };
+        self.outward.take(now).then_some(to)
     }
 
     /// Counts a frame that went out, which took the kernel so long.
@@ -334,18 +360,43 @@ mod tests {
     #[test]
     fn only_frames_from_hosts_own_addresses_to_machines_and_groups_go_out() {
         let mut gate = gate();
-        let mut goes_out = |frame: Vec<u8>| gate.lets_out(NOW, &frame);
+        let mut goes_out = |frame: Vec<u8>| gate.way_out(NOW, &frame).is_some();
         assert!(!goes_out(ip(ITS_MAC, host(0).mac, [host(0).ipv4, MACHINE])), "nobody is known there");
         assert!(goes_out(arp(ALL, host(0).mac, [host(0).ipv4, MACHINE])));
         assert!(!goes_out(arp(ALL, host(0).mac, [host(0).ipv4, host(1).ipv4])), "hosts among themselves");
         let group = Ipv4Addr::new(239, 255, 0, 1);
         assert!(goes_out(ip([1, 0, 0x5e, 0x7f, 0, 1], host(0).mac, [host(0).ipv4, group])));
         assert!(comes_in(&mut gate, &arp(host(0).mac, ITS_MAC, [MACHINE, host(0).ipv4])));
-        let mut goes_out = |frame: Vec<u8>| gate.lets_out(NOW, &frame);
+        let mut goes_out = |frame: Vec<u8>| gate.way_out(NOW, &frame).is_some();
         assert!(goes_out(ip(ITS_MAC, host(0).mac, [host(0).ipv4, MACHINE])));
         assert!(!goes_out(ip(ITS_MAC, host(0).mac, [host(1).ipv4, MACHINE])), "another host's IP address");
         assert!(!goes_out(ip(ITS_MAC, host(2).mac, [host(2).ipv4, MACHINE])), "no host at all");
         assert!(!goes_out(ip(ITS_MAC, [2, 0, 0, 0, 0, 1], [host(0).ipv4, MACHINE])), "another MAC address");
         assert!(!goes_out(arp(ALL, host(0).mac, [MACHINE, MACHINE])), "in a machine's name");
+    }
+
+    #[test]
+    fn frames_to_groups_reach_only_the_machine_that_a_real_server_is() {
+        let mut gate = Gate::of_server(2, MACHINE);
+        let group = ([1, 0, 0x5e, 0x7f, 0, 1], Ipv4Addr::new(239, 255, 0, 1));
+        let to_group = ip(group.0, host(0).mac, [host(0).ipv4, group.1]);
+        let to_all = ip(ALL, host(1).mac, [host(1).ipv4, Ipv4Addr::BROADCAST]);
+        assert_eq!(gate.way_out(NOW, &to_group), None, "its MAC address is not known yet");
+        let question = arp(ALL, host(0).mac, [host(0).ipv4, MACHINE]);
+        assert_eq!(gate.way_out(NOW, &question), Some(ALL));
+        let other = arp(ALL, host(0).mac, [host(0).ipv4, Ipv4Addr::new(192, 168, 1, 8)]);
+        assert_eq!(gate.way_out(NOW, &other), None, "another real server's address");
+        assert!(comes_in(&mut gate, &arp(host(0).mac, ITS_MAC, [MACHINE, host(0).ipv4])));
+        for frame in [&to_group, &to_all] {
+            assert_eq!(gate.way_out(NOW, frame), Some(ITS_MAC));
+        }
+        // The machine got another card.
+        let new = [0x52, 0x54, 0, 9, 9, 9];
+        assert!(comes_in(&mut gate, &ip(host(1).mac, new, [MACHINE, host(1).ipv4])));
+        assert_eq!(gate.way_out(NOW, &to_group), Some(new));
+        let answers = gate.way_out(NOW, &ip(ITS_MAC, host(0).mac, [host(0).ipv4, MACHINE]));
+        assert_eq!(answers, Some(ITS_MAC), "known addresses stay known");
+        let passed = (0..5000).filter(|_| gate.way_out(NOW, &to_all).is_some()).count();
+        assert!(passed < 1000, "storms are limited: {passed}");
     }
 }
