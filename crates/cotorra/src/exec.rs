@@ -38,7 +38,7 @@ pub enum Error {
     #[diagnostic(transparent)]
     Run(#[from] running::Error),
     #[error(
-        "`{0}` is a switch, a gateway or a real machine: it has no network namespace to run a program in"
+        "`{0}` is a switch, a gateway or a real machine, which has no network namespace to run a program in"
     )]
     Switch(NodeId),
     #[error("the run says that `{node}` is {}, which its process {process} does not hold", namespace.display())]

@@ -133,8 +133,12 @@ pub fn overview(testbed: &Testbed) -> String {
         (of(|kind| matches!(kind, NodeKind::Machine(_))), "real machine"),
         (graph.links.len(), "link"),
     ];
-    let mut text =
-        nodes.iter().filter(|(n, _)| *n > 0).map(|(n, what)| count(*n, what)).collect::<Vec<_>>().join(", ");
+    let real = graph.real_servers().count();
+    let described = |(n, what): &(usize, &str)| match *what {
+        "server" if real > 0 => format!("{} ({real} real)", count(*n, what)),
+        _ => count(*n, what),
+    };
+    let mut text = nodes.iter().filter(|(n, _)| *n > 0).map(described).collect::<Vec<_>>().join(", ");
     let vnfs: usize = testbed.services.iter().map(|s| s.vnfs.len()).sum();
     if !testbed.services.is_empty() {
         let add = write!(text, "; {} of {}", count(testbed.services.len(), "service"), count(vnfs, "VNF"));

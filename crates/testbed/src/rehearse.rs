@@ -20,7 +20,7 @@ pub fn rehearse(testbed: &Testbed) -> Result<Rehearsal, RunError> {
 }
 
 /// Returns the changes that a run of the testbed would make to interfaces of this machine, by name. Checks the interfaces of
-/// gateways, too, which a run does not change.
+/// gateways and real servers, too, which a run does not change.
 ///
 /// # Errors
 /// [`RunError`], as the run would return it.

@@ -115,9 +115,11 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     };
     if args.dry_run {
         previous(&args, &mut loaded)?;
-        let interfaces = match args.simulate {
-            true => Vec::new(),
-            false => interface_plans(&loaded.testbed, &options.interfaces).map_err(Error::from)?,
+        let interfaces = if args.simulate {
+            loaded.testbed.graph.emulate_servers();
+            Vec::new()
+        } else {
+            interface_plans(&loaded.testbed, &options.interfaces).map_err(Error::from)?
         };
         output::print(&plan::describe(&loaded.testbed, &args, history.as_ref(), &interfaces))?;
         return Ok(ExitCode::SUCCESS);

@@ -1,6 +1,6 @@
 //! Output of `run --dry-run`: everything that a run would start.
 
-use cotorra_graph::{HostAddress, NodeKind, Program, Tier, Vnf};
+use cotorra_graph::{HostAddress, Node, NodeKind, Program, Tier, Vnf};
 use cotorra_measurements::Location;
 use cotorra_netem::Plan;
 
@@ -22,18 +22,17 @@ pub fn describe(
         format!("{}: {}\n\nHosts, each with a network namespace:\n", args.file.display(), overview(testbed));
     let mut hosts = Table::new("<<<<<");
     for node in testbed.graph.hosts() {
-        let address = testbed.graph.address(&node.id);
-        let vnfs =
-            testbed.services.iter().flat_map(|s| &s.vnfs).filter(|vnf| vnf.node.all().contains(&node.id));
+        let Some(address) = testbed.graph.address(&node.id) else { continue };
         hosts.row([
             node.id.to_string(),
             kind(&node.kind).to_owned(),
-            address.map(|a| a.ipv4.to_string()).unwrap_or_default(),
-            address.map(|a| a.ipv6.to_string()).unwrap_or_default(),
-            vnfs.map(program).collect::<Vec<_>>().join(", "),
+            address.ipv4.to_string(),
+            address.ipv6.to_string(),
+            vnfs(testbed, node),
         ]);
     }
     text += &hosts.render("  ");
+    text += &real_servers(testbed);
     text += &gateways(testbed);
     for (name, plan) in interfaces {
         text +=
@@ -86,17 +85,53 @@ pub fn describe(
     text + "\n" + &rest.render("")
 }
 
+/// Lists the VNFs that start on a node.
+fn vnfs(testbed: &Testbed, node: &Node) -> String {
+    let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
+    let its = vnfs.filter(|vnf| vnf.node.all().contains(&node.id));
+    its.map(program).collect::<Vec<_>>().join(", ")
+}
+
+/// Names an interface and its network namespace.
+fn interface(name: &str, netns: Option<&str>) -> String {
+    match netns {
+        Some(netns) => format!("{name} in the network namespace {netns}"),
+        None => format!("{name} of this machine"),
+    }
+}
+
+/// Describes the real servers, and what each needs.
+fn real_servers(testbed: &Testbed) -> String {
+    let mut servers = Table::new("<<<<<<");
+    for (node, real) in testbed.graph.real_servers() {
+        servers.row([
+            node.id.to_string(),
+            kind(&node.kind).to_owned(),
+            real.address.to_string(),
+            interface(&real.interface, real.netns.as_deref()),
+            format!("agent {}", real.agent),
+            vnfs(testbed, node),
+        ]);
+    }
+    let servers = servers.render("  ");
+    if servers.is_empty() {
+        return servers;
+    }
+    format!(
+        "\nReal servers. Each needs a route, as by\n  ip route add {} dev INTERFACE\n{servers}",
+        HostAddress::NETWORK
+    )
+}
+
 /// Describes the gateways, and what each machine behind them needs.
 fn gateways(testbed: &Testbed) -> String {
     let mut text = String::new();
     for (node, gateway) in testbed.graph.gateways() {
-        let netns = gateway.netns.as_ref().map(|netns| format!(" in the network namespace {netns}"));
-        let whose = netns.unwrap_or_else(|| " of this machine".to_owned());
         text += &format!(
-            "\nGateway {} on the interface {}{whose}, for the machines behind it. Each needs a route, as by\n  \
+            "\nGateway {} on the interface {}, for the machines behind it. Each needs a route, as by\n  \
              ip route add {} dev INTERFACE\n",
             node.id,
-            gateway.interface,
+            interface(&gateway.interface, gateway.netns.as_deref()),
             HostAddress::NETWORK
         );
         let mut machines = Table::new("<<");

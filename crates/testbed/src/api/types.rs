@@ -49,9 +49,9 @@ impl From<&Testbed> for TestbedBody {
 pub(super) struct NodeBody {
     #[serde(flatten)]
     pub(super) node: Node,
-    /// Addresses; none for a switch and a real machine.
+    /// Addresses of an emulated host. Those of real servers and machines are in the node.
     pub(super) address: Option<HostAddress>,
-    /// Network namespace, for `nsenter --net=`; none for a switch and a real machine.
+    /// Network namespace of an emulated host, for `nsenter --net=`.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub(super) namespace: Option<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! The traffic of gateways in a run's summary and in its verdict.
+//! The traffic of gateways and real servers in a run's summary and in its verdict.
 
 use cotorra_datapath::{GatewayTraffic, Passed};
 use cotorra_graph::{Lateness, NodeId};
@@ -6,9 +6,10 @@ use serde::Serialize;
 
 use super::fidelity::{Fidelity, LatenessSummary, VALID_P50_US, VALID_P99_US};
 
-/// The traffic of a gateway between the real and the emulated network.
+/// The traffic of a gateway or a real server between the real and the emulated network.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GatewaySummary {
+    /// The gateway, or the real server.
     pub gateway: NodeId,
     /// Frames from outside that went on to the emulated network.
     pub received_frames: u64,
@@ -53,7 +54,7 @@ impl GatewaySummary {
             let (what, late) = both.into_iter().find(|(_, lateness)| of(lateness) > limit)?;
             let late = of(late);
             Some(format!(
-                "the gateway `{gateway}` took more than {late:.0} µs for {share} of the frames that it {what}; {limit:.0} µs \
+                "the interface of `{gateway}` took more than {late:.0} µs for {share} of the frames that it {what}; {limit:.0} µs \
                  are allowed"
             ))
         };

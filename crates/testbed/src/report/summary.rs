@@ -59,7 +59,7 @@ pub struct Summary {
     pub handovers: Vec<HandoverRecord>,
     /// Placements, in order, those at the start included.
     pub placements: Vec<PlacementRecord>,
-    /// Gateways, in the file's order.
+    /// Gateways and real servers, in the file's order.
     pub gateways: Vec<GatewaySummary>,
     /// Verdict on the emulation.
     pub fidelity: Fidelity,
@@ -365,7 +365,7 @@ impl Report {
         self.localization = errors.filter_map(summary).collect();
     }
 
-    /// Adds the traffic of gateways. It is in no event.
+    /// Adds the traffic of gateways and real servers. It is in no event.
     pub(crate) fn passed(&mut self, gateways: Vec<GatewayTraffic>) {
         self.gateways = gateways.into_iter().map(GatewaySummary::from).collect();
     }

@@ -9,7 +9,7 @@ use std::{
 };
 
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
-use cotorra_graph::{NodeId, Program, Service, Testbed, Vnf, VnfId};
+use cotorra_graph::{Node, NodeId, Program, Service, Testbed, Vnf, VnfId};
 use cotorra_network_control::{
     program_of_others,
     vim::{Launcher, Process},
@@ -58,6 +58,9 @@ impl Launcher for NodeLauncher {
         mut command: Command,
         cgroups: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>> {
+        if let Some(real) = self.testbed.graph.node(node).and_then(Node::real_server) {
+            return Err(io::Error::other(format!("its agent `{}` is not connected", real.agent)));
+        }
         command.envs(self.testbed.graph.ros1_environment(node));
         if matches!(vnf.program, Program::Command(_)) {
             command.current_dir(self.confined.folder());
