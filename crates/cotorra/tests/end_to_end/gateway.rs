@@ -158,7 +158,7 @@ fn real_and_emulated_machines_reach_each_other_through_a_gateway() {
         assert!(*trip >= configured, "{trips:?}");
     }
     assert_eq!(said[5..9], ["True"; 4], "all bytes arrived: {said:?}");
-    assert!(said[9].contains("gateway `gate`: `va` is the gateway of another run"), "{said:?}");
+    assert!(said[9].contains("interface of `gate`: `va` is in use by another run"), "{said:?}");
     assert_eq!(
         said[10..12],
         ["1", "promiscuity 0"],
@@ -296,12 +296,16 @@ fn interfaces_that_cannot_be_gateways_are_rejected() {
         return;
     }
     for (prepare, interface, told) in [
-        ("", "eth9", "gateway `gate`: there is no interface `eth9` there"),
-        ("", "lo", "gateway `gate`: `lo` is not an Ethernet interface"),
-        ("ip link set va down", "va", "gateway `gate`: `va` is down: `ip link set va up` sets it up"),
-        ("ip link set va mtu 1400", "va", "gateway `gate`: `va` has an MTU of 1400 bytes"),
+        ("", "eth9", "interface of `gate`: there is no interface `eth9` there"),
+        ("", "lo", "interface of `gate`: `lo` is not an Ethernet interface"),
+        ("ip link set va down", "va", "interface of `gate`: `va` is down: `ip link set va up` sets it up"),
+        ("ip link set va mtu 1400", "va", "interface of `gate`: `va` has an MTU of 1400 bytes"),
         ("ip route add default via 10.9.0.2", "va", "pass `--allow-interface va` to use it anyway"),
-        ("", "va, netns: nowhere", "gateway `gate`: cannot enter the network namespace /run/netns/nowhere"),
+        (
+            "",
+            "va, netns: nowhere",
+            "interface of `gate`: cannot enter the network namespace /run/netns/nowhere",
+        ),
     ] {
         let testbed = TESTBED.replace("interface: va", &format!("interface: {interface}"));
         for arguments in ["--dry-run", "--headless --until 1s"] {
@@ -340,8 +344,8 @@ fn a_gateway_needs_rights_over_its_interface() {
     }
     assert_eq!(lines(&done), [""; 0], "no folder is left");
     let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert_eq!(said.matches("gateway `gate`: cannot open a packet socket on `vb`").count(), 2, "{said}");
-    assert!(said.contains("gateways need root"), "{said}");
+    assert_eq!(said.matches("interface of `gate`: cannot open a packet socket on `vb`").count(), 2, "{said}");
+    assert!(said.contains("gateways and real servers need root"), "{said}");
 }
 
 #[test]

@@ -33,6 +33,7 @@ mod netem_links;
 mod new;
 mod one_robot;
 mod plugin;
+mod real_servers;
 mod recording;
 mod replicas;
 mod robots;
