@@ -175,3 +175,81 @@ impl Node {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{Capacity, HostAddress, Server, Tier};
+
+    fn node(place: usize, kind: NodeKind) -> Node {
+        let (id, domain) = (format!("n{place}").parse().unwrap(), "local".parse().unwrap());
+        Node { id, domain, position: None, kind }
+    }
+
+    fn server(place: usize, is_real: bool) -> Node {
+        let real = is_real.then(|| RealServer {
+            agent: format!("a{place}").parse().unwrap(),
+            interface: "eth1".to_owned(),
+            netns: None,
+            address: Ipv4Addr::new(192, 168, 1, place as u8),
+        });
+        let capacity = Capacity { cpus: 1.0, memory_bytes: 1 };
+        node(
+            place,
+            NodeKind::Server(Server { tier: Tier::Edge, capacity, cost: 1.0, reliability: 1.0, real }),
+        )
+    }
+
+    /// Each kind is 0 for a switch, 1 for an emulated server, 2 for a real one, and 3 for a gateway.
+    fn graph(kinds: &[u8]) -> HardwareGraph {
+        let gateway = Gateway { interface: "eth2".to_owned(), netns: None, machines: BTreeMap::new() };
+        let nodes = kinds.iter().enumerate().map(|(place, kind)| match kind {
+            0 => node(place, NodeKind::Switch),
+            3 => node(place, NodeKind::Gateway(gateway.clone())),
+            kind => server(place, *kind == 2),
+        });
+        HardwareGraph {
+            domains: Vec::new(),
+            nodes: nodes.collect(),
+            links: Vec::new(),
+            wireless: BTreeMap::new(),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn emulating_servers_changes_the_addresses_of_no_other_node(kinds in prop::collection::vec(0_u8..4, 0..20)) {
+            let graph = graph(&kinds);
+            let mut emulated = graph.clone();
+            emulated.emulate_servers();
+            prop_assert!(emulated.real_servers().next().is_none());
+            let names = |graph: &HardwareGraph| graph.ports().map(|node| node.id.clone()).collect::<Vec<_>>();
+            prop_assert_eq!(names(&graph), names(&emulated), "nor ports");
+            for (node, kind) in graph.nodes.iter().zip(&kinds) {
+                let (before, after) = (graph.address(&node.id), emulated.address(&node.id));
+                if *kind == 2 {
+                    prop_assert_eq!(before, None);
+                    prop_assert_eq!(graph.ipv4(&node.id), node.real_server().map(|real| real.address));
+                    prop_assert!(after.is_some_and(|after| HostAddress::is_near(after.ipv4)));
+                } else {
+                    prop_assert_eq!(before, after);
+                    prop_assert_eq!(graph.ipv4(&node.id), before.map(|address| address.ipv4));
+                }
+            }
+            prop_assert_eq!(graph.real_ports().count(), kinds.iter().filter(|kind| **kind >= 2).count());
+        }
+    }
+
+    #[test]
+    fn real_servers_survive_json_beside_what_makes_them_servers() {
+        let node = server(7, true);
+        let json = serde_json::to_value(&node).unwrap();
+        assert_eq!((&json["kind"], &json["real"]["agent"]), (&"server".into(), &"a7".into()));
+        assert_eq!(json["real"]["address"], "192.168.1.7");
+        assert_eq!(serde_json::from_value::<Node>(json).unwrap(), node);
+        let emulated = serde_json::to_value(server(7, false)).unwrap();
+        assert_eq!(emulated.get("real"), None);
+    }
+}

@@ -110,6 +110,23 @@ fn the_gateway_has_a_port_and_is_no_host() {
 }
 
 #[test]
+fn real_servers_are_servers_with_the_addresses_of_machines() {
+    let graph = shipped("real-servers.yaml").graph;
+    let servers: Vec<_> =
+        graph.real_servers().map(|(node, real)| (node.id.as_str(), real.agent.as_str())).collect();
+    assert_eq!(servers, [("fog", "fog1"), ("edge", "edge1"), ("cloud", "cloud1")]);
+    let edge = graph.node(&id("edge")).unwrap();
+    assert!(edge.is_host() && edge.has_port() && edge.capacity().unwrap().cpus == 5.0);
+    assert_eq!(
+        (graph.address(&edge.id), graph.ipv4(&edge.id).unwrap().to_string()),
+        (None, "192.168.77.3".to_owned())
+    );
+    let at_r1 = graph.route(&id("R1"), &id("cloud"), |_| None).unwrap();
+    assert_eq!(at_r1.links, ["lan-R1", "lan-cloud"]);
+    assert_eq!(at_r1.delay, Duration::from_millis(10));
+}
+
+#[test]
 fn two_hosts_loads() {
     let testbed = shipped("two-hosts.yaml");
     assert_eq!(testbed.graph.hosts().count(), 2);

@@ -391,3 +391,6 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
         self.report(now, vec![Event::PluginFault { plugin, reason: fault.to_string() }]);
     }
 }
+
+#[cfg(test)]
+mod tests;
