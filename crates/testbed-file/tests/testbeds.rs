@@ -116,7 +116,7 @@ fn real_servers_are_servers_with_the_addresses_of_machines() {
         graph.real_servers().map(|(node, real)| (node.id.as_str(), real.agent.as_str())).collect();
     assert_eq!(servers, [("fog", "fog1"), ("edge", "edge1"), ("cloud", "cloud1")]);
     let edge = graph.node(&id("edge")).unwrap();
-    assert!(edge.is_host() && edge.has_port() && edge.capacity().unwrap().cpus == 5.0);
+    assert!(edge.is_host() && edge.has_port() && edge.capacity().unwrap().cpus == 4.0);
     assert_eq!(
         (graph.address(&edge.id), graph.ipv4(&edge.id).unwrap().to_string()),
         (None, "192.168.77.3".to_owned())
