@@ -112,8 +112,8 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         }
         Command::Vnf { vnf } => {
             let served = match vnf {
-                BundledVnf::Navigation => cotorra_testbed::navigation(),
-                BundledVnf::Localization => cotorra_testbed::localization(),
+                BundledVnf::Navigation => cotorra_vnfs::navigation(cotorra_datapath::be_punctual),
+                BundledVnf::Localization => cotorra_vnfs::localization(),
             };
             match served.into_diagnostic()? {}
         }

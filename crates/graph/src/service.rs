@@ -89,6 +89,9 @@ pub struct Vnf {
     /// Rights of a command on the machine that runs the testbed.
     #[serde(default, skip_serializing_if = "Rights::are_usual")]
     pub rights: Rights,
+    /// Whether it goes on while the core is away, if an agent runs it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub keep: bool,
 }
 
 /// Rights of a VNF's command on the machine that runs the testbed.

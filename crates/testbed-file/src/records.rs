@@ -841,6 +841,8 @@ record! {
         readable: Spanned<Vec<String>> = [],
         /// Whether a command may do on this machine what cotorra may.
         trusted: Spanned<bool> = false,
+        /// Whether it goes on while the core is away, if an agent runs it.
+        keep: bool = false,
         /// The one node that can carry it.
         pinned_to: Option<Spanned<NodeId>>,
         /// Node at the start, or a list of nodes with an instance on each.

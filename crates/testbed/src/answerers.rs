@@ -1,7 +1,8 @@
 //! The instances of VNFs that answer robots, and the choice of those that a request goes to.
 
+use cotorra_engine::Engine;
 use cotorra_graph::{NodeId, Program, Requests, Service, Testbed, VnfId};
-use cotorra_network_control::{Network, NetworkControl, vim::Engine};
+use cotorra_network_control::{Network, NetworkControl};
 use cotorra_plugin::wire;
 
 /// A VNF that answers a robot, or receives its images.

@@ -8,9 +8,9 @@ use std::{
 };
 
 use cotorra_datapath::Confinement;
+use cotorra_engine::replica_name;
 use cotorra_graph::{Granted, Program, Rights, Testbed, Vnf};
 use cotorra_measurements::Location;
-use cotorra_network_control::vim::replica_name;
 
 use crate::{
     options::Options,

@@ -9,15 +9,13 @@ use std::{
     time::Duration,
 };
 
+use cotorra_engine::Engine;
 use cotorra_graph::{
     Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId, Stamped,
     Testbed, Timestamp,
 };
 use cotorra_localization::trajectory::Errors;
-use cotorra_network_control::{
-    InstructionError, Network, NetworkControl, NetworkGone,
-    vim::{Engine, Managed},
-};
+use cotorra_network_control::{InstructionError, Network, NetworkControl, NetworkGone, vim::Managed};
 use cotorra_plugin::wire::Answer;
 use cotorra_robot_middleware::{
     Datagram, Nonces, RobotDriver, RobotMiddleware, SensedData, SensedScan, Servers, SimulatedRobot,

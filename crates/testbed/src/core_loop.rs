@@ -8,9 +8,10 @@ use std::{
     sync::{Arc, mpsc},
 };
 
+use cotorra_engine::Engine;
 use cotorra_graph::{NodeId, Stamped, Timestamp};
 use cotorra_measurements::Recorder;
-use cotorra_network_control::{Network, vim::Engine};
+use cotorra_network_control::Network;
 use cotorra_recording::Tap;
 use tokio::sync::broadcast;
 

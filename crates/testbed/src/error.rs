@@ -45,7 +45,7 @@ pub enum RunError {
     Robot(#[from] RobotError),
     /// The map for a robot's localization.
     #[error(transparent)]
-    NotLocalized(#[from] cotorra_robot_middleware::NotLocalized),
+    NotLocalized(#[from] cotorra_vnfs::NotLocalized),
     /// The script of link conditions.
     #[error(transparent)]
     Script(Box<ScriptError>),
@@ -65,6 +65,20 @@ pub enum RunError {
         "`{0}` is a gateway, and virtual time has no real machines: run in real time, or put a server in its place"
     )]
     VirtualGateway(NodeId),
+    /// Agents of real servers.
+    #[cfg(feature = "agents")]
+    #[error(transparent)]
+    Agents(#[from] crate::agents::AgentsError),
+    /// This build has no agents.
+    #[cfg(not(feature = "agents"))]
+    #[error(
+        "server `{node}` is at agent `{agent}`, and this cotorra has no agents: build it with `--features agents`, or simulate it"
+    )]
+    NoAgents {
+        /// The server.
+        node: NodeId,
+        agent: cotorra_graph::AgentId,
+    },
     /// The core's thread panicked, which is a bug.
     #[error("the run's core panicked; please report this as a bug, with the run's folder")]
     Panicked,

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use cotorra_network_control::vim::Cgroups;
+use cotorra_engine::Cgroups;
 
 /// Leftovers of runs whose process was killed.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

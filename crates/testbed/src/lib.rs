@@ -5,9 +5,10 @@
 //! runs are in `cotorra-experiments`.
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "agents")]
+mod agents;
 mod answerers;
 mod api;
-mod bundled;
 mod capture;
 mod clock;
 mod confined;
@@ -43,8 +44,9 @@ mod traffic;
 mod trips;
 mod whole;
 
+#[cfg(feature = "agents")]
+pub use agents::{AgentOptions, AgentsError};
 pub use api::{ApiError, Token, Tokens, TokensError, openapi};
-pub use bundled::{VnfError, localization, navigation};
 pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use error::RunError;

@@ -39,4 +39,7 @@ pub struct Options {
     pub captures: Vec<CapturePlan>,
     /// Notes of the run that this one continues, in real time.
     pub after: Option<PreviousRun>,
+    /// Where agents of real servers connect.
+    #[cfg(feature = "agents")]
+    pub agents: crate::agents::AgentOptions,
 }

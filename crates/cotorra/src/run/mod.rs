@@ -19,6 +19,8 @@ use cotorra_graph::DomainId;
 use cotorra_netem::{Confirmed, HoldError};
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::{RecordingPlace, Wanted};
+#[cfg(feature = "agents")]
+use cotorra_testbed::AgentOptions;
 use cotorra_testbed::{
     CannotGoOn, Finished, Options, Place, PreviousRun, RealLinkError, Run, RunError, Summary, Token, Tokens,
     TokensError, interface_plans,
@@ -112,6 +114,8 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         recording: recording(&args),
         captures: args.captures.clone(),
         after: None,
+        #[cfg(feature = "agents")]
+        agents: AgentOptions { listen: args.agents, authority: args.authority.clone() },
     };
     if args.dry_run {
         previous(&args, &mut loaded)?;

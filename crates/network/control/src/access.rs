@@ -3,11 +3,12 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
+use cotorra_engine::Engine;
 use cotorra_graph::{AccessPoint, Event, HardwareGraph, NodeId, Timestamp, VnfEvent, VnfState};
 
 use crate::{
     network::{InstructionError, Network, NetworkGone, rejected},
-    vim::{Engine, Vim},
+    vim::Vim,
 };
 
 /// CPUs of a vAP.

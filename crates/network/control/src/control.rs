@@ -2,6 +2,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
+use cotorra_engine::Engine;
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
     Attachment, Direction, Event, InstancePath, Instruction, LinkId, NodeId, PathKind, Placement, Position,
@@ -12,7 +13,7 @@ use crate::{
     access::AccessPoints,
     mappings::{Mapping, Mappings},
     network::{InstructionError, Network, NetworkGone, rejected},
-    vim::{Engine, Managed, Vim},
+    vim::{Managed, Vim},
 };
 
 /// Longest name in a note, characters.

@@ -1,13 +1,12 @@
 //! The Network Control block. It observes the network (ι of radio units, d and λ of links), changes the conditions of links
 //! (ψ, δ and absolute ones), hands robots over, and maps VNFs and virtual links (VIM).
 //!
-//! It reaches the emulated network through [`Network`], and the processes of VNFs through [`vim::Engine`]. It owns neither
+//! It reaches the emulated network through [`Network`], and the processes of VNFs through [`cotorra_engine::Engine`]. It owns neither
 //! a clock nor a socket; every call takes the time.
 #![forbid(unsafe_code)]
 
 mod access;
 mod control;
-mod environment;
 mod mappings;
 mod network;
 #[cfg(test)]
@@ -15,5 +14,4 @@ mod testing;
 pub mod vim;
 
 pub use control::NetworkControl;
-pub use environment::program_of_others;
 pub use network::{InstructionError, Network, NetworkGone, change_fabric, test_fabric_throughput};

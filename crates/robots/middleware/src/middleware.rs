@@ -17,6 +17,7 @@ use cotorra_graph::{
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket};
+use cotorra_vnfs::{believed, planar};
 
 use crate::{
     answer_error::AnswerError,
@@ -24,7 +25,7 @@ use crate::{
     exchange::Route,
     large::SensedData,
     lidar::Scan,
-    localization::{LocalizationEndpoint, believed, planar},
+    localization::LocalizationEndpoint,
     nonce::Nonces,
     request::{Datagram, Servers},
     sensing::{ReportError, Sensing},

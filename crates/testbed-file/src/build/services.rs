@@ -24,7 +24,17 @@ impl Builder<'_> {
             let is_command = matches!(program, Program::Command(_));
             let (env, rights) = (self.env(&r.env, is_command), self.rights(r, is_command));
             let (env, rights) = (env?, rights?);
-            Some(Vnf { id, program, cpus: r.cpus.0, memory_bytes: r.memory.0, pinned_to, node, env, rights })
+            Some(Vnf {
+                id,
+                program,
+                cpus: r.cpus.0,
+                memory_bytes: r.memory.0,
+                pinned_to,
+                node,
+                env,
+                rights,
+                keep: r.keep,
+            })
         });
         let virtual_links: Option<Vec<_>> = each(&record.virtual_links, |link| {
             for end in [&link.from, &link.to] {

@@ -3,12 +3,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use cotorra_engine::InstanceId;
 use cotorra_fabric::Balance;
 use cotorra_graph::{
     AccessPoint, Decision, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, PluginId, Program,
     ServiceId, Stamped, Testbed, Timestamp, VnfEvent, VnfId, VnfState,
 };
-use cotorra_network_control::vim::{InstanceId, Managed, Stage};
+use cotorra_network_control::vim::{Managed, Stage};
 use cotorra_robot_middleware::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, SimulatedRobot};
 
 /// A promise.

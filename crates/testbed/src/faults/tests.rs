@@ -1,11 +1,12 @@
 use std::{path::Path, time::Duration};
 
+use cotorra_engine::InstanceId;
 use cotorra_fabric::Balance;
 use cotorra_graph::{
     Decision, Direction, Event, Instruction, NodeId, PluginId, Pose, PoseSource, RobotContext, SensorData,
     ServiceTime, Stamped, Testbed, Velocity, Vnf, VnfEvent, VnfState,
 };
-use cotorra_network_control::vim::{InstanceId, Managed, Stage};
+use cotorra_network_control::vim::{Managed, Stage};
 
 use super::{
     invariants::{Broken, Decided, Fits, OURS, Slow, Stops, View, Watch, conserved, kept, restarted, served},

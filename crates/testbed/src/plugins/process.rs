@@ -6,8 +6,8 @@ use std::{
     process::{Child, Stdio},
 };
 
+use cotorra_engine::program_of_others;
 use cotorra_graph::PluginSpec;
-use cotorra_network_control::program_of_others;
 
 use super::{error::PluginError, host::Fault, programs::program};
 use crate::api::{Server, Token};

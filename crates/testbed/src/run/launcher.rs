@@ -9,14 +9,11 @@ use std::{
 };
 
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
-use cotorra_graph::{Node, NodeId, Program, Service, Testbed, Vnf, VnfId};
-use cotorra_network_control::{
-    program_of_others,
-    vim::{Launcher, Process},
-};
+use cotorra_engine::{Launcher, Process, program_of, program_of_others};
+use cotorra_graph::{NodeId, Program, Service, Testbed, Vnf, VnfId};
 use cotorra_plugin::wire;
 
-use crate::{bundled, confined::Confined, message::Message};
+use crate::{confined::Confined, message::Message};
 
 /// Starts VNFs as processes in the nodes of a datapath.
 pub(super) struct NodeLauncher {
@@ -58,14 +55,12 @@ impl Launcher for NodeLauncher {
         mut command: Command,
         cgroups: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>> {
-        if let Some(real) = self.testbed.graph.node(node).and_then(Node::real_server) {
-            return Err(io::Error::other(format!("its agent `{}` is not connected", real.agent)));
-        }
         command.envs(self.testbed.graph.ros1_environment(node));
         if matches!(vnf.program, Program::Command(_)) {
             command.current_dir(self.confined.folder());
             // A VNF that receives images listens there.
-            command.envs(wire::port(&self.testbed, &vnf.id).map(|port| (bundled::PORT, port.to_string())));
+            command
+                .envs(wire::port(&self.testbed, &vnf.id).map(|port| (cotorra_vnfs::PORT, port.to_string())));
         }
         let confinement = self.confined.of(vnf, replica)?;
         let options = SpawnOptions { cgroups, confinement: confinement.as_ref(), ..SpawnOptions::default() };
@@ -73,18 +68,21 @@ impl Launcher for NodeLauncher {
         Ok(Box::new(NodeProcess(child)))
     }
 
-    fn bundled(&self, vnf: &Vnf, _node: &NodeId) -> Command {
+    fn command(&self, vnf: &Vnf, _replica: u32, _node: &NodeId) -> Result<Command, String> {
+        if let Program::Command(words) = &vnf.program {
+            return program_of(words, &vnf.env);
+        }
         let word = if vnf.program == Program::Localization { "localization" } else { "navigation" };
         // The file of this process, even if it was replaced on the disk since.
         let mut command = program_of_others("/proc/self/exe", &[]);
-        command.args(["vnf", word]).env(bundled::TESTBED, &self.testbed_file);
+        command.args(["vnf", word]).env(cotorra_vnfs::TESTBED, &self.testbed_file);
         if let Some(robot) = self.robots.get(&vnf.id) {
-            command.env(bundled::ROBOT, robot.as_str());
+            command.env(cotorra_vnfs::ROBOT, robot.as_str());
         }
         if let Some(port) = wire::port(&self.testbed, &vnf.id) {
-            command.env(bundled::PORT, port.to_string());
+            command.env(cotorra_vnfs::PORT, port.to_string());
         }
-        command
+        Ok(command)
     }
 
     fn wake(&self) {

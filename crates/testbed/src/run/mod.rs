@@ -2,6 +2,7 @@
 //!
 //! [`Run::start`] goes through phases. Each has a type that holds what it made; dropping that undoes the phase.
 
+mod engines;
 mod launcher;
 mod network;
 mod nodes;

@@ -3,11 +3,11 @@
 use std::{collections::BTreeMap, net::UdpSocket, sync::Arc};
 
 use cotorra_datapath::Datapath;
+use cotorra_engine::{Cgroups, ProcessEngine};
 use cotorra_graph::{Node, NodeId, Testbed};
-use cotorra_network_control::vim::{Cgroups, ProcessEngine};
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
 
-use super::{launcher::NodeLauncher, network::NetworkUp, prepared::Prepared};
+use super::{engines::Engines, launcher::NodeLauncher, network::NetworkUp, prepared::Prepared};
 use crate::{
     confined::Confined,
     core::Core,
@@ -21,7 +21,7 @@ use crate::{
 /// A run whose robots and VNFs are controlled by a core, which does not run yet. Fields are dropped in order: the latest
 /// made first.
 pub(super) struct NodesUp {
-    pub(super) core: Core<RealNetwork, ProcessEngine<NodeLauncher>>,
+    pub(super) core: Core<RealNetwork, Engines>,
     pub(super) masters: Masters,
     /// Sockets for images, apart from the other sockets: images that wait to be sent hold up nothing else.
     pub(super) image_sockets: BTreeMap<NodeId, UdpSocket>,
@@ -49,7 +49,11 @@ impl NodesUp {
             network.messages.clone(),
         );
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
-        let engine = ProcessEngine::new(Arc::new(launcher), prepared.folder.logs(), cgroups);
+        let engine = Engines {
+            local: ProcessEngine::new(Arc::new(launcher), prepared.folder.logs(), cgroups),
+            #[cfg(feature = "agents")]
+            agents: prepared.agents(&network.now, &network.messages)?,
+        };
         let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), Arc::clone(&network.now));
         let core = Core::new(
             Arc::clone(testbed),

@@ -1,6 +1,8 @@
 //! The first phase of a run: everything that needs no network. It checks the testbed, makes plug-ins, reserves the API's
 //! address, and opens the folder, recording and history.
 
+#[cfg(feature = "agents")]
+use std::sync::mpsc::Sender;
 use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr},
     sync::Arc,
@@ -10,6 +12,8 @@ use cotorra_graph::Testbed;
 use cotorra_measurements::{History, Recorder, RunId, RunInfo};
 use cotorra_recording::{Pace, Recording};
 
+#[cfg(feature = "agents")]
+use crate::{agents::AgentEngine, clock::Clock, message::Message};
 use crate::{
     api::Listener,
     confined::Confined,
@@ -42,6 +46,9 @@ pub(super) struct Prepared {
     pub(super) seed: u64,
     pub(super) testbed: Arc<Testbed>,
     pub(super) options: Options,
+    /// With which the agents of the testbed are enrolled, if it has any.
+    #[cfg(feature = "agents")]
+    authority: Option<cotorra_enrolment::Authority>,
 }
 
 /// Parts of a run that later phases take over.
@@ -61,6 +68,12 @@ impl Prepared {
     ) -> Result<(Self, Unstarted), RunError> {
         interface_plans(&testbed, &options.interfaces)?;
         measure_media(&mut testbed.graph).map_err(RealLinkError::from)?;
+        #[cfg(feature = "agents")]
+        let authority = crate::agents::authority(&testbed, &options.agents)?;
+        #[cfg(not(feature = "agents"))]
+        if let Some((node, real)) = testbed.graph.real_servers().next() {
+            return Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() });
+        }
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;
@@ -81,8 +94,34 @@ impl Prepared {
         let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
         let history = Arc::new(history);
         let recorder = history.recorder(run)?;
-        let prepared =
-            Self { recorder, history, run, keeping, recording, info, folder, seed, testbed, options };
+        let prepared = Self {
+            recorder,
+            history,
+            run,
+            keeping,
+            recording,
+            info,
+            folder,
+            seed,
+            testbed,
+            options,
+            #[cfg(feature = "agents")]
+            authority,
+        };
         Ok((prepared, Unstarted { confined, listener, plugins, script }))
+    }
+
+    /// Listens for the agents of the testbed; `None` without any.
+    #[cfg(feature = "agents")]
+    pub(super) fn agents(
+        &self,
+        now: &Clock,
+        messages: &Sender<Message>,
+    ) -> Result<Option<AgentEngine>, RunError> {
+        let Some(authority) = self.authority.clone() else { return Ok(None) };
+        let run = cotorra_agent_protocol::Run(self.info.started_at_unix_ns.unsigned_abs());
+        let (testbed, options) = (&self.testbed, &self.options.agents);
+        let engine = AgentEngine::start(testbed, options, authority, run, &self.folder, now, messages)?;
+        Ok(Some(engine))
     }
 }

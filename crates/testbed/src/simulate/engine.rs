@@ -8,10 +8,10 @@ use std::{
 };
 
 use cotorra_brain::NavigationVnf;
+use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome};
 use cotorra_graph::{NodeId, Program, Testbed, Vnf, VnfId};
-use cotorra_network_control::vim::{Engine, EngineEvent, InstanceId, Outcome};
 use cotorra_plugin::wire;
-use cotorra_robot_middleware::{LocalizationVnf, NotLocalized};
+use cotorra_vnfs::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
 
 /// An instance of a bundled VNF.

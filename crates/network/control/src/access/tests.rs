@@ -3,7 +3,9 @@ use std::path::Path;
 use cotorra_graph::{HardwareGraph, Timestamp, VnfId};
 
 use super::*;
-use crate::{testing::Here, vim::InMemoryEngine};
+use cotorra_engine::InMemoryEngine;
+
+use crate::testing::Here;
 
 const TESTBED: &str = "
 name: off

@@ -3,7 +3,9 @@ use std::path::Path as FilePath;
 use cotorra_graph::{ConditionChange, Loss, Probability};
 
 use super::*;
-use crate::{testing::Here, vim::InMemoryEngine};
+use cotorra_engine::InMemoryEngine;
+
+use crate::testing::Here;
 
 /// Two robots with a service each, and two switches between their radio unit and the servers. The path over `fast` is
 /// shorter; the one over `wide` has more capacity.

@@ -2,22 +2,13 @@
 //! instance first, sends packets to it once it is ready, and stops the old one when packets in flight to it have arrived. A
 //! VNF can have several instances, each on a node of its own.
 
-mod cgroup;
-mod engine;
-mod memory;
-mod process;
-
 use std::{collections::BTreeMap, time::Duration};
 
+use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome};
 use cotorra_graph::{
     Event, HardwareGraph, NodeId, Nodes, Placement, Program, Service, Timestamp, Vnf, VnfEvent, VnfId,
     VnfState,
 };
-
-pub use cgroup::{CgroupError, Cgroups};
-pub use engine::{Engine, EngineEvent, InstanceId, Outcome};
-pub use memory::InMemoryEngine;
-pub use process::{Launcher, Process, ProcessEngine, READY, replica_name};
 
 /// Delay of the first restart of a VNF that died. Each further delay is twice as long.
 const FIRST_BACKOFF: Duration = Duration::from_millis(100);

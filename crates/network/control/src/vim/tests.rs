@@ -30,6 +30,7 @@ fn vnf(id: &str, node: &str, pinned: bool) -> Vnf {
         node: node.into(),
         env: Vec::new(),
         rights: Default::default(),
+        keep: false,
     }
 }
 

@@ -14,6 +14,7 @@ use crate::{
     simulated::SimulatedRobot,
     world::World,
 };
+use cotorra_vnfs::{LocalizationVnf, PacketError};
 
 fn at(ms: u64) -> Timestamp {
     Timestamp::from_nanos(ms * 1_000_000)

@@ -31,6 +31,7 @@ fn testbed() -> Testbed {
         node: NodeId::new("robot1").unwrap().into(),
         env: Vec::new(),
         rights: Default::default(),
+        keep: false,
     };
     let service = Service {
         id: ServiceId::new("navigation").unwrap(),

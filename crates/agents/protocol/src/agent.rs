@@ -1,0 +1,255 @@
+//! The agent's end: reconciles what runs with what is wanted.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    time::Duration,
+};
+
+use cotorra_engine::{EngineEvent, InstanceId, Outcome};
+use cotorra_graph::Timestamp;
+
+use crate::message::{
+    Beat, Echo, Instance, InstanceState, LEASE, Report, Run, Wanted, WantedInstance, short,
+};
+
+/// Reports in each lease, so that some can be lost.
+const REPORTS_A_LEASE: u32 = 4;
+/// Shortest and longest lease that a core can set.
+const LEASES: [Duration; 2] = [Duration::from_millis(200), Duration::from_hours(1)];
+
+/// Something that the agent's shell has to do, in this order.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Action {
+    /// Save the wanted state, for [`Agent::new`] after the next start. Everything before it must be done, and it must be on the
+    /// disk before anything after it is done.
+    Save(Box<Wanted>),
+    /// Start an instance. The files of the wanted state must be there first.
+    Start(InstanceId, Box<WantedInstance>),
+    /// Stop an instance.
+    Stop(InstanceId),
+    /// Send a report.
+    Report(Report),
+}
+
+/// A wanted instance.
+#[derive(Debug)]
+struct Running {
+    /// Its number at the engine, unique in this process.
+    local: InstanceId,
+    state: InstanceState,
+    keep: bool,
+}
+
+impl Running {
+    fn has_ended(&self) -> bool {
+        matches!(self.state, InstanceState::Died(_) | InstanceState::Failed(_))
+    }
+}
+
+/// Reconciles what runs on a machine with what the core wants.
+///
+/// Give it each message, each event of the engine, and the time; then do what [`Self::poll`] returns until there is nothing
+/// more, and call it again at [`Self::next_deadline`] at the latest.
+#[derive(Debug)]
+pub struct Agent {
+    boot: u64,
+    wanted: Option<Wanted>,
+    instances: BTreeMap<Instance, Running>,
+    started: u64,
+    /// The newest run that was heard of.
+    run: Option<Run>,
+    /// Time of the last sign of life of the core.
+    heard: Timestamp,
+    /// Whether the core is taken for lost.
+    is_alone: bool,
+    /// The last beat and the time of its arrival.
+    beat: Option<(Beat, Timestamp)>,
+    next_report: Timestamp,
+    actions: VecDeque<Action>,
+}
+
+impl Agent {
+    /// Starts at `now`, with the wanted state that was saved last. `boot` must differ from that of earlier processes.
+    /// Instances that go on without the core are started again; others wait for the core.
+    pub fn new(now: Timestamp, boot: u64, saved: Option<Wanted>) -> Self {
+        let mut agent = Self {
+            boot,
+            run: saved.as_ref().map(|wanted| wanted.run),
+            wanted: None,
+            instances: BTreeMap::new(),
+            started: 0,
+            heard: now,
+            is_alone: false,
+            beat: None,
+            next_report: now,
+            actions: VecDeque::new(),
+        };
+        if let Some(saved) = saved {
+            for (id, instance) in &saved.instances {
+                agent.start(*id, instance);
+                if !instance.keep {
+                    agent.end(*id, "its agent was restarted");
+                }
+            }
+            agent.wanted = Some(saved);
+        }
+        agent
+    }
+
+    /// Returns the newest run that was heard of.
+    pub fn run(&self) -> Option<Run> {
+        self.run
+    }
+
+    /// Whether the core has been silent for longer than the lease.
+    pub fn is_alone(&self) -> bool {
+        self.is_alone
+    }
+
+    /// Returns the wanted state.
+    pub fn wanted(&self) -> Option<&Wanted> {
+        self.wanted.as_ref()
+    }
+
+    /// Takes what the core wants. Ignores what is older than what it wanted before.
+    pub fn want(&mut self, now: Timestamp, wanted: Wanted) {
+        if !self.hear(now, wanted.run) {
+            return;
+        }
+        if let Some(before) = &self.wanted {
+            if (before.run, before.generation) >= (wanted.run, wanted.generation) {
+                return;
+            }
+            if before.run != wanted.run {
+                let all: Vec<_> = self.instances.keys().copied().collect();
+                all.into_iter().for_each(|id| self.forget(id));
+            }
+        }
+        let gone: Vec<_> =
+            self.instances.keys().filter(|id| !wanted.instances.contains_key(id)).copied().collect();
+        gone.into_iter().for_each(|id| self.forget(id));
+        self.actions.push_back(Action::Save(Box::new(wanted.clone())));
+        for (id, instance) in &wanted.instances {
+            if !self.instances.contains_key(id) {
+                self.start(*id, instance);
+            }
+        }
+        self.wanted = Some(wanted);
+        self.next_report = now;
+    }
+
+    /// Takes a sign of life of the core.
+    pub fn beat(&mut self, now: Timestamp, beat: Beat) {
+        if self.hear(now, beat.run) {
+            self.beat = Some((beat, now));
+            // A core that has started anew waits for a report.
+            if self.wanted.as_ref().is_none_or(|wanted| wanted.generation != beat.generation) {
+                self.next_report = now;
+            }
+        }
+    }
+
+    /// Takes an event of the engine. Ignores that of an instance that is not wanted any more.
+    pub fn outcome(&mut self, now: Timestamp, event: EngineEvent) {
+        let Some(running) = self.instances.values_mut().find(|its| its.local == event.instance) else {
+            return;
+        };
+        if running.has_ended() {
+            return;
+        }
+        running.state = match event.outcome {
+            Outcome::Ready => InstanceState::Ready,
+            Outcome::Died(reason) => InstanceState::Died(short(&reason)),
+            Outcome::Failed(reason) => InstanceState::Failed(short(&reason)),
+        };
+        self.next_report = now;
+    }
+
+    /// Does what is due.
+    pub fn advance(&mut self, now: Timestamp) {
+        if self.is_alone || now < self.heard + self.lease() {
+            return;
+        }
+        self.is_alone = true;
+        let reason = format!("its core was away for longer than {:?}", self.lease());
+        let ends: Vec<_> = self.instances.iter().filter(|(_, its)| !its.keep).map(|(id, _)| *id).collect();
+        ends.into_iter().for_each(|id| self.end(id, &reason));
+    }
+
+    /// Returns the next action.
+    pub fn poll(&mut self, now: Timestamp) -> Option<Action> {
+        if let Some(action) = self.actions.pop_front() {
+            return Some(action);
+        }
+        let run = self.run.filter(|_| now >= self.next_report)?;
+        self.next_report = now + self.lease() / REPORTS_A_LEASE;
+        let wanted = self.wanted.as_ref().filter(|wanted| wanted.run == run);
+        let echo = self.beat.take().map(|(beat, received)| Echo {
+            sent_ns: beat.sent_ns,
+            received_ns: received.as_nanos(),
+            replied_ns: now.as_nanos(),
+        });
+        let instances = self.instances.iter().filter(|_| wanted.is_some());
+        Some(Action::Report(Report {
+            boot: self.boot,
+            run,
+            generation: wanted.map_or(0, |wanted| wanted.generation),
+            echo,
+            instances: instances.map(|(id, its)| (*id, its.state.clone())).collect(),
+        }))
+    }
+
+    /// Returns the time at which [`Self::advance`] or [`Self::poll`] has something to do.
+    pub fn next_deadline(&self) -> Timestamp {
+        let lease = if self.is_alone { Timestamp::MAX } else { self.heard + self.lease() };
+        let report = if self.run.is_some() { self.next_report } else { Timestamp::MAX };
+        lease.min(report)
+    }
+
+    fn lease(&self) -> Duration {
+        let asked = self.wanted.as_ref().map(|wanted| Duration::from_millis(wanted.lease_ms.into()));
+        asked.unwrap_or(LEASE).clamp(LEASES[0], LEASES[1])
+    }
+
+    /// Notes a sign of life of a run. Returns false if that run is over.
+    fn hear(&mut self, now: Timestamp, run: Run) -> bool {
+        if self.run.is_some_and(|newest| run < newest) {
+            return false;
+        }
+        self.run = Some(run);
+        (self.heard, self.is_alone) = (now, false);
+        true
+    }
+
+    fn start(&mut self, id: Instance, instance: &WantedInstance) {
+        self.started += 1;
+        let local = InstanceId(self.started);
+        self.instances.insert(id, Running { local, state: InstanceState::Starting, keep: instance.keep });
+        self.actions.push_back(Action::Start(local, Box::new(instance.clone())));
+    }
+
+    /// Ends an instance that is still wanted.
+    fn end(&mut self, id: Instance, reason: &str) {
+        if let Some(running) = self.instances.get_mut(&id).filter(|its| !its.has_ended()) {
+            running.state = InstanceState::Died(reason.to_owned());
+            let local = running.local;
+            self.cancel(local);
+        }
+    }
+
+    /// Ends an instance that is not wanted any more.
+    fn forget(&mut self, id: Instance) {
+        if let Some(running) = self.instances.remove(&id).filter(|its| !its.has_ended()) {
+            self.cancel(running.local);
+        }
+    }
+
+    /// Stops an instance, or leaves out its start if that was not done yet.
+    fn cancel(&mut self, local: InstanceId) {
+        let starts = |action: &Action| matches!(action, Action::Start(id, _) if *id == local);
+        match self.actions.iter().position(starts) {
+            Some(place) => drop(self.actions.remove(place)),
+            None => self.actions.push_back(Action::Stop(local)),
+        }
+    }
+}

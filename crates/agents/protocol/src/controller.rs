@@ -1,0 +1,301 @@
+//! The core's end: what is wanted of each agent, and what became of it.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    time::Duration,
+};
+
+use cotorra_engine::{EngineEvent, InstanceId, Outcome};
+use cotorra_graph::{AgentId, Timestamp};
+
+use crate::{
+    clock::{ClockOffset, OffsetEstimate},
+    message::{Beat, InstanceState, Report, Run, Shipped, Wanted, WantedInstance},
+};
+
+/// Beats in each lease, so that some can be lost.
+const BEATS_A_LEASE: u32 = 4;
+/// Least time between two copies of one wanted state.
+const AGAIN_AFTER: Duration = Duration::from_millis(100);
+
+/// Something that happened to an agent, or to an instance on its machine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ControllerEvent {
+    /// An agent reports, for the first time or again.
+    Joined(AgentId),
+    /// An agent does not report any more, with the reason.
+    Left(AgentId, String),
+    /// The outcome of an instance.
+    Instance(EngineEvent),
+}
+
+/// A message to send.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Transmit {
+    Wanted(AgentId, Box<Wanted>),
+    Beat(AgentId, Beat),
+}
+
+/// What is known of a wanted instance.
+#[derive(Debug)]
+struct Known {
+    wanted: WantedInstance,
+    /// The generation that it came with.
+    since: u64,
+    is_ready: bool,
+}
+
+/// What is known of an agent.
+#[derive(Debug, Default)]
+struct Remote {
+    instances: BTreeMap<u64, Known>,
+    generation: u64,
+    /// The last generation that it reported for this run.
+    reported: u64,
+    /// Number of instances in its last report.
+    running: usize,
+    /// Time of its last report, while it is not lost.
+    seen: Option<Timestamp>,
+    boot: Option<u64>,
+    clock: ClockOffset,
+    next_beat: Timestamp,
+    /// The generation that was sent last, and when.
+    sent: Option<(u64, Timestamp)>,
+    must_send: bool,
+}
+
+impl Remote {
+    fn change(&mut self) {
+        self.generation += 1;
+        self.must_send = true;
+    }
+}
+
+/// Keeps what is wanted of each agent of a run, and follows their reports.
+#[derive(Debug)]
+pub struct Controller {
+    run: Run,
+    lease: Duration,
+    files: Vec<Shipped>,
+    agents: BTreeMap<AgentId, Remote>,
+    events: VecDeque<ControllerEvent>,
+}
+
+impl Controller {
+    /// Follows these agents in a run whose instances read these files.
+    pub fn new(
+        run: Run,
+        lease: Duration,
+        files: Vec<Shipped>,
+        agents: impl IntoIterator<Item = AgentId>,
+    ) -> Self {
+        // Each agent has a wanted state from the start: nothing. It ends what an earlier run left there.
+        let remote = || Remote { generation: 1, must_send: true, ..Remote::default() };
+        let agents = agents.into_iter().map(|agent| (agent, remote())).collect();
+        Self { run, lease, files, agents, events: VecDeque::new() }
+    }
+
+    /// Wants an instance to run. It starts when its agent reports.
+    ///
+    /// # Errors
+    /// The reason, for people, if there is no such agent.
+    pub fn start(
+        &mut self,
+        agent: &AgentId,
+        instance: InstanceId,
+        wanted: WantedInstance,
+    ) -> Result<(), String> {
+        let remote = self.agents.get_mut(agent).ok_or_else(|| format!("there is no agent `{agent}`"))?;
+        remote.change();
+        let since = remote.generation;
+        remote.instances.insert(instance.0, Known { wanted, since, is_ready: false });
+        Ok(())
+    }
+
+    /// Does not want an instance any more. Ignores unknown ones.
+    pub fn stop(&mut self, instance: InstanceId) {
+        for remote in self.agents.values_mut() {
+            if remote.instances.remove(&instance.0).is_some() {
+                remote.change();
+            }
+        }
+    }
+
+    /// Does not want anything any more.
+    pub fn stop_all(&mut self) {
+        for remote in self.agents.values_mut() {
+            if !std::mem::take(&mut remote.instances).is_empty() {
+                remote.change();
+            }
+        }
+    }
+
+    /// Whether every agent that reports has saved what is wanted, and runs nothing else.
+    pub fn is_settled(&self) -> bool {
+        self.agents
+            .values()
+            .filter(|remote| remote.seen.is_some())
+            .all(|remote| remote.reported == remote.generation && remote.running == remote.instances.len())
+    }
+
+    /// Whether an agent reports.
+    pub fn is_present(&self, agent: &AgentId) -> bool {
+        self.agents.get(agent).is_some_and(|remote| remote.seen.is_some())
+    }
+
+    /// Returns the distance of an agent's clock; `None` before it answered a beat.
+    pub fn offset(&self, agent: &AgentId) -> Option<OffsetEstimate> {
+        self.agents.get(agent)?.clock.estimate()
+    }
+
+    /// Takes a report. Ignores that of an unknown agent.
+    pub fn receive(&mut self, now: Timestamp, agent: &AgentId, report: Report) {
+        let Some(remote) = self.agents.get_mut(agent) else { return };
+        let is_new = remote.boot.replace(report.boot) != Some(report.boot);
+        if is_new {
+            remote.clock.reset();
+            let was_ready = |known: &Known| known.is_ready;
+            end(remote, &mut self.events, was_ready, "its agent was restarted");
+        }
+        if let Some(echo) = report.echo {
+            remote.clock.receive(now, echo);
+        }
+        if remote.seen.replace(now).is_none() {
+            self.events.push_back(ControllerEvent::Joined(agent.clone()));
+        }
+        if report.run != self.run {
+            (remote.reported, remote.must_send) = (0, true);
+            return;
+        }
+        (remote.reported, remote.running) = (report.generation, report.instances.len());
+        let mut has_ended = false;
+        let events = &mut self.events;
+        remote.instances.retain(|id, known| {
+            let mut tell = |outcome| {
+                let event = EngineEvent { instance: InstanceId(*id), outcome };
+                events.push_back(ControllerEvent::Instance(event));
+            };
+            let ended = match report.instances.get(id) {
+                Some(InstanceState::Starting) => None,
+                Some(InstanceState::Ready) => {
+                    if !std::mem::replace(&mut known.is_ready, true) {
+                        tell(Outcome::Ready);
+                    }
+                    None
+                }
+                Some(InstanceState::Died(reason) | InstanceState::Failed(reason)) => Some(reason.clone()),
+                None if report.generation >= known.since => Some("its agent does not know it".to_owned()),
+                None => None,
+            };
+            let Some(reason) = ended else { return true };
+            tell(if known.is_ready { Outcome::Died(reason) } else { Outcome::Failed(reason) });
+            has_ended = true;
+            false
+        });
+        if has_ended {
+            remote.change();
+        }
+        if remote.reported < remote.generation {
+            remote.must_send = true;
+        }
+    }
+
+    /// Takes the notice that an agent's connection began or ended.
+    pub fn connection(&mut self, now: Timestamp, agent: &AgentId, is_there: bool) {
+        let Some(remote) = self.agents.get_mut(agent) else { return };
+        if is_there {
+            (remote.must_send, remote.sent, remote.next_beat) = (true, None, now);
+        } else {
+            self.lose(agent, "its connection ended");
+        }
+    }
+
+    /// Does what is due.
+    pub fn advance(&mut self, now: Timestamp) {
+        let is_late = |remote: &Remote| remote.seen.is_some_and(|seen| now >= seen + self.lease);
+        let late: Vec<_> =
+            self.agents.iter().filter(|(_, its)| is_late(its)).map(|(agent, _)| agent.clone()).collect();
+        for agent in late {
+            self.lose(&agent, &format!("it did not report for {:?}", self.lease));
+        }
+    }
+
+    fn lose(&mut self, agent: &AgentId, reason: &str) {
+        let Some(remote) = self.agents.get_mut(agent) else { return };
+        if remote.seen.take().is_some() {
+            self.events.push_back(ControllerEvent::Left(agent.clone(), reason.to_owned()));
+            let ends = |known: &Known| known.is_ready && !known.wanted.keep;
+            end(remote, &mut self.events, ends, &format!("its agent `{agent}` is lost: {reason}"));
+        }
+    }
+
+    /// Returns the next message to send.
+    pub fn poll_transmit(&mut self, now: Timestamp) -> Option<Transmit> {
+        let (run, lease) = (self.run, self.lease);
+        for (agent, remote) in &mut self.agents {
+            // A changed state is sent at once, and a copy not too often.
+            let is_copy = |(generation, at)| generation == remote.generation && now < at + AGAIN_AFTER;
+            if remote.must_send && !remote.sent.is_some_and(is_copy) {
+                (remote.must_send, remote.sent) = (false, Some((remote.generation, now)));
+                let instances = remote.instances.iter().map(|(id, known)| (*id, known.wanted.clone()));
+                let wanted = Wanted {
+                    run,
+                    generation: remote.generation,
+                    lease_ms: u32::try_from(lease.as_millis()).unwrap_or(u32::MAX),
+                    files: self.files.clone(),
+                    instances: instances.collect(),
+                };
+                return Some(Transmit::Wanted(agent.clone(), Box::new(wanted)));
+            }
+            if now >= remote.next_beat {
+                remote.next_beat = now + lease / BEATS_A_LEASE;
+                let beat = Beat { run, generation: remote.generation, sent_ns: now.as_nanos() };
+                return Some(Transmit::Beat(agent.clone(), beat));
+            }
+        }
+        None
+    }
+
+    /// Returns the next event, oldest first.
+    pub fn poll_event(&mut self) -> Option<ControllerEvent> {
+        self.events.pop_front()
+    }
+
+    /// Returns the time at which [`Self::advance`] or [`Self::poll_transmit`] has something to do.
+    pub fn next_deadline(&self) -> Timestamp {
+        let of = |remote: &Remote| {
+            let lease = remote.seen.map_or(Timestamp::MAX, |seen| seen + self.lease);
+            let send = match remote.sent {
+                _ if !remote.must_send => Timestamp::MAX,
+                Some((generation, at)) if generation == remote.generation => at + AGAIN_AFTER,
+                _ => Timestamp::ZERO,
+            };
+            remote.next_beat.min(lease).min(send)
+        };
+        self.agents.values().map(of).min().unwrap_or(Timestamp::MAX)
+    }
+}
+
+/// Ends the instances of an agent that `ends` chooses, and does not want them any more.
+fn end(
+    remote: &mut Remote,
+    events: &mut VecDeque<ControllerEvent>,
+    ends: impl Fn(&Known) -> bool,
+    reason: &str,
+) {
+    let before = remote.instances.len();
+    remote.instances.retain(|id, known| {
+        let stays = !ends(known);
+        if !stays {
+            let outcome = Outcome::Died(reason.to_owned());
+            events.push_back(ControllerEvent::Instance(EngineEvent { instance: InstanceId(*id), outcome }));
+        }
+        stays
+    });
+    if remote.instances.len() != before {
+        remote.change();
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,22 @@
+//! The protocol between the core and its agents, without a clock or sockets.
+//!
+//! The core sends each agent its **wanted state**: all that shall run there, with a generation. It sends it whole, again until
+//! the agent reports this generation, and a **beat** several times in each lease. The [`Agent`] saves the wanted state,
+//! starts and stops what differs, and **reports** all that runs. [`Controller`] is the core's end. Messages can be lost,
+//! doubled and overtaken, and both ends can be killed at any time; what runs is still what is wanted in the end.
+//!
+//! An agent that gets no beat for a lease stops all that shall not go on without the core. A core that gets no report for a
+//! lease counts such instances as dead.
+#![forbid(unsafe_code)]
+
+mod agent;
+mod clock;
+mod controller;
+mod message;
+
+pub use agent::{Action, Agent};
+pub use clock::{ClockOffset, OffsetEstimate};
+pub use controller::{Controller, ControllerEvent, Transmit};
+pub use message::{
+    Beat, Echo, InstanceState, LEASE, MessageError, Report, Run, Shipped, Wanted, WantedInstance,
+};

@@ -1,0 +1,23 @@
+//! Keys of messages: `cotorra/<run>/agent/<agent>/<kind>`.
+
+use cotorra_agent_protocol::Run;
+use cotorra_graph::AgentId;
+
+/// The beginning of all keys of an agent, in any run.
+pub(crate) fn of_agent(agent: &AgentId) -> String {
+    format!("cotorra/*/agent/{agent}")
+}
+
+/// The beginning of an agent's keys in a run.
+pub(crate) fn in_run(run: Run, agent: &AgentId) -> String {
+    format!("cotorra/{}/agent/{agent}", run.0)
+}
+
+/// Last parts of keys.
+pub(crate) const WANTED: &str = "wanted";
+pub(crate) const BEAT: &str = "beat";
+pub(crate) const STATE: &str = "state";
+pub(crate) const CONTEXT: &str = "context";
+pub(crate) const ALIVE: &str = "alive";
+/// Followed by the file's SHA-256.
+pub(crate) const FILE: &str = "file";

@@ -1,0 +1,332 @@
+//! Limits VNFs in CPU, memory and processes by cgroups, version 2 or 1, if this process may create them.
+//!
+//! A run's groups are named `cotorra-<pid>/<instance>`, so that the leftovers of a killed run can be found: their process
+//! no longer exists.
+
+use std::{
+    fs, io,
+    os::unix::fs::MetadataExt,
+    path::{Path, PathBuf},
+    thread,
+    time::Duration,
+};
+
+use crate::engine::InstanceId;
+
+const ROOT: &str = "/sys/fs/cgroup";
+const PREFIX: &str = "cotorra-";
+const CPU_PERIOD_US: f64 = 100_000.0;
+/// Most time of a run's real-time threads per second, µs. The kernel has 950,000 for all groups together, and other runs
+/// need their share.
+const REAL_TIME_US: u64 = 100_000;
+/// Most time of one VNF's real-time threads per second, µs. This is too little to block others, and many times what answers
+/// take. A group that used up its time stands still for the rest of the second.
+const VNF_REAL_TIME_US: u64 = 20_000;
+/// Most processes and threads of one VNF.
+const PROCESSES: u32 = 512;
+/// Attempts to remove a group while its processes are ending.
+const REMOVAL_ATTEMPTS: u32 = 300;
+/// Time between two attempts.
+const REMOVAL_INTERVAL: Duration = Duration::from_millis(10);
+
+/// An error in creating, changing or removing a group.
+#[derive(Debug, thiserror::Error)]
+#[error("{what} {}: {source}", path.display())]
+pub struct CgroupError {
+    what: &'static str,
+    path: PathBuf,
+    source: io::Error,
+}
+
+fn at(what: &'static str, path: &Path) -> impl FnOnce(io::Error) -> CgroupError {
+    let path = path.to_owned();
+    move |source| CgroupError { what, path, source }
+}
+
+/// The hierarchy of controllers on this machine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Hierarchy {
+    /// One tree with all controllers.
+    V2(PathBuf),
+    /// One tree per controller. Few machines lack the one for processes.
+    V1 { cpu: PathBuf, memory: PathBuf, pids: Option<PathBuf> },
+}
+
+impl Hierarchy {
+    fn find(root: &Path) -> Option<Self> {
+        let controllers = fs::read_to_string(root.join("cgroup.subtree_control")).unwrap_or_default();
+        if ["cpu", "memory"].iter().all(|c| controllers.split_whitespace().any(|has| has == *c)) {
+            return Some(Self::V2(root.to_owned()));
+        }
+        let (cpu, memory) = (root.join("cpu"), root.join("memory"));
+        let both = cpu.join("cpu.cfs_quota_us").exists() || cpu.join("cgroup.procs").exists();
+        let pids = Some(root.join("pids")).filter(|pids| pids.join("cgroup.procs").exists());
+        (both && memory.join("cgroup.procs").exists()).then_some(Self::V1 { cpu, memory, pids })
+    }
+
+    fn trees(&self) -> Vec<&Path> {
+        match self {
+            Self::V2(root) => vec![root],
+            Self::V1 { cpu, memory, pids } => {
+                [cpu, memory].into_iter().chain(pids).map(|tree| &**tree).collect()
+            }
+        }
+    }
+}
+
+/// The groups of one run.
+#[derive(Debug)]
+pub struct Cgroups {
+    hierarchy: Hierarchy,
+    name: String,
+}
+
+impl Cgroups {
+    /// Creates this process's groups.
+    ///
+    /// # Errors
+    /// [`CgroupError`] if there are no controllers, or this user may not create groups.
+    pub fn new() -> Result<Self, CgroupError> {
+        Self::under(Path::new(ROOT))
+    }
+
+    fn under(root: &Path) -> Result<Self, CgroupError> {
+        let missing = || io::Error::new(io::ErrorKind::NotFound, "no cpu and memory controllers");
+        let hierarchy =
+            Hierarchy::find(root).ok_or_else(missing).map_err(at("look for controllers in", root))?;
+        let groups = Self { hierarchy, name: format!("{PREFIX}{}", std::process::id()) };
+        for path in groups.paths() {
+            fs::create_dir_all(&path).map_err(at("make the cgroup", &path))?;
+            if matches!(groups.hierarchy, Hierarchy::V2(_)) {
+                let control = path.join("cgroup.subtree_control");
+                fs::write(&control, "+cpu +memory").map_err(at("pass controllers on in", &control))?;
+                if let Err(error) = fs::write(&control, "+pids") {
+                    tracing::info!("VNFs may have any number of processes: {}: {error}", control.display());
+                }
+            }
+        }
+        if let Hierarchy::V1 { cpu, .. } = &groups.hierarchy {
+            allow_real_time(&cpu.join(&groups.name), REAL_TIME_US);
+        }
+        Ok(groups)
+    }
+
+    fn paths(&self) -> Vec<PathBuf> {
+        self.hierarchy.trees().into_iter().map(|tree| tree.join(&self.name)).collect()
+    }
+
+    /// Creates an instance's group with its limits. Returns the `cgroup.procs` files to write its process to.
+    ///
+    /// # Errors
+    /// [`CgroupError`] if the kernel rejects the group or a limit.
+    pub fn limit(
+        &self,
+        instance: InstanceId,
+        cpus: f64,
+        memory_bytes: u64,
+    ) -> Result<Vec<PathBuf>, CgroupError> {
+        let mut procs = Vec::new();
+        for path in self.paths().into_iter().map(|p| p.join(instance.0.to_string())) {
+            fs::create_dir_all(&path).map_err(at("make the cgroup", &path))?;
+            procs.push(path.join("cgroup.procs"));
+        }
+        let quota = (cpus * CPU_PERIOD_US).max(1000.0) as u64;
+        let set =
+            |path: PathBuf, value: String| fs::write(&path, value).map_err(at("set the limit in", &path));
+        match &self.hierarchy {
+            Hierarchy::V2(root) => {
+                let group = root.join(&self.name).join(instance.0.to_string());
+                set(group.join("cpu.max"), format!("{quota} {CPU_PERIOD_US}"))?;
+                set(group.join("memory.max"), memory_bytes.to_string())?;
+                if group.join("memory.swap.max").exists() {
+                    set(group.join("memory.swap.max"), "0".to_owned())?;
+                }
+                if group.join("pids.max").exists() {
+                    set(group.join("pids.max"), PROCESSES.to_string())?;
+                }
+            }
+            Hierarchy::V1 { cpu, memory, pids } => {
+                let group = |tree: &Path| tree.join(&self.name).join(instance.0.to_string());
+                set(group(cpu).join("cpu.cfs_period_us"), format!("{CPU_PERIOD_US}"))?;
+                set(group(cpu).join("cpu.cfs_quota_us"), quota.to_string())?;
+                allow_real_time(&group(cpu), VNF_REAL_TIME_US);
+                set(group(memory).join("memory.limit_in_bytes"), memory_bytes.to_string())?;
+                if let Some(pids) = pids {
+                    set(group(pids).join("pids.max"), PROCESSES.to_string())?;
+                }
+            }
+        }
+        Ok(procs)
+    }
+
+    /// Removes an instance's group. Leaves one that still has processes to [`Cgroups::clean`].
+    pub fn release(&self, instance: InstanceId) {
+        for path in self.paths() {
+            let _ = fs::remove_dir(path.join(instance.0.to_string()));
+        }
+    }
+
+    /// Removes the groups of runs whose process no longer exists, and waits for the end of processes in them. Returns the
+    /// removed groups, and the errors of others.
+    pub fn clean() -> (Vec<PathBuf>, Vec<CgroupError>) {
+        let (mut removed, mut kept) = (Vec::new(), Vec::new());
+        for group in Self::leftovers() {
+            match remove_when_empty(&group) {
+                Ok(()) => removed.push(group),
+                Err(error) => kept.push(error),
+            }
+        }
+        (removed, kept)
+    }
+
+    /// Returns the groups that [`Self::clean`] would remove.
+    pub fn leftovers() -> Vec<PathBuf> {
+        Self::leftovers_under(Path::new(ROOT), lives)
+    }
+
+    fn leftovers_under(root: &Path, lives: impl Fn(u32) -> bool) -> Vec<PathBuf> {
+        let Some(hierarchy) = Hierarchy::find(root) else { return Vec::new() };
+        let groups = hierarchy.trees().into_iter().flat_map(fs::read_dir).flatten().flatten();
+        // Other users remove their own groups.
+        let user = fs::metadata("/proc/self").map(|own| own.uid()).ok();
+        let is_ours = |group: &fs::DirEntry| group.metadata().is_ok_and(|found| Some(found.uid()) == user);
+        let is_left = |group: &fs::DirEntry| {
+            let name = group.file_name();
+            let pid =
+                name.to_str().and_then(|name| name.strip_prefix(PREFIX)).and_then(|pid| pid.parse().ok());
+            pid.is_some_and(|pid| !lives(pid)) && is_ours(group)
+        };
+        groups.filter(is_left).map(|group| group.path()).collect()
+    }
+}
+
+/// Allows real-time threads in a group. Version 1 forbids them by default if the kernel counts their time. If the kernel
+/// rejects this, VNFs that ask for real-time priority are scheduled like all others.
+fn allow_real_time(group: &Path, runtime_us: u64) {
+    let runtime = group.join("cpu.rt_runtime_us");
+    if !runtime.exists() {
+        return;
+    }
+    if let Err(error) = fs::write(&runtime, runtime_us.to_string()) {
+        tracing::debug!("no real-time threads in {}: {error}", group.display());
+    }
+}
+
+/// Whether a process exists. Zombies do not count.
+fn lives(pid: u32) -> bool {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat"));
+    stat.is_ok_and(|stat| !stat.rsplit(')').next().unwrap_or_default().trim_start().starts_with(['Z', 'X']))
+}
+
+fn remove_group(group: &Path) -> io::Result<()> {
+    for child in fs::read_dir(group)?.flatten() {
+        if child.file_type().is_ok_and(|t| t.is_dir()) {
+            fs::remove_dir(child.path())?;
+        }
+    }
+    fs::remove_dir(group)
+}
+
+/// Removes a group whose processes are ending because their run has ended.
+#[allow(clippy::disallowed_methods, reason = "version 1 has no notification of empty groups")]
+fn remove_when_empty(group: &Path) -> Result<(), CgroupError> {
+    use io::ErrorKind::{NotFound, ResourceBusy};
+    for _ in 0..REMOVAL_ATTEMPTS {
+        match remove_group(group) {
+            // Another process has removed it.
+            Err(_) if !group.exists() => return Ok(()),
+            Err(error) if matches!(error.kind(), ResourceBusy | NotFound) => thread::sleep(REMOVAL_INTERVAL),
+            done => return done.map_err(at("remove the cgroup", group)),
+        }
+    }
+    remove_group(group).map_err(at("remove the cgroup of a killed run, in which processes still end,", group))
+}
+
+impl Drop for Cgroups {
+    fn drop(&mut self) {
+        for path in self.paths() {
+            // The next run removes groups whose processes still end.
+            let _ = remove_group(&path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A folder with the layout of a v1 hierarchy.
+    fn v1() -> tempfile::TempDir {
+        let root = tempfile::tempdir().unwrap();
+        for tree in ["cpu", "memory", "pids"] {
+            fs::create_dir(root.path().join(tree)).unwrap();
+            fs::write(root.path().join(tree).join("cgroup.procs"), "").unwrap();
+        }
+        root
+    }
+
+    #[test]
+    fn limits_are_written_to_the_files_of_version_1() {
+        let root = v1();
+        let groups = Cgroups::under(root.path()).unwrap();
+        let procs = groups.limit(InstanceId(7), 1.5, 1 << 20).unwrap();
+        assert_eq!(procs.len(), 3);
+        let read = |file: &str| {
+            let group = format!("{PREFIX}{}/7", std::process::id());
+            let (tree, file) = file.split_once('/').unwrap();
+            fs::read_to_string(root.path().join(tree).join(group).join(file)).unwrap()
+        };
+        assert_eq!(read("cpu/cpu.cfs_quota_us"), "150000");
+        assert_eq!(read("memory/memory.limit_in_bytes"), "1048576");
+        assert_eq!(read("pids/pids.max"), "512");
+    }
+
+    #[test]
+    fn only_groups_of_ended_processes_are_removed() {
+        let root = v1();
+        for pid in [11, 12] {
+            fs::create_dir_all(root.path().join(format!("cpu/{PREFIX}{pid}/1"))).unwrap();
+        }
+        fs::create_dir(root.path().join("cpu/somebody-elses")).unwrap();
+        let left = Cgroups::leftovers_under(root.path(), |pid| pid == 12);
+        assert_eq!(left, [root.path().join(format!("cpu/{PREFIX}11"))]);
+        remove_when_empty(&left[0]).unwrap();
+        assert!(root.path().join(format!("cpu/{PREFIX}12/1")).exists());
+        assert!(root.path().join("cpu/somebody-elses").exists());
+    }
+
+    #[test]
+    fn a_group_that_cannot_be_removed_is_reported_with_the_reason() {
+        let root = v1();
+        let group = root.path().join("cpu/cotorra-11");
+        fs::create_dir(&group).unwrap();
+        fs::write(group.join("tasks"), "12").unwrap();
+        let error = remove_when_empty(&group).unwrap_err().to_string();
+        assert!(error.contains("cotorra-11") && error.contains("not empty"), "{error}");
+    }
+
+    #[test]
+    fn removal_by_another_process_is_no_error() {
+        let root = v1();
+        remove_when_empty(&root.path().join("cpu/cotorra-11")).unwrap();
+    }
+
+    #[test]
+    fn zombies_do_not_count_as_processes() {
+        let mut child = std::process::Command::new("sleep").arg("1000").spawn().unwrap();
+        assert!(lives(child.id()));
+        child.kill().unwrap();
+        while lives(child.id()) {
+            thread::yield_now();
+        }
+        assert!(Path::new("/proc").join(child.id().to_string()).exists());
+        child.wait().unwrap();
+    }
+
+    #[test]
+    fn missing_controllers_are_reported() {
+        let root = tempfile::tempdir().unwrap();
+        let error = Cgroups::under(root.path()).unwrap_err().to_string();
+        assert!(error.contains("no cpu and memory controllers"), "{error}");
+    }
+}

@@ -1,0 +1,16 @@
+//! Engines that run VNFs: the interface [`Engine`], processes with limits, and an engine in memory for virtual time.
+//!
+//! Network Control decides what runs where. An engine starts and stops instances, and reports what became of them.
+#![forbid(unsafe_code)]
+
+mod cgroup;
+mod engine;
+mod environment;
+mod memory;
+mod process;
+
+pub use cgroup::{CgroupError, Cgroups};
+pub use engine::{Engine, EngineEvent, InstanceId, Outcome};
+pub use environment::{program_of, program_of_others};
+pub use memory::InMemoryEngine;
+pub use process::{Launcher, Process, ProcessEngine, READY, replica_name};

@@ -1,0 +1,264 @@
+//! Runs each VNF as a process in its node's namespace, with limits if cgroups are available, and its output in a log.
+//!
+//! One thread watches each process, because the thread that starts a process must live until its end.
+
+use std::{
+    collections::BTreeMap,
+    fs::{File, OpenOptions},
+    io::{self, BufRead, BufReader, PipeReader, Write},
+    path::PathBuf,
+    process::{ChildStdout, Command, ExitStatus, Stdio},
+    sync::{Arc, mpsc},
+    thread,
+    time::Duration,
+};
+
+use cotorra_graph::{NodeId, Program, Vnf, VnfId};
+
+use crate::{
+    cgroup::Cgroups,
+    engine::{Engine, EngineEvent, InstanceId, Outcome},
+};
+
+/// Interval of checks whether a process has ended.
+const CHECK_INTERVAL: Duration = Duration::from_millis(50);
+/// Checks after SIGTERM until a process is killed.
+const GRACE_CHECKS: u32 = 10;
+/// First line of a bundled VNF's output, once it serves.
+pub const READY: &str = "ready";
+
+/// A process of a VNF, with its descendants.
+pub trait Process: Send {
+    /// Returns the exit status, if the process has ended.
+    ///
+    /// # Errors
+    /// The error of the system.
+    fn try_wait(&mut self) -> io::Result<Option<ExitStatus>>;
+
+    /// Sends SIGTERM.
+    fn terminate(&mut self);
+
+    /// Kills the process and waits for its end.
+    fn kill(&mut self);
+
+    /// Takes the standard output, if the command has a pipe for it.
+    fn stdout(&mut self) -> Option<ChildStdout>;
+}
+
+/// Starts processes of VNFs: on their node, in cgroups, and killed with this process.
+pub trait Launcher: Send + Sync + 'static {
+    /// Starts a process with the rights of its VNF.
+    ///
+    /// # Errors
+    /// The error of the system if the process cannot be started.
+    fn launch(
+        &self,
+        vnf: &Vnf,
+        replica: u32,
+        node: &NodeId,
+        command: Command,
+        cgroup_procs: Vec<PathBuf>,
+    ) -> io::Result<Box<dyn Process>>;
+
+    /// Returns the command of a VNF's instance, with its environment. A bundled VNF, navigation or localization, prints
+    /// [`READY`] once it serves.
+    ///
+    /// # Errors
+    /// The reason for which it cannot run there, for people.
+    fn command(&self, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<Command, String>;
+
+    /// Signals a new event of [`Engine::poll`]. Called from other threads.
+    fn wake(&self);
+}
+
+/// Returns a file name for a VNF's replica: the VNF's name for the first, `<vnf>@<replica>` for others. No VNF's name has
+/// an `@`.
+pub fn replica_name(vnf: &VnfId, replica: u32) -> String {
+    if replica == 0 { vnf.to_string() } else { format!("{vnf}@{replica}") }
+}
+
+/// Runs VNFs as processes.
+pub struct ProcessEngine<L> {
+    launcher: Arc<L>,
+    logs: PathBuf,
+    cgroups: Option<Arc<Cgroups>>,
+    watched: BTreeMap<InstanceId, Watched>,
+    events: mpsc::Receiver<EngineEvent>,
+    report: mpsc::Sender<EngineEvent>,
+}
+
+impl<L> std::fmt::Debug for ProcessEngine<L> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ProcessEngine").field("watched", &self.watched.len()).finish_non_exhaustive()
+    }
+}
+
+struct Watched {
+    stop: mpsc::Sender<()>,
+    thread: thread::JoinHandle<()>,
+}
+
+impl<L: Launcher> ProcessEngine<L> {
+    /// Creates an engine. Processes append their output to `logs/<vnf>.log`, or `logs/<vnf>@<replica>.log` for replicas
+    /// from 1. Without cgroups they have no limits.
+    pub fn new(launcher: Arc<L>, logs: PathBuf, cgroups: Option<Cgroups>) -> Self {
+        let (report, events) = mpsc::channel();
+        Self { launcher, logs, cgroups: cgroups.map(Arc::new), watched: BTreeMap::new(), events, report }
+    }
+
+    fn command(&self, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<Command, String> {
+        if vnf.program == Program::RobotDriver {
+            return Err("the robot's driver runs in the Robot Middleware".to_owned());
+        }
+        let mut command = self.launcher.command(vnf, replica, node)?;
+        command.env("COTORRA_VNF", vnf.id.as_str()).env("COTORRA_NODE", node.as_str());
+        command.env("COTORRA_REPLICA", replica.to_string());
+        Ok(command)
+    }
+}
+
+impl<L: Launcher> Engine for ProcessEngine<L> {
+    fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
+        let mut command = self.command(vnf, replica, node)?;
+        let path = self.logs.join(format!("{}.log", replica_name(&vnf.id, replica)));
+        let in_log = |e: io::Error| format!("cannot write {}: {e}", path.display());
+        let mut log = OpenOptions::new().create(true).append(true).open(&path).map_err(in_log)?;
+        writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
+        let output = match vnf.program {
+            Program::Command(_) => {
+                // A pipe rather than the log itself, so that the VNF cannot change what is written there.
+                let (output, stdout) = io::pipe().map_err(in_log)?;
+                command.stderr(stdout.try_clone().map_err(in_log)?).stdout(stdout);
+                Some(output)
+            }
+            _ => {
+                command.stderr(log.try_clone().map_err(in_log)?).stdout(Stdio::piped());
+                None
+            }
+        };
+        command.stdin(Stdio::null());
+        let procs = match &self.cgroups {
+            Some(groups) => groups.limit(instance, vnf.cpus, vnf.memory_bytes).map_err(|e| e.to_string())?,
+            None => Vec::new(),
+        };
+        let (stop, stopped) = mpsc::channel();
+        let (launcher, events) = (Arc::clone(&self.launcher), self.report.clone());
+        let (node, vnf) = (node.clone(), vnf.clone());
+        let cgroups = self.cgroups.clone();
+        let thread = thread::Builder::new()
+            .name(format!("vnf-{}", vnf.id))
+            .spawn(move || {
+                let report = |outcome| {
+                    // Fails only while the engine is dropped.
+                    let _ = events.send(EngineEvent { instance, outcome });
+                    launcher.wake();
+                };
+                match launcher.launch(&vnf, replica, &node, command, procs) {
+                    Ok(mut child) => watch(&mut *child, log, output, &stopped, &report),
+                    Err(error) => report(Outcome::Failed(format!("cannot start: {error}"))),
+                }
+                if let Some(groups) = cgroups {
+                    groups.release(instance);
+                }
+            })
+            .map_err(|e| format!("cannot start a thread: {e}"))?;
+        self.watched.insert(instance, Watched { stop, thread });
+        Ok(())
+    }
+
+    fn stop(&mut self, instance: InstanceId) {
+        if let Some(watched) = self.watched.get(&instance) {
+            let _ = watched.stop.send(());
+        }
+    }
+
+    fn poll(&mut self) -> Option<EngineEvent> {
+        let event = self.events.try_recv().ok();
+        self.watched.retain(|_, watched| !watched.thread.is_finished());
+        event
+    }
+
+    fn shut_down(&mut self) {
+        for watched in self.watched.values() {
+            let _ = watched.stop.send(());
+        }
+        for (_, watched) in std::mem::take(&mut self.watched) {
+            let _ = watched.thread.join();
+        }
+    }
+}
+
+impl<L> Drop for ProcessEngine<L> {
+    fn drop(&mut self) {
+        for (_, watched) in std::mem::take(&mut self.watched) {
+            let _ = watched.stop.send(());
+            let _ = watched.thread.join();
+        }
+    }
+}
+
+/// Watches a process until it ends or is stopped.
+fn watch(
+    child: &mut dyn Process,
+    mut log: File,
+    output: Option<PipeReader>,
+    stopped: &mpsc::Receiver<()>,
+    report: &(impl Fn(Outcome) + Sync),
+) {
+    thread::scope(|scope| {
+        if let Some(mut output) = output {
+            report(Outcome::Ready);
+            scope.spawn(move || {
+                // A full disk must not block the VNF.
+                let _ = io::copy(&mut output, &mut log).or_else(|_| io::copy(&mut output, &mut io::sink()));
+            });
+        } else if let Some(stdout) = child.stdout() {
+            scope.spawn(|| copy_output(stdout, log, report));
+        }
+        loop {
+            match stopped.recv_timeout(CHECK_INTERVAL) {
+                Err(mpsc::RecvTimeoutError::Timeout) => match child.try_wait() {
+                    Ok(None) => {}
+                    Ok(Some(status)) => return report(Outcome::Died(describe(status))),
+                    Err(error) => return report(Outcome::Died(error.to_string())),
+                },
+                // Stopped, or the engine is gone.
+                Ok(()) | Err(mpsc::RecvTimeoutError::Disconnected) => return terminate(child),
+            }
+        }
+    });
+}
+
+/// Copies the output of a bundled VNF to its log. The line [`READY`] reports that it serves.
+fn copy_output(stdout: impl io::Read, mut log: File, report: &impl Fn(Outcome)) {
+    let mut waiting = true;
+    for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+        if waiting && line == READY {
+            waiting = false;
+            report(Outcome::Ready);
+        }
+        // A full disk must not stop the VNF.
+        let _ = writeln!(log, "{line}");
+    }
+}
+
+fn terminate(child: &mut dyn Process) {
+    child.terminate();
+    let (_keep, never) = mpsc::channel::<()>();
+    for _ in 0..GRACE_CHECKS {
+        if !matches!(child.try_wait(), Ok(None)) {
+            return;
+        }
+        let _ = never.recv_timeout(CHECK_INTERVAL);
+    }
+    child.kill();
+}
+
+fn describe(status: ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt;
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("exited with status {code}"),
+        (_, Some(signal)) => format!("was killed by signal {signal}"),
+        _ => status.to_string(),
+    }
+}

@@ -1,0 +1,161 @@
+//! Agents of a run: VNFs on real servers run there.
+//!
+//! A thread of its own owns the router and the protocol's state. It talks to the core by messages.
+
+mod error;
+mod link;
+mod shipped;
+
+use std::{
+    collections::BTreeMap,
+    net::{Ipv4Addr, SocketAddr},
+    path::PathBuf,
+    sync::{Arc, mpsc},
+    thread,
+};
+
+use cotorra_agent_protocol::{LEASE, Run, WantedInstance};
+use cotorra_engine::{Engine, EngineEvent, InstanceId};
+use cotorra_enrolment::Authority;
+use cotorra_graph::{AgentId, NodeId, Testbed, Vnf};
+use cotorra_plugin::wire;
+
+pub use self::error::AgentsError;
+use self::link::{Command, Link};
+use crate::{clock::Clock, message::Message, report::RunFolder};
+
+/// Where agents connect to a run.
+#[derive(Debug, Clone)]
+pub struct AgentOptions {
+    /// Address at which the core listens.
+    pub listen: SocketAddr,
+    /// Folder of the authority with which agents are enrolled.
+    pub authority: Option<PathBuf>,
+}
+
+impl AgentOptions {
+    /// Port at which the core listens.
+    pub const PORT: u16 = 7448;
+}
+
+impl Default for AgentOptions {
+    fn default() -> Self {
+        Self { listen: SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), Self::PORT), authority: None }
+    }
+}
+
+/// Checks that agents can be used, before a run has a folder. Returns the authority; `None` for a testbed without agents.
+pub(crate) fn authority(testbed: &Testbed, options: &AgentOptions) -> Result<Option<Authority>, AgentsError> {
+    let wanted: Vec<_> = testbed.graph.real_servers().map(|(_, real)| real.agent.clone()).collect();
+    if wanted.is_empty() {
+        return Ok(None);
+    }
+    let folder =
+        options.authority.clone().or_else(Authority::default_folder).ok_or(AgentsError::NoAuthority)?;
+    let authority = Authority::open(folder)?;
+    let granted = authority.granted(chrono::Utc::now())?;
+    match wanted.into_iter().find(|agent| granted.iter().all(|granted| granted.name != *agent)) {
+        Some(agent) => Err(AgentsError::NotEnrolled(agent)),
+        None => Ok(Some(authority)),
+    }
+}
+
+/// The engine of VNFs on real servers. Dropping it ends them.
+#[derive(Debug)]
+pub(crate) struct AgentEngine {
+    testbed: Arc<Testbed>,
+    carriers: BTreeMap<NodeId, AgentId>,
+    commands: mpsc::Sender<Command>,
+    events: mpsc::Receiver<EngineEvent>,
+    thread: Option<thread::JoinHandle<()>>,
+}
+
+impl AgentEngine {
+    /// Listens for the agents of a testbed. Reports their coming and going, and their contexts, as messages to the core.
+    pub(crate) fn start(
+        testbed: &Arc<Testbed>,
+        options: &AgentOptions,
+        authority: Authority,
+        run: Run,
+        folder: &RunFolder,
+        now: &Clock,
+        messages: &mpsc::Sender<Message>,
+    ) -> Result<Self, AgentsError> {
+        let carriers: BTreeMap<_, _> =
+            testbed.graph.real_servers().map(|(node, real)| (node.id.clone(), real.agent.clone())).collect();
+        let (files, paths) = shipped::list(folder.path())?;
+        let (commands, inbox) = mpsc::channel();
+        let (report, events) = mpsc::channel();
+        let link = Link::open(link::Parts {
+            run,
+            lease: LEASE,
+            listen: options.listen,
+            authority,
+            nodes: carriers.iter().map(|(node, agent)| (agent.clone(), node.clone())).collect(),
+            files,
+            paths,
+            now: Arc::clone(now),
+            commands: commands.clone(),
+            events: report,
+            messages: messages.clone(),
+        })?;
+        let thread = thread::Builder::new()
+            .name("agents".to_owned())
+            .spawn(move || link.run(&inbox))
+            .map_err(AgentsError::Thread)?;
+        Ok(Self { testbed: Arc::clone(testbed), carriers, commands, events, thread: Some(thread) })
+    }
+
+    /// Whether an agent runs the VNFs of a node.
+    pub(crate) fn carries(&self, node: &NodeId) -> bool {
+        self.carriers.contains_key(node)
+    }
+
+    /// Returns the variables of a VNF's program.
+    fn environment(&self, vnf: &Vnf, node: &NodeId) -> BTreeMap<String, String> {
+        let of_vnf = |service: &&cotorra_graph::Service| service.vnfs.iter().any(|its| its.id == vnf.id);
+        let robot = self.testbed.services.iter().find(of_vnf).map(|service| service.robot.to_string());
+        let port = wire::port(&self.testbed, &vnf.id).map(|port| port.to_string());
+        let ours = [(cotorra_vnfs::ROBOT, robot), (cotorra_vnfs::PORT, port)];
+        let ours = ours.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
+        let ros = self.testbed.graph.ros1_environment(node);
+        ros.into_iter().map(|(name, value)| (name.to_string(), value)).chain(ours).collect()
+    }
+}
+
+impl Engine for AgentEngine {
+    fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
+        let agent = self.carriers.get(node).ok_or_else(|| format!("`{node}` has no agent"))?;
+        let wanted = WantedInstance {
+            vnf: vnf.clone(),
+            replica,
+            node: node.clone(),
+            environment: self.environment(vnf, node),
+            keep: vnf.keep,
+        };
+        let command = Command::Start(agent.clone(), instance, Box::new(wanted));
+        self.commands.send(command).map_err(|_| "the agents' thread has ended".to_owned())
+    }
+
+    fn stop(&mut self, instance: InstanceId) {
+        // Fails only if the thread has ended, and all instances with it.
+        let _ = self.commands.send(Command::Stop(instance));
+    }
+
+    fn poll(&mut self) -> Option<EngineEvent> {
+        self.events.try_recv().ok()
+    }
+
+    fn shut_down(&mut self) {
+        let _ = self.commands.send(Command::End);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for AgentEngine {
+    fn drop(&mut self) {
+        self.shut_down();
+    }
+}

@@ -1,0 +1,200 @@
+//! The thread of agents: the router, and the state of the protocol.
+
+use std::{
+    collections::BTreeMap,
+    net::SocketAddr,
+    path::PathBuf,
+    sync::{Arc, mpsc},
+    time::Duration,
+};
+
+use cotorra_agent_protocol::{Controller, ControllerEvent, Run, Shipped, WantedInstance};
+use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
+use cotorra_engine::{EngineEvent, InstanceId};
+use cotorra_enrolment::Authority;
+use cotorra_graph::{AgentId, Event, MachineContext, NodeId, Stamped, Timestamp};
+
+use super::error::AgentsError;
+use crate::{clock::Clock, message::Message};
+
+/// Interval of looking for enrolled, renewed and revoked agents.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// A message to the thread.
+pub(super) enum Command {
+    Start(AgentId, InstanceId, Box<WantedInstance>),
+    Stop(InstanceId),
+    /// Something arrived from an agent. The last part is held until it is handled, to bound the number that waits.
+    Arrived(AgentId, FromAgent, Arc<()>),
+    /// Stop everything, and end.
+    End,
+}
+
+/// What the thread works with.
+pub(super) struct Parts {
+    pub(super) run: Run,
+    pub(super) lease: Duration,
+    pub(super) listen: SocketAddr,
+    pub(super) authority: Authority,
+    /// The node of each agent.
+    pub(super) nodes: BTreeMap<AgentId, NodeId>,
+    pub(super) files: Vec<Shipped>,
+    /// Paths of the files by their SHA-256.
+    pub(super) paths: BTreeMap<String, PathBuf>,
+    pub(super) now: Clock,
+    pub(super) commands: mpsc::Sender<Command>,
+    pub(super) events: mpsc::Sender<EngineEvent>,
+    pub(super) messages: mpsc::Sender<Message>,
+}
+
+pub(super) struct Link {
+    parts: Parts,
+    controller: Controller,
+    granted: Vec<Granted>,
+    /// `None` if it could not be opened.
+    router: Option<Router>,
+}
+
+impl Link {
+    /// Listens for agents.
+    pub(super) fn open(parts: Parts) -> Result<Self, AgentsError> {
+        let granted = granted(&parts)?;
+        let router = Some(open(&parts, &granted)?);
+        let agents = parts.nodes.keys().cloned();
+        let controller = Controller::new(parts.run, parts.lease, parts.files.clone(), agents);
+        Ok(Self { parts, controller, granted, router })
+    }
+
+    /// Runs until it is told to end, and what it runs has been stopped.
+    pub(super) fn run(mut self, inbox: &mpsc::Receiver<Command>) {
+        let mut next_look = (self.parts.now)() + LOOK;
+        let mut ends_at = None;
+        loop {
+            let now = (self.parts.now)();
+            self.controller.advance(now);
+            self.send(now);
+            self.report(now);
+            if now >= next_look {
+                next_look = now + LOOK;
+                self.look();
+            }
+            if ends_at.is_some_and(|ends_at| now >= ends_at || self.controller.is_settled()) {
+                return;
+            }
+            let deadline =
+                self.controller.next_deadline().min(next_look).min(ends_at.unwrap_or(Timestamp::MAX));
+            match inbox.recv_timeout(deadline.since((self.parts.now)())) {
+                Ok(Command::End) | Err(mpsc::RecvTimeoutError::Disconnected) => {
+                    self.controller.stop_all();
+                    ends_at = Some((self.parts.now)() + self.parts.lease);
+                }
+                Ok(command) => self.take(command),
+                Err(mpsc::RecvTimeoutError::Timeout) => {}
+            }
+        }
+    }
+
+    fn take(&mut self, command: Command) {
+        let now = (self.parts.now)();
+        match command {
+            Command::Start(agent, instance, wanted) => {
+                // The engine starts instances on agents of this testbed only.
+                if let Err(reason) = self.controller.start(&agent, instance, *wanted) {
+                    tracing::error!("{reason}");
+                }
+            }
+            Command::Stop(instance) => self.controller.stop(instance),
+            Command::Arrived(agent, arrived, _waiting) => match arrived {
+                FromAgent::Connection(is_there) => self.controller.connection(now, &agent, is_there),
+                FromAgent::Report(report) => self.controller.receive(now, &agent, report),
+                FromAgent::Context(bytes) => self.context(now, &agent, &bytes),
+                FromAgent::Rejected(reason) => tracing::warn!("agent `{agent}`: rejected {reason}"),
+            },
+            Command::End => {}
+        }
+    }
+
+    /// Reports the context of an agent's machine as that of its node.
+    fn context(&self, now: Timestamp, agent: &AgentId, bytes: &[u8]) {
+        let Some(node) = self.parts.nodes.get(agent) else { return };
+        match serde_json::from_slice::<MachineContext>(bytes) {
+            Ok(mut context) => {
+                context.node = node.clone();
+                tracing::trace!("{context:?}");
+            }
+            Err(error) => tracing::warn!("agent `{agent}`: rejected a context: {error}"),
+        }
+    }
+
+    fn send(&mut self, now: Timestamp) {
+        while let Some(transmit) = self.controller.poll_transmit(now) {
+            if let Some(Err(error)) =
+                self.router.as_ref().map(|router| router.send(self.parts.run, &transmit))
+            {
+                tracing::warn!("{error}");
+            }
+        }
+    }
+
+    fn report(&mut self, now: Timestamp) {
+        while let Some(event) = self.controller.poll_event() {
+            match event {
+                ControllerEvent::Instance(event) => {
+                    // The core may have ended.
+                    let _ = self.parts.events.send(event);
+                    let _ = self.parts.messages.send(Message::Wake);
+                }
+                ControllerEvent::Joined(agent) => {
+                    self.tell(now, Event::Notice { message: format!("agent `{agent}` is connected") });
+                }
+                ControllerEvent::Left(agent, reason) => {
+                    self.tell(now, Event::Notice { message: format!("agent `{agent}` is lost: {reason}") });
+                }
+            }
+        }
+    }
+
+    fn tell(&self, at: Timestamp, event: Event) {
+        let _ = self.parts.messages.send(Message::Network(Stamped { at, event }));
+    }
+
+    /// Opens the router anew if agents were enrolled, renewed or revoked. The others connect again within the lease.
+    fn look(&mut self) {
+        match granted(&self.parts) {
+            Ok(granted) if granted != self.granted || self.router.is_none() => {
+                // The address must be free.
+                self.router = None;
+                match open(&self.parts, &granted) {
+                    Ok(router) => (self.router, self.granted) = (Some(router), granted),
+                    Err(error) => tracing::error!("agents cannot connect: {error}"),
+                }
+            }
+            Ok(_) => {}
+            Err(error) => tracing::warn!("{error}"),
+        }
+    }
+}
+
+/// Returns which certificates may speak for agents of the testbed now.
+#[allow(clippy::disallowed_methods, reason = "certificates end at a time of the calendar")]
+fn granted(parts: &Parts) -> Result<Vec<Granted>, AgentsError> {
+    let all = parts.authority.granted(chrono::Utc::now())?;
+    let ours = all.into_iter().filter(|granted| parts.nodes.contains_key(&granted.name));
+    Ok(ours.map(|granted| Granted { agent: granted.name, common_name: granted.common_name }).collect())
+}
+
+#[allow(clippy::disallowed_methods, reason = "certificates end at a time of the calendar")]
+fn open(parts: &Parts, granted: &[Granted]) -> Result<Router, AgentsError> {
+    let core = parts.authority.core(chrono::Utc::now())?;
+    let credentials = Credentials {
+        authority: &core.authority_pem,
+        certificate: &core.certificate_pem,
+        key: &core.key_pem,
+    };
+    let commands = parts.commands.clone();
+    let receiver: Receiver = Arc::new(move |agent, arrived, waiting| {
+        // Fails only while the run ends.
+        let _ = commands.send(Command::Arrived(agent, arrived, waiting));
+    });
+    Ok(Router::open(parts.listen, credentials, granted, parts.run, parts.paths.clone(), &receiver)?)
+}
