@@ -1,0 +1,63 @@
+//! A small process between the agent and each VNF. It joins the VNF's control groups, starts the VNF as its user, and ends it with
+//! all its descendants when the agent says so, or is gone, however it ended.
+//!
+//! Its standard input is a pipe from the agent. The byte [`TERMINATE`] sends SIGTERM to the VNF; the end of the pipe kills it.
+
+use std::{
+    env, fs,
+    io::{self, Read},
+    os::unix::process::{CommandExt, ExitStatusExt},
+    process::{Command, ExitCode, Stdio},
+    thread,
+};
+
+use rustix::process::{Pid, Signal, kill_process_group};
+
+use crate::options::User;
+
+/// Asks the holder to terminate the VNF.
+pub(crate) const TERMINATE: u8 = b'T';
+
+/// Variable with the files of the control groups to join, as in `PATH`.
+pub(crate) const GROUPS: &str = "COTORRA_CGROUPS";
+
+/// Starts a program and waits until it has ended. Returns its exit status, or 128 and the number of the signal that ended it.
+///
+/// # Errors
+/// The error of the system if the program cannot be started.
+pub(crate) fn hold(user: Option<User>, words: &[String]) -> io::Result<ExitCode> {
+    for group in
+        env::split_paths(&env::var_os(GROUPS).unwrap_or_default()).filter(|path| !path.as_os_str().is_empty())
+    {
+        fs::write(group, std::process::id().to_string())?;
+    }
+    let (program, arguments) = words.split_first().ok_or_else(|| io::Error::other("there is no program"))?;
+    let mut command = Command::new(program);
+    command.args(arguments).stdin(Stdio::null()).process_group(0).env_remove(GROUPS);
+    if let Some(user) = user {
+        command.gid(user.gid).uid(user.uid);
+    }
+    let named = |e: io::Error| io::Error::new(e.kind(), format!("{program}: {e}"));
+    let mut child = command.spawn().map_err(named)?;
+    let group = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
+    let signal = move |signal| {
+        if let Some(group) = group {
+            // Fails only if all have ended.
+            let _ = kill_process_group(group, signal);
+        }
+    };
+    thread::spawn(move || {
+        let mut byte = [0];
+        while matches!(io::stdin().read(&mut byte), Ok(1)) {
+            if byte[0] == TERMINATE {
+                signal(Signal::TERM);
+            }
+        }
+        signal(Signal::KILL);
+    });
+    let status = child.wait()?;
+    // Its descendants do not outlive it.
+    signal(Signal::KILL);
+    let code = status.code().or_else(|| Some(128 + status.signal()?)).unwrap_or(1);
+    Ok(ExitCode::from(u8::try_from(code).unwrap_or(1)))
+}

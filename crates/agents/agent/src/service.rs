@@ -1,0 +1,337 @@
+//! The agent's loop: messages of the core, events of VNFs and the machine's context.
+
+use std::{
+    collections::VecDeque,
+    fs,
+    path::PathBuf,
+    sync::{Arc, mpsc},
+    thread,
+    time::{Duration, Instant, SystemTime},
+};
+
+use cotorra_agent_protocol::{Action, Agent, Run, Wanted, WantedInstance};
+use cotorra_agent_transport::{Dialer, FromCore, diagnose};
+use cotorra_engine::{Cgroups, Engine, EngineEvent, InstanceId, Outcome, ProcessEngine};
+use cotorra_enrolment::{Bundle, CORE_COMMON_NAME};
+use cotorra_graph::{NodeId, Timestamp};
+use cotorra_host::Host;
+
+use crate::{
+    error::{AgentError, at},
+    files,
+    journal::Journal,
+    launcher::MachineLauncher,
+    options::{self, Options},
+};
+
+/// Interval of contexts, and of looking for new credentials.
+const CONTEXT: Duration = Duration::from_secs(1);
+/// Time without the core after which the reason is looked for.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// Messages that wait for the loop. Further ones of the core are dropped; it sends what matters again.
+const MOST_WAITING: usize = 256;
+
+/// A message to the loop.
+enum Message {
+    Core(FromCore),
+    /// An event of the engine.
+    Wake,
+    /// The files of a run are there, or the reason why not.
+    Files(Run, Result<(), String>),
+    Stop,
+}
+
+type Wake = Box<dyn Fn() + Send + Sync>;
+
+/// What is needed to run VNFs of one run.
+struct Works {
+    run: Run,
+    launcher: Arc<MachineLauncher<Wake>>,
+    engine: ProcessEngine<MachineLauncher<Wake>>,
+    /// Whether the run's files are there, or why not; `None` while they are fetched.
+    files: Option<Result<(), String>>,
+    /// Instances that wait for the files.
+    waiting: VecDeque<(InstanceId, Box<WantedInstance>)>,
+}
+
+/// A running agent.
+pub(crate) struct Service {
+    options: Options,
+    journal: Journal,
+    agent: Agent,
+    dialer: Dialer,
+    /// When the credentials were written that are in use.
+    credentials_of: Option<SystemTime>,
+    host: Host,
+    works: Option<Works>,
+    inbox: mpsc::Receiver<Message>,
+    messages: mpsc::SyncSender<Message>,
+    began: Instant,
+    next_context: Timestamp,
+    /// Time of the last message of the core, and whether its absence has been explained.
+    heard: (Timestamp, bool),
+}
+
+impl Service {
+    /// Locks and loads the state, and begins to connect.
+    pub(crate) fn start(options: Options) -> Result<Self, AgentError> {
+        let journal = Journal::open(&options.state)?;
+        let credentials_of = written(&options.credentials);
+        let bundle = options::bundle(&options.credentials)?;
+        let (messages, inbox) = mpsc::sync_channel(MOST_WAITING);
+        let stop = messages.clone();
+        ctrlc::set_handler(move || drop(stop.send(Message::Stop)))?;
+        let dialer = dial(&bundle, &messages)?;
+        let boot = getrandom::u64().map_err(AgentError::Random)?;
+        let name = bundle.certificate().name.clone();
+        let node = NodeId::new(name.as_str()).expect("names of agents and nodes have the same characters");
+        let began = now();
+        tracing::info!("agent `{name}`: connecting to {}", bundle.core());
+        Ok(Self {
+            agent: Agent::new(Timestamp::ZERO, boot, journal.load()),
+            options,
+            journal,
+            dialer,
+            credentials_of,
+            host: Host::new(node),
+            works: None,
+            inbox,
+            messages,
+            began,
+            next_context: Timestamp::ZERO,
+            heard: (Timestamp::ZERO, false),
+        })
+    }
+
+    /// Runs until it is stopped. VNFs end then.
+    pub(crate) fn run(mut self) {
+        loop {
+            let now = self.now();
+            self.agent.advance(now);
+            if let Some(works) = &mut self.works {
+                while let Some(event) = works.engine.poll() {
+                    self.agent.outcome(now, event);
+                }
+            }
+            while let Some(action) = self.agent.poll(now) {
+                self.act(now, action);
+            }
+            if now >= self.next_context {
+                self.next_context = now + CONTEXT;
+                self.report_context(now);
+                self.renew();
+                self.explain_silence(now);
+            }
+            let deadline = self.agent.next_deadline().min(self.next_context);
+            match self.inbox.recv_timeout(deadline.since(self.now())) {
+                Ok(Message::Stop) => break,
+                Ok(message) => self.take(message),
+                Err(_) => {}
+            }
+        }
+        if let Some(works) = &mut self.works {
+            works.engine.shut_down();
+        }
+        tracing::info!("stopped");
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::ZERO + now().duration_since(self.began)
+    }
+
+    fn take(&mut self, message: Message) {
+        let now = self.now();
+        match message {
+            Message::Core(from_core) => {
+                if self.heard.1 || self.heard.0 == Timestamp::ZERO {
+                    tracing::info!("the core is there");
+                }
+                self.heard = (now, false);
+                match from_core {
+                    FromCore::Wanted(wanted) => self.agent.want(now, *wanted),
+                    FromCore::Beat(beat) => self.agent.beat(now, beat),
+                    FromCore::Rejected(reason) => {
+                        tracing::warn!("a message of the core is rejected: {reason}")
+                    }
+                }
+            }
+            Message::Files(run, fetched) => {
+                if let Some(works) = self.works.as_mut().filter(|works| works.run == run) {
+                    works.files = Some(fetched);
+                    for (id, instance) in std::mem::take(&mut works.waiting) {
+                        self.start_instance(id, instance);
+                    }
+                }
+            }
+            Message::Wake | Message::Stop => {}
+        }
+    }
+
+    fn act(&mut self, now: Timestamp, action: Action) {
+        match action {
+            Action::Save(wanted) => {
+                if let Err(error) = self.journal.save(&wanted) {
+                    tracing::error!("the wanted state cannot be saved: {error}");
+                }
+                tracing::debug!("generation {} of run {}", wanted.generation, wanted.run.0);
+                self.prepare(&wanted);
+            }
+            Action::Start(id, instance) => {
+                if self.works.is_none()
+                    && let Some(wanted) = self.agent.wanted().cloned()
+                {
+                    // After a restart of the agent.
+                    self.prepare(&wanted);
+                }
+                self.start_instance(id, instance);
+            }
+            Action::Stop(id) => {
+                if let Some(works) = &mut self.works {
+                    works.waiting.retain(|(waiting, _)| *waiting != id);
+                    works.engine.stop(id);
+                }
+            }
+            Action::Report(report) => {
+                if let Err(error) = self.dialer.report(&report) {
+                    tracing::debug!("cannot report: {error}");
+                }
+            }
+        }
+        let _ = now;
+    }
+
+    /// Makes ready to run VNFs of a run, unless that is done. VNFs of an earlier run end first.
+    fn prepare(&mut self, wanted: &Wanted) {
+        if self.works.as_ref().is_some_and(|works| works.run == wanted.run) {
+            return;
+        }
+        self.works = None;
+        let folder = files::folder(&self.options.state, wanted.run);
+        files::remove_others(&self.options.state, wanted.run);
+        let logs = folder.join("logs");
+        if let Err(error) = fs::create_dir_all(&logs).map_err(at("create", &logs)) {
+            tracing::error!("{error}");
+        }
+        let wake = self.messages.clone();
+        // A full inbox wakes the loop anyway.
+        let wake: Wake = Box::new(move || drop(wake.try_send(Message::Wake)));
+        let launcher = Arc::new(MachineLauncher::new(self.options.clone(), folder.clone(), wake));
+        let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
+        let engine = ProcessEngine::new(Arc::clone(&launcher), logs, cgroups);
+        self.works = Some(Works { run: wanted.run, launcher, engine, files: None, waiting: VecDeque::new() });
+        self.fetch(folder, wanted);
+    }
+
+    /// Fetches the files of a run on a thread of its own.
+    fn fetch(&self, folder: PathBuf, wanted: &Wanted) {
+        let (fetcher, messages) = (self.dialer.fetcher(), self.messages.clone());
+        let (run, shipped) = (wanted.run, wanted.files.clone());
+        let fetch = move || {
+            let fetched = files::complete(&folder, &shipped, |sha256| {
+                fetcher.fetch(run, sha256).map_err(|e| e.to_string())
+            });
+            let _ = messages.send(Message::Files(run, fetched.map_err(|e| e.to_string())));
+        };
+        if let Err(error) = thread::Builder::new().name("files".to_owned()).spawn(fetch) {
+            tracing::error!("cannot start a thread: {error}");
+        }
+    }
+
+    fn start_instance(&mut self, id: InstanceId, instance: Box<WantedInstance>) {
+        let Some(works) = &mut self.works else { return };
+        let started = match &works.files {
+            None => return works.waiting.push_back((id, instance)),
+            Some(Err(reason)) => Err(format!("its files cannot be fetched: {reason}")),
+            Some(Ok(())) => {
+                let WantedInstance { vnf, replica, node, environment, .. } = *instance;
+                works.launcher.set_environment(&vnf, replica, environment);
+                tracing::info!("starting `{}`", vnf.id);
+                works.engine.start(id, &vnf, replica, &node)
+            }
+        };
+        if let Err(reason) = started {
+            tracing::warn!("{reason}");
+            // The core tries again, and the files with it.
+            if works.files.as_ref().is_some_and(Result::is_err) {
+                self.works = None;
+            }
+            let now = self.now();
+            self.agent.outcome(now, EngineEvent { instance: id, outcome: Outcome::Failed(reason) });
+        }
+    }
+
+    fn report_context(&mut self, now: Timestamp) {
+        let reading = self.host.read(now);
+        for unavailable in &reading.unavailable {
+            tracing::info!("{unavailable}");
+        }
+        if let Some(run) = self.agent.run()
+            && let Ok(context) = serde_json::to_vec(&reading.context)
+            && let Err(error) = self.dialer.context(run, context)
+        {
+            tracing::debug!("cannot send the context: {error}");
+        }
+    }
+
+    /// Connects anew if the file with the credentials has changed.
+    fn renew(&mut self) {
+        let changed = written(&self.options.credentials);
+        if changed.is_none() || changed == self.credentials_of {
+            return;
+        }
+        self.credentials_of = changed;
+        match options::bundle(&self.options.credentials).and_then(|bundle| dial(&bundle, &self.messages)) {
+            Ok(dialer) => {
+                self.dialer = dialer;
+                tracing::info!("connecting with new credentials");
+            }
+            Err(error) => tracing::warn!("the credentials stay as they were: {error}"),
+        }
+    }
+
+    /// Finds and reports the reason why nothing is heard of the core, once each time.
+    fn explain_silence(&mut self, now: Timestamp) {
+        let (since, is_explained) = self.heard;
+        if is_explained || now < since + PATIENCE {
+            return;
+        }
+        self.heard.1 = true;
+        let Ok(bundle) = options::bundle(&self.options.credentials) else { return };
+        let explain = move || {
+            let core = bundle.core().to_string();
+            match diagnose(&core, options::credentials(&bundle)) {
+                Err(reason) => tracing::warn!("no connection to {core}: {reason}; trying again"),
+                Ok(()) => tracing::warn!(
+                    "{core} accepts the certificate `{}`, but sends nothing: it is revoked, or the run has no such agent",
+                    bundle.certificate().common_name()
+                ),
+            }
+        };
+        if let Err(error) = thread::Builder::new().name("diagnosis".to_owned()).spawn(explain) {
+            tracing::debug!("cannot start a thread: {error}");
+        }
+    }
+}
+
+fn dial(bundle: &Bundle, messages: &mpsc::SyncSender<Message>) -> Result<Dialer, AgentError> {
+    let messages = messages.clone();
+    let receive = move |from_core| drop(messages.try_send(Message::Core(from_core)));
+    let name = bundle.certificate().name.clone();
+    Ok(Dialer::open(
+        &bundle.core().to_string(),
+        CORE_COMMON_NAME,
+        name,
+        options::credentials(bundle),
+        receive,
+    )?)
+}
+
+/// Returns the time at which a file was written.
+fn written(path: &std::path::Path) -> Option<SystemTime> {
+    fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
+}
+
+#[allow(clippy::disallowed_methods, reason = "the agent's only clock")]
+fn now() -> Instant {
+    Instant::now()
+}
