@@ -95,6 +95,10 @@ class Client:
         """A node, its addresses and its network namespace."""
         return self._ask(f"network/nodes/{parse.quote(node)}")
 
+    def machine(self, node: str) -> JSON:
+        """CPU, memory and interfaces of a node's machine, if it reports them."""
+        return self._ask(f"network/nodes/{parse.quote(node)}/machine")
+
     def robots(self) -> list[JSON]:
         """κ of every robot; `health` lists what is wrong with it, and is empty for one that is well."""
         return self._ask("robots")

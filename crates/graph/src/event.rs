@@ -16,6 +16,7 @@ use crate::{
     goal::GoalEvent,
     hardware::Direction,
     id::{LinkId, NodeId, PluginId, SensorId, VnfId},
+    machine_context::MachineContext,
     nodes::Nodes,
     sensor::SensorReading,
     units::{Position, Timestamp, millis},
@@ -88,6 +89,8 @@ pub enum Event {
     },
     /// A sensor that a robot declares was read, at its rate.
     Sensor(SensorReading),
+    /// CPU, memory and interfaces of a node's machine, periodically.
+    Machine(MachineContext),
     /// A message for the user that no other event carries.
     Notice {
         /// The message.

@@ -40,6 +40,43 @@ impl MachineContext {
     pub const MOST_STATIONS: usize = 256;
     /// Highest number of surveyed channels of all Wi-Fi interfaces together.
     pub const MOST_CHANNELS: usize = 256;
+    /// Highest number of bytes of a text, such as the name of an interface.
+    pub const LONGEST_TEXT: usize = 128;
+
+    /// Whether lists and texts keep to their bounds, all numbers are finite, and the memory is below 2^63 bytes.
+    pub fn is_valid(&self) -> bool {
+        let Self {
+            node: _,
+            cpu: _,
+            load_average,
+            memory,
+            interfaces,
+            interfaces_left_out: _,
+            wifi,
+            wifi_left_out: _,
+        } = self;
+        let is_text = |text: &str| text.len() <= Self::LONGEST_TEXT;
+        let is_number = |number: Option<f64>| number.is_none_or(f64::is_finite);
+        let averages =
+            load_average.map_or([0.0; 3], |load| [load.one_minute, load.five_minutes, load.fifteen_minutes]);
+        let bytes = memory.map_or([0; 2], |memory| [memory.memory_bytes, memory.available_bytes]);
+        let stations = || wifi.iter().flat_map(|of| &of.stations);
+        let channels = || wifi.iter().flat_map(|of| &of.channels);
+        averages.into_iter().all(f64::is_finite)
+            && bytes.into_iter().all(|bytes| bytes <= i64::MAX.cast_unsigned())
+            && interfaces.len() <= Self::MOST_INTERFACES
+            && interfaces.iter().all(|of| {
+                is_text(&of.name)
+                    && is_number(of.received.throughput_bps)
+                    && is_number(of.sent.throughput_bps)
+            })
+            && wifi.len() <= Self::MOST_WIFI
+            && wifi.iter().all(|of| is_text(&of.interface) && of.ssid.as_deref().is_none_or(is_text))
+            && stations().count() <= Self::MOST_STATIONS
+            && stations().all(|of| is_text(&of.mac) && is_number(of.signal.map(|signal| signal.0)))
+            && channels().count() <= Self::MOST_CHANNELS
+            && channels().all(|of| is_number(of.noise.map(|noise| noise.0)))
+    }
 }
 
 /// The CPUs of a machine.
@@ -194,4 +231,101 @@ pub struct WifiChannel {
     /// Share of the time since the last reading in which it was busy; `None` at the first reading, or if the interface did
     /// not listen to it since.
     pub busy: Option<Probability>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Event, Stamped, Timestamp};
+
+    fn wifi() -> WifiContext {
+        let station = WifiStation {
+            mac: "02:00:00:00:01:00".to_owned(),
+            signal: Some(Dbm(-60.0)),
+            transmit_rate: BitRate::from_bits_per_second(65_000_000),
+            receive_rate: None,
+            retransmissions: Some(3),
+            transmissions_failed: None,
+            transmit_airtime: Some(Duration::from_micros(1500)),
+            receive_airtime: None,
+            inactive: Some(Duration::from_millis(20)),
+        };
+        WifiContext {
+            interface: "wlan0".to_owned(),
+            role: WifiRole::AccessPoint,
+            ssid: Some("lab".to_owned()),
+            stations: vec![station],
+            stations_left_out: 0,
+            channels: vec![WifiChannel {
+                frequency_mhz: 2412,
+                in_use: true,
+                noise: Some(Dbm(-95.0)),
+                busy: None,
+            }],
+            channels_left_out: 0,
+        }
+    }
+
+    fn machine() -> MachineContext {
+        let interface = InterfaceContext {
+            name: "eth0".to_owned(),
+            up: true,
+            carrier: true,
+            speed: BitRate::from_bits_per_second(1_000_000_000),
+            mtu_bytes: 1500,
+            received: InterfaceTraffic {
+                packets: 1,
+                throughput_bps: Some(8.0),
+                ..InterfaceTraffic::default()
+            },
+            sent: InterfaceTraffic::default(),
+        };
+        MachineContext {
+            node: NodeId::new("edge").unwrap(),
+            cpu: Some(CpuContext { cpus: 4, busy: Probability::new(0.25) }),
+            load_average: Some(LoadAverage { one_minute: 0.5, five_minutes: 0.25, fifteen_minutes: 0.0 }),
+            memory: Some(MemoryContext { memory_bytes: 8, available_bytes: 2 }),
+            interfaces: vec![interface],
+            interfaces_left_out: 0,
+            wifi: vec![wifi()],
+            wifi_left_out: 0,
+        }
+    }
+
+    #[test]
+    fn events_of_machines_survive_json() {
+        let event = Stamped { at: Timestamp::from_nanos(9), event: Event::Machine(machine()) };
+        let json = serde_json::to_string(&event).unwrap();
+        assert!(
+            json.starts_with(r#"{"at_ns":9,"event":"machine","node":"edge","cpu":{"cpus":4,"busy":0.25}"#),
+            "{json}"
+        );
+        assert_eq!(serde_json::from_str::<Stamped>(&json).unwrap(), event);
+    }
+
+    #[test]
+    fn contexts_beyond_the_bounds_are_invalid() {
+        assert!(machine().is_valid());
+        let changes: [fn(&mut MachineContext); 12] = [
+            |it| it.interfaces = vec![it.interfaces[0].clone(); MachineContext::MOST_INTERFACES + 1],
+            |it| it.wifi = vec![it.wifi[0].clone(); MachineContext::MOST_WIFI + 1],
+            |it| {
+                it.wifi[0].stations = vec![it.wifi[0].stations[0].clone(); MachineContext::MOST_STATIONS + 1]
+            },
+            |it| it.wifi[0].channels = vec![it.wifi[0].channels[0]; MachineContext::MOST_CHANNELS + 1],
+            |it| it.interfaces[0].name = "x".repeat(MachineContext::LONGEST_TEXT + 1),
+            |it| it.wifi[0].interface = "x".repeat(MachineContext::LONGEST_TEXT + 1),
+            |it| it.wifi[0].ssid = Some("x".repeat(MachineContext::LONGEST_TEXT + 1)),
+            |it| it.wifi[0].stations[0].mac = "x".repeat(MachineContext::LONGEST_TEXT + 1),
+            |it| it.wifi[0].channels[0].noise = Some(Dbm(f64::NAN)),
+            |it| it.interfaces[0].sent.throughput_bps = Some(f64::INFINITY),
+            |it| it.load_average.as_mut().unwrap().five_minutes = f64::NAN,
+            |it| it.memory.as_mut().unwrap().memory_bytes = 1 << 63,
+        ];
+        for (number, change) in changes.into_iter().enumerate() {
+            let mut context = machine();
+            change(&mut context);
+            assert!(!context.is_valid(), "change {number}");
+        }
+    }
 }

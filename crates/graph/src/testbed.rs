@@ -86,6 +86,8 @@ pub struct Retentions {
     pub links: Option<Retention>,
     /// Readings of sensors.
     pub sensors: Option<Retention>,
+    /// Contexts of machines.
+    pub machines: Option<Retention>,
 }
 
 /// Retention of samples. Their age counts to the present of their run.

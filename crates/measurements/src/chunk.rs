@@ -28,6 +28,7 @@ const fn places(kind: Kind) -> &'static [usize] {
         Kind::Link => &[2, 3, 4, 5, 14, 15, 17],
         Kind::Robot => &[2, 3, 4, 28, 29, 31, 33, 39],
         Kind::Radio => &[2],
+        Kind::Machine => &[2, 3, 7],
         _ => &[],
     }
 }
@@ -92,6 +93,7 @@ fn is_duration(kind: Kind, place: usize) -> bool {
 pub(crate) fn figures(kind: Kind, row: &[Value<'_>]) -> impl Iterator<Item = f64> {
     places(kind).iter().map(|place| match row[*place] {
         Value::Real(x) => x,
+        Value::Integer(n) => n as f64,
         _ => f64::NAN,
     })
 }

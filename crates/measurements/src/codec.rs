@@ -103,6 +103,18 @@ pub(crate) const fn table(kind: Kind) -> Table {
             series: &["robot", "sensor"],
             children: Some(("sensor_value", &["component", "value"])),
         },
+        Kind::Machine => Table {
+            columns: &[
+                "node", "cpus", "cpu_busy", "one_minute", "five_minutes", "fifteen_minutes", "memory_bytes", "available_bytes",
+                "interfaces_left_out", "wifi_left_out", "wifi",
+            ],
+            series: &["node"],
+            children: Some(("machine_interface", &[
+                "interface", "up", "carrier", "speed_bps", "mtu_bytes",
+                "received_packets", "received_bytes", "received_errors", "received_dropped", "received_throughput_bps",
+                "sent_packets", "sent_bytes", "sent_errors", "sent_dropped", "sent_throughput_bps",
+            ])),
+        },
         Kind::Goal => plain(&["robot", "x", "y", "z", "state", "remaining_m", "reason"]),
     }
 }
@@ -183,6 +195,7 @@ pub(crate) fn storable(stamped: &Stamped) -> bool {
                 instruction: Instruction::NavigateTo { goal: Some(Position { x, y, z }), .. },
                 ..
             }) => [x, y, z].into_iter().all(|metres| metres.is_finite()),
+            Event::Machine(context) => context.is_valid(),
             _ => true,
         }
 }

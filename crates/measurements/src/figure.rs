@@ -82,6 +82,18 @@ quantities! {
 }
 
 quantities! {
+    /// Figures of a machine.
+    MachineQuantity {
+        /// Share of time in which its CPUs were busy.
+        Cpu = "cpu", "", "cpu_busy";
+        /// Mean number of tasks that ran or waited, over one minute.
+        LoadAverage = "load_average", "", "one_minute";
+        /// Memory that new programs could use, bytes.
+        AvailableMemory = "available_memory", "bytes", "available_bytes";
+    }
+}
+
+quantities! {
     /// Figures of the emulator's lateness since the run began.
     LatenessQuantity {
         /// Its median, µs.
@@ -98,7 +110,7 @@ quantities! {
 /// `vertical:…`, `angular:…`, `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (all robots or
 /// services if they are left out); `time_part:LINK:SERVICE:ROBOT` (likewise;
 /// also of `sender`, `vnf`, `receiver`, `unknown`); `handover_gap:ROBOT` (likewise);
-/// `sensor:ROBOT:SENSOR:COMPONENT`; `lateness_p50`, `lateness_p99`, `lateness_max`.
+/// `sensor:ROBOT:SENSOR:COMPONENT`; `cpu:NODE`, `load_average:…`, `available_memory:…`; `lateness_p50`, `lateness_p99`, `lateness_max`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Figure {
@@ -145,6 +157,8 @@ pub enum Figure {
         /// The component of the reading.
         component: ComponentId,
     },
+    /// A quantity of a node's machine.
+    Machine(NodeId, MachineQuantity),
     /// The emulator's lateness.
     Lateness(LatenessQuantity),
 }
@@ -171,6 +185,7 @@ impl Figure {
             Self::Signal { .. } => "dBm",
             Self::Load(_) => "",
             Self::ServiceTime { .. } | Self::TimePart { .. } | Self::HandoverGap { .. } => "ms",
+            Self::Machine(_, quantity) => quantity.unit(),
             Self::Lateness(quantity) => quantity.unit(),
         }
     }
@@ -209,6 +224,10 @@ impl Figure {
                 series: Some(Series::Sensor(robot.clone(), sensor.clone())),
                 child: Some(("component", component.as_str())),
                 ..plain(Kind::Sensor, "value")
+            },
+            Self::Machine(node, quantity) => Kept {
+                series: Some(Series::Machine(node.clone())),
+                ..plain(Kind::Machine, quantity.column())
             },
             Self::Lateness(quantity) => plain(Kind::Lateness, quantity.column()),
         }
@@ -276,6 +295,18 @@ impl Figure {
             {
                 reading.values.get(component).copied().into_iter().for_each(each);
             }
+            (Self::Machine(node, quantity), Event::Machine(context)) if context.node == *node => {
+                let busy = || context.cpu?.busy;
+                match quantity {
+                    MachineQuantity::Cpu => busy().into_iter().for_each(|busy| each(busy.get())),
+                    MachineQuantity::LoadAverage => {
+                        context.load_average.into_iter().for_each(|load| each(load.one_minute));
+                    }
+                    MachineQuantity::AvailableMemory => {
+                        context.memory.into_iter().for_each(|memory| each(memory.available_bytes as f64));
+                    }
+                }
+            }
             (Self::Lateness(quantity), Event::Lateness(lateness)) => each(match quantity {
                 LatenessQuantity::P50 => lateness.p50_us,
                 LatenessQuantity::P99 => lateness.p99_us,
@@ -310,6 +341,7 @@ impl fmt::Display for Figure {
             Self::HandoverGap { robot: None } => f.write_str("handover_gap"),
             Self::HandoverGap { robot: Some(robot) } => write!(f, "handover_gap:{robot}"),
             Self::Sensor { robot, sensor, component } => write!(f, "sensor:{robot}:{sensor}:{component}"),
+            Self::Machine(node, quantity) => write!(f, "{}:{node}", quantity.as_str()),
             Self::Lateness(quantity) => f.write_str(quantity.as_str()),
         }
     }
@@ -337,10 +369,10 @@ fn write_samples(
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is not a figure: give delay, throughput, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
-     with :LINK or :LINK:DIRECTION; x, y, z, heading, speed, climb, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
+     with :LINK or :LINK:DIRECTION; x, y, z, heading, linear, vertical, angular or nearest_obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
      or :SERVICE:ROBOT if you like; time_part with :LINK, :sender, :vnf, \
      :receiver or :unknown, and more as of service_time; handover_gap, with :ROBOT if you like; sensor:ROBOT:SENSOR:COMPONENT; \
-     lateness_p50, lateness_p99 or lateness_max"
+     cpu, load_average or available_memory with :NODE; lateness_p50, lateness_p99 or lateness_max"
 )]
 pub struct InvalidFigure(String);
 
@@ -367,6 +399,9 @@ fn parse(text: &str) -> Option<Figure> {
     }
     if let (Some(quantity), [robot]) = (RobotQuantity::named(name), &of[..]) {
         return Some(Figure::Robot(node(robot)?, quantity));
+    }
+    if let (Some(quantity), [machine]) = (MachineQuantity::named(name), &of[..]) {
+        return Some(Figure::Machine(node(machine)?, quantity));
     }
     if let (Some(quantity), []) = (LatenessQuantity::named(name), &of[..]) {
         return Some(Figure::Lateness(quantity));

@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    Direction, Event, Handover, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext,
-    SensorReading, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
+    Direction, Event, Handover, LinkContext, LinkId, MachineContext, NodeId, Placement, RadioContext,
+    RobotContext, SensorReading, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
 };
 use serde::{Deserialize, Serialize};
 
@@ -75,6 +75,9 @@ pub struct GraphState {
     /// Readings of sensors, by robot and sensor; left out where there is none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Sample<SensorReading>>,
+    /// Contexts of machines, by node; left out where there is none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub machines: Vec<Sample<MachineContext>>,
 }
 
 impl History {
@@ -230,6 +233,20 @@ impl History {
         self.select(run, &Selection::Series(Series::Link(link.clone(), direction)), range, page)
     }
 
+    /// Returns the context of a node's machine over a range of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn machine_series(
+        &self,
+        run: RunId,
+        node: &NodeId,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Sample<MachineContext>>> {
+        self.select(run, &Selection::Series(Series::Machine(node.clone())), range, page)
+    }
+
     /// Returns changes of a(n) in a range of time.
     ///
     /// # Errors
@@ -318,6 +335,7 @@ impl History {
                 Event::Placement(value) => state.placements.push(Sample { at, value }),
                 Event::VirtualLink(value) => state.virtual_links.push(Sample { at, value }),
                 Event::Sensor(value) => state.sensors.push(Sample { at, value }),
+                Event::Machine(value) => state.machines.push(Sample { at, value }),
                 _ => unreachable!("only these kinds make series"),
             }
         }
@@ -439,6 +457,7 @@ from_event!(
     Robot(RobotContext),
     Radio(RadioContext),
     Link(LinkContext),
+    Machine(MachineContext),
     Placement(Placement),
     ServiceTime(ServiceTime),
     Handover(Handover)

@@ -60,12 +60,14 @@ kinds! {
     Goal = "goal",
     /// Readings of sensors.
     Sensor = "sensor",
+    /// Contexts of machines.
+    Machine = "machine",
 }
 
 impl Kind {
     /// Kinds whose old samples are rolled up: embeddings that are sampled all the time. Events of other kinds are all
     /// kept.
-    pub const SAMPLED: [Self; 4] = [Self::Robot, Self::Radio, Self::Link, Self::Sensor];
+    pub const SAMPLED: [Self; 5] = [Self::Robot, Self::Radio, Self::Link, Self::Sensor, Self::Machine];
 
     /// Returns the kind of an event.
     pub const fn of(event: &Event) -> Self {
@@ -88,6 +90,7 @@ impl Kind {
             Event::AnswersRejected(_) => Self::AnswersRejected,
             Event::Goal(_) => Self::Goal,
             Event::Sensor(_) => Self::Sensor,
+            Event::Machine(_) => Self::Machine,
         }
     }
 }
@@ -114,12 +117,20 @@ pub(crate) enum Series {
     Placement(VnfId),
     VirtualLink(VnfId, VnfId),
     Sensor(NodeId, SensorId),
+    Machine(NodeId),
 }
 
 impl Series {
     /// Kinds whose events make series.
-    pub const KINDS: [Kind; 6] =
-        [Kind::Robot, Kind::Radio, Kind::Link, Kind::Placement, Kind::VirtualLink, Kind::Sensor];
+    pub const KINDS: [Kind; 7] = [
+        Kind::Robot,
+        Kind::Radio,
+        Kind::Link,
+        Kind::Placement,
+        Kind::VirtualLink,
+        Kind::Sensor,
+        Kind::Machine,
+    ];
 
     /// Returns the series that an event belongs to.
     pub fn of(event: &Event) -> Option<Self> {
@@ -130,6 +141,7 @@ impl Series {
             Event::Placement(placement) => Self::Placement(placement.vnf.clone()),
             Event::VirtualLink(mapping) => Self::VirtualLink(mapping.from.clone(), mapping.to.clone()),
             Event::Sensor(reading) => Self::Sensor(reading.robot.clone(), reading.sensor.clone()),
+            Event::Machine(context) => Self::Machine(context.node.clone()),
             _ => return None,
         })
     }
@@ -149,6 +161,7 @@ impl Series {
             (Self::Sensor(robot, sensor), Event::Sensor(reading)) => {
                 *robot == reading.robot && *sensor == reading.sensor
             }
+            (Self::Machine(node), Event::Machine(context)) => *node == context.node,
             _ => false,
         }
     }
@@ -161,6 +174,7 @@ impl Series {
             Self::Placement(_) => Kind::Placement,
             Self::VirtualLink(..) => Kind::VirtualLink,
             Self::Sensor(..) => Kind::Sensor,
+            Self::Machine(_) => Kind::Machine,
         }
     }
 }

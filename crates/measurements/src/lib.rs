@@ -34,7 +34,7 @@ mod testing;
 pub use curve::{Curve, CurveRequest, Point, Values};
 pub use difference::Difference;
 pub use error::{Error, Result};
-pub use figure::{Figure, InvalidFigure, LatenessQuantity, LinkQuantity, RobotQuantity};
+pub use figure::{Figure, InvalidFigure, LatenessQuantity, LinkQuantity, MachineQuantity, RobotQuantity};
 pub use history::{GraphState, History, Sample};
 pub use kind::{InvalidKind, Kind};
 pub use large_data::{LargeDataWriter, StoredData, WantedData, read_large_data};

@@ -1,5 +1,7 @@
 //! Strategies for events. They draw from a small set of names, so that several events belong to the same series.
 
+mod machine;
+
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
@@ -425,6 +427,7 @@ pub fn event() -> impl Strategy<Value = Event> {
         }),
         goal_event().prop_map(Event::Goal),
         reading().prop_map(Event::Sensor),
+        machine::context().prop_map(Event::Machine),
         node().prop_map(|robot| Event::WalkFinished { robot }),
         ".*".prop_map(|message| Event::Notice { message }),
         (node(), any::<[u64; 6]>()).prop_map(|(robot, counts)| {
@@ -455,7 +458,7 @@ pub fn stamped() -> impl Strategy<Value = Stamped> {
 
 /// Draws any figure of these names.
 pub fn figure() -> impl Strategy<Value = crate::Figure> {
-    use crate::{Figure, LatenessQuantity, LinkQuantity, RobotQuantity};
+    use crate::{Figure, LatenessQuantity, LinkQuantity, MachineQuantity, RobotQuantity};
     prop_oneof![
         4 => (link(), direction(), select(LinkQuantity::ALL.to_vec())).prop_map(|(l, d, q)| Figure::Link(l, d, q)),
         4 => (node(), select(RobotQuantity::ALL.to_vec())).prop_map(|(r, q)| Figure::Robot(r, q)),
@@ -467,6 +470,7 @@ pub fn figure() -> impl Strategy<Value = crate::Figure> {
         1 => of(node()).prop_map(|robot| Figure::HandoverGap { robot }),
         2 => (node(), sensor(), component())
             .prop_map(|(robot, sensor, component)| Figure::Sensor { robot, sensor, component }),
+        2 => (node(), select(MachineQuantity::ALL.to_vec())).prop_map(|(n, q)| Figure::Machine(n, q)),
         1 => select(LatenessQuantity::ALL.to_vec()).prop_map(Figure::Lateness),
     ]
 }

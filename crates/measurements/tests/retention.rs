@@ -10,9 +10,9 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Conditions, DataFormat, Dbm, Direction, Event, LargeData, LinkContext, LinkCounters, LinkId,
-    NodeId, Pose, PoseSource, Retention, RobotContext, Scale, SensorData, SensorReading, Stamped, Timestamp,
-    Velocity,
+    Attachment, Conditions, CpuContext, DataFormat, Dbm, Direction, Event, LargeData, LinkContext,
+    LinkCounters, LinkId, MachineContext, MemoryContext, NodeId, Pose, PoseSource, Probability, Retention,
+    RobotContext, Scale, SensorData, SensorReading, Stamped, Timestamp, Velocity,
 };
 use cotorra_measurements::{
     CurveRequest, Figure, History, Kind, Location, PageRequest, Pruned, RunId, RunInfo, Values,
@@ -91,13 +91,28 @@ fn reading(n: u64) -> Stamped {
     Stamped { at: at(n), event: Event::Sensor(reading) }
 }
 
-/// Records a run of two links, a robot and its sensor.
+fn machine(n: u64) -> Stamped {
+    let context = MachineContext {
+        node: NodeId::new("edge").unwrap(),
+        cpu: Some(CpuContext { cpus: 4, busy: Probability::new(n as f64 / SAMPLES as f64) }),
+        load_average: None,
+        memory: Some(MemoryContext { memory_bytes: 1 << 33, available_bytes: (1 << 32) + n }),
+        interfaces: Vec::new(),
+        interfaces_left_out: 0,
+        wifi: Vec::new(),
+        wifi_left_out: 0,
+    };
+    Stamped { at: at(n), event: Event::Machine(context) }
+}
+
+/// Records a run of two links, a robot and its sensor, and a machine.
 fn recorded(history: &History, ended: bool) -> RunId {
     let info = RunInfo { name: "old".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() };
     let run = history.begin_run(&info).unwrap();
     let recorder = history.recorder(run).unwrap();
     for n in 0..SAMPLES {
-        [link("a-b", n), link("b-c", n), robot(n), reading(n)].into_iter().for_each(|s| recorder.record(s));
+        let all = [link("a-b", n), link("b-c", n), robot(n), reading(n), machine(n)];
+        all.into_iter().for_each(|s| recorder.record(s));
     }
     recorder.flush().unwrap();
     if ended {
@@ -120,13 +135,15 @@ fn engines() -> Vec<(History, String, Option<Arc<MariaDb>>, tempfile::TempDir)> 
     all
 }
 
-const FIGURES: [&str; 6] = [
+const FIGURES: [&str; 8] = [
     "delay:a-b",
     "throughput:b-c",
     "x:robot",
     "signal:robot:R1",
     "signal:robot:R2",
     "sensor:robot:pack:charge",
+    "cpu:edge",
+    "available_memory:edge",
 ];
 
 fn curve(history: &History, run: RunId, figure: &str, points: usize) -> Vec<Values> {
@@ -170,7 +187,7 @@ fn figures_are_the_same_before_and_after() {
         assert!(history.retained(run).unwrap().is_empty(), "a dry run changes nothing");
         let did = prune(&history, run, &RETENTION, false);
         assert_eq!(would, did);
-        assert_eq!((did.rolled_up, did.points, did.dropped), (4 * 900, 4 * 90, 0));
+        assert_eq!((did.rolled_up, did.points, did.dropped), (5 * 900, 5 * 90, 0));
         assert_eq!(prune(&history, run, &RETENTION, false), Pruned::default(), "once is enough");
 
         let after = FIGURES.map(|figure| [12, 1].map(|points| curve(&history, run, figure, points)));
@@ -187,7 +204,11 @@ fn figures_are_the_same_before_and_after() {
         let told_of: Vec<_> = retained.iter().map(|r| (r.kind, r.rolled_up_to, r.step)).collect();
         assert_eq!(
             told_of,
-            [Kind::Robot, Kind::Link, Kind::Sensor].map(|kind| (kind, at(900), Duration::from_secs(1)))
+            [Kind::Robot, Kind::Link, Kind::Sensor, Kind::Machine].map(|kind| (
+                kind,
+                at(900),
+                Duration::from_secs(1)
+            ))
         );
         let difference = history.difference(run, other).unwrap();
         for entry in &difference.links {
@@ -198,7 +219,7 @@ fn figures_are_the_same_before_and_after() {
         // The rest of the past is dropped.
         let short = Retention { keep: Some(Duration::from_secs(60)), ..RETENTION };
         let dropped = prune(&history, run, &short, false);
-        assert_eq!((dropped.rolled_up, dropped.dropped), (0, 4 * 60));
+        assert_eq!((dropped.rolled_up, dropped.dropped), (0, 5 * 60));
         let rest = curve(&history, run, "x:robot", 1);
         assert_eq!((rest[0].count, rest[0].min), (600, 600.0));
         assert_eq!(history.retained(run).unwrap()[0].dropped_to, at(600));
@@ -285,6 +306,6 @@ fn kill_9_leaves_either_samples_or_points() {
         prune(&history, run, &RETENTION, false);
         assert_eq!(FIGURES.map(|figure| exact(&curve(&history, run, figure, 1)[0])), before);
         let all = history.events(run, &[], .., PageRequest::first(10_000)).unwrap().items;
-        assert_eq!(all.len(), 4 * (90 + 300));
+        assert_eq!(all.len(), 5 * (90 + 300));
     }
 }

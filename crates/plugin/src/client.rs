@@ -10,9 +10,9 @@ mod run;
 use std::{io::Read, path::PathBuf, time::Duration};
 
 use cotorra_graph::{
-    Emulation, HardwareGraph, HostAddress, Instruction, InvalidId, LinkContext, LinkId, NodeId, Placement,
-    PluginId, PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime, Testbed,
-    Timestamp, VirtualLinkMapping, WaisSettings, Walk,
+    Emulation, HardwareGraph, HostAddress, Instruction, InvalidId, LinkContext, LinkId, MachineContext,
+    NodeId, Placement, PluginId, PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime,
+    Testbed, Timestamp, VirtualLinkMapping, WaisSettings, Walk,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -167,6 +167,9 @@ pub struct GraphState {
     /// Readings, by robot and sensor.
     #[serde(default)]
     pub sensors: Vec<Sample<SensorReading>>,
+    /// Contexts of machines, by node.
+    #[serde(default)]
+    pub machines: Vec<Sample<MachineContext>>,
 }
 
 #[derive(Serialize)]
@@ -327,6 +330,14 @@ impl Client {
     /// [`ClientError`].
     pub fn radio_units(&self) -> Result<Vec<RadioContext>, ClientError> {
         self.get("network/radio-units", &[])
+    }
+
+    /// CPU, memory and interfaces of a node's machine.
+    ///
+    /// # Errors
+    /// [`ClientError`], with status 404 if nothing is known of it.
+    pub fn machine(&self, node: &NodeId) -> Result<MachineContext, ClientError> {
+        self.get(&format!("network/nodes/{node}/machine"), &[])
     }
 
     /// a(n): where every VNF runs.

@@ -110,6 +110,7 @@ pub(super) fn retentions(record: &RetentionsRecord, sink: &mut Sink) -> Retentio
         radio_units: of(&record.radio_units),
         links: of(&record.links),
         sensors: of(&record.sensors),
+        machines: of(&record.machines),
     }
 }
 

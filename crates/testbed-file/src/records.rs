@@ -143,6 +143,8 @@ record! {
         links: Option<RetentionRecord>,
         /// Readings of robots' sensors.
         sensors: Option<RetentionRecord>,
+        /// Contexts of machines: CPU, memory, interfaces.
+        machines: Option<RetentionRecord>,
     }
 }
 

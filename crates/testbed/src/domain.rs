@@ -193,6 +193,7 @@ impl DomainView {
             Event::Vnf(vnf) => self.sees_vnf(&vnf.vnf, &vnf.node),
             Event::Goal(goal) => self.owns(&goal.robot),
             Event::Sensor(reading) => self.owns(&reading.robot),
+            Event::Machine(context) => self.owns(&context.node),
             Event::ServiceTime(sample) if self.owns(&sample.robot) && sample.parts.is_some() => {
                 return changed(Event::ServiceTime(self.service_time(sample)));
             }

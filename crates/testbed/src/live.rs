@@ -3,8 +3,9 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::{
-    Direction, Event, Lateness, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext, SensorId,
-    SensorReading, ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    Direction, Event, Lateness, LinkContext, LinkId, MachineContext, NodeId, Placement, RadioContext,
+    RobotContext, SensorId, SensorReading, ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
+    VnfEvent, VnfId, VnfState,
 };
 use parking_lot::RwLock;
 use serde::Serialize;
@@ -40,6 +41,9 @@ pub struct Snapshot {
     /// The last reading of every sensor, and the time of its event.
     #[serde(skip)]
     pub sensors: BTreeMap<(NodeId, SensorId), (Timestamp, SensorReading)>,
+    /// The last context of every machine, and the time of its event.
+    #[serde(skip)]
+    pub machines: BTreeMap<NodeId, (Timestamp, MachineContext)>,
     /// The emulator's lateness.
     pub lateness: Lateness,
     /// Robots at the end of their walk.
@@ -103,6 +107,9 @@ impl Live {
             }
             Event::Sensor(reading) => {
                 now.sensors.insert((reading.robot.clone(), reading.sensor.clone()), (*at, reading));
+            }
+            Event::Machine(context) => {
+                now.machines.insert(context.node.clone(), (*at, context));
             }
             Event::Lateness(lateness) => now.lateness = lateness,
             Event::WalkFinished { robot } => now.finished.push(robot),

@@ -38,6 +38,7 @@ impl Pruner {
             (Kind::Radio, kept.radio_units),
             (Kind::Link, kept.links),
             (Kind::Sensor, kept.sensors),
+            (Kind::Machine, kept.machines),
         ];
         let of: Vec<_> = of.into_iter().filter_map(|(kind, kept)| Some((kind, kept?))).collect();
         if of.is_empty() {

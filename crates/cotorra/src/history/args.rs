@@ -80,8 +80,8 @@ pub struct PruneArgs {
     /// Age from which points are dropped
     #[arg(long, value_name = "DURATION", value_parser = parse_time, requires = "raw")]
     pub keep: Option<Duration>,
-    /// Only these kinds: robot, radio, link, sensor
-    #[arg(long, value_name = "KINDS", value_delimiter = ',', value_parser = ["robot", "radio", "link", "sensor"])]
+    /// Only these kinds: robot, radio, link, sensor, machine
+    #[arg(long, value_name = "KINDS", value_delimiter = ',', value_parser = ["robot", "radio", "link", "sensor", "machine"])]
     pub kinds: Vec<String>,
     /// Apply the changes instead of only reporting them
     #[arg(long)]
@@ -227,8 +227,9 @@ pub struct StateArgs {
 ///
 /// Each point summarises the samples of an interval; the plot shows their range. `!` marks gaps, in which events were lost.
 ///
-/// Figures are delay (ms), throughput (bit/s), delay_scale and drop_scale of a link; x, y, z (m), heading (rad), speed
-/// and climb (m/s), turn (rad/s) and obstacle (m) of a robot; load of a radio unit; time_part (ms) of a link, `sender`,
+/// Figures are delay (ms), throughput (bit/s), delay_scale and drop_scale of a link; x, y, z (m), heading (rad), linear
+/// and vertical (m/s), angular (rad/s) and nearest_obstacle (m) of a robot; load of a radio unit; cpu, load_average and
+/// available_memory (bytes) of a machine; time_part (ms) of a link, `sender`,
 /// `vnf`, `receiver` or `unknown`, the time of each sample there; service_time and handover_gap (ms) of `service` or of a
 /// robot; lateness_p50, lateness_p99 and lateness_max (µs) of `service`, and signal of ROBOT:RADIO_UNIT (dBm). The service
 /// times of all robots come with a table of each robot and service, and whether it kept its target.
@@ -236,10 +237,10 @@ pub struct StateArgs {
 pub struct SeriesArgs {
     /// The run
     pub run: String,
-    /// A link, LINK:backward, a robot, ROBOT:RADIO_UNIT, a radio unit, or `service`
+    /// A link, LINK:backward, a robot, ROBOT:RADIO_UNIT, a radio unit, a node with a machine, or `service`
     #[arg(value_name = "OF")]
     pub of: String,
-    /// The figure; default: a link's delay, a robot's speed, a radio unit's load, or service_time
+    /// The figure; default: a link's delay, a robot's speed, a radio unit's load, a machine's cpu, or service_time
     #[arg(long, value_name = "FIGURE")]
     pub figure: Option<String>,
     #[command(flatten)]

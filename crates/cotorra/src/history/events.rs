@@ -2,7 +2,9 @@
 
 use std::fmt::Write as _;
 
-use cotorra_graph::{Event, GoalEvent, Instruction, LargeData, Stamped, VirtualLinkMapping};
+use cotorra_graph::{
+    CpuContext, Event, GoalEvent, Instruction, LargeData, MachineContext, Stamped, VirtualLinkMapping,
+};
 use cotorra_measurements::{Kind, PageRequest};
 
 use super::{
@@ -138,6 +140,7 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             let values: Vec<_> = values.chain(reading.data.as_ref().map(large_data)).collect();
             format!("{} {}: {}", reading.robot, reading.sensor, values.join(", "))
         }
+        Event::Machine(context) => machine(context),
         Event::Scanned { robot } | Event::WalkFinished { robot } => robot.to_string(),
         Event::Vnf(event) => {
             let state = format!("{:?}", event.state).to_lowercase();
@@ -157,6 +160,33 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
         ),
         Event::Notice { message } => message.clone(),
     }
+}
+
+fn machine(context: &MachineContext) -> String {
+    let mut parts = Vec::new();
+    if let Some(CpuContext { cpus, busy }) = context.cpu {
+        let cpus = words::count(cpus as usize, "CPU");
+        parts.push(busy.map_or(cpus.clone(), |busy| format!("{cpus} {:.1} % busy", busy.get() * 100.0)));
+    }
+    if let Some(load) = context.load_average {
+        parts.push(format!("load {:.2}", load.one_minute));
+    }
+    if let Some(memory) = context.memory {
+        let [available, all] = [memory.available_bytes, memory.memory_bytes].map(|bytes| bytes as f64 / 1e9);
+        parts.push(format!("{available:.2} of {all:.2} GB available"));
+    }
+    let rate = |bps: Option<f64>| bps.map_or("-".to_owned(), |bps| format!("{:.3}", bps / 1e6));
+    parts.extend(context.interfaces.iter().filter(|interface| interface.carrier).map(|interface| {
+        let [received, sent] = [interface.received, interface.sent].map(|way| rate(way.throughput_bps));
+        format!("{} {received} Mbit/s in, {sent} Mbit/s out", interface.name)
+    }));
+    parts.extend(
+        context
+            .wifi
+            .iter()
+            .map(|wifi| format!("{} with {}", wifi.interface, words::count(wifi.stations.len(), "station"))),
+    );
+    format!("{}: {}", context.node, parts.join(", "))
 }
 
 fn instruction(instruction: &Instruction) -> String {

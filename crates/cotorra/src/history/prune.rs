@@ -84,7 +84,7 @@ fn every_run(history: &History) -> cotorra_measurements::Result<Vec<Run>> {
 
 /// Returns the retention of each kind: that of the arguments, or else of the run's testbed file.
 fn retentions(run: &Run, args: &PruneArgs) -> Vec<(Kind, Retention)> {
-    let of: [(Kind, Option<Retention>); 4] = match args.raw {
+    let of: [(Kind, Option<Retention>); 5] = match args.raw {
         Some(raw) => {
             let typed = Retention { raw, step: args.step, keep: args.keep };
             Kind::SAMPLED.map(|kind| (kind, Some(typed)))
@@ -96,6 +96,7 @@ fn retentions(run: &Run, args: &PruneArgs) -> Vec<(Kind, Retention)> {
                 (Kind::Radio, kept.radio_units),
                 (Kind::Link, kept.links),
                 (Kind::Sensor, kept.sensors),
+                (Kind::Machine, kept.machines),
             ]
         }
     };

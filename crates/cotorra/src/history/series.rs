@@ -28,7 +28,7 @@ enum SeriesError {
     #[error("run {run} has no samples of {figure} in that time")]
     #[diagnostic(help("{help}"))]
     Nothing { run: String, figure: Figure, help: String },
-    #[error("run {run} has no link, robot or radio unit `{of}`")]
+    #[error("run {run} has no link, robot, radio unit or machine `{of}`")]
     #[diagnostic(help("{help}; or `service`"))]
     Unknown { run: String, of: String, help: String },
     #[error("cannot write {}: {source}", out.display())]
@@ -95,7 +95,8 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
                 let unit =
                     state.radio_units.iter().any(|s| is(s.value.radio_unit.as_str())).then_some("load");
                 let link = state.links.iter().any(|s| is(s.value.link.as_str())).then_some("delay");
-                robot.or(unit).or(link)
+                let machine = state.machines.iter().any(|s| is(s.value.node.as_str())).then_some("cpu");
+                robot.or(unit).or(link).or(machine)
             };
             let state = source.history.state_at(source.run.id, Timestamp::MAX).ok();
             match state.as_ref().and_then(default) {
@@ -116,7 +117,7 @@ fn is_robot(name: &str, source: &Source) -> bool {
     state.is_ok_and(|state| state.robots.iter().any(|sample| sample.value.robot.as_str() == name))
 }
 
-/// Lists the links, robots, radio units and sensors of the run.
+/// Lists the links, robots, radio units, sensors and machines of the run.
 fn names(source: &Source) -> String {
     let state = source.history.state_at(source.run.id, Timestamp::MAX).unwrap_or_default();
     let list = |mut names: Vec<&str>| {
@@ -124,8 +125,12 @@ fn names(source: &Source) -> String {
         let shown = names.iter().take(20).copied().collect::<Vec<_>>().join(", ");
         if names.len() > 20 { shown + ", ..." } else { shown }
     };
+    let machines = match &*state.machines {
+        [] => String::new(),
+        some => format!("; machines: {}", list(some.iter().map(|s| s.value.node.as_str()).collect())),
+    };
     format!(
-        "links: {}; robots: {}; radio units: {}; sensors: {}",
+        "links: {}; robots: {}; radio units: {}; sensors: {}{machines}",
         list(state.links.iter().map(|s| s.value.link.as_str()).collect()),
         list(state.robots.iter().map(|s| s.value.robot.as_str()).collect()),
         list(state.radio_units.iter().map(|s| s.value.radio_unit.as_str()).collect()),

@@ -1,6 +1,6 @@
 //! `cotorra history state`: shows the state of the whole graph at a time.
 
-use cotorra_graph::{LinkContext, RobotContext, Timestamp, VirtualLinkMapping};
+use cotorra_graph::{LinkContext, MachineContext, RobotContext, Timestamp, VirtualLinkMapping};
 use cotorra_measurements::{GraphState, Retained, Sample};
 
 use super::{
@@ -93,6 +93,12 @@ fn describe(state: &GraphState) -> String {
         sensors.row([value.robot.to_string(), value.sensor.to_string(), seconds(*at), values.join(", ")]);
     }
     section("Sensors", sensors, state.sensors.len());
+    let mut machines = Table::new("<>>>>>>>>");
+    let columns =
+        ["machine", "at, s", "CPUs", "busy", "load", "memory, GB", "available", "interfaces", "stations"];
+    machines.row(columns);
+    state.machines.iter().take(ROWS).for_each(|sample| machines.row(machine(sample)));
+    section("Machines", machines, state.machines.len());
     if text.is_empty() { "nothing was known yet\n".to_owned() } else { text }
 }
 
@@ -108,6 +114,26 @@ fn robot(Sample { at, value }: &Sample<RobotContext>) -> [String; 8] {
         format!("{:.2}", sensors.velocity.linear),
         attached.map_or("none".to_owned(), |a| a.radio_unit.to_string()),
         attached.and_then(|a| a.signal).map_or(String::new(), |signal| format!("{:.1} dBm", signal.0)),
+    ]
+}
+
+fn machine(Sample { at, value }: &Sample<MachineContext>) -> [String; 9] {
+    let unknown = || "-".to_owned();
+    let gigabytes = |bytes: u64| format!("{:.2}", bytes as f64 / 1e9);
+    let stations: usize = value.wifi.iter().map(|wifi| wifi.stations.len()).sum();
+    [
+        value.node.to_string(),
+        seconds(*at),
+        value.cpu.map_or_else(unknown, |cpu| cpu.cpus.to_string()),
+        value
+            .cpu
+            .and_then(|cpu| cpu.busy)
+            .map_or_else(unknown, |busy| format!("{:.1} %", busy.get() * 100.0)),
+        value.load_average.map_or_else(unknown, |load| format!("{:.2}", load.one_minute)),
+        value.memory.map_or_else(unknown, |memory| gigabytes(memory.memory_bytes)),
+        value.memory.map_or_else(unknown, |memory| gigabytes(memory.available_bytes)),
+        value.interfaces.len().to_string(),
+        stations.to_string(),
     ]
 }
 

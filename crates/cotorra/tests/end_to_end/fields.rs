@@ -13,14 +13,27 @@ use crate::harness::{corridor, cotorra, project_file, stderr, stdout};
 /// Statistics in names, before the unit.
 const STATISTICS: [&str; 8] = ["p50", "p95", "p99", "min", "max", "mean", "low", "high"];
 /// Prefixes of names in flat tables.
-const OF: [&str; 9] =
-    ["odometry", "probed", "tested", "jitter", "queue", "loss", "handover", "asked", "effective"];
+const OF: [&str; 12] = [
+    "odometry",
+    "probed",
+    "tested",
+    "jitter",
+    "queue",
+    "loss",
+    "handover",
+    "asked",
+    "effective",
+    "cpu",
+    "received",
+    "sent",
+];
 /// Names of numbers that are not quantities: positions, limits, names of rows, and inputs of statistics.
 const NO_QUANTITIES: [&str; 12] =
     ["a", "b", "after", "fast", "last", "limit", "mac", "number", "points", "quantiles", "values", "walked"];
 
 /// Units by the suffix of a name.
-const UNITS: [(&str, &str); 10] = [
+const UNITS: [(&str, &str); 11] = [
+    ("_mhz", "MHz"),
     ("_ns", "ns"),
     ("_ms", "ms"),
     ("_us", "µs"),
@@ -165,7 +178,7 @@ fn every_figure_is_documented_with_its_unit() {
             in_schema(&named, &openapi["components"]["schemas"], api);
         }
     }
-    for version in ["1.sql", "2.sql"] {
+    for version in ["1.sql", "2.sql", "3.sql"] {
         let schema = read(&format!("crates/measurements/src/schema/{version}"));
         in_tables(&schema, used.entry("the history").or_default());
     }

@@ -9,8 +9,10 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
+use cotorra_graph::Timestamp;
+use cotorra_measurements::{History, RunInfo};
 use cotorra_testing::mariadb::MariaDb;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::harness::{corridor, cotorra, output, project_file, stderr, stdout};
@@ -100,6 +102,70 @@ fn runs_are_found_by_folder_and_by_number() {
     assert!(own != of(&[text(&runs.probing)]));
 }
 
+/// Records two readings of a server's machine into a history of its own.
+fn with_machine(folder: &Path) -> String {
+    let place = folder.join("machine.sqlite");
+    let history = History::open(&place).unwrap();
+    let info = RunInfo { name: "office".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() };
+    let run = history.begin_run(&info).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    for second in [1_u64, 2] {
+        let traffic = |throughput_bps: f64| json!({ "packets": 1, "bytes": 2, "errors": 0, "dropped": 0, "throughput_bps": throughput_bps });
+        let station = json!({
+            "mac": "02:00:00:00:01:00", "signal_dbm": -60.0, "transmit_rate_bps": null, "receive_rate_bps": null,
+            "retransmissions": 3, "transmissions_failed": null, "transmit_airtime_ms": 1.5,
+            "receive_airtime_ms": null, "inactive_ms": 20.0,
+        });
+        let event = json!({
+            "at_ns": second * 1_000_000_000, "event": "machine", "node": "edge",
+            "cpu": { "cpus": 4, "busy": second as f64 / 8.0 },
+            "load_average": { "one_minute": 0.5, "five_minutes": 0.25, "fifteen_minutes": 0.125 },
+            "memory": { "memory_bytes": 8_000_000_000_u64, "available_bytes": 2_500_000_000_u64 },
+            "interfaces": [{
+                "name": "eth0", "up": true, "carrier": true, "speed_bps": null, "mtu_bytes": 1500,
+                "received": traffic(8e6), "sent": traffic(1e6),
+            }],
+            "interfaces_left_out": 0,
+            "wifi": [{
+                "interface": "wlan0", "role": "access_point", "ssid": "lab", "stations": [station],
+                "stations_left_out": 0, "channels": [], "channels_left_out": 0,
+            }],
+            "wifi_left_out": 0,
+        });
+        recorder.record(serde_json::from_value(event).unwrap());
+    }
+    history.end_run(run, Timestamp::from_secs_f64(3.0)).unwrap();
+    text(&place).to_owned()
+}
+
+#[test]
+fn machines_are_shown_and_drawn_and_exported() {
+    let folder = TempDir::new().unwrap();
+    let place = with_machine(folder.path());
+    let answer = |arguments: &[&str]| {
+        let answer = cotorra(["history"]).args(arguments).args(["--history", &place]).output().unwrap();
+        assert!(answer.status.success(), "{arguments:?}: {}", stderr(&answer));
+        stdout(&answer)
+    };
+    let events = answer(&["events", "1", "--kinds", "machine"]);
+    let line = "machine        edge: 4 CPUs 25.0 % busy, load 0.50, 2.50 of 8.00 GB available, \
+                eth0 8.000 Mbit/s in, 1.000 Mbit/s out, wlan0 with 1 station";
+    assert!(events.lines().nth(1).unwrap().ends_with(line), "{events}");
+    let state = answer(&["state", "1", "--at", "1.5s"]);
+    let words: Vec<_> = state.lines().last().unwrap().split_whitespace().collect();
+    assert_eq!(words, ["edge", "1.000", "4", "12.5", "%", "0.50", "8.00", "2.50", "1", "1"], "{state}");
+    assert!(answer(&["series", "1", "edge"]).starts_with("cpu:edge\n"));
+    let memory = answer(&["series", "1", "edge", "--figure", "available_memory", "--points", "1", "--csv"]);
+    assert!(memory.lines().nth(1).unwrap().contains(",2,2500000000,2500000000,"), "{memory}");
+
+    let out = folder.path().join("exported");
+    answer(&["export", "1", "--out", text(&out)]);
+    let table = fs::read_to_string(out.join("machine_interface.csv")).unwrap();
+    assert!(table.lines().nth(1).unwrap().starts_with("0,0,eth0,1,1,,1500,1,2,0,0,8000000,"), "{table}");
+    answer(&["import", text(&out)]);
+    assert_eq!(answer(&["events", "2", "--json"]), answer(&["events", "1", "--json"]));
+}
+
 #[test]
 fn state_series_and_events_are_shown() {
     let runs = &Runs::new();
@@ -175,7 +241,7 @@ fn unknown_names_list_the_known_ones() {
         (&["state", "7", "--history", "none.sqlite"], ["there is no history none.sqlite", "cotorra run"]),
         (&["state", "."], ["it is not the folder of a run", "cotorra history runs"]),
         (&["state", "latest", "--runs", "nowhere"], ["there is no run in nowhere", "--runs"]),
-        (&["series", okpi, "R9"], ["no link, robot or radio unit `R9`", "robots: robot"]),
+        (&["series", okpi, "R9"], ["no link, robot, radio unit or machine `R9`", "robots: robot"]),
         (&["series", okpi, "R9", "--figure", "load"], ["no samples of load:R9", "radio units: R1, R2"]),
         (&["series", okpi, "robot", "--figure", "mood"], ["`mood:robot` is not a figure", "--help"]),
         (&["events", okpi, "--kinds", "weather"], ["`weather` is not a kind of event", "handover"]),

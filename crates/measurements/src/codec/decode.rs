@@ -1,5 +1,7 @@
 //! Converts rows to events.
 
+mod machine;
+
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
@@ -90,8 +92,7 @@ impl Columns<'_> {
     }
 
     fn small<T: TryFrom<i64>>(&mut self) -> Result<T> {
-        let n = self.integer()?;
-        n.try_into().map_err(|_| unreadable(format_args!("{n} is out of its column's range")))
+        required(self.optional_small()?)
     }
 
     fn real(&mut self) -> Result<f64> {
@@ -101,6 +102,11 @@ impl Columns<'_> {
     fn share(&mut self) -> Result<Probability> {
         let share = self.real()?;
         Probability::new(share).ok_or_else(|| unreadable(format_args!("{share} is not a share")))
+    }
+
+    fn optional_small<T: TryFrom<i64>>(&mut self) -> Result<Option<T>> {
+        let Some(n) = self.0.integer()? else { return Ok(None) };
+        n.try_into().map(Some).map_err(|_| unreadable(format_args!("{n} is out of its column's range")))
     }
 
     fn boolean(&mut self) -> Result<bool> {
@@ -341,6 +347,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             let values = values.into_iter().collect();
             Event::Sensor(SensorReading { robot, sensor, measured, values, data })
         }
+        Kind::Machine => Event::Machine(machine::read(source)?),
         Kind::PluginFault => Event::PluginFault { plugin: row.name()?, reason: row.text()? },
         Kind::Lateness => Event::Lateness(Lateness {
             frames: row.unsigned()?,

@@ -3,8 +3,9 @@
 use std::{borrow::Cow, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, AnswersRejected, Conditions, Direction, Event, GoalEvent, Instruction, JitterDistribution,
-    Loss, Pose, PoseSource, QueueLimit, Rate, RobotFault, SensorReading, VnfState, millis,
+    AccessPoint, AnswersRejected, Conditions, Direction, Event, GoalEvent, Instruction, InterfaceContext,
+    InterfaceTraffic, JitterDistribution, Loss, MachineContext, Pose, PoseSource, QueueLimit, Rate,
+    RobotFault, SensorReading, VnfState, millis,
 };
 
 use super::{
@@ -238,6 +239,7 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 children.name(component.as_str()).real(*value);
             }
         }
+        Event::Machine(context) => encode_machine(context, row, children),
         Event::PluginFault { plugin, reason } => {
             row.name(plugin.as_str()).text(reason.as_str());
         }
@@ -253,6 +255,48 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
             for count in [late, forged, repeated, unknown, invalid, redundant] {
                 row.unsigned(*count);
             }
+        }
+    }
+}
+
+fn encode_machine<'a>(context: &'a MachineContext, row: &mut Fields<'a>, children: &mut Fields<'a>) {
+    let MachineContext {
+        node,
+        cpu,
+        load_average,
+        memory,
+        interfaces,
+        interfaces_left_out,
+        wifi,
+        wifi_left_out,
+    } = context;
+    row.name(node.as_str())
+        .optional(*cpu, |row, cpu| row.integer(cpu.cpus.into()))
+        .optional(cpu.and_then(|cpu| cpu.busy), |row, busy| row.real(busy.get()))
+        .optional(*load_average, |row, load| row.real(load.one_minute))
+        .optional(*load_average, |row, load| row.real(load.five_minutes))
+        .optional(*load_average, |row, load| row.real(load.fifteen_minutes))
+        .optional(*memory, |row, memory| row.unsigned(memory.memory_bytes))
+        .optional(*memory, |row, memory| row.unsigned(memory.available_bytes))
+        .integer((*interfaces_left_out).into())
+        .integer((*wifi_left_out).into())
+        .optional(Some(wifi).filter(|wifi| !wifi.is_empty()), |row, wifi| {
+            row.text(serde_json::to_string(wifi).expect("texts and numbers are JSON"))
+        });
+    for InterfaceContext { name, up, carrier, speed, mtu_bytes, received, sent } in interfaces {
+        children
+            .name(name)
+            .integer((*up).into())
+            .integer((*carrier).into())
+            .optional(*speed, |row, speed| row.unsigned(speed.bits_per_second()))
+            .integer((*mtu_bytes).into());
+        for InterfaceTraffic { packets, bytes, errors, dropped, throughput_bps } in [received, sent] {
+            children
+                .unsigned(*packets)
+                .unsigned(*bytes)
+                .unsigned(*errors)
+                .unsigned(*dropped)
+                .optional(*throughput_bps, Fields::real);
         }
     }
 }

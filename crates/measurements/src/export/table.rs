@@ -65,13 +65,14 @@ const TEXTS: &[&str] = &[
     "robot", "radio_unit", "link", "vnf", "node", "from_vnf", "to_vnf", "service", "attachment", "server",
     "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
     "reason", "refused", "message", "health", "sensor", "component", "path", "others", "format",
-    "jitter_distribution", "loss", "trace_ms", "part",
+    "jitter_distribution", "loss", "trace_ms", "part", "interface", "wifi",
 ];
 #[rustfmt::skip]
 const REALS: &[&str] = &[
     "x", "y", "z", "value", "heading", "roll", "pitch", "linear", "vertical", "angular",
     "load", "downlink_bps", "uplink_bps", "throughput_bps", "delay_scale", "drop_scale", "loss_share", "loss_mean_burst",
     "duplication", "corruption", "reordering", "probed_loss", "tested_throughput_bps", "tested_offered_bps",
+    "cpu_busy", "one_minute", "five_minutes", "fifteen_minutes", "received_throughput_bps", "sent_throughput_bps",
 ];
 const UNITS_OF_REALS: &[&str] = &["_m", "_mps", "_dbm", "_ms", "_us"];
 

@@ -631,7 +631,7 @@ pub(super) fn series_ids<E>(
     mut id: impl FnMut(&str) -> std::result::Result<Option<i64>, E>,
 ) -> std::result::Result<Option<[i64; 2]>, E> {
     let (a, b) = match series {
-        Series::Robot(node) | Series::Radio(node) => (id(node.as_str())?, Some(0)),
+        Series::Robot(node) | Series::Radio(node) | Series::Machine(node) => (id(node.as_str())?, Some(0)),
         Series::Link(link, direction) => (id(link.as_str())?, Some(codec::direction_code(*direction))),
         Series::Placement(vnf) => (id(vnf.as_str())?, Some(0)),
         Series::VirtualLink(from, to) => (id(from.as_str())?, id(to.as_str())?),

@@ -412,6 +412,47 @@ fn brings_an_older_file_up_to_date() {
     assert_eq!(version_of(&path), later.len() as u32);
 }
 
+#[test]
+fn histories_without_machines_are_read_and_then_take_them() {
+    let (_folder, path) = folder();
+    let mut connection = Connection::open(&path).unwrap();
+    prepare(&mut connection, &"a history".into(), &MIGRATIONS[..2]).unwrap();
+    connection
+        .execute_batch(
+            "INSERT INTO run VALUES (1, 'old', 1, 0, 'name: old', NULL, 1);
+             INSERT INTO notice (run, at_ns, seq, message) VALUES (1, 5, 0, 'from before');",
+        )
+        .unwrap();
+    drop(connection);
+    assert_eq!(version_of(&path), 2);
+
+    let history = History::open(&path).unwrap();
+    let run = history.runs(None, 1).unwrap()[0].id;
+    assert_eq!(everything(&history, run), [notice(5, "from before")]);
+    let context = cotorra_graph::MachineContext {
+        node: NodeId::new("edge").unwrap(),
+        cpu: None,
+        load_average: None,
+        memory: None,
+        interfaces: Vec::new(),
+        interfaces_left_out: 0,
+        wifi: Vec::new(),
+        wifi_left_out: 0,
+    };
+    let event = Stamped { at: Timestamp::from_nanos(6), event: Event::Machine(context.clone()) };
+    let recorder = history.recorder(run).unwrap();
+    recorder.record(event.clone());
+    let mut unbounded = context;
+    unbounded.wifi_left_out = 1;
+    unbounded.load_average =
+        Some(cotorra_graph::LoadAverage { one_minute: f64::NAN, five_minutes: 0.0, fifteen_minutes: 0.0 });
+    recorder.record(Stamped { at: Timestamp::from_nanos(7), event: Event::Machine(unbounded) });
+    recorder.flush().unwrap();
+    assert_eq!(everything(&history, run), [notice(5, "from before"), event]);
+    let gaps = history.gaps(run, .., PageRequest::default()).unwrap().items;
+    assert_eq!(gaps.iter().map(|gap| (gap.from.as_nanos(), gap.events)).collect::<Vec<_>>(), [(7, 1)]);
+}
+
 /// A write-ahead log that a loss of power cut off anywhere holds whole batches, from the first on.
 #[test]
 fn a_log_that_was_cut_off_leaves_whole_batches() {

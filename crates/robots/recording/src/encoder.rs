@@ -125,6 +125,7 @@ impl Encoder {
             Event::AnswersRejected(_)
             | Event::Detached { .. }
             | Event::Goal(_)
+            | Event::Machine(_)
             | Event::Scanned { .. }
             | Event::Sensor(_)
             | Event::Vnf(_)

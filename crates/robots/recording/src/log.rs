@@ -1,7 +1,8 @@
 //! Events for people in ROS's standard messages: the log, and diagnostics.
 
 use cotorra_graph::{
-    AnswersRejected, Event, GoalEvent, GoalState, Lateness, RadioContext, Timestamp, VnfEvent, VnfState,
+    AnswersRejected, CpuContext, Event, GoalEvent, GoalState, Lateness, MachineContext, MemoryContext,
+    Probability, RadioContext, Timestamp, VnfEvent, VnfState,
 };
 use cotorra_plugin::convert::{to_header, to_time};
 use cotorra_ros_messages::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue, Log};
@@ -66,6 +67,7 @@ pub(crate) fn line(at: Timestamp, event: &Event) -> Option<Log> {
 pub(crate) fn diagnostics(at: Timestamp, event: &Event) -> Option<DiagnosticArray> {
     let status = match event {
         Event::Radio(context) => radio(context),
+        Event::Machine(context) => machine(context),
         Event::Vnf(event) => vnf(event),
         Event::Lateness(lateness) => emulation(lateness),
         Event::PluginFault { plugin, reason } => DiagnosticStatus {
@@ -92,6 +94,37 @@ fn radio(context: &RadioContext) -> DiagnosticStatus {
         name: format!("radio unit {}", context.radio_unit),
         message: format!("{} stations", context.stations.len()),
         hardware_id: context.radio_unit.to_string(),
+        values,
+    }
+}
+
+fn machine(context: &MachineContext) -> DiagnosticStatus {
+    let share = |busy: Option<Probability>| busy.map(|busy| format!("{:.3}", busy.get()));
+    let mut values = Vec::new();
+    if let Some(CpuContext { cpus, busy }) = context.cpu {
+        values.push(value("cpus", cpus.to_string()));
+        values.extend(share(busy).map(|busy| value("cpu_busy", busy)));
+    }
+    if let Some(load) = context.load_average {
+        values.push(value("load_average", format!("{:.2}", load.one_minute)));
+    }
+    if let Some(MemoryContext { memory_bytes, available_bytes }) = context.memory {
+        values.push(value("memory_bytes", memory_bytes.to_string()));
+        values.push(value("available_bytes", available_bytes.to_string()));
+    }
+    values.extend(context.interfaces.iter().map(|interface| {
+        let rate = |bps: Option<f64>| bps.map_or("-".to_owned(), |bps| format!("{:.3}", bps / 1e6));
+        let state = if interface.carrier { "" } else { "no carrier, " };
+        let [received, sent] =
+            [interface.received, interface.sent].map(|traffic| rate(traffic.throughput_bps));
+        value(&interface.name, format!("{state}{received} Mbit/s received, {sent} Mbit/s sent"))
+    }));
+    DiagnosticStatus {
+        level: OK,
+        name: format!("machine {}", context.node),
+        message: share(context.cpu.and_then(|cpu| cpu.busy))
+            .map_or(String::new(), |busy| format!("{busy} of CPU time busy")),
+        hardware_id: context.node.to_string(),
         values,
     }
 }

@@ -5,10 +5,11 @@
 use std::{env, path::Path, process::Command, sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Attachment, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction, Lateness, LinkContext,
-    LinkCounters, LinkId, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, RadioContext,
-    RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Testbed,
-    Timestamp, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    Attachment, Conditions, CpuContext, Dbm, Decision, Direction, Event, Handover, Instruction,
+    InterfaceContext, InterfaceTraffic, Lateness, LinkContext, LinkCounters, LinkId, MachineContext, NodeId,
+    PathKind, Placement, PluginId, Pose, PoseSource, Probability, RadioContext, RobotContext, RobotFault,
+    Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Testbed, Timestamp, Velocity,
+    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use cotorra_recording::{About, Pace, Recording, RecordingPlace, Wanted};
 use cotorra_robot_middleware::{Scan, SensedScan};
@@ -48,6 +49,29 @@ fn pose(x: f64, y: f64, heading: f64) -> Pose {
     let mut covariance = [0.0; 9];
     (covariance[0], covariance[4], covariance[8]) = (0.25, 0.5, 0.125);
     Pose::planar(x, y, heading, covariance, PoseSource::Localization)
+}
+
+fn machine() -> MachineContext {
+    let received = InterfaceTraffic { throughput_bps: Some(8e6), ..InterfaceTraffic::default() };
+    let interface = InterfaceContext {
+        name: "eth0".to_owned(),
+        up: true,
+        carrier: true,
+        speed: None,
+        mtu_bytes: 1500,
+        received,
+        sent: InterfaceTraffic::default(),
+    };
+    MachineContext {
+        node: node("edge"),
+        cpu: Some(CpuContext { cpus: 4, busy: Probability::new(0.25) }),
+        load_average: None,
+        memory: None,
+        interfaces: vec![interface],
+        interfaces_left_out: 0,
+        wifi: Vec::new(),
+        wifi_left_out: 0,
+    }
 }
 
 fn events() -> Vec<Event> {
@@ -142,6 +166,7 @@ fn events() -> Vec<Event> {
         }),
         Event::PluginFault { plugin: PluginId::new("okpi").unwrap(), reason: "panicked".to_owned() },
         Event::Lateness(Lateness { frames: 9, p50_us: 1.5, p99_us: 20.0, max_us: 300.0 }),
+        Event::Machine(machine()),
         Event::WalkFinished { robot: node("tb2") },
         Event::Notice { message: "ünïcode".to_owned() },
     ]
@@ -275,6 +300,11 @@ fn two_independent_readers_agree_on_the_events() {
     let parts = on("/diagnostics");
     let parts: Vec<_> = parts.iter().map(|told| &told["value"]["status"][0]).collect();
     let names: Vec<_> = parts.iter().map(|part| part["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["VNF navigation", "radio unit R-1", "plug-in okpi", "emulation"]);
+    assert_eq!(names, ["VNF navigation", "radio unit R-1", "plug-in okpi", "emulation", "machine edge"]);
     assert_eq!(parts[1]["values"][2]["value"], "-60 dBm, 65 Mbit/s down, 58.5 Mbit/s up");
+    assert_eq!(parts[4]["message"], "0.250 of CPU time busy");
+    assert_eq!(
+        parts[4]["values"][2],
+        json!({"key": "eth0", "value": "8.000 Mbit/s received, - Mbit/s sent"})
+    );
 }

@@ -17,6 +17,7 @@ use super::{capture, measurements, routes, sensors, stream};
     paths(
         routes::testbed,
         routes::node,
+        routes::machine,
         routes::robots,
         routes::robot,
         sensors::sensors,
@@ -30,6 +31,7 @@ use super::{capture, measurements, routes, sensors, stream};
         routes::instruct,
         measurements::robot_history,
         measurements::link_history,
+        measurements::machine_history,
         measurements::service_times,
         measurements::handovers,
         measurements::event_history,

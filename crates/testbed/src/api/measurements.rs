@@ -4,7 +4,8 @@ use std::{borrow::Cow, ops::Bound};
 
 use axum::{Extension, Json, extract::State};
 use cotorra_graph::{
-    Direction, Handover, LinkContext, LinkId, NodeId, RobotContext, ServiceTime, Stamped, Timestamp,
+    Direction, Handover, LinkContext, LinkId, MachineContext, NodeId, RobotContext, ServiceTime, Stamped,
+    Timestamp,
 };
 use cotorra_measurements::{
     Cursor, Curve, CurveRequest, Difference, Figure, GraphState, History, Page, PageRequest, Retained, RunId,
@@ -156,6 +157,27 @@ pub(super) async fn link_history(
     .await
 }
 
+/// Returns the context of a node's machine over time.
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/machines/{id}", tag = "measurements",
+    params(("id" = String, Path), Part),
+    responses((status = 200, body = Page<Sample<MachineContext>>))))]
+pub(super) async fn machine_history(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Path(id): Path<NodeId>,
+    Query(part): Query<Part>,
+) -> Answer<Page<Sample<MachineContext>>> {
+    this_run(&caller, part.run)?;
+    caller.sees(&id, |view| view.owns(&id))?;
+    if part.run.is_none() && context.testbed.graph.node(&id).is_none() {
+        return Err(Failure::not_found(format!("there is no node `{id}`")));
+    }
+    ask(context, part.run, move |history, run, present| {
+        history.machine_series(run, &id, part.until(present), part.page())
+    })
+    .await
+}
+
 /// Returns service times.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/service-times", tag = "measurements",
     params(Part),
@@ -268,7 +290,8 @@ pub(super) struct Which {
     /// without a direction); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…` or
     /// `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or
     /// `handover_gap:ROBOT` (of all without an object); `time_part:LINK:SERVICE:ROBOT` (also of `sender`, `vnf`,
-    /// `receiver` or `unknown`); `lateness_p50`, `lateness_p99` or `lateness_max`.
+    /// `receiver` or `unknown`); `sensor:ROBOT:SENSOR:COMPONENT`; `cpu:NODE`, `load_average:…` or `available_memory:…` of a
+    /// machine; `lateness_p50`, `lateness_p99` or `lateness_max`.
     #[cfg_attr(feature = "openapi", param(value_type = String))]
     figure: Figure,
     /// Beginning, nanoseconds since the run began.

@@ -74,10 +74,11 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 26] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 28] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/network/nodes/{id}", get(routes::node)),
+        ("/api/v1/network/nodes/{id}/machine", get(routes::machine)),
         ("/api/v1/robots", get(routes::robots)),
         ("/api/v1/robots/{id}", get(routes::robot)),
         ("/api/v1/robots/{id}/sensors", get(sensors::sensors)),
@@ -91,6 +92,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 26] {
         ("/api/v1/instructions", post(routes::instruct)),
         ("/api/v1/measurements/robots/{id}", get(measurements::robot_history)),
         ("/api/v1/measurements/links/{id}", get(measurements::link_history)),
+        ("/api/v1/measurements/machines/{id}", get(measurements::machine_history)),
         ("/api/v1/measurements/service-times", get(measurements::service_times)),
         ("/api/v1/measurements/handovers", get(measurements::handovers)),
         ("/api/v1/measurements/events", get(measurements::event_history)),

@@ -12,7 +12,8 @@ use super::{
     auth::Caller,
     context::{Answer, Context},
     types::{
-        Body, Done, Failure, InstructionBody, LinkBody, NodeBody, Path, TestbedBody, ThroughputTestBody,
+        Body, Done, Failure, InstructionBody, LinkBody, MachineBody, NodeBody, Path, TestbedBody,
+        ThroughputTestBody,
     },
 };
 use crate::message::Message;
@@ -41,6 +42,28 @@ pub(super) async fn node(
     let node = graph.node(&id).ok_or_else(|| Failure::not_found(format!("there is no node `{id}`")))?;
     let namespace = context.namespaces.get(&id).cloned();
     Ok(Json(NodeBody { node: node.clone(), address: graph.address(&id), namespace }))
+}
+
+/// Returns the context of a node's machine: its CPUs, memory, network interfaces and Wi-Fi. Counters count since an
+/// interface exists, and shares and throughputs are those since the machine's last reading.
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/nodes/{id}/machine", tag = "network",
+    params(("id" = String, Path)),
+    responses((status = 200, body = MachineBody))))]
+pub(super) async fn machine(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Path(id): Path<NodeId>,
+) -> Answer<MachineBody> {
+    caller.sees(&id, |view| view.owns(&id))?;
+    if context.testbed.graph.node(&id).is_none() {
+        return Err(Failure::not_found(format!("there is no node `{id}`")));
+    }
+    let body = context.live.read(|now| {
+        let (at, machine) = now.machines.get(&id)?;
+        Some(MachineBody::new(machine.clone(), now.at.since(*at)))
+    });
+    body.map(Json)
+        .ok_or_else(|| Failure::not_found(format!("the machine of node `{id}` has reported nothing")))
 }
 
 /// Returns κ of every robot.

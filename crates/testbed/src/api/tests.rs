@@ -1,5 +1,7 @@
 //! The API over a socket, as a caller uses it: its answers equal the history's, and slow readers harm nobody.
 
+mod machines;
+
 use std::{
     collections::{BTreeMap, BTreeSet},
     io::{BufRead, BufReader, Read, Write},
@@ -409,12 +411,14 @@ plugins:
         let recorder = history.paced_recorder(run).unwrap();
         (0..3).for_each(|second| recorder.record(sample(second)));
         recorder.flush().unwrap();
+        let live = Live::default();
+        live.absorb(&machines::machine("left", 1));
         let (events, _) = broadcast::channel(16);
         let (core, inbox) = mpsc::channel();
         let testbed = Arc::new(testbed);
         let context = Context {
             testbed: Arc::clone(&testbed),
-            live: Live::default(),
+            live,
             history,
             run,
             events: events.clone(),
@@ -472,6 +476,8 @@ fn a_domains_token_opens_its_own_nodes_and_nothing_else() {
     for (own, other, path) in [
         (ONE, TWO, "network/nodes/A"),
         (ONE, TWO, "measurements/robots/robot"),
+        (ONE, TWO, "measurements/machines/left"),
+        (ONE, TWO, "network/nodes/left/machine"),
         (ONE, TWO, "robots/robot/sensors"),
         (ONE, TWO, "measurements/links/A-left"),
         (OPERATOR, ONE, "measurements/state"),

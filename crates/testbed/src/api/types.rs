@@ -9,8 +9,8 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use cotorra_graph::{
-    BitRate, Direction, HardwareGraph, HostAddress, Instruction, LinkContext, Node, PluginSpec, Service,
-    Testbed, Timestamp, Walk,
+    BitRate, Direction, HardwareGraph, HostAddress, Instruction, LinkContext, MachineContext, Node,
+    PluginSpec, Service, Testbed, Timestamp, Walk, millis,
 };
 use cotorra_measurements::{Gap, Run, RunId, RunInfo};
 use serde::{Deserialize, Serialize};
@@ -69,6 +69,22 @@ pub(super) struct LinkBody {
 impl LinkBody {
     pub(super) fn new(context: LinkContext, age: Duration) -> Self {
         Self { context, age_ms: age.as_secs_f64() * 1e3 }
+    }
+}
+
+/// The context of a node's machine, and its age.
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub(super) struct MachineBody {
+    #[serde(flatten)]
+    context: MachineContext,
+    /// Age, milliseconds.
+    age_ms: f64,
+}
+
+impl MachineBody {
+    pub(super) fn new(context: MachineContext, age: Duration) -> Self {
+        Self { context, age_ms: millis::of(age) }
     }
 }
 

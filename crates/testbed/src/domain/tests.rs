@@ -73,6 +73,19 @@ fn a_domain_sees_its_own_part_of_the_testbed() {
     assert_eq!((one.testbed().services.len(), plugins), (1, vec!["okpi".to_owned()]));
 }
 
+fn machine(node: &str) -> cotorra_graph::MachineContext {
+    cotorra_graph::MachineContext {
+        node: id(node),
+        cpu: None,
+        load_average: None,
+        memory: None,
+        interfaces: Vec::new(),
+        interfaces_left_out: 0,
+        wifi: Vec::new(),
+        wifi_left_out: 0,
+    }
+}
+
 #[test]
 fn events_of_other_domains_are_not_seen() {
     let sample = ServiceTime {
@@ -103,6 +116,7 @@ fn events_of_other_domains_are_not_seen() {
             values: Default::default(),
             data: None,
         }),
+        Event::Machine(machine("s1")),
         Event::Placement(cotorra_graph::Placement { vnf: id("nav1"), node: id::<NodeId>("s1").into() }),
         Event::PluginFault { plugin: id("okpi"), reason: String::new() },
         Event::Detached { robot: id("r1"), from: id("A") },

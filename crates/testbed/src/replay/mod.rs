@@ -452,6 +452,7 @@ fn know(live: &Live, tap: Option<&Tap>, state: GraphState) {
     each(publish, state.radio_units, Event::Radio);
     each(publish, state.links, Event::Link);
     each(publish, state.sensors, Event::Sensor);
+    each(publish, state.machines, Event::Machine);
 }
 
 /// Error of playing a run.
