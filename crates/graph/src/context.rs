@@ -181,7 +181,7 @@ impl AnswersRejected {
     }
 }
 
-/// Fault of a robot. Only robots that are reached over a network, such as ROS, can have any.
+/// Fault of a robot. Simulated ones have none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -198,12 +198,24 @@ pub enum RobotFault {
     Flood,
     /// Messages make no sense.
     Malformed,
+    /// A cliff is below its edge.
+    Cliff,
+    /// A wheel hangs in the air.
+    WheelDrop,
 }
 
 impl RobotFault {
     /// All of them, in order.
-    pub const ALL: [Self; 6] =
-        [Self::Absent, Self::Silent, Self::NotFinite, Self::TimeJump, Self::Flood, Self::Malformed];
+    pub const ALL: [Self; 8] = [
+        Self::Absent,
+        Self::Silent,
+        Self::NotFinite,
+        Self::TimeJump,
+        Self::Flood,
+        Self::Malformed,
+        Self::Cliff,
+        Self::WheelDrop,
+    ];
 
     /// Returns the name in JSON.
     pub const fn as_str(self) -> &'static str {
@@ -214,6 +226,8 @@ impl RobotFault {
             Self::TimeJump => "time_jump",
             Self::Flood => "flood",
             Self::Malformed => "malformed",
+            Self::Cliff => "cliff",
+            Self::WheelDrop => "wheel_drop",
         }
     }
 }
@@ -227,6 +241,8 @@ impl std::fmt::Display for RobotFault {
             Self::TimeJump => "its time jumps",
             Self::Flood => "it floods",
             Self::Malformed => "it says what makes no sense",
+            Self::Cliff => "a cliff is below its edge",
+            Self::WheelDrop => "a wheel hangs in the air",
         })
     }
 }
