@@ -15,6 +15,7 @@ pub mod process;
 pub mod robot;
 pub mod ros1;
 pub mod ros2;
+pub mod turtlebot;
 
 use std::{
     env,
