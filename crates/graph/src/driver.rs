@@ -1,14 +1,17 @@
-//! Drivers of robots: the simulation, or a robot reached over ROS. Also how a simulated robot is offered to ROS
-//! programs.
+//! Drivers of robots: the simulation, a robot reached over ROS, or a TurtleBot 2 at serial ports. Also how a simulated
+//! robot is offered to ROS programs.
 
-use std::{collections::BTreeMap, net::IpAddr};
+use std::{collections::BTreeMap, net::IpAddr, path::PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::id::{NodeId, SensorId};
+use crate::{
+    id::{NodeId, SensorId},
+    units::Position,
+};
 
 /// Driver of a robot.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Driver {
@@ -21,6 +24,8 @@ pub enum Driver {
     Ros1(Box<Ros1>),
     /// Robot that speaks ROS 2.
     Ros2(Box<Ros2>),
+    /// TurtleBot 2 at serial ports of this machine.
+    Kobuki(Box<Kobuki>),
 }
 
 impl Default for Driver {
@@ -28,6 +33,34 @@ impl Default for Driver {
     fn default() -> Self {
         Self::Simulated { offer: None }
     }
+}
+
+/// Serial ports of a TurtleBot 2.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Kobuki {
+    /// Device file of its Kobuki base.
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    pub port: PathBuf,
+    /// Its lidar, if it has one.
+    pub lidar: Option<Rplidar>,
+}
+
+/// Serial port of an RPLIDAR A2, and its pose on the robot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Rplidar {
+    /// Device file.
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    pub port: PathBuf,
+    /// Bits per second.
+    pub baud: u32,
+    /// Drive of its motor, 1 to 1023.
+    pub motor_pwm: u16,
+    /// Its position on the robot, metres from the middle between the wheels: forward, to the left, and up.
+    pub position: Position,
+    /// Direction of its front, radians counter-clockwise from the robot's.
+    pub heading: f64,
 }
 
 /// ROS interface of a simulated robot.

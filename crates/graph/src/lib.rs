@@ -44,7 +44,8 @@ pub use context::{
     StationContext, Velocity, VirtualLinkMapping,
 };
 pub use driver::{
-    Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, SensorMessage, SensorTopic,
+    Driver, Kobuki, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, Rplidar, SensorMessage,
+    SensorTopic,
 };
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};

@@ -3,6 +3,7 @@
 
 mod builder;
 mod flows;
+mod kobuki;
 mod links;
 mod nodes;
 mod plugins;

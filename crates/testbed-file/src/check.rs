@@ -26,6 +26,7 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     real_ports::real_ports(record, &testbed.graph, sink);
     radio_units(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);
+    ports(record, &testbed.graph, sink);
     sensors::receivers(record, testbed, sink);
     let broken = !sink.is_empty();
     services::vnfs(record, testbed, sink);
@@ -88,6 +89,26 @@ fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     }
 }
 
+/// Each serial port has one device.
+fn ports(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    let mut taken = HashMap::new();
+    for ((id, _), node) in record.nodes.0.iter().zip(&graph.nodes) {
+        let NodeKind::Robot(robot) = &node.kind else { continue };
+        let Driver::Kobuki(its) = &robot.driver else { continue };
+        for port in [Some(&its.port), its.lidar.as_ref().map(|lidar| &lidar.port)].into_iter().flatten() {
+            if let Some(before) = taken.insert(port, &node.id) {
+                let port = port.display();
+                let message = if *before == node.id {
+                    format!("the base and the lidar of `{before}` are both at `{port}`")
+                } else {
+                    format!("`{before}` and `{}` are both at `{port}`", node.id)
+                };
+                sink.error(&id.span, message).help("give each device a port of its own by a udev rule");
+            }
+        }
+    }
+}
+
 /// Robots in one place of ROS have topics of their own.
 fn ros(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     /// Network in which ROS nodes discover each other.
@@ -117,7 +138,7 @@ fn ros(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
             Driver::Simulated { offer: Some(Offer { ros: Ros::Ros2(its), .. }) } => {
                 (domain(its), ros2(its), true)
             }
-            Driver::Simulated { offer: None } => continue,
+            Driver::Simulated { offer: None } | Driver::Kobuki(_) => continue,
         };
         let shared = match place {
             Place::Master(_) => "of one ROS master",

@@ -293,7 +293,7 @@ record! {
         tx_power: Dbm = "15 dBm",
         /// Roaming policy: the component that decides when it changes its radio unit.
         roaming: Roaming = "instructed",
-        /// Driver: the simulation, or a robot that is reached over ROS. A word, or a mapping.
+        /// Driver: the simulation, a robot that is reached over ROS, or a TurtleBot 2 at serial ports. A word, or a mapping.
         driver: Spanned<Either<DriverWord, DriverRecord>> = "simulated",
         /// ROS interface of a simulated robot. A word, or a mapping.
         offer: Option<Spanned<Either<OfferWord, OfferRecord>>>,
@@ -401,6 +401,7 @@ pub(crate) enum DriverWord {
     Simulated,
     Ros1,
     Ros2,
+    Kobuki,
 }
 
 tagged! {
@@ -409,6 +410,41 @@ tagged! {
         "simulated" => Simulated(SimulatedRecord),
         "ros1" => Ros1(Ros1Record),
         "ros2" => Ros2(Ros2Record),
+        "kobuki" => Kobuki(KobukiRecord),
+    }
+}
+
+record! {
+    /// A TurtleBot 2 at serial ports of this machine.
+    #[derive(Default)]
+    KobukiRecord {
+        /// Device file of its Kobuki base. Without it: `/dev/kobuki`.
+        port: Option<Spanned<String>>,
+        /// Its RPLIDAR A2, or `none`. Without it: one at `/dev/rplidar`.
+        lidar: Option<Either<LidarWord, RplidarRecord>>,
+    }
+}
+
+/// No lidar.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum LidarWord {
+    None,
+}
+
+record! {
+    /// An RPLIDAR A2 at a serial port of this machine.
+    #[derive(Default)]
+    RplidarRecord {
+        /// Device file. Without it: `/dev/rplidar`.
+        port: Option<Spanned<String>>,
+        /// Bits per second: 115200 for an A2M8, 256000 for an A2M7 or A2M12. Without it: 115200.
+        baud: Option<Spanned<u32>>,
+        /// Drive of its motor, 1 to 1023. Without it: 660, about ten turns a second.
+        motor_pwm: Option<Spanned<u16>>,
+        /// Position on the robot, metres from the middle between the wheels: forward, and to the left. Without it: there.
+        position: Option<Spanned<Position>>,
+        /// Direction of its front, counter-clockwise from the robot's. Without it: the same.
+        heading: Option<Angle>,
     }
 }
 
@@ -972,6 +1008,10 @@ choice!(DriverWord, "driver", {
     "simulated" => Self::Simulated, "cotorra simulates it";
     "ros1" => Self::Ros1, "a robot that speaks ROS 1";
     "ros2" => Self::Ros2, "a robot that speaks ROS 2";
+    "kobuki" => Self::Kobuki, "a TurtleBot 2 at serial ports of this machine";
+});
+choice!(LidarWord, "setting of a lidar", {
+    "none" => Self::None, "no lidar";
 });
 choice!(OfferWord, "kind of offer", {
     "ros1" => Self::Ros1, "as a robot that speaks ROS 1";

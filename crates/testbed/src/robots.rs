@@ -1,18 +1,24 @@
-//! Drivers of robots in real time: simulated, or over ROS in the network that the testbed file names. ROS masters run in
-//! their nodes.
+//! Drivers of robots in real time: simulated, at serial ports, or over ROS in the network that the testbed file names. ROS
+//! masters run in their nodes.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use cotorra_datapath::Datapath;
 use cotorra_graph::{
-    Driver, Node, NodeId, NodeKind, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, Testbed, Timestamp,
+    Driver, Kobuki, Node, NodeId, NodeKind, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, Testbed,
+    Timestamp,
 };
 use cotorra_robot_middleware::{
     Clock, OfferedRobot, OfferedTime, RobotDriver, Ros1Link, Ros1Offer, Ros2Link, Ros2Offer, RosDriver,
-    RosRobot, SimulatedRobot, SimulationError,
+    RosRobot, SimulatedRobot, SimulationError, TurtlebotDriver,
 };
 use cotorra_ros1::{ConfigError, Endpoint, MasterServer, NodeConfig};
 use cotorra_ros2::{self as ros2, Middleware};
+use cotorra_turtlebot::{
+    Device, PortError, PortSettings,
+    kobuki::Base,
+    rplidar::{Lidar, LidarSettings},
+};
 
 /// The reason for which a robot cannot be driven.
 #[derive(Debug, thiserror::Error)]
@@ -56,7 +62,24 @@ pub enum RobotError {
          `--set nodes.{0}.driver=simulated` and without an `offer`"
     )]
     VirtualTime(NodeId),
+    /// The robot is a real one at serial ports, which does not work in virtual time.
+    #[error(
+        "robot `{0}` is a real one, which goes by the clock on the wall: run without `--simulate`, or simulate it by \
+         `--set nodes.{0}.driver=simulated`"
+    )]
+    RealInVirtualTime(NodeId),
+    /// A serial port of the robot cannot be used.
+    #[error("robot `{robot}`: {source}")]
+    Port {
+        /// The robot.
+        robot: NodeId,
+        /// The cause.
+        source: PortError,
+    },
 }
+
+/// Speed of a Kobuki's port, bits per second.
+const KOBUKI_BAUD: u32 = 115_200;
 
 /// Returns the driver of a robot in virtual time.
 pub(crate) fn simulated(node: &Node, robot: SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError> {
@@ -65,6 +88,7 @@ pub(crate) fn simulated(node: &Node, robot: SimulatedRobot) -> Result<Box<dyn Ro
         Driver::Simulated { offer: Some(_) } | Driver::Ros1(_) | Driver::Ros2(_) => {
             Err(RobotError::VirtualTime(node.id.clone()))
         }
+        Driver::Kobuki(_) => Err(RobotError::RealInVirtualTime(node.id.clone())),
     }
 }
 
@@ -159,7 +183,31 @@ impl Robots {
                 let start = || RosDriver::start(robot, clock, connect);
                 Ok(Box::new(self.inside(node, network, start).map_err(system)?))
             }
+            Driver::Kobuki(kobuki) => {
+                let driver = self.turtlebot(node, &robot, &kobuki);
+                let port = |source| RobotError::Port { robot: node.id.clone(), source };
+                Ok(Box::new(driver.map_err(port)?))
+            }
         }
+    }
+
+    /// Opens the ports of a TurtleBot 2, which has the start of a simulated one.
+    fn turtlebot(
+        &self,
+        node: &Node,
+        simulated: &SimulatedRobot,
+        kobuki: &Kobuki,
+    ) -> Result<TurtlebotDriver, PortError> {
+        let clock = || Arc::clone(&self.clock);
+        let port = PortSettings { path: kobuki.port.clone(), baud: KOBUKI_BAUD };
+        let base = Device::open(&format!("base-{}", node.id), port, Base::default(), clock())?;
+        let (pose, walk) = (simulated.pose(), self.testbed.walk(&node.id));
+        let driver = TurtlebotDriver::new(node.id.clone(), pose.position(), pose.heading, walk, base);
+        let Some(its) = &kobuki.lidar else { return Ok(driver) };
+        let port = PortSettings { path: its.port.clone(), baud: its.baud };
+        let lidar = Lidar::new(LidarSettings { motor_pwm: its.motor_pwm });
+        let lidar = Device::open(&format!("lidar-{}", node.id), port, lidar, clock())?;
+        Ok(driver.with_lidar(lidar, its.position, its.heading))
     }
 
     /// Returns the time base of an offered robot's stamps.

@@ -1,4 +1,4 @@
-//! The interface between the middleware and a robot that moves, simulated or in ROS.
+//! The interface between the middleware and a robot that moves: simulated, in ROS, or at serial ports.
 
 use std::time::Duration;
 

@@ -5,21 +5,12 @@
 use std::{f64::consts::PI, time::Duration};
 
 use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
+pub use cotorra_turtlebot::kobuki::{COMMAND_TIMEOUT, METRES_PER_TICK, WHEEL_BASE};
 
 use crate::{planar::normalised, random::Stream, world::World};
 
-/// Distance between the wheels, metres.
-pub const WHEEL_BASE: f64 = 0.230;
-/// Radius of a wheel, metres.
-const WHEEL_RADIUS: f64 = 0.035;
-/// Rotation of a wheel per encoder tick, radians.
-const RADIANS_PER_TICK: f64 = 0.002_436_916_871_363_93;
-/// Way of a wheel per encoder tick: 0.000 085 292 m.
-pub const METRES_PER_TICK: f64 = WHEEL_RADIUS * RADIANS_PER_TICK;
 /// Radius of the body, metres.
 pub const RADIUS: f64 = RobotModel::Turtlebot2.radius();
-/// Time without a command after which the base stops.
-pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(600);
 /// Largest speed, m/s.
 pub const MAX_SPEED: f64 = RobotModel::Turtlebot2.max_speed();
 /// Largest angular velocity, rad/s (180 °/s).
@@ -208,16 +199,21 @@ impl Odometer {
         self.velocity
     }
 
-    /// Returns the pose, with an upper bound of its covariance: as if the whole way had been straight, with the full
-    /// heading error from the start.
+    /// Returns the pose with its covariance.
     pub fn pose(&self) -> Pose {
-        let heading = (GYRO_BIAS * self.elapsed).powi(2) + GYRO_WALK.powi(2) * self.elapsed;
-        let scale = WHEEL_SCALE.powi(2) + WHEEL_DIFFERENCE.powi(2) + heading;
-        let position = scale * self.way.powi(2) + SLIP.powi(2) * self.way + METRES_PER_TICK.powi(2);
-        let covariance = [position, 0.0, 0.0, 0.0, position, 0.0, 0.0, 0.0, heading];
         let Position { x, y, z } = self.position;
+        let covariance = drift(self.way, self.elapsed);
         Pose { z, ..Pose::planar(x, y, self.heading, covariance, PoseSource::Odometry) }
     }
+}
+
+/// Returns an upper bound of the covariance of odometry after a way, metres, in a time of motion, seconds: as if the whole
+/// way had been straight, with the full heading error from the start.
+pub(crate) fn drift(way: f64, elapsed: f64) -> [f64; 9] {
+    let heading = (GYRO_BIAS * elapsed).powi(2) + GYRO_WALK.powi(2) * elapsed;
+    let scale = WHEEL_SCALE.powi(2) + WHEEL_DIFFERENCE.powi(2) + heading;
+    let position = scale * way.powi(2) + SLIP.powi(2) * way + METRES_PER_TICK.powi(2);
+    [position, 0.0, 0.0, 0.0, position, 0.0, 0.0, 0.0, heading]
 }
 
 #[cfg(test)]

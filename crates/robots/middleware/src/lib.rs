@@ -2,10 +2,10 @@
 //! localization services, and applies instructions.
 //!
 //! It has no sockets and no clock: calls take the time, and datagrams and events are polled. Only links to robots in ROS
-//! have sockets, on threads of their own.
+//! have sockets, and a TurtleBot 2 at serial ports has these, on threads of their own.
 //!
-//! [`RobotMiddleware`] is the main type. It moves robots through any [`RobotDriver`]: a [`SimulatedRobot`], or a
-//! [`RosDriver`] for a [`RosRobot`] behind a [`RosLink`].
+//! [`RobotMiddleware`] is the main type. It moves robots through any [`RobotDriver`]: a [`SimulatedRobot`], a
+//! [`TurtlebotDriver`], or a [`RosDriver`] for a [`RosRobot`] behind a [`RosLink`].
 #![forbid(unsafe_code)]
 
 mod answer_error;
@@ -39,6 +39,7 @@ mod ros_sensors;
 mod sensing;
 mod service;
 mod simulated;
+mod turtlebot_driver;
 mod watch;
 mod world;
 
@@ -60,5 +61,6 @@ pub use ros1::{Ros1Link, Ros1Offer};
 pub use ros2::{Ros2Link, Ros2Offer};
 pub use sensing::ReportError;
 pub use simulated::{SimulatedRobot, SimulationError};
+pub use turtlebot_driver::TurtlebotDriver;
 pub use watch::Topic;
 pub use world::World;

@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, net::IpAddr};
 
 use cotorra_graph::{Driver, NodeId, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics};
 
-use super::sensors;
+use super::{kobuki, sensors};
 use crate::{
     records::{
         DriverRecord, DriverWord, OfferRecord, OfferWord, RmwWord, RobotRecord, Ros1Record, Ros2Record,
@@ -41,6 +41,8 @@ pub(super) fn driver(
 ) -> Option<Driver> {
     let (ros1, ros2) = (Ros1Record::default(), Ros2Record::default());
     let driven = match &record.driver.value {
+        Either::Short(DriverWord::Kobuki) => return kobuki::driver(record, None, sink),
+        Either::Long(DriverRecord::Kobuki(its)) => return kobuki::driver(record, Some(its), sink),
         Either::Short(DriverWord::Simulated) | Either::Long(DriverRecord::Simulated(_)) => None,
         Either::Short(DriverWord::Ros1) => Some(RosSettings::Ros1(&ros1)),
         Either::Short(DriverWord::Ros2) => Some(RosSettings::Ros2(&ros2)),

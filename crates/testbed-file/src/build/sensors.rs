@@ -28,12 +28,15 @@ const LONGEST_UNIT: usize = 16;
 /// The sensors of a robot. One whose driver cannot be has it reported elsewhere.
 pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut Sink) -> Vec<Sensor> {
     let is_simulated = driver.is_none_or(|driver| matches!(driver, Driver::Simulated { .. }));
+    let is_kobuki = matches!(driver, Some(Driver::Kobuki(_)));
+    let has_lidar = !matches!(driver, Some(Driver::Kobuki(its)) if its.lidar.is_none());
     let mut batteries = 0;
     let records = &robot.sensors.0;
     let build = |(id, record): &(Spanned<SensorId>, SensorRecord)| {
         let span = &id.span;
-        if let Some(topic) = topic(record).filter(|_| is_simulated) {
-            sink.error(&topic.span, "a simulated robot's sensors have no topics")
+        if let Some(topic) = topic(record).filter(|_| is_simulated || is_kobuki) {
+            let whose = if is_simulated { "a simulated robot's" } else { "a Kobuki's" };
+            sink.error(&topic.span, format!("{whose} sensors have no topics"))
                 .help("leave out `topic`: it is for a robot that speaks ROS");
         }
         let (rate, kind) = match record {
@@ -53,6 +56,14 @@ pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut S
                 (&its.rate, SensorKind::Battery { charge })
             }
             SensorRecord::Imu(its) => (&its.rate, SensorKind::Imu),
+            SensorRecord::Lidar(_) if !has_lidar => {
+                sink.error(span, "this robot has no lidar").help("remove it, or `lidar: none` of its driver");
+                return None;
+            }
+            SensorRecord::Camera(_) if is_kobuki => {
+                sink.error(span, "a Kobuki has no camera").help("remove it, or drive the robot over ROS");
+                return None;
+            }
             SensorRecord::Lidar(its) => (&its.rate, SensorKind::Lidar { keep_bytes: its.keep.0 }),
             SensorRecord::Camera(its) if is_simulated => (&its.rate, SensorKind::Camera(camera(its, sink))),
             SensorRecord::Camera(its) => {
