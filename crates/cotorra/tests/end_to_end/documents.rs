@@ -12,12 +12,12 @@ fn yaml(text: &str) -> impl Iterator<Item = &str> {
 #[test]
 fn testbeds_in_the_documents_pass_the_check() {
     let folder = tempfile::tempdir().unwrap();
-    let documents = ["README.md", "docs/testbed-file.md", "docs/ros.md", "docs/ros2.md"]
+    let documents = ["README.md", "docs/testbed-file.md", "docs/ros.md", "docs/ros2.md", "docs/turtlebot.md"]
         .map(|d| fs::read_to_string(project_file(d)).unwrap());
     let blocks = documents.iter().flat_map(|document| yaml(document));
     let whole: Vec<_> =
         blocks.filter(|block| block.starts_with("name:")).map(|block| block.trim_end_matches('`')).collect();
-    assert!(whole.len() >= 6, "{}", whole.len());
+    assert!(whole.len() >= 7, "{}", whole.len());
     for (i, testbed) in whole.iter().enumerate() {
         let file = folder.path().join(format!("{i}.yaml"));
         fs::write(&file, testbed).unwrap();

@@ -47,5 +47,6 @@ mod stamp;
 mod steer;
 mod sweep;
 mod time_parts;
+mod turtlebot;
 mod wais;
 mod whole;
