@@ -68,18 +68,27 @@ fn a_walk_is_driven_to_its_end_by_a_base_and_a_lidar_at_serial_ports() {
     let mut run = Run::start(&testbed(folder.path(), "real", &node(&emulated, sensors), LOCALIZED), &[]);
     wait_until(|| robot(&run)["sensors"]["pose"]["source"] == "localization");
     assert_eq!(robot(&run)["health"], json!([]));
-    let reading = |name: &str| run.ask(&format!("/api/v1/robots/tb/sensors/{name}"), None).1.to_string();
-    wait_until(|| reading("pack").contains("16") && reading("turns").contains("scan"));
+    let last = |sensor: &str| {
+        let all = run.get("/api/v1/robots/tb/sensors");
+        let its = all.as_array().unwrap().iter().find(|one| one["declared"]["sensor"] == sensor);
+        its.unwrap()["last"].clone()
+    };
+    wait_until(|| last("pack").is_object() && last("turns").is_object());
+    assert_eq!(last("pack")["values"]["voltage_v"], 16.0);
+    assert_eq!(
+        (&last("turns")["data"]["format"], &last("turns")["data"]["width"]),
+        (&json!("scan"), &json!(360))
+    );
     let (summary, _) = run.report();
 
     let place = emulated.state().kobuki.place;
     assert!((place.x - 4.0).hypot(place.y - 1.0) < 0.4, "it is at its last waypoint: {place:?}");
+    let services = summary["services"].as_array().unwrap();
     let samples = |service: &str| {
-        let services = summary["services"].as_array().unwrap();
         let its = services.iter().find(|its| its["service"] == service).unwrap_or(&Value::Null);
-        its.to_string()
+        its["samples"].as_u64().unwrap()
     };
-    assert!(samples("localization").contains("samples"), "{summary}");
+    assert!(samples("navigation") > 20 && samples("localization") > 3, "{summary}");
     // The run leaves both at rest.
     wait_until(|| emulated.state().rplidar.motor == 0);
     assert_eq!(emulated.state().kobuki.velocity(), (0.0, 0.0));

@@ -1,9 +1,5 @@
 //! Devices at pseudo-terminals: ports that vanish, stall, or are in use, and threads that end.
-#![allow(
-    clippy::disallowed_types,
-    clippy::disallowed_methods,
-    reason = "drives emulators on the wall clock"
-)]
+#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "drives emulators on the wall clock")]
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{path::PathBuf, sync::Arc, thread, time::Instant};

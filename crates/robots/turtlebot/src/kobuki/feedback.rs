@@ -138,7 +138,7 @@ impl Feedback {
             (6, 2) => Self::Current([data[0], data[1]]),
             (10, 4) => Self::Hardware(version()),
             (11, 4) => Self::Firmware(version()),
-            (13, 8..) if data.len() == 2 + 2 * usize::from(data[1]) && data[1] % 3 == 0 => {
+            (13, 8..) if data.len() == 2 + 2 * usize::from(data[1]) && data[1].is_multiple_of(3) => {
                 let last = data.len() - 6;
                 Self::Gyro(Gyro { number: data[0], raw: [0, 2, 4].map(|axis| signed(last + axis)) })
             }

@@ -11,6 +11,7 @@ const NODE: usize = 5;
 const BELIEVED: usize = 4;
 
 /// An answer.
+#[expect(clippy::large_enum_variant, reason = "answers are passed on, and never kept")]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Answer {
     /// Model, versions of firmware and hardware.
