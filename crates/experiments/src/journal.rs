@@ -17,6 +17,7 @@ const JOURNAL: &str = "journal.jsonl";
 pub struct Journal {
     path: PathBuf,
     file: File,
+    durable: bool,
 }
 
 /// A line of the journal.
@@ -45,9 +46,15 @@ impl Journal {
             }
             Err(fs::TryLockError::Error(error)) => return Err(fail(&journal, error)),
         }
-        let folder = Self { path, file };
+        let folder = Self { path, file, durable: false };
         folder.mend().map_err(|e| fail(&journal, e))?;
         Ok(folder)
+    }
+
+    /// Makes each run reach the disk before the next one is kept. Without this, the system writes it when it likes, which
+    /// may leave a gap if the whole machine ends and the folder is on another one.
+    pub fn durable(self) -> Self {
+        Self { durable: true, ..self }
     }
 
     /// Removes an incomplete last line.
@@ -70,24 +77,39 @@ impl Journal {
         self.file.set_len(0).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
     }
 
-    /// Returns the runs in the journal, by name.
-    pub(crate) fn kept<M: DeserializeOwned>(&self) -> Result<HashMap<String, M>, FolderError> {
-        let path = self.path.join(JOURNAL);
-        let fail = |source| FolderError::new(&path, source);
-        let mut kept = HashMap::new();
-        for line in BufReader::new(File::open(&path).map_err(fail)?).lines() {
-            let Line { run, measured } =
-                serde_json::from_str(&line.map_err(fail)?).map_err(|e| fail(e.into()))?;
-            kept.insert(run, measured);
-        }
-        Ok(kept)
+    /// Returns whether the journal has no runs.
+    pub(crate) fn is_empty(&self) -> Result<bool, FolderError> {
+        let file = self.file.metadata().map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))?;
+        Ok(file.len() == 0)
     }
 
-    /// Adds a run to the journal. The run survives any end of the process after this returns.
+    /// Returns the runs in the journal, by name.
+    pub(crate) fn kept<M: DeserializeOwned>(&self) -> Result<HashMap<String, M>, FolderError> {
+        read(&self.path).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
+    }
+
+    /// Adds a run to the journal. The run survives any end of the process after this returns, and that of the machine if the
+    /// journal is [durable](Self::durable).
     pub(crate) fn keep<M: Serialize>(&self, run: &str, measured: &M) -> Result<(), FolderError> {
         let line = Line { run: run.to_owned(), measured };
         let mut line = serde_json::to_string(&line).expect("results are valid JSON");
         line.push('\n');
-        (&self.file).write_all(line.as_bytes()).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
+        let written = (&self.file).write_all(line.as_bytes());
+        let kept = written.and_then(|()| if self.durable { self.file.sync_data() } else { Ok(()) });
+        kept.map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
     }
+}
+
+/// Returns the runs in the journal of a folder, by name. Another process may be adding to it: an incomplete last line is
+/// left out.
+pub(crate) fn read<M: DeserializeOwned>(folder: &Path) -> io::Result<HashMap<String, M>> {
+    let mut kept = HashMap::new();
+    let mut journal = BufReader::new(File::open(folder.join(JOURNAL))?);
+    let mut line = String::new();
+    while journal.read_line(&mut line)? > 0 && line.ends_with('\n') {
+        let Line { run, measured } = serde_json::from_str(&line)?;
+        kept.insert(run, measured);
+        line.clear();
+    }
+    Ok(kept)
 }

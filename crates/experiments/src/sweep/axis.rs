@@ -2,13 +2,17 @@
 
 use std::{fmt, str::FromStr};
 
+use serde::{Deserialize, Serialize};
+
 /// Highest number of values; more are surely a mistake.
 const MOST: usize = 10_000;
 
 /// A setting and its values, written `path=value,value` or `path=from..to`, where `to` is included. The step is 1 unless
 /// one follows, as in `1..2:0.25`. A unit follows last, as in `5..20:5 ms`.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct Axis {
+    text: String,
     path: String,
     values: Vec<String>,
 }
@@ -73,15 +77,42 @@ impl FromStr for Axis {
         sorted.sort();
         match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
             Some(pair) => Err(InvalidAxis::Twice(pair[0].clone())),
-            None => Ok(Self { path, values: all }),
+            None => Ok(Self { text: text.to_owned(), path, values: all }),
         }
     }
 }
 
+/// Writes the text that the axis was read from.
 impl fmt::Display for Axis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}={}", self.path, self.values.join(","))
+        f.write_str(&self.text)
     }
+}
+
+impl TryFrom<String> for Axis {
+    type Error = InvalidAxis;
+
+    fn try_from(text: String) -> Result<Self, InvalidAxis> {
+        text.parse()
+    }
+}
+
+impl From<Axis> for String {
+    fn from(axis: Axis) -> Self {
+        axis.text
+    }
+}
+
+/// Returns all combinations of the axes' values. The last axis changes fastest.
+pub(super) fn combinations(axes: &[Axis]) -> Vec<Vec<String>> {
+    axes.iter().fold(vec![Vec::new()], |before, axis| {
+        let with = |values: &Vec<String>, value: &String| {
+            let mut values = values.clone();
+            values.push(value.clone());
+            values
+        };
+        before.iter().flat_map(|values| axis.values().iter().map(move |value| with(values, value))).collect()
+    })
 }
 
 /// Splits at commas outside brackets and quotes.

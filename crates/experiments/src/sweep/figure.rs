@@ -2,7 +2,7 @@
 
 use cotorra_figure::{Axis as Across, Figure, Panel, Sample, Series as Drawn, SeriesKind};
 
-use super::{Axis, Cell, Interval, Sweep};
+use super::{Axis, Cell, Interval};
 
 /// Selects the interval that a panel shows of a cell.
 type Figures = fn(&Cell) -> Option<Interval>;
@@ -16,9 +16,8 @@ struct Series<'a> {
 
 /// Draws a sweep. The horizontal axis is the first with several numbers, or else the first with several values. Each
 /// combination of the other values is a line.
-pub(super) fn draw(sweep: &Sweep, cells: &[Cell]) -> Figure {
+pub(super) fn draw(axes: &[Axis], cells: &[Cell]) -> Figure {
     let several = |axis: &Axis| axis.values().len() > 1;
-    let axes = sweep.axes();
     let numeric = axes.iter().position(|axis| several(axis) && axis.numbers().is_some());
     let along = numeric.or_else(|| axes.iter().position(several));
     let series = series(axes, along, cells);

@@ -3,10 +3,10 @@
 use cotorra_figure::Format;
 use cotorra_testbed::{DataTable, FolderError, write_file};
 
-use super::{Runs, Sweep, figure, tables};
+use super::{Runs, figure, tables};
 use crate::journal::Journal;
 
-/// Files that [`Sweep::write`] makes: a row per run, a row per combination, a row per region of a run, a row per service of
+/// Files that [`Runs::write`] makes: a row per run, a row per combination, a row per region of a run, a row per service of
 /// a run, a row per service of a combination, and the latter for papers, a row per part of the service times of a run, and
 /// the plot.
 pub const FILES: [&str; 8] = [
@@ -20,31 +20,31 @@ pub const FILES: [&str; 8] = [
     "sweep.svg",
 ];
 
-impl Sweep {
+impl Runs {
     /// Writes [`FILES`] into the folder of a journal.
     ///
     /// # Errors
     /// [`FolderError`].
-    pub fn write(&self, journal: &Journal, runs: &Runs) -> Result<(), FolderError> {
-        let (path, cells) = (journal.path(), self.cells(runs));
+    pub fn write(&self, journal: &Journal) -> Result<(), FolderError> {
+        let (path, cells) = (journal.path(), self.cells());
         let [of_runs, of_cells, of_regions, of_services, of_service_cells, for_papers, of_parts, _] = FILES;
         let csv = |name, table: DataTable| write_file(path, name, table.to_csv());
-        csv(of_runs, tables::runs(self, runs))?;
-        csv(of_cells, tables::cells(self, &cells))?;
-        csv(of_regions, tables::regions(self, runs))?;
-        csv(of_services, tables::services(self, runs))?;
-        csv(of_service_cells, tables::service_cells(self, &cells))?;
-        csv(of_parts, tables::time_parts(self, runs))?;
-        write_file(path, for_papers, tables::by_service(self, &cells).to_latex())?;
-        self.write_figure(journal, runs, Format::Svg)
+        csv(of_runs, tables::runs(self))?;
+        csv(of_cells, tables::cells(&self.axes, &cells))?;
+        csv(of_regions, tables::regions(self))?;
+        csv(of_services, tables::services(self))?;
+        csv(of_service_cells, tables::service_cells(&self.axes, &cells))?;
+        csv(of_parts, tables::time_parts(self))?;
+        write_file(path, for_papers, tables::by_service(&self.axes, &cells).to_latex())?;
+        self.write_figure(journal, Format::Svg)
     }
 
     /// Writes the plot, `sweep`, in a format.
     ///
     /// # Errors
     /// [`FolderError`].
-    pub fn write_figure(&self, journal: &Journal, runs: &Runs, format: Format) -> Result<(), FolderError> {
-        let figure = figure::draw(self, &self.cells(runs));
+    pub fn write_figure(&self, journal: &Journal, format: Format) -> Result<(), FolderError> {
+        let figure = figure::draw(&self.axes, &self.cells());
         write_file(journal.path(), &format!("sweep.{format}"), figure.draw().render(format))
     }
 }

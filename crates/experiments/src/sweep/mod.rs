@@ -16,7 +16,7 @@
 //!     eprintln!("{done} of {of}");
 //!     true
 //! })?;
-//! for cell in sweep.cells(&runs) {
+//! for cell in runs.cells() {
 //!     println!("{:?}: {:?}", cell.values, cell.service_time_p50_ms);
 //! }
 //! # Ok(())
@@ -28,6 +28,10 @@ mod cells;
 mod figure;
 mod folder;
 mod measured;
+mod merge;
+mod plan;
+mod runs;
+mod shard;
 mod tables;
 mod time_parts;
 
@@ -42,7 +46,7 @@ use std::{
 };
 
 use cotorra_graph::{Testbed, seed};
-use cotorra_testbed::{Altered, DataTable, Unrecorded, simulate_unrecorded};
+use cotorra_testbed::{Altered, Unrecorded, simulate_unrecorded};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
@@ -50,11 +54,17 @@ pub use self::{
     cells::{Cell, Interval, ServiceCell},
     folder::FILES,
     measured::{Measured, MeasuredService, Region},
+    merge::{Merge, MergeError},
+    plan::Point,
+    runs::{Done, Runs},
+    shard::{InvalidShard, Shard},
 };
 use crate::{
     batch::{self, BatchError},
     journal::Journal,
 };
+use plan::Plan;
+use shard::Record;
 
 /// A testbed file, the settings to vary, and the number of seeds.
 #[derive(Debug, Clone)]
@@ -65,32 +75,6 @@ pub struct Sweep {
     axes: Vec<Axis>,
     seeds: u32,
     until: Option<Duration>,
-}
-
-/// One run of a sweep.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Point {
-    /// One value per axis, in the order of the axes.
-    pub values: Vec<String>,
-    pub seed: u64,
-}
-
-/// A finished run.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Done {
-    pub point: Point,
-    pub measured: Measured,
-}
-
-/// The result of a sweep.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Runs {
-    /// The finished runs, in the order of [`Sweep::points`].
-    pub done: Vec<Done>,
-    /// Number of finished runs that the folder already had.
-    pub resumed: usize,
-    /// Number of all runs; more than the finished ones if the sweep was stopped.
-    pub total: usize,
 }
 
 /// Error that ends a sweep. The runs finished until then are in its folder.
@@ -105,6 +89,17 @@ pub enum SweepError {
     /// A run failed, or its result cannot be kept.
     #[error(transparent)]
     Run(#[from] BatchError),
+    /// There are more shards than runs.
+    #[error("there are more shards ({shards}) than runs ({runs})")]
+    Shards {
+        /// Number of shards.
+        shards: usize,
+        /// Number of runs.
+        runs: usize,
+    },
+    /// The shard's folder has runs of a sweep of another file, version, duration or list of settings.
+    #[error("{} has runs of another sweep; choose another folder, or discard its runs", .0.display())]
+    OtherSweep(PathBuf),
 }
 
 impl Sweep {
@@ -136,33 +131,18 @@ impl Sweep {
         &self.axes
     }
 
-    /// Returns all combinations of the axes' values. The last axis changes fastest.
-    pub fn combinations(&self) -> Vec<Vec<String>> {
-        self.axes.iter().fold(vec![Vec::new()], |before, axis| {
-            let with = |values: &Vec<String>, value: &String| {
-                let mut values = values.clone();
-                values.push(value.clone());
-                values
-            };
-            before
-                .iter()
-                .flat_map(|values| axis.values().iter().map(move |value| with(values, value)))
-                .collect()
-        })
-    }
-
     /// Returns all runs: each combination with each seed.
     ///
     /// # Errors
     /// [`SweepError::Testbed`] or [`SweepError::Setting`] for the first combination that cannot be run.
     pub fn points(&self) -> Result<Vec<Point>, SweepError> {
-        let mut points = Vec::new();
-        for values in self.combinations() {
-            let first = self.testbed(&values)?.seed;
-            let seeds = (0..u64::from(self.seeds)).map(|i| first.wrapping_add(i));
-            points.extend(seeds.map(|seed| Point { values: values.clone(), seed }));
-        }
-        Ok(points)
+        Ok(self.plan()?.points())
+    }
+
+    fn plan(&self) -> Result<Plan, SweepError> {
+        let first = |values: Vec<String>| Ok::<_, SweepError>(self.testbed(&values)?.seed);
+        let first_seeds = axis::combinations(&self.axes).into_iter().map(first).collect::<Result<_, _>>()?;
+        Ok(Plan { sweep: self.id()?, axes: self.axes.clone(), seeds: self.seeds, first_seeds })
     }
 
     /// Returns a folder in `parent` for this sweep alone. Its name has the testbed's name, and a hash of the version, the
@@ -172,13 +152,18 @@ impl Sweep {
     /// # Errors
     /// [`SweepError::Testbed`] if the file cannot be run as it is.
     pub fn default_folder(&self, parent: &Path) -> Result<PathBuf, SweepError> {
+        Ok(parent.join(self.id()?))
+    }
+
+    /// Returns the name of [`Self::default_folder`].
+    fn id(&self) -> Result<String, SweepError> {
         let testbed = cotorra_testbed_file::parse(&self.source_name, &self.text, &self.base_dir)?;
         let paths: Vec<_> = self.axes.iter().map(Axis::path).collect();
         // The testbed holds its map and traces, wherever they are.
         let testbed = Testbed { folder: PathBuf::new(), ..testbed };
         let depends = format!("{} {testbed:?} {paths:?} {:?}", env!("CARGO_PKG_VERSION"), self.until);
         let digest = seed::split(0, &depends) >> 32;
-        Ok(parent.join(format!("{}-{digest:08x}", testbed.name)))
+        Ok(format!("{}-{digest:08x}", testbed.name))
     }
 
     fn settings(&self, values: &[String]) -> Result<Vec<Setting>, InvalidSetting> {
@@ -188,13 +173,6 @@ impl Sweep {
     fn testbed(&self, values: &[String]) -> Result<Testbed, SweepError> {
         let settings = self.settings(values)?;
         Ok(cotorra_testbed_file::parse_with(&self.source_name, &self.text, &self.base_dir, &settings)?)
-    }
-
-    /// Returns the name of a point, as users and the folder have it.
-    pub fn name(&self, point: &Point) -> String {
-        let settings =
-            self.axes.iter().zip(&point.values).map(|(axis, value)| format!("{}={value}", axis.path()));
-        settings.chain([format!("seed={}", point.seed)]).collect::<Vec<_>>().join(" ")
     }
 
     /// Runs the points that the journal does not have yet, `jobs` at a time, and adds each to it as soon as it is done.
@@ -207,19 +185,65 @@ impl Sweep {
         &self,
         journal: &Journal,
         jobs: NonZero<usize>,
+        go_on: impl FnMut(usize, usize) -> bool,
+    ) -> Result<Runs, SweepError> {
+        let plan = self.plan()?;
+        let all = (0..plan.len()).collect();
+        self.run_places(&plan, all, journal, jobs, go_on)
+    }
+
+    /// Does the same as [`Self::run`] for the runs of a shard. Also records in the journal's folder what the shard is, for
+    /// [`Merge`].
+    ///
+    /// # Errors
+    /// [`SweepError`]; [`SweepError::OtherSweep`] if the journal has runs of another sweep.
+    pub fn run_shard(
+        &self,
+        shard: Shard,
+        journal: &Journal,
+        jobs: NonZero<usize>,
+        go_on: impl FnMut(usize, usize) -> bool,
+    ) -> Result<Runs, SweepError> {
+        let plan = self.plan()?;
+        let places = shard.places(plan.len())?;
+        let record = Record { shard, plan };
+        record.write(journal)?;
+        self.run_places(&record.plan, places, journal, jobs, go_on)
+    }
+
+    fn run_places(
+        &self,
+        plan: &Plan,
+        places: Vec<usize>,
+        journal: &Journal,
+        jobs: NonZero<usize>,
         mut go_on: impl FnMut(usize, usize) -> bool,
     ) -> Result<Runs, SweepError> {
-        let points = self.points()?;
-        let total = points.len();
-        let names: Vec<_> = points.iter().map(|point| self.name(point)).collect();
-        let measure = |place: usize, stop: &AtomicBool| {
+        let all = plan.points();
+        let total = places.len();
+        let names: Vec<_> = places.iter().map(|&place| all[place].name(&self.axes)).collect();
+        let measure = |i: usize, stop: &AtomicBool| {
+            let place = places[i];
             let folder = journal.path().join(format!("run-{place}"));
-            self.measure(&points[place], &folder, stop)
+            self.measure(&all[place], &folder, || !stop.load(Ordering::Relaxed))
         };
         let batch = batch::run(journal, jobs, &names, measure, |done| go_on(done, total))?;
-        let done = points.into_iter().zip(batch.done);
-        let done = done.filter_map(|(point, measured)| Some(Done { point, measured: measured? })).collect();
-        Ok(Runs { done, resumed: batch.resumed, total })
+        let done = places.iter().map(|&place| all[place].clone()).zip(batch.done);
+        Ok(Runs::new(&self.axes, done, batch.resumed))
+    }
+
+    /// Runs a point without keeping it, in a folder that may be needed meanwhile. Returns whether it ended before `go_on`,
+    /// which is called now and then, stopped it.
+    ///
+    /// # Errors
+    /// [`SweepError`].
+    pub fn try_out(
+        &self,
+        point: &Point,
+        folder: &Path,
+        go_on: impl FnMut() -> bool,
+    ) -> Result<bool, SweepError> {
+        Ok(self.measure(point, folder, go_on)?.is_some())
     }
 
     /// Runs a point; returns `None` if it was stopped before its end.
@@ -227,35 +251,15 @@ impl Sweep {
         &self,
         point: &Point,
         folder: &Path,
-        stop: &AtomicBool,
+        go_on: impl FnMut() -> bool,
     ) -> Result<Option<Measured>, SweepError> {
         let testbed = Arc::new(self.testbed(&point.values)?);
         let text = cotorra_testbed_file::annotated(&self.text, &self.settings(&point.values)?);
         let (until, altered) = (self.until, &Altered::default());
         let run = Unrecorded { seed: point.seed, until, altered, folder, text: &text };
-        let ended = simulate_unrecorded(testbed, &run, |_| {}, || !stop.load(Ordering::Relaxed));
-        let ended = ended.map_err(|source| BatchError::Run { run: self.name(point), source })?;
+        let ended = simulate_unrecorded(testbed, &run, |_| {}, go_on);
+        let ended = ended.map_err(|source| BatchError::Run { run: point.name(&self.axes), source })?;
         Ok(ended.map(|ended| Measured::of(&ended.summary)))
-    }
-
-    /// Returns the statistics of each combination, in the order of [`Sweep::combinations`], without those that have no run.
-    pub fn cells(&self, runs: &Runs) -> Vec<Cell> {
-        let of = |values: Vec<String>| {
-            let measured: Vec<_> = runs
-                .done
-                .iter()
-                .filter(|done| done.point.values == values)
-                .map(|done| &done.measured)
-                .collect();
-            (!measured.is_empty()).then(|| Cell::of(values, &measured))
-        };
-        self.combinations().into_iter().filter_map(of).collect()
-    }
-
-    /// Returns a row for each robot and service of each combination, rounded for readers, with confidence intervals.
-    /// Several services also have a row for all together.
-    pub fn by_service(&self, cells: &[Cell]) -> DataTable {
-        tables::by_service(self, cells)
     }
 }
 

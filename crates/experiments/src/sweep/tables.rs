@@ -2,12 +2,12 @@
 
 use cotorra_testbed::{DataTable, name_of_total};
 
-use super::{Cell, Interval, MeasuredService, Runs, ServiceCell, Sweep};
+use super::{Axis, Cell, Interval, MeasuredService, Runs, ServiceCell};
 
 /// Returns a row for each run.
-pub(super) fn runs(sweep: &Sweep, runs: &Runs) -> DataTable {
+pub(super) fn runs(runs: &Runs) -> DataTable {
     let first = runs.done.first();
-    let mut table = table(sweep, ["seed"], first.map(|done| names(done.measured.figures())));
+    let mut table = table(&runs.axes, ["seed"], first.map(|done| names(done.measured.figures())));
     for done in &runs.done {
         let figures = done.measured.figures().map(|(_, figure)| number(figure));
         table.row(of(&done.point.values).chain([done.point.seed.to_string()]).chain(figures));
@@ -16,8 +16,8 @@ pub(super) fn runs(sweep: &Sweep, runs: &Runs) -> DataTable {
 }
 
 /// Returns a row for each combination.
-pub(super) fn cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
-    let mut table = table(sweep, ["runs"], cells.first().map(|cell| bounds(cell.intervals())));
+pub(super) fn cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
+    let mut table = table(axes, ["runs"], cells.first().map(|cell| bounds(cell.intervals())));
     for cell in cells {
         let figures = cell.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
         table.row(of(&cell.values).chain([cell.runs.to_string()]).chain(figures));
@@ -26,10 +26,10 @@ pub(super) fn cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
 }
 
 /// Returns a row for each region of each run.
-pub(super) fn regions(sweep: &Sweep, runs: &Runs) -> DataTable {
+pub(super) fn regions(runs: &Runs) -> DataTable {
     let fixed = ["seed", "robot", "service", "attachment", "server"];
     let figures = ["from_ns", "until_ns", "samples", "service_time_p50_ms"];
-    let mut table = table(sweep, fixed, Some(figures.map(str::to_owned)));
+    let mut table = table(&runs.axes, fixed, Some(figures.map(str::to_owned)));
     for done in &runs.done {
         for region in &done.measured.regions {
             let cells = [
@@ -50,9 +50,9 @@ pub(super) fn regions(sweep: &Sweep, runs: &Runs) -> DataTable {
 }
 
 /// Returns a row for each service of each run.
-pub(super) fn services(sweep: &Sweep, runs: &Runs) -> DataTable {
+pub(super) fn services(runs: &Runs) -> DataTable {
     let first = runs.done.iter().find_map(|done| done.measured.services.first());
-    let mut table = table(sweep, ["seed", "robot", "service"], first.map(|its| names(its.figures())));
+    let mut table = table(&runs.axes, ["seed", "robot", "service"], first.map(|its| names(its.figures())));
     for done in &runs.done {
         for its in &done.measured.services {
             let MeasuredService { robot, service, .. } = its;
@@ -65,9 +65,9 @@ pub(super) fn services(sweep: &Sweep, runs: &Runs) -> DataTable {
 }
 
 /// Returns a row for each part of the service times of each run.
-pub(super) fn time_parts(sweep: &Sweep, runs: &Runs) -> DataTable {
+pub(super) fn time_parts(runs: &Runs) -> DataTable {
     let first = runs.done.iter().find_map(|done| done.measured.time_parts.first());
-    let mut table = table(sweep, ["seed", "service", "part"], first.map(|part| names(part.figures())));
+    let mut table = table(&runs.axes, ["seed", "service", "part"], first.map(|part| names(part.figures())));
     for done in &runs.done {
         for part in &done.measured.time_parts {
             let fixed = [done.point.seed.to_string(), part.service.to_string(), part.part.clone()];
@@ -79,10 +79,10 @@ pub(super) fn time_parts(sweep: &Sweep, runs: &Runs) -> DataTable {
 }
 
 /// Returns a row for each service of each combination.
-pub(super) fn service_cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
+pub(super) fn service_cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
     let first = cells.iter().find_map(|cell| cell.services.first());
     let heads = ["robot", "service", "runs", "service_time_target_ms"];
-    let mut table = table(sweep, heads, first.map(|its| bounds(its.intervals())));
+    let mut table = table(axes, heads, first.map(|its| bounds(its.intervals())));
     for cell in cells {
         for its in &cell.services {
             let ServiceCell { robot, service, runs, service_time_target_ms, .. } = its;
@@ -101,10 +101,10 @@ pub(super) fn service_cells(sweep: &Sweep, cells: &[Cell]) -> DataTable {
 
 /// Returns a row for each service of each combination, and one for all services in the total together if there are several.
 /// Figures are rounded, and have half the width of their confidence interval.
-pub(super) fn by_service(sweep: &Sweep, cells: &[Cell]) -> DataTable {
+pub(super) fn by_service(axes: &[Axis], cells: &[Cell]) -> DataTable {
     let heads = ["runs", "target (ms)", "median (ms)", "p95 (ms)", "p99 (ms)", "kept (%)"];
-    let names = sweep.axes().iter().map(|axis| axis.path()).chain(["robot", "service"]);
-    let mut table = DataTable::new(names.chain(heads)).right_after(sweep.axes().len() + 2);
+    let names = axes.iter().map(|axis| axis.path()).chain(["robot", "service"]);
+    let mut table = DataTable::new(names.chain(heads)).right_after(axes.len() + 2);
     for cell in cells {
         for its in &cell.services {
             let fixed = [
@@ -130,11 +130,11 @@ pub(super) fn by_service(sweep: &Sweep, cells: &[Cell]) -> DataTable {
 
 /// Creates a table whose first columns are the axes.
 fn table<const N: usize>(
-    sweep: &Sweep,
+    axes: &[Axis],
     heads: [&str; N],
     figures: Option<impl IntoIterator<Item = String>>,
 ) -> DataTable {
-    let axes = sweep.axes().iter().map(|axis| axis.path().to_owned());
+    let axes = axes.iter().map(|axis| axis.path().to_owned());
     DataTable::new(axes.chain(heads.map(str::to_owned)).chain(figures.into_iter().flatten()))
 }
 

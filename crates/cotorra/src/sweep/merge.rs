@@ -1,0 +1,95 @@
+//! `cotorra sweep merge`: joins the shards of a sweep.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::Args;
+use cotorra_experiments::{
+    journal::Journal,
+    sweep::{Merge, MergeError},
+};
+use cotorra_testbed::FolderError;
+
+use super::results;
+use crate::{figures::FigureArgs, output, words::count};
+
+/// Join the shards of a sweep
+///
+/// Leaves the same tables and the same figure as the sweep on one machine, to the byte. Also joins the journals, so that the
+/// sweep can go on in the same folder without its shards. Merging again changes nothing.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra sweep merge sweeps/corridor-1a2b3c4d
+  cotorra sweep merge from-one-cluster from-another --out corridor --figure pdf
+  cotorra sweep merge sweeps/corridor-1a2b3c4d --partial")]
+pub struct MergeArgs {
+    /// Folder of the sweep, or of a shard; can be several
+    #[arg(required = true, value_name = "DIR")]
+    folders: Vec<PathBuf>,
+    /// Folder for the result; default: the one that holds the first shard
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Merge what there is, even if runs are missing
+    #[arg(long)]
+    partial: bool,
+    #[command(flatten)]
+    figure: FigureArgs,
+}
+
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum Error {
+    #[error(transparent)]
+    Merge(#[from] MergeError),
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error("{0}")]
+    #[diagnostic(help(
+        "run these shards, which go on where they were, or merge what there is with --partial"
+    ))]
+    Missing(String),
+    #[error("none of the {} is there yet", count(*.0, "run"))]
+    Empty(usize),
+}
+
+/// Merges shards.
+pub fn merge(args: &MergeArgs) -> miette::Result<ExitCode> {
+    let merge = Merge::read(&args.folders).map_err(Error::from)?;
+    if merge.runs.done.is_empty() {
+        return Err(Error::Empty(merge.runs.total).into());
+    }
+    let missing = missing(&merge);
+    if !args.partial && !missing.is_empty() {
+        return Err(Error::Missing(missing).into());
+    }
+    let folder = Journal::open(args.out.as_ref().unwrap_or(&merge.folder)).map_err(Error::from)?;
+    merge.write(&folder).map_err(Error::from)?;
+    for format in args.figure.further() {
+        merge.runs.write_figure(&folder, format).map_err(Error::from)?;
+    }
+    let note = if missing.is_empty() { String::new() } else { format!("\n{missing}\n") };
+    output::print(&results::describe(&merge.runs, &note, folder.path(), &args.figure))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Maximum number of shards, and of their runs, that are listed.
+const LISTED: usize = 5;
+
+/// Names the missing runs by shard. Empty if there are none.
+fn missing(merge: &Merge) -> String {
+    let number = merge.runs.total - merge.runs.done.len();
+    if number == 0 {
+        return String::new();
+    }
+    let are = if number == 1 { "is" } else { "are" };
+    let mut text = format!("{number} of {} {are} missing", count(merge.runs.total, "run"));
+    for (shard, runs) in merge.missing.iter().take(LISTED) {
+        let listed = runs.iter().take(LISTED).cloned().collect::<Vec<_>>().join(", ");
+        let more = runs.len().saturating_sub(LISTED);
+        let more = if more > 0 { format!(", and {more} more") } else { String::new() };
+        text += &format!("\n  shard {shard}: {listed}{more}");
+    }
+    if merge.missing.len() > LISTED {
+        text += &format!("\n  and runs of {}", count(merge.missing.len() - LISTED, "other shard"));
+    }
+    text
+}

@@ -1,0 +1,71 @@
+//! Results of a sweep in the terminal.
+
+use std::{collections::BTreeSet, path::Path};
+
+use cotorra_experiments::sweep::{Cell, FILES, Interval, Runs, ServiceCell};
+
+use crate::{figures::FigureArgs, table::Table, words::count};
+
+/// Maximum number of combinations that the terminal lists.
+const LISTED: usize = 40;
+
+/// Describes the results, and lists the files. A note comes between them.
+pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> String {
+    let resumed =
+        if runs.resumed > 0 { format!(", {} of them from before", runs.resumed) } else { String::new() };
+    let mut text = format!("{} of {}{resumed}\n\n", runs.done.len(), count(runs.total, "run"));
+    let (axes, cells) = (&runs.axes, runs.cells());
+    let mut table = Table::new(&("<".repeat(axes.len()) + ">>>>>>>"));
+    let heads = ["runs", "median, ms", "p99, ms", "above target, %", "took, s", "blind, m", "at once, m"]
+        .map(str::to_owned);
+    table.row(axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
+    for cell in cells.iter().take(LISTED) {
+        let Cell { values, runs, service_time_p50_ms, service_time_p99_ms, above_target, .. } = cell;
+        let Cell { duration_ms, blind_m, longest_blind_m, .. } = cell;
+        let figures = [
+            runs.to_string(),
+            interval(*service_time_p50_ms, 1.0),
+            interval(*service_time_p99_ms, 1.0),
+            interval(*above_target, 100.0),
+            interval(*duration_ms, 1e-3),
+            interval(*blind_m, 1.0),
+            interval(*longest_blind_m, 1.0),
+        ];
+        table.row(values.iter().cloned().chain(figures));
+    }
+    text += &table.render("  ");
+    if cells.len() > LISTED {
+        text += &format!("  and {} more in cells.csv\n", cells.len() - LISTED);
+    }
+    text += &services(runs, &cells);
+    text += note;
+    let figures = figure.files("sweep");
+    text + &format!("\n{}/\n  {}{figures}\n", folder.display(), FILES.join("  "))
+}
+
+/// Returns the table of each robot and service, if several have samples. Names those that have none in any run.
+fn services(runs: &Runs, cells: &[Cell]) -> String {
+    let mut text = String::new();
+    let all = || cells.iter().flat_map(|cell| &cell.services);
+    let name = |its: &ServiceCell| format!("{} of {}", its.service, its.robot);
+    let measured: BTreeSet<_> = all().filter(|its| its.runs > 0).map(name).collect();
+    if measured.len() > 1 {
+        let by_service = runs.by_service(cells);
+        let listed = &by_service.rows()[..by_service.rows().len().min(LISTED + 1)];
+        text += &format!("\n{}", Table::of(listed, runs.axes.len() + 2).render("  "));
+        if by_service.rows().len() > LISTED + 1 {
+            let more = by_service.rows().len() - LISTED - 1;
+            text += &format!("  and {more} more in service_cells.csv\n");
+        }
+    }
+    let without: BTreeSet<_> = all().map(name).filter(|name| !measured.contains(name)).collect();
+    if !without.is_empty() {
+        let names: Vec<_> = without.into_iter().collect();
+        text += &format!("\nwithout samples: {}\n", names.join(", "));
+    }
+    text
+}
+
+fn interval(interval: Option<Interval>, factor: f64) -> String {
+    interval.map_or("-".to_owned(), |interval| interval.times(factor))
+}

@@ -1,0 +1,65 @@
+//! The finished runs of a sweep, or of a shard of it.
+
+use cotorra_testbed::DataTable;
+
+use super::{
+    axis::{Axis, combinations},
+    cells::Cell,
+    measured::Measured,
+    plan::Point,
+    tables,
+};
+
+/// A finished run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Done {
+    pub point: Point,
+    pub measured: Measured,
+}
+
+/// The result of a sweep.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Runs {
+    /// The axes of the sweep.
+    pub axes: Vec<Axis>,
+    /// The finished runs, in the order of [`Sweep::points`](super::Sweep::points).
+    pub done: Vec<Done>,
+    /// Number of finished runs that the folder already had.
+    pub resumed: usize,
+    /// Number of all runs; more than the finished ones if the sweep was stopped.
+    pub total: usize,
+}
+
+impl Runs {
+    /// Creates the result of these runs; `None` stands for a run that is not finished.
+    pub(super) fn new(
+        axes: &[Axis],
+        runs: impl ExactSizeIterator<Item = (Point, Option<Measured>)>,
+        resumed: usize,
+    ) -> Self {
+        let total = runs.len();
+        let done = runs.filter_map(|(point, measured)| Some(Done { point, measured: measured? })).collect();
+        Self { axes: axes.to_owned(), done, resumed, total }
+    }
+
+    /// Returns the statistics of each combination of the axes' values, without those that have no run. The last axis
+    /// changes fastest.
+    pub fn cells(&self) -> Vec<Cell> {
+        let of = |values: Vec<String>| {
+            let measured: Vec<_> = self
+                .done
+                .iter()
+                .filter(|done| done.point.values == values)
+                .map(|done| &done.measured)
+                .collect();
+            (!measured.is_empty()).then(|| Cell::of(values, &measured))
+        };
+        combinations(&self.axes).into_iter().filter_map(of).collect()
+    }
+
+    /// Returns a row for each robot and service of each combination, rounded for readers, with confidence intervals.
+    /// Several services also have a row for all together.
+    pub fn by_service(&self, cells: &[Cell]) -> DataTable {
+        tables::by_service(&self.axes, cells)
+    }
+}
