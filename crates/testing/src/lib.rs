@@ -16,6 +16,7 @@ pub mod robot;
 pub mod ros1;
 pub mod ros2;
 pub mod turtlebot;
+pub mod slurm;
 
 use std::{
     env,
@@ -73,10 +74,21 @@ pub fn pdf_readers() -> Option<[Command; 2]> {
     Some([info?, text?])
 }
 
+/// Returns a command for GNU parallel.
+pub fn parallel() -> Option<Command> {
+    installed("parallel", "--version", "parallel")
+}
+
 /// Returns a command for a program, if it is installed by that package. `version` lets it print its version.
 fn installed(program: &str, version: &str, package: &str) -> Option<Command> {
     let is_there = Command::new(program).arg(version).stdout(Stdio::null()).stderr(Stdio::null()).status();
     found(is_there.is_ok(), program, &format!("install the package {package}")).then(|| Command::new(program))
+}
+
+/// Returns the path of a program, which may be one for administrators.
+fn program(name: &str) -> Option<PathBuf> {
+    let path = env::var("PATH").unwrap_or_default() + ":/usr/sbin:/usr/bin";
+    path.split(':').map(|folder| Path::new(folder).join(name)).find(|file| file.is_file())
 }
 
 /// Returns whether a program was found, and says how to install it otherwise.

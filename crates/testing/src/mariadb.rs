@@ -15,6 +15,8 @@ use std::{
 use parking_lot::Mutex;
 use tempfile::TempDir;
 
+use crate::program;
+
 /// A running server, stopped on drop.
 pub struct MariaDb {
     folder: TempDir,
@@ -96,7 +98,7 @@ impl MariaDb {
     fn command(&self, program: &Path) -> Command {
         let log =
             fs::OpenOptions::new().create(true).append(true).open(self.folder.path().join("log")).unwrap();
-        let mut command = match self::program("setpriv") {
+        let mut command = match crate::program("setpriv") {
             // The server then ends with this process, even if this one is killed.
             Some(setpriv) => {
                 let mut command = Command::new(setpriv);
@@ -223,9 +225,4 @@ impl Drop for MariaDb {
 fn is_root() -> bool {
     let own = fs::metadata("/proc/self").map(|folder| std::os::unix::fs::MetadataExt::uid(&folder));
     own.is_ok_and(|user| user == 0)
-}
-
-fn program(name: &str) -> Option<PathBuf> {
-    let path = std::env::var("PATH").unwrap_or_default() + ":/usr/sbin:/usr/bin";
-    path.split(':').map(|folder| Path::new(folder).join(name)).find(|file| file.is_file())
 }

@@ -43,6 +43,7 @@ mod ros_flows;
 mod ros_sensors;
 mod run;
 mod sensors;
+mod shards;
 mod stamp;
 mod steer;
 mod sweep;
