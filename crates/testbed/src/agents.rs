@@ -44,20 +44,42 @@ impl Default for AgentOptions {
     }
 }
 
-/// Checks that agents can be used, before a run has a folder. Returns the authority; `None` for a testbed without agents.
-pub(crate) fn authority(testbed: &Testbed, options: &AgentOptions) -> Result<Option<Authority>, AgentsError> {
-    let wanted: Vec<_> = testbed.graph.real_servers().map(|(_, real)| real.agent.clone()).collect();
-    if wanted.is_empty() {
+/// Opens the authority of a testbed's agents, before a run has a folder; `None` if nothing needs one.
+///
+/// # Errors
+/// [`AgentsError`], if a VNF starts on a real server whose agent may not connect.
+pub(crate) fn authority(
+    testbed: &Testbed,
+    options: &AgentOptions,
+) -> Result<Option<Authority>, AgentsError> {
+    let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
+    let starts_on = |node: &NodeId| vnfs().any(|vnf| vnf.node.all().contains(node));
+    let real = || testbed.graph.real_servers();
+    let needed: Vec<_> =
+        real().filter(|(node, _)| starts_on(&node.id)).map(|(_, real)| real.agent.clone()).collect();
+    if real().next().is_none() {
         return Ok(None);
     }
-    let folder =
-        options.authority.clone().or_else(Authority::default_folder).ok_or(AgentsError::NoAuthority)?;
-    let authority = Authority::open(folder)?;
-    let granted = authority.granted(chrono::Utc::now())?;
-    match wanted.into_iter().find(|agent| granted.iter().all(|granted| granted.name != *agent)) {
+    let opened = options.authority.clone().or_else(Authority::default_folder);
+    let opened = opened.ok_or(AgentsError::NoAuthority).and_then(|folder| Ok(Authority::open(folder)?));
+    let authority = match opened {
+        Err(error) if needed.is_empty() => {
+            tracing::info!("VNFs cannot be placed on real servers: {error}");
+            return Ok(None);
+        }
+        opened => opened?,
+    };
+    let granted = authority.granted(today())?;
+    match needed.into_iter().find(|agent| granted.iter().all(|granted| granted.name != *agent)) {
         Some(agent) => Err(AgentsError::NotEnrolled(agent)),
         None => Ok(Some(authority)),
     }
+}
+
+/// Returns the time of the calendar, at which certificates end.
+#[allow(clippy::disallowed_methods, reason = "certificates end at a time of the calendar")]
+fn today() -> chrono::DateTime<chrono::Utc> {
+    chrono::Utc::now()
 }
 
 /// The engine of VNFs on real servers. Dropping it ends them.
@@ -104,11 +126,6 @@ impl AgentEngine {
             .spawn(move || link.run(&inbox))
             .map_err(AgentsError::Thread)?;
         Ok(Self { testbed: Arc::clone(testbed), carriers, commands, events, thread: Some(thread) })
-    }
-
-    /// Whether an agent runs the VNFs of a node.
-    pub(crate) fn carries(&self, node: &NodeId) -> bool {
-        self.carriers.contains_key(node)
     }
 
     /// Returns the variables of a VNF's program.

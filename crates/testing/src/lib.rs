@@ -15,8 +15,8 @@ pub mod process;
 pub mod robot;
 pub mod ros1;
 pub mod ros2;
-pub mod turtlebot;
 pub mod slurm;
+pub mod turtlebot;
 
 use std::{
     env,

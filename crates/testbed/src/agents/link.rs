@@ -14,7 +14,7 @@ use cotorra_engine::{EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
 use cotorra_graph::{AgentId, Event, MachineContext, NodeId, Stamped, Timestamp};
 
-use super::error::AgentsError;
+use super::{error::AgentsError, today};
 use crate::{clock::Clock, message::Message};
 
 /// Interval of looking for enrolled, renewed and revoked agents.
@@ -120,7 +120,7 @@ impl Link {
         match serde_json::from_slice::<MachineContext>(bytes) {
             Ok(mut context) => {
                 context.node = node.clone();
-                tracing::trace!("{context:?}");
+                self.tell(now, Event::Machine(context));
             }
             Err(error) => tracing::warn!("agent `{agent}`: rejected a context: {error}"),
         }
@@ -176,16 +176,14 @@ impl Link {
 }
 
 /// Returns which certificates may speak for agents of the testbed now.
-#[allow(clippy::disallowed_methods, reason = "certificates end at a time of the calendar")]
 fn granted(parts: &Parts) -> Result<Vec<Granted>, AgentsError> {
-    let all = parts.authority.granted(chrono::Utc::now())?;
+    let all = parts.authority.granted(today())?;
     let ours = all.into_iter().filter(|granted| parts.nodes.contains_key(&granted.name));
     Ok(ours.map(|granted| Granted { agent: granted.name, common_name: granted.common_name }).collect())
 }
 
-#[allow(clippy::disallowed_methods, reason = "certificates end at a time of the calendar")]
 fn open(parts: &Parts, granted: &[Granted]) -> Result<Router, AgentsError> {
-    let core = parts.authority.core(chrono::Utc::now())?;
+    let core = parts.authority.core(today())?;
     let credentials = Credentials {
         authority: &core.authority_pem,
         certificate: &core.certificate_pem,

@@ -2,10 +2,10 @@
 
 use std::{net::Ipv4Addr, path::Path};
 
+use cotorra_engine::InMemoryEngine;
 use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_flows::headers::{ETHERNET, ETHERTYPE_IPV4, IPV4, Ipv4, PROTOCOL_UDP, UDP, udp_header};
 use cotorra_graph::{HostAddress, ServiceTime};
-use cotorra_network_control::vim::InMemoryEngine;
 use cotorra_plugin::wire::{self, NavigationPacket, PositionPacket};
 
 use super::*;

@@ -1,43 +1,47 @@
 //! The engines of a run: VNFs on emulated nodes are processes of this machine, and those on real servers run at their agents.
 
+use std::collections::BTreeMap;
+
 use cotorra_engine::{Engine, EngineEvent, InstanceId, ProcessEngine};
-use cotorra_graph::{NodeId, Vnf};
+use cotorra_graph::{AgentId, HardwareGraph, NodeId, Vnf};
 
 use super::launcher::NodeLauncher;
-#[cfg(feature = "agents")]
-use crate::agents::AgentEngine;
 
 /// The engines of a run.
 pub(super) struct Engines {
-    pub(super) local: ProcessEngine<NodeLauncher>,
-    #[cfg(feature = "agents")]
-    pub(super) agents: Option<AgentEngine>,
+    local: ProcessEngine<NodeLauncher>,
+    /// The engine of real servers; `None` if no agent can connect.
+    agents: Option<Box<dyn Engine + Send>>,
+    real_servers: BTreeMap<NodeId, AgentId>,
 }
 
 impl Engines {
-    /// Returns the engine of a node.
-    fn of(&mut self, node: &NodeId) -> &mut dyn Engine {
-        #[cfg(feature = "agents")]
-        if let Some(agents) = self.agents.as_mut().filter(|agents| agents.carries(node)) {
-            return agents;
-        }
-        let _ = node;
-        &mut self.local
+    pub(super) fn new(
+        graph: &HardwareGraph,
+        local: ProcessEngine<NodeLauncher>,
+        agents: Option<Box<dyn Engine + Send>>,
+    ) -> Self {
+        let real_servers = graph.real_servers().map(|(node, real)| (node.id.clone(), real.agent.clone()));
+        Self { local, agents, real_servers: real_servers.collect() }
     }
 
-    /// Returns all engines.
     fn all(&mut self) -> impl Iterator<Item = &mut dyn Engine> {
         let local: &mut dyn Engine = &mut self.local;
-        let all = std::iter::once(local);
-        #[cfg(feature = "agents")]
-        let all = all.chain(self.agents.as_mut().map(|agents| agents as &mut dyn Engine));
-        all
+        let agents = self.agents.as_mut().map(|agents| {
+            let agents: &mut dyn Engine = &mut **agents;
+            agents
+        });
+        std::iter::once(local).chain(agents)
     }
 }
 
 impl Engine for Engines {
     fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
-        self.of(node).start(instance, vnf, replica, node)
+        match (self.real_servers.get(node), &mut self.agents) {
+            (None, _) => self.local.start(instance, vnf, replica, node),
+            (Some(_), Some(agents)) => agents.start(instance, vnf, replica, node),
+            (Some(agent), None) => Err(format!("its agent `{agent}` cannot connect: no agent is enrolled")),
+        }
     }
 
     fn stop(&mut self, instance: InstanceId) {

@@ -49,11 +49,12 @@ impl NodesUp {
             network.messages.clone(),
         );
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
-        let engine = Engines {
-            local: ProcessEngine::new(Arc::new(launcher), prepared.folder.logs(), cgroups),
-            #[cfg(feature = "agents")]
-            agents: prepared.agents(&network.now, &network.messages)?,
-        };
+        let local = ProcessEngine::new(Arc::new(launcher), prepared.folder.logs(), cgroups);
+        #[cfg(feature = "agents")]
+        let agents = prepared.agents(&network.now, &network.messages)?;
+        #[cfg(not(feature = "agents"))]
+        let agents = None;
+        let engine = Engines::new(&testbed.graph, local, agents);
         let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), Arc::clone(&network.now));
         let core = Core::new(
             Arc::clone(testbed),

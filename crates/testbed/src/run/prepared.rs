@@ -13,6 +13,9 @@ use cotorra_measurements::{History, Recorder, RunId, RunInfo};
 use cotorra_recording::{Pace, Recording};
 
 #[cfg(feature = "agents")]
+use cotorra_engine::Engine;
+
+#[cfg(feature = "agents")]
 use crate::{agents::AgentEngine, clock::Clock, message::Message};
 use crate::{
     api::Listener,
@@ -71,9 +74,7 @@ impl Prepared {
         #[cfg(feature = "agents")]
         let authority = crate::agents::authority(&testbed, &options.agents)?;
         #[cfg(not(feature = "agents"))]
-        if let Some((node, real)) = testbed.graph.real_servers().next() {
-            return Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() });
-        }
+        check_agents(&testbed)?;
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;
@@ -117,11 +118,24 @@ impl Prepared {
         &self,
         now: &Clock,
         messages: &Sender<Message>,
-    ) -> Result<Option<AgentEngine>, RunError> {
+    ) -> Result<Option<Box<dyn Engine + Send>>, RunError> {
         let Some(authority) = self.authority.clone() else { return Ok(None) };
         let run = cotorra_agent_protocol::Run(self.info.started_at_unix_ns.unsigned_abs());
         let (testbed, options) = (&self.testbed, &self.options.agents);
         let engine = AgentEngine::start(testbed, options, authority, run, &self.folder, now, messages)?;
-        Ok(Some(engine))
+        Ok(Some(Box::new(engine)))
+    }
+}
+
+/// Checks that no VNF starts on a real server, because this build reaches no agents.
+#[cfg(not(feature = "agents"))]
+fn check_agents(testbed: &Testbed) -> Result<(), RunError> {
+    let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
+    let starts_on = |node| vnfs().any(|vnf| vnf.node.all().contains(node));
+    match testbed.graph.real_servers().find(|(node, _)| starts_on(&node.id)) {
+        Some((node, real)) => {
+            Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() })
+        }
+        None => Ok(()),
     }
 }
