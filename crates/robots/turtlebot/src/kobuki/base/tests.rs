@@ -150,7 +150,7 @@ proptest! {
                     bytes.extend(noise);
                 }
             }
-            if ms % 7 == 0 {
+            if ms.is_multiple_of(7) {
                 bytes.truncate(bytes.len().saturating_sub(cut));
             }
             if stalls.iter().any(|at| (*at..*at + 300).contains(&ms)) { Vec::new() } else { bytes }

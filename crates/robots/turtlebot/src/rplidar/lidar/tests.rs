@@ -1,4 +1,5 @@
 use cotorra_testing::turtlebot::{Place, Rplidar, room};
+use proptest::{collection::vec, prelude::*};
 
 use super::*;
 
@@ -102,8 +103,8 @@ fn silent_lidar_is_started_again_and_keeps_its_last_turn() {
 fn torn_and_corrupt_bytes_cost_samples_but_no_turns() {
     let line = |ms: u64, mut bytes: Vec<u8>| {
         match bytes.len() {
-            length @ 1.. if ms % 97 == 0 => bytes[length / 2] ^= 0x5A,
-            20.. if ms % 61 == 0 => drop(bytes.drain(5..9)),
+            length @ 1.. if ms.is_multiple_of(97) => bytes[length / 2] ^= 0x5A,
+            20.. if ms.is_multiple_of(61) => drop(bytes.drain(5..9)),
             _ => {}
         }
         bytes
@@ -121,4 +122,31 @@ fn torn_and_corrupt_bytes_cost_samples_but_no_turns() {
     }
     assert!(bench.lidar.rejected() > 3, "{}", bench.lidar.rejected());
     assert!(turns > 30, "{turns}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Whatever the line adds and takes away, angles and ranges are possible, and memory is bounded.
+    #[test]
+    fn broken_line_never_spoils_a_turn(
+        noise in vec((0..3000_u64, vec(any::<u8>(), 0..200)), 0..30),
+        cut in 0..90_usize,
+    ) {
+        let line = |ms: u64, mut bytes: Vec<u8>| {
+            for (_, noise) in noise.iter().filter(|(at, _)| *at == ms) {
+                bytes.extend(noise);
+            }
+            if ms.is_multiple_of(11) {
+                bytes.drain(..cut.min(bytes.len()));
+            }
+            bytes
+        };
+        let mut bench = Bench::new(placed(), line);
+        bench.run(3000);
+        for sample in bench.lidar.turn().map_or(&[][..], |turn| &turn.samples) {
+            prop_assert!((0.0..=std::f64::consts::TAU).contains(&sample.angle), "{sample:?}");
+            prop_assert!(sample.range.is_none_or(|range| range > 0.0 && range < 17.0), "{sample:?}");
+        }
+    }
 }
