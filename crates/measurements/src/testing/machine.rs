@@ -37,7 +37,7 @@ prop_compose! {
         mac in ".{0,9}",
         signal in dbm(),
         (transmit_rate, receive_rate) in (bit_rate(), bit_rate()),
-        (retransmissions, transmissions_failed): (Option<u32>, Option<u32>),
+        (retransmissions, transmissions_failed) in any::<(Option<u32>, Option<u32>)>(),
         [transmit_airtime, receive_airtime, inactive] in [of(duration()), of(duration()), of(duration())],
     ) -> WifiStation {
         WifiStation {
@@ -54,7 +54,7 @@ prop_compose! {
         ssid in of(".{0,9}"),
         stations in vec(wifi_station(), 0..3),
         channels in vec((any::<u32>(), any::<bool>(), dbm(), of(share())), 0..3),
-        (stations_left_out, channels_left_out): (u32, u32),
+        (stations_left_out, channels_left_out) in any::<(u32, u32)>(),
     ) -> WifiContext {
         let channels = channels.into_iter().map(|(frequency_mhz, in_use, noise, busy)| {
             WifiChannel { frequency_mhz, in_use, noise, busy }
@@ -72,7 +72,7 @@ prop_compose! {
         memory in of((0..=u64::MAX / 2, 0..=u64::MAX / 2)),
         interfaces in vec(interface(), 0..4),
         wifi in vec(wifi(), 0..3),
-        (interfaces_left_out, wifi_left_out): (u32, u32),
+        (interfaces_left_out, wifi_left_out) in any::<(u32, u32)>(),
     ) -> MachineContext {
         let load = |(one_minute, five_minutes, fifteen_minutes)| {
             LoadAverage { one_minute, five_minutes, fifteen_minutes }
