@@ -48,10 +48,7 @@ impl Default for AgentOptions {
 ///
 /// # Errors
 /// [`AgentsError`], if a VNF starts on a real server whose agent may not connect.
-pub(crate) fn authority(
-    testbed: &Testbed,
-    options: &AgentOptions,
-) -> Result<Option<Authority>, AgentsError> {
+pub(crate) fn authority(testbed: &Testbed, options: &AgentOptions) -> Result<Option<Authority>, AgentsError> {
     let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
     let starts_on = |node: &NodeId| vnfs().any(|vnf| vnf.node.all().contains(node));
     let real = || testbed.graph.real_servers();

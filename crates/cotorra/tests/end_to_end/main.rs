@@ -2,6 +2,8 @@
 
 #[cfg(feature = "agents")]
 mod agent_enrolment;
+#[cfg(feature = "agents")]
+mod agents;
 mod api;
 mod camera;
 mod capture;

@@ -67,7 +67,7 @@ else:
 
 /// Runs a script on a machine with the bridge `br0`, behind which are the servers, and `other`, a machine that the testbed
 /// does not name. `on NAME` runs a program on one of them, `node` in an emulated host.
-fn behind_a_bridge(testbed: &str, lines: &str) -> Output {
+pub fn behind_a_bridge(testbed: &str, lines: &str) -> Output {
     let peer = format!("cat >peer.py <<'EOF'{PEER}EOF");
     on_a_wire(
         testbed,
@@ -100,12 +100,12 @@ fn ms(line: &str) -> f64 {
     line.parse().unwrap_or_else(|_| panic!("not a round trip: {line}"))
 }
 
-fn json(line: &str) -> Value {
+pub fn json(line: &str) -> Value {
     serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))
 }
 
 /// Whether the machine has namespaces and bridges.
-fn has_bridges() -> bool {
+pub fn has_bridges() -> bool {
     has_namespaces() && {
         let tried = script("ip link add br0 type bridge");
         if !tried.status.success() {
@@ -211,24 +211,28 @@ fn frames_to_groups_reach_each_real_server_once_and_nobody_else() {
 }
 
 #[test]
-fn a_vnf_on_a_real_server_fails_with_the_name_of_its_agent() {
+fn a_vnf_cannot_be_placed_on_a_real_server_whose_agent_is_not_enrolled() {
     if !has_bridges() {
         return;
     }
     let testbed = format!(
         "{TESTBED}  other:\n    robot: robot\n    kpis: {{ service_time: 100 ms }}\n    vnfs:\n      \
-         program: {{ command: [sleep, '600'], node: edge }}\n"
+         program: {{ command: [sleep, '600'], node: near }}\n"
     );
     let done = behind_a_bridge(
         &testbed,
-        "start
-         until $COTORRA history events $(ls -d runs/*) >events.txt && grep -q 'not connected' events.txt
+        "export XDG_CONFIG_HOME=$PWD/nobody
+         start
+         python3 -c \"import json, urllib.request as r
+body = json.dumps({'instruction': {'instruction': 'place', 'vnf': 'program', 'node': 'edge'}}).encode()
+r.urlopen(r.Request('http://$api/api/v1/instructions', body, {'Content-Type': 'application/json'}))\"
+         until $COTORRA history events $(ls -d runs/*) >events.txt && grep -q 'cannot connect' events.txt
             do kill -0 $run; done
          kill -INT $run; ends
-         grep -m1 'not connected' events.txt",
+         grep -m1 'cannot connect' events.txt",
     );
     let said = lines(&done).join(" ");
-    assert!(said.contains("its agent `edge1` is not connected"), "{said}");
+    assert!(said.contains("its agent `edge1` cannot connect: no agent is enrolled"), "{said}");
 }
 
 #[test]

@@ -133,9 +133,7 @@ fn check_agents(testbed: &Testbed) -> Result<(), RunError> {
     let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
     let starts_on = |node| vnfs().any(|vnf| vnf.node.all().contains(node));
     match testbed.graph.real_servers().find(|(node, _)| starts_on(&node.id)) {
-        Some((node, real)) => {
-            Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() })
-        }
+        Some((node, real)) => Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() }),
         None => Ok(()),
     }
 }

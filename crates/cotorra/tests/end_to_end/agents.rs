@@ -1,0 +1,243 @@
+//! Agents on real servers: machines behind a bridge, each in a network namespace of its own.
+
+use std::{env, path::PathBuf, process::Output};
+
+use crate::{
+    harness::{cotorra, stderr},
+    netem_links::lines,
+    real_servers::{behind_a_bridge, has_bridges},
+};
+
+/// A robot whose navigation runs on the real server `edge`. `ticking` prints numbers there, and goes on without the core.
+const TESTBED: &str = "\
+name: agents
+wireless: { lab: { rate: 8 Mbit/s } }
+nodes:
+  robot: { kind: robot }
+  R1: { kind: radio_unit, position: [0, 2], channel: 1 }
+  lan: { kind: switch }
+  fog: { kind: server, tier: fog, cpus: 5, memory: 4 GB, agent: fog1, interface: br0, address: 10.9.1.2 }
+  edge: { kind: server, tier: edge, cpus: 5, memory: 4 GB, agent: edge1, interface: br0, address: 10.9.1.3 }
+  cloud: { kind: server, tier: cloud, cpus: 5, memory: 4 GB, agent: cloud1, interface: br0, address: 10.9.1.4 }
+links:
+  - { ends: [lan, R1] }
+  - { ends: [lan, fog], delay: 1 ms }
+  - { ends: [lan, edge], delay: 2 ms }
+  - { ends: [lan, cloud], delay: 10 ms }
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 100 ms }
+    vnfs:
+      robot-driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: edge }
+    virtual_links:
+      - { from: robot-driver, to: navigation, rate: 1 Mbit/s }
+  ticks:
+    robot: robot
+    kpis: { service_time: 100 ms }
+    vnfs:
+      ticking: { command: [sh, -c, 'echo $COTORRA_NODE; exec sleep 6001'], node: fog, keep: true }
+walks:
+  robot: { waypoints: [[0, 0], [1, 0], [0, 0], [1, 0], [0, 0]], speed_limit: 0.5 m/s }
+";
+
+/// The agent's program, which is built beside cotorra's.
+fn agent() -> PathBuf {
+    let program = PathBuf::from(cotorra([""; 0]).get_program()).with_file_name("cotorra-agent");
+    assert!(program.exists(), "{} is missing: build the workspace", program.display());
+    program
+}
+
+/// Kills of each kind in a row.
+fn kills() -> u32 {
+    if env::var_os("COTORRA_FULL").is_some() { 50 } else { 3 }
+}
+
+/// Runs a script with an enrolled agent on each server, none of which is started yet.
+///
+/// - `agent NAME` starts one in the background, and sets `agent_NAME`.
+/// - `count NAME PROGRAM` prints the number of processes of a program on a server; `NAVIGATION` and `TICKING` are VNFs.
+/// - `until COMMAND = VALUE` waits, `event PATTERN NUMBER` waits for so many events of the run, `serves NODE` for a new sample.
+fn with_agents(script: &str) -> Output {
+    let set_up = format!(
+        r#"ip address add 10.9.1.1/24 dev br0
+        AGENT={}
+        NAVIGATION='/proc/self/exe vnf navigation' TICKING='sleep 6001'
+        for name in fog edge cloud; do
+            $COTORRA agent enrol ${{name}}1 --core 10.9.1.1:7448 --authority authority >/dev/null
+        done
+        agent() {{
+            it=$(eval echo \$pid_$1)
+            nsenter --net=/proc/$it/ns/net $AGENT run ${{1}}1.agent --state $PWD/state_$1 >>agent_$1.txt 2>&1 &
+            eval agent_$1=$!; machines="$machines $!"
+        }}
+        count() {{
+            n=0; space=$(readlink /proc/$(eval echo \$pid_$1)/ns/net)
+            for p in $(pgrep -fx "$2"); do
+                if [ "$(readlink /proc/$p/ns/net)" = "$space" ]; then n=$((n + 1)); fi
+            done
+            echo $n
+        }}
+        until_count() {{ until [ $(count $1 "$2") = $3 ]; do sleep 0.1; done; }}
+        events() {{ $COTORRA history events $(ls -d runs/* | tail -1) --kinds vnf,notice,machine --limit 10000 --json; }}
+        event() {{ until [ $(events | grep -c "$1") -ge $2 ]; do kill -0 $run; sleep 0.2; done; }}
+        latest() {{ read 'measurements/service-times?limit=1'; }}
+        serves() {{ until latest | grep -q "\"server\":\"$1\""; do kill -0 $run; sleep 0.2; done; }}
+        place() {{ python3 -c "import json, urllib.request as r
+body = json.dumps({{'instruction': {{'instruction': 'place', 'vnf': 'navigation', 'node': '$1'}}}}).encode()
+r.urlopen(r.Request('http://$api/api/v1/instructions', body, {{'Content-Type': 'application/json'}}))"; }}
+        {script}"#,
+        agent().display()
+    );
+    behind_a_bridge(TESTBED, &set_up)
+}
+
+#[test]
+fn vnfs_on_real_servers_run_at_their_agents_and_move_between_them() {
+    if !has_bridges() {
+        return;
+    }
+    let done = with_agents(
+        r#"for name in fog edge cloud; do agent $name; done
+        start --authority authority
+        serves edge
+        echo $(count edge "$NAVIGATION") $(count fog "$NAVIGATION") $(count fog "$TICKING")
+        place fog; serves fog; until_count edge "$NAVIGATION" 0
+        place cloud; serves cloud; until_count fog "$NAVIGATION" 0
+        echo $(count cloud "$NAVIGATION")
+        event '"event":"machine"' 6
+        events | grep -c '"node":"edge".*memory' >contexts.txt
+        kill -INT $run; ends
+        echo $(count cloud "$NAVIGATION") $(count fog "$TICKING")
+        cat state_fog/runs/*/logs/ticking.log | tail -1
+        $COTORRA history state $(ls -d runs/*) | grep -c 'cloud.*CPU'"#,
+    );
+    assert_eq!(lines(&done), ["1 0 1", "1", "0 0", "fog", "1"]);
+}
+
+#[test]
+fn vnfs_end_with_their_agent_and_start_again_with_it() {
+    if !has_bridges() {
+        return;
+    }
+    let script = format!(
+        r#"agent edge; agent fog
+        start --authority authority
+        serves edge
+        for n in $(seq {}); do
+            kill -9 $agent_edge
+            until_count edge "$NAVIGATION" 0
+            event 'edge1. is lost' $n
+            agent edge
+            event '"vnf":"navigation".*"state":"started"' $((n + 1))
+        done
+        before=$(latest | sed 's/.*"sequence":\([0-9]*\).*/\1/')
+        until [ $(latest | sed 's/.*"sequence":\([0-9]*\).*/\1/') -gt $before ]; do kill -0 $run; done
+        echo $(count edge "$NAVIGATION") $(count fog "$TICKING")
+        kill -INT $run; ends"#,
+        kills()
+    );
+    assert_eq!(lines(&with_agents(&script)), ["1 1"]);
+}
+
+#[test]
+fn vnfs_of_a_killed_core_stop_unless_they_go_on_and_the_next_run_replaces_them() {
+    if !has_bridges() {
+        return;
+    }
+    let script = format!(
+        r#"agent edge; agent fog
+        for n in $(seq {}); do
+            start --authority authority
+            serves edge; until_count fog "$TICKING" 1
+            kill -9 $run; wait $run || true
+            until_count edge "$NAVIGATION" 0
+            count fog "$TICKING"
+        done
+        start --authority authority
+        serves edge; until_count fog "$TICKING" 1
+        kill -INT $run; ends
+        echo $(count edge "$NAVIGATION") $(count fog "$TICKING")"#,
+        kills()
+    );
+    let done = with_agents(&script);
+    let mut expected = vec!["1".to_owned(); kills() as usize];
+    expected.push("0 0".to_owned());
+    assert_eq!(lines(&done), expected);
+}
+
+#[test]
+fn an_agent_that_was_cut_off_stops_and_comes_back_by_itself() {
+    if !has_bridges() {
+        return;
+    }
+    let done = with_agents(
+        r#"agent edge; agent fog
+        start --authority authority
+        serves edge
+        ip link set p_edge down
+        event 'edge1. is lost' 1
+        until_count edge "$NAVIGATION" 0
+        ip link set p_edge up
+        event '"vnf":"navigation".*"state":"started"' 2
+        echo $(count edge "$NAVIGATION")
+        kill -INT $run; ends"#,
+    );
+    assert_eq!(lines(&done), ["1"]);
+}
+
+#[test]
+fn agents_are_revoked_and_enrolled_again_while_a_run_goes_on() {
+    if !has_bridges() {
+        return;
+    }
+    let done = with_agents(
+        r#"agent edge; agent fog
+        start --authority authority
+        serves edge
+        $COTORRA agent revoke edge1 --authority authority >/dev/null
+        event 'edge1. is lost' 1
+        until_count edge "$NAVIGATION" 0
+        until grep -q 'is revoked' agent_edge.txt; do sleep 0.2; done
+        $COTORRA agent enrol edge1 --core 10.9.1.1:7448 --authority authority --force >/dev/null
+        event '"vnf":"navigation".*"state":"started"' 2
+        $COTORRA agent renew edge1 --authority authority --force --overlap 0s >/dev/null
+        until [ $(grep -c 'new credentials' agent_edge.txt) = 2 ]; do sleep 0.2; done
+        serves edge
+        kill -INT $run; ends
+        count edge "$NAVIGATION""#,
+    );
+    assert_eq!(lines(&done), ["0"]);
+}
+
+#[test]
+fn a_run_without_enrolled_agents_is_rejected_before_it_has_a_folder() {
+    if !has_bridges() {
+        return;
+    }
+    let done = with_agents(
+        r#"$COTORRA agent revoke edge1 --authority authority >/dev/null
+        ! $COTORRA run $FILE --headless --authority authority
+        ! $COTORRA run $FILE --headless --authority nowhere
+        ls runs 2>/dev/null || true"#,
+    );
+    assert_eq!(lines(&done), [""; 0]);
+    let said = stderr(&done).replace('│', " ");
+    let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("agent `edge1` is not enrolled, or is revoked"), "{said}");
+    assert!(said.contains("nowhere"), "{said}");
+}
+
+#[test]
+fn an_agent_says_what_is_wrong_with_its_credentials() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("edge1.agent");
+    std::fs::write(&file, "not credentials").unwrap();
+    for command in ["run", "check"] {
+        let mut said = std::process::Command::new(agent());
+        let said = said.arg(command).arg(&file).env("XDG_STATE_HOME", folder.path()).output().unwrap();
+        assert!(!said.status.success());
+        assert!(stderr(&said).contains("holds no credentials of an agent"), "{}", stderr(&said));
+    }
+}
