@@ -118,6 +118,9 @@ impl Link {
     fn context(&self, now: Timestamp, agent: &AgentId, bytes: &[u8]) {
         let Some(node) = self.parts.nodes.get(agent) else { return };
         match serde_json::from_slice::<MachineContext>(bytes) {
+            Ok(context) if !context.is_valid() => {
+                tracing::warn!("agent `{agent}`: rejected a context beyond the bounds");
+            }
             Ok(mut context) => {
                 context.node = node.clone();
                 self.tell(now, Event::Machine(context));

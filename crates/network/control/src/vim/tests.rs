@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 
+use cotorra_engine::InMemoryEngine;
 use cotorra_graph::{Capacity, DomainId, Node, NodeKind, Server, ServiceId, Tier};
 
 use super::*;
