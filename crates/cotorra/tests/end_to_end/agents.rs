@@ -228,16 +228,3 @@ fn a_run_without_enrolled_agents_is_rejected_before_it_has_a_folder() {
     assert!(said.contains("agent `edge1` is not enrolled, or is revoked"), "{said}");
     assert!(said.contains("nowhere"), "{said}");
 }
-
-#[test]
-fn an_agent_says_what_is_wrong_with_its_credentials() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("edge1.agent");
-    std::fs::write(&file, "not credentials").unwrap();
-    for command in ["run", "check"] {
-        let mut said = std::process::Command::new(agent());
-        let said = said.arg(command).arg(&file).env("XDG_STATE_HOME", folder.path()).output().unwrap();
-        assert!(!said.status.success());
-        assert!(stderr(&said).contains("holds no credentials of an agent"), "{}", stderr(&said));
-    }
-}

@@ -1,0 +1,52 @@
+//! The real program's command line.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+fn agent(home: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_cotorra-agent"));
+    command.args(arguments).env("HOME", home).env_remove("XDG_STATE_HOME").output().unwrap()
+}
+
+#[test]
+fn credentials_that_are_not_valid_are_rejected_before_anything_is_connected() {
+    let home = tempfile::tempdir().unwrap();
+    let file = home.path().join("edge1.agent");
+    fs::write(&file, "not credentials").unwrap();
+    let (file, state) = (file.to_str().unwrap(), home.path().join("state"));
+    for arguments in [&["check", file][..], &["run", file, "--state", state.to_str().unwrap()]] {
+        let output = agent(home.path(), arguments);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && said.contains("holds no credentials of an agent"), "{said}");
+    }
+    let output = agent(home.path(), &["check", "nowhere.agent"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("cannot read nowhere.agent"), "{said}");
+}
+
+#[test]
+fn a_holder_ends_its_program_and_all_that_it_started_when_its_input_ends() {
+    let home = tempfile::tempdir().unwrap();
+    // The program answers once it has started another one, which then keeps the pipe of the output open.
+    let script = "sleep 1000 & echo started; wait";
+    let mut held = Command::new(env!("CARGO_BIN_EXE_cotorra-agent"))
+        .args(["hold", "--", "sh", "-c", script])
+        .env("HOME", home.path())
+        .stdin(std::process::Stdio::piped())
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut output = std::io::BufReader::new(held.stdout.take().unwrap());
+    let mut line = String::new();
+    std::io::BufRead::read_line(&mut output, &mut line).unwrap();
+    assert_eq!(line, "started\n");
+    drop(held.stdin.take());
+    assert_eq!(held.wait().unwrap().code(), Some(128 + 9));
+    // The pipe ends only when the last program has ended.
+    std::io::Read::read_to_string(&mut output, &mut line).unwrap();
+    assert_eq!(line, "started\n");
+}
