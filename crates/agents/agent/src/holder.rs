@@ -1,7 +1,8 @@
 //! A small process between the agent and each VNF. It joins the VNF's control groups, starts the VNF as its user, and ends it with
 //! all its descendants when the agent says so, or is gone, however it ended.
 //!
-//! Its standard input is a pipe from the agent. The byte [`TERMINATE`] sends SIGTERM to the VNF; the end of the pipe kills it.
+//! Its standard input is a pipe from the agent. The byte [`TERMINATE`] sends SIGTERM to the VNF; the end of the pipe kills it, and
+//! so does a signal that would end the holder.
 
 use std::{
     env, fs,
@@ -37,7 +38,8 @@ pub(crate) fn hold(user: Option<User>, words: &[String]) -> io::Result<ExitCode>
     if let Some(user) = user {
         command.gid(user.gid).uid(user.uid);
     }
-    let named = |e: io::Error| io::Error::new(e.kind(), format!("{program}: {e}"));
+    let as_user = user.map(|user| format!(" as user {}:{}", user.uid, user.gid)).unwrap_or_default();
+    let named = |e: io::Error| io::Error::new(e.kind(), format!("{program}{as_user}: {e}"));
     let mut child = command.spawn().map_err(named)?;
     let group = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
     let signal = move |signal| {
@@ -46,6 +48,7 @@ pub(crate) fn hold(user: Option<User>, words: &[String]) -> io::Result<ExitCode>
             let _ = kill_process_group(group, signal);
         }
     };
+    ctrlc::set_handler(move || signal(Signal::KILL)).map_err(io::Error::other)?;
     thread::spawn(move || {
         let mut byte = [0];
         while matches!(io::stdin().read(&mut byte), Ok(1)) {

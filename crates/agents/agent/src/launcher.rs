@@ -4,13 +4,14 @@ use std::{
     collections::BTreeMap,
     env,
     io::{self, PipeWriter, Write},
+    os::unix::process::CommandExt,
     path::PathBuf,
     process::{Child, ChildStdout, Command, ExitStatus},
-    sync::{Mutex, PoisonError},
 };
 
 use cotorra_engine::{Launcher, Process, program_of_others};
 use cotorra_graph::{Granted, NodeId, Program, Rights, Vnf, VnfId};
+use parking_lot::Mutex;
 
 use crate::{holder, options::Options};
 
@@ -19,7 +20,7 @@ const SELF: &str = "/proc/self/exe";
 /// The testbed file in a run's folder.
 const TESTBED: &str = "testbed.yaml";
 
-/// Starts VNFs of one run as processes of this machine. Each has a [holder](crate::holder).
+/// Starts VNFs of one run as processes of this machine. Each has a [`holder`].
 pub(crate) struct MachineLauncher<W> {
     options: Options,
     /// Folder of the run, with its files.
@@ -36,7 +37,7 @@ impl<W: Fn() + Send + Sync + 'static> MachineLauncher<W> {
 
     /// Sets the variables of an instance that is started next.
     pub(crate) fn set_environment(&self, vnf: &Vnf, replica: u32, environment: BTreeMap<String, String>) {
-        let mut all = self.environments.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = self.environments.lock();
         all.insert((vnf.id.clone(), replica), environment);
     }
 
@@ -67,7 +68,8 @@ impl<W: Fn() + Send + Sync + 'static> Launcher for MachineLauncher<W> {
         cgroup_procs: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>> {
         let (lifeline, agents_end) = io::pipe()?;
-        command.stdin(lifeline).current_dir(&self.folder);
+        // In a group of its own: Ctrl-C in a terminal is for the agent alone, which then ends the VNF.
+        command.stdin(lifeline).current_dir(&self.folder).process_group(0);
         command.env(holder::GROUPS, env::join_paths(cgroup_procs).map_err(io::Error::other)?);
         Ok(Box::new(Held { holder: command.spawn()?, lifeline: Some(agents_end) }))
     }
@@ -86,7 +88,7 @@ impl<W: Fn() + Send + Sync + 'static> Launcher for MachineLauncher<W> {
             Program::Localization => drop(command.args([SELF, "vnf", "localization"])),
             _ => drop(command.args([SELF, "vnf", "navigation"])),
         }
-        let environments = self.environments.lock().unwrap_or_else(PoisonError::into_inner);
+        let environments = self.environments.lock();
         command.envs(environments.get(&(vnf.id.clone(), replica)).into_iter().flatten());
         command.env(cotorra_vnfs::TESTBED, self.folder.join(TESTBED));
         Ok(command)

@@ -1,4 +1,5 @@
 //! The agent's loop: messages of the core, events of VNFs and the machine's context.
+#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the agent's only clock")]
 
 use std::{
     collections::VecDeque,
@@ -114,7 +115,7 @@ impl Service {
                 }
             }
             while let Some(action) = self.agent.poll(now) {
-                self.act(now, action);
+                self.act(action);
             }
             if now >= self.next_context {
                 self.next_context = now + CONTEXT;
@@ -167,7 +168,7 @@ impl Service {
         }
     }
 
-    fn act(&mut self, now: Timestamp, action: Action) {
+    fn act(&mut self, action: Action) {
         match action {
             Action::Save(wanted) => {
                 if let Err(error) = self.journal.save(&wanted) {
@@ -197,7 +198,6 @@ impl Service {
                 }
             }
         }
-        let _ = now;
     }
 
     /// Makes ready to run VNFs of a run, unless that is done. VNFs of an earlier run end first.
@@ -331,7 +331,6 @@ fn written(path: &std::path::Path) -> Option<SystemTime> {
     fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
 }
 
-#[allow(clippy::disallowed_methods, reason = "the agent's only clock")]
 fn now() -> Instant {
     Instant::now()
 }

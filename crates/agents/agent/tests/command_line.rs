@@ -28,8 +28,8 @@ fn credentials_that_are_not_valid_are_rejected_before_anything_is_connected() {
     assert!(said.contains("cannot read nowhere.agent"), "{said}");
 }
 
-#[test]
-fn a_holder_ends_its_program_and_all_that_it_started_when_its_input_ends() {
+/// Holds a program, and ends the holder's input, or sends it a signal.
+fn hold_and_end(is_signalled: bool) {
     let home = tempfile::tempdir().unwrap();
     // The program answers once it has started another one, which then keeps the pipe of the output open.
     let script = "sleep 1000 & echo started; wait";
@@ -44,9 +44,36 @@ fn a_holder_ends_its_program_and_all_that_it_started_when_its_input_ends() {
     let mut line = String::new();
     std::io::BufRead::read_line(&mut output, &mut line).unwrap();
     assert_eq!(line, "started\n");
-    drop(held.stdin.take());
+    if is_signalled {
+        Command::new("kill").arg(held.id().to_string()).status().unwrap();
+    } else {
+        drop(held.stdin.take());
+    }
     assert_eq!(held.wait().unwrap().code(), Some(128 + 9));
     // The pipe ends only when the last program has ended.
     std::io::Read::read_to_string(&mut output, &mut line).unwrap();
     assert_eq!(line, "started\n");
+}
+
+#[test]
+fn a_holder_starts_its_program_as_another_user() {
+    let home = tempfile::tempdir().unwrap();
+    let own = String::from_utf8(Command::new("id").arg("-u").output().unwrap().stdout).unwrap();
+    let output = agent(home.path(), &["hold", "--user", "65534:65534", "--", "id", "-u"]);
+    if own.trim() == "0" {
+        assert_eq!(String::from_utf8(output.stdout).unwrap(), "65534\n");
+    } else {
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(said.contains("cannot start id as user 65534:65534"), "{said}");
+    }
+}
+
+#[test]
+fn a_holder_ends_its_program_and_all_that_it_started_when_its_input_ends() {
+    hold_and_end(false);
+}
+
+#[test]
+fn a_holder_that_is_terminated_ends_its_program_and_all_that_it_started() {
+    hold_and_end(true);
 }

@@ -65,6 +65,6 @@ mod tests {
         assert_eq!(speed(2500), BitRate::from_mbps(2500.0).map(|speed| (4, speed)));
         assert_eq!(speed(UNKNOWN), None);
         assert_eq!(speed(0), None);
-        assert_eq!(decode(&generic(&[header.clone()])).unwrap(), None);
+        assert_eq!(decode(&generic(std::slice::from_ref(&header))).unwrap(), None);
     }
 }

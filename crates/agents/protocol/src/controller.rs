@@ -200,12 +200,12 @@ impl Controller {
         }
     }
 
-    /// Takes the notice that an agent's connection began or ended.
-    pub fn connection(&mut self, now: Timestamp, agent: &AgentId, is_there: bool) {
+    /// Takes the notice that the connection of an agent's process began or ended. Those of earlier processes can end late.
+    pub fn connection(&mut self, now: Timestamp, agent: &AgentId, boot: u64, is_there: bool) {
         let Some(remote) = self.agents.get_mut(agent) else { return };
         if is_there {
             (remote.must_send, remote.sent, remote.next_beat) = (true, None, now);
-        } else {
+        } else if remote.boot == Some(boot) {
             self.lose(agent, "its connection ended");
         }
     }

@@ -86,7 +86,8 @@ impl Dialer {
     pub fn report(&mut self, report: &Report) -> Result<(), TransportError> {
         let keys = keys::in_run(report.run, &self.agent);
         if self.alive.as_ref().is_none_or(|(run, _)| *run != report.run) {
-            let token = self.session.liveliness().declare_token(format!("{keys}/{}", keys::ALIVE));
+            let token =
+                self.session.liveliness().declare_token(format!("{keys}/{}/{}", keys::ALIVE, report.boot));
             self.alive = Some((report.run, token.wait().map_err(session)?));
         }
         self.put(&format!("{keys}/{}", keys::STATE), report.encode(), Priority::RealTime)

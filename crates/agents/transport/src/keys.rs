@@ -18,6 +18,7 @@ pub(crate) const WANTED: &str = "wanted";
 pub(crate) const BEAT: &str = "beat";
 pub(crate) const STATE: &str = "state";
 pub(crate) const CONTEXT: &str = "context";
+/// Followed by the number of the agent's process.
 pub(crate) const ALIVE: &str = "alive";
 /// Followed by the file's SHA-256.
 pub(crate) const FILE: &str = "file";

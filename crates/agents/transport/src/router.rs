@@ -25,8 +25,11 @@ const LONGEST_CONTEXT: usize = 256 << 10;
 /// Something that arrived from an agent.
 #[derive(Debug)]
 pub enum FromAgent {
-    /// Its connection began or ended.
-    Connection(bool),
+    /// The connection of its process with this `boot` began or ended.
+    Connection {
+        boot: u64,
+        is_there: bool,
+    },
     Report(Report),
     /// The context of its machine, encoded.
     Context(Vec<u8>),
@@ -147,9 +150,13 @@ fn follow(
         .map_err(session)?;
     opened
         .liveliness()
-        .declare_subscriber(format!("{keys}/{}", keys::ALIVE))
+        .declare_subscriber(format!("{keys}/{}/*", keys::ALIVE))
         .history(true)
-        .callback(move |sample: Sample| pass(FromAgent::Connection(sample.kind() == SampleKind::Put)))
+        .callback(move |sample: Sample| {
+            let boot = sample.key_expr().as_str().rsplit('/').next().and_then(|boot| boot.parse().ok());
+            let is_there = sample.kind() == SampleKind::Put;
+            boot.into_iter().for_each(|boot| pass(FromAgent::Connection { boot, is_there }));
+        })
         .background()
         .wait()
         .map_err(session)?;

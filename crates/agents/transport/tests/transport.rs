@@ -1,4 +1,5 @@
 //! Both ends of the transport over TLS on the loopback interface.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
     collections::BTreeMap,
@@ -140,7 +141,7 @@ fn both_ends_exchange_messages_and_files() {
     let (agent, reported) = loop {
         match arrived.recv_timeout(PATIENCE).unwrap() {
             (agent, FromAgent::Report(report)) => break (agent, report),
-            (_, FromAgent::Connection(is_there)) => is_connected = is_there,
+            (_, FromAgent::Connection { boot: 5, is_there }) => is_connected = is_there,
             other => panic!("{other:?}"),
         }
     };
@@ -159,14 +160,15 @@ fn both_ends_exchange_messages_and_files() {
     loop {
         match arrived.recv_timeout(PATIENCE).unwrap().1 {
             FromAgent::Context(context) => break assert_eq!(context, b"{}"),
-            FromAgent::Connection(is_there) => is_connected = is_there,
+            FromAgent::Connection { is_there, .. } => is_connected = is_there,
             other => panic!("{other:?}"),
         }
     }
     assert_eq!(dialer.fetcher().fetch(RUN, "abc").unwrap(), [7; 100_000]);
     drop(dialer);
-    while is_connected || matches!(arrived.try_recv(), Ok((_, FromAgent::Connection(true)))) {
-        if let FromAgent::Connection(is_there) = arrived.recv_timeout(PATIENCE).unwrap().1 {
+    while is_connected || matches!(arrived.try_recv(), Ok((_, FromAgent::Connection { is_there: true, .. })))
+    {
+        if let FromAgent::Connection { is_there, .. } = arrived.recv_timeout(PATIENCE).unwrap().1 {
             is_connected = is_there;
         }
     }

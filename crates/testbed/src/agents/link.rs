@@ -105,7 +105,9 @@ impl Link {
             }
             Command::Stop(instance) => self.controller.stop(instance),
             Command::Arrived(agent, arrived, _waiting) => match arrived {
-                FromAgent::Connection(is_there) => self.controller.connection(now, &agent, is_there),
+                FromAgent::Connection { boot, is_there } => {
+                    self.controller.connection(now, &agent, boot, is_there);
+                }
                 FromAgent::Report(report) => self.controller.receive(now, &agent, report),
                 FromAgent::Context(bytes) => self.context(now, &agent, &bytes),
                 FromAgent::Rejected(reason) => tracing::warn!("agent `{agent}`: rejected {reason}"),

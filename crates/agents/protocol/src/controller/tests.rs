@@ -371,6 +371,18 @@ fn a_change_is_sent_at_once() {
 }
 
 #[test]
+fn only_the_connection_of_the_current_process_counts() {
+    let (mut world, ids) = running(&[false]);
+    let boot = world.machine.boots;
+    world.controller.connection(world.now, &name(), boot - 1, false);
+    assert!(world.controller.is_present(&name()), "an earlier process");
+    world.controller.connection(world.now, &name(), boot, false);
+    assert!(!world.controller.is_present(&name()));
+    world.settle();
+    assert!(matches!(world.outcomes[&ids[0]][..], [Outcome::Ready, Outcome::Died(_)]));
+}
+
+#[test]
 fn an_unknown_agent_is_refused_and_its_reports_are_ignored() {
     let mut controller = Controller::new(Run(1), LEASE, Vec::new(), [name()]);
     let other = AgentId::new("other").unwrap();
