@@ -4,7 +4,7 @@
 use std::{
     fs,
     path::Path,
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
 };
 
 fn agent(home: &Path, arguments: &[&str]) -> Output {
@@ -36,8 +36,8 @@ fn hold_and_end(is_signalled: bool) {
     let mut held = Command::new(env!("CARGO_BIN_EXE_cotorra-agent"))
         .args(["hold", "--", "sh", "-c", script])
         .env("HOME", home.path())
-        .stdin(std::process::Stdio::piped())
-        .stdout(std::process::Stdio::piped())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
         .spawn()
         .unwrap();
     let mut output = std::io::BufReader::new(held.stdout.take().unwrap());
@@ -57,9 +57,18 @@ fn hold_and_end(is_signalled: bool) {
 
 #[test]
 fn a_holder_starts_its_program_as_another_user() {
-    let home = tempfile::tempdir().unwrap();
     let own = String::from_utf8(Command::new("id").arg("-u").output().unwrap().stdout).unwrap();
-    let output = agent(home.path(), &["hold", "--user", "65534:65534", "--", "id", "-u"]);
+    let mut held = Command::new(env!("CARGO_BIN_EXE_cotorra-agent"))
+        .args(["hold", "--user", "65534:65534", "--", "id", "-u"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // Open until the program has ended.
+    let input = held.stdin.take();
+    let output = held.wait_with_output().unwrap();
+    drop(input);
     if own.trim() == "0" {
         assert_eq!(String::from_utf8(output.stdout).unwrap(), "65534\n");
     } else {
