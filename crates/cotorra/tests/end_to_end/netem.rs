@@ -1,6 +1,7 @@
 //! `cotorra netem` in its own network namespace. Tests that need NetEm run in the kernel of `scripts/uml`.
 
 use std::{
+    os::unix::process::CommandExt,
     path::{Path, PathBuf},
     process::{Command, Output},
 };
@@ -9,13 +10,14 @@ use serde_json::{Value, json};
 
 use crate::harness::{Run, cotorra, project_file, stderr, stdout, wait_until};
 
-/// Runs a script in its own network namespace. `$COTORRA` is the program.
+/// Runs a script in its own network namespace and process group. `$COTORRA` is the program.
 pub fn script(lines: &str) -> Output {
     let program = cotorra([""; 0]).get_program().to_owned();
     Command::new("unshare")
         .args(["--map-root-user", "--net", "sh", "-ec", lines])
         .env("COTORRA", program)
         .env("NO_COLOR", "1")
+        .process_group(0)
         .output()
         .expect("unshare is part of util-linux")
 }

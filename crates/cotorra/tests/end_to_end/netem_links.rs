@@ -29,8 +29,9 @@ pub fn on_a_wire(testbed: &str, lines: &str) -> Output {
         cd $(dirname $FILE)
         here=$(readlink /proc/self/ns/net)
         unshare --net sleep 600 & far=$!
-        run= reflector=
-        trap 'kill $far $run $reflector || true' EXIT
+        run=
+        # A process that outlives the script would keep its output open, and the test waiting.
+        trap 'trap \"\" TERM; kill 0' EXIT
         until [ \"$(readlink /proc/$far/ns/net)\" != \"$here\" ]; do :; done
         ip link set lo up
         ip link add va type veth peer name vb
