@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 use crate::{
     active::Probing,
     exposure::WaisSettings,
-    hardware::HardwareGraph,
+    hardware::{HardwareGraph, Node},
     id::{DomainId, NodeId, PluginId},
     map::OccupancyGrid,
+    real::RealServer,
     schedule::Script,
     service::Service,
     units::{Position, millis},
@@ -65,6 +66,13 @@ impl Testbed {
     /// The walk of a robot.
     pub fn walk(&self, robot: &NodeId) -> Option<&Walk> {
         self.walks.iter().find(|w| w.robot == *robot)
+    }
+
+    /// The real servers on which a VNF starts, in order. Without their agents the testbed cannot run.
+    pub fn real_servers_at_start(&self) -> impl Iterator<Item = (&Node, &RealServer)> {
+        let starts_on =
+            |node| self.services.iter().flat_map(|s| &s.vnfs).any(|vnf| vnf.node.all().contains(node));
+        self.graph.real_servers().filter(move |(node, _)| starts_on(&node.id))
     }
 
     /// Returns the services that figures of several services together cover: all but those that localize, unless there are

@@ -17,7 +17,7 @@ use std::{
 use cotorra_agent_protocol::{LEASE, Run, WantedInstance};
 use cotorra_engine::{Engine, EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
-use cotorra_graph::{AgentId, NodeId, Testbed, Vnf};
+use cotorra_graph::{Node, NodeId, Testbed, Vnf};
 use cotorra_plugin::wire;
 
 pub use self::error::AgentsError;
@@ -49,26 +49,22 @@ impl Default for AgentOptions {
 /// # Errors
 /// [`AgentsError`], if a VNF starts on a real server whose agent may not connect.
 pub(crate) fn authority(testbed: &Testbed, options: &AgentOptions) -> Result<Option<Authority>, AgentsError> {
-    let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
-    let starts_on = |node: &NodeId| vnfs().any(|vnf| vnf.node.all().contains(node));
-    let real = || testbed.graph.real_servers();
-    let needed: Vec<_> =
-        real().filter(|(node, _)| starts_on(&node.id)).map(|(_, real)| real.agent.clone()).collect();
-    if real().next().is_none() {
+    if testbed.graph.real_servers().next().is_none() {
         return Ok(None);
     }
+    let mut needed = testbed.real_servers_at_start().map(|(_, real)| &real.agent).peekable();
     let opened = options.authority.clone().or_else(Authority::default_folder);
     let opened = opened.ok_or(AgentsError::NoAuthority).and_then(|folder| Ok(Authority::open(folder)?));
     let authority = match opened {
-        Err(error) if needed.is_empty() => {
+        Err(error) if needed.peek().is_none() => {
             tracing::info!("VNFs cannot be placed on real servers: {error}");
             return Ok(None);
         }
         opened => opened?,
     };
     let granted = authority.granted(today())?;
-    match needed.into_iter().find(|agent| granted.iter().all(|granted| granted.name != *agent)) {
-        Some(agent) => Err(AgentsError::NotEnrolled(agent)),
+    match needed.find(|agent| granted.iter().all(|granted| granted.name != **agent)) {
+        Some(agent) => Err(AgentsError::NotEnrolled(agent.clone())),
         None => Ok(Some(authority)),
     }
 }
@@ -83,7 +79,6 @@ fn today() -> chrono::DateTime<chrono::Utc> {
 #[derive(Debug)]
 pub(crate) struct AgentEngine {
     testbed: Arc<Testbed>,
-    carriers: BTreeMap<NodeId, AgentId>,
     commands: mpsc::Sender<Command>,
     events: mpsc::Receiver<EngineEvent>,
     thread: Option<thread::JoinHandle<()>>,
@@ -100,8 +95,7 @@ impl AgentEngine {
         now: &Clock,
         messages: &mpsc::Sender<Message>,
     ) -> Result<Self, AgentsError> {
-        let carriers: BTreeMap<_, _> =
-            testbed.graph.real_servers().map(|(node, real)| (node.id.clone(), real.agent.clone())).collect();
+        let nodes = testbed.graph.real_servers().map(|(node, real)| (real.agent.clone(), node.id.clone()));
         let (files, paths) = shipped::list(folder.path())?;
         let (commands, inbox) = mpsc::channel();
         let (report, events) = mpsc::channel();
@@ -110,7 +104,7 @@ impl AgentEngine {
             lease: LEASE,
             listen: options.listen,
             authority,
-            nodes: carriers.iter().map(|(node, agent)| (agent.clone(), node.clone())).collect(),
+            nodes: nodes.collect(),
             files,
             paths,
             now: Arc::clone(now),
@@ -122,7 +116,7 @@ impl AgentEngine {
             .name("agents".to_owned())
             .spawn(move || link.run(&inbox))
             .map_err(AgentsError::Thread)?;
-        Ok(Self { testbed: Arc::clone(testbed), carriers, commands, events, thread: Some(thread) })
+        Ok(Self { testbed: Arc::clone(testbed), commands, events, thread: Some(thread) })
     }
 
     /// Returns the variables of a VNF's program.
@@ -139,7 +133,8 @@ impl AgentEngine {
 
 impl Engine for AgentEngine {
     fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
-        let agent = self.carriers.get(node).ok_or_else(|| format!("`{node}` has no agent"))?;
+        let real = self.testbed.graph.node(node).and_then(Node::real_server);
+        let agent = &real.ok_or_else(|| format!("`{node}` has no agent"))?.agent;
         let wanted = WantedInstance {
             vnf: vnf.clone(),
             replica,

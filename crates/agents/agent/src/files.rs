@@ -1,14 +1,12 @@
 //! Files of a run, fetched from the core.
 
 use std::{
-    fmt::Write as _,
     fs, io,
     os::unix::fs::PermissionsExt,
     path::{Component, Path, PathBuf},
 };
 
 use cotorra_agent_protocol::{Run, Shipped};
-use sha2::{Digest, Sha256};
 
 /// Most that the files of a run take on the disk, bytes.
 const MOST: u64 = 256 << 20;
@@ -49,11 +47,11 @@ pub(crate) fn complete(
     }
     for file in files {
         let path = folder.join(inside(&file.path)?);
-        if fs::read(&path).is_ok_and(|bytes| sha256(&bytes) == file.sha256) {
+        if fs::read(&path).is_ok_and(|contents| file.has(&contents)) {
             continue;
         }
         let bytes = fetch(&file.sha256).map_err(FilesError::Fetch)?;
-        if bytes.len() as u64 != file.bytes || sha256(&bytes) != file.sha256 {
+        if !file.has(&bytes) {
             return Err(FilesError::Damaged(file.path.clone()));
         }
         let write = |path: &Path| -> io::Result<()> {
@@ -86,20 +84,12 @@ fn inside(path: &str) -> Result<&Path, FilesError> {
     if is_inside { Ok(parts) } else { Err(FilesError::Path(path.to_owned())) }
 }
 
-/// Returns the SHA-256 of bytes in hexadecimal digits.
-fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().fold(String::new(), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn shipped(path: &str, bytes: &[u8]) -> Shipped {
-        Shipped { path: path.to_owned(), bytes: bytes.len() as u64, sha256: sha256(bytes), executable: true }
+        Shipped::new(path.to_owned(), bytes, true)
     }
 
     #[test]

@@ -8,6 +8,7 @@ mod journal;
 mod launcher;
 mod options;
 mod service;
+mod works;
 
 use std::{
     io::{self, IsTerminal},

@@ -2,27 +2,26 @@
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the agent's only clock")]
 
 use std::{
-    collections::VecDeque,
     fs,
     path::PathBuf,
-    sync::{Arc, mpsc},
+    sync::mpsc,
     thread,
     time::{Duration, Instant, SystemTime},
 };
 
-use cotorra_agent_protocol::{Action, Agent, Run, Wanted, WantedInstance};
+use cotorra_agent_protocol::{Action, Agent, Run, Wanted};
 use cotorra_agent_transport::{Dialer, FromCore, diagnose};
-use cotorra_engine::{Cgroups, Engine, EngineEvent, InstanceId, Outcome, ProcessEngine};
+use cotorra_engine::{EngineEvent, InstanceId, Outcome};
 use cotorra_enrolment::{Bundle, CORE_COMMON_NAME};
 use cotorra_graph::{NodeId, Timestamp};
 use cotorra_host::Host;
 
 use crate::{
-    error::{AgentError, at},
+    error::AgentError,
     files,
     journal::Journal,
-    launcher::MachineLauncher,
     options::{self, Options},
+    works::{Wake, Works},
 };
 
 /// Interval of contexts, and of looking for new credentials.
@@ -40,19 +39,6 @@ enum Message {
     /// The files of a run are there, or the reason why not.
     Files(Run, Result<(), String>),
     Stop,
-}
-
-type Wake = Box<dyn Fn() + Send + Sync>;
-
-/// What is needed to run VNFs of one run.
-struct Works {
-    run: Run,
-    launcher: Arc<MachineLauncher<Wake>>,
-    engine: ProcessEngine<MachineLauncher<Wake>>,
-    /// Whether the run's files are there, or why not; `None` while they are fetched.
-    files: Option<Result<(), String>>,
-    /// Instances that wait for the files.
-    waiting: VecDeque<(InstanceId, Box<WantedInstance>)>,
 }
 
 /// A running agent.
@@ -110,7 +96,7 @@ impl Service {
             let now = self.now();
             self.agent.advance(now);
             if let Some(works) = &mut self.works {
-                while let Some(event) = works.engine.poll() {
+                while let Some(event) = works.poll() {
                     self.agent.outcome(now, event);
                 }
             }
@@ -131,7 +117,7 @@ impl Service {
             }
         }
         if let Some(works) = &mut self.works {
-            works.engine.shut_down();
+            works.shut_down();
         }
         tracing::info!("stopped");
     }
@@ -157,11 +143,13 @@ impl Service {
                 }
             }
             Message::Files(run, fetched) => {
-                if let Some(works) = self.works.as_mut().filter(|works| works.run == run) {
-                    works.files = Some(fetched);
-                    for (id, instance) in std::mem::take(&mut works.waiting) {
-                        self.start_instance(id, instance);
+                if let Some(works) = self.works.as_mut().filter(|works| works.run() == run) {
+                    let failures = works.complete(&fetched);
+                    if fetched.is_err() {
+                        // The core tries again, and the files with it.
+                        self.works = None;
                     }
+                    failures.into_iter().for_each(|(id, reason)| self.fail(id, reason));
                 }
             }
             Message::Wake | Message::Stop => {}
@@ -172,7 +160,10 @@ impl Service {
         match action {
             Action::Save(wanted) => {
                 if let Err(error) = self.journal.save(&wanted) {
-                    tracing::error!("the wanted state cannot be saved: {error}");
+                    let reason = format!("the wanted state cannot be saved: {error}");
+                    tracing::error!("{reason}");
+                    let now = self.now();
+                    self.agent.cannot_save(now, &reason);
                 }
                 tracing::debug!("generation {} of run {}", wanted.generation, wanted.run.0);
                 self.prepare(&wanted);
@@ -184,12 +175,13 @@ impl Service {
                     // After a restart of the agent.
                     self.prepare(&wanted);
                 }
-                self.start_instance(id, instance);
+                if let Some(Err(reason)) = self.works.as_mut().map(|works| works.start(id, instance)) {
+                    self.fail(id, reason);
+                }
             }
             Action::Stop(id) => {
                 if let Some(works) = &mut self.works {
-                    works.waiting.retain(|(waiting, _)| *waiting != id);
-                    works.engine.stop(id);
+                    works.stop(id);
                 }
             }
             Action::Report(report) => {
@@ -202,23 +194,16 @@ impl Service {
 
     /// Makes ready to run VNFs of a run, unless that is done. VNFs of an earlier run end first.
     fn prepare(&mut self, wanted: &Wanted) {
-        if self.works.as_ref().is_some_and(|works| works.run == wanted.run) {
+        if self.works.as_ref().is_some_and(|works| works.run() == wanted.run) {
             return;
         }
         self.works = None;
         let folder = files::folder(&self.options.state, wanted.run);
         files::remove_others(&self.options.state, wanted.run);
-        let logs = folder.join("logs");
-        if let Err(error) = fs::create_dir_all(&logs).map_err(at("create", &logs)) {
-            tracing::error!("{error}");
-        }
         let wake = self.messages.clone();
         // A full inbox wakes the loop anyway.
         let wake: Wake = Box::new(move || drop(wake.try_send(Message::Wake)));
-        let launcher = Arc::new(MachineLauncher::new(self.options.clone(), folder.clone(), wake));
-        let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
-        let engine = ProcessEngine::new(Arc::clone(&launcher), logs, cgroups);
-        self.works = Some(Works { run: wanted.run, launcher, engine, files: None, waiting: VecDeque::new() });
+        self.works = Some(Works::new(wanted.run, &self.options, folder.clone(), wake));
         self.fetch(folder, wanted);
     }
 
@@ -233,31 +218,16 @@ impl Service {
             let _ = messages.send(Message::Files(run, fetched.map_err(|e| e.to_string())));
         };
         if let Err(error) = thread::Builder::new().name("files".to_owned()).spawn(fetch) {
-            tracing::error!("cannot start a thread: {error}");
+            let failed = Message::Files(run, Err(format!("cannot start a thread: {error}")));
+            let _ = self.messages.try_send(failed);
         }
     }
 
-    fn start_instance(&mut self, id: InstanceId, instance: Box<WantedInstance>) {
-        let Some(works) = &mut self.works else { return };
-        let started = match &works.files {
-            None => return works.waiting.push_back((id, instance)),
-            Some(Err(reason)) => Err(format!("its files cannot be fetched: {reason}")),
-            Some(Ok(())) => {
-                let WantedInstance { vnf, replica, node, environment, .. } = *instance;
-                works.launcher.set_environment(&vnf, replica, environment);
-                tracing::info!("starting `{}`", vnf.id);
-                works.engine.start(id, &vnf, replica, &node)
-            }
-        };
-        if let Err(reason) = started {
-            tracing::warn!("{reason}");
-            // The core tries again, and the files with it.
-            if works.files.as_ref().is_some_and(Result::is_err) {
-                self.works = None;
-            }
-            let now = self.now();
-            self.agent.outcome(now, EngineEvent { instance: id, outcome: Outcome::Failed(reason) });
-        }
+    /// Reports that an instance could not be started.
+    fn fail(&mut self, id: InstanceId, reason: String) {
+        tracing::warn!("{reason}");
+        let now = self.now();
+        self.agent.outcome(now, EngineEvent { instance: id, outcome: Outcome::Failed(reason) });
     }
 
     fn report_context(&mut self, now: Timestamp) {

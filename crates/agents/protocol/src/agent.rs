@@ -21,7 +21,7 @@ const LEASES: [Duration; 2] = [Duration::from_millis(200), Duration::from_hours(
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
     /// Save the wanted state, for [`Agent::new`] after the next start. Everything before it must be done, and it must be on the
-    /// disk before anything after it is done.
+    /// disk before anything after it is done. If that fails, [`Agent::cannot_save`] cancels what it starts.
     Save(Box<Wanted>),
     /// Start an instance. The files of the wanted state must be there first.
     Start(InstanceId, Box<WantedInstance>),
@@ -163,6 +163,19 @@ impl Agent {
             Outcome::Failed(reason) => InstanceState::Failed(short(&reason)),
         };
         self.next_report = now;
+    }
+
+    /// Reports the instances that are not started yet as failed, because the wanted state could not be saved.
+    pub fn cannot_save(&mut self, now: Timestamp, reason: &str) {
+        let starts = |action: &Action| match action {
+            Action::Start(id, _) => Some(*id),
+            _ => None,
+        };
+        let failed: Vec<_> = self.actions.iter().filter_map(starts).collect();
+        self.actions.retain(|action| starts(action).is_none());
+        for instance in failed {
+            self.outcome(now, EngineEvent { instance, outcome: Outcome::Failed(reason.to_owned()) });
+        }
     }
 
     /// Does what is due.

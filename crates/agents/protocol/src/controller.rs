@@ -10,7 +10,8 @@ use cotorra_graph::{AgentId, Timestamp};
 
 use crate::{
     clock::{ClockOffset, OffsetEstimate},
-    message::{Beat, InstanceState, Report, Run, Shipped, Wanted, WantedInstance},
+    message::{Beat, InstanceState, Report, Run, Wanted, WantedInstance},
+    shipped::Shipped,
 };
 
 /// Beats in each lease, so that some can be lost.

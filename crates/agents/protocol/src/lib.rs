@@ -13,10 +13,10 @@ mod agent;
 mod clock;
 mod controller;
 mod message;
+mod shipped;
 
 pub use agent::{Action, Agent};
 pub use clock::{ClockOffset, OffsetEstimate};
 pub use controller::{Controller, ControllerEvent, Transmit};
-pub use message::{
-    Beat, Echo, InstanceState, LEASE, MessageError, Report, Run, Shipped, Wanted, WantedInstance,
-};
+pub use message::{Beat, Echo, InstanceState, LEASE, MessageError, Report, Run, Wanted, WantedInstance};
+pub use shipped::Shipped;

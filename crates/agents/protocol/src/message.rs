@@ -5,6 +5,8 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{NodeId, Vnf};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use crate::shipped::Shipped;
+
 /// Time without a message after which each end takes the other for lost.
 pub const LEASE: Duration = Duration::from_secs(2);
 
@@ -28,20 +30,6 @@ pub struct Wanted {
     /// Files of the run that instances read: the testbed file and those that it names.
     pub files: Vec<Shipped>,
     pub instances: BTreeMap<Instance, WantedInstance>,
-}
-
-/// A file of the run.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Shipped {
-    /// Path from the run's folder, with `/` between names.
-    pub path: String,
-    /// Its size, bytes.
-    pub bytes: u64,
-    /// Its SHA-256 in hexadecimal digits, by which it is asked for.
-    pub sha256: String,
-    /// Whether it can be executed.
-    pub executable: bool,
 }
 
 /// An instance of a VNF that shall run.

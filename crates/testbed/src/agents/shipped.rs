@@ -2,14 +2,12 @@
 
 use std::{
     collections::BTreeMap,
-    fmt::Write as _,
     fs, io,
     os::unix::fs::PermissionsExt,
     path::{Path, PathBuf},
 };
 
 use cotorra_agent_protocol::Shipped;
-use sha2::{Digest, Sha256};
 
 use super::error::AgentsError;
 use crate::report::RunFolder;
@@ -36,13 +34,10 @@ pub(super) fn list(folder: &Path) -> Result<(Vec<Shipped>, BTreeMap<String, Path
             return Err(AgentsError::TooLarge { path, most: MOST });
         }
         let bytes = fs::read(&path).map_err(at)?;
-        let sha256 = Sha256::digest(&bytes).iter().fold(String::new(), |mut text, byte| {
-            let _ = write!(text, "{byte:02x}");
-            text
-        });
         let executable = metadata.permissions().mode() & 0o111 != 0;
-        paths.insert(sha256.clone(), path);
-        shipped.push(Shipped { path: name, bytes: bytes.len() as u64, sha256, executable });
+        let file = Shipped::new(name, &bytes, executable);
+        paths.insert(file.sha256.clone(), path);
+        shipped.push(file);
     }
     Ok((shipped, paths))
 }

@@ -130,9 +130,7 @@ impl Prepared {
 /// Checks that no VNF starts on a real server, because this build reaches no agents.
 #[cfg(not(feature = "agents"))]
 fn check_agents(testbed: &Testbed) -> Result<(), RunError> {
-    let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
-    let starts_on = |node| vnfs().any(|vnf| vnf.node.all().contains(node));
-    match testbed.graph.real_servers().find(|(node, _)| starts_on(&node.id)) {
+    match testbed.real_servers_at_start().next() {
         Some((node, real)) => Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() }),
         None => Ok(()),
     }

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::{
     agent::{Action, Agent},
-    message::LEASE,
+    message::{InstanceState, LEASE},
 };
 
 const STEP: Duration = Duration::from_millis(10);
@@ -336,6 +336,19 @@ fn instances_of_a_restarted_agent_are_reported_as_dead() {
         assert!(matches!(world.outcomes[&id][..], [Outcome::Ready, Outcome::Died(_)]));
     }
     assert!(world.machine.running.is_empty());
+}
+
+#[test]
+fn instances_of_a_wanted_state_that_cannot_be_saved_fail() {
+    let mut agent = Agent::new(Timestamp::ZERO, 1, None);
+    let instances = (1..=2).map(|id| (id, instance(true))).collect();
+    let wanted = Wanted { run: Run(1), generation: 1, lease_ms: 2000, files: Vec::new(), instances };
+    agent.want(Timestamp::ZERO, wanted);
+    assert!(matches!(agent.poll(Timestamp::ZERO), Some(Action::Save(_))));
+    agent.cannot_save(Timestamp::ZERO, "the disk is full");
+    let Some(Action::Report(report)) = agent.poll(Timestamp::ZERO) else { panic!("it starts something") };
+    let failed = InstanceState::Failed("the disk is full".to_owned());
+    assert_eq!(report.instances, BTreeMap::from([(1, failed.clone()), (2, failed)]));
 }
 
 #[test]
