@@ -31,10 +31,10 @@ fn today() -> DateTime<Utc> {
     Utc::now()
 }
 
-/// An authority, and the port of its core.
+/// An authority, and the address of its core.
 struct Lab {
     authority: Authority,
-    port: u16,
+    address: SocketAddr,
     _folder: tempfile::TempDir,
 }
 
@@ -42,12 +42,10 @@ impl Lab {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let authority = Authority::create_or_open(folder.path().join("authority"), today()).unwrap();
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        Self { authority, port, _folder: folder }
-    }
-
-    fn address(&self) -> SocketAddr {
-        SocketAddr::from(([127, 0, 0, 1], self.port))
+        // The port is opened again later. At a loopback address of its own, no other process takes it meanwhile.
+        let [_, a, b, c] = std::process::id().to_be_bytes();
+        let address = TcpListener::bind(SocketAddr::from(([127, a | 0x80, b, c], 0))).unwrap();
+        Self { authority, address: address.local_addr().unwrap(), _folder: folder }
     }
 
     fn enrol(&self, agent: &str) -> Bundle {
@@ -55,7 +53,7 @@ impl Lab {
     }
 
     fn enrol_at(&self, agent: &str, at: DateTime<Utc>, validity: Duration) -> Bundle {
-        let core = self.address().to_string().parse().unwrap();
+        let core = self.address.to_string().parse().unwrap();
         self.authority.enrol(&name(agent), &core, validity, at).unwrap()
     }
 
@@ -74,8 +72,7 @@ impl Lab {
             certificate: &core.certificate_pem,
             key: &core.key_pem,
         };
-        let router =
-            Router::open(self.address(), credentials, &self.granted(), RUN, files, &receiver).unwrap();
+        let router = Router::open(self.address, credentials, &self.granted(), RUN, files, &receiver).unwrap();
         (router, received)
     }
 }
@@ -288,7 +285,7 @@ fn a_flood_by_one_agent_leaves_room_for_others() {
         key: &core.key_pem,
     };
     let router =
-        Router::open(lab.address(), credentials, &lab.granted(), RUN, BTreeMap::new(), &receiver).unwrap();
+        Router::open(lab.address, credentials, &lab.granted(), RUN, BTreeMap::new(), &receiver).unwrap();
     let (mut loud, from_core) = dial(&loud, "loud");
     wait_for_core(&router, "loud", &from_core);
     let (mut quiet, from_core) = dial(&quiet, "quiet");
