@@ -3,9 +3,14 @@
 
 use std::{
     fs,
+    io::{BufRead, BufReader},
     path::Path,
     process::{Command, Output, Stdio},
+    time::Duration,
 };
+
+use cotorra_enrolment::Authority;
+use cotorra_graph::AgentId;
 
 fn agent(home: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cotorra-agent"));
@@ -26,6 +31,33 @@ fn credentials_that_are_not_valid_are_rejected_before_anything_is_connected() {
     let output = agent(home.path(), &["check", "nowhere.agent"]);
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("cannot read nowhere.agent"), "{said}");
+}
+
+#[test]
+#[allow(clippy::disallowed_methods, reason = "certificates begin at a time of the calendar")]
+fn an_agent_that_waits_for_its_core_ends_when_it_is_terminated() {
+    let home = tempfile::tempdir().unwrap();
+    let (authority, today) = (home.path().join("authority"), chrono::Utc::now());
+    let authority = Authority::create_or_open(authority, today).unwrap();
+    // Nobody listens there.
+    let (name, core) = (AgentId::new("edge1").unwrap(), "127.0.0.1:1".parse().unwrap());
+    let credentials = home.path().join("edge1.agent");
+    let bundle = authority.enrol(&name, &core, Duration::from_secs(86400), today).unwrap();
+    bundle.write(&credentials).unwrap();
+    let mut agent = Command::new(env!("CARGO_BIN_EXE_cotorra-agent"))
+        .arg("run")
+        .arg(credentials)
+        .arg("--state")
+        .arg(home.path().join("state"))
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(agent.stderr.take().unwrap()).lines().map(Result::unwrap);
+    // Its loop runs once it explains the silence.
+    assert!(lines.any(|line| line.contains("no connection to 127.0.0.1:1")));
+    Command::new("kill").arg(agent.id().to_string()).status().unwrap();
+    assert!(lines.any(|line| line.contains("stopped")));
+    assert!(agent.wait().unwrap().success());
 }
 
 /// Holds a program, and ends the holder's input, or sends it a signal.

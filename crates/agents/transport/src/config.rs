@@ -58,7 +58,10 @@ pub(crate) fn client(
 ) -> Result<Config, TransportError> {
     let core_alone = [Granted { agent: agent.clone(), common_name: core_common_name.to_owned() }];
     configured(json!({
-        "mode": "client",
+        // A client's session would not open before the core is there. Neither would a peer's that waits for peers.
+        "mode": "peer",
+        "open": { "return_conditions": { "connect_scouted": false, "declares": false } },
+        "listen": { "endpoints": [] },
         "connect": {
             "endpoints": [format!("tls/{core}")],
             "timeout_ms": -1,

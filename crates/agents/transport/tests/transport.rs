@@ -183,6 +183,15 @@ fn a_file_that_is_not_of_the_run_is_not_sent() {
 }
 
 #[test]
+fn an_agent_starts_before_its_core() {
+    let lab = Lab::new();
+    let bundle = lab.enrol("edge1");
+    let (_edge, received) = dial(&bundle, "edge1");
+    let (router, _) = lab.router(BTreeMap::new());
+    wait_for_core(&router, "edge1", &received);
+}
+
+#[test]
 fn an_agent_connects_again_when_the_core_is_back() {
     let lab = Lab::new();
     let bundle = lab.enrol("edge1");
