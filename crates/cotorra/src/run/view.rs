@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, path::Path, time::Duration};
 
-use cotorra_graph::{NodeId, Nodes, Program, RobotContext, Service, Testbed, Walk, millis};
+use cotorra_graph::{NodeId, Nodes, Program, RobotContext, Service, Testbed, Vnf, Walk, millis};
 use cotorra_testbed::Snapshot;
 use indicatif::MultiProgress;
 
@@ -184,10 +184,23 @@ fn walked(walk: &Walk, context: &RobotContext) -> f64 {
     }
 }
 
+/// Describes what robots wait for before they start: that every VNF serves.
+fn awaited(testbed: &Testbed, now: &Snapshot) -> String {
+    let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
+    let mut absent = vnfs.filter(|vnf| !now.placements.contains_key(&vnf.id));
+    match absent.next() {
+        None => "nothing known yet".to_owned(),
+        Some(Vnf { id, node, .. }) => match absent.count() {
+            0 => format!("waits for `{id}` on {node}"),
+            others => format!("waits for `{id}` on {node} and {others} other VNFs"),
+        },
+    }
+}
+
 /// Describes a robot: its position, attachment and server, and the last time of each service. With several services, also
 /// the share of each in time.
 fn robot(testbed: &Testbed, tally: &Tally, now: &Snapshot, id: &NodeId) -> String {
-    let Some(context) = now.robots.get(id) else { return "nothing known yet".to_owned() };
+    let Some(context) = now.robots.get(id) else { return awaited(testbed, now) };
     let mut parts = vec![format!("at {}", context.sensors.pose.position())];
     parts.push(match context.attachments.iter().find(|a| a.attached) {
         Some(attachment) => {

@@ -71,7 +71,7 @@ fn with_agents(script: &str) -> Output {
         agent() {{
             it=$(eval echo \$pid_$1)
             nsenter --net=/proc/$it/ns/net $AGENT run ${{1}}1.agent --state $PWD/state_$1 --vnf-user 0:0 >>agent_$1.txt 2>&1 &
-            eval agent_$1=$!; machines="$machines $!"
+            eval agent_$1=$!
         }}
         count() {{
             n=0; space=$(readlink /proc/$(eval echo \$pid_$1)/ns/net)
@@ -214,6 +214,26 @@ fn agents_are_revoked_and_enrolled_again_while_a_run_goes_on() {
         count edge "$NAVIGATION""#,
     );
     assert_eq!(lines(&done), ["0"]);
+}
+
+#[test]
+fn an_agent_of_another_authority_is_refused_and_both_ends_say_why() {
+    if !has_bridges() {
+        return;
+    }
+    let done = with_agents(
+        r#"$COTORRA agent enrol fog1 --core 10.9.1.1:7448 --authority another --force >/dev/null
+        agent edge; agent fog
+        start --authority authority
+        event 'edge1. is connected' 1
+        until grep -q 'waits for .ticking. on fog' run.txt; do kill -0 $run; sleep 0.1; done
+        until grep -q 'not the core that enrolled this agent' agent_fog.txt; do kill -0 $run; sleep 0.1; done
+        until grep -q 'refused a connection' run.txt; do kill -0 $run; sleep 0.1; done
+        kill -INT $run; ends
+        grep -c 'refused a connection of an agent: .*`cotorra-agent check`' run.txt
+        ! grep -h 'open file limit' run.txt runs/*/logs/cotorra.log"#,
+    );
+    assert_eq!(lines(&done), ["1"], "each reason is reported once");
 }
 
 #[test]
