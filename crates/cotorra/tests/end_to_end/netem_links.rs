@@ -27,6 +27,8 @@ pub fn on_a_wire(testbed: &str, lines: &str) -> Output {
     std::fs::write(&file, testbed).expect("there is room for a file");
     let set_up = "
         cd $(dirname $FILE)
+        # Runs of other tests are not found there.
+        export TMPDIR=$PWD
         here=$(readlink /proc/self/ns/net)
         unshare --net sleep 600 & far=$!
         run=

@@ -74,9 +74,7 @@ pub fn behind_a_bridge(testbed: &str, lines: &str) -> Output {
         &format!(
             "{peer}
          ip link add br0 type bridge; ip link set br0 up
-         machines=
-         trap 'kill $far $run $machines || true' EXIT
-         machine() {{ unshare --net sleep 600 & eval pid_$1=$!; machines=\"$machines $!\"
+         machine() {{ unshare --net sleep 600 & eval pid_$1=$!
             until [ \"$(readlink /proc/$!/ns/net)\" != \"$here\" ]; do :; done
             ip link add p_$1 type veth peer name eth0 netns $!
             ip link set p_$1 master br0 up
@@ -87,8 +85,8 @@ pub fn behind_a_bridge(testbed: &str, lines: &str) -> Output {
          # Repeats, because a robot has no radio unit at first. Prints the least round trip.
          pinged() {{ until \"$@\" >ping.txt; do kill -0 $run; done
             sed -n 's,.*= \\([0-9.]*\\)/.*,\\1,p' ping.txt; }}
-         serves() {{ it=$(eval echo \\$pid_$1)
-            nsenter --net=/proc/$it/ns/net python3 peer.py serve $2 >$1.txt & machines=\"$machines $!\"
+         serves() {{ it=$(eval echo \\$pid_$1); : >$1.txt
+            nsenter --net=/proc/$it/ns/net python3 peer.py serve $2 >$1.txt &
             until grep -q ready $1.txt; do kill -0 $!; done; }}
          read() {{ python3 -c \"import sys, urllib.request as r; print(r.urlopen('http://$api/api/v1/$1').read().decode())\"; }}
          {lines}"
