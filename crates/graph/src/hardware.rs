@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     conditions::{Conditions, Loss, Scale},
     driver::Driver,
-    id::{DomainId, LinkId, NodeId},
+    id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
     real::{Gateway, Machine, RealServer},
     sensor::Sensor,
@@ -264,6 +264,9 @@ pub struct RadioUnit {
     #[serde(rename = "deployment_ms", with = "millis", default)]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub deployment: Duration,
+    /// The agent of a real access point, which reports its context as that of this node.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agent: Option<AgentId>,
 }
 
 const fn yes() -> bool {

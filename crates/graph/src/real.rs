@@ -66,6 +66,9 @@ impl Gateway {
 pub struct Machine {
     /// Interface and address by which it is reached; `None` for this machine.
     pub reached: Option<Reached>,
+    /// The agent that reports its context.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agent: Option<AgentId>,
 }
 
 /// Interface and address of another real machine.
@@ -110,6 +113,11 @@ impl HardwareGraph {
         self.servers().filter_map(|(node, server)| Some((node, server.real.as_ref()?)))
     }
 
+    /// The nodes whose machines have agents, in order.
+    pub fn agents(&self) -> impl Iterator<Item = (&Node, &AgentId)> {
+        self.nodes.iter().filter_map(|node| Some((node, node.agent()?)))
+    }
+
     /// Makes all real servers emulated ones, as in virtual time.
     pub fn emulate_servers(&mut self) {
         for node in &mut self.nodes {
@@ -146,6 +154,16 @@ impl Node {
     /// Returns the real machine that a server is, if it is one.
     pub fn real_server(&self) -> Option<&RealServer> {
         if let NodeKind::Server(server) = &self.kind { server.real.as_ref() } else { None }
+    }
+
+    /// Returns the agent of its machine, if it has one.
+    pub fn agent(&self) -> Option<&AgentId> {
+        match &self.kind {
+            NodeKind::Server(server) => server.real.as_ref().map(|real| &real.agent),
+            NodeKind::Machine(machine) => machine.agent.as_ref(),
+            NodeKind::RadioUnit(unit) => unit.agent.as_ref(),
+            NodeKind::Robot(_) | NodeKind::Switch | NodeKind::Gateway(_) => None,
+        }
     }
 
     /// Returns the port of the emulated network on an interface of this machine, if the node has one.
@@ -251,5 +269,34 @@ mod tests {
         assert_eq!(serde_json::from_value::<Node>(json).unwrap(), node);
         let emulated = serde_json::to_value(server(7, false)).unwrap();
         assert_eq!(emulated.get("real"), None);
+    }
+
+    #[test]
+    fn nodes_with_agents_are_servers_machines_and_radio_units() {
+        let machine = |place, agent: Option<&str>| {
+            let agent = agent.map(|agent| agent.parse().unwrap());
+            node(place, NodeKind::Machine(Machine { reached: None, agent }))
+        };
+        let unit = serde_json::from_value::<Node>(serde_json::json!({
+            "id": "R1", "domain": "local", "position": [0.0, 0.0, 0.0], "kind": "radio_unit", "network": "lab", "channel": 1,
+            "capacity": { "cpus": 1.0, "memory_bytes": 1 }, "tx_power_dbm": 15.0, "agent": "ap1",
+        }));
+        let graph = HardwareGraph {
+            nodes: vec![
+                server(1, true),
+                server(2, false),
+                machine(3, Some("desk1")),
+                machine(4, None),
+                unit.unwrap(),
+            ],
+            ..graph(&[])
+        };
+        let agents = |graph: &HardwareGraph| {
+            graph.agents().map(|(node, agent)| format!("{} {agent}", node.id)).collect::<Vec<_>>()
+        };
+        assert_eq!(agents(&graph), ["n1 a1", "n3 desk1", "R1 ap1"]);
+        let json = serde_json::to_value(&graph).unwrap();
+        assert_eq!(json["nodes"][3].get("agent"), None);
+        assert_eq!(serde_json::from_value::<HardwareGraph>(json).unwrap(), graph);
     }
 }

@@ -1,6 +1,7 @@
 //! Checks between the records of a testbed: duplicate names, unreachable nodes, KPIs that no placement keeps, walks
 //! through walls.
 
+mod agents;
 mod kpis;
 mod machines;
 mod real_ports;
@@ -24,6 +25,7 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     links(record, &testbed.graph, sink);
     machines::machines(record, &testbed.graph, sink);
     real_ports::real_ports(record, &testbed.graph, sink);
+    agents::agents(record, sink);
     radio_units(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);
     ports(record, &testbed.graph, sink);

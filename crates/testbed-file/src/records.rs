@@ -554,6 +554,8 @@ record! {
         serving: bool = true,
         /// Deployment time of a vAP, from the start to its first beacon.
         deployment: Duration = "400 ms",
+        /// The agent of a real access point, which reports its context as that of this node.
+        agent: Option<Spanned<AgentId>>,
         /// CPUs for VNFs.
         cpus: Amount = 1,
         /// Memory for VNFs.
@@ -634,6 +636,8 @@ record! {
         /// Whether a reflector of STAMP (RFC 8762, port 862) is at its address, such as `cotorra stamp reflect`: a run then
         /// measures the delay of the medium before it begins, and probes the link as long as it goes on.
         reflector: Spanned<bool> = false,
+        /// The agent that reports its context.
+        agent: Option<Spanned<AgentId>>,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Agents of a run: VNFs on real servers run there.
+//! Agents of a run: VNFs on real servers run there, and real machines report their contexts.
 //!
 //! A thread of its own owns the router and the protocol's state. It talks to the core by messages.
 
@@ -17,7 +17,7 @@ use std::{
 use cotorra_agent_protocol::{LEASE, Run, WantedInstance};
 use cotorra_engine::{Engine, EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
-use cotorra_graph::{Node, NodeId, Testbed, Vnf};
+use cotorra_graph::{AgentId, Node, NodeId, Testbed, Vnf};
 use cotorra_plugin::wire;
 
 pub use self::error::AgentsError;
@@ -49,7 +49,7 @@ impl Default for AgentOptions {
 /// # Errors
 /// [`AgentsError`], if a VNF starts on a real server whose agent may not connect.
 pub(crate) fn authority(testbed: &Testbed, options: &AgentOptions) -> Result<Option<Authority>, AgentsError> {
-    if testbed.graph.real_servers().next().is_none() {
+    if testbed.graph.agents().next().is_none() {
         return Ok(None);
     }
     let mut needed = testbed.real_servers_at_start().map(|(_, real)| &real.agent).peekable();
@@ -57,13 +57,17 @@ pub(crate) fn authority(testbed: &Testbed, options: &AgentOptions) -> Result<Opt
     let opened = opened.ok_or(AgentsError::NoAuthority).and_then(|folder| Ok(Authority::open(folder)?));
     let authority = match opened {
         Err(error) if needed.peek().is_none() => {
-            tracing::info!("VNFs cannot be placed on real servers: {error}");
+            tracing::warn!("agents cannot connect: {error}");
             return Ok(None);
         }
         opened => opened?,
     };
     let granted = authority.granted(today())?;
-    match needed.find(|agent| granted.iter().all(|granted| granted.name != **agent)) {
+    let is_granted = |agent: &AgentId| granted.iter().any(|granted| granted.name == *agent);
+    for (node, agent) in testbed.graph.agents().filter(|(_, agent)| !is_granted(agent)) {
+        tracing::warn!("agent `{agent}` of `{}` is not enrolled, and cannot connect", node.id);
+    }
+    match needed.find(|agent| !is_granted(agent)) {
         Some(agent) => Err(AgentsError::NotEnrolled(agent.clone())),
         None => Ok(Some(authority)),
     }
@@ -95,7 +99,6 @@ impl AgentEngine {
         now: &Clock,
         messages: &mpsc::Sender<Message>,
     ) -> Result<Self, AgentsError> {
-        let nodes = testbed.graph.real_servers().map(|(node, real)| (real.agent.clone(), node.id.clone()));
         let (files, paths) = shipped::list(folder.path())?;
         let (commands, inbox) = mpsc::channel();
         let (report, events) = mpsc::channel();
@@ -104,7 +107,7 @@ impl AgentEngine {
             lease: LEASE,
             listen: options.listen,
             authority,
-            nodes: nodes.collect(),
+            nodes: testbed.graph.agents().map(|(node, agent)| (agent.clone(), node.id.clone())).collect(),
             files,
             paths,
             now: Arc::clone(now),

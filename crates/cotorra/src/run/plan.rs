@@ -33,6 +33,7 @@ pub fn describe(
     }
     text += &hosts.render("  ");
     text += &real_servers(testbed);
+    text += &agents(testbed);
     text += &gateways(testbed);
     for (name, plan) in interfaces {
         text +=
@@ -123,6 +124,20 @@ fn real_servers(testbed: &Testbed) -> String {
     )
 }
 
+/// Lists the agents that only report contexts.
+fn agents(testbed: &Testbed) -> String {
+    let mut agents = Table::new("<<<");
+    for (node, agent) in testbed.graph.agents().filter(|(node, _)| node.real_server().is_none()) {
+        agents.row([node.id.to_string(), kind(&node.kind).to_owned(), format!("agent {agent}")]);
+    }
+    let agents = agents.render("  ");
+    if agents.is_empty() {
+        agents
+    } else {
+        format!("\nAgents that report the contexts of machines:\n{agents}")
+    }
+}
+
 /// Describes the gateways, and what each machine behind them needs.
 fn gateways(testbed: &Testbed) -> String {
     let mut text = String::new();
@@ -149,7 +164,7 @@ fn kind(kind: &NodeKind) -> &'static str {
         NodeKind::RadioUnit(_) => "radio unit",
         NodeKind::Switch => "switch",
         NodeKind::Gateway(_) => "gateway",
-        NodeKind::Machine(_) => "machine",
+        NodeKind::Machine(_) => "real machine",
         NodeKind::Server(server) => match server.tier {
             Tier::Fog => "server, fog",
             Tier::Edge => "server, edge",

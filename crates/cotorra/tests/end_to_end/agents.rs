@@ -61,6 +61,13 @@ fn kills() -> u32 {
 /// - `until_count NAME PROGRAM NUMBER` waits, `event PATTERN NUMBER` waits for so many events of the run, `serves NODE` for a
 ///   sample of navigation there, and `serves_again` for one after its last start.
 fn with_agents(script: &str) -> Output {
+    // To and fro for longer than any test takes.
+    let walk = "[0, 0], [1, 0], ".repeat(500);
+    with_agents_in(&TESTBED.replace("WALK", &format!("[{walk}]")), script)
+}
+
+/// Does so in another testbed.
+fn with_agents_in(testbed: &str, script: &str) -> Output {
     let set_up = format!(
         r#"ip address add 10.9.1.1/24 dev br0
         AGENT={}
@@ -95,9 +102,7 @@ r.urlopen(r.Request('http://$api/api/v1/instructions', body, {{'Content-Type': '
         {script}"#,
         agent().display()
     );
-    // To and fro for longer than any test takes.
-    let walk = "[0, 0], [1, 0], ".repeat(500);
-    behind_a_bridge(&TESTBED.replace("WALK", &format!("[{walk}]")), &set_up)
+    behind_a_bridge(testbed, &set_up)
 }
 
 #[test]
@@ -120,6 +125,57 @@ fn vnfs_on_real_servers_run_at_their_agents_and_move_between_them() {
         $COTORRA history state $(ls -d runs/*) | sed -n '/^Machines/,$p' | grep -o 'cloud\|edge\|fog'"#,
     );
     assert_eq!(lines(&done), ["1 0 1", "1", "0 0", "fog", "cloud", "edge", "fog"]);
+}
+
+#[test]
+fn machines_and_radio_units_with_agents_have_the_contexts_of_their_machines() {
+    if !has_bridges() {
+        return;
+    }
+    let testbed = "\
+name: contexts
+wireless: { lab: {} }
+nodes:
+  R1: { kind: radio_unit, position: [0, 0], channel: 1, agent: fog1 }
+  lan: { kind: switch }
+  near: { kind: server, tier: fog, cpus: 1, memory: 1 GB }
+  arm: { kind: machine, interface: br0, address: 10.9.1.4, agent: cloud1 }
+  leg: { kind: machine, interface: br0, address: 10.9.1.3, agent: edge1 }
+links:
+  - { ends: [lan, [R1, near]] }
+";
+    let done = with_agents_in(
+        testbed,
+        r#"$COTORRA run $FILE --dry-run | sed -n '/^Agents/,/^$/p'
+        on fog ip link set eth0 mtu 1400
+        on cloud ip link set eth0 mtu 1300
+        $COTORRA agent revoke edge1 --authority authority >/dev/null
+        for name in fog edge cloud; do agent $name; done
+        start --authority authority
+        for node in R1 arm; do
+            until read network/nodes/$node/machine >machine.txt 2>/dev/null; do kill -0 $run; sleep 0.2; done
+            grep -o '"name":"eth0"[^}]*"mtu_bytes":[0-9]*' machine.txt | sed 's/.*://'
+        done
+        event '"node":"arm"' 2
+        read measurements/machines/arm | grep -c '"mtu_bytes":1300'
+        ! read network/nodes/leg/machine 2>/dev/null
+        kill -INT $run; ends
+        grep -o 'agent .edge1. of .leg. is not enrolled' run.txt
+        $COTORRA history state $(ls -d runs/*) | sed -n '/^Machines/,$p' | grep -o 'R1\|arm\|leg'"#,
+    );
+    let said = lines(&done);
+    let planned: Vec<_> =
+        said[..4].iter().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
+    assert_eq!(
+        planned,
+        [
+            "Agents that report the contexts of machines:",
+            "R1 radio unit agent fog1",
+            "arm real machine agent cloud1",
+            "leg real machine agent edge1"
+        ]
+    );
+    assert_eq!(said[4..], ["", "1400", "1300", "1", "agent `edge1` of `leg` is not enrolled", "R1", "arm"]);
 }
 
 #[test]

@@ -126,6 +126,7 @@ impl Builder<'_> {
                     tx_power: r.tx_power,
                     serving: r.serving,
                     deployment: r.deployment,
+                    agent: r.agent.as_ref().map(|agent| agent.value.clone()),
                 };
                 (Some(r.position), NodeKind::RadioUnit(unit))
             }
@@ -147,6 +148,7 @@ impl Builder<'_> {
     }
 
     fn machine(&mut self, record: &MachineRecord) -> Option<Machine> {
+        let agent = record.agent.as_ref().map(|agent| agent.value.clone());
         let Some(interface) = &record.interface else {
             if let Some(address) = &record.address {
                 self.sink
@@ -154,7 +156,7 @@ impl Builder<'_> {
                     .help("name the interface, such as `interface: eth1`; `ip route get ADDRESS` says which it is");
                 return None;
             }
-            return Some(Machine { reached: None });
+            return Some(Machine { reached: None, agent });
         };
         let name = self.interface(interface)?;
         let address = record.address.as_ref().map(|address| address.value);
@@ -164,7 +166,14 @@ impl Builder<'_> {
                 .error(&record.reflector.span, "a reflector, and not the one address at which it is")
                 .help("write the machine's own, such as `address: 192.168.1.7`");
         }
-        Some(Machine { reached: Some(Reached { interface: name, address, reflector }) })
+        if let Some(agent) = &record.agent
+            && !address.is_some_and(|address| address.is_one())
+        {
+            self.sink
+                .error(&agent.span, "an agent, and not the one address of its machine")
+                .help("write the machine's own, such as `address: 192.168.1.7`");
+        }
+        Some(Machine { reached: Some(Reached { interface: name, address, reflector }), agent })
     }
 
     fn gateway(&mut self, record: &GatewayRecord) -> Option<Gateway> {

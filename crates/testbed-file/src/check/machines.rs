@@ -10,7 +10,8 @@ use crate::{
     yaml::Sink,
 };
 
-/// Every real machine is reached from this one, over one link, by packets that are no other's.
+/// Every real machine is reached from this one, over one link, by packets that are no other's. One with an agent may have no
+/// link, and only report its context.
 pub(super) fn machines(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     media(record, graph, sink);
     if !graph.nodes.iter().any(|node| matches!(node.kind, NodeKind::Machine(_))) {
@@ -39,7 +40,8 @@ pub(super) fn machines(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut
             .help("give each an `address` of its own, such as `address: 192.168.1.7`");
         }
         let links = graph.links.iter().filter(|link| link.ends.contains(&node.id)).count();
-        if links != 1 {
+        let only_reports = links == 0 && machine.agent.is_some();
+        if links != 1 && !only_reports {
             sink.error(&id.span, format!("`{}` has {links} links", node.id))
                 .help("link it once, to this machine: to a node with `kind: machine` and no `interface`");
         }

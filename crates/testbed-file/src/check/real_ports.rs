@@ -23,8 +23,8 @@ struct Ports<'a> {
     addresses: HashMap<Ipv4Addr, &'a NodeId>,
 }
 
-/// Every gateway has an interface for itself, and machines with names of their own. Real servers can share an interface, and
-/// have agents of their own. Addresses belong to one machine.
+/// Every gateway has an interface for itself, and machines with names of their own. Real servers can share an interface.
+/// Addresses belong to one machine.
 pub(super) fn real_ports(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     let mut ports = Ports {
         graph,
@@ -32,7 +32,7 @@ pub(super) fn real_ports(record: &TestbedRecord, graph: &HardwareGraph, sink: &m
         interfaces: HashMap::new(),
         addresses: HashMap::new(),
     };
-    let (mut names, mut agents) = (HashSet::new(), HashMap::new());
+    let mut names = HashSet::new();
     for (id, node) in &record.nodes.0 {
         match node {
             NodeRecord::Gateway(gateway) => {
@@ -45,11 +45,6 @@ pub(super) fn real_ports(record: &TestbedRecord, graph: &HardwareGraph, sink: &m
                 }
                 if let Some(address) = &server.address {
                     ports.address(&id.value, address, sink);
-                }
-                let Some(agent) = &server.agent else { continue };
-                if let Some(other) = agents.insert(&agent.value, &id.value) {
-                    sink.error(&agent.span, format!("`{other}` has the agent `{}`, too", agent.value))
-                        .help("name the agent of this machine: each runs one, with a name of its own");
                 }
             }
             _ => {}

@@ -127,11 +127,17 @@ impl Prepared {
     }
 }
 
-/// Checks that no VNF starts on a real server, because this build reaches no agents.
+/// Checks that no VNF starts on a real server, because this build reaches no agents. Warns of what other agents would do.
 #[cfg(not(feature = "agents"))]
 fn check_agents(testbed: &Testbed) -> Result<(), RunError> {
-    match testbed.real_servers_at_start().next() {
-        Some((node, real)) => Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() }),
-        None => Ok(()),
+    if let Some((node, real)) = testbed.real_servers_at_start().next() {
+        return Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() });
     }
+    for (node, agent) in testbed.graph.agents() {
+        tracing::warn!(
+            "agent `{agent}` of `{}` cannot connect: this cotorra has no agents; build it with `--features agents`",
+            node.id
+        );
+    }
+    Ok(())
 }

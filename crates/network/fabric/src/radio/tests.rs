@@ -65,6 +65,7 @@ fn unit(name: &str, x: f64, channel: u8) -> Node {
         tx_power: Dbm(20.0),
         serving: true,
         deployment: Duration::ZERO,
+        agent: None,
     };
     node(name, x, NodeKind::RadioUnit(unit))
 }

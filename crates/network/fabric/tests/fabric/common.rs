@@ -62,6 +62,7 @@ impl Network {
             tx_power: Dbm(20.0),
             serving: true,
             deployment: Duration::ZERO,
+            agent: None,
         };
         self.node(name, x, NodeKind::RadioUnit(unit))
     }
