@@ -96,7 +96,7 @@ class Client:
         return self._ask(f"network/nodes/{parse.quote(node)}")
 
     def machine(self, node: str) -> JSON:
-        """CPU, memory and interfaces of a node's machine, if it reports them."""
+        """CPU, memory and interfaces of a node's machine, and the time of their reading, if it reports them."""
         return self._ask(f"network/nodes/{parse.quote(node)}/machine")
 
     def robots(self) -> list[JSON]:

@@ -59,8 +59,8 @@ pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
 pub use machine_context::{
-    CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext, WifiChannel,
-    WifiContext, WifiRole, WifiStation,
+    CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext, ReadingTime,
+    WifiChannel, WifiContext, WifiRole, WifiStation,
 };
 pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     id::NodeId,
-    units::{BitRate, Dbm, Probability, millis},
+    units::{BitRate, Dbm, Probability, Timestamp, millis},
 };
 
 /// What a real machine reports of itself. A part is `None` or empty if the machine does not offer it.
@@ -15,6 +15,8 @@ use crate::{
 pub struct MachineContext {
     /// The machine.
     pub node: NodeId,
+    /// Time of the reading; `None` if the distance of the machine's clock is not known yet.
+    pub reading: Option<ReadingTime>,
     /// Its CPUs.
     pub cpu: Option<CpuContext>,
     /// Its load averages.
@@ -29,6 +31,19 @@ pub struct MachineContext {
     pub wifi: Vec<WifiContext>,
     /// Wi-Fi interfaces beyond the bound.
     pub wifi_left_out: u32,
+}
+
+/// Time at which a machine read its context, on the core's clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ReadingTime {
+    /// The time.
+    #[serde(rename = "measured_ns")]
+    pub measured: Timestamp,
+    /// Most that the time is wrong by, because the distance of two clocks is an estimate.
+    #[serde(rename = "time_error_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub error: Duration,
 }
 
 impl MachineContext {
@@ -47,6 +62,7 @@ impl MachineContext {
     pub fn is_valid(&self) -> bool {
         let Self {
             node: _,
+            reading: _,
             cpu: _,
             load_average,
             memory,
@@ -236,7 +252,7 @@ pub struct WifiChannel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Event, Stamped, Timestamp};
+    use crate::{Event, Stamped};
 
     fn wifi() -> WifiContext {
         let station = WifiStation {
@@ -282,6 +298,10 @@ mod tests {
         };
         MachineContext {
             node: NodeId::new("edge").unwrap(),
+            reading: Some(ReadingTime {
+                measured: Timestamp::from_nanos(7),
+                error: Duration::from_micros(250),
+            }),
             cpu: Some(CpuContext { cpus: 4, busy: Probability::new(0.25) }),
             load_average: Some(LoadAverage { one_minute: 0.5, five_minutes: 0.25, fifteen_minutes: 0.0 }),
             memory: Some(MemoryContext { memory_bytes: 8, available_bytes: 2 }),
@@ -297,7 +317,9 @@ mod tests {
         let event = Stamped { at: Timestamp::from_nanos(9), event: Event::Machine(machine()) };
         let json = serde_json::to_string(&event).unwrap();
         assert!(
-            json.starts_with(r#"{"at_ns":9,"event":"machine","node":"edge","cpu":{"cpus":4,"busy":0.25}"#),
+            json.starts_with(
+                r#"{"at_ns":9,"event":"machine","node":"edge","reading":{"measured_ns":7,"time_error_ms":0.25},"cpu":{"cpus":4,"#
+            ),
             "{json}"
         );
         assert_eq!(serde_json::from_str::<Stamped>(&json).unwrap(), event);

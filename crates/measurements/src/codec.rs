@@ -106,7 +106,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::Machine => Table {
             columns: &[
                 "node", "cpus", "cpu_busy", "one_minute", "five_minutes", "fifteen_minutes", "memory_bytes", "available_bytes",
-                "interfaces_left_out", "wifi_left_out", "wifi",
+                "interfaces_left_out", "wifi_left_out", "wifi", "measured_ns", "time_error_ms",
             ],
             series: &["node"],
             children: Some(("machine_interface", &[

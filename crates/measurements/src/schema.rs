@@ -3,8 +3,12 @@
 
 /// Migrations from each schema version to the next, the first from an empty database. Never edit one that was released:
 /// append another.
-pub(crate) const MIGRATIONS: &[&str] =
-    &[include_str!("schema/1.sql"), include_str!("schema/2.sql"), include_str!("schema/3.sql")];
+pub(crate) const MIGRATIONS: &[&str] = &[
+    include_str!("schema/1.sql"),
+    include_str!("schema/2.sql"),
+    include_str!("schema/3.sql"),
+    include_str!("schema/4.sql"),
+];
 
 /// Length of a stretch of `presence`, ns.
 pub(crate) const STRETCH: i64 = 5_000_000_000;

@@ -94,6 +94,7 @@ fn reading(n: u64) -> Stamped {
 fn machine(n: u64) -> Stamped {
     let context = MachineContext {
         node: NodeId::new("edge").unwrap(),
+        reading: None,
         cpu: Some(CpuContext { cpus: 4, busy: Probability::new(n as f64 / SAMPLES as f64) }),
         load_average: None,
         memory: Some(MemoryContext { memory_bytes: 1 << 33, available_bytes: (1 << 32) + n }),

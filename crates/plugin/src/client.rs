@@ -332,7 +332,7 @@ impl Client {
         self.get("network/radio-units", &[])
     }
 
-    /// CPU, memory and interfaces of a node's machine.
+    /// CPU, memory and interfaces of a node's machine, and the time of their reading.
     ///
     /// # Errors
     /// [`ClientError`], with status 404 if nothing is known of it.

@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant, SystemTime},
 };
 
-use cotorra_agent_protocol::{Action, Agent, Run, Wanted};
+use cotorra_agent_protocol::{Action, Agent, MachineReading, Run, Wanted};
 use cotorra_agent_transport::{Dialer, FromCore, diagnose};
 use cotorra_engine::{EngineEvent, InstanceId, Outcome};
 use cotorra_enrolment::{Bundle, CORE_COMMON_NAME};
@@ -105,7 +105,7 @@ impl Service {
             }
             if now >= self.next_context {
                 self.next_context = now + CONTEXT;
-                self.report_context(now);
+                self.report_context();
                 self.renew();
                 self.explain_silence(now);
             }
@@ -230,15 +230,16 @@ impl Service {
         self.agent.outcome(now, EngineEvent { instance: id, outcome: Outcome::Failed(reason) });
     }
 
-    fn report_context(&mut self, now: Timestamp) {
+    fn report_context(&mut self) {
+        let now = self.now();
         let reading = self.host.read(now);
         for unavailable in &reading.unavailable {
             tracing::info!("{unavailable}");
         }
-        if let Some(run) = self.agent.run()
-            && let Ok(context) = serde_json::to_vec(&reading.context)
-            && let Err(error) = self.dialer.context(run, context)
-        {
+        let Some(run) = self.agent.run() else { return };
+        let reading =
+            MachineReading { boot: self.agent.boot(), read_ns: now.as_nanos(), context: reading.context };
+        if let Err(error) = self.dialer.context(run, reading.encode()) {
             tracing::debug!("cannot send the context: {error}");
         }
     }

@@ -125,6 +125,7 @@ impl Host {
 
         let context = MachineContext {
             node: self.node.clone(),
+            reading: None,
             cpu,
             load_average,
             memory,

@@ -96,6 +96,11 @@ impl Agent {
         agent
     }
 
+    /// Returns the number of this process.
+    pub fn boot(&self) -> u64 {
+        self.boot
+    }
+
     /// Returns the newest run that was heard of.
     pub fn run(&self) -> Option<Run> {
         self.run
@@ -197,7 +202,8 @@ impl Agent {
         let run = self.run.filter(|_| now >= self.next_report)?;
         self.next_report = now + self.lease() / REPORTS_A_LEASE;
         let wanted = self.wanted.as_ref().filter(|wanted| wanted.run == run);
-        let echo = self.beat.take().map(|(beat, received)| Echo {
+        let beat = self.beat.take().filter(|(beat, _)| beat.run == run);
+        let echo = beat.map(|(beat, received)| Echo {
             sent_ns: beat.sent_ns,
             received_ns: received.as_nanos(),
             replied_ns: now.as_nanos(),

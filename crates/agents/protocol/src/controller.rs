@@ -6,10 +6,10 @@ use std::{
 };
 
 use cotorra_engine::{EngineEvent, InstanceId, Outcome};
-use cotorra_graph::{AgentId, Timestamp};
+use cotorra_graph::{AgentId, ReadingTime, Timestamp};
 
 use crate::{
-    clock::{ClockOffset, OffsetEstimate},
+    clock::AgentClock,
     message::{Beat, InstanceState, Report, Run, Wanted, WantedInstance},
     shipped::Shipped,
 };
@@ -58,7 +58,7 @@ struct Remote {
     /// Time of its last report, while it is not lost.
     seen: Option<Timestamp>,
     boot: Option<u64>,
-    clock: ClockOffset,
+    clock: AgentClock,
     next_beat: Timestamp,
     /// The generation that was sent last, and when.
     sent: Option<(u64, Timestamp)>,
@@ -144,9 +144,10 @@ impl Controller {
         self.agents.get(agent).is_some_and(|remote| remote.seen.is_some())
     }
 
-    /// Returns the distance of an agent's clock; `None` before it answered a beat.
-    pub fn offset(&self, agent: &AgentId) -> Option<OffsetEstimate> {
-        self.agents.get(agent)?.clock.estimate()
+    /// Converts a time on the clock of an agent's process to the core's; `None` before that process answered a beat.
+    pub fn core_time(&self, agent: &AgentId, boot: u64, agent_ns: u64) -> Option<ReadingTime> {
+        let remote = self.agents.get(agent).filter(|remote| remote.boot == Some(boot))?;
+        remote.clock.to_core(agent_ns)
     }
 
     /// Takes a report. Ignores that of an unknown agent.
@@ -158,15 +159,15 @@ impl Controller {
             let was_ready = |known: &Known| known.is_ready;
             end(remote, &mut self.events, was_ready, "its agent was restarted");
         }
-        if let Some(echo) = report.echo {
-            remote.clock.receive(now, echo);
-        }
         if remote.seen.replace(now).is_none() {
             self.events.push_back(ControllerEvent::Joined(agent.clone()));
         }
         if report.run != self.run {
             (remote.reported, remote.must_send) = (0, true);
             return;
+        }
+        if let Some(echo) = report.echo {
+            remote.clock.receive(now, echo);
         }
         (remote.reported, remote.running) = (report.generation, report.instances.len());
         let mut has_ended = false;
@@ -224,6 +225,7 @@ impl Controller {
     fn lose(&mut self, agent: &AgentId, reason: &str) {
         let Some(remote) = self.agents.get_mut(agent) else { return };
         if remote.seen.take().is_some() {
+            remote.clock.reset();
             self.events.push_back(ControllerEvent::Left(agent.clone(), reason.to_owned()));
             let ends = |known: &Known| known.is_ready && !known.wanted.keep;
             end(remote, &mut self.events, ends, &format!("its agent `{agent}` is lost: {reason}"));

@@ -12,11 +12,12 @@
 mod agent;
 mod clock;
 mod controller;
+mod machine_reading;
 mod message;
 mod shipped;
 
 pub use agent::{Action, Agent};
-pub use clock::{ClockOffset, OffsetEstimate};
 pub use controller::{Controller, ControllerEvent, Transmit};
+pub use machine_reading::MachineReading;
 pub use message::{Beat, Echo, InstanceState, LEASE, MessageError, Report, Run, Wanted, WantedInstance};
 pub use shipped::Shipped;

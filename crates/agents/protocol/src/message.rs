@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{NodeId, Vnf};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::shipped::Shipped;
+use crate::{machine_reading::MachineReading, shipped::Shipped};
 
 /// Time without a message after which each end takes the other for lost.
 pub const LEASE: Duration = Duration::from_secs(2);
@@ -155,6 +155,7 @@ macro_rules! message {
 message!(Wanted, 1 << 20, instances);
 message!(Beat, 256);
 message!(Report, 512 << 10, instances);
+message!(MachineReading, 256 << 10);
 
 fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
     if bytes.len() > M::LONGEST {

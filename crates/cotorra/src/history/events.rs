@@ -186,6 +186,10 @@ fn machine(context: &MachineContext) -> String {
             .iter()
             .map(|wifi| format!("{} with {}", wifi.interface, words::count(wifi.stations.len(), "station"))),
     );
+    parts.extend(context.reading.map(|reading| {
+        let error = reading.error.as_secs_f64() * 1e3;
+        format!("read at {:.3} s ± {error:.3} ms", reading.measured.as_secs_f64())
+    }));
     format!("{}: {}", context.node, parts.join(", "))
 }
 

@@ -3,7 +3,7 @@
 use std::{env, path::PathBuf, process::Output};
 
 use crate::{
-    harness::{cotorra, stderr},
+    harness::{cotorra, project_file, stderr},
     netem_links::lines,
     real_servers::{behind_a_bridge, has_bridges},
 };
@@ -144,9 +144,7 @@ nodes:
 links:
   - { ends: [lan, [R1, near]] }
 ";
-    let done = with_agents_in(
-        testbed,
-        r#"$COTORRA run $FILE --dry-run | sed -n '/^Agents/,/^$/p'
+    let script = r#"$COTORRA run $FILE --dry-run | sed -n '/^Agents/,/^$/p'
         on fog ip link set eth0 mtu 1400
         on cloud ip link set eth0 mtu 1300
         $COTORRA agent revoke edge1 --authority authority >/dev/null
@@ -158,11 +156,20 @@ links:
         done
         event '"node":"arm"' 2
         read measurements/machines/arm | grep -c '"mtu_bytes":1300'
+        event '"node":"arm".*"reading":{"measured_ns":' 1
+        events | python3 -c 'import json, sys
+events = [json.loads(line) for line in sys.stdin]
+timed = [event for event in events if event.get("node") == "arm" and event["reading"]]
+of = [(event["at_ns"], event["reading"]["measured_ns"], event["reading"]["time_error_ms"] * 1e6) for event in timed]
+print(all(0 < error and measured - error <= at for at, measured, error in of))'
+        COTORRA_API=$api PYTHONPATH=CLIENT PYTHONDONTWRITEBYTECODE=1 python3 -c 'from cotorra import Client
+print(*Client().machine("arm")["reading"])'
         ! read network/nodes/leg/machine 2>/dev/null
         kill -INT $run; ends
         grep -o 'agent .edge1. of .leg. is not enrolled' run.txt
-        $COTORRA history state $(ls -d runs/*) | sed -n '/^Machines/,$p' | grep -o 'R1\|arm\|leg'"#,
-    );
+        $COTORRA history state $(ls -d runs/*) | sed -n '/^Machines/,$p' | grep -o 'R1\|arm\|leg'"#;
+    let done =
+        with_agents_in(testbed, &script.replace("CLIENT", project_file("clients/python").to_str().unwrap()));
     let said = lines(&done);
     let planned: Vec<_> =
         said[..4].iter().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
@@ -175,7 +182,18 @@ links:
             "leg real machine agent edge1"
         ]
     );
-    assert_eq!(said[4..], ["", "1400", "1300", "1", "agent `edge1` of `leg` is not enrolled", "R1", "arm"]);
+    let expected = [
+        "",
+        "1400",
+        "1300",
+        "1",
+        "True",
+        "measured_ns time_error_ms",
+        "agent `edge1` of `leg` is not enrolled",
+        "R1",
+        "arm",
+    ];
+    assert_eq!(said[4..], expected);
 }
 
 #[test]

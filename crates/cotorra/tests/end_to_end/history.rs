@@ -118,6 +118,7 @@ fn with_machine(folder: &Path) -> String {
         });
         let event = json!({
             "at_ns": second * 1_000_000_000, "event": "machine", "node": "edge",
+            "reading": { "measured_ns": second * 999_000_000, "time_error_ms": 0.25 },
             "cpu": { "cpus": 4, "busy": second as f64 / 8.0 },
             "load_average": { "one_minute": 0.5, "five_minutes": 0.25, "fifteen_minutes": 0.125 },
             "memory": { "memory_bytes": 8_000_000_000_u64, "available_bytes": 2_500_000_000_u64 },
@@ -149,7 +150,7 @@ fn machines_are_shown_and_drawn_and_exported() {
     };
     let events = answer(&["events", "1", "--kinds", "machine"]);
     let line = "machine        edge: 4 CPUs 25.0 % busy, load 0.50, 2.50 of 8.00 GB available, \
-                eth0 8.000 Mbit/s in, 1.000 Mbit/s out, wlan0 with 1 station";
+                eth0 8.000 Mbit/s in, 1.000 Mbit/s out, wlan0 with 1 station, read at 1.998 s ± 0.250 ms";
     assert!(events.lines().nth(1).unwrap().ends_with(line), "{events}");
     let state = answer(&["state", "1", "--at", "1.5s"]);
     let words: Vec<_> = state.lines().last().unwrap().split_whitespace().collect();
@@ -162,6 +163,8 @@ fn machines_are_shown_and_drawn_and_exported() {
     answer(&["export", "1", "--out", text(&out)]);
     let table = fs::read_to_string(out.join("machine_interface.csv")).unwrap();
     assert!(table.lines().nth(1).unwrap().starts_with("0,0,eth0,1,1,,1500,1,2,0,0,8000000,"), "{table}");
+    let table = fs::read_to_string(out.join("machine.csv")).unwrap();
+    assert!(table.lines().nth(1).unwrap().ends_with(",999000000,0.25"), "{table}");
     answer(&["import", text(&out)]);
     assert_eq!(answer(&["events", "2", "--json"]), answer(&["events", "1", "--json"]));
 }

@@ -262,6 +262,7 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
 fn encode_machine<'a>(context: &'a MachineContext, row: &mut Fields<'a>, children: &mut Fields<'a>) {
     let MachineContext {
         node,
+        reading,
         cpu,
         load_average,
         memory,
@@ -282,7 +283,9 @@ fn encode_machine<'a>(context: &'a MachineContext, row: &mut Fields<'a>, childre
         .integer((*wifi_left_out).into())
         .optional(Some(wifi).filter(|wifi| !wifi.is_empty()), |row, wifi| {
             row.text(serde_json::to_string(wifi).expect("texts and numbers are JSON"))
-        });
+        })
+        .optional(*reading, |row, reading| row.unsigned(reading.measured.as_nanos()))
+        .optional(*reading, |row, reading| row.duration(reading.error));
     for InterfaceContext { name, up, carrier, speed, mtu_bytes, received, sent } in interfaces {
         children
             .name(name)

@@ -3,8 +3,8 @@
 use std::{fs, path::PathBuf};
 
 use cotorra_graph::{
-    Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, RadioContext, Scale,
-    StationContext,
+    Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, RadioContext, ReadingTime,
+    Scale, StationContext,
 };
 use tempfile::TempDir;
 
@@ -431,6 +431,7 @@ fn histories_without_machines_are_read_and_then_take_them() {
     assert_eq!(everything(&history, run), [notice(5, "from before")]);
     let context = cotorra_graph::MachineContext {
         node: NodeId::new("edge").unwrap(),
+        reading: None,
         cpu: None,
         load_average: None,
         memory: None,
@@ -451,6 +452,45 @@ fn histories_without_machines_are_read_and_then_take_them() {
     assert_eq!(everything(&history, run), [notice(5, "from before"), event]);
     let gaps = history.gaps(run, .., PageRequest::default()).unwrap().items;
     assert_eq!(gaps.iter().map(|gap| (gap.from.as_nanos(), gap.events)).collect::<Vec<_>>(), [(7, 1)]);
+}
+
+#[test]
+fn machines_of_histories_without_times_of_readings_have_none() {
+    let (_folder, path) = folder();
+    let mut connection = Connection::open(&path).unwrap();
+    prepare(&mut connection, &"a history".into(), &MIGRATIONS[..3]).unwrap();
+    connection
+        .execute_batch(
+            "INSERT INTO run VALUES (1, 'old', 1, 0, 'name: old', NULL, 1);
+             INSERT INTO name VALUES (1, 'edge');
+             INSERT INTO machine (run, at_ns, seq, node, cpus, interfaces_left_out, wifi_left_out)
+             VALUES (1, 5, 0, 1, 4, 0, 0);
+             INSERT INTO presence VALUES (1, 18, 1, 0, 0);",
+        )
+        .unwrap();
+    drop(connection);
+    assert_eq!(version_of(&path), 3);
+
+    let history = History::open(&path).unwrap();
+    assert_eq!(version_of(&path), MIGRATIONS.len() as u32);
+    let run = history.runs(None, 1).unwrap()[0].id;
+    let machine_of = |stamped: &Stamped| match &stamped.event {
+        Event::Machine(context) => (context.cpu.unwrap().cpus, context.reading),
+        other => panic!("{other:?}"),
+    };
+    let [before] = &everything(&history, run)[..] else { panic!("not one event") };
+    assert_eq!(machine_of(before), (4, None));
+    let mut later = before.clone();
+    let reading = ReadingTime { measured: Timestamp::from_nanos(6), error: Duration::from_nanos(1500) };
+    later.at = Timestamp::from_nanos(7);
+    if let Event::Machine(context) = &mut later.event {
+        context.reading = Some(reading);
+    }
+    let recorder = history.recorder(run).unwrap();
+    recorder.record(later);
+    recorder.flush().unwrap();
+    let found: Vec<_> = everything(&history, run).iter().map(machine_of).collect();
+    assert_eq!(found, [(4, None), (4, Some(reading))]);
 }
 
 /// A write-ahead log that a loss of power cut off anywhere holds whole batches, from the first on.

@@ -2,7 +2,7 @@
 
 use cotorra_graph::{
     BitRate, CpuContext, Dbm, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext,
-    WifiChannel, WifiContext, WifiRole, WifiStation,
+    ReadingTime, Timestamp, WifiChannel, WifiContext, WifiRole, WifiStation,
 };
 use proptest::{collection::vec, option::of, prelude::*, sample::select};
 
@@ -73,13 +73,16 @@ prop_compose! {
         interfaces in vec(interface(), 0..4),
         wifi in vec(wifi(), 0..3),
         (interfaces_left_out, wifi_left_out) in any::<(u32, u32)>(),
+        reading in of((any::<u64>(), duration())),
     ) -> MachineContext {
         let load = |(one_minute, five_minutes, fifteen_minutes)| {
             LoadAverage { one_minute, five_minutes, fifteen_minutes }
         };
         let memory_of = |(memory_bytes, available_bytes)| MemoryContext { memory_bytes, available_bytes };
+        let reading_of = |(measured, error)| ReadingTime { measured: Timestamp::from_nanos(measured), error };
         MachineContext {
             node,
+            reading: reading.map(reading_of),
             cpu: cpu.map(|(cpus, busy)| CpuContext { cpus, busy }),
             load_average: load_average.map(load),
             memory: memory.map(memory_of),

@@ -119,6 +119,10 @@ fn machine(context: &MachineContext) -> DiagnosticStatus {
             [interface.received, interface.sent].map(|traffic| rate(traffic.throughput_bps));
         value(&interface.name, format!("{state}{received} Mbit/s received, {sent} Mbit/s sent"))
     }));
+    if let Some(reading) = context.reading {
+        values.push(value("measured_ns", reading.measured.as_nanos().to_string()));
+        values.push(value("time_error_ms", format!("{:.6}", reading.error.as_secs_f64() * 1e3)));
+    }
     DiagnosticStatus {
         level: OK,
         name: format!("machine {}", context.node),

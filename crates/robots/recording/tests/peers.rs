@@ -7,9 +7,9 @@ use std::{env, path::Path, process::Command, sync::Arc, time::Duration};
 use cotorra_graph::{
     Attachment, Conditions, CpuContext, Dbm, Decision, Direction, Event, Handover, Instruction,
     InterfaceContext, InterfaceTraffic, Lateness, LinkContext, LinkCounters, LinkId, MachineContext, NodeId,
-    PathKind, Placement, PluginId, Pose, PoseSource, Probability, RadioContext, RobotContext, RobotFault,
-    Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Testbed, Timestamp, Velocity,
-    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    PathKind, Placement, PluginId, Pose, PoseSource, Probability, RadioContext, ReadingTime, RobotContext,
+    RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Testbed, Timestamp,
+    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use cotorra_recording::{About, Pace, Recording, RecordingPlace, Wanted};
 use cotorra_robot_middleware::{Scan, SensedScan};
@@ -64,6 +64,7 @@ fn machine() -> MachineContext {
     };
     MachineContext {
         node: node("edge"),
+        reading: Some(ReadingTime { measured: Timestamp::from_nanos(7), error: Duration::from_micros(250) }),
         cpu: Some(CpuContext { cpus: 4, busy: Probability::new(0.25) }),
         load_average: None,
         memory: None,

@@ -8,11 +8,11 @@ use std::{
     time::Duration,
 };
 
-use cotorra_agent_protocol::{Controller, ControllerEvent, Run, Shipped, WantedInstance};
+use cotorra_agent_protocol::{Controller, ControllerEvent, MachineReading, Run, Shipped, WantedInstance};
 use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
 use cotorra_engine::{EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
-use cotorra_graph::{AgentId, Event, MachineContext, NodeId, Stamped, Timestamp};
+use cotorra_graph::{AgentId, Event, NodeId, Stamped, Timestamp};
 
 use super::{error::AgentsError, today};
 use crate::{clock::Clock, message::Message};
@@ -119,12 +119,13 @@ impl Link {
     /// Reports the context of an agent's machine as that of its node.
     fn context(&self, now: Timestamp, agent: &AgentId, bytes: &[u8]) {
         let Some(node) = self.parts.nodes.get(agent) else { return };
-        match serde_json::from_slice::<MachineContext>(bytes) {
-            Ok(context) if !context.is_valid() => {
+        match MachineReading::decode(bytes) {
+            Ok(reading) if !reading.context.is_valid() => {
                 tracing::warn!("agent `{agent}`: rejected a context beyond the bounds");
             }
-            Ok(mut context) => {
+            Ok(MachineReading { boot, read_ns, mut context }) => {
                 context.node = node.clone();
+                context.reading = self.controller.core_time(agent, boot, read_ns);
                 self.tell(now, Event::Machine(context));
             }
             Err(error) => tracing::warn!("agent `{agent}`: rejected a context: {error}"),

@@ -76,6 +76,7 @@ fn a_domain_sees_its_own_part_of_the_testbed() {
 fn machine(node: &str) -> cotorra_graph::MachineContext {
     cotorra_graph::MachineContext {
         node: id(node),
+        reading: None,
         cpu: None,
         load_average: None,
         memory: None,

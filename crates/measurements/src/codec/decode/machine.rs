@@ -2,7 +2,7 @@
 
 use cotorra_graph::{
     BitRate, CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext,
-    Probability,
+    Probability, ReadingTime, Timestamp,
 };
 
 use super::{Columns, Result, Source, json, required, unreadable};
@@ -33,6 +33,7 @@ pub(super) fn read(source: &mut dyn Source) -> Result<MachineContext> {
         interfaces_left_out: row.small()?,
         wifi_left_out: row.small()?,
         wifi: row.0.text()?.as_deref().map(json).transpose()?.unwrap_or_default(),
+        reading: row.reading()?,
     };
     let interfaces = &mut context.interfaces;
     source.children(&mut |child| {
@@ -59,6 +60,12 @@ pub(super) fn read(source: &mut dyn Source) -> Result<MachineContext> {
 }
 
 impl Columns<'_> {
+    fn reading(&mut self) -> Result<Option<ReadingTime>> {
+        let measured = self.0.integer()?.map(|ns| Timestamp::from_nanos(ns.cast_unsigned()));
+        let reading = measured.zip(self.duration()?);
+        Ok(reading.map(|(measured, error)| ReadingTime { measured, error }))
+    }
+
     fn optional_share(&mut self) -> Result<Option<Probability>> {
         let Some(share) = self.0.real()? else { return Ok(None) };
         let found = Probability::new(share);

@@ -10,6 +10,7 @@ pub(super) fn machine(node: &str, second: u64) -> Stamped {
     let traffic = json!({ "packets": 7, "bytes": 900, "errors": 0, "dropped": 1, "throughput_bps": 8e6 });
     let event = json!({
         "at_ns": second * 1_000_000_000, "event": "machine", "node": node,
+        "reading": { "measured_ns": second * 999_000_000, "time_error_ms": 0.5 },
         "cpu": { "cpus": 4, "busy": 0.25 },
         "load_average": { "one_minute": second as f64, "five_minutes": 0.5, "fifteen_minutes": 0.25 },
         "memory": { "memory_bytes": 8_000_000_000_u64, "available_bytes": 2_000_000_000 },

@@ -1,0 +1,16 @@
+//! A machine's context on its way to the core.
+
+use cotorra_graph::MachineContext;
+use serde::{Deserialize, Serialize};
+
+/// What an agent read of its machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MachineReading {
+    /// That of the agent's process, by whose clock it was read.
+    pub boot: u64,
+    /// Time at which the reading began, on the agent's clock.
+    pub read_ns: u64,
+    /// The core knows the node and the time of the reading on its own clock.
+    pub context: MachineContext,
+}
