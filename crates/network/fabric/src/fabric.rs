@@ -1,6 +1,7 @@
 //! The fabric itself: takes frames from hosts, forwards them over links, switches and radio units, and hands them out
 //! where and when they are due.
 
+mod elsewhere;
 mod observers;
 mod paths;
 mod taps;
@@ -36,6 +37,8 @@ use crate::{
     timers::Timers,
     trace::DirectedLink,
 };
+
+pub use elsewhere::Departure;
 
 /// Frames that the fabric could not forward.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -78,6 +81,8 @@ pub struct Fabric {
     pending: Vec<(usize, Frame, Target)>,
     /// Frames to hand out, with their due times.
     outbox: VecDeque<(Timestamp, PortId, Frame)>,
+    /// Packets for other cores.
+    departures: VecDeque<Departure>,
     pool: Pool,
     lateness: Histogram,
     /// Lateness of frames that crossed the air, by sender and receiver.
@@ -103,6 +108,8 @@ struct Port {
     vertex: usize,
     /// Whether it reaches the network over the radio unit that it is attached to.
     is_robot: bool,
+    /// Vertex at which frames to a robot leave for the core that it is with.
+    border: Option<usize>,
 }
 
 /// The next hop of a packet from a vertex.
@@ -111,6 +118,8 @@ enum Hop {
     Edge(usize),
     /// Over the air, down to the station.
     Air,
+    /// Over the border, to the core that the robot is with.
+    Border,
 }
 
 impl Fabric {
@@ -163,6 +172,7 @@ impl Fabric {
             node: node.id.clone(),
             vertex: vertices[&node.id],
             is_robot: matches!(node.kind, NodeKind::Robot(_)),
+            border: None,
         };
         let ports: Vec<Port> = graph.ports().map(port).collect();
         let mut port_of_vertex = vec![None; graph.nodes.len()];
@@ -189,6 +199,7 @@ impl Fabric {
             learnt: HashMap::new(),
             pending: Vec::new(),
             outbox: VecDeque::new(),
+            departures: VecDeque::new(),
             pool: Pool::default(),
             lateness: Histogram::default(),
             air_lateness: HashMap::new(),
@@ -225,8 +236,11 @@ impl Fabric {
         if self.observers.is_some() {
             self.observe_entry(now, port, &mut frame);
         }
-        let Port { vertex, is_robot, .. } = self.ports[port.0];
+        let Port { vertex, is_robot, border, .. } = self.ports[port.0];
         let Some(target) = self.target(port, vertex, &frame) else { return self.drop_unroutable(frame) };
+        if border.is_some() {
+            return self.depart_frame(port, Direction::Forward, frame);
+        }
         if is_robot {
             return self.on_air(frame, |radio, frame| radio.push_up(now, port, frame));
         }
@@ -402,6 +416,9 @@ impl Fabric {
         let now = self.advance(now);
         let done = self.radio.attach(now, robot, radio_unit);
         self.radio_deadline = self.radio.deadline();
+        if done.is_ok() {
+            self.leave_border(robot);
+        }
         done
     }
 
@@ -628,8 +645,13 @@ impl Fabric {
                     self.outbox.push_back((now, *port, frame));
                     continue;
                 }
+                Target::Port { port, .. } if self.ports[port.0].border == Some(vertex) => {
+                    self.depart_frame(*port, Direction::Backward, frame);
+                    continue;
+                }
                 Target::Port { .. } => {}
                 Target::All { source, .. } => {
+                    self.depart_copies(vertex, *source, &frame);
                     if let Some(port) = here.filter(|port| port != source) {
                         let copy = frame.copy(&mut self.pool);
                         self.outbox.push_back((now, port, copy));
@@ -663,6 +685,7 @@ impl Fabric {
                         let unit = self.port_of_vertex[vertex].expect("only a radio unit has stations");
                         self.on_air(frame, |radio, frame| radio.push_down(now, unit, port, frame));
                     }
+                    Some(Hop::Border) => self.depart_frame(port, Direction::Backward, frame),
                     None => self.drop_unroutable(frame),
                 }
             }
@@ -699,8 +722,13 @@ impl Fabric {
 
     /// Returns the next hop from a vertex towards a host.
     fn hop(&mut self, vertex: usize, to: PortId) -> Option<Hop> {
-        let Port { vertex: mut end, is_robot, .. } = self.ports[to.0];
-        if is_robot {
+        let Port { vertex: mut end, is_robot, border, .. } = self.ports[to.0];
+        if let Some(border) = border {
+            if border == vertex {
+                return Some(Hop::Border);
+            }
+            end = border;
+        } else if is_robot {
             end = self.ports[self.radio.attached_to(to)?.0].vertex;
             if end == vertex {
                 return Some(Hop::Air);

@@ -16,6 +16,8 @@
 //! - **The air.** A robot's frames cross the air to and from the radio unit that it is attached to. Airtime, retries and
 //!   a handover's gap delay them. Robots [move](Fabric::move_robot), [scan](Fabric::scan) and
 //!   [attach](Fabric::attach) to other radio units.
+//! - **Other cores.** A robot may [depart](Fabric::depart) to a radio unit that another core emulates. Its packets then
+//!   leave this fabric, and those to it leave at a border. The other core returns them [here](Fabric::arrive).
 //! - **Measurement.** The packets of [probes](Fabric::probe_links) and [throughput tests](Fabric::test_throughput) cross
 //!   links as others do. They reach no host and are in no counter. The [service times of flows](Fabric::measure_flows)
 //!   are measured where frames enter and leave. [Followed](Fabric::follow) frames tell the time on each link; others carry
@@ -51,7 +53,7 @@ mod transmitter;
 
 pub use balance::Balance;
 pub use error::{GraphError, NoPath};
-pub use fabric::{Drops, Fabric};
+pub use fabric::{Departure, Drops, Fabric};
 pub use following::{Datagrams, RoundTrip, RoundTripReader, Trip};
 pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;

@@ -20,6 +20,9 @@ pub enum FabricError {
     /// An unknown radio unit.
     #[error("there is no radio unit `{0}`")]
     UnknownRadioUnit(NodeId),
+    /// An unknown border.
+    #[error("there is no node `{0}` to be a border")]
+    UnknownBorder(NodeId),
     /// A radio unit of another network than the robot's.
     #[error("`{radio_unit}` serves another network than the one that `{robot}` joins")]
     OtherNetwork {
@@ -63,6 +66,12 @@ pub enum FabricError {
     /// A station that is scanning or handing over.
     #[error("`{0}` is scanning or changing its radio unit: ask again when it is done")]
     Busy(NodeId),
+    /// A robot that is attached to a radio unit of another core.
+    #[error("the radio of `{0}` is with another core's radio unit: attach it to one of its own first")]
+    Elsewhere(NodeId),
+    /// A robot that is not attached to a radio unit of another core.
+    #[error("the radio of `{0}` is not with another core's radio unit")]
+    NotElsewhere(NodeId),
     /// An impossible delay.
     #[error("a delay of {0} ms cannot be: it is between 0 ms and one hour, before and after scaling")]
     Delay(f64),

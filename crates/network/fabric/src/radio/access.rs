@@ -3,7 +3,7 @@
 
 use cotorra_graph::{AccessPoint, NodeId, Timestamp};
 
-use super::{Radio, RadioUnitIndex, StationIndex};
+use super::{Radio, RadioUnitIndex, RobotRadio, StationIndex};
 use crate::settings::FabricError;
 
 impl Radio {
@@ -90,18 +90,16 @@ impl Radio {
         Ok(())
     }
 
-    /// Whether two radio units are in one mobility domain.
-    pub(super) fn is_one_mobility_domain(
-        &self,
-        from: Option<RadioUnitIndex>,
-        to: Option<RadioUnitIndex>,
-    ) -> bool {
-        let domain = |unit: Option<RadioUnitIndex>| {
-            let network = &self.networks[self.units[unit?].network].spec;
-            let serves = self.units[unit?].serves.as_ref();
-            Some(serves.map_or(network.mobility_domain, |served| served.mobility_domain))
+    /// Whether a robot's former radio unit, here or elsewhere, and another are in one mobility domain.
+    pub(super) fn is_one_mobility_domain(&self, robot: StationIndex, to: Option<RadioUnitIndex>) -> bool {
+        let domain = |unit: RadioUnitIndex| {
+            let network = &self.networks[self.units[unit].network].spec;
+            let serves = self.units[unit].serves.as_ref();
+            serves.map_or(network.mobility_domain, |served| served.mobility_domain)
         };
-        domain(from).is_some() && domain(from) == domain(to)
+        let RobotRadio { station, elsewhere, .. } = &self.robots[robot];
+        let from = station.attached().map(domain).or(*elsewhere);
+        from.is_some() && from == to.map(domain)
     }
 
     fn check_deployment(&self, unit: RadioUnitIndex, access_point: &AccessPoint) -> Result<(), FabricError> {
@@ -120,7 +118,7 @@ impl Radio {
         Ok(())
     }
 
-    fn unit(&self, id: &NodeId) -> Result<RadioUnitIndex, FabricError> {
+    pub(super) fn unit(&self, id: &NodeId) -> Result<RadioUnitIndex, FabricError> {
         self.unit_by_name.get(id).copied().ok_or_else(|| FabricError::UnknownRadioUnit(id.clone()))
     }
 }

@@ -85,7 +85,7 @@ impl Radio {
             None
         };
         let station = &self.robots[robot].station;
-        let is_one_domain = self.is_one_mobility_domain(station.attached(), station.underway_to());
+        let is_one_domain = self.is_one_mobility_domain(robot, station.underway_to());
         match self.robots[robot].station.expire(strongest, is_one_domain) {
             Step::Underway => {}
             Step::Scanned => {
@@ -128,6 +128,7 @@ impl Radio {
         if let Some(from) = from {
             self.units[from].stations.retain(|r| *r != robot);
         }
+        self.robots[robot].elsewhere = None;
         self.associate(robot, to);
         let event = Event::Handover(Handover {
             robot: self.robots[robot].id.clone(),

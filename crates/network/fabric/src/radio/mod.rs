@@ -5,11 +5,12 @@
 //! - [`medium`] shares each channel's airtime; [`link`] adds the conditions of emulation.
 //! - [`hearing`] finds the radio units within a robot's reach; [`air`] carries frames.
 //! - [`access`] switches vAPs on and off and admits robots; [`station`] is the state machine of an attachment; [`roaming`]
-//!   decides from beacons; [`attaching`] carries out handovers.
+//!   decides from beacons; [`attaching`] carries out handovers; [`elsewhere`] has the robots that are with other cores.
 
 mod access;
 mod air;
 mod attaching;
+mod elsewhere;
 mod hearing;
 mod link;
 mod medium;
@@ -154,6 +155,9 @@ struct RobotRadio {
     beacons: Beacons,
     /// Whether it has moved since its last beacon.
     moved: bool,
+    /// Mobility domain of the radio unit elsewhere that it is attached to, which is none of this graph. Its radio is silent
+    /// here then.
+    elsewhere: Option<u16>,
     /// The radio unit that it is, or was last, attached to. Its frames count on that link.
     home: Option<RadioUnitIndex>,
     /// Signals of its last scan, updated by beacons, in the order of the network's radio units.
@@ -238,6 +242,7 @@ impl Radio {
                 station: Station::new(spec, stream(seed, &format!("station {}", node.id))),
                 beacons: Beacons::default(),
                 moved: false,
+                elsewhere: None,
                 home: None,
                 heard: vec![None; units.len()],
                 id: node.id.clone(),
@@ -435,7 +440,7 @@ impl Radio {
         }
         robot.position = to;
         let watching = std::mem::replace(&mut robot.moved, true);
-        if !watching && !robot.station.is_away() {
+        if !watching && !robot.station.is_away() && robot.elsewhere.is_none() {
             self.watch(index, now);
         }
         Ok(())
@@ -448,6 +453,9 @@ impl Radio {
     pub(crate) fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.robot(robot)?;
+        if self.robots[index].elsewhere.is_some() {
+            return Err(FabricError::Elsewhere(robot.clone()));
+        }
         let lost = self.robots[index].station.attached().is_none();
         let purpose = if lost { Purpose::Roam } else { Purpose::Look };
         self.begin_scan(index, now, purpose).map_err(|_| FabricError::Busy(robot.clone()))
@@ -481,15 +489,22 @@ impl Radio {
         let was_away = station.is_away();
         station.attach(now, to).map_err(|_| FabricError::Busy(robot.clone()))?;
         if !was_away && station.is_away() {
+            if self.robots[index].elsewhere.is_some() {
+                // Its frames wait for the radio unit that it comes to.
+                self.robots[index].home = Some(to);
+            }
             self.leave(index);
         }
         Ok(())
     }
 
-    /// Returns the radio unit that a robot is attached to; during a handover, the former one.
+    /// Returns the radio unit that a robot is attached to; during a handover, the former one, or the next one if the former
+    /// is elsewhere.
     pub(crate) fn attached_to(&self, robot: PortId) -> Option<PortId> {
         let Some(Role::Robot(robot)) = self.role(robot) else { return None };
-        self.robots[robot].station.attached().map(|unit| self.units[unit].port)
+        let RobotRadio { station, elsewhere, .. } = &self.robots[robot];
+        let comes_to = || elsewhere.and(station.underway_to());
+        station.attached().or_else(comes_to).map(|unit| self.units[unit].port)
     }
 
     /// Returns φ(r,R) for every radio unit of the robot's network, with the last signal that the robot received; empty for

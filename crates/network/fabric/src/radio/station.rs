@@ -206,7 +206,7 @@ impl Station {
     }
 
     fn is_fast(&self, is_one_domain: bool) -> bool {
-        self.fast_transition && is_one_domain && self.attached.is_some()
+        self.fast_transition && is_one_domain
     }
 
     fn begin(&mut self, since: Timestamp, now: Timestamp, phase: Phase) {

@@ -1,0 +1,65 @@
+//! Robots whose radios are with a radio unit of another core. Here they are silent: they hear no beacons and send no frames
+//! until they attach to a radio unit of this graph.
+
+use cotorra_graph::{Dbm, Direction, NodeId, Timestamp};
+
+use super::{Path, Radio, station::Purpose};
+use crate::settings::FabricError;
+
+impl Radio {
+    /// Records that a robot went to a radio unit elsewhere, of that mobility domain. Its queued frames are lost.
+    ///
+    /// # Errors
+    /// [`FabricError::UnknownRobot`]; [`FabricError::Busy`] while it scans or changes its radio unit.
+    pub(crate) fn depart(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        mobility_domain: u16,
+    ) -> Result<(), FabricError> {
+        self.advance(now);
+        let index = self.robot(robot)?;
+        if self.robots[index].station.is_away() {
+            return Err(FabricError::Busy(robot.clone()));
+        }
+        self.medium.leave(index);
+        let queued = self.medium.clear(index);
+        if let Some(unit) = self.robots[index].home.take() {
+            for (direction, queue) in [Direction::Forward, Direction::Backward].into_iter().zip(queued) {
+                for waiting in queue {
+                    self.lose(Path { robot: index, unit, direction }, waiting.frame, waiting.is_probe);
+                }
+            }
+        }
+        if let Some(unit) = self.robots[index].station.detach() {
+            self.units[unit].stations.retain(|other| *other != index);
+        }
+        let radio = &mut self.robots[index];
+        radio.elsewhere = Some(mobility_domain);
+        radio.beacons.reset();
+        self.timers.set(self.channels + index, None);
+        Ok(())
+    }
+
+    /// Records that a robot lost its radio unit elsewhere. It scans for one of this graph.
+    ///
+    /// # Errors
+    /// [`FabricError::UnknownRobot`]; [`FabricError::NotElsewhere`].
+    pub(crate) fn come_back(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), FabricError> {
+        self.advance(now);
+        let index = self.robot(robot)?;
+        let radio = &mut self.robots[index];
+        if radio.station.is_away() || radio.elsewhere.take().is_none() {
+            return Err(FabricError::NotElsewhere(robot.clone()));
+        }
+        self.begin_scan(index, now, Purpose::Roam).map_err(|_| FabricError::Busy(robot.clone()))
+    }
+
+    /// Returns the signal of a radio unit at a robot; `None` if it is off, or out of reach.
+    ///
+    /// # Errors
+    /// [`FabricError::UnknownRobot`]; [`FabricError::UnknownRadioUnit`].
+    pub(crate) fn reach(&self, robot: &NodeId, unit: &NodeId) -> Result<Option<Dbm>, FabricError> {
+        Ok(self.hears(self.robot(robot)?, self.unit(unit)?))
+    }
+}
