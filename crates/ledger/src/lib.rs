@@ -16,6 +16,7 @@ pub mod negotiation;
 #[cfg(feature = "ethereum")]
 mod outbox;
 mod seal;
+pub mod tunnel;
 mod values;
 
 pub use contract::Contract;
