@@ -149,6 +149,9 @@ pub fn overview(testbed: &Testbed) -> String {
         let add = write!(text, "; {} of {walked:.0} m", count(testbed.walks.len(), "walk"));
         add.expect("writing into a string cannot fail");
     }
+    if let Some(border) = &testbed.border {
+        text += &format!("; a border at {} for {}", border.address, count(border.visitors.len(), "visitor"));
+    }
     if !testbed.plugins.is_empty() {
         let names: Vec<_> = testbed.plugins.iter().map(|plugin| plugin.id.as_str()).collect();
         text += &format!("; plug-ins: {}", names.join(", "));

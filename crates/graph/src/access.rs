@@ -1,6 +1,6 @@
 //! Virtual access points: their settings, and the keys of robots that attach to them.
 
-use std::{fmt, str::FromStr};
+use std::{fmt, net::SocketAddr, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +21,10 @@ pub struct AccessPoint {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub key: Option<FtKey>,
+    /// Address of the core that it is on, if that is not the robot's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    pub core: Option<SocketAddr>,
 }
 
 impl AccessPoint {
@@ -102,7 +106,8 @@ mod tests {
 
     #[test]
     fn public_settings_of_an_access_point_have_no_key() {
-        let secret = AccessPoint { ssid: "lab".into(), mobility_domain: 7, key: Some(FtKey([1; 32])) };
+        let secret =
+            AccessPoint { ssid: "lab".into(), mobility_domain: 7, key: Some(FtKey([1; 32])), core: None };
         assert_eq!(
             serde_json::to_value(secret.public()).unwrap(),
             serde_json::json!({"ssid": "lab", "mobility_domain": 7})

@@ -233,7 +233,8 @@ pub enum Instruction {
         /// The radio unit.
         radio_unit: NodeId,
     },
-    /// Give a robot the settings and the key with which it attaches to a radio unit of another domain.
+    /// Give a robot the settings and the key with which it attaches to a radio unit of another domain. Without a key, take
+    /// them back.
     Provision {
         /// The robot.
         robot: NodeId,

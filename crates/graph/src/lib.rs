@@ -5,6 +5,7 @@
 
 mod access;
 mod active;
+mod border;
 mod conditions;
 mod context;
 mod driver;
@@ -34,6 +35,7 @@ mod units;
 
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
+pub use border::Border;
 pub use conditions::{
     ConditionChange, Conditions, InvalidTrace, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale,
     Trace,

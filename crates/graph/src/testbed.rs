@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     active::Probing,
+    border::Border,
     exposure::WaisSettings,
     hardware::{HardwareGraph, Node},
     id::{DomainId, NodeId, PluginId},
@@ -50,6 +51,8 @@ pub struct Testbed {
     pub probes: Option<Probing>,
     /// Retention of samples in its history.
     pub retention: Retentions,
+    /// Its border to the cores of other domains, if it has one.
+    pub border: Option<Border>,
 }
 
 /// Emulator of links.

@@ -5,7 +5,7 @@
 //! All randomness derives from the operator's secret and its purpose, as in deterministic signatures (RFC 6979). A
 //! restarted operator therefore has the same keys and repeats the same messages, without keeping anything on disk.
 
-use std::fmt;
+use std::{fmt, net::SocketAddr};
 
 use hpke::{
     Deserializable, Kem as _, OpModeR, OpModeS, Serializable, aead::ChaCha20Poly1305, kdf::HkdfSha256,
@@ -112,11 +112,14 @@ pub struct Attachment {
     /// The pairwise master key of fast transition (IEEE 802.11-2020, 12.7.1.6.4: PMK-R1), for this robot and access
     /// point alone.
     pub pmk_r1: [u8; 32],
+    /// Address at which the provider's core takes the robots of other cores; `None` if the robot's core is the provider's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub core: Option<SocketAddr>,
 }
 
 impl fmt::Debug for Attachment {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { radio_unit, ssid, bssid, frequency_mhz, pmk_r1: _ } = self;
+        let Self { radio_unit, ssid, bssid, frequency_mhz, pmk_r1: _, core: _ } = self;
         write!(f, "Attachment({ssid} on {radio_unit}, {bssid:02x?}, {frequency_mhz} MHz)")
     }
 }
@@ -328,6 +331,7 @@ mod tests {
             bssid: [2, 0, 0, 0, 0, 4],
             frequency_mhz: 5180,
             pmk_r1: [0xab; 32],
+            core: Some(([192, 168, 77, 2], 7450).into()),
         };
         let shown = format!("{attachment:?}");
         assert!(!shown.contains("ab,") && !shown.contains("171"), "{shown}");

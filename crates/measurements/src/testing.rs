@@ -350,6 +350,7 @@ fn access_point() -> impl Strategy<Value = AccessPoint> {
         ssid,
         mobility_domain,
         key: None,
+        core: None,
     })
 }
 

@@ -262,8 +262,8 @@ impl Client {
         Self { plugin: Some(plugin), ..self }
     }
 
-    /// The testbed, without its map, its emulation, the settings of its WAIS and its history's retention, which the API
-    /// does not give.
+    /// The testbed, without its map, its emulation, the settings of its WAIS, its history's retention and its border, which
+    /// the API does not give.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -288,6 +288,7 @@ impl Client {
             script: Default::default(),
             probes,
             retention,
+            border: None,
         })
     }
 

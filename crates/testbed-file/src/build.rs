@@ -1,6 +1,7 @@
 //! Builds a testbed from its records: names become references, figures become conditions. Mistakes within one record
 //! are reported here, those between records in [`super::check`].
 
+mod border;
 mod builder;
 mod flows;
 mod kobuki;
@@ -59,6 +60,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     let plugins = builder.plugins();
     let wais = builder.wais(&record.wais);
     let script = script::script(&mut builder, links.as_deref());
+    let border = builder.border();
     let domains = builder.domains;
     let probes = probes(&record.probes, sink);
     let retention = retentions(&record.history.retention, sink);
@@ -74,6 +76,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         script: script?,
         probes,
         retention,
+        border: border?,
         description: record.description.clone(),
         // Only a working folder that does not exist any more has no absolute path.
         folder: std::path::absolute(base_dir.join(".")).unwrap_or_default(),

@@ -51,6 +51,8 @@ record! {
         probes: Either<ProbesWord, ProbesRecord> = {},
         /// Settings of its history.
         history: HistoryRecord = {},
+        /// Where this core meets the cores of other domains: docs/federation.md.
+        border: Option<BorderRecord>,
     }
 }
 
@@ -961,6 +963,18 @@ record! {
         callbacks: Vec<IpNetwork> = [],
         /// Place of the map's origin on Earth. Without it, no locations are exposed.
         origin: Option<OriginRecord>,
+    }
+}
+
+record! {
+    /// Where this core meets the cores of other domains.
+    BorderRecord {
+        /// Server at which packets of a robot enter and leave the wired network while the robot is with another core.
+        node: Spanned<NodeId>,
+        /// Address of this machine at which other cores reach this one, such as `192.168.77.1:7450`.
+        address: Spanned<String>,
+        /// Robots that stand for robots of other cores while these are attached to radio units here.
+        visitors: Vec<Spanned<NodeId>> = [],
     }
 }
 

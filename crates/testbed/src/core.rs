@@ -14,6 +14,7 @@ use cotorra_graph::{
     Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId, Stamped,
     Testbed, Timestamp,
 };
+use cotorra_ledger::tunnel::TunnelId;
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{InstructionError, Network, NetworkControl, NetworkGone, vim::Managed};
 use cotorra_plugin::wire::Answer;
@@ -23,6 +24,7 @@ use cotorra_robot_middleware::{
 
 use crate::{
     answerers::Answerer,
+    border::{self, Border},
     domain::Domains,
     images::{self, Image},
     plugins::host::{Controlled, Fault},
@@ -52,6 +54,8 @@ pub(crate) struct Core<N, E> {
     domains: Domains,
     middleware: RobotMiddleware,
     control: NetworkControl<N, E>,
+    /// Where it meets other cores, in real time only.
+    border: Option<Border>,
     /// Navigation VNF of each robot.
     navigators: BTreeMap<NodeId, Answerer>,
     /// Localization VNF of each robot that has one.
@@ -103,6 +107,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             trips: Trips::follow(&network, ports),
             middleware: RobotMiddleware::driven(&testbed, seed, CONTEXT, nonces, drive)?,
             control: NetworkControl::new(&testbed, network, engine),
+            border: None,
             navigators,
             localizers,
             receivers: images::receivers(&testbed),
@@ -118,6 +123,11 @@ impl<N: Network, E: Engine> Core<N, E> {
             stale_servers: true,
             begun: false,
         })
+    }
+
+    /// Lets robots visit other cores, and those of others this one.
+    pub(crate) fn open_border(&mut self, border: Border) {
+        self.border = Some(border);
     }
 
     /// Starts the VNFs.
@@ -173,8 +183,15 @@ impl<N: Network, E: Engine> Core<N, E> {
             self.change(now, change);
         }
         let robots: Vec<_> = places.iter().map(|(robot, _)| robot.clone()).collect();
-        let attachments = self.control.locate(places)?;
-        for (robot, attachments) in robots.iter().zip(attachments) {
+        let attachments = self.control.locate(places.clone())?;
+        if let Some(border) = &mut self.border {
+            let events = border.tick(now, &places, &mut self.control);
+            self.report(now, events);
+        }
+        for (robot, mut attachments) in robots.iter().zip(attachments) {
+            if let Some(border) = &self.border {
+                border.complete(now, robot, &mut attachments);
+            }
             self.middleware.set_attachments(robot, attachments);
         }
         self.find_nearest()
@@ -286,7 +303,18 @@ impl<N: Network, E: Engine> Core<N, E> {
             self.next_context = Timestamp::ZERO;
             self.remaps = true;
         }
+        if let Some(border) = &mut self.border {
+            border.observe(&event.event);
+        }
         self.events.push_back(event);
+    }
+
+    /// Takes what another core told.
+    pub(crate) fn hear(&mut self, now: Timestamp, tunnel: TunnelId) {
+        let Some(border) = &mut self.border else { return };
+        for event in border.hear(now, tunnel, &mut self.control) {
+            self.observe(Stamped { at: now, event });
+        }
     }
 
     /// Whether every walk is done; false without walks.
@@ -371,7 +399,7 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
             }
             _ => {
                 self.stale_servers = true;
-                self.control.instruct(now, &instruction)
+                border::instruct(self.border.as_mut(), now, &instruction, &mut self.control)
             }
         };
         let refused = done.as_ref().err().map(ToString::to_string);

@@ -65,6 +65,11 @@ pub enum RunError {
         "`{0}` is a gateway, and virtual time has no real machines: run in real time, or put a server in its place"
     )]
     VirtualGateway(NodeId),
+    /// Virtual time has no other cores.
+    #[error(
+        "the testbed has a border to other cores, and virtual time has none: run in real time, or remove `border` from the testbed file"
+    )]
+    VirtualBorder,
     /// Agents of real servers.
     #[cfg(feature = "agents")]
     #[error(transparent)]

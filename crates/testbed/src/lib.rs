@@ -9,6 +9,7 @@
 mod agents;
 mod answerers;
 mod api;
+mod border;
 mod capture;
 mod clock;
 mod confined;

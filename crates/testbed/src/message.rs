@@ -3,6 +3,7 @@
 use std::{net::SocketAddrV4, sync::Arc};
 
 use cotorra_graph::{Instruction, NodeId, PluginId, Stamped, Timestamp};
+use cotorra_ledger::tunnel::TunnelId;
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::Actions;
 
@@ -40,6 +41,8 @@ pub(crate) enum Message {
     },
     /// An event of the emulated network.
     Network(Stamped),
+    /// Another core told something over this tunnel.
+    Border(TunnelId),
     /// A plug-in that virtual time waits for follows the events. Not sent in real time.
     Follow(Follower),
     /// A plug-in has taken in all events before a mark.

@@ -59,6 +59,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
         script: Default::default(),
         probes: None,
         retention: Default::default(),
+        border: None,
     }
 }
 

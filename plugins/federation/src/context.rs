@@ -1,6 +1,9 @@
 //! State of a domain that both roles use, as creator and as provider.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    net::SocketAddr,
+};
 
 use cotorra_graph::{Instruction, NodeId, Timestamp};
 use cotorra_ledger::{Secret, ServiceId, negotiation::Creator};
@@ -28,6 +31,8 @@ pub(crate) struct DomainContext<'a> {
     pub(crate) settings: &'a Settings,
     pub(crate) secret: &'a Secret,
     pub(crate) coverage: &'a Coverage,
+    /// Address at which this core takes the robots of others.
+    pub(crate) core: Option<SocketAddr>,
     pub(crate) units: &'a mut BTreeMap<NodeId, Unit>,
     /// Services to be ended.
     pub(crate) closing: &'a mut Vec<Creator>,

@@ -227,6 +227,7 @@ impl Service {
             ssid: self.ssid.clone(),
             mobility_domain: self.mobility_domain,
             key: Some(FtKey(domain_context.secret.ft_key(self.id()))),
+            core: None,
         };
         domain_context.note(self.id(), Step::DeploymentStarted, format!("a({}) = {{vAP}}", self.unit));
         domain_context.actions.instruct(Instruction::Deploy { radio_unit: self.unit.clone(), access_point });
@@ -248,6 +249,7 @@ impl Service {
             bssid: [0x02, a, b, c, d, e],
             frequency_mhz: self.frequency_mhz,
             pmk_r1: key,
+            core: domain_context.core,
         });
     }
 

@@ -347,6 +347,9 @@ impl Journey {
                 CreatorStep::Failed(failure) => {
                     domain_context.note(id, Step::Failed, failure.to_string());
                     let stage = std::mem::replace(&mut self.stage, Stage::GivenUp);
+                    if let Stage::Attaching { attachment, .. } = &stage {
+                        self.forget(attachment, domain_context);
+                    }
                     if let Stage::Negotiating(creator) | Stage::Attaching { creator, .. } = stage {
                         domain_context.closing.push(*creator);
                     }
@@ -360,18 +363,25 @@ impl Journey {
     /// Handles the winner's data for attaching.
     fn deployed(&mut self, attachment: Attachment, domain_context: &mut DomainContext<'_>) {
         // Also from another provider, after one that could not be attached to.
-        let (Stage::Negotiating(creator) | Stage::Attaching { creator, .. }) =
+        let (Stage::Negotiating(mut creator) | Stage::Attaching { mut creator, .. }) =
             std::mem::replace(&mut self.stage, Stage::Home)
         else {
             return;
         };
         domain_context.note(creator.id(), Step::ConfirmationReceived, attachment.radio_unit.clone());
+        if domain_context.units.keys().any(|own| own.as_str() == attachment.radio_unit) {
+            // A lie: the robot may be attached there already.
+            creator.unusable();
+            self.stage = Stage::Negotiating(creator);
+            return;
+        }
         let (since, next_try) = (domain_context.now, domain_context.now);
         if let Ok(radio_unit) = attachment.radio_unit.parse() {
             let access_point = AccessPoint {
                 ssid: attachment.ssid.clone(),
                 mobility_domain: self.mobility_domain,
                 key: Some(FtKey(attachment.pmk_r1)),
+                core: attachment.core,
             };
             let robot = self.walk.robot.clone();
             domain_context.actions.instruct(Instruction::Provision { robot, radio_unit, access_point });
@@ -380,14 +390,30 @@ impl Journey {
         self.attach(domain_context);
     }
 
+    /// Takes back what the robot was given to attach to a radio unit of another core, which then learns nothing more of it.
+    fn forget(&self, attachment: &Attachment, domain_context: &mut DomainContext<'_>) {
+        if let (Some(core), Ok(radio_unit)) = (attachment.core, attachment.radio_unit.parse()) {
+            let access_point = AccessPoint {
+                ssid: attachment.ssid.clone(),
+                mobility_domain: self.mobility_domain,
+                key: None,
+                core: Some(core),
+            };
+            let robot = self.walk.robot.clone();
+            domain_context.actions.instruct(Instruction::Provision { robot, radio_unit, access_point });
+        }
+    }
+
     /// Tries to attach to the target. A vAP out of reach may come into reach later: it is given up only once the
     /// robot has to wait for it.
     fn attach(&mut self, domain_context: &mut DomainContext<'_>) {
         let robot = self.walk.robot.clone();
         if let (Stage::Attaching { since, .. }, Some(halted)) = (&self.stage, self.halted)
             && domain_context.now.since(halted.max(*since)) >= domain_context.settings.attach_within
-            && let Stage::Attaching { mut creator, .. } = std::mem::replace(&mut self.stage, Stage::Home)
+            && let Stage::Attaching { mut creator, attachment, .. } =
+                std::mem::replace(&mut self.stage, Stage::Home)
         {
+            self.forget(&attachment, domain_context);
             creator.unusable();
             self.stage = Stage::Negotiating(creator);
         }
@@ -412,7 +438,7 @@ impl Journey {
 fn switch_on(radio_unit: &NodeId, domain_context: &mut DomainContext<'_>) {
     let Some(unit) = domain_context.units.get(radio_unit).filter(|unit| !unit.on) else { return };
     let access_point =
-        AccessPoint { ssid: unit.ssid.clone(), mobility_domain: unit.mobility_domain, key: None };
+        AccessPoint { ssid: unit.ssid.clone(), mobility_domain: unit.mobility_domain, key: None, core: None };
     domain_context.actions.instruct(Instruction::Deploy { radio_unit: radio_unit.clone(), access_point });
 }
 

@@ -4,6 +4,7 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     mem,
+    net::SocketAddr,
 };
 
 use cotorra_graph::{AccessPoint, DomainId, Event, NodeId, Testbed, Timestamp, VnfState};
@@ -51,6 +52,8 @@ pub struct Federation {
     /// The frame of positions. All domains of a testbed use one name for it.
     map: String,
     coverage: Coverage,
+    /// Address at which this core takes the robots of others.
+    core: Option<SocketAddr>,
     units: BTreeMap<NodeId, Unit>,
     journeys: BTreeMap<NodeId, Journey>,
     hosting: Hosting,
@@ -88,6 +91,7 @@ impl Federation {
     pub fn new(settings: Settings, domain: &DomainId, ledger: Box<dyn Ledger>, secret: Secret) -> Self {
         Self {
             coverage: Coverage::of(&empty(), settings.edge),
+            core: None,
             settings,
             record: Record::new(ledger.account()),
             ledger,
@@ -122,6 +126,7 @@ impl Federation {
             settings: &self.settings,
             secret: &self.secret,
             coverage: &self.coverage,
+            core: self.core,
             units: &mut self.units,
             closing: &mut self.closing,
             noted: &self.noted,
@@ -273,6 +278,8 @@ impl Plugin for Federation {
     fn start(&mut self, now: Timestamp, testbed: &Testbed, actions: &mut Actions) {
         let graph = &testbed.graph;
         self.map.clone_from(&testbed.name);
+        let takes_visitors = |border: &&cotorra_graph::Border| !border.visitors.is_empty();
+        self.core = testbed.border.as_ref().filter(takes_visitors).map(|border| border.address);
         self.coverage = Coverage::of(graph, self.settings.edge);
         let units = graph.radio_units().filter_map(|(node, unit)| {
             let network = graph.wireless.get(&unit.network)?;

@@ -35,6 +35,7 @@ pub fn describe(
     text += &real_servers(testbed);
     text += &agents(testbed);
     text += &gateways(testbed);
+    text += &border(testbed);
     for (name, plan) in interfaces {
         text +=
             &format!("\nInterface {name} of this machine, restored at the end, as commands of tc and ip:\n");
@@ -155,6 +156,22 @@ fn gateways(testbed: &Testbed) -> String {
         }
         text += &machines.render("  ");
     }
+    text
+}
+
+/// Describes the border, and what other cores need.
+fn border(testbed: &Testbed) -> String {
+    let Some(border) = &testbed.border else { return String::new() };
+    let mut text = format!(
+        "\nBorder to the cores of other domains: they reach this one over UDP at {}. Packets of robots that are with them \
+         enter and leave the wired network at {}.\n",
+        border.address, border.node
+    );
+    let visitors: Vec<_> = border.visitors.iter().map(ToString::to_string).collect();
+    text += &match visitors.is_empty() {
+        true => "  It takes in no robots: no `visitors` stand for them.\n".to_owned(),
+        false => format!("  It takes in one robot for each visitor: {}.\n", visitors.join(", ")),
+    };
     text
 }
 

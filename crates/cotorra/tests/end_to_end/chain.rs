@@ -59,6 +59,11 @@ impl Chain {
         Key::open(&file, &Password::File(self.place.path().join("password"))).unwrap()
     }
 
+    /// Returns the node's port at 127.0.0.1.
+    pub fn port(&self) -> u16 {
+        self.settings.port
+    }
+
     fn url(&self) -> String {
         format!("ws://127.0.0.1:{}", self.settings.port)
     }
@@ -73,9 +78,14 @@ impl Chain {
 
     /// Returns settings that let the orchestrators use this chain, with transactions that are final after `depth` blocks.
     pub fn settings(&self, depth: u64) -> [String; 4] {
+        self.settings_at(&self.url(), depth)
+    }
+
+    /// Does the same as [`Self::settings`] where the node is at another URL.
+    pub fn settings_at(&self, url: &str, depth: u64) -> [String; 4] {
         DOMAINS.map(|domain| {
             let ledger = json!({
-                "kind": "ethereum", "url": self.url(), "chain_id": self.chain_id, "contract": self.contract,
+                "kind": "ethereum", "url": url, "chain_id": self.chain_id, "contract": self.contract,
                 "from_block": self.from_block, "depth": depth,
                 "key_store": project_file("testbeds/trial-keys").join(format!("{domain}.json")),
                 "password_file": self.place.path().join("password"),

@@ -51,5 +51,7 @@ mod steer;
 mod sweep;
 mod time_parts;
 mod turtlebot;
+#[cfg(feature = "ethereum")]
+mod two_cores;
 mod wais;
 mod whole;

@@ -205,6 +205,7 @@ impl Operator {
                 bssid: [2, 0, 0, 0, 0, 1],
                 frequency_mhz: 5180,
                 pmk_r1: self.secret.ft_key(service.id()),
+                core: None,
             });
         }
         service.submit(now, &mut self.ledger).expect("the key is valid");

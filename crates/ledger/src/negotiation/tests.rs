@@ -57,6 +57,7 @@ fn attachment() -> Attachment {
         bssid: [2, 0, 0, 0, 0, 4],
         frequency_mhz: 5180,
         pmk_r1: [8; 32],
+        core: None,
     }
 }
 

@@ -5,8 +5,8 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_engine::Engine;
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Attachment, Direction, Event, InstancePath, Instruction, LinkId, NodeId, PathKind, Placement, Position,
-    Testbed, Timestamp, VirtualLink, VirtualLinkMapping, VnfId,
+    Attachment, Dbm, Direction, Event, InstancePath, Instruction, LinkId, NodeId, PathKind, Placement,
+    Position, Testbed, Timestamp, VirtualLink, VirtualLinkMapping, VnfId,
 };
 
 use crate::{
@@ -133,6 +133,53 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 }
             }
             robots.iter().map(|(robot, _)| fabric.attachments(robot)).collect()
+        })
+    }
+
+    /// Records that a robot went to a radio unit of another core. Its packets leave there, and those to it at the border.
+    /// Without a border, it is silent.
+    ///
+    /// # Errors
+    /// [`InstructionError`]. Nothing has changed then.
+    pub fn depart(
+        &self,
+        robot: &NodeId,
+        mobility_domain: u16,
+        border: Option<&NodeId>,
+    ) -> Result<(), InstructionError> {
+        let (robot, border) = (robot.clone(), border.cloned());
+        let depart =
+            move |fabric: &mut Fabric, now| fabric.depart(now, &robot, mobility_domain, border.as_ref());
+        self.network.with(depart).map_err(rejected)?.map_err(rejected)
+    }
+
+    /// Lets a robot that lost a radio unit of another core look for one of this core.
+    ///
+    /// # Errors
+    /// [`InstructionError`]. Nothing has changed then.
+    pub fn come_back(&self, robot: &NodeId) -> Result<(), InstructionError> {
+        let robot = robot.clone();
+        let come_back = move |fabric: &mut Fabric, now| fabric.come_back(now, &robot);
+        self.network.with(come_back).map_err(rejected)?.map_err(rejected)
+    }
+
+    /// Returns the radio unit of this core that a robot is attached to.
+    ///
+    /// # Errors
+    /// [`NetworkGone`].
+    pub fn attached_to(&self, robot: &NodeId) -> Result<Option<NodeId>, NetworkGone> {
+        let robot = robot.clone();
+        self.network.with(move |fabric, _| fabric.attached_to(&robot).cloned())
+    }
+
+    /// Returns the signal of each radio unit at a robot; `None` if it is off, or out of reach.
+    ///
+    /// # Errors
+    /// [`NetworkGone`].
+    pub fn reach(&self, pairs: Vec<(NodeId, NodeId)>) -> Result<Vec<Option<Dbm>>, NetworkGone> {
+        self.network.with(move |fabric, _| {
+            let reach = |(robot, unit): &(NodeId, NodeId)| fabric.reach(robot, unit).ok().flatten();
+            pairs.iter().map(reach).collect()
         })
     }
 

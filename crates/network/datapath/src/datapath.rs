@@ -14,7 +14,7 @@ use cotorra_graph::{HardwareGraph, Node, NodeId};
 use crate::{
     awake::Awake,
     clock::Clock,
-    engine::{Engine, EventSink, Handle, Shared},
+    engine::{DepartureSink, Engine, EventSink, Handle, Shared, Sinks},
     error::{Action, Error},
     gateway::{self, GatewayTraffic, Opened},
     hosts::{self, Host, PortKind},
@@ -36,6 +36,8 @@ pub struct Options {
     pub let_cores_sleep: bool,
     /// Receiver of the fabric's events.
     pub events: Option<EventSink>,
+    /// Receiver of packets of robots that are with other cores.
+    pub departures: Option<DepartureSink>,
     /// Interfaces that gateways and real servers may use even if they carry the default route.
     pub allowed_interfaces: Vec<String>,
     /// A network in which the kernel carries the packets between its own hosts. The fabric then only keeps the
@@ -87,9 +89,9 @@ impl Datapath {
             .ok();
         let shared = Arc::new(Shared::new().action("make an eventfd")?);
         let clock = Clock::start();
-        let engine =
-            Engine::new(fabric, clock, ports, Arc::clone(&shared), options.busy_poll, options.events)
-                .action("wait for the ports with epoll")?;
+        let sinks = Sinks { events: options.events, departures: options.departures };
+        let engine = Engine::new(fabric, clock, ports, Arc::clone(&shared), options.busy_poll, sinks)
+            .action("wait for the ports with epoll")?;
         let thread = thread::Builder::new()
             .name("fabric".into())
             .spawn(|| engine.run())

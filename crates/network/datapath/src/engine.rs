@@ -12,7 +12,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_fabric::{Fabric, Frame, PortId};
+use cotorra_fabric::{Departure, Fabric, Frame, PortId};
 use cotorra_graph::{Stamped, Timestamp};
 use parking_lot::Mutex;
 
@@ -37,6 +37,9 @@ type Command = Box<dyn FnOnce(&mut Fabric, Timestamp) + Send>;
 
 /// Receiver of the fabric's events. Runs on the fabric's thread and must not block.
 pub type EventSink = Box<dyn FnMut(Stamped) + Send>;
+
+/// Receiver of packets for other cores. Runs on the fabric's thread and must not block.
+pub type DepartureSink = Box<dyn FnMut(Departure) + Send>;
 
 /// State shared with [`Handle`]s.
 pub(crate) struct Shared {
@@ -114,7 +117,14 @@ pub(crate) struct Engine {
     punctuality: Punctuality,
     /// Buffer for the part of a frame that exceeds an ordinary one.
     spill: Box<[u8]>,
-    events: Option<EventSink>,
+    sinks: Sinks,
+}
+
+/// Receivers of what is no frame of a port.
+#[derive(Default)]
+pub(crate) struct Sinks {
+    pub(crate) events: Option<EventSink>,
+    pub(crate) departures: Option<DepartureSink>,
 }
 
 /// The ports, and measurements of sending.
@@ -191,7 +201,7 @@ impl Engine {
         ports: Vec<Port>,
         shared: Arc<Shared>,
         busy_poll: BusyPoll,
-        events: Option<EventSink>,
+        sinks: Sinks,
     ) -> io::Result<Self> {
         let epoll = Epoll::new()?;
         for (index, port) in ports.iter().enumerate() {
@@ -214,7 +224,7 @@ impl Engine {
             shared,
             punctuality: Punctuality::new(busy_poll),
             spill: vec![0; port::LARGEST].into(),
-            events,
+            sinks,
         })
     }
 
@@ -273,9 +283,14 @@ impl Engine {
         for frame in ports.spent.drain(..) {
             self.fabric.recycle(frame);
         }
-        if let Some(sink) = &mut self.events {
+        if let Some(sink) = &mut self.sinks.events {
             while let Some(event) = self.fabric.next_event() {
                 sink(event);
+            }
+        }
+        if let Some(sink) = &mut self.sinks.departures {
+            while let Some(departure) = self.fabric.next_departure() {
+                sink(departure);
             }
         }
         deadline
@@ -354,7 +369,8 @@ mod tests {
         let shared = Arc::new(Shared::new().unwrap());
         let fabric = Fabric::new(&graph, 1).unwrap();
         let (clock, also_shared) = (Clock::start(), Arc::clone(&shared));
-        let engine = Engine::new(fabric, clock, Vec::new(), also_shared, BusyPoll::Never, None).unwrap();
+        let engine =
+            Engine::new(fabric, clock, Vec::new(), also_shared, BusyPoll::Never, Sinks::default()).unwrap();
         shared.stop();
         shared.waker.clear();
         engine.run().unwrap();

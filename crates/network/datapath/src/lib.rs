@@ -16,6 +16,7 @@
 //! # }
 //! ```
 
+mod allowance;
 mod awake;
 pub mod bench;
 mod capability;
@@ -40,11 +41,12 @@ mod seccomp;
 mod sys;
 mod vnet;
 
+pub use allowance::Allowance;
 pub use capability::{Capability, CapabilityState, probe};
 pub use clock::Clock;
 pub use confine::Confinement;
 pub use datapath::{Datapath, Options};
-pub use engine::{EventSink, Handle};
+pub use engine::{DepartureSink, EventSink, Handle};
 pub use error::Error;
 pub use gateway::{GatewayTraffic, check_gateways, error::GatewayError, gate::Passed};
 pub use hosts::PortKind;

@@ -37,6 +37,9 @@ pub enum CommandError {
     /// The robot has a fault and stands still.
     #[error("it stands still until it is well again: {0}")]
     Unwell(RobotFault),
+    /// The robot stands for one of another core.
+    #[error("it stands for a robot of another core, which alone moves it")]
+    Visitor,
 }
 
 /// A robot that can be driven.

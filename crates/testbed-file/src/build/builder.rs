@@ -41,7 +41,7 @@ impl Builder<'_> {
         self.node_where(id, "robot", |node| matches!(node, NodeRecord::Robot(_)))
     }
 
-    fn node_where(
+    pub(super) fn node_where(
         &mut self,
         id: &Spanned<NodeId>,
         what: &str,

@@ -226,7 +226,7 @@ fn a_visiting_robot_arrives_and_departs() {
 
 #[test]
 fn a_domain_changes_its_own_nodes_and_no_others() {
-    let access_point = AccessPoint { ssid: "lab".into(), mobility_domain: 1, key: None };
+    let access_point = AccessPoint { ssid: "lab".into(), mobility_domain: 1, key: None, core: None };
     let of = |n: &str, radio_unit: &str, link: &str| {
         let robot = || id::<NodeId>(&format!("r{n}"));
         let deployed = access_point.clone();

@@ -309,7 +309,8 @@ impl Names {
             4 => Instruction::Halt { robot },
             5 => Instruction::Go { robot },
             6 => {
-                let access_point = AccessPoint { ssid: "lab".to_owned(), mobility_domain: 1, key: None };
+                let access_point =
+                    AccessPoint { ssid: "lab".to_owned(), mobility_domain: 1, key: None, core: None };
                 Instruction::Deploy { radio_unit, access_point }
             }
             7 => Instruction::Remove { radio_unit },

@@ -327,6 +327,7 @@ mod tests {
             script: Default::default(),
             probes: None,
             retention: Default::default(),
+            border: None,
         })
     }
 

@@ -89,8 +89,8 @@ impl Run {
         }
         let (prepared, unstarted) = Prepared::new(testbed, text, options)?;
         let Unstarted { confined, listener, plugins, script } = unstarted;
-        let (network, real_network) = NetworkUp::start(&prepared)?;
-        let nodes = NodesUp::start(&prepared, &network, real_network, script, confined)?;
+        let (mut network, real_network) = NetworkUp::start(&prepared)?;
+        let nodes = NodesUp::start(&prepared, &mut network, real_network, script, confined)?;
         let services = ServicesUp::start(&prepared, &network, listener, plugins)?;
         Self::start_core(prepared, network, nodes, services)
     }
@@ -104,7 +104,7 @@ impl Run {
     ) -> Result<Self, RunError> {
         start_receivers(&nodes.sockets, &network)?;
         let Prepared { testbed, folder, history, run, recorder, recording, keeping, .. } = prepared;
-        let NetworkUp { datapath, now, inbox, messages, is_probed } = network;
+        let NetworkUp { datapath, now, inbox, messages, is_probed, .. } = network;
         let NodesUp { mut core, masters, sockets, image_sockets } = nodes;
         let ServicesUp { live, stream, server, plugins } = services;
         let tap = recording.as_ref().map(Recording::tap);

@@ -5,8 +5,8 @@ use std::sync::{
     mpsc::{self, Receiver, Sender},
 };
 
-use cotorra_datapath::{Datapath, EventSink};
-use cotorra_fabric::Fabric;
+use cotorra_datapath::{Datapath, DepartureSink, EventSink};
+use cotorra_fabric::{Departure, Fabric};
 use cotorra_graph::Timestamp;
 
 use super::prepared::Prepared;
@@ -27,7 +27,12 @@ pub(super) struct NetworkUp {
     pub(super) is_probed: bool,
     pub(super) inbox: Receiver<Message>,
     pub(super) messages: Sender<Message>,
+    /// Packets for other cores, if there is a border.
+    pub(super) departures: Option<Receiver<Departure>>,
 }
+
+/// Packets for other cores that wait to be sent. Further ones are lost, as with a full queue.
+const DEPARTURES: usize = 4096;
 
 impl NetworkUp {
     /// Starts the network's threads, and sets the conditions of interfaces of this machine. Returns the core's access
@@ -51,8 +56,12 @@ impl NetworkUp {
         // The last step that can be rejected; from here on the interfaces are put back at the end.
         let real = RealLinks::begin(&testbed.graph, &mut fabric, &options.interfaces, testbed.probes)?;
         let is_probed = kernel.is_some() || real.as_ref().is_some_and(RealLinks::are_alone);
+        let (depart, departures) = mpsc::sync_channel(DEPARTURES);
+        let departures = testbed.border.is_some().then_some(departures);
+        let departure_sink: DepartureSink = Box::new(move |departure| drop(depart.try_send(departure)));
         let datapath_options = cotorra_datapath::Options {
             events: Some(events),
+            departures: departures.is_some().then_some(departure_sink),
             let_cores_sleep: options.save_power,
             allowed_interfaces: options.interfaces.interfaces.clone(),
             kernel,
@@ -62,6 +71,6 @@ impl NetworkUp {
         let clock = datapath.clock();
         let now: Clock = Arc::new(move || clock.now());
         let real_network = RealNetwork::new(&datapath, real);
-        Ok((Self { now, datapath, is_probed, inbox, messages }, real_network))
+        Ok((Self { now, datapath, is_probed, inbox, messages, departures }, real_network))
     }
 }

@@ -9,6 +9,7 @@ use cotorra_robot_middleware::{Nonces, SimulatedRobot};
 
 use super::{engines::Engines, launcher::NodeLauncher, network::NetworkUp, prepared::Prepared};
 use crate::{
+    border::{Border, Places, Tunnels},
     confined::Confined,
     core::Core,
     error::{RunError, system},
@@ -33,7 +34,7 @@ impl NodesUp {
     /// Opens the robots' sockets, connects to robots, and makes the core.
     pub(super) fn start(
         prepared: &Prepared,
-        network: &NetworkUp,
+        network: &mut NetworkUp,
         real_network: RealNetwork,
         script: Script,
         confined: Confined,
@@ -56,15 +57,26 @@ impl NodesUp {
         let agents = None;
         let engine = Engines::new(&testbed.graph, local, agents);
         let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), Arc::clone(&network.now));
-        let core = Core::new(
+        let places = Places::default();
+        let border = testbed.border.as_ref();
+        let mut core = Core::new(
             Arc::clone(testbed),
             prepared.seed,
             Nonces::unpredictable(),
             real_network,
             engine,
             script,
-            |node: &Node, robot: SimulatedRobot| robots.drive(node, robot),
+            |node: &Node, robot: SimulatedRobot| {
+                if border.is_some_and(|border| border.visitors.contains(&node.id)) {
+                    return Ok(Box::new(places.driver(&node.id, node.position.unwrap_or_default())));
+                }
+                robots.drive(node, robot)
+            },
         )?;
+        if let (Some(border), Some(departures)) = (border, network.departures.take()) {
+            let tunnels = Tunnels::start(testbed, border, datapath, departures, &network.messages)?;
+            core.open_border(Border::new(Arc::clone(testbed), border.clone(), tunnels, places));
+        }
         Ok(Self { core, masters: robots.masters(), image_sockets, sockets })
     }
 }

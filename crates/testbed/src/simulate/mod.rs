@@ -139,6 +139,9 @@ impl Simulation {
         if let Some((gateway, _)) = testbed.graph.gateways().next() {
             return Err(RunError::VirtualGateway(gateway.id.clone()));
         }
+        if testbed.border.is_some() {
+            return Err(RunError::VirtualBorder);
+        }
         let testbed = emulated(testbed);
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;

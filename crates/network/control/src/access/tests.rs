@@ -37,7 +37,7 @@ fn at(ms: u64) -> Timestamp {
 }
 
 fn lab() -> AccessPoint {
-    AccessPoint { ssid: "lab".into(), mobility_domain: 1, key: None }
+    AccessPoint { ssid: "lab".into(), mobility_domain: 1, key: None, core: None }
 }
 
 #[test]

@@ -10,7 +10,7 @@ use std::{
 use cotorra_fabric::{Frame, Histogram};
 use cotorra_graph::{Gateway, HostAddress, Lateness, Timestamp};
 
-use crate::hosts::MTU;
+use crate::{allowance::Allowance, hosts::MTU};
 
 /// The I/G bit of an address, which marks a group (IEEE 802).
 pub(super) const GROUP: u8 = 0x01;
@@ -68,26 +68,6 @@ enum Groups {
     Machine(Option<[u8; 6]>),
 }
 
-/// The frames to groups that may still pass now.
-#[derive(Debug)]
-struct Allowance {
-    frames: f64,
-    at: Timestamp,
-}
-
-impl Allowance {
-    const FULL: Self = Self { frames: MOST_GROUP_FRAMES, at: Timestamp::ZERO };
-
-    fn take(&mut self, now: Timestamp) -> bool {
-        let passed = now.since(self.at).as_secs_f64();
-        self.frames = (self.frames + passed * MOST_GROUP_FRAMES).min(MOST_GROUP_FRAMES);
-        self.at = self.at.max(now);
-        let is_enough = self.frames >= 1.0;
-        self.frames -= f64::from(u8::from(is_enough));
-        is_enough
-    }
-}
-
 /// Addresses in a frame that may pass.
 struct Addresses {
     destination: [u8; 6],
@@ -135,8 +115,8 @@ impl Gate {
             machines: machines.into_iter().collect(),
             learnt: HashSet::new(),
             groups: Groups::Group,
-            inward: Allowance::FULL,
-            outward: Allowance::FULL,
+            inward: Allowance::new(MOST_GROUP_FRAMES),
+            outward: Allowance::new(MOST_GROUP_FRAMES),
             passed: Passed::default(),
             received: Histogram::default(),
             sent: Histogram::default(),

@@ -687,7 +687,12 @@ impl Network {
 
     /// The access point of a radio unit that serves from the start.
     fn access_point(&self) -> AccessPoint {
-        AccessPoint { ssid: self.ssid.clone(), mobility_domain: self.spec.mobility_domain, key: None }
+        AccessPoint {
+            ssid: self.ssid.clone(),
+            mobility_domain: self.spec.mobility_domain,
+            key: None,
+            core: None,
+        }
     }
 }
 

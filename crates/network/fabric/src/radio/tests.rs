@@ -773,7 +773,7 @@ fn domains(roaming: Roaming) -> World {
 }
 
 fn access_point(mobility_domain: u16, key: Option<u8>) -> AccessPoint {
-    AccessPoint { ssid: "lab".into(), mobility_domain, key: key.map(|byte| FtKey([byte; 32])) }
+    AccessPoint { ssid: "lab".into(), mobility_domain, key: key.map(|byte| FtKey([byte; 32])), core: None }
 }
 
 #[test]

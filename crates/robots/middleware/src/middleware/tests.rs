@@ -65,6 +65,7 @@ fn testbed() -> Testbed {
         script: Default::default(),
         probes: None,
         retention: Default::default(),
+        border: None,
     }
 }
 
