@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, net::IpAddr, path::PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    id::{NodeId, SensorId},
+    id::{AgentId, NodeId, SensorId},
     units::Position,
 };
 
@@ -24,8 +24,18 @@ pub enum Driver {
     Ros1(Box<Ros1>),
     /// Robot that speaks ROS 2.
     Ros2(Box<Ros2>),
-    /// TurtleBot 2 at serial ports of this machine.
+    /// TurtleBot 2 at serial ports: of this machine, or of an agent's.
     Kobuki(Box<Kobuki>),
+}
+
+impl Driver {
+    /// The agent at which its serial ports are, if they are at one.
+    pub fn agent(&self) -> Option<&AgentId> {
+        match self {
+            Self::Kobuki(kobuki) => kobuki.agent.as_ref(),
+            Self::Simulated { .. } | Self::Ros1(_) | Self::Ros2(_) => None,
+        }
+    }
 }
 
 impl Default for Driver {
@@ -44,6 +54,9 @@ pub struct Kobuki {
     pub port: PathBuf,
     /// Its lidar, if it has one.
     pub lidar: Option<Rplidar>,
+    /// The agent on whose machine the ports are. Without one: they are this machine's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agent: Option<AgentId>,
 }
 
 /// Serial port of an RPLIDAR A2, and its pose on the robot.

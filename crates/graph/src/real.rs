@@ -8,6 +8,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    driver::{Driver, Kobuki},
     exposure::IpNetwork,
     hardware::{Direction, HardwareGraph, Link, Node, NodeKind},
     id::{AgentId, NodeId},
@@ -113,16 +114,26 @@ impl HardwareGraph {
         self.servers().filter_map(|(node, server)| Some((node, server.real.as_ref()?)))
     }
 
+    /// The robots whose serial ports are at agents, in order.
+    pub fn robots_at_agents(&self) -> impl Iterator<Item = (&Node, &Kobuki, &AgentId)> {
+        self.robots().filter_map(|(node, robot)| match &robot.driver {
+            Driver::Kobuki(kobuki) => Some((node, &**kobuki, kobuki.agent.as_ref()?)),
+            _ => None,
+        })
+    }
+
     /// The nodes whose machines have agents, in order.
     pub fn agents(&self) -> impl Iterator<Item = (&Node, &AgentId)> {
         self.nodes.iter().filter_map(|node| Some((node, node.agent()?)))
     }
 
-    /// Makes all real servers emulated ones, as in virtual time.
-    pub fn emulate_servers(&mut self) {
+    /// Makes all real servers emulated ones, and robots at agents simulated ones, as in virtual time.
+    pub fn emulate_agents(&mut self) {
         for node in &mut self.nodes {
-            if let NodeKind::Server(server) = &mut node.kind {
-                server.real = None;
+            match &mut node.kind {
+                NodeKind::Server(server) => server.real = None,
+                NodeKind::Robot(robot) if robot.driver.agent().is_some() => robot.driver = Driver::default(),
+                _ => {}
             }
         }
     }
@@ -162,7 +173,8 @@ impl Node {
             NodeKind::Server(server) => server.real.as_ref().map(|real| &real.agent),
             NodeKind::Machine(machine) => machine.agent.as_ref(),
             NodeKind::RadioUnit(unit) => unit.agent.as_ref(),
-            NodeKind::Robot(_) | NodeKind::Switch | NodeKind::Gateway(_) => None,
+            NodeKind::Robot(robot) => robot.driver.agent(),
+            NodeKind::Switch | NodeKind::Gateway(_) => None,
         }
     }
 
@@ -241,7 +253,7 @@ mod tests {
         fn emulating_servers_changes_the_addresses_of_no_other_node(kinds in prop::collection::vec(0_u8..4, 0..20)) {
             let graph = graph(&kinds);
             let mut emulated = graph.clone();
-            emulated.emulate_servers();
+            emulated.emulate_agents();
             prop_assert!(emulated.real_servers().next().is_none());
             let names = |graph: &HardwareGraph| graph.ports().map(|node| node.id.clone()).collect::<Vec<_>>();
             prop_assert_eq!(names(&graph), names(&emulated), "nor ports");

@@ -8,10 +8,9 @@ use crate::{
     active::Probing,
     border::Border,
     exposure::WaisSettings,
-    hardware::{HardwareGraph, Node},
-    id::{DomainId, NodeId, PluginId},
+    hardware::{HardwareGraph, Node, NodeKind},
+    id::{AgentId, DomainId, NodeId, PluginId},
     map::OccupancyGrid,
-    real::RealServer,
     schedule::Script,
     service::Service,
     units::{Position, millis},
@@ -71,11 +70,15 @@ impl Testbed {
         self.walks.iter().find(|w| w.robot == *robot)
     }
 
-    /// The real servers on which a VNF starts, in order. Without their agents the testbed cannot run.
-    pub fn real_servers_at_start(&self) -> impl Iterator<Item = (&Node, &RealServer)> {
+    /// The nodes whose agents the testbed cannot run without: real servers on which a VNF starts, and robots, in order.
+    pub fn agents_at_start(&self) -> impl Iterator<Item = (&Node, &AgentId)> {
         let starts_on =
             |node| self.services.iter().flat_map(|s| &s.vnfs).any(|vnf| vnf.node.all().contains(node));
-        self.graph.real_servers().filter(move |(node, _)| starts_on(&node.id))
+        self.graph.agents().filter(move |(node, _)| match node.kind {
+            NodeKind::Robot(_) => true,
+            NodeKind::Server(_) => starts_on(&node.id),
+            _ => false,
+        })
     }
 
     /// Returns the services that figures of several services together cover: all but those that localize, unless there are

@@ -91,14 +91,14 @@ fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     }
 }
 
-/// Each serial port has one device.
+/// Each serial port of a machine has one device.
 fn ports(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     let mut taken = HashMap::new();
     for ((id, _), node) in record.nodes.0.iter().zip(&graph.nodes) {
         let NodeKind::Robot(robot) = &node.kind else { continue };
         let Driver::Kobuki(its) = &robot.driver else { continue };
         for port in [Some(&its.port), its.lidar.as_ref().map(|lidar| &lidar.port)].into_iter().flatten() {
-            if let Some(before) = taken.insert(port, &node.id) {
+            if let Some(before) = taken.insert((&its.agent, port), &node.id) {
                 let port = port.display();
                 let message = if *before == node.id {
                     format!("the base and the lidar of `{before}` are both at `{port}`")

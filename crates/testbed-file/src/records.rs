@@ -297,6 +297,9 @@ record! {
         roaming: Roaming = "instructed",
         /// Driver: the simulation, a robot that is reached over ROS, or a TurtleBot 2 at serial ports. A word, or a mapping.
         driver: Spanned<Either<DriverWord, DriverRecord>> = "simulated",
+        /// The agent on whose machine the serial ports of its driver are. Without one: they are this machine's. Virtual time
+        /// simulates a robot with an agent.
+        agent: Option<Spanned<AgentId>>,
         /// ROS interface of a simulated robot. A word, or a mapping.
         offer: Option<Spanned<Either<OfferWord, OfferRecord>>>,
         /// Sensors by name, beside those of its contexts.
@@ -417,7 +420,7 @@ tagged! {
 }
 
 record! {
-    /// A TurtleBot 2 at serial ports of this machine.
+    /// A TurtleBot 2 at serial ports of this machine, or of its agent's.
     #[derive(Default)]
     KobukiRecord {
         /// Device file of its Kobuki base. Without it: `/dev/kobuki`.
@@ -434,7 +437,7 @@ pub(crate) enum LidarWord {
 }
 
 record! {
-    /// An RPLIDAR A2 at a serial port of this machine.
+    /// An RPLIDAR A2 at a serial port.
     #[derive(Default)]
     RplidarRecord {
         /// Device file. Without it: `/dev/rplidar`.
@@ -1026,7 +1029,7 @@ choice!(DriverWord, "driver", {
     "simulated" => Self::Simulated, "cotorra simulates it";
     "ros1" => Self::Ros1, "a robot that speaks ROS 1";
     "ros2" => Self::Ros2, "a robot that speaks ROS 2";
-    "kobuki" => Self::Kobuki, "a TurtleBot 2 at serial ports of this machine";
+    "kobuki" => Self::Kobuki, "a TurtleBot 2 at serial ports";
 });
 choice!(LidarWord, "setting of a lidar", {
     "none" => Self::None, "no lidar";

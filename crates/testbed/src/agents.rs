@@ -1,9 +1,10 @@
-//! Agents of a run: VNFs on real servers run there, and real machines report their contexts.
+//! Agents of a run: VNFs on real servers run there, robots have their ports there, and real machines report their contexts.
 //!
 //! A thread of its own owns the router and the protocol's state. It talks to the core by messages.
 
 mod error;
 mod link;
+mod robot;
 mod shipped;
 
 use std::{
@@ -14,15 +15,18 @@ use std::{
     thread,
 };
 
-use cotorra_agent_protocol::{LEASE, Run, WantedInstance};
+use cotorra_agent_protocol::{LEASE, Run, WantedInstance, WantedRobot};
 use cotorra_engine::{Engine, EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
 use cotorra_graph::{AgentId, Node, NodeId, Testbed, Vnf};
 use cotorra_plugin::wire;
 
 pub use self::error::AgentsError;
-use self::link::{Command, Link};
-use crate::{clock::Clock, message::Message, report::RunFolder};
+use self::{
+    link::{Command, Link},
+    robot::Robots,
+};
+use crate::{clock::Clock, message::Message, report::RunFolder, robots::AtAgents};
 
 /// Where agents connect to a run.
 #[derive(Debug, Clone)]
@@ -47,12 +51,12 @@ impl Default for AgentOptions {
 /// Opens the authority of a testbed's agents, before a run has a folder; `None` if nothing needs one.
 ///
 /// # Errors
-/// [`AgentsError`], if a VNF starts on a real server whose agent may not connect.
+/// [`AgentsError`], if a VNF starts on a real server whose agent may not connect, or a robot is at such an agent.
 pub(crate) fn authority(testbed: &Testbed, options: &AgentOptions) -> Result<Option<Authority>, AgentsError> {
     if testbed.graph.agents().next().is_none() {
         return Ok(None);
     }
-    let mut needed = testbed.real_servers_at_start().map(|(_, real)| &real.agent).peekable();
+    let mut needed = testbed.agents_at_start().map(|(_, agent)| agent).peekable();
     let opened = options.authority.clone().or_else(Authority::default_folder);
     let opened = opened.ok_or(AgentsError::NoAuthority).and_then(|folder| Ok(Authority::open(folder)?));
     let authority = match opened {
@@ -80,10 +84,10 @@ fn today() -> chrono::DateTime<chrono::Utc> {
 }
 
 /// The engine of VNFs on real servers. Dropping it ends them.
-#[derive(Debug)]
 pub(crate) struct AgentEngine {
     testbed: Arc<Testbed>,
     commands: mpsc::Sender<Command>,
+    robots: Robots,
     events: mpsc::Receiver<EngineEvent>,
     thread: Option<thread::JoinHandle<()>>,
 }
@@ -102,12 +106,18 @@ impl AgentEngine {
         let (files, paths) = shipped::list(folder.path())?;
         let (commands, inbox) = mpsc::channel();
         let (report, events) = mpsc::channel();
+        let robots = Robots::new(&testbed.graph, run);
+        let wanted_robots = testbed.graph.robots_at_agents().map(|(node, kobuki, agent)| {
+            (agent.clone(), WantedRobot { node: node.id.clone(), kobuki: kobuki.clone() })
+        });
         let link = Link::open(link::Parts {
             run,
             lease: LEASE,
             listen: options.listen,
             authority,
             nodes: testbed.graph.agents().map(|(node, agent)| (agent.clone(), node.id.clone())).collect(),
+            wanted_robots: wanted_robots.collect(),
+            robots: robots.clone(),
             files,
             paths,
             now: Arc::clone(now),
@@ -119,7 +129,12 @@ impl AgentEngine {
             .name("agents".to_owned())
             .spawn(move || link.run(&inbox))
             .map_err(AgentsError::Thread)?;
-        Ok(Self { testbed: Arc::clone(testbed), commands, events, thread: Some(thread) })
+        Ok(Self { testbed: Arc::clone(testbed), commands, robots, events, thread: Some(thread) })
+    }
+
+    /// Returns what drives each robot at an agent.
+    pub(crate) fn robots(&self) -> AtAgents {
+        self.robots.bodies(&self.testbed.graph, &self.commands)
     }
 
     /// Returns the variables of a VNF's program.

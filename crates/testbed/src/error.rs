@@ -77,10 +77,10 @@ pub enum RunError {
     /// This build has no agents.
     #[cfg(not(feature = "agents"))]
     #[error(
-        "server `{node}` is at agent `{agent}`, and this cotorra has no agents: build it with `--features agents`, or simulate it"
+        "`{node}` is at agent `{agent}`, and this cotorra has no agents: build it with `--features agents`, or simulate it"
     )]
     NoAgents {
-        /// The server.
+        /// The server or robot.
         node: NodeId,
         agent: cotorra_graph::AgentId,
     },

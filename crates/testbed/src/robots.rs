@@ -5,8 +5,8 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use cotorra_datapath::Datapath;
 use cotorra_graph::{
-    Driver, Kobuki, Node, NodeId, NodeKind, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, Testbed,
-    Timestamp,
+    AgentId, Driver, Kobuki, Node, NodeId, NodeKind, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork,
+    Testbed, Timestamp,
 };
 use cotorra_robot_middleware::{
     Clock, OfferedRobot, OfferedTime, RobotDriver, Ros1Link, Ros1Offer, Ros2Link, Ros2Offer, RosDriver,
@@ -14,11 +14,7 @@ use cotorra_robot_middleware::{
 };
 use cotorra_ros1::{ConfigError, Endpoint, MasterServer, NodeConfig};
 use cotorra_ros2::{self as ros2, Middleware};
-use cotorra_turtlebot::{
-    Device, PortError, PortSettings,
-    kobuki::Base,
-    rplidar::{Lidar, LidarSettings},
-};
+use cotorra_turtlebot::{Body, PortError, Turtlebot};
 
 /// The reason for which a robot cannot be driven.
 #[derive(Debug, thiserror::Error)]
@@ -76,10 +72,18 @@ pub enum RobotError {
         /// The cause.
         source: PortError,
     },
+    /// The agent of the robot cannot connect.
+    #[error("robot `{robot}` is at agent `{agent}`, which cannot connect to this run")]
+    NoAgent {
+        /// The robot.
+        robot: NodeId,
+        /// Its agent.
+        agent: AgentId,
+    },
 }
 
-/// Speed of a Kobuki's port, bits per second.
-const KOBUKI_BAUD: u32 = 115_200;
+/// Robots whose serial ports are at agents.
+pub(crate) type AtAgents = BTreeMap<NodeId, Box<dyn Body>>;
 
 /// Returns the driver of a robot in virtual time.
 pub(crate) fn simulated(node: &Node, robot: SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError> {
@@ -127,6 +131,7 @@ pub(crate) struct Robots {
     /// Start of the run, since 1970.
     epoch: Timestamp,
     masters: BTreeMap<NodeId, NodeMaster>,
+    at_agents: AtAgents,
 }
 
 /// Keeps the ROS masters running while it exists.
@@ -135,9 +140,9 @@ pub(crate) struct Masters {
 }
 
 impl Robots {
-    pub fn new(testbed: Arc<Testbed>, datapath: Arc<Datapath>, clock: Clock) -> Self {
+    pub fn new(testbed: Arc<Testbed>, datapath: Arc<Datapath>, clock: Clock, at_agents: AtAgents) -> Self {
         let epoch = since_1970().saturating_sub(clock().since(Timestamp::ZERO));
-        Self { testbed, datapath, clock, epoch: Timestamp::ZERO + epoch, masters: BTreeMap::new() }
+        Self { testbed, datapath, clock, epoch: Timestamp::ZERO + epoch, masters: BTreeMap::new(), at_agents }
     }
 
     /// Returns the masters, which must outlive the robots.
@@ -183,31 +188,34 @@ impl Robots {
                 let start = || RosDriver::start(robot, clock, connect);
                 Ok(Box::new(self.inside(node, network, start).map_err(system)?))
             }
-            Driver::Kobuki(kobuki) => {
-                let driver = self.turtlebot(node, &robot, &kobuki);
-                let port = |source| RobotError::Port { robot: node.id.clone(), source };
-                Ok(Box::new(driver.map_err(port)?))
-            }
+            Driver::Kobuki(kobuki) => Ok(Box::new(self.turtlebot(node, &robot, &kobuki)?)),
         }
     }
 
-    /// Opens the ports of a TurtleBot 2, which has the start of a simulated one.
+    /// Drives a TurtleBot 2, which has the start of a simulated one.
     fn turtlebot(
-        &self,
+        &mut self,
         node: &Node,
         simulated: &SimulatedRobot,
         kobuki: &Kobuki,
-    ) -> Result<TurtlebotDriver, PortError> {
-        let clock = || Arc::clone(&self.clock);
-        let port = PortSettings { path: kobuki.port.clone(), baud: KOBUKI_BAUD };
-        let base = Device::open(&format!("base-{}", node.id), port, Base::default(), clock())?;
+    ) -> Result<TurtlebotDriver, RobotError> {
         let (pose, walk) = (simulated.pose(), self.testbed.walk(&node.id));
-        let driver = TurtlebotDriver::new(node.id.clone(), pose.position(), pose.heading, walk, base);
-        let Some(its) = &kobuki.lidar else { return Ok(driver) };
-        let port = PortSettings { path: its.port.clone(), baud: its.baud };
-        let lidar = Lidar::new(LidarSettings { motor_pwm: its.motor_pwm });
-        let lidar = Device::open(&format!("lidar-{}", node.id), port, lidar, clock())?;
-        Ok(driver.with_lidar(lidar, its.position, its.heading))
+        let (id, start, heading) = (node.id.clone(), pose.position(), pose.heading);
+        let driver = match (&kobuki.agent, self.at_agents.remove(&node.id)) {
+            (Some(_), Some(body)) => TurtlebotDriver::new(id, start, heading, walk, body),
+            (Some(agent), None) => {
+                return Err(RobotError::NoAgent { robot: node.id.clone(), agent: agent.clone() });
+            }
+            (None, _) => {
+                let opened = Turtlebot::open(node.id.as_str(), kobuki, &self.clock);
+                let body = opened.map_err(|source| RobotError::Port { robot: node.id.clone(), source })?;
+                TurtlebotDriver::new(id, start, heading, walk, Box::new(body))
+            }
+        };
+        Ok(match &kobuki.lidar {
+            Some(lidar) => driver.with_lidar(lidar.position, lidar.heading),
+            None => driver,
+        })
     }
 
     /// Returns the time base of an offered robot's stamps.

@@ -1,14 +1,16 @@
 //! A TurtleBot 2 to drive: emulators of its Kobuki base and its RPLIDAR A2.
 //!
 //! They are written from the published protocols, and share no code with the drivers. As state machines, they take the
-//! time. [`Emulated`] runs both on pseudo-terminals.
+//! time, and are joined to a driver by [`Memory`]. [`Emulated`] runs both on pseudo-terminals.
 
 mod emulated;
 mod kobuki;
+mod memory;
 mod rplidar;
 
 pub use emulated::{Emulated, Terminal};
 pub use kobuki::Kobuki;
+pub use memory::Memory;
 pub use rplidar::Rplidar;
 
 /// Where the robot truly is.

@@ -36,6 +36,9 @@ pub(crate) enum AgentError {
     /// A VNF's program cannot be started.
     #[error("cannot start {0}")]
     Hold(io::Error),
+    /// A robot whose agent is gone may move.
+    #[error("cannot leave the robot at rest: {0}")]
+    Guard(io::Error),
     #[error("cannot listen to Ctrl-C: {0}")]
     Signals(#[from] ctrlc::Error),
     #[error("the system gives no random numbers: {0}")]

@@ -89,7 +89,14 @@ mod tests {
     use super::*;
 
     fn wanted(generation: u64) -> Wanted {
-        Wanted { run: Run(7), generation, lease_ms: 2000, files: Vec::new(), instances: BTreeMap::new() }
+        Wanted {
+            run: Run(7),
+            generation,
+            lease_ms: 2000,
+            files: Vec::new(),
+            instances: BTreeMap::new(),
+            robot: None,
+        }
     }
 
     #[test]

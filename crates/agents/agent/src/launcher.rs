@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 use crate::{holder, options::Options};
 
 /// The file of this process, even if it was replaced on the disk since.
-const SELF: &str = "/proc/self/exe";
+pub(crate) const SELF: &str = "/proc/self/exe";
 /// The testbed file in a run's folder.
 const TESTBED: &str = "testbed.yaml";
 

@@ -3,10 +3,12 @@
 
 mod error;
 mod files;
+mod guard;
 mod holder;
 mod journal;
 mod launcher;
 mod options;
+mod robot;
 mod service;
 mod works;
 
@@ -67,6 +69,9 @@ Examples:
         #[arg(last = true)]
         words: Vec<String>,
     },
+    /// Leave a robot at rest if the agent is gone; started by the agent
+    #[command(hide = true)]
+    Guard,
 }
 
 #[derive(Debug, Args)]
@@ -123,6 +128,7 @@ fn dispatch(command: Command) -> Result<ExitCode, AgentError> {
         Command::Vnf { vnf: BundledVnf::Navigation } => match cotorra_vnfs::navigation(|| ())? {},
         Command::Vnf { vnf: BundledVnf::Localization } => match cotorra_vnfs::localization()? {},
         Command::Hold { user, words } => return holder::hold(user, &words).map_err(AgentError::Hold),
+        Command::Guard => guard::guard().map_err(AgentError::Guard)?,
     }
     Ok(ExitCode::SUCCESS)
 }

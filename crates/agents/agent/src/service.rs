@@ -4,7 +4,7 @@
 use std::{
     fs,
     path::PathBuf,
-    sync::mpsc,
+    sync::{Arc, mpsc},
     thread,
     time::{Duration, Instant, SystemTime},
 };
@@ -21,6 +21,7 @@ use crate::{
     files,
     journal::Journal,
     options::{self, Options},
+    robot::{Inbox, Robot},
     works::{Wake, Works},
 };
 
@@ -51,6 +52,7 @@ pub(crate) struct Service {
     credentials_of: Option<SystemTime>,
     host: Host,
     works: Option<Works>,
+    robot: Robot,
     inbox: mpsc::Receiver<Message>,
     messages: mpsc::SyncSender<Message>,
     began: Instant,
@@ -68,11 +70,13 @@ impl Service {
         let (messages, inbox) = mpsc::sync_channel(MOST_WAITING);
         let stop = messages.clone();
         ctrlc::set_handler(move || drop(stop.send(Message::Stop)))?;
-        let dialer = dial(&bundle, &messages)?;
         let boot = getrandom::u64().map_err(AgentError::Random)?;
+        let began = now();
+        let robot = Robot::new(Arc::new(move || since(began)), boot);
+        let dialer = dial(&bundle, &messages, robot.inbox())?;
+        robot.send_by(dialer.robot_sender());
         let name = bundle.certificate().name.clone();
         let node = NodeId::new(name.as_str()).expect("names of agents and nodes have the same characters");
-        let began = now();
         tracing::info!("agent `{name}`: connecting to {}", bundle.core());
         Ok(Self {
             agent: Agent::new(Timestamp::ZERO, boot, journal.load()),
@@ -82,6 +86,7 @@ impl Service {
             credentials_of,
             host: Host::new(node),
             works: None,
+            robot,
             inbox,
             messages,
             began,
@@ -100,6 +105,8 @@ impl Service {
                     self.agent.outcome(now, event);
                 }
             }
+            let state = self.robot.want(now, self.agent.robot());
+            self.agent.set_robot_state(now, state);
             while let Some(action) = self.agent.poll(now) {
                 self.act(action);
             }
@@ -116,6 +123,8 @@ impl Service {
                 Err(_) => {}
             }
         }
+        // A robot may move, and VNFs take their time.
+        drop(self.robot);
         if let Some(works) = &mut self.works {
             works.shut_down();
         }
@@ -123,7 +132,7 @@ impl Service {
     }
 
     fn now(&self) -> Timestamp {
-        Timestamp::ZERO + now().duration_since(self.began)
+        since(self.began)
     }
 
     fn take(&mut self, message: Message) {
@@ -137,6 +146,8 @@ impl Service {
                 match from_core {
                     FromCore::Wanted(wanted) => self.agent.want(now, *wanted),
                     FromCore::Beat(beat) => self.agent.beat(now, beat),
+                    // They went to the robot's thread.
+                    FromCore::Command(_) => {}
                     FromCore::Rejected(reason) => {
                         tracing::warn!("a message of the core is rejected: {reason}")
                     }
@@ -251,8 +262,11 @@ impl Service {
             return;
         }
         self.credentials_of = changed;
-        match options::bundle(&self.options.credentials).and_then(|bundle| dial(&bundle, &self.messages)) {
+        match options::bundle(&self.options.credentials)
+            .and_then(|bundle| dial(&bundle, &self.messages, self.robot.inbox()))
+        {
             Ok(dialer) => {
+                self.robot.send_by(dialer.robot_sender());
                 self.dialer = dialer;
                 tracing::info!("connecting with new credentials");
             }
@@ -284,9 +298,16 @@ impl Service {
     }
 }
 
-fn dial(bundle: &Bundle, messages: &mpsc::SyncSender<Message>) -> Result<Dialer, AgentError> {
+fn dial(
+    bundle: &Bundle,
+    messages: &mpsc::SyncSender<Message>,
+    robot: Arc<Inbox>,
+) -> Result<Dialer, AgentError> {
     let messages = messages.clone();
-    let receive = move |from_core| drop(messages.try_send(Message::Core(from_core)));
+    let receive = move |from_core| match from_core {
+        FromCore::Command(command) => robot.push(command),
+        from_core => drop(messages.try_send(Message::Core(from_core))),
+    };
     let name = bundle.certificate().name.clone();
     Ok(Dialer::open(
         &bundle.core().to_string(),
@@ -300,6 +321,11 @@ fn dial(bundle: &Bundle, messages: &mpsc::SyncSender<Message>) -> Result<Dialer,
 /// Returns the time at which a file was written.
 fn written(path: &std::path::Path) -> Option<SystemTime> {
     fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
+}
+
+/// Returns the agent's time.
+fn since(began: Instant) -> Timestamp {
+    Timestamp::ZERO + now().duration_since(began)
 }
 
 fn now() -> Instant {

@@ -8,8 +8,9 @@ use std::{
 use cotorra_engine::{EngineEvent, InstanceId, Outcome};
 use cotorra_graph::Timestamp;
 
-use crate::message::{
-    Beat, Echo, Instance, InstanceState, LEASE, Report, Run, Wanted, WantedInstance, short,
+use crate::{
+    message::{Beat, Echo, Instance, InstanceState, LEASE, Report, Run, Wanted, WantedInstance, short},
+    robot::{RobotState, WantedRobot},
 };
 
 /// Reports in each lease, so that some can be lost.
@@ -62,6 +63,8 @@ pub struct Agent {
     heard: Timestamp,
     /// Whether the core is taken for lost.
     is_alone: bool,
+    /// State of the wanted robot.
+    robot: Option<RobotState>,
     /// The last beat and the time of its arrival.
     beat: Option<(Beat, Timestamp)>,
     next_report: Timestamp,
@@ -80,6 +83,7 @@ impl Agent {
             started: 0,
             heard: now,
             is_alone: false,
+            robot: None,
             beat: None,
             next_report: now,
             actions: VecDeque::new(),
@@ -114,6 +118,24 @@ impl Agent {
     /// Returns the wanted state.
     pub fn wanted(&self) -> Option<&Wanted> {
         self.wanted.as_ref()
+    }
+
+    /// Returns the robot to drive now. Its ports stay closed while the core is away, and also those of a run that is over.
+    pub fn robot(&self) -> Option<(Run, &WantedRobot)> {
+        let wanted = self.wanted.as_ref().filter(|wanted| !self.is_alone && Some(wanted.run) == self.run)?;
+        Some((wanted.run, wanted.robot.as_ref()?))
+    }
+
+    /// Takes the state of the robot to drive; `None` if there is none.
+    pub fn set_robot_state(&mut self, now: Timestamp, state: Option<RobotState>) {
+        let state = state.map(|state| match state {
+            RobotState::Failed(reason) => RobotState::Failed(short(&reason)),
+            RobotState::Driven => state,
+        });
+        if self.robot != state {
+            self.robot = state;
+            self.next_report = now;
+        }
     }
 
     /// Takes what the core wants. Ignores what is older than what it wanted before.
@@ -215,6 +237,7 @@ impl Agent {
             generation: wanted.map_or(0, |wanted| wanted.generation),
             echo,
             instances: instances.map(|(id, its)| (*id, its.state.clone())).collect(),
+            robot: self.robot.clone().filter(|_| wanted.is_some()),
         }))
     }
 

@@ -55,14 +55,14 @@ impl Exchange {
 }
 
 /// Converts times of an agent's clock to the core's by the best of the last exchanges.
-#[derive(Debug, Default)]
-pub(crate) struct AgentClock {
+#[derive(Debug, Clone, Default)]
+pub struct AgentClock {
     exchanges: VecDeque<Exchange>,
 }
 
 impl AgentClock {
     /// Takes the answer to a beat, received at `now` on the core's clock. Ignores one with impossible times.
-    pub(crate) fn receive(&mut self, now: Timestamp, echo: Echo) {
+    pub fn receive(&mut self, now: Timestamp, echo: Echo) {
         let Some(exchange) = Exchange::new(now, echo) else { return };
         if self.exchanges.len() == WINDOW {
             self.exchanges.pop_front();
@@ -71,7 +71,7 @@ impl AgentClock {
     }
 
     /// Converts a time of the agent's clock; `None` before the first exchange.
-    pub(crate) fn to_core(&self, agent_ns: u64) -> Option<ReadingTime> {
+    pub fn to_core(&self, agent_ns: u64) -> Option<ReadingTime> {
         self.exchanges.iter().map(|exchange| exchange.to_core(agent_ns)).min_by_key(|time| time.error)
     }
 

@@ -11,6 +11,7 @@ use cotorra_graph::{AgentId, ReadingTime, Timestamp};
 use crate::{
     clock::AgentClock,
     message::{Beat, InstanceState, Report, Run, Wanted, WantedInstance},
+    robot::{RobotState, WantedRobot},
     shipped::Shipped,
 };
 
@@ -28,6 +29,8 @@ pub enum ControllerEvent {
     Left(AgentId, String),
     /// The outcome of an instance.
     Instance(EngineEvent),
+    /// The robot of an agent has another state.
+    Robot(AgentId, RobotState),
 }
 
 /// A message to send.
@@ -50,6 +53,9 @@ struct Known {
 #[derive(Debug, Default)]
 struct Remote {
     instances: BTreeMap<u64, Known>,
+    robot: Option<WantedRobot>,
+    /// State of the robot in its last report.
+    robot_state: Option<RobotState>,
     generation: u64,
     /// The last generation that it reported for this run.
     reported: u64,
@@ -122,10 +128,19 @@ impl Controller {
         }
     }
 
+    /// Wants an agent to drive a robot. Ignores an unknown agent.
+    pub fn drive(&mut self, agent: &AgentId, robot: WantedRobot) {
+        if let Some(remote) = self.agents.get_mut(agent) {
+            remote.robot = Some(robot);
+            remote.change();
+        }
+    }
+
     /// Does not want anything any more.
     pub fn stop_all(&mut self) {
         for remote in self.agents.values_mut() {
-            if !std::mem::take(&mut remote.instances).is_empty() {
+            let had_robot = remote.robot.take().is_some();
+            if !std::mem::take(&mut remote.instances).is_empty() || had_robot {
                 remote.change();
             }
         }
@@ -133,15 +148,22 @@ impl Controller {
 
     /// Whether every agent that reports has saved what is wanted, and runs nothing else.
     pub fn is_settled(&self) -> bool {
-        self.agents
-            .values()
-            .filter(|remote| remote.seen.is_some())
-            .all(|remote| remote.reported == remote.generation && remote.running == remote.instances.len())
+        self.agents.values().filter(|remote| remote.seen.is_some()).all(|remote| {
+            remote.reported == remote.generation
+                && remote.running == remote.instances.len()
+                && remote.robot_state.is_some() == remote.robot.is_some()
+        })
     }
 
     /// Whether an agent reports.
     pub fn is_present(&self, agent: &AgentId) -> bool {
         self.agents.get(agent).is_some_and(|remote| remote.seen.is_some())
+    }
+
+    /// Returns the process of an agent that reported last, and its clock.
+    pub fn process(&self, agent: &AgentId) -> Option<(u64, &AgentClock)> {
+        let remote = self.agents.get(agent)?;
+        Some((remote.boot?, &remote.clock))
     }
 
     /// Converts a time on the clock of an agent's process to the core's; `None` before that process answered a beat.
@@ -170,6 +192,11 @@ impl Controller {
             remote.clock.receive(now, echo);
         }
         (remote.reported, remote.running) = (report.generation, report.instances.len());
+        if remote.robot_state != report.robot {
+            remote.robot_state = report.robot;
+            let state = remote.robot_state.clone().filter(|_| remote.robot.is_some());
+            self.events.extend(state.map(|state| ControllerEvent::Robot(agent.clone(), state)));
+        }
         let mut has_ended = false;
         let events = &mut self.events;
         remote.instances.retain(|id, known| {
@@ -247,6 +274,7 @@ impl Controller {
                     lease_ms: u32::try_from(lease.as_millis()).unwrap_or(u32::MAX),
                     files: self.files.clone(),
                     instances: instances.collect(),
+                    robot: remote.robot.clone(),
                 };
                 return Some(Transmit::Wanted(agent.clone(), Box::new(wanted)));
             }

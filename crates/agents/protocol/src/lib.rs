@@ -7,6 +7,9 @@
 //!
 //! An agent that gets no beat for a lease stops all that shall not go on without the core. A core that gets no report for a
 //! lease counts such instances as dead.
+//!
+//! A [robot](WantedRobot) at an agent is part of the wanted state. Its readings and commands go beside it, between a
+//! [`DrivenRobot`] and a [`RemoteRobot`].
 #![forbid(unsafe_code)]
 
 mod agent;
@@ -14,10 +17,16 @@ mod clock;
 mod controller;
 mod machine_reading;
 mod message;
+mod robot;
 mod shipped;
 
 pub use agent::{Action, Agent};
+pub use clock::AgentClock;
 pub use controller::{Controller, ControllerEvent, Transmit};
 pub use machine_reading::MachineReading;
 pub use message::{Beat, Echo, InstanceState, LEASE, MessageError, Report, Run, Wanted, WantedInstance};
+pub use robot::{
+    DrivenRobot, Motion, RemoteRobot, RobotCommand, RobotReading, RobotSession, RobotState, RobotTurn,
+    TurnError, WantedRobot,
+};
 pub use shipped::Shipped;

@@ -5,7 +5,11 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{NodeId, Vnf};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::{machine_reading::MachineReading, shipped::Shipped};
+use crate::{
+    machine_reading::MachineReading,
+    robot::{RobotState, WantedRobot},
+    shipped::Shipped,
+};
 
 /// Time without a message after which each end takes the other for lost.
 pub const LEASE: Duration = Duration::from_secs(2);
@@ -30,6 +34,9 @@ pub struct Wanted {
     /// Files of the run that instances read: the testbed file and those that it names.
     pub files: Vec<Shipped>,
     pub instances: BTreeMap<Instance, WantedInstance>,
+    /// The robot at its ports, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<WantedRobot>,
 }
 
 /// An instance of a VNF that shall run.
@@ -70,6 +77,9 @@ pub struct Report {
     pub echo: Option<Echo>,
     /// The state of each wanted instance.
     pub instances: BTreeMap<Instance, InstanceState>,
+    /// The state of the wanted robot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<RobotState>,
 }
 
 /// The answer to a beat, from which the core learns the distance of the two clocks.
@@ -108,6 +118,9 @@ pub enum MessageError {
     /// It is more than a machine can run.
     #[error("{0} instances, of at most {MOST_INSTANCES}")]
     TooMany(usize),
+    /// No robot can say it.
+    #[error("readings beyond those of a robot")]
+    Impossible,
 }
 
 /// Most instances on one machine.
@@ -120,18 +133,18 @@ pub(crate) trait Message: Serialize + DeserializeOwned {
     /// Longest encoding, bytes.
     const LONGEST: usize;
 
-    /// Number of instances in it.
-    fn instances(&self) -> usize {
-        0
+    /// Checks what its type does not say.
+    fn check(&self) -> Result<(), MessageError> {
+        Ok(())
     }
 }
 
 macro_rules! message {
-    ($name:ident, $longest:expr $(, $instances:ident)?) => {
+    ($name:ident, $longest:expr $(, $check:expr)?) => {
         impl Message for $name {
             const LONGEST: usize = $longest;
-            $(fn instances(&self) -> usize {
-                self.$instances.len()
+            $(fn check(&self) -> Result<(), MessageError> {
+                $check(self)
             })?
         }
 
@@ -152,20 +165,25 @@ macro_rules! message {
     };
 }
 
-message!(Wanted, 1 << 20, instances);
+pub(crate) use message;
+
+message!(Wanted, 1 << 20, |its: &Wanted| few(its.instances.len()));
 message!(Beat, 256);
-message!(Report, 512 << 10, instances);
+message!(Report, 512 << 10, |its: &Report| few(its.instances.len()));
 message!(MachineReading, 256 << 10);
 
-fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
+pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
     if bytes.len() > M::LONGEST {
         return Err(MessageError::TooLong { bytes: bytes.len(), most: M::LONGEST });
     }
     let message: M = serde_json::from_slice(bytes)?;
-    if message.instances() > MOST_INSTANCES {
-        return Err(MessageError::TooMany(message.instances()));
-    }
+    message.check()?;
     Ok(message)
+}
+
+/// Checks that a machine can run so many instances.
+fn few(instances: usize) -> Result<(), MessageError> {
+    if instances <= MOST_INSTANCES { Ok(()) } else { Err(MessageError::TooMany(instances)) }
 }
 
 /// Cuts a reason to the length that a report takes.

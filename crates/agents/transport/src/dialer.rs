@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cotorra_agent_protocol::{Beat, Report, Run, Wanted};
+use cotorra_agent_protocol::{Beat, Report, RobotCommand, RobotReading, RobotTurn, Run, Wanted};
 use cotorra_graph::AgentId;
 use zenoh::{
     Session, Wait,
@@ -24,6 +24,8 @@ const FILE_TIMEOUT: Duration = Duration::from_secs(10);
 pub enum FromCore {
     Wanted(Box<Wanted>),
     Beat(Beat),
+    /// A command to its robot.
+    Command(RobotCommand),
     /// A message was rejected, with the reason.
     Rejected(String),
 }
@@ -57,7 +59,7 @@ impl Dialer {
         let opened = zenoh::open(config::client(core, core_common_name, &agent, credentials)?)
             .wait()
             .map_err(session)?;
-        for kind in [keys::WANTED, keys::BEAT] {
+        for kind in [keys::WANTED, keys::BEAT, keys::COMMAND] {
             let receiver = receiver.clone();
             opened
                 .declare_subscriber(format!("{}/{kind}", keys::of_agent(&agent)))
@@ -67,7 +69,8 @@ impl Dialer {
                         keys::WANTED => {
                             Wanted::decode(&bytes).map(|wanted| FromCore::Wanted(Box::new(wanted)))
                         }
-                        _ => Beat::decode(&bytes).map(FromCore::Beat),
+                        keys::BEAT => Beat::decode(&bytes).map(FromCore::Beat),
+                        _ => RobotCommand::decode(&bytes).map(FromCore::Command),
                     };
                     let message = message.unwrap_or_else(|error| FromCore::Rejected(error.to_string()));
                     receiver(message);
@@ -90,7 +93,7 @@ impl Dialer {
                 self.session.liveliness().declare_token(format!("{keys}/{}/{}", keys::ALIVE, report.boot));
             self.alive = Some((report.run, token.wait().map_err(session)?));
         }
-        self.put(&format!("{keys}/{}", keys::STATE), report.encode(), Priority::RealTime)
+        put(&self.session, &format!("{keys}/{}", keys::STATE), report.encode(), Priority::RealTime)
     }
 
     /// Sends the context of the machine, encoded. Without a connection it is lost.
@@ -99,22 +102,55 @@ impl Dialer {
     /// [`TransportError::Session`].
     pub fn context(&self, run: Run, context: Vec<u8>) -> Result<(), TransportError> {
         let key = format!("{}/{}", keys::in_run(run, &self.agent), keys::CONTEXT);
-        self.put(&key, context, Priority::Data)
+        put(&self.session, &key, context, Priority::Data)
     }
 
-    fn put(&self, key: &str, bytes: Vec<u8>, priority: Priority) -> Result<(), TransportError> {
-        self.session
-            .put(key, bytes)
-            .congestion_control(CongestionControl::Drop)
-            .priority(priority)
-            .express(true)
-            .wait()
-            .map_err(session)
+    /// Returns a way to send what the agent's robot says on another thread.
+    pub fn robot_sender(&self) -> RobotSender {
+        RobotSender { session: self.session.clone(), agent: self.agent.clone() }
     }
 
     /// Returns a way to fetch files on another thread.
     pub fn fetcher(&self) -> Fetcher {
         Fetcher { session: self.session.clone(), agent: self.agent.clone() }
+    }
+}
+
+/// Sends a message at once. One that does not fit into the buffers is lost.
+fn put(opened: &Session, key: &str, bytes: Vec<u8>, priority: Priority) -> Result<(), TransportError> {
+    opened
+        .put(key, bytes)
+        .congestion_control(CongestionControl::Drop)
+        .priority(priority)
+        .express(true)
+        .wait()
+        .map_err(session)
+}
+
+/// Sends what a robot says. Without a connection it is lost.
+#[derive(Clone)]
+pub struct RobotSender {
+    session: Session,
+    agent: AgentId,
+}
+
+impl RobotSender {
+    /// Sends a reading.
+    ///
+    /// # Errors
+    /// [`TransportError::Session`].
+    pub fn reading(&self, reading: &RobotReading) -> Result<(), TransportError> {
+        let key = format!("{}/{}", keys::in_run(reading.session.run, &self.agent), keys::READING);
+        put(&self.session, &key, reading.encode(), Priority::RealTime)
+    }
+
+    /// Sends a turn of its lidar.
+    ///
+    /// # Errors
+    /// [`TransportError::Session`].
+    pub fn turn(&self, turn: &RobotTurn) -> Result<(), TransportError> {
+        let key = format!("{}/{}", keys::in_run(turn.session.run, &self.agent), keys::TURN);
+        put(&self.session, &key, turn.encode(), Priority::InteractiveHigh)
     }
 }
 

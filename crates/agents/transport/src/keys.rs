@@ -18,6 +18,11 @@ pub(crate) const WANTED: &str = "wanted";
 pub(crate) const BEAT: &str = "beat";
 pub(crate) const STATE: &str = "state";
 pub(crate) const CONTEXT: &str = "context";
+/// To a robot.
+pub(crate) const COMMAND: &str = "command";
+/// Of a robot.
+pub(crate) const READING: &str = "reading";
+pub(crate) const TURN: &str = "turn";
 /// Followed by the number of the agent's process.
 pub(crate) const ALIVE: &str = "alive";
 /// Followed by the file's SHA-256.

@@ -14,6 +14,6 @@ mod router;
 
 pub use config::{Credentials, Granted};
 pub use diagnosis::diagnose;
-pub use dialer::{Dialer, Fetcher, FromCore};
+pub use dialer::{Dialer, Fetcher, FromCore, RobotSender};
 pub use error::TransportError;
 pub use router::{FromAgent, Receiver, Router};

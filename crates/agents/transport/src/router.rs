@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fs, net::SocketAddr, path::PathBuf, sync::Arc};
 
-use cotorra_agent_protocol::{Report, Run, Transmit};
+use cotorra_agent_protocol::{Report, RobotCommand, RobotReading, RobotTurn, Run, Transmit};
 use cotorra_graph::AgentId;
 use zenoh::{
     Session, Wait,
@@ -33,6 +33,10 @@ pub enum FromAgent {
     Report(Report),
     /// The context of its machine, encoded.
     Context(Vec<u8>),
+    /// Its robot says this.
+    Reading(Box<RobotReading>),
+    /// A turn of its robot's lidar.
+    Turn(RobotTurn),
     /// A message of it was rejected, with the reason.
     Rejected(String),
 }
@@ -87,8 +91,21 @@ impl Router {
             Transmit::Wanted(agent, wanted) => (agent, keys::WANTED, wanted.encode()),
             Transmit::Beat(agent, beat) => (agent, keys::BEAT, beat.encode()),
         };
+        self.put(&format!("{}/{kind}", keys::in_run(run, agent)), bytes)
+    }
+
+    /// Sends a command to the robot of an agent. An agent that is not connected does not get it.
+    ///
+    /// # Errors
+    /// [`TransportError::Session`] if the router is closed.
+    pub fn command(&self, agent: &AgentId, command: &RobotCommand) -> Result<(), TransportError> {
+        let keys = keys::in_run(command.session.run, agent);
+        self.put(&format!("{keys}/{}", keys::COMMAND), command.encode())
+    }
+
+    fn put(&self, key: &str, bytes: Vec<u8>) -> Result<(), TransportError> {
         self.session
-            .put(format!("{}/{kind}", keys::in_run(run, agent)), bytes)
+            .put(key, bytes)
             .congestion_control(CongestionControl::Drop)
             .priority(Priority::RealTime)
             .express(true)
@@ -134,6 +151,25 @@ fn follow(
         .background()
         .wait()
         .map_err(session)?;
+    for kind in [keys::READING, keys::TURN] {
+        let on_robot = pass.clone();
+        opened
+            .declare_subscriber(format!("{keys}/{kind}"))
+            .callback(move |sample: Sample| {
+                let bytes = sample.payload().to_bytes();
+                on_robot(match kind {
+                    keys::READING => RobotReading::decode(&bytes).map_or_else(
+                        |e| FromAgent::Rejected(e.to_string()),
+                        |reading| FromAgent::Reading(Box::new(reading)),
+                    ),
+                    _ => RobotTurn::decode(&bytes)
+                        .map_or_else(|e| FromAgent::Rejected(e.to_string()), FromAgent::Turn),
+                });
+            })
+            .background()
+            .wait()
+            .map_err(session)?;
+    }
     let on_context = pass.clone();
     opened
         .declare_subscriber(format!("{keys}/{}", keys::CONTEXT))

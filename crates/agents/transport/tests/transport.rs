@@ -95,7 +95,7 @@ fn dial(bundle: &Bundle, agent: &str) -> (Dialer, mpsc::Receiver<FromCore>) {
 }
 
 fn report(boot: u64) -> Report {
-    Report { boot, run: RUN, generation: 0, echo: None, instances: BTreeMap::new() }
+    Report { boot, run: RUN, generation: 0, echo: None, instances: BTreeMap::new(), robot: None }
 }
 
 fn beat(router: &Router, agent: &str) {
@@ -143,14 +143,20 @@ fn both_ends_exchange_messages_and_files() {
         }
     };
     assert_eq!((agent, reported), (name("edge1"), report(5)));
-    let wanted =
-        Wanted { run: RUN, generation: 3, lease_ms: 2000, files: Vec::new(), instances: BTreeMap::new() };
+    let wanted = Wanted {
+        run: RUN,
+        generation: 3,
+        lease_ms: 2000,
+        files: Vec::new(),
+        instances: BTreeMap::new(),
+        robot: None,
+    };
     router.send(RUN, &Transmit::Wanted(name("edge1"), Box::new(wanted.clone()))).unwrap();
     loop {
         match received.recv_timeout(PATIENCE).unwrap() {
             FromCore::Wanted(got) => break assert_eq!(*got, wanted),
             FromCore::Beat(_) => {}
-            other @ FromCore::Rejected(_) => panic!("{other:?}"),
+            other => panic!("{other:?}"),
         }
     }
     dialer.context(RUN, b"{}".to_vec()).unwrap();

@@ -120,7 +120,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     if args.dry_run {
         previous(&args, &mut loaded)?;
         let interfaces = if args.simulate {
-            loaded.testbed.graph.emulate_servers();
+            loaded.testbed.graph.emulate_agents();
             Vec::new()
         } else {
             interface_plans(&loaded.testbed, &options.interfaces).map_err(Error::from)?

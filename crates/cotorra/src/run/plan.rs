@@ -33,6 +33,7 @@ pub fn describe(
     }
     text += &hosts.render("  ");
     text += &real_servers(testbed);
+    text += &robots_at_agents(testbed);
     text += &agents(testbed);
     text += &gateways(testbed);
     text += &border(testbed);
@@ -125,10 +126,23 @@ fn real_servers(testbed: &Testbed) -> String {
     )
 }
 
+/// Describes the robots at agents.
+fn robots_at_agents(testbed: &Testbed) -> String {
+    let mut robots = Table::new("<<<");
+    for (node, kobuki, agent) in testbed.graph.robots_at_agents() {
+        let lidar = kobuki.lidar.as_ref().map(|lidar| lidar.port.display().to_string());
+        let ports = [Some(kobuki.port.display().to_string()), lidar].into_iter().flatten();
+        robots.row([node.id.to_string(), format!("agent {agent}"), ports.collect::<Vec<_>>().join(", ")]);
+    }
+    let robots = robots.render("  ");
+    if robots.is_empty() { robots } else { format!("\nRobots at agents, with their serial ports:\n{robots}") }
+}
+
 /// Lists the agents that only report contexts.
 fn agents(testbed: &Testbed) -> String {
     let mut agents = Table::new("<<<");
-    for (node, agent) in testbed.graph.agents().filter(|(node, _)| node.real_server().is_none()) {
+    let only_reports = |node: &Node| matches!(node.kind, NodeKind::Machine(_) | NodeKind::RadioUnit(_));
+    for (node, agent) in testbed.graph.agents().filter(|(node, _)| only_reports(node)) {
         agents.row([node.id.to_string(), kind(&node.kind).to_owned(), format!("agent {agent}")]);
     }
     let agents = agents.render("  ");

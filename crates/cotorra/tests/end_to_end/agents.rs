@@ -43,7 +43,7 @@ walks:
 ";
 
 /// The agent's program, which is built beside cotorra's.
-fn agent() -> PathBuf {
+pub fn agent() -> PathBuf {
     let program = PathBuf::from(cotorra([""; 0]).get_program()).with_file_name("cotorra-agent");
     assert!(program.exists(), "{} is missing: build the workspace", program.display());
     program

@@ -38,6 +38,8 @@ mod plugin;
 mod real_servers;
 mod recording;
 mod replicas;
+#[cfg(feature = "agents")]
+mod robot_at_agent;
 mod robots;
 mod ros1;
 mod ros2;

@@ -13,10 +13,10 @@ use crate::{
 };
 
 /// Interior of the corridor, metres.
-const CORRIDOR: ((f64, f64), (f64, f64)) = ((0.0, 0.0), (7.0, 2.0));
+pub const CORRIDOR: ((f64, f64), (f64, f64)) = ((0.0, 0.0), (7.0, 2.0));
 
 /// Writes the corridor's map: cells of 5 cm, with walls of 10 cm.
-fn map(folder: &Path) {
+pub fn map(folder: &Path) {
     let (width, height) = (144, 44);
     let mut picture = format!("P5\n{width} {height}\n255\n").into_bytes();
     for row in 0..height {
@@ -30,7 +30,8 @@ fn map(folder: &Path) {
         .unwrap();
 }
 
-const LOCALIZED: &str = "
+/// Services with navigation and localization, and a walk of 3 m.
+pub const LOCALIZED: &str = "
 map: map.yaml
 services:
   navigation:
@@ -50,7 +51,7 @@ walks:
 ";
 
 /// Returns the node of a robot at the emulator's ports.
-fn node(emulated: &Emulated, rest: &str) -> String {
+pub fn node(emulated: &Emulated, rest: &str) -> String {
     let (base, lidar) = (emulated.base(), emulated.lidar());
     let driver =
         format!("{{ kind: kobuki, port: {}, lidar: {{ port: {} }} }}", base.display(), lidar.display());

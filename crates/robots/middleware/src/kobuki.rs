@@ -2,10 +2,11 @@
 //!
 //! Figures are from Kobuki's driver (`kobuki_core`) and its documentation.
 
-use std::{f64::consts::PI, time::Duration};
+use std::time::Duration;
 
 use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
-pub use cotorra_turtlebot::kobuki::{COMMAND_TIMEOUT, METRES_PER_TICK, WHEEL_BASE};
+pub(crate) use cotorra_turtlebot::kobuki::limited;
+pub use cotorra_turtlebot::kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, METRES_PER_TICK, WHEEL_BASE};
 
 use crate::{planar::normalised, random::Stream, world::World};
 
@@ -13,16 +14,6 @@ use crate::{planar::normalised, random::Stream, world::World};
 pub const RADIUS: f64 = RobotModel::Turtlebot2.radius();
 /// Largest speed, m/s.
 pub const MAX_SPEED: f64 = RobotModel::Turtlebot2.max_speed();
-/// Largest angular velocity, rad/s (180 °/s).
-pub const MAX_ANGULAR_SPEED: f64 = PI;
-
-/// Scales a velocity down to the limits of a robot with this speed limit, m/s, on the same curve. The vertical part is
-/// dropped.
-pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
-    let over = (wanted.linear.abs() / speed_limit).max(wanted.angular.abs() / MAX_ANGULAR_SPEED);
-    let over = over.max(1.0);
-    Velocity::planar(wanted.linear / over, wanted.angular / over)
-}
 
 /// Acceleration and deceleration, m/s².
 const LINEAR_RAMP: (f64, f64) = (0.5, 0.6);

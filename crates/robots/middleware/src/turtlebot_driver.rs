@@ -1,4 +1,4 @@
-//! Driver of a TurtleBot 2 at serial ports: a Kobuki base, and an RPLIDAR A2 if it has one.
+//! Driver of a TurtleBot 2: a Kobuki base, and an RPLIDAR A2 if it has one.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -7,9 +7,9 @@ use cotorra_graph::{
     Velocity, Walk,
 };
 use cotorra_turtlebot::{
-    Device,
-    kobuki::{Base, COMMAND_TIMEOUT, Odometry},
-    rplidar::{Health, Lidar, Turn},
+    Body, Readings,
+    kobuki::{COMMAND_TIMEOUT, Odometry},
+    rplidar::{Health, Turn},
 };
 
 use crate::{
@@ -17,13 +17,12 @@ use crate::{
     kobuki::{drift, limited},
     lidar::{RANGE_MAX, RANGE_MIN, RAYS, Scan},
     planar::Planar,
-    watch::SILENCE,
 };
 
 /// Number of corrupt frames or answers at which users are told. A few come when the port is opened.
 const CORRUPT: u64 = 10;
 
-/// Drives a TurtleBot 2.
+/// Drives a TurtleBot 2, wherever its ports are.
 ///
 /// Its pose is its odometry, from the start that the testbed file gives: localization is a service. It has a fault until base
 /// and lidar were heard.
@@ -31,24 +30,17 @@ pub struct TurtlebotDriver {
     id: NodeId,
     speed_limit: f64,
     start: Planar,
-    base: Device<Base>,
-    lidar: Option<Mounted>,
+    body: Box<dyn Body>,
+    /// The pose of its lidar on the robot.
+    mount: Option<Planar>,
     /// State as of the last advance or command.
+    readings: Readings,
     sensors: SensorData,
-    health: Vec<RobotFault>,
-    charge: Option<(Timestamp, [f64; 2])>,
-    angular: Option<(Timestamp, [f64; 3])>,
+    scan: Option<Scan>,
     /// Times of the readings that were taken last: of the battery, and of the gyro.
     taken: [Option<Timestamp>; 2],
     notices: VecDeque<String>,
     told: Told,
-}
-
-/// A lidar, and its pose on the robot.
-struct Mounted {
-    device: Device<Lidar>,
-    mount: Planar,
-    scan: Option<Scan>,
 }
 
 /// What users were told.
@@ -61,8 +53,8 @@ struct Told {
 }
 
 impl TurtlebotDriver {
-    /// Drives the robot of a base that stands at `start`. The limits of a TurtleBot 2 and of its walk apply.
-    pub fn new(id: NodeId, start: Position, heading: f64, walk: Option<&Walk>, base: Device<Base>) -> Self {
+    /// Drives a robot that stands at `start`. The limits of a TurtleBot 2 and of its walk apply.
+    pub fn new(id: NodeId, start: Position, heading: f64, walk: Option<&Walk>, body: Box<dyn Body>) -> Self {
         let fastest = RobotModel::Turtlebot2.max_speed();
         let start = Planar { x: start.x, y: start.y, z: start.z, heading };
         let pose = placed(start, &Odometry::default());
@@ -77,82 +69,64 @@ impl TurtlebotDriver {
             id,
             speed_limit: walk.map_or(fastest, |walk| walk.speed_limit.clamp(0.0, fastest)),
             start,
-            base,
-            lidar: None,
+            body,
+            mount: None,
+            readings: Readings::default(),
             sensors,
-            health: vec![RobotFault::Absent],
-            charge: None,
-            angular: None,
+            scan: None,
             taken: [None; 2],
             notices: VecDeque::new(),
             told: Told::default(),
         }
     }
 
-    /// Adds a lidar at this position, metres forward and to the left of the robot's middle, whose front has this heading on
-    /// the robot, radians.
-    pub fn with_lidar(mut self, device: Device<Lidar>, position: Position, heading: f64) -> Self {
-        let mount = Planar { x: position.x, y: position.y, z: position.z, heading };
-        self.lidar = Some(Mounted { device, mount, scan: None });
+    /// Tells where its lidar is: at this position, metres forward and to the left of the robot's middle, and with this heading
+    /// of its front on the robot, radians.
+    pub fn with_lidar(mut self, position: Position, heading: f64) -> Self {
+        self.mount = Some(Planar { x: position.x, y: position.y, z: position.z, heading });
         self
     }
 
     /// Reads both devices.
     fn look(&mut self, now: Timestamp) {
-        let Self { id, start, base, sensors, told, notices, .. } = self;
-        let mut faults = base.with(now, |base, now| {
-            base.advance(now);
-            sensors.odometry = placed(*start, base.odometry());
-            sensors.pose = sensors.odometry;
-            sensors.velocity = base.odometry().velocity;
-            if let Some((at, basic)) = base.basic() {
-                sensors.bumper = basic.bumper != 0;
-                self.charge = Some((at, [basic.charge(), basic.volts()]));
-            }
-            self.angular = base.angular_velocity();
-            if let Some(version) = base.firmware()
-                && !std::mem::replace(&mut told.firmware, true)
-            {
-                notices.push_back(format!("robot {id}: its Kobuki has firmware {version}"));
-            }
-            if base.rejected() >= CORRUPT && !std::mem::replace(&mut told.corrupt_base, true) {
-                notices.push_back(format!("robot {id}: frames of its base are corrupt; check its cable"));
-            }
-            base.faults().to_vec()
-        });
-        if let Some(lidar) = &mut self.lidar {
-            let fault = lidar.device.with(now, |device, now| {
-                if let Some(turn) =
-                    device.turn().filter(|turn| lidar.scan.as_ref().map(|scan| scan.at) != Some(turn.at))
-                {
-                    lidar.scan = Some(scan(turn, lidar.mount));
-                }
-                if device.rejected() >= CORRUPT && !std::mem::replace(&mut told.corrupt_lidar, true) {
-                    notices
-                        .push_back(format!("robot {id}: answers of its lidar are corrupt; check its cable"));
-                }
-                let health = device.health();
-                if let Some(Health::Warning(code) | Health::Error(code)) = health
-                    && told.health != health
-                {
-                    notices.push_back(format!("robot {id}: its lidar is not well, with code {code:#x}"));
-                }
-                told.health = health;
-                match device.heard() {
-                    None => Some(RobotFault::Absent),
-                    Some(heard) => (now.since(heard) >= SILENCE).then_some(RobotFault::Silent),
-                }
-            });
-            sensors.nearest_obstacle_m = lidar.scan.as_ref().and_then(Scan::nearest);
-            if let Some(fault) = fault.filter(|fault| !faults.contains(fault)) {
-                faults.push(fault);
-                faults.sort_unstable();
-            }
+        self.readings = self.body.read(now);
+        let Self { readings, sensors, .. } = self;
+        sensors.odometry = placed(self.start, &readings.odometry);
+        sensors.pose = sensors.odometry;
+        sensors.velocity = readings.odometry.velocity;
+        if let Some((_, basic)) = readings.basic {
+            sensors.bumper = basic.bumper != 0;
         }
-        if self.health.is_empty() && !faults.is_empty() {
-            self.base.with(now, |base, now| base.stop(now));
+        if let Some(mount) = self.mount
+            && let Some(turn) = self.body.turn(self.scan.as_ref().map(|scan| scan.at))
+        {
+            self.scan = Some(scan(&turn, mount));
         }
-        self.health = faults;
+        sensors.nearest_obstacle_m = self.scan.as_ref().and_then(Scan::nearest);
+        self.tell();
+    }
+
+    /// Notes what users should know.
+    fn tell(&mut self) {
+        let Self { id, readings, told, notices, .. } = self;
+        if let Some(version) = readings.firmware
+            && !std::mem::replace(&mut told.firmware, true)
+        {
+            notices.push_back(format!("robot {id}: its Kobuki has firmware {version}"));
+        }
+        if readings.rejected_frames >= CORRUPT && !std::mem::replace(&mut told.corrupt_base, true) {
+            notices.push_back(format!("robot {id}: frames of its base are corrupt; check its cable"));
+        }
+        if readings.rejected_answers >= CORRUPT && !std::mem::replace(&mut told.corrupt_lidar, true) {
+            notices.push_back(format!("robot {id}: answers of its lidar are corrupt; check its cable"));
+        }
+        let health = readings.lidar_health;
+        if let Some(Health::Warning(code) | Health::Error(code)) = health
+            && told.health != health
+        {
+            notices.push_back(format!("robot {id}: its lidar is not well, with code {code:#x}"));
+        }
+        told.health = health;
     }
 
     /// Takes a reading unless it was taken before.
@@ -224,16 +198,16 @@ impl RobotDriver for TurtlebotDriver {
             return Err(CommandError::NotFinite(velocity));
         }
         self.look(now);
-        if let Some(fault) = self.health.first() {
+        if let Some(fault) = self.readings.faults.first() {
             return Err(CommandError::Unwell(*fault));
         }
         let velocity = limited(velocity, self.speed_limit);
-        self.base.with(now, |base, now| base.drive(now, velocity)).map_err(CommandError::Unwell)?;
+        self.body.drive(now, velocity).map_err(CommandError::Unwell)?;
         Ok(velocity)
     }
 
     fn stop(&mut self, now: Timestamp) {
-        self.base.with(now, |base, now| base.stop(now));
+        self.body.stop(now);
     }
 
     fn sensors(&self) -> SensorData {
@@ -241,15 +215,18 @@ impl RobotDriver for TurtlebotDriver {
     }
 
     fn scan(&self) -> Option<&Scan> {
-        self.lidar.as_ref()?.scan.as_ref()
+        self.scan.as_ref()
     }
 
     fn sense(&mut self, _now: Timestamp, sensor: &Sensor) -> Option<(Timestamp, Vec<f64>)> {
         match sensor.kind {
-            SensorKind::Battery { .. } => self.take(0, self.charge).map(|(at, values)| (at, values.to_vec())),
+            SensorKind::Battery { .. } => {
+                let charge = self.readings.basic.map(|(at, basic)| (at, [basic.charge(), basic.volts()]));
+                self.take(0, charge).map(|(at, values)| (at, values.to_vec()))
+            }
             // A Kobuki has a gyro, and no accelerometer.
             SensorKind::Imu => self
-                .take(1, self.angular)
+                .take(1, self.readings.angular_velocity)
                 .map(|(at, [x, y, z])| (at, vec![x, y, z, f64::NAN, f64::NAN, f64::NAN])),
             _ => None,
         }
@@ -260,7 +237,7 @@ impl RobotDriver for TurtlebotDriver {
     }
 
     fn health(&self) -> &[RobotFault] {
-        &self.health
+        &self.readings.faults
     }
 }
 

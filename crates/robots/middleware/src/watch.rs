@@ -8,7 +8,7 @@ use cotorra_graph::{RobotFault, Timestamp};
 use cotorra_ros_messages::Time;
 
 /// Time without messages of a steady topic after which a robot counts as silent.
-pub(crate) const SILENCE: Duration = Duration::from_secs(1);
+const SILENCE: Duration = Duration::from_secs(1);
 /// Time that a fault lasts after it was last seen.
 pub(crate) const HOLD: Duration = Duration::from_secs(1);
 /// Allowed backward step of stamps, ns: clocks are corrected in small steps.

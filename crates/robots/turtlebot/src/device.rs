@@ -13,6 +13,8 @@ use parking_lot::{Condvar, Mutex};
 
 use crate::port::{Port, PortError, PortSettings, Waiter};
 
+/// Time without data after which a device counts as silent. A base sends every 20 ms, and a lidar more often.
+pub const SILENCE: Duration = Duration::from_secs(1);
 /// Longest time between two looks at the protocol's deadline, which calls from outside can bring forward.
 const LISTEN: Duration = Duration::from_millis(20);
 /// Bytes read in one go, so that a flood does not hold up calls.
@@ -170,6 +172,11 @@ impl<S: Session> Device<S> {
         let result = call(&mut state.session, now);
         let _ = state.go_on(now);
         result
+    }
+
+    /// Looks at the protocol as it was after the last call or byte.
+    pub fn peek<R>(&self, look: impl FnOnce(&S) -> R) -> R {
+        look(&self.shared.state.lock().session)
     }
 
     /// Whether the port is open.

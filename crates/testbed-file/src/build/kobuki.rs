@@ -42,7 +42,8 @@ pub(super) fn driver(robot: &RobotRecord, record: Option<&KobukiRecord>, sink: &
         Some(Either::Long(lidar)) => Some(rplidar(lidar, sink)?),
         None => Some(rplidar(&usual, sink)?),
     };
-    Some(Driver::Kobuki(Box::new(Kobuki { port: port?, lidar })))
+    let agent = robot.agent.as_ref().map(|agent| agent.value.clone());
+    Some(Driver::Kobuki(Box::new(Kobuki { port: port?, lidar, agent })))
 }
 
 fn rplidar(record: &RplidarRecord, sink: &mut Sink) -> Option<Rplidar> {

@@ -49,6 +49,10 @@ pub(super) fn driver(
         Either::Long(DriverRecord::Ros1(ros1)) => Some(RosSettings::Ros1(ros1)),
         Either::Long(DriverRecord::Ros2(ros2)) => Some(RosSettings::Ros2(ros2)),
     };
+    if let Some(agent) = &record.agent {
+        sink.error(&agent.span, format!("`{robot}` has an agent, but no serial ports"))
+            .help("write `driver: kobuki`, or leave out `agent`");
+    }
     let offered = record.offer.as_ref().map(|offer| match &offer.value {
         Either::Short(OfferWord::Ros1) => (RosSettings::Ros1(&ros1), &offer.span),
         Either::Short(OfferWord::Ros2) => (RosSettings::Ros2(&ros2), &offer.span),

@@ -26,6 +26,7 @@ fn agent(node: &NodeRecord) -> Option<&Spanned<AgentId>> {
         NodeRecord::Server(server) => server.agent.as_ref(),
         NodeRecord::Machine(machine) => machine.agent.as_ref(),
         NodeRecord::RadioUnit(unit) => unit.agent.as_ref(),
-        NodeRecord::Robot(_) | NodeRecord::Switch(_) | NodeRecord::Gateway(_) => None,
+        NodeRecord::Robot(robot) => robot.agent.as_ref(),
+        NodeRecord::Switch(_) | NodeRecord::Gateway(_) => None,
     }
 }

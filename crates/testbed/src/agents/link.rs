@@ -8,13 +8,15 @@ use std::{
     time::Duration,
 };
 
-use cotorra_agent_protocol::{Controller, ControllerEvent, MachineReading, Run, Shipped, WantedInstance};
+use cotorra_agent_protocol::{
+    Controller, ControllerEvent, MachineReading, RobotState, Run, Shipped, WantedInstance, WantedRobot,
+};
 use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
 use cotorra_engine::{EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
 use cotorra_graph::{AgentId, Event, NodeId, Stamped, Timestamp};
 
-use super::{error::AgentsError, today};
+use super::{error::AgentsError, robot::Robots, today};
 use crate::{clock::Clock, message::Message};
 
 /// Interval of looking for enrolled, renewed and revoked agents.
@@ -24,6 +26,8 @@ const LOOK: Duration = Duration::from_secs(1);
 pub(super) enum Command {
     Start(AgentId, InstanceId, Box<WantedInstance>),
     Stop(InstanceId),
+    /// A command to a robot is to be sent.
+    Wake,
     /// Something arrived from an agent. The last part is held until it is handled, to bound the number that waits.
     Arrived(AgentId, FromAgent, Arc<()>),
     /// Stop everything, and end.
@@ -38,6 +42,8 @@ pub(super) struct Parts {
     pub(super) authority: Authority,
     /// The node of each agent.
     pub(super) nodes: BTreeMap<AgentId, NodeId>,
+    pub(super) wanted_robots: Vec<(AgentId, WantedRobot)>,
+    pub(super) robots: Robots,
     pub(super) files: Vec<Shipped>,
     /// Paths of the files by their SHA-256.
     pub(super) paths: BTreeMap<String, PathBuf>,
@@ -61,7 +67,10 @@ impl Link {
         let granted = granted(&parts)?;
         let router = Some(open(&parts, &granted)?);
         let agents = parts.nodes.keys().cloned();
-        let controller = Controller::new(parts.run, parts.lease, parts.files.clone(), agents);
+        let mut controller = Controller::new(parts.run, parts.lease, parts.files.clone(), agents);
+        for (agent, robot) in &parts.wanted_robots {
+            controller.drive(agent, robot.clone());
+        }
         Ok(Self { parts, controller, granted, router })
     }
 
@@ -108,11 +117,18 @@ impl Link {
                 FromAgent::Connection { boot, is_there } => {
                     self.controller.connection(now, &agent, boot, is_there);
                 }
-                FromAgent::Report(report) => self.controller.receive(now, &agent, report),
+                FromAgent::Report(report) => {
+                    self.controller.receive(now, &agent, report);
+                    if let Some((boot, clock)) = self.controller.process(&agent) {
+                        self.parts.robots.follow(&agent, boot, clock);
+                    }
+                }
                 FromAgent::Context(bytes) => self.context(now, &agent, &bytes),
+                // Only an agent with a robot has something to say of one.
+                FromAgent::Reading(_) | FromAgent::Turn(_) => {}
                 FromAgent::Rejected(reason) => tracing::warn!("agent `{agent}`: rejected {reason}"),
             },
-            Command::End => {}
+            Command::Wake | Command::End => {}
         }
     }
 
@@ -140,6 +156,11 @@ impl Link {
                 tracing::warn!("{error}");
             }
         }
+        for (agent, command) in self.parts.robots.poll_commands() {
+            if let Some(Err(error)) = self.router.as_ref().map(|router| router.command(agent, &command)) {
+                tracing::warn!("{error}");
+            }
+        }
     }
 
     fn report(&mut self, now: Timestamp) {
@@ -149,6 +170,14 @@ impl Link {
                     // The core may have ended.
                     let _ = self.parts.events.send(event);
                     let _ = self.parts.messages.send(Message::Wake);
+                }
+                ControllerEvent::Robot(agent, state) => {
+                    let node = self.parts.nodes.get(&agent).map_or("", NodeId::as_str);
+                    let message = match state {
+                        RobotState::Driven => format!("robot {node}: agent `{agent}` has opened its ports"),
+                        RobotState::Failed(reason) => format!("robot {node}: agent `{agent}`: {reason}"),
+                    };
+                    self.tell(now, Event::Notice { message });
                 }
                 ControllerEvent::Joined(agent) => {
                     self.tell(now, Event::Notice { message: format!("agent `{agent}` is connected") });
@@ -195,10 +224,15 @@ fn open(parts: &Parts, granted: &[Granted]) -> Result<Router, AgentsError> {
         certificate: &core.certificate_pem,
         key: &core.key_pem,
     };
-    let commands = parts.commands.clone();
+    let (commands, robots, now) = (parts.commands.clone(), parts.robots.clone(), Arc::clone(&parts.now));
     let receiver: Receiver = Arc::new(move |agent, arrived, waiting| {
+        let (arrived, is_to_send) = robots.take(now(), &agent, arrived);
         // Fails only while the run ends.
-        let _ = commands.send(Command::Arrived(agent, arrived, waiting));
+        if let Some(arrived) = arrived {
+            let _ = commands.send(Command::Arrived(agent, arrived, waiting));
+        } else if is_to_send {
+            let _ = commands.send(Command::Wake);
+        }
     });
     Ok(Router::open(parts.listen, credentials, granted, parts.run, parts.paths.clone(), &receiver)?)
 }

@@ -3,6 +3,8 @@
 use std::{collections::BTreeMap, net::UdpSocket, sync::Arc};
 
 use cotorra_datapath::Datapath;
+#[cfg(feature = "agents")]
+use cotorra_engine::Engine;
 use cotorra_engine::{Cgroups, ProcessEngine};
 use cotorra_graph::{Node, NodeId, Testbed};
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
@@ -15,7 +17,7 @@ use crate::{
     error::{RunError, system},
     images,
     real_network::RealNetwork,
-    robots::{Masters, Robots},
+    robots::{AtAgents, Masters, Robots},
     script::Script,
 };
 
@@ -52,11 +54,18 @@ impl NodesUp {
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
         let local = ProcessEngine::new(Arc::new(launcher), prepared.folder.logs(), cgroups);
         #[cfg(feature = "agents")]
-        let agents = prepared.agents(&network.now, &network.messages)?;
+        let (agents, at_agents) = match prepared.agents(&network.now, &network.messages)? {
+            Some(agents) => {
+                let robots = agents.robots();
+                (Some(Box::new(agents) as Box<dyn Engine + Send>), robots)
+            }
+            None => (None, AtAgents::new()),
+        };
         #[cfg(not(feature = "agents"))]
-        let agents = None;
+        let (agents, at_agents) = (None, AtAgents::new());
         let engine = Engines::new(&testbed.graph, local, agents);
-        let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), Arc::clone(&network.now));
+        let now = Arc::clone(&network.now);
+        let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), now, at_agents);
         let places = Places::default();
         let border = testbed.border.as_ref();
         let mut core = Core::new(

@@ -13,9 +13,6 @@ use cotorra_measurements::{History, Recorder, RunId, RunInfo};
 use cotorra_recording::{Pace, Recording};
 
 #[cfg(feature = "agents")]
-use cotorra_engine::Engine;
-
-#[cfg(feature = "agents")]
 use crate::{agents::AgentEngine, clock::Clock, message::Message};
 use crate::{
     api::Listener,
@@ -118,20 +115,20 @@ impl Prepared {
         &self,
         now: &Clock,
         messages: &Sender<Message>,
-    ) -> Result<Option<Box<dyn Engine + Send>>, RunError> {
+    ) -> Result<Option<AgentEngine>, RunError> {
         let Some(authority) = self.authority.clone() else { return Ok(None) };
         let run = cotorra_agent_protocol::Run(self.info.started_at_unix_ns.unsigned_abs());
         let (testbed, options) = (&self.testbed, &self.options.agents);
-        let engine = AgentEngine::start(testbed, options, authority, run, &self.folder, now, messages)?;
-        Ok(Some(Box::new(engine)))
+        Ok(Some(AgentEngine::start(testbed, options, authority, run, &self.folder, now, messages)?))
     }
 }
 
-/// Checks that no VNF starts on a real server, because this build reaches no agents. Warns of what other agents would do.
+/// Checks that no VNF starts on a real server and no robot is at an agent, because this build reaches no agents. Warns of what
+/// other agents would do.
 #[cfg(not(feature = "agents"))]
 fn check_agents(testbed: &Testbed) -> Result<(), RunError> {
-    if let Some((node, real)) = testbed.real_servers_at_start().next() {
-        return Err(RunError::NoAgents { node: node.id.clone(), agent: real.agent.clone() });
+    if let Some((node, agent)) = testbed.agents_at_start().next() {
+        return Err(RunError::NoAgents { node: node.id.clone(), agent: agent.clone() });
     }
     for (node, agent) in testbed.graph.agents() {
         tracing::warn!(

@@ -59,10 +59,10 @@ const ROBOT_PORT: u16 = 40_000;
 /// Source port of robots' cameras.
 const IMAGE_PORT: u16 = 40_001;
 
-/// Returns the testbed as it is in virtual time: all servers are emulated.
+/// Returns the testbed as it is in virtual time: all servers are emulated, and robots at agents simulated.
 fn emulated(mut testbed: Arc<Testbed>) -> Arc<Testbed> {
-    if testbed.graph.real_servers().next().is_some() {
-        Arc::make_mut(&mut testbed).graph.emulate_servers();
+    if testbed.graph.agents().next().is_some() {
+        Arc::make_mut(&mut testbed).graph.emulate_agents();
     }
     testbed
 }

@@ -1,49 +1,13 @@
-use std::{
-    io::{self, ErrorKind, Read, Write},
-    sync::Arc,
-};
-
 use cotorra_graph::{SensorId, Velocity};
-use cotorra_testing::turtlebot::{Kobuki, Place, Rplidar, room};
-use cotorra_turtlebot::rplidar::{LidarSettings, Sample};
-use parking_lot::Mutex;
+use cotorra_testing::turtlebot::{Kobuki, Memory, Place, Rplidar, room};
+use cotorra_turtlebot::{
+    Device, Turtlebot,
+    kobuki::Base,
+    rplidar::{Lidar, LidarSettings, Sample},
+};
 
 use super::*;
 use crate::fixtures::{id, walk};
-
-/// A port in memory: what each end wrote and the other did not read.
-#[derive(Clone, Default)]
-struct Memory(Arc<Mutex<(Vec<u8>, Vec<u8>)>>);
-
-impl Read for Memory {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let (arrived, _) = &mut *self.0.lock();
-        let read = arrived.len().min(buffer.len());
-        buffer[..read].copy_from_slice(&arrived[..read]);
-        arrived.drain(..read);
-        if read == 0 { Err(ErrorKind::WouldBlock.into()) } else { Ok(read) }
-    }
-}
-
-impl Write for Memory {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().1.extend(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Memory {
-    /// Passes bytes to the driver, and returns those that it wrote.
-    fn exchange(&self, bytes: Vec<u8>) -> Vec<u8> {
-        let (arrived, written) = &mut *self.0.lock();
-        arrived.extend(bytes);
-        std::mem::take(written)
-    }
-}
 
 /// A driver in virtual time, with both devices.
 struct Bench {
@@ -72,9 +36,9 @@ impl Bench {
             Position::new(place.x, place.y),
             place.heading,
             Some(&walk),
-            base,
+            Box::new(Turtlebot::on(base, Some(lidar))),
         )
-        .with_lidar(lidar, Position::default(), 0.0);
+        .with_lidar(Position::default(), 0.0);
         let rplidar = Rplidar::new(room((0.0, 0.0), (5.0, 4.0)), place);
         Self { driver, kobuki: Kobuki::at(place), rplidar, ports, ms: 0 }
     }

@@ -10,7 +10,7 @@ use super::{
     frames::Frames,
     odometry::Odometry,
 };
-use crate::device::Session;
+use crate::device::{SILENCE, Session};
 
 /// Time without a command after which the base is stopped, as `cmd_vel_timeout` of Kobuki's own node.
 pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(600);
@@ -18,8 +18,6 @@ pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(600);
 const REPEAT: Duration = Duration::from_millis(50);
 /// Number of stop commands in a row, because bytes may be lost.
 const STOPS: u32 = 5;
-/// Time without feedback after which the base counts as silent. It comes every 20 ms.
-const SILENCE: Duration = Duration::from_secs(1);
 /// Interval between requests for the versions, until they are answered.
 const ASK: Duration = Duration::from_secs(1);
 
@@ -122,13 +120,24 @@ impl Base {
     /// # Errors
     /// The base's first fault. It stands still then.
     pub fn drive(&mut self, now: Timestamp, velocity: Velocity) -> Result<(), RobotFault> {
+        self.follow(now, now, velocity)
+    }
+
+    /// Moves at a velocity that was given at an earlier time, from which on the command timeout counts. One that is too old
+    /// changes nothing.
+    ///
+    /// # Errors
+    /// The base's first fault. It stands still then.
+    pub fn follow(&mut self, now: Timestamp, given: Timestamp, velocity: Velocity) -> Result<(), RobotFault> {
         self.advance(now);
         if let Some(fault) = self.faults.first() {
             return Err(*fault);
         }
-        let command = Command::drive(velocity);
-        // A command that came early replaces the one before at once.
-        self.motion = Motion::Driving { command, until: now + COMMAND_TIMEOUT, next: now };
+        let until = given + COMMAND_TIMEOUT;
+        if now < until {
+            // A command that came early replaces the one before at once.
+            self.motion = Motion::Driving { command: Command::drive(velocity), until, next: now };
+        }
         Ok(())
     }
 

@@ -1,5 +1,7 @@
 //! Commands to the base.
 
+use std::f64::consts::PI;
+
 use cotorra_graph::Velocity;
 
 use super::{frames::frame, odometry::WHEEL_BASE};
@@ -40,6 +42,17 @@ pub struct Gains {
     pub proportional: u32,
     pub integral: u32,
     pub derivative: u32,
+}
+
+/// Largest angular velocity, rad/s (180 °/s).
+pub const MAX_ANGULAR_SPEED: f64 = PI;
+
+/// Scales a velocity down to the limits of a robot with this speed limit, m/s, on the same curve. The vertical part is
+/// dropped.
+pub fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
+    let over = (wanted.linear.abs() / speed_limit).max(wanted.angular.abs() / MAX_ANGULAR_SPEED);
+    let over = over.max(1.0);
+    Velocity::planar(wanted.linear / over, wanted.angular / over)
 }
 
 /// Velocities below it count as none, m/s or rad/s (`DiffDrive::velocityCommands`).

@@ -1,5 +1,7 @@
 //! Feedback of the base, which comes 50 times a second.
 
+use serde::{Deserialize, Serialize};
+
 use super::{command::Gains, frames::parts};
 
 /// One part of the base's feedback.
@@ -30,7 +32,7 @@ pub enum Feedback {
 }
 
 /// Basic sensor data.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Basic {
     /// The base's clock, milliseconds. It wraps.
     pub stamp: u16,
@@ -77,7 +79,7 @@ pub struct Inertia {
 }
 
 /// Version of hardware or firmware.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs, reason = "the names say it all")]
 pub struct Version {
     pub major: u8,

@@ -6,6 +6,7 @@ use std::{
 };
 
 use cotorra_graph::{Timestamp, Velocity};
+use serde::{Deserialize, Serialize};
 
 use super::feedback::{Basic, Inertia};
 
@@ -24,7 +25,7 @@ const LOST: Duration = Duration::from_secs(2);
 const IMPOSSIBLE: (f64, f64) = (2.0, 0.1);
 
 /// Odometry of a base since its first feedback.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Odometry {
     /// Position, metres, in the frame of the start: forward, and to the left.
     pub position: (f64, f64),
@@ -36,10 +37,26 @@ pub struct Odometry {
     pub way: f64,
     /// Time in which the base moved.
     pub moved: Duration,
+    #[serde(skip)]
     last: Option<(Timestamp, Basic, Option<Inertia>)>,
 }
 
 impl Odometry {
+    /// Returns the odometry since the start of `before`, at whose end this one began.
+    #[must_use]
+    pub fn after(&self, before: &Self) -> Self {
+        let (sin, cos) = before.heading.sin_cos();
+        let ((x, y), (forward, left)) = (before.position, self.position);
+        Self {
+            position: (x + forward * cos - left * sin, y + forward * sin + left * cos),
+            heading: normalised(before.heading + self.heading),
+            velocity: self.velocity,
+            way: before.way + self.way,
+            moved: before.moved.saturating_add(self.moved),
+            last: self.last,
+        }
+    }
+
     /// Takes a reading. After a gap of two seconds, or if the encoders jump, the way since the last reading is unknown,
     /// and counts as none.
     pub fn update(&mut self, now: Timestamp, basic: Basic, inertia: Option<Inertia>) {
@@ -143,6 +160,23 @@ mod tests {
         assert!(gone.0 > 0.008);
         odometry.update(at(3000), basic(3000, 20_500, 20_500), None);
         assert_eq!((odometry.position, odometry.velocity), (gone, Velocity::default()));
+    }
+
+    #[test]
+    fn odometry_goes_on_where_an_earlier_one_ended() {
+        let part = |x: f64, y: f64, heading: f64| Odometry {
+            position: (x, y),
+            heading,
+            way: 2.0,
+            ..Odometry::default()
+        };
+        let joined = part(1.0, 0.5, 0.0).after(&part(3.0, 4.0, PI / 2.0));
+        assert!(
+            (joined.position.0 - 2.5).abs() < 1e-12 && (joined.position.1 - 5.0).abs() < 1e-12,
+            "{joined:?}"
+        );
+        assert_eq!((joined.heading, joined.way), (PI / 2.0, 4.0));
+        assert_eq!(part(1.0, 2.0, 3.0).after(&Odometry::default()), part(1.0, 2.0, 3.0));
     }
 
     proptest! {

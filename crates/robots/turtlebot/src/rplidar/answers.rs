@@ -1,5 +1,7 @@
 //! Answers of the lidar: a descriptor with length and type, and then one answer, or answers until it is stopped.
 
+use serde::{Deserialize, Serialize};
+
 use super::capsule::{self, Capsule};
 
 /// Two marks, 30 bits of length with two bits of mode, and the type.
@@ -44,7 +46,7 @@ pub enum Answer {
 }
 
 /// State of a lidar.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Health {
     /// It is well.
     Good,

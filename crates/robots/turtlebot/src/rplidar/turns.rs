@@ -4,9 +4,6 @@ use std::{f64::consts::PI, mem, time::Duration};
 
 use cotorra_graph::Timestamp;
 
-/// Samples of a turn at most: an A2 has 1600 at its fastest samples and slowest turns.
-const MOST: usize = 4096;
-
 /// One sample of a lidar.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
@@ -25,6 +22,13 @@ pub struct Turn {
     pub period: Duration,
     /// The samples, in the order in which they were measured.
     pub samples: Vec<Sample>,
+}
+
+impl Turn {
+    /// Samples of a turn at most: an A2 has 1600 at its fastest samples and slowest turns.
+    pub const MOST_SAMPLES: usize = 4096;
+    /// Longest time of a turn that makes sense: an A2 takes 0.2 s at its slowest.
+    pub const LONGEST_PERIOD: Duration = Duration::from_secs(10);
 }
 
 /// Collects samples into turns.
@@ -53,7 +57,7 @@ impl Turns {
         if self.under_way.samples.is_empty() {
             self.under_way.at = at;
         }
-        if self.is_whole && self.under_way.samples.len() < MOST {
+        if self.is_whole && self.under_way.samples.len() < Turn::MOST_SAMPLES {
             self.under_way.samples.push(sample);
         }
     }
@@ -104,6 +108,6 @@ mod tests {
             turns.add(Timestamp::ZERO, Sample { angle, range: None });
         }
         (0..10_000).for_each(|_| turns.add(Timestamp::ZERO, Sample { angle: 0.1, range: None }));
-        assert_eq!(turns.under_way.samples.len(), MOST);
+        assert_eq!(turns.under_way.samples.len(), Turn::MOST_SAMPLES);
     }
 }

@@ -55,6 +55,22 @@ fn whole(_: u64, bytes: Vec<u8>) -> Vec<u8> {
 }
 
 #[test]
+fn a_velocity_counts_from_the_time_at_which_it_was_given_and_one_that_is_too_old_changes_nothing() {
+    let mut bench = Bench::new(whole);
+    bench.run(1000, None);
+    bench.base.follow(at(1000), at(700), Velocity::planar(0.2, 0.0)).unwrap();
+    bench.run(1100, None);
+    bench.base.follow(at(1100), at(500), Velocity::planar(0.4, 0.0)).unwrap();
+    bench.run(1299, None);
+    assert_eq!(bench.kobuki.velocity(), (0.2, 0.0));
+    bench.run(1500, None);
+    assert_eq!(bench.end().1, 1300);
+    bench.base.follow(at(1500), at(900), Velocity::planar(0.2, 0.0)).unwrap();
+    bench.run(1600, None);
+    assert_eq!(bench.end().1, 1300);
+}
+
+#[test]
 fn a_driven_base_gets_twenty_commands_a_second_and_moves_as_commanded() {
     let mut bench = Bench::new(whole);
     bench.run(100, None);
