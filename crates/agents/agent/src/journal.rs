@@ -1,8 +1,8 @@
-//! The wanted state on the disk, which survives a kill of the agent and a loss of power.
+//! The wanted state in a file, which survives a kill of the agent.
 
 use std::{
     fs::{self, File, TryLockError},
-    io::{self, Write},
+    io,
     path::{Path, PathBuf},
 };
 
@@ -41,15 +41,13 @@ impl Journal {
         }
     }
 
-    /// Saves the wanted state. It is on the disk when this returns.
+    /// Saves the wanted state. Does not wait for the disk: a state is of no use after the machine's next start, and one that is
+    /// torn by a loss of power is ignored.
     pub(crate) fn save(&self, wanted: &Wanted) -> io::Result<()> {
         let saved = Saved { boot: boot(), wanted: wanted.clone() };
         let (path, new) = (self.folder.join(NAME), self.folder.join("wanted.new"));
-        let mut file = File::create(&new)?;
-        file.write_all(&serde_json::to_vec(&saved).map_err(io::Error::other)?)?;
-        file.sync_all()?;
-        fs::rename(&new, &path)?;
-        File::open(&self.folder)?.sync_all()
+        fs::write(&new, serde_json::to_vec(&saved).map_err(io::Error::other)?)?;
+        fs::rename(&new, &path)
     }
 
     /// Returns what was saved last since the machine was started; `None` if nothing was, or if it cannot be read.

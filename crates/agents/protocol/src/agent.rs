@@ -21,8 +21,8 @@ const LEASES: [Duration; 2] = [Duration::from_millis(200), Duration::from_hours(
 /// Something that the agent's shell has to do, in this order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
-    /// Save the wanted state, for [`Agent::new`] after the next start. Everything before it must be done, and it must be on the
-    /// disk before anything after it is done. If that fails, [`Agent::cannot_save`] cancels what it starts.
+    /// Save the wanted state, for [`Agent::new`] after the next start. Everything before it must be done, and it must be saved
+    /// before anything after it is done. If that fails, [`Agent::cannot_save`] cancels what it starts.
     Save(Box<Wanted>),
     /// Start an instance. The files of the wanted state must be there first.
     Start(InstanceId, Box<WantedInstance>),
