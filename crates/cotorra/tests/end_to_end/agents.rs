@@ -1,11 +1,18 @@
 //! Agents on real servers: machines behind a bridge, each in a network namespace of its own.
 
-use std::{env, path::PathBuf, process::Output};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    env,
+    path::PathBuf,
+    process::Output,
+};
+
+use serde_json::Value;
 
 use crate::{
-    harness::{cotorra, project_file, stderr},
+    harness::{corridor, cotorra, project_file, stderr},
     netem_links::lines,
-    real_servers::{behind_a_bridge, has_bridges},
+    real_servers::{behind_a_bridge, has_bridges, json},
 };
 
 /// A robot whose navigation runs on the real server `edge`. `ticking` prints numbers there, and goes on without the core.
@@ -125,6 +132,85 @@ fn vnfs_on_real_servers_run_at_their_agents_and_move_between_them() {
         $COTORRA history state $(ls -d runs/*) | sed -n '/^Machines/,$p' | grep -o 'cloud\|edge\|fog'"#,
     );
     assert_eq!(lines(&done), ["1 0 1", "1", "0 0", "fog", "cloud", "edge", "fog"]);
+}
+
+/// With `COTORRA_FULL`, it also walks past emulated servers, and prints the medians of both.
+#[test]
+fn corridor_is_served_by_agents_on_its_fog_edge_and_cloud() {
+    if !has_bridges() {
+        return;
+    }
+    let full = env::var_os("COTORRA_FULL").is_some();
+    let testbed = format!(
+        r#"FILE={}; SERVERS='fog edge cloud' LOCALIZATION='/proc/self/exe vnf localization'
+        number=2; real=
+        for name in $SERVERS; do
+            agent $name
+            real="$real --set nodes.$name.agent=${{name}}1 --set nodes.$name.interface=br0"
+            real="$real --set nodes.$name.address=10.9.1.$number"; number=$((number + 1))
+        done
+        walk() {{
+            at_agents=$1; shift
+            start --seed 1 "$@"
+            for server in cloud edge fog; do
+                [ $server = cloud ] || place $server
+                until [ $(samples | grep -c "\"navigation\".*\"server\":\"$server\"") -ge 100 ]; do
+                    kill -0 $run; sleep 0.2
+                done
+                for name in $SERVERS; do
+                    if [ $name = $server ]; then until_count $name "$NAVIGATION" $at_agents
+                    else until_count $name "$NAVIGATION" 0; fi
+                done
+            done
+            until samples | grep -q '"localization".*"server":"edge"'; do kill -0 $run; sleep 0.2; done
+            until_count edge "$LOCALIZATION" $at_agents
+            kill -INT $run; ends
+            cat $(ls -d runs/* | tail -1)/summary.json | tr -d '\n'; echo
+        }}
+        walk 1 --authority authority $real
+        {}"#,
+        corridor().display(),
+        if full { "walk 0" } else { "" }
+    );
+    let runs: Vec<_> = lines(&with_agents(&testbed)).iter().map(|line| json(line)).collect();
+    for run in &runs {
+        let placements = run["placements"].as_array().unwrap().iter();
+        let servers = placements.filter(|its| its["vnf"] == "navigation").map(|its| &its["node"]);
+        assert_eq!(servers.collect::<Vec<_>>(), ["cloud", "edge", "fog"]);
+        let answered: BTreeSet<_> = medians(run).into_keys().map(|(_, server)| server).collect();
+        assert_eq!(Vec::from_iter(answered), ["cloud", "edge", "fog"]);
+    }
+    let ports = runs[0]["gateways"].as_array().unwrap();
+    assert_eq!(ports.len(), 3);
+    for port in ports {
+        assert!(port["received_frames"].as_u64().unwrap() > 0, "{port}");
+    }
+    if let [real, emulated] = &runs[..] {
+        let others = medians(emulated);
+        println!("unit server   agents  emulated  difference, ms");
+        for ((unit, server), median) in medians(real) {
+            if let Some(other) = others.get(&(unit.clone(), server.clone())) {
+                println!("{unit:<4} {server:<6} {median:>8.2} {other:>9.2} {:>+11.2}", median - other);
+            }
+        }
+        for (name, run) in [("agents", real), ("emulated", emulated)] {
+            println!(
+                "{name}: valid {}, lateness in µs {}",
+                run["fidelity"]["valid"], run["fidelity"]["lateness_us"]
+            );
+        }
+    }
+}
+
+/// Returns a run's median service times in ms, by radio unit and server.
+fn medians(summary: &Value) -> BTreeMap<(String, String), f64> {
+    let regions = summary["regions"].as_array().expect("a list").iter();
+    let measured = regions.filter_map(|region| {
+        let text = |key| region[key].as_str().expect("a text").to_owned();
+        let (unit, server) = (text("attachment"), text("server"));
+        Some(((unit, server), region["service_time_p50_ms"].as_f64()?))
+    });
+    measured.collect()
 }
 
 #[test]
