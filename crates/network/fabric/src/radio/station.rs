@@ -173,8 +173,8 @@ impl Station {
         }
     }
 
-    /// Ends the current phase. `strongest` is the result of a scan. `is_one_domain` says whether the former and the next
-    /// radio unit are in one mobility domain.
+    /// Ends the current phase. `strongest` is the result of a scan. `is_one_domain` says whether there is a former radio unit,
+    /// here or at another core, and whether it is in one mobility domain with the next.
     pub(super) fn expire(&mut self, strongest: Option<RadioUnitIndex>, is_one_domain: bool) -> Step {
         let Some(Absence { since, phase, ends }) = self.absence.take() else { return Step::Underway };
         match phase {
@@ -281,7 +281,8 @@ mod tests {
         let (mut steps, mut now) = (Vec::new(), from);
         while let Some(deadline) = station.deadline() {
             now = deadline;
-            steps.push(station.expire(strongest, true));
+            let is_one_domain = station.attached().is_some();
+            steps.push(station.expire(strongest, is_one_domain));
         }
         (steps, now.since(from))
     }
