@@ -301,9 +301,9 @@ fn robot_stops_when_its_core_is_killed_or_silent_and_no_late_command_moves_it() 
     // A core that is killed while it drives.
     let at = lab.emulated.state().now;
     run.signal("KILL");
-    run.wait();
     let before = lab.controls_read();
     let velocities = lab.velocities_until_stop(before);
+    run.wait();
     let stopped = lab.stopped_at().saturating_sub(at);
     eprintln!("stopped {stopped:?} after the kill, with {velocities} velocities after it");
     assert!(velocities <= MOST_AFTER, "{velocities}");
