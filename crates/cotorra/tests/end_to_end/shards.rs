@@ -219,11 +219,17 @@ fn the_snakefile_leaves_the_whole_sweep() {
 
 #[test]
 fn the_jobs_for_kubernetes_leave_the_whole_sweep() {
-    let Some(python) = peers("PyYAML") else { return };
+    let Some(python) = peers("Kubernetes's schemas") else { return };
     let lab = Lab::new();
     let file = lab.emit("kubernetes", OUT);
-    let print = "import json, sys, yaml; print(json.dumps(list(yaml.safe_load_all(open(sys.argv[1])))))";
-    let read = done(Command::new(python).args(["-c", print]).arg(file));
+    // Also rejects fields that the oldest and the newest supported Kubernetes do not know.
+    let read = "import json, sys, yaml, kubernetes_validate
+jobs = list(yaml.safe_load_all(open(sys.argv[1])))
+for job in jobs:
+    for version in '1.35', '1.37':
+        kubernetes_validate.validate(job, version, strict=True)
+print(json.dumps(jobs))";
+    let read = done(Command::new(python).args(["-c", read]).arg(file));
     let jobs: serde_json::Value = serde_json::from_slice(&read.stdout).unwrap();
     let [sweep, merge] = [&jobs[0], &jobs[1]];
     assert_eq!((&sweep["kind"], &merge["kind"]), (&"Job".into(), &"Job".into()));
