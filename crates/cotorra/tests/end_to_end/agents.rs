@@ -58,7 +58,7 @@ pub fn agent() -> PathBuf {
 
 /// Kills of each kind in a row.
 fn kills() -> u32 {
-    if env::var_os("COTORRA_FULL").is_some() { 50 } else { 3 }
+    if env::var_os("COTORRA_FULL").is_some() { 50 } else { 5 }
 }
 
 /// Runs a script with an enrolled agent on each server, none of which is started yet.
