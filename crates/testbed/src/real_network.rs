@@ -126,16 +126,18 @@ impl Network for RealNetwork {
     ) -> Result<Vec<LinkContext>, InstructionError> {
         let Some(carrier) = self.carrier(link) else { return change_fabric(self, link, direction, change) };
         // Changes nothing, and returns the current conditions.
-        let before = change_fabric(self, link, None, &ConditionChange::default())?;
+        let all = change_fabric(self, link, None, &ConditionChange::default())?;
         let after = change_fabric(self, link, direction, change)?;
         let mut told: Vec<&LinkContext> = Vec::new();
         for (before, after) in
-            before.iter().zip(&after).filter(|(before, after)| before.effective != after.effective)
+            all.iter().zip(&after).filter(|(before, after)| before.effective != after.effective)
         {
             if let Err(refused) = carrier.set(link, after.direction, &after.effective) {
-                for context in told.into_iter().chain([before]) {
-                    // The previous conditions can be restored.
+                // The previous conditions can be restored.
+                for context in &all {
                     let _ = change_fabric(self, link, Some(context.direction), &context.again());
+                }
+                for context in told.into_iter().chain([before]) {
                     let _ = carrier.set(link, context.direction, &context.effective);
                 }
                 return Err(refused);
