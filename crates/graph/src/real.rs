@@ -60,12 +60,12 @@ impl Gateway {
     pub const MAX_MACHINES: usize = 64;
 }
 
-/// A real machine: this one, or one that is reached through an interface of this one. Only the link between the two is
-/// emulated: on that interface, for the packets that whatever programs send there.
+/// A real machine: this one, that of an agent, or one that is reached through an interface of such a machine. Only the link
+/// to it is emulated: on that interface, for the packets that whatever programs send there.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Machine {
-    /// Interface and address by which it is reached; `None` for this machine.
+    /// Interface and address by which it is reached; `None` for this machine, or one via whose agent others are reached.
     pub reached: Option<Reached>,
     /// The agent that reports its context.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -76,26 +76,34 @@ pub struct Machine {
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Reached {
-    /// Through this interface of this machine, as `ip link` names it.
+    /// The agent on whose machine the interface is; `None` for this machine.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub via: Option<AgentId>,
+    /// Through this interface, as `ip link` names it.
     pub interface: String,
     /// Addresses of the machine; `None` for everything behind the interface that no other machine has.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub address: Option<IpNetwork>,
     /// Whether a reflector of STAMP (RFC 8762) is at its address, by which a run measures the delay of the medium before
-    /// it begins, and then what the link does.
+    /// it begins, and then what the link does. Without effect on an agent's machine.
     #[serde(default)]
     pub reflector: bool,
 }
 
-/// A link over an interface of this machine.
+/// A link over a real interface.
 #[derive(Debug, Clone, Copy)]
 pub struct RealLink<'a> {
     /// The link.
     pub link: &'a Link,
-    /// Interface and address of the other machine.
+    /// Whose interface it is, and the address of the other machine.
     pub reached: &'a Reached,
-    /// The direction in which packets leave this machine; in the other one they arrive.
+    /// The direction in which packets leave by the interface; in the other one they arrive.
     pub leaving: Direction,
+}
+
+impl Reached {
+    /// Machines that are reached via one agent, at most.
+    pub const MOST_VIA_AGENT: usize = 256;
 }
 
 impl HardwareGraph {
@@ -138,16 +146,16 @@ impl HardwareGraph {
         }
     }
 
-    /// The links over interfaces of this machine, in order.
+    /// The links over real interfaces, of this machine and of agents' machines, in order.
     pub fn real_links(&self) -> impl Iterator<Item = RealLink<'_>> {
-        let machines: HashMap<_, _> =
-            self.nodes.iter().filter_map(|node| Some((&node.id, node.reached()?))).collect();
+        let nodes: HashMap<_, _> = self.nodes.iter().map(|node| (&node.id, node)).collect();
         self.links.iter().filter_map(move |link| {
-            match link.ends.each_ref().map(|end| machines.get(end).copied()) {
-                [_, Some(reached)] => Some(RealLink { link, reached, leaving: Direction::Forward }),
-                [Some(reached), None] => Some(RealLink { link, reached, leaving: Direction::Backward }),
-                [None, None] => None,
-            }
+            let [Some(a), Some(b)] = link.ends.each_ref().map(|end| nodes.get(end).copied()) else {
+                return None;
+            };
+            let over = |reached, leaving| RealLink { link, reached, leaving };
+            let forward = b.reached_from(a).map(|reached| over(reached, Direction::Forward));
+            forward.or_else(|| Some(over(a.reached_from(b)?, Direction::Backward)))
         })
     }
 
@@ -203,6 +211,15 @@ impl Node {
             NodeKind::Machine(machine) => machine.reached.as_ref(),
             _ => None,
         }
+    }
+
+    /// Returns how a real machine is reached over its link to another node: by an interface of that node's machine.
+    pub fn reached_from(&self, near: &Self) -> Option<&Reached> {
+        let is_near = |reached: &&Reached| match &reached.via {
+            Some(agent) => near.agent() == Some(agent),
+            None => near.reached().is_none(),
+        };
+        self.reached().filter(is_near)
     }
 }
 

@@ -1,6 +1,6 @@
 //! A whole testbed, as a testbed file describes it and validation let it pass.
 
-use std::{path::PathBuf, time::Duration};
+use std::{collections::HashSet, path::PathBuf, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
@@ -70,13 +70,17 @@ impl Testbed {
         self.walks.iter().find(|w| w.robot == *robot)
     }
 
-    /// The nodes whose agents the testbed cannot run without: real servers on which a VNF starts, and robots, in order.
+    /// The nodes whose agents the testbed cannot run without: real servers on which a VNF starts, robots, and machines on
+    /// whose interfaces links are emulated, in order.
     pub fn agents_at_start(&self) -> impl Iterator<Item = (&Node, &AgentId)> {
+        let carriers: HashSet<_> =
+            self.graph.real_links().filter_map(|real| real.reached.via.as_ref()).collect();
         let starts_on =
             |node| self.services.iter().flat_map(|s| &s.vnfs).any(|vnf| vnf.node.all().contains(node));
-        self.graph.agents().filter(move |(node, _)| match node.kind {
+        self.graph.agents().filter(move |(node, agent)| match node.kind {
             NodeKind::Robot(_) => true,
             NodeKind::Server(_) => starts_on(&node.id),
+            NodeKind::Machine(_) => carriers.contains(agent),
             _ => false,
         })
     }

@@ -625,16 +625,18 @@ record! {
 }
 
 record! {
-    /// A real machine: this one, or one that is reached through an interface of this one. Only the link between the two is
-    /// emulated, by the kernel's NetEm on that interface.
+    /// A real machine: this one, that of an agent, or one that is reached through an interface of such a machine. Only the
+    /// link to it is emulated, by the kernel's NetEm on that interface.
     MachineRecord {
         /// Domain that runs it. Without one: the first.
         domain: Option<Spanned<DomainId>>,
         /// Position, for pictures.
         position: Option<Position>,
-        /// The interface of this machine through which it is reached, as `ip link` names it. Without one: it is this
-        /// machine.
+        /// The interface through which it is reached, as `ip link` names it. Without one: it is this machine, or one that
+        /// others name in `via`.
         interface: Option<Spanned<String>>,
+        /// The machine that has the interface: a node with `kind: machine` and an `agent`. Without one: this machine.
+        via: Option<Spanned<NodeId>>,
         /// Address or network, such as `192.168.1.7`. Without one: everything reached through the interface that is no
         /// other node's.
         address: Option<Spanned<IpNetwork>>,

@@ -1,9 +1,11 @@
-//! Agents of a run: VNFs on real servers run there, robots have their ports there, and real machines report their contexts.
+//! Agents of a run: VNFs on real servers run there, robots have their ports there, links are emulated on interfaces there, and
+//! real machines report their contexts.
 //!
 //! A thread of its own owns the router and the protocol's state. It talks to the core by messages.
 
 mod error;
 mod link;
+mod links;
 mod robot;
 mod shipped;
 
@@ -18,15 +20,16 @@ use std::{
 use cotorra_agent_protocol::{LEASE, Run, WantedInstance, WantedRobot};
 use cotorra_engine::{Engine, EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
-use cotorra_graph::{AgentId, Node, NodeId, Testbed, Vnf};
+use cotorra_graph::{AgentId, LinkContext, Node, NodeId, Testbed, Vnf};
 use cotorra_plugin::wire;
 
 pub use self::error::AgentsError;
 use self::{
     link::{Command, Link},
+    links::{LinkReports, LinksAtAgents},
     robot::Robots,
 };
-use crate::{clock::Clock, message::Message, report::RunFolder, robots::AtAgents};
+use crate::{clock::Clock, message::Message, real_network::AgentLinks, report::RunFolder, robots::AtAgents};
 
 /// Where agents connect to a run.
 #[derive(Debug, Clone)]
@@ -51,7 +54,7 @@ impl Default for AgentOptions {
 /// Opens the authority of a testbed's agents, before a run has a folder; `None` if nothing needs one.
 ///
 /// # Errors
-/// [`AgentsError`], if a VNF starts on a real server whose agent may not connect, or a robot is at such an agent.
+/// [`AgentsError`], if a VNF starts on a real server whose agent may not connect, or a robot or link is at such an agent.
 pub(crate) fn authority(testbed: &Testbed, options: &AgentOptions) -> Result<Option<Authority>, AgentsError> {
     if testbed.graph.agents().next().is_none() {
         return Ok(None);
@@ -88,6 +91,7 @@ pub(crate) struct AgentEngine {
     testbed: Arc<Testbed>,
     commands: mpsc::Sender<Command>,
     robots: Robots,
+    links: LinkReports,
     events: mpsc::Receiver<EngineEvent>,
     thread: Option<thread::JoinHandle<()>>,
 }
@@ -107,6 +111,7 @@ impl AgentEngine {
         let (commands, inbox) = mpsc::channel();
         let (report, events) = mpsc::channel();
         let robots = Robots::new(&testbed.graph, run);
+        let links = LinkReports::new(&testbed.graph);
         let wanted_robots = testbed.graph.robots_at_agents().map(|(node, kobuki, agent)| {
             (agent.clone(), WantedRobot { node: node.id.clone(), kobuki: kobuki.clone() })
         });
@@ -118,6 +123,7 @@ impl AgentEngine {
             nodes: testbed.graph.agents().map(|(node, agent)| (agent.clone(), node.id.clone())).collect(),
             wanted_robots: wanted_robots.collect(),
             robots: robots.clone(),
+            links: links.clone(),
             files,
             paths,
             now: Arc::clone(now),
@@ -129,12 +135,18 @@ impl AgentEngine {
             .name("agents".to_owned())
             .spawn(move || link.run(&inbox))
             .map_err(AgentsError::Thread)?;
-        Ok(Self { testbed: Arc::clone(testbed), commands, robots, events, thread: Some(thread) })
+        Ok(Self { testbed: Arc::clone(testbed), commands, robots, links, events, thread: Some(thread) })
     }
 
     /// Returns what drives each robot at an agent.
     pub(crate) fn robots(&self) -> AtAgents {
         self.robots.bodies(&self.testbed.graph, &self.commands)
+    }
+
+    /// Wants agents to emulate the links over their interfaces, which are in these states.
+    pub(crate) fn links(&self, contexts: &[LinkContext]) -> Box<dyn AgentLinks> {
+        let (graph, reports) = (&self.testbed.graph, self.links.clone());
+        Box::new(LinksAtAgents::begin(graph, contexts, reports, self.commands.clone()))
     }
 
     /// Returns the variables of a VNF's program.

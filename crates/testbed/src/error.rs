@@ -37,7 +37,7 @@ pub enum RunError {
     /// A plug-in.
     #[error(transparent)]
     Plugin(#[from] PluginError),
-    /// A link over an interface of this machine.
+    /// A link over a real interface.
     #[error(transparent)]
     RealLink(#[from] RealLinkError),
     /// A robot.
@@ -80,7 +80,7 @@ pub enum RunError {
         "`{node}` is at agent `{agent}`, and this cotorra has no agents: build it with `--features agents`, or simulate it"
     )]
     NoAgents {
-        /// The server or robot.
+        /// The server, robot or machine.
         node: NodeId,
         agent: cotorra_graph::AgentId,
     },

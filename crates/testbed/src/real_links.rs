@@ -5,27 +5,23 @@ use std::collections::{BTreeMap, HashMap};
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Conditions, Direction, HardwareGraph, Lateness, LinkContext, LinkId, Medium, Probing, Reached, RealLink,
-    Timestamp,
+    AgentId, Conditions, Direction, HardwareGraph, Lateness, LinkContext, LinkId, Probing, Timestamp,
 };
-use cotorra_netem::{ConditionsError, Confirmed, Hold, HoldError, Netem, Network, Plan, Rule, Side};
+use cotorra_netem::{Confirmed, Hold, HoldError, Plan, Rule};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::{
+    real_place::{NotForNetem, Place},
     reflectors::{LinkProbes, ReflectorError},
     traffic::{Traffic, TrafficCounters},
 };
 
-/// Error of a link over an interface of this machine. Nothing has changed then.
+/// Error of a link over a real interface. Nothing has changed then.
 #[derive(Debug, thiserror::Error)]
 pub enum RealLinkError {
     /// NetEm cannot emulate a condition.
-    #[error("link `{link}`: {reason}")]
-    Setting {
-        link: LinkId,
-        /// The condition that NetEm cannot emulate.
-        reason: ConditionsError,
-    },
+    #[error(transparent)]
+    Setting(#[from] NotForNetem),
     /// A reflector cannot be probed.
     #[error(transparent)]
     Reflector(#[from] ReflectorError),
@@ -39,77 +35,39 @@ pub(crate) struct RealLinks {
     links: HashMap<LinkId, Place>,
     hold: Mutex<Hold>,
     traffic: Traffic,
-    /// Whether all links of the testbed are such links.
+    /// Whether all links of the testbed lead over real interfaces.
     alone: bool,
     /// `None` if the testbed is not probed.
     probes: Option<LinkProbes>,
 }
 
-/// The place of a link in the real network.
-struct Place {
-    reached: Reached,
-    leaving: Direction,
-    medium: Medium,
-}
-
-impl Place {
-    fn of(real: RealLink<'_>) -> Self {
-        Self { reached: real.reached.clone(), leaving: real.leaving, medium: real.link.medium() }
-    }
-
-    /// Returns 0 for the direction that leaves this machine, and 1 for the way back.
-    fn way(&self, direction: Direction) -> usize {
-        usize::from(direction != self.leaving)
-    }
-
-    /// Reorders values of the forward and the backward direction into there and back.
-    fn there_and_back<T>(&self, mut directions: [T; 2]) -> [T; 2] {
-        directions.rotate_left(self.way(Direction::Forward));
-        directions
-    }
-
-    /// Selects the packets of the interface that cross the link in a direction.
-    fn packets(&self, direction: Direction) -> (Side, Option<Network>) {
-        let side = if direction == self.leaving { Side::Egress } else { Side::Ingress };
-        let network = self.reached.address.map(|address| {
-            Network::new(address.address(), address.prefix())
-                .expect("a network has no more bits than addresses")
-        });
-        (side, network)
-    }
-
-    fn rule(
-        &self,
-        link: &LinkId,
-        direction: Direction,
-        conditions: &Conditions,
-    ) -> Result<Rule, RealLinkError> {
-        // The medium itself contributes its delay.
-        let delay = self.medium.added_delay(conditions.delay);
-        let netem = Netem::try_from(&Conditions { delay, ..conditions.clone() })
-            .map_err(|reason| RealLinkError::Setting { link: link.clone(), reason })?;
-        let (side, network) = self.packets(direction);
-        Ok(Rule { side, network, netem })
-    }
-}
+/// The rules of each interface, by the agent on whose machine it is, and by its name. This machine is no agent's.
+type Rules<'a> = BTreeMap<(Option<&'a AgentId>, &'a str), Vec<Rule>>;
 
 /// Returns the rules of each interface for the links' effective conditions in the fabric.
-fn rules<'a>(
-    graph: &'a HardwareGraph,
-    contexts: &[LinkContext],
-) -> Result<BTreeMap<&'a str, Vec<Rule>>, RealLinkError> {
-    let mut rules: BTreeMap<_, Vec<_>> = BTreeMap::new();
+fn rules<'a>(graph: &'a HardwareGraph, contexts: &[LinkContext]) -> Result<Rules<'a>, NotForNetem> {
+    let mut rules = Rules::new();
     for real in graph.real_links() {
         let place = Place::of(real);
         for context in contexts.iter().filter(|context| context.link == real.link.id) {
             let rule = place.rule(&context.link, context.direction, &context.effective)?;
-            rules.entry(real.reached.interface.as_str()).or_default().push(rule);
+            let interface = (real.reached.via.as_ref(), real.reached.interface.as_str());
+            rules.entry(interface).or_default().push(rule);
         }
     }
     Ok(rules)
 }
 
-/// Returns the changes that a run would make to interfaces of this machine, by name. `fabric` is of the same graph.
+/// What a run would do to an interface.
+#[derive(Debug)]
+pub enum InterfacePlan {
+    /// Changes of an interface of this machine.
+    Here(Plan),
+    /// An agent gives an interface of its machine these rules. Nobody asks it before the run.
+    AtAgent(AgentId, Vec<Rule>),
+}
+
+/// Returns what a run would do to interfaces, by name. `fabric` is of the same graph.
 ///
 /// # Errors
 /// [`RealLinkError`], as [`RealLinks::begin`].
@@ -117,14 +75,20 @@ pub(crate) fn interface_plans(
     graph: &HardwareGraph,
     fabric: &mut Fabric,
     confirmed: &Confirmed,
-) -> Result<Vec<(String, Plan)>, RealLinkError> {
+) -> Result<Vec<(String, InterfacePlan)>, RealLinkError> {
     let hold = Hold::new().map_err(HoldError::from)?;
-    let plan = |(name, rules): (&str, Vec<Rule>)| Ok((name.to_owned(), hold.plan(name, &rules, confirmed)?));
+    let plan = |((via, name), rules): ((Option<&AgentId>, &str), Vec<Rule>)| {
+        let plan = match via {
+            None => InterfacePlan::Here(hold.plan(name, &rules, confirmed)?),
+            Some(agent) => InterfacePlan::AtAgent(agent.clone(), rules),
+        };
+        Ok((name.to_owned(), plan))
+    };
     rules(graph, &fabric.link_contexts(Timestamp::ZERO))?.into_iter().map(plan).collect()
 }
 
 impl RealLinks {
-    /// Applies the fabric's conditions to links over interfaces; `None` without such links.
+    /// Applies the fabric's conditions to links over interfaces of this machine; `None` without such links.
     ///
     /// # Errors
     /// [`RealLinkError`].
@@ -134,13 +98,16 @@ impl RealLinks {
         confirmed: &Confirmed,
         probing: Option<Probing>,
     ) -> Result<Option<Self>, RealLinkError> {
-        let links: HashMap<_, _> =
-            graph.real_links().map(|real| (real.link.id.clone(), Place::of(real))).collect();
+        let here = graph.real_links().filter(|real| real.reached.via.is_none());
+        let links: HashMap<_, _> = here.map(|real| (real.link.id.clone(), Place::of(real))).collect();
         if links.is_empty() {
             return Ok(None);
         }
         let mut hold = Hold::new().map_err(HoldError::from)?;
-        for (name, rules) in rules(graph, &fabric.link_contexts(Timestamp::ZERO))? {
+        for ((via, name), rules) in rules(graph, &fabric.link_contexts(Timestamp::ZERO))? {
+            if via.is_some() {
+                continue;
+            }
             hold.take(name, &rules, confirmed)?;
             tracing::info!("applied the conditions of links to {name}");
         }
@@ -150,7 +117,7 @@ impl RealLinks {
             Some((link.clone(), place.reached.address?.address(), place.there_and_back(configured)))
         });
         let probes = probing.map(|probing| LinkProbes::begin(reflectors, probing)).transpose()?;
-        let alone = links.len() == graph.links.len();
+        let alone = graph.real_links().count() == graph.links.len();
         Ok(Some(Self { links, hold: Mutex::new(hold), traffic: Traffic::default(), alone, probes }))
     }
 
@@ -210,8 +177,7 @@ impl RealLinks {
                 }
             };
             for direction in [Direction::Forward, Direction::Backward] {
-                let packets = place.packets(direction);
-                let rule = rules.iter().find(|(rule, _)| (rule.side, rule.network) == packets);
+                let rule = rules.iter().find(|(rule, _)| rule.packets() == place.packets(direction));
                 counted.extend(rule.map(|(_, counters)| ((link.clone(), direction), (*counters).into())));
             }
         }

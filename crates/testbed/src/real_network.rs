@@ -1,5 +1,5 @@
-//! The emulated network in real time: the fabric on the datapath's thread, and the kernel's NetEm where it carries the
-//! packets. In that case the fabric still keeps the state, so that conditions, scales and rejections are the same, and the
+//! The emulated network in real time: the fabric on the datapath's thread, and NetEm where it carries the packets, in this
+//! machine's kernel or in that of an agent. In that case the fabric still keeps the state, so that conditions, scales and rejections are the same, and the
 //! kernel applies the results.
 
 use std::sync::Arc;
@@ -7,8 +7,8 @@ use std::sync::Arc;
 use cotorra_datapath::{Datapath, Handle, KernelNetwork, KernelNetworkError, Observed};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId, RealLink, Testbed,
-    ThroughputTest, Timestamp,
+    AgentId, ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId, RealLink,
+    Testbed, ThroughputTest, Timestamp,
 };
 use cotorra_network_control::{
     InstructionError, Network, NetworkGone, change_fabric, test_fabric_throughput,
@@ -25,7 +25,24 @@ pub(crate) struct RealNetwork {
     handle: Handle,
     kernel: Option<Arc<KernelNetwork>>,
     real: Option<RealLinks>,
+    agents: Option<Box<dyn AgentLinks>>,
     traffic: Traffic,
+}
+
+/// Links over interfaces of agents' machines.
+pub(crate) trait AgentLinks: Send {
+    /// Returns the agent of such a link; `None` for any other.
+    fn agent(&self, link: &LinkId) -> Option<&AgentId>;
+
+    /// Wants the agent to change one direction of such a link. The agent reports later what became of it.
+    ///
+    /// # Errors
+    /// The reason, for people, if NetEm cannot emulate the conditions, or the agent is not connected. Nothing has changed
+    /// then.
+    fn set(&self, link: &LinkId, direction: Direction, conditions: &Conditions) -> Result<(), String>;
+
+    /// Completes the contexts of such links. λ and the counters are those that the agents reported last.
+    fn complete(&self, contexts: &mut [LinkContext]);
 }
 
 /// Returns the kernel's network, if the testbed wants it. If the kernel cannot emulate the testbed, this logs the reason,
@@ -64,9 +81,11 @@ pub(crate) fn wiretap(testbed: &Arc<Testbed>, datapath: &Datapath) -> Wiretap {
             |real: &RealLink<'_>| real.link.id == *name || real.link.ends.iter().any(|end| *end == *name);
         if let Some(real) = testbed.graph.real_links().find(is_here) {
             let interface = &real.reached.interface;
-            return elsewhere(format!(
-                "`{name}` is reached over this machine's interface {interface}: capture there, as with tcpdump"
-            ));
+            let whose = match &real.reached.via {
+                None => format!("this machine's interface {interface}"),
+                Some(agent) => format!("the interface {interface} of the machine of agent `{agent}`"),
+            };
+            return elsewhere(format!("`{name}` is reached over {whose}: capture there, as with tcpdump"));
         }
         let name = name.to_owned();
         let tapped = handle.with(move |fabric, _| fabric.tap(&name, reader));
@@ -76,13 +95,26 @@ pub(crate) fn wiretap(testbed: &Arc<Testbed>, datapath: &Datapath) -> Wiretap {
 
 impl RealNetwork {
     pub(crate) fn new(datapath: &Datapath, real: Option<RealLinks>) -> Self {
-        Self { handle: datapath.handle(), kernel: datapath.kernel(), real, traffic: Traffic::default() }
+        Self {
+            handle: datapath.handle(),
+            kernel: datapath.kernel(),
+            real,
+            agents: None,
+            traffic: Traffic::default(),
+        }
+    }
+
+    /// Changes links over interfaces of agents' machines by these from now on.
+    #[cfg(feature = "agents")]
+    pub(crate) fn set_agents(&mut self, agents: Box<dyn AgentLinks>) {
+        self.agents = Some(agents);
     }
 
     /// Returns the carrier of a link's packets, if it is not the fabric.
     fn carrier(&self, link: &LinkId) -> Option<Carrier<'_>> {
         let real = self.real.as_ref().filter(|real| real.has(link)).map(Carrier::Interface);
-        real.or_else(|| self.kernel.as_deref().map(Carrier::Kernel))
+        let agents = || self.agents.as_deref().filter(|agents| agents.agent(link).is_some());
+        real.or_else(|| agents().map(Carrier::Agents)).or_else(|| self.kernel.as_deref().map(Carrier::Kernel))
     }
 }
 
@@ -90,6 +122,7 @@ impl RealNetwork {
 enum Carrier<'a> {
     Kernel(&'a KernelNetwork),
     Interface(&'a RealLinks),
+    Agents(&'a dyn AgentLinks),
 }
 
 impl Carrier<'_> {
@@ -106,6 +139,7 @@ impl Carrier<'_> {
             Self::Interface(real) => {
                 real.set(link, direction, conditions).map_err(|e| InstructionError(e.to_string()))
             }
+            Self::Agents(agents) => agents.set(link, direction, conditions).map_err(InstructionError),
         }
     }
 }
@@ -154,8 +188,8 @@ impl Network for RealNetwork {
         test: ThroughputTest,
     ) -> Result<(), InstructionError> {
         match self.carrier(link) {
-            Some(Carrier::Interface(_)) => Err(InstructionError(
-                "this link leads over an interface of this machine, and only emulated ones can be tested"
+            Some(Carrier::Interface(_) | Carrier::Agents(_)) => Err(InstructionError(
+                "this link leads over a real interface, and only links between emulated nodes can be tested"
                     .to_owned(),
             )),
             Some(Carrier::Kernel(kernel)) => kernel
@@ -179,6 +213,9 @@ impl Network for RealNetwork {
             Some(real) => real.complete(now, contexts),
             None => contexts,
         };
+        if let Some(agents) = &self.agents {
+            agents.complete(&mut contexts);
+        }
         let Some(kernel) = &self.kernel else { return contexts };
         let observed = match kernel.observe() {
             Ok(observed) => observed,

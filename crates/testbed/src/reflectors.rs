@@ -48,12 +48,13 @@ const INTERVAL: Duration = Duration::from_millis(50);
 /// Longest time to notice the end; also the longest age of measurements.
 const NOTICE: Duration = Duration::from_millis(100);
 
-/// Measures the media of all real links that have a reflector, and sets their delays in the graph.
+/// Measures the media of all links over this machine's interfaces that have a reflector, and sets their delays in the graph.
 ///
 /// # Errors
 /// [`ReflectorError`].
 pub(crate) fn measure_media(graph: &mut HardwareGraph) -> Result<(), ReflectorError> {
-    let reflectors = graph.real_links().filter(|real| real.reached.reflector).filter_map(|real| {
+    let here = graph.real_links().filter(|real| real.reached.reflector && real.reached.via.is_none());
+    let reflectors = here.filter_map(|real| {
         let address = real.reached.address?.address();
         Some((real.link.id.clone(), address))
     });

@@ -2,11 +2,12 @@
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::Testbed;
-use cotorra_netem::{Confirmed, Plan};
+use cotorra_netem::Confirmed;
 
 use crate::{
     error::RunError,
-    plugins, real_links,
+    plugins,
+    real_links::{self, InterfacePlan},
     script::{Rehearsal, Script},
 };
 
@@ -19,12 +20,15 @@ pub fn rehearse(testbed: &Testbed) -> Result<Rehearsal, RunError> {
     Ok(Script::load(testbed)?.1)
 }
 
-/// Returns the changes that a run of the testbed would make to interfaces of this machine, by name. Checks the interfaces of
-/// gateways and real servers, too, which a run does not change.
+/// Returns the changes that a run of the testbed would make to interfaces of this machine and of agents' machines, by name.
+/// Checks this machine's interfaces of gateways and real servers, too, which a run does not change.
 ///
 /// # Errors
 /// [`RunError`], as the run would return it.
-pub fn interface_plans(testbed: &Testbed, confirmed: &Confirmed) -> Result<Vec<(String, Plan)>, RunError> {
+pub fn interface_plans(
+    testbed: &Testbed,
+    confirmed: &Confirmed,
+) -> Result<Vec<(String, InterfacePlan)>, RunError> {
     cotorra_datapath::check_gateways(&testbed.graph, &confirmed.interfaces)?;
     if testbed.graph.real_links().next().is_none() {
         return Ok(Vec::new());

@@ -94,6 +94,7 @@ mod tests {
             files: Vec::new(),
             instances: BTreeMap::new(),
             robot: None,
+            links: BTreeMap::new(),
         }
     }
 

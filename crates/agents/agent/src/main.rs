@@ -7,6 +7,7 @@ mod guard;
 mod holder;
 mod journal;
 mod launcher;
+mod links;
 mod options;
 mod robot;
 mod service;
@@ -19,6 +20,7 @@ use std::{
 
 use clap::{Args, Parser, Subcommand};
 use cotorra_agent_transport::diagnose;
+use cotorra_netem::Confirmed;
 use tracing_subscriber::{
     Layer,
     filter::{LevelFilter, Targets},
@@ -48,7 +50,8 @@ enum Command {
     #[command(after_long_help = "\
 Examples:
   cotorra-agent run /etc/cotorra/edge1.agent
-  cotorra-agent run edge1.agent --state /tmp/edge1 --allow-trusted")]
+  cotorra-agent run edge1.agent --state /tmp/edge1 --allow-trusted
+  cotorra-agent run gate1.agent --allow-interface eth0")]
     Run(RunArgs),
     /// Try the connection to the core once, and report what is wrong
     Check {
@@ -87,6 +90,12 @@ struct RunArgs {
     /// Run commands of `trusted: true` with the agent's own rights; without it, they are rejected
     #[arg(long)]
     allow_trusted: bool,
+    /// Give an interface conditions even if it is the loopback one or carries the default route; can be repeated
+    #[arg(long, value_name = "NAME")]
+    allow_interface: Vec<String>,
+    /// Let NetEm replace queueing disciplines that somebody put on interfaces; they are put back afterwards
+    #[arg(long)]
+    replace: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -115,8 +124,9 @@ fn main() -> ExitCode {
 fn dispatch(command: Command) -> Result<ExitCode, AgentError> {
     match command {
         Command::Run(args) => {
-            let RunArgs { credentials, state, vnf_user, allow_trusted } = args;
-            Service::start(Options::new(credentials, state, vnf_user, allow_trusted)?)?.run();
+            let RunArgs { credentials, state, vnf_user, allow_trusted, allow_interface, replace } = args;
+            let confirmed = Confirmed { replace, interfaces: allow_interface };
+            Service::start(Options::new(credentials, state, vnf_user, allow_trusted, confirmed)?)?.run();
         }
         Command::Check { credentials } => {
             let bundle = options::bundle(&credentials)?;

@@ -8,6 +8,7 @@ use std::{
 
 use cotorra_agent_transport::Credentials;
 use cotorra_enrolment::Bundle;
+use cotorra_netem::Confirmed;
 
 use crate::error::{AgentError, at};
 
@@ -39,6 +40,8 @@ pub(crate) struct Options {
     pub(crate) user: Option<User>,
     /// Whether commands can have the agent's own rights.
     pub(crate) allow_trusted: bool,
+    /// What the core may do to interfaces.
+    pub(crate) confirmed: Confirmed,
 }
 
 impl Options {
@@ -48,6 +51,7 @@ impl Options {
         state: Option<PathBuf>,
         user: User,
         allow_trusted: bool,
+        confirmed: Confirmed,
     ) -> Result<Self, AgentError> {
         let is_root = rustix::process::geteuid().is_root();
         let state = match state {
@@ -57,7 +61,7 @@ impl Options {
         };
         // VNFs have another working folder.
         let state = std::path::absolute(&state).map_err(at("find", &state))?;
-        Ok(Self { credentials, state, user: is_root.then_some(user), allow_trusted })
+        Ok(Self { credentials, state, user: is_root.then_some(user), allow_trusted, confirmed })
     }
 }
 

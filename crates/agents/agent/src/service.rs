@@ -1,4 +1,4 @@
-//! The agent's loop: messages of the core, events of VNFs and the machine's context.
+//! The agent's loop: messages of the core, events of VNFs, conditions of links and the machine's context.
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the agent's only clock")]
 
 use std::{
@@ -20,6 +20,7 @@ use crate::{
     error::AgentError,
     files,
     journal::Journal,
+    links::Links,
     options::{self, Options},
     robot::{Inbox, Robot},
     works::{Wake, Works},
@@ -53,6 +54,7 @@ pub(crate) struct Service {
     host: Host,
     works: Option<Works>,
     robot: Robot,
+    links: Links,
     inbox: mpsc::Receiver<Message>,
     messages: mpsc::SyncSender<Message>,
     began: Instant,
@@ -78,6 +80,7 @@ impl Service {
         let name = bundle.certificate().name.clone();
         let node = NodeId::new(name.as_str()).expect("names of agents and nodes have the same characters");
         tracing::info!("agent `{name}`: connecting to {}", bundle.core());
+        let links = Links::new(options.confirmed.clone());
         Ok(Self {
             agent: Agent::new(Timestamp::ZERO, boot, journal.load()),
             options,
@@ -87,6 +90,7 @@ impl Service {
             host: Host::new(node),
             works: None,
             robot,
+            links,
             inbox,
             messages,
             began,
@@ -95,7 +99,7 @@ impl Service {
         })
     }
 
-    /// Runs until it is stopped. VNFs end then.
+    /// Runs until it is stopped. VNFs end then, and interfaces are restored.
     pub(crate) fn run(mut self) {
         loop {
             let now = self.now();
@@ -107,6 +111,8 @@ impl Service {
             }
             let state = self.robot.want(now, self.agent.robot());
             self.agent.set_robot_state(now, state);
+            self.links.advance(now);
+            self.agent.set_link_states(now, self.links.states());
             while let Some(action) = self.agent.poll(now) {
                 self.act(action);
             }
@@ -116,15 +122,16 @@ impl Service {
                 self.renew();
                 self.explain_silence(now);
             }
-            let deadline = self.agent.next_deadline().min(self.next_context);
+            let deadline = self.agent.next_deadline().min(self.next_context).min(self.links.next_deadline());
             match self.inbox.recv_timeout(deadline.since(self.now())) {
                 Ok(Message::Stop) => break,
                 Ok(message) => self.take(message),
                 Err(_) => {}
             }
         }
-        // A robot may move, and VNFs take their time.
+        // A robot may move, interfaces may carry others' packets, and VNFs take their time.
         drop(self.robot);
+        drop(self.links);
         if let Some(works) = &mut self.works {
             works.shut_down();
         }
@@ -195,6 +202,11 @@ impl Service {
                     works.stop(id);
                 }
             }
+            Action::Emulate(links) => {
+                let now = self.now();
+                self.links.want(now, links);
+                self.agent.set_link_states(now, self.links.states());
+            }
             Action::Report(report) => {
                 if let Err(error) = self.dialer.report(&report) {
                     tracing::debug!("cannot report: {error}");
@@ -247,9 +259,11 @@ impl Service {
         for unavailable in &reading.unavailable {
             tracing::info!("{unavailable}");
         }
+        let links = self.links.read(now);
+        self.agent.set_link_states(now, self.links.states());
         let Some(run) = self.agent.run() else { return };
-        let reading =
-            MachineReading { boot: self.agent.boot(), read_ns: now.as_nanos(), context: reading.context };
+        let (boot, read_ns, context) = (self.agent.boot(), now.as_nanos(), reading.context);
+        let reading = MachineReading { boot, read_ns, context, links };
         if let Err(error) = self.dialer.context(run, reading.encode()) {
             tracing::debug!("cannot send the context: {error}");
         }

@@ -114,6 +114,7 @@ mod tests {
             state: folder.path().to_owned(),
             user: None,
             allow_trusted: false,
+            confirmed: Default::default(),
         };
         let works = Works::new(Run(1), &options, folder.path().join("runs/1"), Box::new(|| {}));
         (folder, works)

@@ -6,9 +6,10 @@ use std::{
 };
 
 use cotorra_engine::{EngineEvent, InstanceId, Outcome};
-use cotorra_graph::Timestamp;
+use cotorra_graph::{LinkId, Timestamp};
 
 use crate::{
+    link::{LinkState, WantedLink},
     message::{Beat, Echo, Instance, InstanceState, LEASE, Report, Run, Wanted, WantedInstance, short},
     robot::{RobotState, WantedRobot},
 };
@@ -28,6 +29,9 @@ pub enum Action {
     Start(InstanceId, Box<WantedInstance>),
     /// Stop an instance.
     Stop(InstanceId),
+    /// Give these links their conditions, and restore all other interfaces. [`Agent::set_link_states`] takes what became of
+    /// it, before the next action.
+    Emulate(BTreeMap<LinkId, WantedLink>),
     /// Send a report.
     Report(Report),
 }
@@ -63,6 +67,11 @@ pub struct Agent {
     heard: Timestamp,
     /// Whether the core is taken for lost.
     is_alone: bool,
+    /// Whether this process heard the core.
+    has_heard: bool,
+    /// The links that are to have their conditions, and what became of them.
+    emulated: BTreeMap<LinkId, WantedLink>,
+    links: BTreeMap<LinkId, LinkState>,
     /// State of the wanted robot.
     robot: Option<RobotState>,
     /// The last beat and the time of its arrival.
@@ -83,6 +92,9 @@ impl Agent {
             started: 0,
             heard: now,
             is_alone: false,
+            has_heard: false,
+            emulated: BTreeMap::new(),
+            links: BTreeMap::new(),
             robot: None,
             beat: None,
             next_report: now,
@@ -124,6 +136,26 @@ impl Agent {
     pub fn robot(&self) -> Option<(Run, &WantedRobot)> {
         let wanted = self.wanted.as_ref().filter(|wanted| !self.is_alone && Some(wanted.run) == self.run)?;
         Some((wanted.run, wanted.robot.as_ref()?))
+    }
+
+    /// Returns the links to emulate now. Without the core, and after their run, interfaces are as their owner left them. A new
+    /// process waits for the core: the run may have ended meanwhile.
+    fn wanted_links(&self) -> Option<&BTreeMap<LinkId, WantedLink>> {
+        let wanted = self.wanted.as_ref().filter(|_| self.has_heard && !self.is_alone)?;
+        (Some(wanted.run) == self.run).then_some(&wanted.links)
+    }
+
+    /// Takes the state of each link of the last [`Action::Emulate`].
+    pub fn set_link_states(&mut self, now: Timestamp, states: BTreeMap<LinkId, LinkState>) {
+        let cut = |state| match state {
+            LinkState::Failed(reason) => LinkState::Failed(short(&reason)),
+            LinkState::Applied => LinkState::Applied,
+        };
+        let states = states.into_iter().map(|(link, state)| (link, cut(state))).collect();
+        if self.links != states {
+            self.links = states;
+            self.next_report = now;
+        }
     }
 
     /// Takes the state of the robot to drive; `None` if there is none.
@@ -221,6 +253,12 @@ impl Agent {
         if let Some(action) = self.actions.pop_front() {
             return Some(action);
         }
+        let links = self.wanted_links();
+        if links.map_or(!self.emulated.is_empty(), |links| *links != self.emulated) {
+            let links = links.cloned().unwrap_or_default();
+            self.emulated.clone_from(&links);
+            return Some(Action::Emulate(links));
+        }
         let run = self.run.filter(|_| now >= self.next_report)?;
         self.next_report = now + self.lease() / REPORTS_A_LEASE;
         let wanted = self.wanted.as_ref().filter(|wanted| wanted.run == run);
@@ -238,6 +276,7 @@ impl Agent {
             echo,
             instances: instances.map(|(id, its)| (*id, its.state.clone())).collect(),
             robot: self.robot.clone().filter(|_| wanted.is_some()),
+            links: self.links.clone(),
         }))
     }
 
@@ -259,7 +298,7 @@ impl Agent {
             return false;
         }
         self.run = Some(run);
-        (self.heard, self.is_alone) = (now, false);
+        (self.heard, self.is_alone, self.has_heard) = (now, false, true);
         true
     }
 

@@ -6,10 +6,11 @@ use std::{
 };
 
 use cotorra_engine::{EngineEvent, InstanceId, Outcome};
-use cotorra_graph::{AgentId, ReadingTime, Timestamp};
+use cotorra_graph::{AgentId, LinkId, ReadingTime, Timestamp};
 
 use crate::{
     clock::AgentClock,
+    link::{LinkState, WantedLink},
     message::{Beat, InstanceState, Report, Run, Wanted, WantedInstance},
     robot::{RobotState, WantedRobot},
     shipped::Shipped,
@@ -31,6 +32,8 @@ pub enum ControllerEvent {
     Instance(EngineEvent),
     /// The robot of an agent has another state.
     Robot(AgentId, RobotState),
+    /// A link over an interface of an agent's machine has another state.
+    Link(AgentId, LinkId, LinkState),
 }
 
 /// A message to send.
@@ -49,18 +52,30 @@ struct Known {
     is_ready: bool,
 }
 
+/// What is known of a wanted link.
+#[derive(Debug)]
+struct KnownLink {
+    wanted: WantedLink,
+    /// The generation that it came with.
+    since: u64,
+    /// The state that was reported last, since the agent's process is there.
+    state: Option<LinkState>,
+}
+
 /// What is known of an agent.
 #[derive(Debug, Default)]
 struct Remote {
     instances: BTreeMap<u64, Known>,
+    links: BTreeMap<LinkId, KnownLink>,
     robot: Option<WantedRobot>,
     /// State of the robot in its last report.
     robot_state: Option<RobotState>,
     generation: u64,
     /// The last generation that it reported for this run.
     reported: u64,
-    /// Number of instances in its last report.
+    /// Numbers of instances and links in its last report.
     running: usize,
+    emulated: usize,
     /// Time of its last report, while it is not lost.
     seen: Option<Timestamp>,
     boot: Option<u64>,
@@ -136,21 +151,31 @@ impl Controller {
         }
     }
 
+    /// Wants a link over an interface of an agent's machine to have these conditions. Ignores an unknown agent.
+    pub fn emulate(&mut self, agent: &AgentId, link: LinkId, wanted: WantedLink) {
+        let Some(remote) = self.agents.get_mut(agent) else { return };
+        remote.change();
+        let state = remote.links.remove(&link).and_then(|before| before.state);
+        remote.links.insert(link, KnownLink { wanted, since: remote.generation, state });
+    }
+
     /// Does not want anything any more.
     pub fn stop_all(&mut self) {
         for remote in self.agents.values_mut() {
             let had_robot = remote.robot.take().is_some();
-            if !std::mem::take(&mut remote.instances).is_empty() || had_robot {
+            let had_links = !std::mem::take(&mut remote.links).is_empty();
+            if !std::mem::take(&mut remote.instances).is_empty() || had_robot || had_links {
                 remote.change();
             }
         }
     }
 
-    /// Whether every agent that reports has saved what is wanted, and runs nothing else.
+    /// Whether every agent that reports has saved what is wanted, and does nothing else.
     pub fn is_settled(&self) -> bool {
         self.agents.values().filter(|remote| remote.seen.is_some()).all(|remote| {
             remote.reported == remote.generation
                 && remote.running == remote.instances.len()
+                && remote.emulated == remote.links.len()
                 && remote.robot_state.is_some() == remote.robot.is_some()
         })
     }
@@ -180,6 +205,7 @@ impl Controller {
             remote.clock.reset();
             let was_ready = |known: &Known| known.is_ready;
             end(remote, &mut self.events, was_ready, "its agent was restarted");
+            forget_links(remote);
         }
         if remote.seen.replace(now).is_none() {
             self.events.push_back(ControllerEvent::Joined(agent.clone()));
@@ -192,6 +218,19 @@ impl Controller {
             remote.clock.receive(now, echo);
         }
         (remote.reported, remote.running) = (report.generation, report.instances.len());
+        remote.emulated = report.links.len();
+        for (link, known) in &mut remote.links {
+            // Before that, the report is on other conditions.
+            if report.generation < known.since {
+                continue;
+            }
+            let state = report.links.get(link).cloned();
+            if known.state != state {
+                known.state.clone_from(&state);
+                let event = state.map(|state| ControllerEvent::Link(agent.clone(), link.clone(), state));
+                self.events.extend(event);
+            }
+        }
         if remote.robot_state != report.robot {
             remote.robot_state = report.robot;
             let state = remote.robot_state.clone().filter(|_| remote.robot.is_some());
@@ -256,6 +295,7 @@ impl Controller {
             self.events.push_back(ControllerEvent::Left(agent.clone(), reason.to_owned()));
             let ends = |known: &Known| known.is_ready && !known.wanted.keep;
             end(remote, &mut self.events, ends, &format!("its agent `{agent}` is lost: {reason}"));
+            forget_links(remote);
         }
     }
 
@@ -275,6 +315,11 @@ impl Controller {
                     files: self.files.clone(),
                     instances: instances.collect(),
                     robot: remote.robot.clone(),
+                    links: remote
+                        .links
+                        .iter()
+                        .map(|(id, known)| (id.clone(), known.wanted.clone()))
+                        .collect(),
                 };
                 return Some(Transmit::Wanted(agent.clone(), Box::new(wanted)));
             }
@@ -305,6 +350,11 @@ impl Controller {
         };
         self.agents.values().map(of).min().unwrap_or(Timestamp::MAX)
     }
+}
+
+/// Forgets the states of an agent's links, which may have other conditions when it returns.
+fn forget_links(remote: &mut Remote) {
+    remote.links.values_mut().for_each(|known| known.state = None);
 }
 
 /// Ends the instances of an agent that `ends` chooses, and does not want them any more.

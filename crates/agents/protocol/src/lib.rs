@@ -8,13 +8,17 @@
 //! An agent that gets no beat for a lease stops all that shall not go on without the core. A core that gets no report for a
 //! lease counts such instances as dead.
 //!
-//! A [robot](WantedRobot) at an agent is part of the wanted state. Its readings and commands go beside it, between a
+//! [Links](WantedLink) over interfaces of its machine are part of the wanted state. They have their conditions only as long as
+//! the agent hears the core.
+//!
+//! A [robot](WantedRobot) at an agent is part of the wanted state, too. Its readings and commands go beside it, between a
 //! [`DrivenRobot`] and a [`RemoteRobot`].
 #![forbid(unsafe_code)]
 
 mod agent;
 mod clock;
 mod controller;
+mod link;
 mod machine_reading;
 mod message;
 mod robot;
@@ -23,6 +27,7 @@ mod shipped;
 pub use agent::{Action, Agent};
 pub use clock::AgentClock;
 pub use controller::{Controller, ControllerEvent, Transmit};
+pub use link::{LinkReading, LinkState, WantedLink};
 pub use machine_reading::MachineReading;
 pub use message::{Beat, Echo, InstanceState, LEASE, MessageError, Report, Run, Wanted, WantedInstance};
 pub use robot::{

@@ -1,7 +1,11 @@
 //! A machine's context on its way to the core.
 
-use cotorra_graph::MachineContext;
+use std::collections::BTreeMap;
+
+use cotorra_graph::{LinkId, MachineContext};
 use serde::{Deserialize, Serialize};
+
+use crate::link::LinkReading;
 
 /// What an agent read of its machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -13,4 +17,7 @@ pub struct MachineReading {
     pub read_ns: u64,
     /// The core knows the node and the time of the reading on its own clock.
     pub context: MachineContext,
+    /// The links that have their conditions.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub links: BTreeMap<LinkId, LinkReading>,
 }

@@ -2,10 +2,11 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{NodeId, Vnf};
+use cotorra_graph::{LinkId, NodeId, Reached, Vnf};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::{
+    link::{LinkState, WantedLink},
     machine_reading::MachineReading,
     robot::{RobotState, WantedRobot},
     shipped::Shipped,
@@ -37,6 +38,9 @@ pub struct Wanted {
     /// The robot at its ports, if it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<WantedRobot>,
+    /// The links over interfaces of its machine.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub links: BTreeMap<LinkId, WantedLink>,
 }
 
 /// An instance of a VNF that shall run.
@@ -80,6 +84,9 @@ pub struct Report {
     /// The state of the wanted robot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<RobotState>,
+    /// The state of each wanted link; empty while the agent does not hear the core.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub links: BTreeMap<LinkId, LinkState>,
 }
 
 /// The answer to a beat, from which the core learns the distance of the two clocks.
@@ -118,6 +125,9 @@ pub enum MessageError {
     /// It is more than a machine can run.
     #[error("{0} instances, of at most {MOST_INSTANCES}")]
     TooMany(usize),
+    /// It is more than a core can want.
+    #[error("{0} links, of at most {most}", most = Reached::MOST_VIA_AGENT)]
+    TooManyLinks(usize),
     /// No robot can say it.
     #[error("readings beyond those of a robot")]
     Impossible,
@@ -167,10 +177,10 @@ macro_rules! message {
 
 pub(crate) use message;
 
-message!(Wanted, 1 << 20, |its: &Wanted| few(its.instances.len()));
+message!(Wanted, 1 << 20, |its: &Wanted| few(its.instances.len(), its.links.len()));
 message!(Beat, 256);
-message!(Report, 512 << 10, |its: &Report| few(its.instances.len()));
-message!(MachineReading, 256 << 10);
+message!(Report, 512 << 10, |its: &Report| few(its.instances.len(), its.links.len()));
+message!(MachineReading, 256 << 10, |its: &MachineReading| few(0, its.links.len()));
 
 pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
     if bytes.len() > M::LONGEST {
@@ -181,9 +191,12 @@ pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
     Ok(message)
 }
 
-/// Checks that a machine can run so many instances.
-fn few(instances: usize) -> Result<(), MessageError> {
-    if instances <= MOST_INSTANCES { Ok(()) } else { Err(MessageError::TooMany(instances)) }
+/// Checks that a machine can have so many instances and links.
+fn few(instances: usize, links: usize) -> Result<(), MessageError> {
+    if instances > MOST_INSTANCES {
+        return Err(MessageError::TooMany(instances));
+    }
+    if links > Reached::MOST_VIA_AGENT { Err(MessageError::TooManyLinks(links)) } else { Ok(()) }
 }
 
 /// Cuts a reason to the length that a report takes.

@@ -95,7 +95,15 @@ fn dial(bundle: &Bundle, agent: &str) -> (Dialer, mpsc::Receiver<FromCore>) {
 }
 
 fn report(boot: u64) -> Report {
-    Report { boot, run: RUN, generation: 0, echo: None, instances: BTreeMap::new(), robot: None }
+    Report {
+        boot,
+        run: RUN,
+        generation: 0,
+        echo: None,
+        instances: BTreeMap::new(),
+        robot: None,
+        links: BTreeMap::new(),
+    }
 }
 
 fn beat(router: &Router, agent: &str) {
@@ -150,6 +158,7 @@ fn both_ends_exchange_messages_and_files() {
         files: Vec::new(),
         instances: BTreeMap::new(),
         robot: None,
+        links: BTreeMap::new(),
     };
     router.send(RUN, &Transmit::Wanted(name("edge1"), Box::new(wanted.clone()))).unwrap();
     loop {

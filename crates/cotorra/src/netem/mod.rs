@@ -1,7 +1,7 @@
 //! `cotorra netem`: conditions of real interfaces of this machine, by the kernel's NetEm.
 
 mod args;
-mod show;
+pub mod show;
 
 use cotorra_netem::{Device, Error, Kernel, Plan, Record, Rule, Side};
 use miette::{IntoDiagnostic, miette};

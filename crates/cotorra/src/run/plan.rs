@@ -2,10 +2,11 @@
 
 use cotorra_graph::{HostAddress, Node, NodeKind, Program, Tier, Vnf};
 use cotorra_measurements::Location;
-use cotorra_netem::Plan;
+use cotorra_testbed::InterfacePlan;
 
 use super::args::{DEFAULT_API, RunArgs};
 use crate::{
+    netem::show,
     table::Table,
     testbed_file::{length, overview},
 };
@@ -16,7 +17,7 @@ pub fn describe(
     testbed: &Testbed,
     args: &RunArgs,
     history: Option<&Location>,
-    interfaces: &[(String, Plan)],
+    interfaces: &[(String, InterfacePlan)],
 ) -> String {
     let mut text =
         format!("{}: {}\n\nHosts, each with a network namespace:\n", args.file.display(), overview(testbed));
@@ -38,9 +39,22 @@ pub fn describe(
     text += &gateways(testbed);
     text += &border(testbed);
     for (name, plan) in interfaces {
-        text +=
-            &format!("\nInterface {name} of this machine, restored at the end, as commands of tc and ip:\n");
-        plan.to_string().lines().for_each(|line| text += &format!("  {line}\n"));
+        match plan {
+            InterfacePlan::Here(plan) => {
+                text += &format!(
+                    "\nInterface {name} of this machine, restored at the end, as commands of tc and ip:\n"
+                );
+                plan.to_string().lines().for_each(|line| text += &format!("  {line}\n"));
+            }
+            InterfacePlan::AtAgent(agent, rules) => {
+                text += &format!(
+                    "\nInterface {name} of the machine of agent {agent}, restored at the end, by NetEm there:\n"
+                );
+                let mut lines = Table::new("<<");
+                rules.iter().for_each(|rule| lines.row([show::packets(rule), show::conditions(&rule.netem)]));
+                text += &lines.render("  ");
+            }
+        }
     }
     if !testbed.walks.is_empty() {
         text += "\nWalks:\n";

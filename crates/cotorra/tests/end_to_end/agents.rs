@@ -73,18 +73,18 @@ fn with_agents(script: &str) -> Output {
     with_agents_in(&TESTBED.replace("WALK", &format!("[{walk}]")), script)
 }
 
-/// Does so in another testbed.
-fn with_agents_in(testbed: &str, script: &str) -> Output {
+/// Does so in another testbed. `$OPTIONS` are those of agents that start.
+pub fn with_agents_in(testbed: &str, script: &str) -> Output {
     let set_up = format!(
         r#"ip address add 10.9.1.1/24 dev br0
-        AGENT={}
+        AGENT={} OPTIONS=
         NAVIGATION='/proc/self/exe vnf navigation' TICKING='sleep 6001'
         for name in fog edge cloud; do
             $COTORRA agent enrol ${{name}}1 --core 10.9.1.1:7448 --authority authority >/dev/null
         done
         agent() {{
             it=$(eval echo \$pid_$1)
-            nsenter --net=/proc/$it/ns/net $AGENT run ${{1}}1.agent --state $PWD/state_$1 --vnf-user 0:0 >>agent_$1.txt 2>&1 &
+            nsenter --net=/proc/$it/ns/net $AGENT run ${{1}}1.agent --state $PWD/state_$1 --vnf-user 0:0 $OPTIONS >>agent_$1.txt 2>&1 &
             eval agent_$1=$!
         }}
         count() {{

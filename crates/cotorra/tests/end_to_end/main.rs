@@ -31,6 +31,7 @@ mod localize;
 mod map;
 mod margin;
 mod netem;
+mod netem_at_agents;
 mod netem_links;
 mod new;
 mod one_robot;

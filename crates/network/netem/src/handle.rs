@@ -2,6 +2,7 @@
 
 use std::{fmt, net::IpAddr, str::FromStr};
 
+use cotorra_graph::IpNetwork;
 use serde::{Deserialize, Serialize};
 
 /// Handle of a discipline (minor 0) or a class, such as `c070:1`.
@@ -108,6 +109,12 @@ impl FromStr for Network {
             Self::new(address, prefix.unwrap_or(whole))
         };
         parse().ok_or_else(|| ParseNetworkError(text.to_owned()))
+    }
+}
+
+impl From<IpNetwork> for Network {
+    fn from(network: IpNetwork) -> Self {
+        Self::new(network.address(), network.prefix()).expect("a network has no more bits than addresses")
     }
 }
 

@@ -1,9 +1,10 @@
 //! Rules: each gives conditions to the packets of one interface to or from a network.
 
-use cotorra_graph::LinkCounters;
+use cotorra_graph::{Conditions, IpNetwork, LinkCounters};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    conditions::ConditionsError,
     handle::{Handle, Network},
     netem::Netem,
 };
@@ -28,6 +29,26 @@ pub struct Rule {
     pub network: Option<Network>,
     /// Conditions of these packets.
     pub netem: Netem,
+}
+
+impl Rule {
+    /// Converts conditions of packets that leave to these addresses, or arrive from them. `None` is for all packets that no
+    /// other rule matches.
+    ///
+    /// # Errors
+    /// [`ConditionsError`].
+    pub fn new(
+        side: Side,
+        addresses: Option<IpNetwork>,
+        conditions: &Conditions,
+    ) -> Result<Self, ConditionsError> {
+        Ok(Self { side, network: addresses.map(Network::from), netem: Netem::try_from(conditions)? })
+    }
+
+    /// The packets that it applies to.
+    pub fn packets(&self) -> (Side, Option<Network>) {
+        (self.side, self.network)
+    }
 }
 
 /// The kernel's counters of a rule since its creation.

@@ -1,8 +1,9 @@
 //! Nodes, and the wireless networks that connect them.
 
 use cotorra_graph::{
-    Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind, PathLoss,
-    Position, Probability, RadioUnit, Reached, RealServer, Robot, Server, Shadowing, WirelessNetwork,
+    AgentId, Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind,
+    PathLoss, Position, Probability, RadioUnit, Reached, RealServer, Robot, Server, Shadowing,
+    WirelessNetwork,
 };
 
 use super::{
@@ -150,6 +151,12 @@ impl Builder<'_> {
     fn machine(&mut self, record: &MachineRecord) -> Option<Machine> {
         let agent = record.agent.as_ref().map(|agent| agent.value.clone());
         let Some(interface) = &record.interface else {
+            if let Some(via) = &record.via {
+                self.sink.error(&via.span, "`via`, and no interface through which it is reached").help(
+                    format!("name an interface of the machine of `{}`, such as `interface: eth1`", via.value),
+                );
+                return None;
+            }
             if let Some(address) = &record.address {
                 self.sink
                     .error(&address.span, "an address, and no interface through which it is reached")
@@ -159,6 +166,8 @@ impl Builder<'_> {
             return Some(Machine { reached: None, agent });
         };
         let name = self.interface(interface)?;
+        let via =
+            record.via.as_ref().map(|via| self.agent_of(via)).map_or(Some(None), |agent| agent.map(Some))?;
         let address = record.address.as_ref().map(|address| address.value);
         let reflector = record.reflector.value;
         if reflector && !address.is_some_and(|address| address.is_one()) {
@@ -173,7 +182,31 @@ impl Builder<'_> {
                 .error(&agent.span, "an agent, and not the one address of its machine")
                 .help("write the machine's own, such as `address: 192.168.1.7`");
         }
-        Some(Machine { reached: Some(Reached { interface: name, address, reflector }), agent })
+        Some(Machine { reached: Some(Reached { via, interface: name, address, reflector }), agent })
+    }
+
+    /// Returns the agent of a machine that `via` names.
+    fn agent_of(&mut self, via: &Spanned<NodeId>) -> Option<AgentId> {
+        match self.nodes.get(via.value.as_str()) {
+            Some(NodeRecord::Machine(MachineRecord { agent: Some(agent), .. })) => Some(agent.value.clone()),
+            Some(node) => {
+                let (what, help) = match node {
+                    NodeRecord::Machine(_) => {
+                        ("a machine without an agent", "give it one, such as `agent: gate1`")
+                    }
+                    _ => ("no real machine", "name a node with `kind: machine` and an `agent`"),
+                };
+                self.sink.error(&via.span, format!("`{}` is {what}", via.value)).help(help);
+                None
+            }
+            None => {
+                let machines =
+                    self.record.nodes.0.iter().filter(|(_, node)| matches!(node, NodeRecord::Machine(_)));
+                let names: Vec<_> = machines.map(|(id, _)| id.value.as_str()).collect();
+                self.sink.unknown_name(&via.span, "node", via.value.as_str(), names.into_iter());
+                None
+            }
+        }
     }
 
     fn gateway(&mut self, record: &GatewayRecord) -> Option<Gateway> {

@@ -3,32 +3,37 @@
 
 use std::collections::{HashMap, HashSet};
 
-use cotorra_graph::{HardwareGraph, IpNetwork, NodeKind, Rate};
+use cotorra_graph::{AgentId, HardwareGraph, IpNetwork, Link, Node, NodeKind, Rate, Reached};
 
 use crate::{
     records::{LinkRecord, TestbedRecord},
     yaml::Sink,
 };
 
-/// Every real machine is reached from this one, over one link, by packets that are no other's. One with an agent may have no
-/// link, and only report its context.
+/// Every real machine is reached from this one or from that of an agent, over one link, by packets that are no other's. One
+/// with an agent may have no link, and only report its context.
 pub(super) fn machines(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     media(record, graph, sink);
     if !graph.nodes.iter().any(|node| matches!(node.kind, NodeKind::Machine(_))) {
         return;
     }
+    let carriers = Carriers::of(graph);
     let mut this = None;
-    let mut taken: HashMap<(&str, Option<IpNetwork>), _> = HashMap::new();
+    let mut taken: HashMap<(&Option<AgentId>, &str, Option<IpNetwork>), _> = HashMap::new();
+    let mut via: HashMap<&AgentId, usize> = HashMap::new();
     for ((id, _), node) in record.nodes.0.iter().zip(&graph.nodes) {
         let NodeKind::Machine(machine) = &node.kind else { continue };
         let Some(reached) = &machine.reached else {
+            if carriers.has(node) {
+                continue;
+            }
             if let Some(first) = this.replace(&node.id) {
                 sink.error(&id.span, format!("`{first}` and `{}` are both this machine", node.id))
                     .help("say through which `interface` the other is reached, or leave one out");
             }
             continue;
         };
-        if let Some(other) = taken.insert((&reached.interface, reached.address), &node.id) {
+        if let Some(other) = taken.insert((&reached.via, &reached.interface, reached.address), &node.id) {
             let what = match reached.address {
                 Some(address) => format!("{address}, which is reached"),
                 None => "all that is reached".to_owned(),
@@ -39,14 +44,58 @@ pub(super) fn machines(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut
             )
             .help("give each an `address` of its own, such as `address: 192.168.1.7`");
         }
-        let links = graph.links.iter().filter(|link| link.ends.contains(&node.id)).count();
-        let only_reports = links == 0 && machine.agent.is_some();
+        if let Some(agent) = &reached.via {
+            let count = via.entry(agent).or_default();
+            *count += 1;
+            if *count == Reached::MOST_VIA_AGENT + 1 {
+                sink.error(
+                    &id.span,
+                    format!("more than {} machines are reached via `{agent}`", Reached::MOST_VIA_AGENT),
+                )
+                .help("give several of them one `address`, such as `address: 192.168.1.0/24`");
+            }
+        }
+        let links = graph.links.iter().filter(|link| leads_to(graph, link, node)).count();
+        let only_reports = links == 0 && machine.agent.is_some() && reached.via.is_none();
         if links != 1 && !only_reports {
+            let near = match &reached.via {
+                None => "to this machine: to a node with `kind: machine` and no `interface`".to_owned(),
+                Some(agent) => format!("to the machine of the agent `{agent}`"),
+            };
             sink.error(&id.span, format!("`{}` has {links} links", node.id))
-                .help("link it once, to this machine: to a node with `kind: machine` and no `interface`");
+                .help(format!("link it once, {near}"));
         }
     }
-    links(record, graph, sink);
+    links(record, graph, &carriers, sink);
+}
+
+/// The agents via which machines are reached.
+struct Carriers<'a>(HashSet<&'a AgentId>);
+
+impl<'a> Carriers<'a> {
+    fn of(graph: &'a HardwareGraph) -> Self {
+        Self(graph.nodes.iter().filter_map(|node| node.reached()?.via.as_ref()).collect())
+    }
+
+    /// Whether machines are reached via a node.
+    fn has(&self, node: &Node) -> bool {
+        node.agent().is_some_and(|agent| self.0.contains(agent))
+    }
+
+    /// Returns how a machine is reached over its link to another.
+    fn reached<'n>(&self, far: &'n Node, near: &Node) -> Option<&'n Reached> {
+        // A machine without an interface is this one, or that of an agent.
+        far.reached_from(near).filter(|reached| reached.via.is_some() || !self.has(near))
+    }
+}
+
+/// Whether a link leads to a machine, and not from it to one that is reached via it.
+fn leads_to(graph: &HardwareGraph, link: &Link, node: &Node) -> bool {
+    let is_via_it = |id| {
+        let other = graph.node(id).and_then(Node::reached);
+        other.is_some_and(|reached| reached.via.is_some() && reached.via.as_ref() == node.agent())
+    };
+    link.ends.contains(&node.id) && !link.ends.iter().any(is_via_it)
 }
 
 /// Only what is not emulated has a delay of its own, which is declared or measured.
@@ -64,7 +113,7 @@ fn media(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
                 format!("`{}` is emulated, and has no medium with a delay of its own", link.id),
                 "write `delay`, which is the link's whole delay",
             ),
-            Some(reached) if reached.reflector => (
+            Some(reached) if reached.reflector && reached.via.is_none() => (
                 format!("the delay of `{}` is declared here, and measured by a reflector", link.id),
                 "leave out `medium_delay`, or the `reflector`",
             ),
@@ -76,17 +125,36 @@ fn media(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     }
 }
 
-/// A link of a real machine leads from this one to another.
-fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
-    let is_reached = |id| match &graph.node(id)?.kind {
-        NodeKind::Machine(machine) => Some(machine.reached.is_some()),
-        _ => None,
-    };
+/// A link of a real machine leads to another, from this one or from that of an agent.
+fn links(record: &TestbedRecord, graph: &HardwareGraph, carriers: &Carriers<'_>, sink: &mut Sink) {
     let is_trace = |rate: &Rate| matches!(rate, Rate::Trace { .. });
     for (link, place) in graph.links.iter().zip(record.link_places()) {
-        let (what, help) = match link.ends.each_ref().map(is_reached) {
+        let ends = link.ends.each_ref().map(|end| graph.node(end));
+        let is_machine = |end: &&Node| matches!(end.kind, NodeKind::Machine(_));
+        let (a, b) = match ends.map(|end| end.filter(is_machine)) {
             [None, None] => continue,
-            [Some(a), Some(b)] if a != b => {
+            [Some(a), Some(b)] => (a, b),
+            _ => {
+                sink.error(
+                    place,
+                    format!(
+                        "`{}` leads from what is emulated to a real machine, and no packet passes there",
+                        link.id
+                    ),
+                )
+                .help(
+                    "reach it through a gateway: `gate: { kind: gateway, interface: eth1, machines: { arm: \
+                     192.168.1.7 } }`",
+                );
+                continue;
+            }
+        };
+        let (what, help) = match (carriers.reached(b, a), carriers.reached(a, b)) {
+            (Some(_), Some(_)) => (
+                "has two ends that are reached via each other",
+                "leave out one `via`: one of them has the interface",
+            ),
+            (Some(_), None) | (None, Some(_)) => {
                 if !is_trace(&link.forward.rate) && !is_trace(&link.backward.rate) {
                     continue;
                 }
@@ -95,15 +163,24 @@ fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
                     "give it a `rate` in place of the `trace`",
                 )
             }
-            [Some(_), Some(_)] => (
+            (None, None) if [a, b].into_iter().any(is_via) => (
+                "does not lead to a machine from the one that its `via` names",
+                "link it to that machine, or name the machine at the other end in its `via`",
+            ),
+            (None, None) if carriers.has(a) || carriers.has(b) => (
+                "does not lead over an interface of this machine",
+                "name the machine that has the interface in `via`, or link the other one to this machine",
+            ),
+            (None, None) => (
                 "does not lead over an interface of this machine",
                 "one end is this machine, `kind: machine` and no `interface`; the other one has an `interface`",
-            ),
-            _ => (
-                "leads from what is emulated to a real machine, and no packet passes there",
-                "reach it through a gateway: `gate: { kind: gateway, interface: eth1, machines: { arm: 192.168.1.7 } }`",
             ),
         };
         sink.error(place, format!("`{}` {what}", link.id)).help(help);
     }
+}
+
+/// Whether a machine is reached via an agent.
+fn is_via(node: &Node) -> bool {
+    node.reached().is_some_and(|reached| reached.via.is_some())
 }

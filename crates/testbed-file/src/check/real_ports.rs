@@ -15,7 +15,7 @@ use crate::{
 /// The ports so far.
 struct Ports<'a> {
     graph: &'a HardwareGraph,
-    /// Interfaces of links between real machines.
+    /// Interfaces of this machine over which links to real machines lead.
     real_links: HashSet<&'a String>,
     /// The node of each interface, by namespace and name, and whether it is a gateway.
     interfaces: HashMap<(Option<&'a String>, &'a String), (&'a NodeId, bool)>,
@@ -26,9 +26,10 @@ struct Ports<'a> {
 /// Every gateway has an interface for itself, and machines with names of their own. Real servers can share an interface.
 /// Addresses belong to one machine.
 pub(super) fn real_ports(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    let here = graph.real_links().filter(|real| real.reached.via.is_none());
     let mut ports = Ports {
         graph,
-        real_links: graph.real_links().map(|real| &real.reached.interface).collect(),
+        real_links: here.map(|real| &real.reached.interface).collect(),
         interfaces: HashMap::new(),
         addresses: HashMap::new(),
     };

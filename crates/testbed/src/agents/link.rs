@@ -9,14 +9,15 @@ use std::{
 };
 
 use cotorra_agent_protocol::{
-    Controller, ControllerEvent, MachineReading, RobotState, Run, Shipped, WantedInstance, WantedRobot,
+    Controller, ControllerEvent, LinkState, MachineReading, RobotState, Run, Shipped, WantedInstance,
+    WantedLink, WantedRobot,
 };
 use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
 use cotorra_engine::{EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
-use cotorra_graph::{AgentId, Event, NodeId, Stamped, Timestamp};
+use cotorra_graph::{AgentId, Event, LinkId, NodeId, Stamped, Timestamp};
 
-use super::{error::AgentsError, robot::Robots, today};
+use super::{error::AgentsError, links::LinkReports, robot::Robots, today};
 use crate::{clock::Clock, message::Message};
 
 /// Interval of looking for enrolled, renewed and revoked agents.
@@ -26,6 +27,8 @@ const LOOK: Duration = Duration::from_secs(1);
 pub(super) enum Command {
     Start(AgentId, InstanceId, Box<WantedInstance>),
     Stop(InstanceId),
+    /// An agent shall emulate a link like this.
+    Emulate(AgentId, LinkId, Box<WantedLink>),
     /// A command to a robot is to be sent.
     Wake,
     /// Something arrived from an agent. The last part is held until it is handled, to bound the number that waits.
@@ -44,6 +47,7 @@ pub(super) struct Parts {
     pub(super) nodes: BTreeMap<AgentId, NodeId>,
     pub(super) wanted_robots: Vec<(AgentId, WantedRobot)>,
     pub(super) robots: Robots,
+    pub(super) links: LinkReports,
     pub(super) files: Vec<Shipped>,
     /// Paths of the files by their SHA-256.
     pub(super) paths: BTreeMap<String, PathBuf>,
@@ -78,6 +82,12 @@ impl Link {
     pub(super) fn run(mut self, inbox: &mpsc::Receiver<Command>) {
         let mut next_look = (self.parts.now)() + LOOK;
         let mut ends_at = None;
+        for (agent, links) in self.parts.links.by_agent() {
+            let names: Vec<_> = links.iter().map(|link| format!("`{link}`")).collect();
+            let (noun, verb) = if names.len() == 1 { ("link", "waits") } else { ("links", "wait") };
+            let message = format!("{noun} {} {verb} for agent `{agent}`", names.join(", "));
+            self.tell((self.parts.now)(), Event::Notice { message });
+        }
         loop {
             let now = (self.parts.now)();
             self.controller.advance(now);
@@ -113,6 +123,7 @@ impl Link {
                 }
             }
             Command::Stop(instance) => self.controller.stop(instance),
+            Command::Emulate(agent, link, wanted) => self.controller.emulate(&agent, link, *wanted),
             Command::Arrived(agent, arrived, _waiting) => match arrived {
                 FromAgent::Connection { boot, is_there } => {
                     self.controller.connection(now, &agent, boot, is_there);
@@ -139,7 +150,9 @@ impl Link {
             Ok(reading) if !reading.context.is_valid() => {
                 tracing::warn!("agent `{agent}`: rejected a context beyond the bounds");
             }
-            Ok(MachineReading { boot, read_ns, mut context }) => {
+            Ok(reading) => {
+                self.parts.links.read(agent, &reading);
+                let MachineReading { boot, read_ns, mut context, .. } = reading;
                 context.node = node.clone();
                 context.reading = self.controller.core_time(agent, boot, read_ns);
                 self.tell(now, Event::Machine(context));
@@ -179,10 +192,23 @@ impl Link {
                     };
                     self.tell(now, Event::Notice { message });
                 }
+                ControllerEvent::Link(agent, link, state) => {
+                    let message = match state {
+                        LinkState::Applied => {
+                            format!("link `{link}`: agent `{agent}` has applied its conditions")
+                        }
+                        LinkState::Failed(reason) => {
+                            format!("link `{link}`: agent `{agent}` cannot apply its conditions: {reason}")
+                        }
+                    };
+                    self.tell(now, Event::Notice { message });
+                }
                 ControllerEvent::Joined(agent) => {
+                    self.parts.links.set_present(&agent, true);
                     self.tell(now, Event::Notice { message: format!("agent `{agent}` is connected") });
                 }
                 ControllerEvent::Left(agent, reason) => {
+                    self.parts.links.set_present(&agent, false);
                     self.tell(now, Event::Notice { message: format!("agent `{agent}` is lost: {reason}") });
                 }
             }

@@ -1,5 +1,7 @@
 //! The third phase of a run: robots are driven, and VNFs can be started.
 
+#[cfg(feature = "agents")]
+use std::io;
 use std::{collections::BTreeMap, net::UdpSocket, sync::Arc};
 
 use cotorra_datapath::Datapath;
@@ -7,6 +9,8 @@ use cotorra_datapath::Datapath;
 use cotorra_engine::Engine;
 use cotorra_engine::{Cgroups, ProcessEngine};
 use cotorra_graph::{Node, NodeId, Testbed};
+#[cfg(feature = "agents")]
+use cotorra_network_control::Network as _;
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
 
 use super::{engines::Engines, launcher::NodeLauncher, network::NetworkUp, prepared::Prepared};
@@ -37,7 +41,8 @@ impl NodesUp {
     pub(super) fn start(
         prepared: &Prepared,
         network: &mut NetworkUp,
-        real_network: RealNetwork,
+        #[cfg_attr(not(feature = "agents"), expect(unused_mut, reason = "only agents change it"))]
+        mut real_network: RealNetwork,
         script: Script,
         confined: Confined,
     ) -> Result<Self, RunError> {
@@ -56,6 +61,10 @@ impl NodesUp {
         #[cfg(feature = "agents")]
         let (agents, at_agents) = match prepared.agents(&network.now, &network.messages)? {
             Some(agents) => {
+                let contexts = real_network.with(|fabric, now| fabric.link_contexts(now));
+                let contexts =
+                    contexts.map_err(io::Error::other).map_err(system("read the links' conditions"))?;
+                real_network.set_agents(agents.links(&contexts));
                 let robots = agents.robots();
                 (Some(Box::new(agents) as Box<dyn Engine + Send>), robots)
             }

@@ -74,7 +74,7 @@ fn run(
                 }
                 FromAgent::Report(report) => controller.receive(now(), &agent, report),
                 FromAgent::Context(bytes) => {
-                    let MachineReading { boot, read_ns, mut context } =
+                    let MachineReading { boot, read_ns, mut context, .. } =
                         MachineReading::decode(&bytes).unwrap();
                     assert!(context.is_valid());
                     context.reading = controller.core_time(&agent, boot, read_ns);

@@ -69,7 +69,11 @@ fn agent(lab: &Lab, number: usize, mut schedule: Schedule) {
             && let Some(run) = agent.run()
         {
             dialer
-                .context(run, MachineReading { boot, read_ns: now().as_nanos(), context }.encode())
+                .context(
+                    run,
+                    MachineReading { boot, read_ns: now().as_nanos(), context, links: Default::default() }
+                        .encode(),
+                )
                 .unwrap();
         }
         let deadline = agent.next_deadline().since(now());

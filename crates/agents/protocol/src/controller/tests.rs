@@ -174,6 +174,7 @@ impl World {
                     self.machine.running.remove(&id).expect("only running instances are stopped");
                 }
                 Action::Report(report) => reports.push(report),
+                Action::Emulate(links) => panic!("nobody wants {links:?}"),
             }
         }
         for (id, (_, is_told)) in &mut self.machine.running {
@@ -342,8 +343,15 @@ fn instances_of_a_restarted_agent_are_reported_as_dead() {
 fn instances_of_a_wanted_state_that_cannot_be_saved_fail() {
     let mut agent = Agent::new(Timestamp::ZERO, 1, None);
     let instances = (1..=2).map(|id| (id, instance(true))).collect();
-    let wanted =
-        Wanted { run: Run(1), generation: 1, lease_ms: 2000, files: Vec::new(), instances, robot: None };
+    let wanted = Wanted {
+        run: Run(1),
+        generation: 1,
+        lease_ms: 2000,
+        files: Vec::new(),
+        instances,
+        robot: None,
+        links: BTreeMap::new(),
+    };
     agent.want(Timestamp::ZERO, wanted);
     assert!(matches!(agent.poll(Timestamp::ZERO), Some(Action::Save(_))));
     agent.cannot_save(Timestamp::ZERO, "the disk is full");
@@ -401,8 +409,15 @@ fn an_unknown_agent_is_refused_and_its_reports_are_ignored() {
     let mut controller = Controller::new(Run(1), LEASE, Vec::new(), [name()]);
     let other = AgentId::new("other").unwrap();
     assert!(controller.start(&other, InstanceId(1), instance(false)).unwrap_err().contains("`other`"));
-    let report =
-        Report { boot: 1, run: Run(1), generation: 9, echo: None, instances: BTreeMap::new(), robot: None };
+    let report = Report {
+        boot: 1,
+        run: Run(1),
+        generation: 9,
+        echo: None,
+        instances: BTreeMap::new(),
+        robot: None,
+        links: BTreeMap::new(),
+    };
     controller.receive(Timestamp::ZERO, &other, report);
     assert_eq!(controller.poll_event(), None);
 }
