@@ -7,18 +7,23 @@ use serde::{Deserialize, Serialize};
 use crate::units::{BitRate, millis};
 
 /// Probing by STAMP (RFC 8762) of wired links, and of each robot's present wireless link.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Probing {
     /// Time from one probe of a link to the next; longer where probes would take more than 1 % of its rate, or those
     /// of all robots more than 1 % of a channel's time.
+    #[serde(rename = "interval_ms", with = "millis")]
     pub interval: Duration,
     /// Time over which results are averaged.
+    #[serde(rename = "window_ms", with = "millis")]
     pub window: Duration,
 }
 
 impl Probing {
     /// As many probes as a window may hold.
     pub const MOST: u32 = 10_000;
+    /// The shortest interval.
+    pub const SHORTEST: Duration = Duration::from_millis(1);
 }
 
 /// Two probes a second, over ten seconds.

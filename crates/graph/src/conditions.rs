@@ -127,6 +127,17 @@ pub enum Rate {
     },
 }
 
+impl Rate {
+    /// Returns the rate, or a trace's mean rate, in bit/s; infinity without a limit.
+    pub fn mean_bits_per_second(&self) -> f64 {
+        match self {
+            Self::Unlimited => f64::INFINITY,
+            Self::Fixed { bits_per_second } => bits_per_second.bits_per_second() as f64,
+            Self::Trace { trace } => trace.mean_bits_per_second(),
+        }
+    }
+}
+
 /// A packet-delivery trace in Mahimahi's format: one line an opportunity to deliver 1500 bytes, at that many
 /// milliseconds from the start; after the last one it begins again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

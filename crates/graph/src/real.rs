@@ -85,7 +85,7 @@ pub struct Reached {
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub address: Option<IpNetwork>,
     /// Whether a reflector of STAMP (RFC 8762) is at its address, by which a run measures the delay of the medium before
-    /// it begins, and then what the link does. Without effect on an agent's machine.
+    /// it begins, and then what the link does. An agent measures only the latter.
     #[serde(default)]
     pub reflector: bool,
 }

@@ -16,7 +16,6 @@ mod services;
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
     path::Path,
-    time::Duration,
 };
 
 use cotorra_graph::{
@@ -87,7 +86,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
 fn probes(record: &Either<ProbesWord, ProbesRecord>, sink: &mut Sink) -> Option<Probing> {
     let Either::Long(ProbesRecord { interval, window }) = record else { return None };
     let probing = Probing { interval: interval.value, window: window.value };
-    if probing.interval < Duration::from_millis(1) {
+    if probing.interval < Probing::SHORTEST {
         sink.error(&interval.span, "probes less than a millisecond apart")
             .help("write `500 ms`, or any time from 1 ms on; `probes: none` switches them off");
     } else if probing.window < probing.interval * 2 {

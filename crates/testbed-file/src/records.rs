@@ -641,7 +641,8 @@ record! {
         /// other node's.
         address: Option<Spanned<IpNetwork>>,
         /// Whether a reflector of STAMP (RFC 8762, port 862) is at its address, such as `cotorra stamp reflect`: a run then
-        /// measures the delay of the medium before it begins, and probes the link as long as it goes on.
+        /// measures the delay of the medium before it begins, and probes the link as long as it goes on. With `via`, the
+        /// agent probes the link, and the delay of the medium is not measured.
         reflector: Spanned<bool> = false,
         /// The agent that reports its context.
         agent: Option<Spanned<AgentId>>,

@@ -145,8 +145,9 @@ impl AgentEngine {
 
     /// Wants agents to emulate the links over their interfaces, which are in these states.
     pub(crate) fn links(&self, contexts: &[LinkContext]) -> Box<dyn AgentLinks> {
-        let (graph, reports) = (&self.testbed.graph, self.links.clone());
-        Box::new(LinksAtAgents::begin(graph, contexts, reports, self.commands.clone()))
+        let Testbed { graph, probes, .. } = &*self.testbed;
+        let (reports, commands) = (self.links.clone(), self.commands.clone());
+        Box::new(LinksAtAgents::begin(graph, contexts, *probes, reports, commands))
     }
 
     /// Returns the variables of a VNF's program.

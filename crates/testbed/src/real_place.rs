@@ -17,7 +17,7 @@ pub struct NotForNetem {
 pub(crate) struct Place {
     pub(crate) reached: Reached,
     leaving: Direction,
-    medium: Medium,
+    pub(crate) medium: Medium,
 }
 
 impl Place {

@@ -1,10 +1,12 @@
-//! Gives interfaces of this machine the conditions that the core wants, by NetEm, and restores them.
+//! Gives interfaces of this machine the conditions that the core wants, by NetEm, and restores them. Probes links that have a
+//! reflector.
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_agent_protocol::{LinkReading, LinkState, WantedLink};
-use cotorra_graph::{LinkId, Timestamp};
+use cotorra_agent_protocol::{LinkReading, LinkState, WantedLink, WantedProbes};
+use cotorra_graph::{Conditions, LinkId, Timestamp};
 use cotorra_netem::{Confirmed, Hold, HoldError, Rule, Side, put_back};
+use cotorra_probes::LinkProbe;
 
 /// Interval of attempts after a failure.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -20,15 +22,32 @@ pub(crate) struct Links {
     again: Timestamp,
 }
 
-/// The rules of a link: for packets that leave, and for those that arrive.
-type Rules = [Rule; 2];
-
 /// An interface that has conditions.
 struct Held {
     hold: Hold,
-    /// The rules in force.
-    rules: BTreeMap<LinkId, Rules>,
+    links: BTreeMap<LinkId, Emulated>,
 }
+
+/// A link that has conditions.
+struct Emulated {
+    /// Its rules in force.
+    rules: Rules,
+    /// Its probes as wanted, and those that were begun.
+    probes: Option<WantedProbes>,
+    probe: Option<LinkProbe>,
+}
+
+/// What is wanted of a link, as NetEm does it.
+struct Plan<'a> {
+    wanted: &'a WantedLink,
+    rules: Rules,
+}
+
+/// The plans of an interface.
+type Plans<'a> = BTreeMap<&'a LinkId, Plan<'a>>;
+
+/// The rules of a link: for packets that leave, and for those that arrive.
+type Rules = [Rule; 2];
 
 impl Links {
     /// Restores the interfaces that a killed agent left.
@@ -76,7 +95,7 @@ impl Links {
     pub(crate) fn read(&mut self, now: Timestamp) -> BTreeMap<LinkId, LinkReading> {
         let mut readings = BTreeMap::new();
         let mut lost = Vec::new();
-        for (interface, Held { hold, rules }) in &self.held {
+        for (interface, Held { hold, links }) in &self.held {
             let counted = match hold.rules(interface) {
                 Ok(counted) => counted,
                 Err(error) => {
@@ -88,9 +107,10 @@ impl Links {
                 let found = counted.iter().find(|(its, _)| its.packets() == rule.packets());
                 found.map(|(_, counters)| (*counters).into())
             };
-            for (link, [leaving, arriving]) in rules {
+            for (link, Emulated { rules: [leaving, arriving], probe, .. }) in links {
                 if let (Some(leaving), Some(arriving)) = (counters(leaving), counters(arriving)) {
-                    readings.insert(link.clone(), LinkReading { leaving, arriving });
+                    let probed = probe.as_ref().and_then(LinkProbe::probed);
+                    readings.insert(link.clone(), LinkReading { leaving, arriving, probed });
                 } else if lost.last().is_none_or(|(its, _)| its != interface) {
                     lost.push((interface.clone(), format!("somebody removed conditions of `{interface}`")));
                 }
@@ -107,37 +127,43 @@ impl Links {
     /// Makes the interfaces as wanted, as far as that is possible.
     fn apply(&mut self, now: Timestamp) {
         let before = std::mem::take(&mut self.failures);
-        let mut interfaces = BTreeMap::<String, BTreeMap<LinkId, Rules>>::new();
-        for (link, wanted) in &self.wanted {
+        let wanted = std::mem::take(&mut self.wanted);
+        let mut interfaces = BTreeMap::<&str, Plans<'_>>::new();
+        for (link, wanted) in &wanted {
             match rules(wanted) {
                 Ok(rules) => {
-                    let of = interfaces.entry(wanted.interface.clone()).or_default();
-                    of.insert(link.clone(), rules);
+                    let plans = interfaces.entry(&wanted.interface).or_default();
+                    plans.insert(link, Plan { wanted, rules });
                 }
                 Err(reason) => drop(self.failures.insert(link.clone(), reason)),
             }
         }
         let others = self.held.iter().filter(|(interface, held)| {
-            interfaces.get(*interface).is_none_or(|rules| !are_for_same_packets(rules, &held.rules))
+            interfaces.get(interface.as_str()).is_none_or(|plans| !held.is_for(plans))
         });
         let others: Vec<_> = others.map(|(interface, _)| interface.clone()).collect();
         others.iter().for_each(|interface| self.release(interface));
-        for (interface, rules) in interfaces {
-            match self.held.get_mut(&interface) {
-                Some(held) => self.failures.extend(held.change(&interface, rules)),
-                None => match take(&interface, rules, &self.confirmed) {
-                    Ok(held) => {
-                        tracing::info!("applied the conditions of links to {interface}");
-                        self.held.insert(interface, held);
-                    }
-                    Err(error) => self.fail(&interface, &error.to_string()),
-                },
+        for (interface, plans) in interfaces {
+            if let Some(held) = self.held.get_mut(interface) {
+                self.failures.extend(held.change(interface, plans));
+                continue;
+            }
+            let links: Vec<_> = plans.keys().copied().cloned().collect();
+            match Held::take(interface, plans, &self.confirmed) {
+                Ok(held) => {
+                    tracing::info!("applied the conditions of links to {interface}");
+                    self.held.insert(interface.to_owned(), held);
+                }
+                Err(error) => {
+                    self.failures.extend(links.into_iter().map(|link| (link, error.to_string())));
+                }
             }
         }
         for (link, reason) in self.failures.iter().filter(|(link, reason)| before.get(*link) != Some(*reason))
         {
             tracing::warn!("link `{link}`: {reason}; trying again");
         }
+        self.wanted = wanted;
         self.again = if self.failures.is_empty() { Timestamp::MAX } else { now + AGAIN };
     }
 
@@ -170,14 +196,41 @@ impl Drop for Links {
 }
 
 impl Held {
-    /// Changes what differs from these rules, which are for the same packets. Returns the links that could not be changed,
+    /// Gives an interface conditions, and probes its links.
+    fn take(interface: &str, plans: Plans<'_>, confirmed: &Confirmed) -> Result<Self, HoldError> {
+        let mut hold = Hold::new()?;
+        let all: Vec<_> = plans.values().flat_map(|plan| &plan.rules).cloned().collect();
+        hold.take(interface, &all, confirmed)?;
+        let emulated = |(link, Plan { wanted, rules }): (&LinkId, Plan<'_>)| {
+            let probes = wanted.probes;
+            let probe = probes.and_then(|probes| begin(link, wanted, probes));
+            (link.clone(), Emulated { rules, probes, probe })
+        };
+        Ok(Self { hold, links: plans.into_iter().map(emulated).collect() })
+    }
+
+    /// Whether plans are for the same packets, and the same probes.
+    fn is_for(&self, plans: &Plans<'_>) -> bool {
+        let packets = |rules: &Rules| rules.each_ref().map(Rule::packets);
+        self.links.keys().eq(plans.keys().copied())
+            && self.links.values().zip(plans.values()).all(|(its, plan)| {
+                packets(&its.rules) == packets(&plan.rules) && its.probes == plan.wanted.probes
+            })
+    }
+
+    /// Changes what differs from these plans, which are for the same packets. Returns the links that could not be changed,
     /// with the reasons.
-    fn change(&mut self, interface: &str, rules: BTreeMap<LinkId, Rules>) -> Vec<(LinkId, String)> {
+    fn change(&mut self, interface: &str, plans: Plans<'_>) -> Vec<(LinkId, String)> {
         let mut failures = Vec::new();
-        for (link, new) in rules {
-            let Some(old) = self.rules.get_mut(&link) else { continue };
-            for (old, new) in old.iter_mut().zip(new).filter(|(old, new)| *old != new) {
-                match self.hold.set(interface, &new) {
+        for ((link, its), Plan { wanted, rules }) in self.links.iter_mut().zip(plans.into_values()) {
+            let ways = its.rules.iter_mut().zip(rules).zip([&wanted.leaving, &wanted.arriving]).enumerate();
+            for (way, ((old, new), conditions)) in ways.filter(|(_, ((old, new), _))| *old != new) {
+                let mut set = || self.hold.set(interface, &new);
+                let done = match (&its.probe, its.probes) {
+                    (Some(probe), Some(probes)) => probe.change(way, &whole(conditions, probes), set),
+                    _ => set(),
+                };
+                match done {
                     Ok(()) => *old = new,
                     Err(error) => failures.push((link.clone(), error.to_string())),
                 }
@@ -185,6 +238,19 @@ impl Held {
         }
         failures
     }
+}
+
+/// Begins to probe a link.
+fn begin(link: &LinkId, wanted: &WantedLink, probes: WantedProbes) -> Option<LinkProbe> {
+    let configured = [&wanted.leaving, &wanted.arriving].map(|way| whole(way, probes));
+    LinkProbe::begin(link.clone(), probes.reflector, configured, probes.probing, |_| ())
+        .inspect_err(|error| tracing::warn!("link `{link}` cannot be probed: {error}"))
+        .ok()
+}
+
+/// Returns what a link does with its medium.
+fn whole(added: &Conditions, probes: WantedProbes) -> Conditions {
+    Conditions { delay: added.delay + probes.medium_delay, ..added.clone() }
 }
 
 /// Restores the interfaces of killed processes.
@@ -197,24 +263,10 @@ fn restore_leftovers() {
     }
 }
 
-/// Gives an interface conditions.
-fn take(interface: &str, rules: BTreeMap<LinkId, Rules>, confirmed: &Confirmed) -> Result<Held, HoldError> {
-    let mut hold = Hold::new()?;
-    let all: Vec<_> = rules.values().flatten().cloned().collect();
-    hold.take(interface, &all, confirmed)?;
-    Ok(Held { hold, rules })
-}
-
 /// Converts what is wanted of a link.
 fn rules(wanted: &WantedLink) -> Result<Rules, String> {
     let rule = |side, conditions| Rule::new(side, wanted.addresses, conditions).map_err(|e| e.to_string());
     Ok([rule(Side::Egress, &wanted.leaving)?, rule(Side::Ingress, &wanted.arriving)?])
-}
-
-/// Whether the same packets belong to each link.
-fn are_for_same_packets(some: &BTreeMap<LinkId, Rules>, others: &BTreeMap<LinkId, Rules>) -> bool {
-    let packets = |(_, rules): (_, &Rules)| rules.each_ref().map(Rule::packets);
-    some.keys().eq(others.keys()) && some.iter().map(packets).eq(others.iter().map(packets))
 }
 
 #[cfg(test)]
@@ -225,7 +277,7 @@ mod tests {
 
     fn wanted(interface: &str, leaving: Conditions) -> WantedLink {
         let arriving = Conditions::default();
-        WantedLink { interface: interface.to_owned(), addresses: None, leaving, arriving }
+        WantedLink { interface: interface.to_owned(), addresses: None, leaving, arriving, probes: None }
     }
 
     #[test]

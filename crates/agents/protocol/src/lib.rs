@@ -27,7 +27,7 @@ mod shipped;
 pub use agent::{Action, Agent};
 pub use clock::AgentClock;
 pub use controller::{Controller, ControllerEvent, Transmit};
-pub use link::{LinkReading, LinkState, WantedLink};
+pub use link::{LinkReading, LinkState, WantedLink, WantedProbes};
 pub use machine_reading::MachineReading;
 pub use message::{Beat, Echo, InstanceState, LEASE, MessageError, Report, Run, Wanted, WantedInstance};
 pub use robot::{

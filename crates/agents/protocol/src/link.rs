@@ -1,6 +1,8 @@
 //! Links over interfaces of an agent's machine.
 
-use cotorra_graph::{Conditions, IpNetwork, LinkCounters};
+use std::{net::IpAddr, time::Duration};
+
+use cotorra_graph::{Conditions, IpNetwork, LinkCounters, Probed, Probing, millis};
 use serde::{Deserialize, Serialize};
 
 /// Conditions that the packets of an interface shall have.
@@ -15,6 +17,29 @@ pub struct WantedLink {
     pub leaving: Conditions,
     /// Conditions of arriving packets, less what the medium does itself.
     pub arriving: Conditions,
+    /// How the link is probed, if it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probes: Option<WantedProbes>,
+}
+
+/// How a link is to be probed by STAMP.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WantedProbes {
+    /// The address of the reflector.
+    pub reflector: IpAddr,
+    pub probing: Probing,
+    /// What the medium itself takes, one way.
+    #[serde(rename = "medium_delay_ms", with = "millis")]
+    pub medium_delay: Duration,
+}
+
+impl WantedProbes {
+    /// Whether an agent can probe so often, and remember so much.
+    pub(crate) fn are_bounded(&self) -> bool {
+        let Probing { interval, window } = self.probing;
+        interval >= Probing::SHORTEST && window <= interval.saturating_mul(Probing::MOST)
+    }
 }
 
 /// State of a wanted link.
@@ -27,10 +52,13 @@ pub enum LinkState {
     Failed(String),
 }
 
-/// What crossed a link since its interface was given conditions.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+/// What crossed a link since its interface was given conditions, and what its probes tell.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkReading {
     pub leaving: LinkCounters,
     pub arriving: LinkCounters,
+    /// Results of the way there, by the interface, and of the way back; `None` without probes, or not yet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probed: Option<[Probed; 2]>,
 }

@@ -128,6 +128,9 @@ pub enum MessageError {
     /// It is more than a core can want.
     #[error("{0} links, of at most {most}", most = Reached::MOST_VIA_AGENT)]
     TooManyLinks(usize),
+    /// A link would be probed too often, or over too long a time.
+    #[error("probes of `{0}` beyond the bounds")]
+    Probes(LinkId),
     /// No robot can say it.
     #[error("readings beyond those of a robot")]
     Impossible,
@@ -177,7 +180,7 @@ macro_rules! message {
 
 pub(crate) use message;
 
-message!(Wanted, 1 << 20, |its: &Wanted| few(its.instances.len(), its.links.len()));
+message!(Wanted, 1 << 20, Wanted::check_bounds);
 message!(Beat, 256);
 message!(Report, 512 << 10, |its: &Report| few(its.instances.len(), its.links.len()));
 message!(MachineReading, 256 << 10, |its: &MachineReading| few(0, its.links.len()));
@@ -189,6 +192,17 @@ pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
     let message: M = serde_json::from_slice(bytes)?;
     message.check()?;
     Ok(message)
+}
+
+impl Wanted {
+    fn check_bounds(&self) -> Result<(), MessageError> {
+        few(self.instances.len(), self.links.len())?;
+        let is_bounded = |wanted: &WantedLink| wanted.probes.is_none_or(|probes| probes.are_bounded());
+        match self.links.iter().find(|(_, wanted)| !is_bounded(wanted)) {
+            Some((link, _)) => Err(MessageError::Probes(link.clone())),
+            None => Ok(()),
+        }
+    }
 }
 
 /// Checks that a machine can have so many instances and links.

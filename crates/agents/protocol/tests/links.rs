@@ -5,8 +5,9 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_agent_protocol::{
     Action, Agent, Controller, ControllerEvent, LEASE, LinkState, Report, Run, Transmit, Wanted, WantedLink,
+    WantedProbes,
 };
-use cotorra_graph::{AgentId, Conditions, LinkId, Reached, Timestamp};
+use cotorra_graph::{AgentId, Conditions, LinkId, Probing, Reached, Timestamp};
 use proptest::prelude::*;
 
 const STEP: Duration = Duration::from_millis(10);
@@ -28,6 +29,7 @@ fn wanted(delay_ms: u8) -> WantedLink {
         addresses: None,
         leaving: conditions.clone(),
         arriving: conditions,
+        probes: None,
     }
 }
 
@@ -393,20 +395,32 @@ fn a_failure_and_the_success_after_it_are_told_once() {
     assert_eq!(world.told.len(), 4, "a change is no news");
 }
 
-#[test]
-fn more_links_than_an_agent_can_have_are_rejected() {
-    let number = |number| format!("l{number}").parse().unwrap();
-    let wanted = |count| Wanted {
+/// A wanted state with so many links that are probed like this.
+fn probed(count: usize, probing: Probing) -> Wanted {
+    let probes =
+        WantedProbes { reflector: [10, 0, 0, 7].into(), probing, medium_delay: Duration::from_micros(1500) };
+    let link =
+        |place| (format!("l{place}").parse().unwrap(), WantedLink { probes: Some(probes), ..wanted(1) });
+    Wanted {
         run: Run(1),
         generation: 1,
         lease_ms: 2000,
         files: Vec::new(),
         instances: BTreeMap::new(),
         robot: None,
-        links: (0..count).map(|place| (number(place), wanted(1))).collect(),
-    };
-    let most = wanted(Reached::MOST_VIA_AGENT);
+        links: (0..count).map(link).collect(),
+    }
+}
+
+#[test]
+fn more_links_and_probes_than_an_agent_can_have_are_rejected() {
+    let fastest = Probing { interval: Duration::from_millis(1), window: Duration::from_secs(10) };
+    let most = probed(Reached::MOST_VIA_AGENT, fastest);
     assert_eq!(Wanted::decode(&most.encode()).unwrap(), most);
-    let error = Wanted::decode(&wanted(Reached::MOST_VIA_AGENT + 1).encode()).unwrap_err().to_string();
-    assert_eq!(error, "257 links, of at most 256");
+    let error = |count, probing| Wanted::decode(&probed(count, probing).encode()).unwrap_err().to_string();
+    assert_eq!(error(Reached::MOST_VIA_AGENT + 1, fastest), "257 links, of at most 256");
+    let faster = Probing { interval: Duration::from_micros(999), ..fastest };
+    assert_eq!(error(1, faster), "probes of `l0` beyond the bounds");
+    let longer = Probing { window: Duration::from_millis(10_001), ..fastest };
+    assert_eq!(error(1, longer), "probes of `l0` beyond the bounds");
 }

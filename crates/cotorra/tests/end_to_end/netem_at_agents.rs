@@ -165,3 +165,42 @@ fn an_interface_of_an_agent_has_its_conditions_as_long_as_core_and_agent_are_the
     assert_eq!(said[4..9], killed);
     assert_eq!(said[9..], ["pfifo", "20.0 20.0 ", "pfifo", "0", "0"]);
 }
+
+/// The agent measures each direction by a reflector on the machine behind it. The medium adds nothing that is declared.
+#[test]
+fn an_agent_probes_its_links_as_long_as_the_run_goes_on() {
+    if !has_bridges() || !has_netem() {
+        return;
+    }
+    let testbed = TESTBED
+        .replace("via: gate }", "via: gate, reflector: true }")
+        .replace(", delay: 20 ms", ", forward: { delay: 30 ms }, backward: { delay: 10 ms, loss: 20 % }")
+        + "probes: { interval: 20 ms, window: 2 s }\n";
+    let done = via_an_agent(
+        &testbed,
+        r#"wire
+        nsenter --net=/proc/$pid_other/ns/net $COTORRA stamp reflect --listen 10.9.2.2:862 >reflect.txt 2>&1 & reflector=$!
+        until grep -q reflecting reflect.txt; do kill -0 $reflector; sleep 0.1; done
+        agent fog
+        start --authority authority
+        # Waits until the probes of both directions tell this: the mean delay there and back, and the shares that were lost.
+        until_probed() { until $COTORRA link show gate-arm --api $api --json | python3 -c '
+import json, sys
+there, back = [way["probed"] or sys.exit(1) for way in json.load(sys.stdin)]
+delays, losses = [[of[key] for of in (there, back)] for key in ("delay_ms", "loss")]
+if None in delays + losses or not eval(sys.argv[1]): sys.exit(1)' "$1"; do kill -0 $run; sleep 0.2; done; }
+        # The rest of the fastest round trip counts half for each direction.
+        until_probed 'delays[0] >= 30 and delays[1] >= 10 and delays[0] > delays[1] + 15'
+        until_probed 'losses[0] == 0 and 0.02 < losses[1] < 0.5'
+        set_link --direction backward --delay 50ms --loss 0% >/dev/null
+        until_probed 'delays[0] >= 30 and delays[1] >= 50 and delays[1] > delays[0] + 15 and losses == [0, 0]'
+        kill -KILL $agent_fog; wait $agent_fog || true
+        event 'fog1. is lost' 1
+        until $COTORRA link show gate-arm --api $api --json | grep -q '"probed": null'; do kill -0 $run; sleep 0.2; done
+        agent fog
+        until_probed 'delays[1] >= 50'
+        kill -INT $run; ends
+        echo probed"#,
+    );
+    assert_eq!(lines(&done), ["probed"]);
+}

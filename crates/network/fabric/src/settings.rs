@@ -208,21 +208,12 @@ impl Settings {
 
     /// Returns the highest throughput, bit/s.
     pub(crate) fn capacity_bps(&self) -> f64 {
-        rate_bps(&self.effective.rate).min(self.medium.rate.bits_per_second() as f64)
+        self.effective.rate.mean_bits_per_second().min(self.medium.rate.bits_per_second() as f64)
     }
 
     /// Whether it loses every packet.
     pub(crate) fn is_cut(&self) -> bool {
         matches!(self.effective.loss, Loss::Independent { rate } if rate == Probability::ONE)
-    }
-}
-
-/// Returns a rate, or a trace's mean rate, in bit/s.
-pub(crate) fn rate_bps(rate: &Rate) -> f64 {
-    match rate {
-        Rate::Unlimited => f64::INFINITY,
-        Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second() as f64,
-        Rate::Trace { trace } => trace.mean_bits_per_second(),
     }
 }
 

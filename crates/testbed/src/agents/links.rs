@@ -6,9 +6,10 @@ use std::{
     time::Duration,
 };
 
-use cotorra_agent_protocol::{LinkReading, MachineReading, WantedLink};
+use cotorra_agent_protocol::{LinkReading, MachineReading, WantedLink, WantedProbes};
 use cotorra_graph::{
-    AgentId, Conditions, Direction, HardwareGraph, LinkContext, LinkCounters, LinkId, Reached,
+    AgentId, Conditions, Direction, HardwareGraph, LinkContext, LinkCounters, LinkId, Probed, Probing,
+    Reached,
 };
 use parking_lot::Mutex;
 
@@ -31,6 +32,8 @@ struct Reported {
     read: Option<(u64, u64)>,
     leaving: Counted,
     arriving: Counted,
+    /// Results of probes of the way there and back.
+    probed: Option<[Probed; 2]>,
 }
 
 /// The traffic of one direction.
@@ -70,12 +73,14 @@ impl Reported {
         }
         let before = self.read.replace((boot, read_ns));
         let since = before.and_then(|(_, before)| read_ns.checked_sub(before)).map(Duration::from_nanos);
+        let is_share = |loss: f64| (0.0..=1.0).contains(&loss);
+        self.probed = reading.probed.filter(|ways| ways.iter().filter_map(|way| way.loss).all(is_share));
         self.leaving.count(reading.leaving, since);
         self.arriving.count(reading.arriving, since);
     }
 
     fn reset(&mut self) {
-        self.read = None;
+        (self.read, self.probed) = (None, None);
         self.leaving.reset();
         self.arriving.reset();
     }
@@ -91,7 +96,8 @@ impl LinkReports {
     pub(super) fn new(graph: &HardwareGraph) -> Self {
         let link = |(link, agent, _): (&LinkId, &AgentId, _)| {
             let (leaving, arriving) = Default::default();
-            (link.clone(), Reported { agent: agent.clone(), read: None, leaving, arriving })
+            let agent = agent.clone();
+            (link.clone(), Reported { agent, read: None, leaving, arriving, probed: None })
         };
         let links = at_agents(graph).map(link).collect();
         Self(Arc::new(Mutex::new(Reports { present: BTreeSet::new(), links })))
@@ -115,7 +121,9 @@ impl LinkReports {
             reports.present.remove(agent);
             let its = reports.links.values_mut().filter(|its| its.agent == *agent);
             // What crosses a link while its agent is away is counted when it returns.
-            its.for_each(|its| (its.leaving.throughput_bps, its.arriving.throughput_bps) = (0.0, 0.0));
+            for its in its {
+                (its.leaving.throughput_bps, its.arriving.throughput_bps, its.probed) = (0.0, 0.0, None);
+            }
         }
     }
 
@@ -139,19 +147,27 @@ pub(super) struct LinksAtAgents {
 }
 
 impl LinksAtAgents {
-    /// Wants agents to emulate the links of a graph, which are in these states. `commands` leads to the agents' thread.
+    /// Wants agents to emulate the links of a graph, which are in these states, and to probe those that have reflectors like
+    /// this. `commands` leads to the agents' thread.
     pub(super) fn begin(
         graph: &HardwareGraph,
         contexts: &[LinkContext],
+        probing: Option<Probing>,
         reports: LinkReports,
         commands: mpsc::Sender<Command>,
     ) -> Self {
         let (mut places, mut all) = (BTreeMap::new(), BTreeMap::new());
         for (link, agent, place) in at_agents(graph) {
-            let Reached { interface, address, .. } = &place.reached;
+            let Reached { interface, address, reflector, .. } = &place.reached;
+            let (interface, addresses) = (interface.clone(), *address);
             let (leaving, arriving) = Default::default();
-            let mut wanted =
-                WantedLink { interface: interface.clone(), addresses: *address, leaving, arriving };
+            let reflector = addresses.filter(|_| *reflector).map(|address| address.address());
+            let probes = reflector.zip(probing).map(|(reflector, probing)| WantedProbes {
+                reflector,
+                probing,
+                medium_delay: place.medium.delay,
+            });
+            let mut wanted = WantedLink { interface, addresses, leaving, arriving, probes };
             for context in contexts.iter().filter(|context| context.link == *link) {
                 want(&mut wanted, &place, context.direction, &context.effective);
             }
@@ -195,7 +211,8 @@ impl AgentLinks for LinksAtAgents {
             let (Some(place), Some(reported)) = (place, reports.links.get(&context.link)) else { continue };
             let counted =
                 if place.way(context.direction) == 0 { &reported.leaving } else { &reported.arriving };
-            (context.delay, context.probed) = (None, None);
+            (context.delay, context.probed) =
+                (None, reported.probed.map(|ways| ways[place.way(context.direction)]));
             (context.throughput_bps, context.counters) = (counted.throughput_bps, counted.total);
         }
     }
@@ -214,10 +231,12 @@ mod tests {
 name: gate
 nodes:
   gate: { kind: machine, agent: gate1 }
-  arm: { kind: machine, interface: eth1, address: 192.168.1.7, via: gate }
+  arm: { kind: machine, interface: eth1, address: 192.168.1.7, via: gate, reflector: true }
 links:
   - { ends: [arm, gate], id: cable, forward: { delay: 5 ms }, backward: { delay: 20 ms }, medium_delay: 2 ms }
 ";
+
+    const MEDIUM: Duration = Duration::from_millis(2);
 
     fn agent() -> AgentId {
         "gate1".parse().unwrap()
@@ -233,6 +252,8 @@ links:
         reports: LinkReports,
         links: LinksAtAgents,
         commands: mpsc::Receiver<Command>,
+        /// What agents say of probes.
+        probed: Option<[Probed; 2]>,
     }
 
     impl World {
@@ -242,14 +263,17 @@ links:
             let reports = LinkReports::new(&graph);
             let (sender, commands) = mpsc::channel();
             let contexts = fabric.link_contexts(Timestamp::ZERO);
-            let links = LinksAtAgents::begin(&graph, &contexts, reports.clone(), sender);
-            Self { graph, fabric, reports, links, commands }
+            let links =
+                LinksAtAgents::begin(&graph, &contexts, Some(Probing::default()), reports.clone(), sender);
+            Self { graph, fabric, reports, links, commands, probed: None }
         }
 
         /// Returns the delays that were sent last, of leaving and of arriving packets, ms.
         fn sent(&self) -> Option<[u128; 2]> {
             let Command::Emulate(its, link, wanted) = self.commands.try_iter().last()? else { panic!() };
             assert_eq!((its, link, wanted.interface.as_str()), (agent(), cable(), "eth1"));
+            let probes = wanted.probes.unwrap();
+            assert_eq!((probes.reflector, probes.medium_delay), ([192, 168, 1, 7].into(), MEDIUM));
             Some([wanted.leaving, wanted.arriving].map(|way| way.delay.as_millis()))
         }
 
@@ -262,7 +286,7 @@ links:
             let counters = |bytes| LinkCounters { bytes, packets: bytes / 100, ..LinkCounters::default() };
             let reading = bytes.map(|bytes| {
                 let [leaving, arriving] = bytes.map(counters);
-                (cable(), LinkReading { leaving, arriving })
+                (cable(), LinkReading { leaving, arriving, probed: self.probed })
             });
             let context = MachineContext {
                 node: self.graph.nodes[0].id.clone(),
@@ -280,15 +304,20 @@ links:
             self.reports.read(&agent(), &MachineReading { boot, read_ns, context, links });
         }
 
-        /// Returns bytes and throughput of the direction in which packets leave, and of the other one.
-        fn counted(&mut self) -> [(u64, f64); 2] {
+        /// Returns the context of the direction in which packets leave, and of the other one.
+        fn contexts(&mut self) -> [LinkContext; 2] {
             let mut contexts = self.fabric.link_contexts(Timestamp::ZERO);
             self.links.complete(&mut contexts);
             [Direction::Backward, Direction::Forward].map(|direction| {
                 let context = contexts.iter().find(|context| context.direction == direction).unwrap();
-                assert_eq!((context.delay, context.probed), (None, None));
-                (context.counters.bytes, context.throughput_bps)
+                assert_eq!(context.delay, None);
+                context.clone()
             })
+        }
+
+        /// Returns bytes and throughput of both directions.
+        fn counted(&mut self) -> [(u64, f64); 2] {
+            self.contexts().map(|context| (context.counters.bytes, context.throughput_bps))
         }
     }
 
@@ -341,6 +370,34 @@ links:
             world.counted(),
             [(6100, 0.0), (800, 800.0)],
             "its conditions were applied anew meanwhile"
+        );
+    }
+
+    #[test]
+    fn probes_of_agents_are_those_of_their_directions_as_long_as_the_agent_is_there() {
+        let mut world = World::new();
+        let way = |ms, loss| Probed {
+            delay: Some(Duration::from_millis(ms)),
+            jitter: None,
+            delay_age: None,
+            loss: Some(loss),
+            loss_age: Duration::ZERO,
+        };
+        let [there, back] = [way(22, 0.0), way(7, 1.0)];
+        assert_eq!(world.contexts().map(|context| context.probed), [None, None]);
+        world.probed = Some([there, back]);
+        world.read(1, 1, Some([0, 0]));
+        assert_eq!(world.contexts().map(|context| context.probed), [Some(there), Some(back)]);
+        world.reports.set_present(&agent(), false);
+        assert_eq!(world.contexts().map(|context| context.probed), [None, None]);
+        world.read(1, 2, Some([0, 0]));
+        assert_eq!(world.contexts().map(|context| context.probed), [Some(there), Some(back)]);
+        world.probed = Some([way(22, 1.5), back]);
+        world.read(1, 3, Some([0, 0]));
+        assert_eq!(
+            world.contexts().map(|context| context.probed),
+            [None, None],
+            "no link loses more than all"
         );
     }
 }

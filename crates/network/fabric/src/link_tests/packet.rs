@@ -21,6 +21,7 @@ const MEASURING: [u8; ETHERNET] = {
 
 /// Bytes of all headers of a probe.
 pub(super) const HEADERS: usize = ETHERNET + IPV4 + UDP;
+const _: () = assert!(HEADERS + BASE_LENGTH == cotorra_probes::FRAME_BYTES);
 const UDP_CHECKSUM: usize = HEADERS - 2;
 
 /// Builds the frame of a probe: STAMP over UDP and IPv4 with TTL 255 (RFC 8762). Its addresses are zero, because nothing

@@ -5,18 +5,15 @@
 use std::time::Duration;
 
 use cotorra_graph::{Conditions, Direction, Probed, Probing, Timestamp};
-use cotorra_stamp::{BASE_LENGTH, Link, LinkEstimate, SessionConfig, Utc};
+use cotorra_probes::{FRAME_BYTES, estimate, on_air, on_wire};
+use cotorra_stamp::{Link, SessionConfig, Utc};
 
 use super::packet::{self, HEADERS};
 use crate::{
     frame::Frame,
     port::{RadioUnitIndex, StationIndex},
-    settings::rate_bps,
     timers::Timers,
 };
-
-/// Largest share of a link's rate that its probes take, and of a channel's time that the probes of all robots take.
-const SHARE: f64 = 0.01;
 
 /// The probes of all links.
 #[derive(Debug)]
@@ -77,9 +74,9 @@ impl Probes {
         let begins = |i: usize| utc(now) + settings.interval.mul_f64(i as f64 / count as f64);
         let first = wires.len();
         let wires =
-            wires.enumerate().map(|(i, conditions)| Link::new(wired(&settings, conditions), begins(i)));
+            wires.enumerate().map(|(i, conditions)| Link::new(on_wire(&settings, conditions), begins(i)));
         let stations = stations.enumerate().map(|(i, turns)| {
-            let config = on_air(&settings, turns(HEADERS + BASE_LENGTH));
+            let config = on_air(&settings, turns(FRAME_BYTES));
             Station { with: None, config, link: Link::new(config, begins(first + i)) }
         });
         let (wires, stations) = (wires.collect(), stations.collect());
@@ -91,7 +88,7 @@ impl Probes {
     /// Adapts the probes of a wired link to new conditions.
     pub(super) fn change(&mut self, link: usize, conditions: [&Conditions; 2]) {
         if let Some(link) = self.wires.get_mut(link) {
-            link.pace(wired(&self.settings, conditions));
+            link.pace(on_wire(&self.settings, conditions));
         }
     }
 
@@ -166,7 +163,7 @@ impl Probes {
                 &self.stations.get(robot).filter(|station| station.with == Some(unit))?.link
             }
         };
-        Some(link.estimates(utc(now))?.map(probed))
+        Some(link.estimates(utc(now))?.map(estimate))
     }
 
     fn arm(&mut self, place: usize) {
@@ -185,37 +182,6 @@ impl Station {
             self.with = unit;
             self.link = Link::new(self.config, now);
         }
-    }
-}
-
-/// Returns the configuration for a wired link with these conditions: probes take no more than 1 % of its rate.
-pub(super) fn wired(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
-    let slowest = conditions.iter().map(|c| rate_bps(&c.rate)).fold(f64::INFINITY, f64::min);
-    let config = SessionConfig { interval: settings.interval, ..SessionConfig::default() };
-    patient(settings, config.within(SHARE, slowest, HEADERS))
-}
-
-/// Returns the configuration for a robot's link. `turns` is the time of a frame of each robot; each interval has two of
-/// them, a probe and its answer.
-fn on_air(settings: &Probing, turns: Duration) -> SessionConfig {
-    let interval = settings.interval.max(turns.mul_f64(2.0 / SHARE));
-    patient(settings, SessionConfig { interval, ..SessionConfig::default() })
-}
-
-/// Keeps rare probes for longer.
-fn patient(settings: &Probing, config: SessionConfig) -> SessionConfig {
-    let window = settings.window.max(config.interval.saturating_mul(4));
-    SessionConfig { window, patience: window / 2, ..config }
-}
-
-/// Converts the estimates of probes to the graph's type.
-pub(super) fn probed(estimate: LinkEstimate) -> Probed {
-    Probed {
-        delay: estimate.delays.map(|(delays, _)| delays.mean),
-        jitter: estimate.delays.and_then(|(delays, _)| delays.jitter),
-        delay_age: estimate.delays.map(|(_, age)| age),
-        loss: estimate.loss,
-        loss_age: estimate.loss_age,
     }
 }
 

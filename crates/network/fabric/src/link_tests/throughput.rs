@@ -6,11 +6,7 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{LinkId, Rate, Tested, ThroughputTest, Timestamp};
 
 use super::packet;
-use crate::{
-    frame::Frame,
-    settings::{FabricError, rate_bps},
-    timers::Timers,
-};
+use crate::{frame::Frame, settings::FabricError, timers::Timers};
 
 /// Time after the last packet was sent in which arrivals still count.
 const GRACE: Duration = Duration::from_secs(1);
@@ -137,7 +133,7 @@ impl ThroughputTests {
         test: ThroughputTest,
         rate: &Rate,
     ) -> Result<(), FabricError> {
-        let test = Running::new(now, test, rate_bps(rate))?;
+        let test = Running::new(now, test, rate.mean_bits_per_second())?;
         let before = self.of.get(&edge).map(|latest| latest.test.clone());
         let rest = before.as_ref().map_or(Duration::ZERO, |before| before.rests_for(now));
         if !rest.is_zero() {

@@ -2,12 +2,8 @@
 //! time.
 
 use cotorra_graph::{Conditions, Direction, Probed, Probing, Timestamp};
-use cotorra_stamp::{BASE_LENGTH, LinkEstimate, SessionConfig};
 
-use super::{
-    packet::HEADERS,
-    probes::{Crossing, ProbeTarget, Probes, probed, wired},
-};
+use super::probes::{Crossing, ProbeTarget, Probes};
 use crate::{
     frame::Frame,
     port::{RadioUnitIndex, StationIndex},
@@ -18,20 +14,6 @@ use crate::{
 pub struct WireProbes(Probes);
 
 impl WireProbes {
-    /// Bytes of a probe's Ethernet frame.
-    pub const BYTES: usize = HEADERS + BASE_LENGTH;
-
-    /// Returns the configuration for a link of which only one end is within reach: probes take no more than 1 % of its
-    /// rate.
-    pub fn session(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
-        wired(settings, conditions)
-    }
-
-    /// Converts the estimate of one direction of such a link.
-    pub fn estimate(estimate: LinkEstimate) -> Probed {
-        probed(estimate)
-    }
-
     /// Creates a component that probes nothing.
     pub fn none() -> Self {
         Self(Probes::none())
