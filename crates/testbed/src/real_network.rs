@@ -1,6 +1,6 @@
 //! The emulated network in real time: the fabric on the datapath's thread, and NetEm where it carries the packets, in this
-//! machine's kernel or in that of an agent. In that case the fabric still keeps the state, so that conditions, scales and rejections are the same, and the
-//! kernel applies the results.
+//! machine's kernel or in that of an agent. In that case the fabric still keeps the state, so that conditions, scales and
+//! rejections are the same, and the kernel applies the results.
 
 use std::sync::Arc;
 

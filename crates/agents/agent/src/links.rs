@@ -1,7 +1,7 @@
 //! Gives interfaces of this machine the conditions that the core wants, by NetEm, and restores them. Probes links that have a
 //! reflector.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{collections::BTreeMap, io, time::Duration};
 
 use cotorra_agent_protocol::{LinkReading, LinkState, WantedLink, WantedProbes};
 use cotorra_graph::{Conditions, LinkId, Timestamp};
@@ -95,7 +95,7 @@ impl Links {
     pub(crate) fn read(&mut self, now: Timestamp) -> BTreeMap<LinkId, LinkReading> {
         let mut readings = BTreeMap::new();
         let mut lost = Vec::new();
-        for (interface, Held { hold, links }) in &self.held {
+        for (interface, Held { hold, links }) in &mut self.held {
             let counted = match hold.rules(interface) {
                 Ok(counted) => counted,
                 Err(error) => {
@@ -107,8 +107,12 @@ impl Links {
                 let found = counted.iter().find(|(its, _)| its.packets() == rule.packets());
                 found.map(|(_, counters)| (*counters).into())
             };
-            for (link, Emulated { rules: [leaving, arriving], probe, .. }) in links {
+            for (link, Emulated { rules: [leaving, arriving], probes, probe }) in links {
                 if let (Some(leaving), Some(arriving)) = (counters(leaving), counters(arriving)) {
+                    if let (None, Some(probes), Some(wanted)) = (&probe, *probes, self.wanted.get(link)) {
+                        // There may be a route to the reflector now.
+                        *probe = begin(link, wanted, probes).ok();
+                    }
                     let probed = probe.as_ref().and_then(LinkProbe::probed);
                     readings.insert(link.clone(), LinkReading { leaving, arriving, probed });
                 } else if lost.last().is_none_or(|(its, _)| its != interface) {
@@ -203,7 +207,8 @@ impl Held {
         hold.take(interface, &all, confirmed)?;
         let emulated = |(link, Plan { wanted, rules }): (&LinkId, Plan<'_>)| {
             let probes = wanted.probes;
-            let probe = probes.and_then(|probes| begin(link, wanted, probes));
+            let tell = |e: &io::Error| tracing::warn!("link `{link}` cannot be probed: {e}; trying again");
+            let probe = probes.and_then(|probes| begin(link, wanted, probes).inspect_err(tell).ok());
             (link.clone(), Emulated { rules, probes, probe })
         };
         Ok(Self { hold, links: plans.into_iter().map(emulated).collect() })
@@ -241,11 +246,9 @@ impl Held {
 }
 
 /// Begins to probe a link.
-fn begin(link: &LinkId, wanted: &WantedLink, probes: WantedProbes) -> Option<LinkProbe> {
+fn begin(link: &LinkId, wanted: &WantedLink, probes: WantedProbes) -> io::Result<LinkProbe> {
     let configured = [&wanted.leaving, &wanted.arriving].map(|way| whole(way, probes));
     LinkProbe::begin(link.clone(), probes.reflector, configured, probes.probing, |_| ())
-        .inspect_err(|error| tracing::warn!("link `{link}` cannot be probed: {error}"))
-        .ok()
 }
 
 /// Returns what a link does with its medium.

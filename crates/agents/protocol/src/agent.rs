@@ -182,6 +182,9 @@ impl Agent {
             if before.run != wanted.run {
                 let all: Vec<_> = self.instances.keys().copied().collect();
                 all.into_iter().for_each(|id| self.forget(id));
+                if !std::mem::take(&mut self.emulated).is_empty() {
+                    self.actions.push_back(Action::Emulate(BTreeMap::new()));
+                }
             }
         }
         let gone: Vec<_> =

@@ -136,6 +136,10 @@ fn an_interface_of_an_agent_has_its_conditions_as_long_as_core_and_agent_are_the
         until $COTORRA link show gate-arm --api $api --json | grep -q '"packets": [1-9]'; do sleep 0.2; done
         until on fog ping -q -c 20 -i 0.01 -s 1000 10.9.2.2 >/dev/null
             $COTORRA link show gate-arm --api $api --json | grep -q '"throughput_bps": [1-9]'; do :; done
+        on fog tc qdisc delete dev eth1 root
+        event 'cannot apply its conditions: somebody removed conditions of `eth1`' 1
+        event 'fog1. has applied its conditions' 2
+        echo again; delays; echo
         echo core; kill -KILL $run; ends
         until_kind pfifo
         start --authority authority; until_delays '20.0 20.0 '
@@ -161,9 +165,10 @@ fn an_interface_of_an_agent_has_its_conditions_as_long_as_core_and_agent_are_the
     assert!(rtt.parse::<f64>().unwrap() >= 40.0, "{said:?}");
     assert!(said[2].starts_with("changed gate-arm"), "{said:?}");
     assert!(said[3].parse::<f64>().unwrap() >= 60.0, "{said:?}");
+    assert_eq!(said[4..6], ["again", "30.0 30.0 "], "what somebody removed is applied again");
     let killed = ["core", "agent", "htb", "restored eth1, which a killed process left", "20.0 20.0 "];
-    assert_eq!(said[4..9], killed);
-    assert_eq!(said[9..], ["pfifo", "20.0 20.0 ", "pfifo", "0", "0"]);
+    assert_eq!(said[6..11], killed);
+    assert_eq!(said[11..], ["pfifo", "20.0 20.0 ", "pfifo", "0", "0"]);
 }
 
 /// The agent measures each direction by a reflector on the machine behind it. The medium adds nothing that is declared.

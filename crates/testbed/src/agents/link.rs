@@ -151,7 +151,9 @@ impl Link {
                 tracing::warn!("agent `{agent}`: rejected a context beyond the bounds");
             }
             Ok(reading) => {
-                self.parts.links.read(agent, &reading);
+                if self.controller.process(agent).is_some_and(|(boot, _)| boot == reading.boot) {
+                    self.parts.links.read(agent, &reading);
+                }
                 let MachineReading { boot, read_ns, mut context, .. } = reading;
                 context.node = node.clone();
                 context.reading = self.controller.core_time(agent, boot, read_ns);

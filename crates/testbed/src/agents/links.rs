@@ -67,12 +67,16 @@ impl Counted {
 }
 
 impl Reported {
+    /// Takes a reading. Ignores one that was overtaken.
     fn count(&mut self, boot: u64, read_ns: u64, reading: LinkReading) {
+        if self.read.is_some_and(|(its, before)| its == boot && before >= read_ns) {
+            return;
+        }
         if self.read.is_some_and(|(its, _)| its != boot) {
             self.reset();
         }
         let before = self.read.replace((boot, read_ns));
-        let since = before.and_then(|(_, before)| read_ns.checked_sub(before)).map(Duration::from_nanos);
+        let since = before.map(|(_, before)| Duration::from_nanos(read_ns.saturating_sub(before)));
         let is_share = |loss: f64| (0.0..=1.0).contains(&loss);
         self.probed = reading.probed.filter(|ways| ways.iter().filter_map(|way| way.loss).all(is_share));
         self.leaving.count(reading.leaving, since);
@@ -371,6 +375,9 @@ links:
             [(6100, 0.0), (800, 800.0)],
             "its conditions were applied anew meanwhile"
         );
+        world.read(2, 4, Some([100, 100]));
+        world.read(2, 5, Some([0, 200]));
+        assert_eq!(world.counted(), [(6100, 0.0), (800, 800.0)], "overtaken, and doubled");
     }
 
     #[test]
