@@ -23,6 +23,8 @@ pub(crate) const COMMAND: &str = "command";
 /// Of a robot.
 pub(crate) const READING: &str = "reading";
 pub(crate) const TURN: &str = "turn";
+/// Those that are sent many times.
+pub(crate) const MESSAGES: [&str; 6] = [BEAT, STATE, CONTEXT, COMMAND, READING, TURN];
 /// Followed by the number of the agent's process.
 pub(crate) const ALIVE: &str = "alive";
 /// Followed by the file's SHA-256.

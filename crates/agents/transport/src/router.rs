@@ -6,9 +6,10 @@ use cotorra_agent_protocol::{Report, RobotCommand, RobotReading, RobotTurn, Run,
 use cotorra_graph::AgentId;
 use zenoh::{
     Session, Wait,
+    key_expr::KeyExpr,
     qos::{CongestionControl, Priority},
     query::Query,
-    sample::{Sample, SampleKind},
+    sample::{Locality, Sample, SampleKind},
 };
 
 use crate::{
@@ -47,6 +48,9 @@ pub type Receiver = Arc<dyn Fn(AgentId, FromAgent, Arc<()>) + Send + Sync>;
 /// A router that agents connect to. Dropping it ends their connections.
 pub struct Router {
     session: Session,
+    /// Keys of messages, declared. Zenoh finds the way of a declared key once. It compares each message of another key with all
+    /// subscriptions of all agents.
+    _keys: Vec<KeyExpr<'static>>,
 }
 
 impl std::fmt::Debug for Router {
@@ -76,10 +80,15 @@ impl Router {
         let mut agents: Vec<_> = granted.iter().map(|granted| granted.agent.clone()).collect();
         agents.sort();
         agents.dedup();
+        let mut declared = Vec::new();
         for agent in agents {
             follow(&opened, run, &agent, &files, receiver)?;
+            for kind in keys::MESSAGES {
+                let key = opened.declare_keyexpr(format!("{}/{kind}", keys::in_run(run, &agent)));
+                declared.push(key.wait().map_err(session)?);
+            }
         }
-        Ok(Self { session: opened })
+        Ok(Self { session: opened, _keys: declared })
     }
 
     /// Sends a message to its agent. An agent that is not connected does not get it.
@@ -106,6 +115,8 @@ impl Router {
     fn put(&self, key: &str, bytes: Vec<u8>) -> Result<(), TransportError> {
         self.session
             .put(key, bytes)
+            // Otherwise Zenoh compares the key with all subscriptions of this end, too.
+            .allowed_destination(Locality::Remote)
             .congestion_control(CongestionControl::Drop)
             .priority(Priority::RealTime)
             .express(true)
