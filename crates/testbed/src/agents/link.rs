@@ -16,6 +16,7 @@ use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router}
 use cotorra_engine::{EngineEvent, InstanceId};
 use cotorra_enrolment::Authority;
 use cotorra_graph::{AgentId, Event, LinkId, NodeId, Stamped, Timestamp};
+use parking_lot::Mutex;
 
 use super::{error::AgentsError, links::LinkReports, robot::Robots, today};
 use crate::{clock::Clock, message::Message};
@@ -59,7 +60,7 @@ pub(super) struct Parts {
 
 pub(super) struct Link {
     parts: Parts,
-    controller: Controller,
+    controller: Arc<Mutex<Controller>>,
     granted: Vec<Granted>,
     /// `None` if it could not be opened.
     router: Option<Router>,
@@ -69,12 +70,13 @@ impl Link {
     /// Listens for agents.
     pub(super) fn open(parts: Parts) -> Result<Self, AgentsError> {
         let granted = granted(&parts)?;
-        let router = Some(open(&parts, &granted)?);
         let agents = parts.nodes.keys().cloned();
         let mut controller = Controller::new(parts.run, parts.lease, parts.files.clone(), agents);
         for (agent, robot) in &parts.wanted_robots {
             controller.drive(agent, robot.clone());
         }
+        let controller = Arc::new(Mutex::new(controller));
+        let router = Some(open(&parts, &granted, &controller)?);
         Ok(Self { parts, controller, granted, router })
     }
 
@@ -90,21 +92,21 @@ impl Link {
         }
         loop {
             let now = (self.parts.now)();
-            self.controller.advance(now);
+            self.controller.lock().advance(now);
             self.send(now);
             self.report(now);
             if now >= next_look {
                 next_look = now + LOOK;
                 self.look();
             }
-            if ends_at.is_some_and(|ends_at| now >= ends_at || self.controller.is_settled()) {
+            if ends_at.is_some_and(|ends_at| now >= ends_at || self.controller.lock().is_settled()) {
                 return;
             }
             let deadline =
-                self.controller.next_deadline().min(next_look).min(ends_at.unwrap_or(Timestamp::MAX));
+                self.controller.lock().next_deadline().min(next_look).min(ends_at.unwrap_or(Timestamp::MAX));
             match inbox.recv_timeout(deadline.since((self.parts.now)())) {
                 Ok(Command::End) | Err(mpsc::RecvTimeoutError::Disconnected) => {
-                    self.controller.stop_all();
+                    self.controller.lock().stop_all();
                     ends_at = Some((self.parts.now)() + self.parts.lease);
                 }
                 Ok(command) => self.take(command),
@@ -118,53 +120,33 @@ impl Link {
         match command {
             Command::Start(agent, instance, wanted) => {
                 // The engine starts instances on agents of this testbed only.
-                if let Err(reason) = self.controller.start(&agent, instance, *wanted) {
+                if let Err(reason) = self.controller.lock().start(&agent, instance, *wanted) {
                     tracing::error!("{reason}");
                 }
             }
-            Command::Stop(instance) => self.controller.stop(instance),
-            Command::Emulate(agent, link, wanted) => self.controller.emulate(&agent, link, *wanted),
+            Command::Stop(instance) => self.controller.lock().stop(instance),
+            Command::Emulate(agent, link, wanted) => self.controller.lock().emulate(&agent, link, *wanted),
             Command::Arrived(agent, arrived, _waiting) => match arrived {
                 FromAgent::Connection { boot, is_there } => {
-                    self.controller.connection(now, &agent, boot, is_there);
+                    self.controller.lock().connection(now, &agent, boot, is_there);
                 }
                 FromAgent::Report(report) => {
-                    self.controller.receive(now, &agent, report);
-                    if let Some((boot, clock)) = self.controller.process(&agent) {
+                    self.controller.lock().receive(now, &agent, report);
+                    if let Some((boot, clock)) = self.controller.lock().process(&agent) {
                         self.parts.robots.follow(&agent, boot, clock);
                     }
                 }
-                FromAgent::Context(bytes) => self.context(now, &agent, &bytes),
-                // Only an agent with a robot has something to say of one.
-                FromAgent::Reading(_) | FromAgent::Turn(_) => {}
+                // Threads of Zenoh took them. Only an agent with a robot has something to say of one.
+                FromAgent::Context(_) | FromAgent::Reading(_) | FromAgent::Turn(_) => {}
                 FromAgent::Rejected(reason) => tracing::warn!("agent `{agent}`: rejected {reason}"),
             },
             Command::Wake | Command::End => {}
         }
     }
 
-    /// Reports the context of an agent's machine as that of its node.
-    fn context(&self, now: Timestamp, agent: &AgentId, bytes: &[u8]) {
-        let Some(node) = self.parts.nodes.get(agent) else { return };
-        match MachineReading::decode(bytes) {
-            Ok(reading) if !reading.context.is_valid() => {
-                tracing::warn!("agent `{agent}`: rejected a context beyond the bounds");
-            }
-            Ok(reading) => {
-                if self.controller.process(agent).is_some_and(|(boot, _)| boot == reading.boot) {
-                    self.parts.links.read(agent, &reading);
-                }
-                let MachineReading { boot, read_ns, mut context, .. } = reading;
-                context.node = node.clone();
-                context.reading = self.controller.core_time(agent, boot, read_ns);
-                self.tell(now, Event::Machine(context));
-            }
-            Err(error) => tracing::warn!("agent `{agent}`: rejected a context: {error}"),
-        }
-    }
-
     fn send(&mut self, now: Timestamp) {
-        while let Some(transmit) = self.controller.poll_transmit(now) {
+        loop {
+            let Some(transmit) = self.controller.lock().poll_transmit(now) else { break };
             if let Some(Err(error)) =
                 self.router.as_ref().map(|router| router.send(self.parts.run, &transmit))
             {
@@ -179,7 +161,8 @@ impl Link {
     }
 
     fn report(&mut self, now: Timestamp) {
-        while let Some(event) = self.controller.poll_event() {
+        loop {
+            let Some(event) = self.controller.lock().poll_event() else { break };
             match event {
                 ControllerEvent::Instance(event) => {
                     // The core may have ended.
@@ -227,7 +210,7 @@ impl Link {
             Ok(granted) if granted != self.granted || self.router.is_none() => {
                 // The address must be free.
                 self.router = None;
-                match open(&self.parts, &granted) {
+                match open(&self.parts, &granted, &self.controller) {
                     Ok(router) => (self.router, self.granted) = (Some(router), granted),
                     Err(error) => tracing::error!("agents cannot connect: {error}"),
                 }
@@ -245,7 +228,13 @@ fn granted(parts: &Parts) -> Result<Vec<Granted>, AgentsError> {
     Ok(ours.map(|granted| Granted { agent: granted.name, common_name: granted.common_name }).collect())
 }
 
-fn open(parts: &Parts, granted: &[Granted]) -> Result<Router, AgentsError> {
+/// Opens the router. Contexts are taken on its threads, because a hop to another thread costs as much as the rest of their
+/// way.
+fn open(
+    parts: &Parts,
+    granted: &[Granted],
+    controller: &Arc<Mutex<Controller>>,
+) -> Result<Router, AgentsError> {
     let core = parts.authority.core(today())?;
     let credentials = Credentials {
         authority: &core.authority_pem,
@@ -253,7 +242,16 @@ fn open(parts: &Parts, granted: &[Granted]) -> Result<Router, AgentsError> {
         key: &core.key_pem,
     };
     let (commands, robots, now) = (parts.commands.clone(), parts.robots.clone(), Arc::clone(&parts.now));
+    let contexts = Contexts {
+        nodes: parts.nodes.clone(),
+        links: parts.links.clone(),
+        controller: Arc::clone(controller),
+        messages: parts.messages.clone(),
+    };
     let receiver: Receiver = Arc::new(move |agent, arrived, waiting| {
+        if let FromAgent::Context(bytes) = arrived {
+            return contexts.take(now(), &agent, &bytes);
+        }
         let (arrived, is_to_send) = robots.take(now(), &agent, arrived);
         // Fails only while the run ends.
         if let Some(arrived) = arrived {
@@ -263,4 +261,38 @@ fn open(parts: &Parts, granted: &[Granted]) -> Result<Router, AgentsError> {
         }
     });
     Ok(Router::open(parts.listen, credentials, granted, parts.run, parts.paths.clone(), &receiver)?)
+}
+
+/// Takes the contexts of agents' machines.
+struct Contexts {
+    nodes: BTreeMap<AgentId, NodeId>,
+    links: LinkReports,
+    controller: Arc<Mutex<Controller>>,
+    messages: mpsc::Sender<Message>,
+}
+
+impl Contexts {
+    /// Reports the context of an agent's machine as that of its node.
+    fn take(&self, now: Timestamp, agent: &AgentId, bytes: &[u8]) {
+        let Some(node) = self.nodes.get(agent) else { return };
+        match MachineReading::decode(bytes) {
+            Ok(reading) if !reading.context.is_valid() => {
+                tracing::warn!("agent `{agent}`: rejected a context beyond the bounds");
+            }
+            Ok(reading) => {
+                let controller = self.controller.lock();
+                if controller.process(agent).is_some_and(|(boot, _)| boot == reading.boot) {
+                    self.links.read(agent, &reading);
+                }
+                let MachineReading { boot, read_ns, mut context, .. } = reading;
+                context.node = node.clone();
+                context.reading = controller.core_time(agent, boot, read_ns);
+                drop(controller);
+                // Fails only while the run ends.
+                let _ =
+                    self.messages.send(Message::Network(Stamped { at: now, event: Event::Machine(context) }));
+            }
+            Err(error) => tracing::warn!("agent `{agent}`: rejected a context: {error}"),
+        }
+    }
 }

@@ -11,6 +11,7 @@ use cotorra_agent_protocol::{Controller, ControllerEvent, LEASE, MachineReading,
 use cotorra_agent_transport::{Credentials, FromAgent, Receiver, Router};
 use cotorra_engine::InstanceId;
 use cotorra_graph::{AgentId, MachineContext, Timestamp};
+use parking_lot::Mutex;
 
 use crate::lab::Lab;
 
@@ -26,12 +27,20 @@ pub enum Command {
 pub fn start(
     lab: &Lab,
     on_event: impl Fn(ControllerEvent) + Send + 'static,
-    on_context: impl Fn(MachineContext) + Send + 'static,
+    on_context: impl Fn(MachineContext) + Send + Sync + 'static,
 ) -> mpsc::Sender<Command> {
     let (commands, inbox) = mpsc::channel();
-    let arrived = commands.clone();
-    let receiver: Receiver = Arc::new(move |agent, message, waiting| {
-        arrived.send(Command::Arrived(agent, message, waiting)).unwrap();
+    let controller = Controller::new(RUN, LEASE, Vec::new(), lab.agents.iter().cloned());
+    let controller = Arc::new(Mutex::new(controller));
+    let (arrived, clocks) = (commands.clone(), Arc::clone(&controller));
+    let receiver: Receiver = Arc::new(move |agent, message, waiting| match message {
+        FromAgent::Context(bytes) => {
+            let MachineReading { boot, read_ns, mut context, .. } = MachineReading::decode(&bytes).unwrap();
+            assert!(context.is_valid());
+            context.reading = clocks.lock().core_time(&agent, boot, read_ns);
+            on_context(context);
+        }
+        message => arrived.send(Command::Arrived(agent, message, waiting)).unwrap(),
     });
     let core = lab.core();
     let credentials = Credentials {
@@ -41,47 +50,41 @@ pub fn start(
     };
     let router =
         Router::open(lab.address(), credentials, &lab.granted(), RUN, BTreeMap::new(), &receiver).unwrap();
-    let controller = Controller::new(RUN, LEASE, Vec::new(), lab.agents.iter().cloned());
-    thread::spawn(move || run(router, controller, &inbox, on_event, on_context));
+    thread::spawn(move || run(router, &controller, &inbox, on_event));
     commands
 }
 
 fn run(
     router: Router,
-    mut controller: Controller,
+    controller: &Mutex<Controller>,
     inbox: &mpsc::Receiver<Command>,
     on_event: impl Fn(ControllerEvent),
-    on_context: impl Fn(MachineContext),
 ) {
     let began = Instant::now();
     let now = || Timestamp::ZERO + began.elapsed();
     loop {
-        controller.advance(now());
-        while let Some(transmit) = controller.poll_transmit(now()) {
+        controller.lock().advance(now());
+        loop {
+            let Some(transmit) = controller.lock().poll_transmit(now()) else { break };
             router.send(RUN, &transmit).unwrap();
         }
-        while let Some(event) = controller.poll_event() {
+        loop {
+            let Some(event) = controller.lock().poll_event() else { break };
             on_event(event);
         }
-        match inbox.recv_timeout(controller.next_deadline().since(now())) {
+        let deadline = controller.lock().next_deadline();
+        match inbox.recv_timeout(deadline.since(now())) {
             Ok(Command::Start(agent, instance, wanted)) => {
-                controller.start(&agent, instance, *wanted).unwrap();
+                controller.lock().start(&agent, instance, *wanted).unwrap();
             }
-            Ok(Command::Stop(instance)) => controller.stop(instance),
+            Ok(Command::Stop(instance)) => controller.lock().stop(instance),
             Ok(Command::Arrived(agent, message, _waiting)) => match message {
                 FromAgent::Connection { boot, is_there } => {
-                    controller.connection(now(), &agent, boot, is_there);
+                    controller.lock().connection(now(), &agent, boot, is_there);
                 }
-                FromAgent::Report(report) => controller.receive(now(), &agent, report),
-                FromAgent::Context(bytes) => {
-                    let MachineReading { boot, read_ns, mut context, .. } =
-                        MachineReading::decode(&bytes).unwrap();
-                    assert!(context.is_valid());
-                    context.reading = controller.core_time(&agent, boot, read_ns);
-                    on_context(context);
-                }
+                FromAgent::Report(report) => controller.lock().receive(now(), &agent, report),
                 FromAgent::Rejected(reason) => panic!("{reason}"),
-                FromAgent::Reading(_) | FromAgent::Turn(_) => unreachable!("no robot is there"),
+                FromAgent::Context(_) | FromAgent::Reading(_) | FromAgent::Turn(_) => unreachable!(),
             },
             Err(mpsc::RecvTimeoutError::Timeout) => {}
             Err(mpsc::RecvTimeoutError::Disconnected) => return,
