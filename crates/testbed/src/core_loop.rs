@@ -157,6 +157,8 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
                 self.sinks.plugins.returned(at, &plugin, outcome, &mut self.core);
             }
             Message::Network(event) => self.core.observe(event),
+            #[cfg(feature = "agents")]
+            Message::Machine { context, .. } => self.core.observe(context),
             Message::Border(tunnel) => self.core.hear(now, tunnel),
             Message::Follow(_) | Message::Done { .. } | Message::Wake | Message::Stop => {}
         }

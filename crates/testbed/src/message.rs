@@ -41,6 +41,13 @@ pub(crate) enum Message {
     },
     /// An event of the emulated network.
     Network(Stamped),
+    /// An agent reported the context of its machine.
+    #[cfg(feature = "agents")]
+    Machine {
+        context: Stamped,
+        /// Held by each message of the agent that waits, to bound their number.
+        _waiting: Arc<()>,
+    },
     /// Another core told something over this tunnel.
     Border(TunnelId),
     /// A plug-in that virtual time waits for follows the events. Not sent in real time.

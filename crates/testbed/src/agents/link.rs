@@ -250,7 +250,7 @@ fn open(
     };
     let receiver: Receiver = Arc::new(move |agent, arrived, waiting| {
         if let FromAgent::Context(bytes) = arrived {
-            return contexts.take(now(), &agent, &bytes);
+            return contexts.take(now(), &agent, &bytes, waiting);
         }
         let (arrived, is_to_send) = robots.take(now(), &agent, arrived);
         // Fails only while the run ends.
@@ -273,7 +273,7 @@ struct Contexts {
 
 impl Contexts {
     /// Reports the context of an agent's machine as that of its node.
-    fn take(&self, now: Timestamp, agent: &AgentId, bytes: &[u8]) {
+    fn take(&self, now: Timestamp, agent: &AgentId, bytes: &[u8], waiting: Arc<()>) {
         let Some(node) = self.nodes.get(agent) else { return };
         match MachineReading::decode(bytes) {
             Ok(reading) if !reading.context.is_valid() => {
@@ -288,9 +288,9 @@ impl Contexts {
                 context.node = node.clone();
                 context.reading = controller.core_time(agent, boot, read_ns);
                 drop(controller);
+                let context = Stamped { at: now, event: Event::Machine(context) };
                 // Fails only while the run ends.
-                let _ =
-                    self.messages.send(Message::Network(Stamped { at: now, event: Event::Machine(context) }));
+                let _ = self.messages.send(Message::Machine { context, _waiting: waiting });
             }
             Err(error) => tracing::warn!("agent `{agent}`: rejected a context: {error}"),
         }
