@@ -7,6 +7,7 @@ mod access;
 mod active;
 mod border;
 mod conditions;
+mod container;
 mod context;
 mod driver;
 mod event;
@@ -40,6 +41,7 @@ pub use conditions::{
     ConditionChange, Conditions, InvalidTrace, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale,
     Trace,
 };
+pub use container::{Containers, EngineKind, Image, ListenPort, Pull, Transport, Volume};
 pub use context::{
     AnswersRejected, Attachment, Handover, InstancePath, Lateness, LinkContext, LinkCounters, PathKind,
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,

@@ -5,6 +5,7 @@ use std::{path::PathBuf, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    container::Image,
     flow::Flow,
     hardware::WifiStandard,
     id::{NodeId, ServiceId, VnfId},
@@ -83,7 +84,8 @@ pub struct Vnf {
     pub pinned_to: Option<NodeId>,
     /// Nodes of its instances at the start, all different. A pinned VNF starts on its pinned node.
     pub node: Nodes,
-    /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
+    /// Variables that a command gets beside the usual ones: `NAME` with its value in cotorra's own environment, or
+    /// `NAME=VALUE`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub env: Vec<String>,
     /// Rights of a command on the machine that runs the testbed.
@@ -92,6 +94,10 @@ pub struct Vnf {
     /// Whether it goes on while the core is away, if an agent runs it.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub keep: bool,
+    /// The image in whose containers it runs; `None` for a process. A container of a bundled VNF's image runs the image's own
+    /// command in the bundled VNF's place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image: Option<Box<Image>>,
 }
 
 /// Rights of a VNF's command on the machine that runs the testbed.
@@ -160,8 +166,11 @@ pub enum Program {
     Navigation,
     /// Monte Carlo localization of the service's robot: scans in, poses with their covariance out.
     Localization,
-    /// Any program and its arguments, in the node's namespace.
+    /// Any program and its arguments, in the node's namespace. With an image they are those of its containers, and may be
+    /// empty for the image's own.
     Command(Vec<String>),
+    /// An image that is its node as a whole, with these words or the image's own. It takes no room of the node.
+    Host(Vec<String>),
 }
 
 /// A link between two VNFs of a service.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     active::Probing,
     border::Border,
+    container::Containers,
     exposure::WaisSettings,
     hardware::{HardwareGraph, Node, NodeKind},
     id::{AgentId, DomainId, NodeId, PluginId},
@@ -50,6 +51,8 @@ pub struct Testbed {
     pub probes: Option<Probing>,
     /// Retention of samples in its history.
     pub retention: Retentions,
+    /// Its containers.
+    pub containers: Containers,
     /// Its border to the cores of other domains, if it has one.
     pub border: Option<Border>,
 }

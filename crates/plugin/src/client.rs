@@ -289,6 +289,7 @@ impl Client {
             probes,
             retention,
             border: None,
+            containers: Default::default(),
         })
     }
 

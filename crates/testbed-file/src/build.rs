@@ -76,6 +76,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         probes,
         retention,
         border: border?,
+        containers: Default::default(),
         description: record.description.clone(),
         // Only a working folder that does not exist any more has no absolute path.
         folder: std::path::absolute(base_dir.join(".")).unwrap_or_default(),

@@ -60,6 +60,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
         probes: None,
         retention: Default::default(),
         border: None,
+        containers: Default::default(),
     }
 }
 

@@ -103,6 +103,7 @@ mod tests {
             env: Vec::new(),
             rights: Default::default(),
             keep: false,
+            image: None,
         };
         Box::new(WantedInstance { vnf, replica: 0, node, environment: BTreeMap::new(), keep: false })
     }

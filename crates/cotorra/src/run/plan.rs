@@ -219,10 +219,13 @@ fn kind(kind: &NodeKind) -> &'static str {
 }
 
 fn program(vnf: &Vnf) -> String {
+    if let Some(image) = &vnf.image {
+        return format!("{} (image {})", vnf.id, image.reference);
+    }
     match &vnf.program {
         Program::RobotDriver => format!("{} (robot driver)", vnf.id),
         Program::Navigation => format!("{} (bundled brain)", vnf.id),
         Program::Localization => format!("{} (Monte Carlo localization)", vnf.id),
-        Program::Command(words) => format!("{} ({})", vnf.id, words.join(" ")),
+        Program::Command(words) | Program::Host(words) => format!("{} ({})", vnf.id, words.join(" ")),
     }
 }

@@ -34,6 +34,7 @@ impl Builder<'_> {
                 env,
                 rights,
                 keep: r.keep,
+                image: None,
             })
         });
         let virtual_links: Option<Vec<_>> = each(&record.virtual_links, |link| {

@@ -328,6 +328,7 @@ mod tests {
             probes: None,
             retention: Default::default(),
             border: None,
+            containers: Default::default(),
         })
     }
 

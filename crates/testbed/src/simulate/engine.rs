@@ -178,7 +178,7 @@ impl VirtualEngine {
                     Program::Localization => {
                         Bundled::Localization(Box::new(localizations.get(&service.robot)?.clone()))
                     }
-                    Program::Command(_) => Bundled::Absent,
+                    Program::Command(_) | Program::Host(_) => Bundled::Absent,
                     Program::RobotDriver => return None,
                 };
                 Some((vnf.id.clone(), (wire::port(testbed, &vnf.id)?, bundled)))

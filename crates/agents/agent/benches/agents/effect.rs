@@ -117,6 +117,7 @@ fn wanted(words: &[String]) -> WantedInstance {
         env: Vec::new(),
         rights: Rights::default(),
         keep: false,
+        image: None,
     };
     WantedInstance { vnf, replica: 0, node, environment: Default::default(), keep: false }
 }

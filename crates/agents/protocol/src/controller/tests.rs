@@ -29,6 +29,7 @@ fn instance(keep: bool) -> WantedInstance {
         env: Vec::new(),
         rights: Default::default(),
         keep: false,
+        image: None,
     };
     WantedInstance { vnf, replica: 0, node, environment: BTreeMap::new(), keep }
 }

@@ -445,7 +445,9 @@ impl<E: Engine> Vim<E> {
         let node = self.graph.node(id).ok_or_else(|| VimError::UnknownNode(id.clone()))?;
         let capacity = node.capacity().ok_or_else(|| VimError::NotAHost(id.clone()))?;
         let others = || {
-            let groups = self.groups.iter().filter(|group| group.vnf.id != *vnf && group.is_on(id));
+            let takes_room = |group: &&Group| !matches!(group.vnf.program, Program::Host(_));
+            let groups = self.groups.iter().filter(takes_room);
+            let groups = groups.filter(|group| group.vnf.id != *vnf && group.is_on(id));
             let reserved = self.reserved.iter().filter(|(other, (node, ..))| *other != vnf && node == id);
             groups
                 .map(|group| (group.vnf.cpus, group.vnf.memory_bytes))

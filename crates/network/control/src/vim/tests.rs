@@ -32,6 +32,7 @@ fn vnf(id: &str, node: &str, pinned: bool) -> Vnf {
         env: Vec::new(),
         rights: Default::default(),
         keep: false,
+        image: None,
     }
 }
 

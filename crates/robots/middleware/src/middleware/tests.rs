@@ -32,6 +32,7 @@ fn testbed() -> Testbed {
         env: Vec::new(),
         rights: Default::default(),
         keep: false,
+        image: None,
     };
     let service = Service {
         id: ServiceId::new("navigation").unwrap(),
@@ -66,6 +67,7 @@ fn testbed() -> Testbed {
         probes: None,
         retention: Default::default(),
         border: None,
+        containers: Default::default(),
     }
 }
 

@@ -1,0 +1,130 @@
+//! Container images, and the engines that run them.
+
+use std::{collections::BTreeMap, path::PathBuf, time::Duration};
+
+use serde::{Deserialize, Serialize};
+
+use crate::{id::NodeId, service::Vnf, units::millis};
+
+/// An image whose containers run a VNF.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Image {
+    /// Its reference, such as `ros:jazzy` or `docker.io/library/ros@sha256:…`.
+    pub reference: String,
+    /// When the engine pulls it from its registry.
+    #[serde(default)]
+    pub pull: Pull,
+    /// Files and folders of the machine that a container sees.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub volumes: Vec<Volume>,
+    /// Devices of the machine that a container may use, such as `/dev/ttyUSB0`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+    pub devices: Vec<PathBuf>,
+    /// Ports at which it serves. An instance is ready once it listens at all of them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ports: Vec<ListenPort>,
+    /// Time from its start until it serves, in virtual time.
+    #[serde(rename = "start_ms", with = "millis", default)]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub start: Duration,
+    /// Time from a request to its answer, in virtual time.
+    #[serde(rename = "processing_ms", with = "millis", default)]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub processing: Duration,
+}
+
+/// When an engine pulls an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Pull {
+    /// If the engine does not have it.
+    #[default]
+    Missing,
+    /// Before each start.
+    Always,
+    /// Never: the engine must have it.
+    Never,
+}
+
+/// A file or folder of the machine that a container sees.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Volume {
+    /// Its path on the machine, from the testbed file's folder.
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    pub source: PathBuf,
+    /// Its absolute path in the container.
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    pub target: PathBuf,
+    /// Whether the container may write there.
+    #[serde(default)]
+    pub writable: bool,
+}
+
+/// A port at which a container serves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ListenPort {
+    /// Its number, above 0.
+    pub port: u16,
+    /// Its transport protocol.
+    pub transport: Transport,
+}
+
+/// A transport protocol.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Transport {
+    /// TCP.
+    Tcp,
+    /// UDP.
+    Udp,
+}
+
+/// The engine that runs images on a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum EngineKind {
+    /// None: the node runs programs of this machine only.
+    Process,
+    /// podman.
+    #[default]
+    Podman,
+    /// Docker.
+    Docker,
+}
+
+impl EngineKind {
+    /// Returns its name, as in a testbed file.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Process => "process",
+            Self::Podman => "podman",
+            Self::Docker => "docker",
+        }
+    }
+}
+
+/// The containers of a testbed: the engines of its nodes, and the nodes that are containers as a whole.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Containers {
+    /// Engine of all nodes without one of their own.
+    pub engine: EngineKind,
+    /// Engines of nodes that have one of their own.
+    pub engines: BTreeMap<NodeId, EngineKind>,
+    /// The images of nodes that are containers as a whole. Each is a VNF of the program [`Host`](crate::Program::Host) that is
+    /// pinned to its node and has the node's name.
+    pub hosts: Vec<Vnf>,
+}
+
+impl Containers {
+    /// Returns the engine that runs images on a node.
+    pub fn engine(&self, node: &NodeId) -> EngineKind {
+        self.engines.get(node).copied().unwrap_or(self.engine)
+    }
+}
