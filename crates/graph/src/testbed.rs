@@ -13,7 +13,7 @@ use crate::{
     id::{AgentId, DomainId, NodeId, PluginId},
     map::OccupancyGrid,
     schedule::Script,
-    service::Service,
+    service::{Service, Vnf},
     units::{Position, millis},
 };
 
@@ -68,6 +68,11 @@ pub enum Emulation {
 }
 
 impl Testbed {
+    /// Returns all VNFs: those of services, in the file's order, and then nodes that are containers as a whole.
+    pub fn vnfs(&self) -> impl Iterator<Item = &Vnf> {
+        self.services.iter().flat_map(|service| &service.vnfs).chain(&self.containers.hosts)
+    }
+
     /// The walk of a robot.
     pub fn walk(&self, robot: &NodeId) -> Option<&Walk> {
         self.walks.iter().find(|w| w.robot == *robot)
@@ -78,8 +83,7 @@ impl Testbed {
     pub fn agents_at_start(&self) -> impl Iterator<Item = (&Node, &AgentId)> {
         let carriers: HashSet<_> =
             self.graph.real_links().filter_map(|real| real.reached.via.as_ref()).collect();
-        let starts_on =
-            |node| self.services.iter().flat_map(|s| &s.vnfs).any(|vnf| vnf.node.all().contains(node));
+        let starts_on = |node| self.vnfs().any(|vnf| vnf.node.all().contains(node));
         self.graph.agents().filter(move |(node, agent)| match node.kind {
             NodeKind::Robot(_) => true,
             NodeKind::Server(_) => starts_on(&node.id),

@@ -40,7 +40,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     pub fn new(testbed: &Testbed, network: N, engine: E) -> Self {
         Self {
             network,
-            vim: Vim::new(testbed.graph.clone(), &testbed.services, engine),
+            vim: Vim::new(testbed.graph.clone(), testbed.vnfs(), engine),
             access_points: AccessPoints::new(&testbed.graph),
             virtual_links: testbed
                 .services

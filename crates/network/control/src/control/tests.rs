@@ -1,6 +1,6 @@
 use std::path::Path as FilePath;
 
-use cotorra_graph::{ConditionChange, Loss, Probability};
+use cotorra_graph::{ConditionChange, Image, Loss, Probability, Program, Vnf};
 
 use super::*;
 use cotorra_engine::InMemoryEngine;
@@ -254,4 +254,34 @@ fn a_path_over_another_radio_unit_waits_for_the_robot() {
     // The fabric switches to the path by itself.
     assert_eq!(lab.route("r", "one"), "r~S wide-S wide-one");
     assert_eq!(reported(lab.0.remap().unwrap()).0, ["r-brain r-driver shortest", "r-driver r-brain mapped"]);
+}
+
+#[test]
+fn a_node_that_is_a_container_is_managed_there_and_takes_no_room() {
+    let mut testbed =
+        cotorra_testbed_file::parse("x", TESTBED, FilePath::new("")).unwrap_or_else(|e| panic!("{e}"));
+    testbed.containers.hosts.push(Vnf {
+        id: VnfId::new("one").unwrap(),
+        program: Program::Host(Vec::new()),
+        cpus: 4.0,
+        memory_bytes: 8_000_000_000,
+        pinned_to: Some(node("one")),
+        node: node("one").into(),
+        env: Vec::new(),
+        rights: Default::default(),
+        keep: false,
+        image: Some(Box::new(Image { reference: "router:1".to_owned(), ..Image::default() })),
+    });
+    let network = Here::new(&testbed.graph);
+    let mut lab = Lab(NetworkControl::new(&testbed, network, InMemoryEngine::default()));
+    lab.0.start(Timestamp::ZERO);
+    assert!(!lab.0.all_ready());
+    lab.0.poll(Timestamp::ZERO).unwrap();
+    assert!(lab.0.all_ready());
+    let host = VnfId::new("one").unwrap();
+    assert_eq!(lab.0.serving(&host), [&node("one")]);
+    let elsewhere = Instruction::Place { vnf: host, node: node("two").into() };
+    assert_eq!(lab.instruct(&elsewhere).unwrap_err(), "VNF `one` is pinned to `one`");
+    lab.place("q-brain", "two");
+    lab.place("q-brain", "one");
 }

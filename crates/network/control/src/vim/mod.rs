@@ -6,8 +6,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome};
 use cotorra_graph::{
-    Event, HardwareGraph, NodeId, Nodes, Placement, Program, Service, Timestamp, Vnf, VnfEvent, VnfId,
-    VnfState,
+    Event, HardwareGraph, NodeId, Nodes, Placement, Program, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
 };
 
 /// Delay of the first restart of a VNF that died. Each further delay is twice as long.
@@ -252,9 +251,9 @@ pub struct Vim<E> {
 }
 
 impl<E: Engine> Vim<E> {
-    /// Creates the manager of these services' VNFs. None runs before [`Vim::start`].
-    pub fn new(graph: HardwareGraph, services: &[Service], engine: E) -> Self {
-        let mut groups: Vec<_> = services.iter().flat_map(|service| &service.vnfs).map(Group::new).collect();
+    /// Creates the manager of these VNFs. None runs before [`Vim::start`].
+    pub fn new<'a>(graph: HardwareGraph, vnfs: impl IntoIterator<Item = &'a Vnf>, engine: E) -> Self {
+        let mut groups: Vec<_> = vnfs.into_iter().map(Group::new).collect();
         groups.sort_by(|a, b| a.vnf.id.cmp(&b.vnf.id));
         Self { engine, graph, groups, reserved: BTreeMap::new(), instances: 0 }
     }

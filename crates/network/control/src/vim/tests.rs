@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use cotorra_engine::InMemoryEngine;
-use cotorra_graph::{Capacity, DomainId, Node, NodeKind, Server, ServiceId, Tier};
+use cotorra_graph::{Capacity, DomainId, Node, NodeKind, Server, Tier};
 
 use super::*;
 
@@ -50,21 +50,7 @@ fn vim_of(nodes: Vec<Node>, vnfs: Vec<Vnf>) -> Vim<InMemoryEngine> {
         links: Vec::new(),
         wireless: BTreeMap::new(),
     };
-    let service = Service {
-        id: ServiceId::new("s").unwrap(),
-        robot: NodeId::new("robot").unwrap(),
-        vnfs,
-        virtual_links: Vec::new(),
-        kpis: cotorra_graph::Kpis {
-            service_time: Duration::from_millis(15),
-            reliability: None,
-            area: None,
-            radio: None,
-            flow: None,
-        },
-        requests: Default::default(),
-    };
-    let mut vim = Vim::new(graph, &[service], InMemoryEngine::default());
+    let mut vim = Vim::new(graph, &vnfs, InMemoryEngine::default());
     vim.start(Timestamp::ZERO);
     vim.poll(Timestamp::ZERO);
     vim
