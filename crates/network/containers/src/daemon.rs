@@ -1,0 +1,222 @@
+//! The engine's interface, as far as containers of VNFs need it: HTTP over a Unix socket, as Docker and podman serve it.
+
+use std::{collections::HashMap, path::Path, time::Duration};
+
+use bollard::{
+    API_DEFAULT_VERSION, Docker, body_full,
+    errors::Error,
+    models::{ContainerCreateBody, ContainerState},
+    query_parameters::{
+        CreateContainerOptionsBuilder, CreateImageOptionsBuilder, KillContainerOptionsBuilder,
+        ListContainersOptionsBuilder, LogsOptionsBuilder, RemoveContainerOptionsBuilder,
+        WaitContainerOptionsBuilder,
+    },
+};
+use bytes::Bytes;
+use futures_util::{Stream, StreamExt as _, TryStreamExt as _};
+
+use crate::spec::RUN;
+
+/// Longest time of a request, s. Those that wait for a container have none in practice.
+const TIMEOUT_S: u64 = 120;
+const FOR_EVER: Duration = Duration::from_secs(365 * 24 * 3600);
+/// Time from one attempt to connect to the next.
+const RETRY: Duration = Duration::from_millis(20);
+const LONGEST_RETRY: Duration = Duration::from_secs(1);
+
+/// An error of a request.
+#[derive(Debug, Clone, thiserror::Error)]
+pub(crate) enum DaemonError {
+    /// The engine does not answer.
+    #[error("the engine does not answer: {0}")]
+    Lost(String),
+    /// The engine rejects the request.
+    #[error("{message}")]
+    Rejected {
+        /// Status code of HTTP.
+        status: u16,
+        /// Its reason.
+        message: String,
+    },
+}
+
+impl DaemonError {
+    /// Whether the engine has no such container or image.
+    pub(crate) fn is_missing(&self) -> bool {
+        matches!(self, Self::Rejected { status: 404, .. })
+    }
+}
+
+impl From<Error> for DaemonError {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::DockerResponseServerError { status_code: status, message } => {
+                Self::Rejected { status, message }
+            }
+            Error::DockerStreamError { error } => Self::Rejected { status: 500, message: error },
+            other => Self::Lost(describe(&other)),
+        }
+    }
+}
+
+/// Returns an error with its causes, which say what the system rejected.
+fn describe(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |cause| cause.source());
+    causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"))
+}
+
+/// State of a container.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct State {
+    /// Its process, while it runs.
+    pub(crate) process: Option<u32>,
+    pub(crate) exit_code: i64,
+    /// Whether the kernel killed it for its use of memory.
+    pub(crate) out_of_memory: bool,
+}
+
+impl State {
+    fn of(state: ContainerState) -> Self {
+        let process = state.pid.and_then(|pid| u32::try_from(pid).ok()).filter(|pid| *pid > 0);
+        Self {
+            process: process.filter(|_| state.running == Some(true)),
+            exit_code: state.exit_code.unwrap_or_default(),
+            out_of_memory: state.oom_killed.unwrap_or_default(),
+        }
+    }
+
+    /// Returns how the container ended, for people.
+    pub(crate) fn end(&self, memory_bytes: u64) -> String {
+        if self.out_of_memory {
+            return format!("was killed: it used more than its {} MB of memory", memory_bytes / 1_000_000);
+        }
+        format!("exited with status {}", self.exit_code)
+    }
+}
+
+/// An engine that answers.
+#[derive(Debug, Clone)]
+pub(crate) struct Daemon {
+    docker: Docker,
+    /// Without a timeout, for requests that last as long as a container.
+    patient: Docker,
+}
+
+impl Daemon {
+    /// Connects to the engine at a socket.
+    pub(crate) async fn connect(socket: &Path) -> Result<Self, DaemonError> {
+        let path = socket.to_string_lossy();
+        let docker = Docker::connect_with_unix(&path, TIMEOUT_S, API_DEFAULT_VERSION)?;
+        // Engines reject versions that are newer than their own.
+        let docker = docker.negotiate_version().await?;
+        let patient = docker.clone().with_timeout(FOR_EVER);
+        Ok(Self { docker, patient })
+    }
+
+    /// Whether the engine has an image.
+    pub(crate) async fn has_image(&self, reference: &str) -> Result<bool, DaemonError> {
+        match self.docker.inspect_image(reference).await.map_err(DaemonError::from) {
+            Ok(_) => Ok(true),
+            Err(error) if error.is_missing() => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Pulls an image from its registry.
+    pub(crate) async fn pull(&self, reference: &str) -> Result<(), DaemonError> {
+        let is_digest = reference.contains('@');
+        let has_tag = reference.rsplit('/').next().is_some_and(|name| name.contains(':'));
+        // Without a tag, Docker pulls all tags.
+        let options = CreateImageOptionsBuilder::default().from_image(reference);
+        let options = if is_digest || has_tag { options } else { options.tag("latest") };
+        let steps = self.patient.create_image(Some(options.build()), None, None);
+        steps.try_for_each(|_| async { Ok(()) }).await?;
+        Ok(())
+    }
+
+    /// Makes an image of the files in a tar archive.
+    pub(crate) async fn import(&self, name: &str, tag: &str, tar: Vec<u8>) -> Result<(), DaemonError> {
+        let options = CreateImageOptionsBuilder::default().from_src("-").repo(name).tag(tag).build();
+        let steps = self.docker.create_image(Some(options), Some(body_full(Bytes::from(tar))), None);
+        steps.try_for_each(|_| async { Ok(()) }).await?;
+        Ok(())
+    }
+
+    /// Creates a container.
+    pub(crate) async fn create(&self, name: &str, container: ContainerCreateBody) -> Result<(), DaemonError> {
+        let options = CreateContainerOptionsBuilder::default().name(name).build();
+        self.docker.create_container(Some(options), container).await?;
+        Ok(())
+    }
+
+    /// Starts a container.
+    pub(crate) async fn start(&self, name: &str) -> Result<(), DaemonError> {
+        Ok(self.docker.start_container(name, None).await?)
+    }
+
+    /// Returns the state of a container.
+    pub(crate) async fn state(&self, name: &str) -> Result<State, DaemonError> {
+        let found = self.docker.inspect_container(name, None).await?;
+        Ok(found.state.map(State::of).unwrap_or_default())
+    }
+
+    /// Waits until a container does not run.
+    pub(crate) async fn wait(&self, name: &str) -> Result<(), DaemonError> {
+        let options = WaitContainerOptionsBuilder::default().condition("not-running").build();
+        let ended = self.patient.wait_container(name, Some(options));
+        let mut ended = std::pin::pin!(ended);
+        match ended.next().await {
+            Some(Ok(_) | Err(Error::DockerContainerWaitError { .. })) => Ok(()),
+            Some(Err(error)) => Err(error.into()),
+            None => Err(DaemonError::Lost("it ended the connection".to_owned())),
+        }
+    }
+
+    /// Returns the output of a container from its beginning, until the container ends.
+    pub(crate) fn output(&self, name: &str) -> impl Stream<Item = Result<Bytes, DaemonError>> {
+        let options = LogsOptionsBuilder::default().follow(true).stdout(true).stderr(true).build();
+        let output = self.patient.logs(name, Some(options));
+        output.map_ok(|part| part.into_bytes()).map_err(DaemonError::from)
+    }
+
+    /// Sends a signal to a container's first process.
+    pub(crate) async fn signal(&self, name: &str, signal: &str) -> Result<(), DaemonError> {
+        let options = KillContainerOptionsBuilder::default().signal(signal).build();
+        Ok(self.docker.kill_container(name, Some(options)).await?)
+    }
+
+    /// Kills and removes a container. Does nothing if there is none.
+    pub(crate) async fn remove(&self, name: &str) -> Result<(), DaemonError> {
+        let options = RemoveContainerOptionsBuilder::default().force(true).v(true).build();
+        match self.docker.remove_container(name, Some(options)).await.map_err(DaemonError::from) {
+            Err(error) if error.is_missing() => Ok(()),
+            done => done,
+        }
+    }
+
+    /// Returns the IDs of a run's containers.
+    pub(crate) async fn containers_of(&self, run: &str) -> Result<Vec<String>, DaemonError> {
+        let filters = HashMap::from([("label", vec![format!("{RUN}={run}")])]);
+        let options = ListContainersOptionsBuilder::default().all(true).filters(&filters).build();
+        let found = self.docker.list_containers(Some(options)).await?;
+        Ok(found.into_iter().filter_map(|container| container.id).collect())
+    }
+}
+
+/// Delays of attempts: each twice as long as the one before.
+#[derive(Debug)]
+pub(crate) struct Retries(Duration);
+
+impl Default for Retries {
+    fn default() -> Self {
+        Self(RETRY)
+    }
+}
+
+impl Retries {
+    /// Waits before the next attempt.
+    pub(crate) async fn wait(&mut self) {
+        tokio::time::sleep(self.0).await;
+        self.0 = (self.0 * 2).min(LONGEST_RETRY);
+    }
+}

@@ -1,0 +1,263 @@
+//! The engine: takes what Network Control wants, and runs each instance as a task of one thread.
+
+use std::{
+    collections::BTreeMap,
+    fs::{File, OpenOptions},
+    io::{self, Write as _},
+    path::PathBuf,
+    rc::Rc,
+    sync::{Arc, mpsc as events},
+    thread,
+};
+
+use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome, replica_name};
+use cotorra_graph::{EngineKind, ListenPort, NodeId, Vnf};
+use tokio::{
+    sync::{Mutex, mpsc, oneshot},
+    task::{JoinSet, LocalSet},
+};
+
+use crate::{
+    address::Address,
+    daemon::Daemon,
+    guard::Guard,
+    holder,
+    instance::Instance,
+    leftovers::{self, Marker},
+    spec::{Network, Spec},
+};
+
+/// What containers find around them, as far as it depends on the testbed.
+pub trait Surroundings: Send + Sync + 'static {
+    /// Returns the network of a node.
+    ///
+    /// # Errors
+    /// The reason for which containers cannot join it, for people.
+    fn network(&self, node: &NodeId) -> Result<Network, String>;
+
+    /// Returns variables of an instance beside those of its VNF and `COTORRA_VNF`, `COTORRA_NODE` and `COTORRA_REPLICA`.
+    fn environment(&self, vnf: &Vnf, replica: u32, node: &NodeId) -> Vec<(String, String)>;
+
+    /// Returns the ports at which a VNF serves, beside those that its image declares.
+    fn ports(&self, vnf: &Vnf) -> Vec<ListenPort>;
+
+    /// Signals a new event of [`Engine::poll`]. Called from another thread.
+    fn wake(&self);
+}
+
+/// Settings of an engine.
+#[derive(Debug)]
+pub struct Settings {
+    /// Kind of the engine, podman or Docker.
+    pub kind: EngineKind,
+    /// Where it is.
+    pub address: Address,
+    /// Folder from which sources of volumes start.
+    pub folder: PathBuf,
+    /// Folder of the logs: `<vnf>.log`, or `<vnf>@<replica>.log` for replicas from 1.
+    pub logs: PathBuf,
+    /// File with the names of nodes, which containers have as `/etc/hosts`.
+    pub hosts: Option<PathBuf>,
+    /// Command of the program that calls [`guard`](crate::guard), to which the guard's arguments are added. Without one, a
+    /// killed process leaves its containers, and podman must be served at a socket.
+    pub guard: Option<Vec<String>>,
+}
+
+/// Runs VNFs in containers.
+pub struct ContainerEngine {
+    /// `None` once it is shut down.
+    commands: Option<mpsc::UnboundedSender<Command>>,
+    events: events::Receiver<EngineEvent>,
+    thread: Option<thread::JoinHandle<()>>,
+    surroundings: Arc<dyn Surroundings>,
+    logs: PathBuf,
+}
+
+impl std::fmt::Debug for ContainerEngine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ContainerEngine").finish_non_exhaustive()
+    }
+}
+
+enum Command {
+    Start(InstanceId, Box<Wanted>),
+    Stop(InstanceId),
+}
+
+/// An instance to start.
+struct Wanted {
+    vnf: Vnf,
+    replica: u32,
+    node: NodeId,
+    network: Network,
+    log: File,
+}
+
+impl ContainerEngine {
+    /// Creates an engine. It connects when the first instance starts.
+    ///
+    /// # Errors
+    /// The error of the system if there can be no thread, no guard or no record of the containers.
+    pub fn new(settings: Settings, surroundings: Arc<dyn Surroundings>) -> io::Result<Self> {
+        let marker = Marker::create(settings.kind, &settings.address)?;
+        let guard = settings.guard.as_ref().map(|command| Guard::start(command, &marker, &settings.logs));
+        let guard = guard.transpose()?;
+        let (commands, inbox) = mpsc::unbounded_channel();
+        let (report, events) = events::channel();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let (logs, around) = (settings.logs.clone(), Arc::clone(&surroundings));
+        let thread = thread::Builder::new().name(settings.kind.name().to_owned()).spawn(move || {
+            let (daemon, holding) = (Mutex::default(), Mutex::default());
+            let tasks = Rc::new(Tasks { settings, surroundings: around, marker, report, daemon, holding });
+            LocalSet::new().block_on(&runtime, Rc::clone(&tasks).serve(inbox));
+            // Nothing of the run is left: the guard has nothing to do.
+            tasks.marker.remove();
+            drop(guard);
+        })?;
+        Ok(Self { commands: Some(commands), events, thread: Some(thread), surroundings, logs })
+    }
+
+    fn send(&self, command: Command) -> Result<(), String> {
+        let gone = "the thread of the containers has ended";
+        self.commands.as_ref().ok_or(gone)?.send(command).map_err(|_| gone.to_owned())
+    }
+}
+
+impl Engine for ContainerEngine {
+    fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
+        let network = self.surroundings.network(node)?;
+        let path = self.logs.join(format!("{}.log", replica_name(&vnf.id, replica)));
+        let in_log = |e: io::Error| format!("cannot write {}: {e}", path.display());
+        let mut log = OpenOptions::new().create(true).append(true).open(&path).map_err(in_log)?;
+        writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
+        let wanted = Wanted { vnf: vnf.clone(), replica, node: node.clone(), network, log };
+        self.send(Command::Start(instance, Box::new(wanted)))
+    }
+
+    fn stop(&mut self, instance: InstanceId) {
+        // Fails only if the thread has ended, and all instances with it.
+        let _ = self.send(Command::Stop(instance));
+    }
+
+    fn poll(&mut self) -> Option<EngineEvent> {
+        self.events.try_recv().ok()
+    }
+
+    fn shut_down(&mut self) {
+        self.commands = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for ContainerEngine {
+    fn drop(&mut self) {
+        self.shut_down();
+    }
+}
+
+/// What the tasks of instances share.
+struct Tasks {
+    settings: Settings,
+    surroundings: Arc<dyn Surroundings>,
+    marker: Marker,
+    report: events::Sender<EngineEvent>,
+    /// The engine, once it answered.
+    daemon: Mutex<Option<Daemon>>,
+    /// Locked while a holder starts.
+    holding: Mutex<()>,
+}
+
+impl Tasks {
+    /// Runs instances until the last sender of commands is gone, and then ends them.
+    async fn serve(self: Rc<Self>, mut inbox: mpsc::UnboundedReceiver<Command>) {
+        let mut running = JoinSet::new();
+        let mut stops = BTreeMap::new();
+        loop {
+            tokio::select! {
+                command = inbox.recv() => match command {
+                    Some(Command::Start(instance, wanted)) => {
+                        let (stop, stopped) = oneshot::channel::<()>();
+                        stops.insert(instance, stop);
+                        running.spawn_local(Rc::clone(&self).run(instance, *wanted, stopped));
+                    }
+                    // A sender that is gone stops the instance.
+                    Some(Command::Stop(instance)) => drop(stops.remove(&instance)),
+                    None => break,
+                },
+                Some(Ok(instance)) = running.join_next() => drop(stops.remove(&instance)),
+            }
+        }
+        drop(stops);
+        while running.join_next().await.is_some() {}
+        let daemon = self.daemon.lock().await.take();
+        if let Some(daemon) = daemon
+            && let Err(error) = leftovers::remove_all(&daemon, self.marker.run()).await
+        {
+            tracing::warn!("containers of {} are left: {error}", self.marker.run());
+        }
+    }
+
+    /// Runs an instance until it ends or is stopped. Returns its number.
+    async fn run(
+        self: Rc<Self>,
+        instance: InstanceId,
+        wanted: Wanted,
+        mut stop: oneshot::Receiver<()>,
+    ) -> InstanceId {
+        let report = |outcome| {
+            // Fails only while the engine is dropped.
+            let _ = self.report.send(EngineEvent { instance, outcome });
+            self.surroundings.wake();
+        };
+        let prepared = tokio::select! {
+            biased;
+            _ = &mut stop => return instance,
+            prepared = self.prepare(instance, wanted) => prepared,
+        };
+        match prepared {
+            Ok((daemon, prepared)) => prepared.run(&daemon, stop, &report).await,
+            Err(error) => report(Outcome::Failed(error)),
+        }
+        instance
+    }
+
+    async fn prepare(&self, instance: InstanceId, wanted: Wanted) -> Result<(Daemon, Instance), String> {
+        let Wanted { vnf, replica, node, network, log } = wanted;
+        let daemon = self.daemon().await?;
+        let run = self.marker.run();
+        let (network, hostname) = match (network, self.settings.kind) {
+            (Network::Machine, _) => ("host".to_owned(), None),
+            (Network::Namespace(path), EngineKind::Docker) => {
+                let holder = format!("cotorra-{run}-{node}");
+                let _one_at_a_time = self.holding.lock().await;
+                let held = holder::hold(&daemon, &holder, &node, &path, run).await;
+                held.map_err(|e| format!("cannot join the network of `{node}`: {e}"))?;
+                (format!("container:{holder}"), None)
+            }
+            (Network::Namespace(path), _) => (format!("ns:{}", path.display()), Some(node.to_string())),
+        };
+        let image = vnf.image.as_deref().ok_or("it has no image")?;
+        let (pull, mut ports) = (image.pull, image.ports.clone());
+        ports.extend(self.surroundings.ports(&vnf));
+        let environment = self.surroundings.environment(&vnf, replica, &node);
+        let (hosts, folder) = (self.settings.hosts.as_deref(), self.settings.folder.as_path());
+        let spec =
+            Spec { vnf: &vnf, replica, node: &node, network, hostname, environment, hosts, folder, run };
+        let container = spec.container()?;
+        let name = format!("cotorra-{run}-{}", instance.0);
+        Ok((daemon, Instance { name, container, pull, ports, memory_bytes: vnf.memory_bytes, log }))
+    }
+
+    /// Returns the engine, to which this connects first if necessary.
+    async fn daemon(&self) -> Result<Daemon, String> {
+        let mut known = self.daemon.lock().await;
+        if let Some(daemon) = &*known {
+            return Ok(daemon.clone());
+        }
+        let daemon =
+            leftovers::connect(&self.settings.address, &self.marker).await.map_err(|e| e.to_string())?;
+        Ok(known.insert(daemon).clone())
+    }
+}

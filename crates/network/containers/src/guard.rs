@@ -1,0 +1,116 @@
+//! A process that outlives a killed run, to remove its containers. It also serves podman, if nobody else does.
+
+use std::{
+    fs::OpenOptions,
+    io::{self, Read as _},
+    os::unix::process::CommandExt as _,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    sync::mpsc::{self, RecvTimeoutError},
+    thread,
+    time::Duration,
+};
+
+use crate::{
+    address::Address,
+    leftovers::{Marker, Record, remove_run},
+};
+
+/// Interval of checks whether podman's service still runs.
+const CHECK_INTERVAL: Duration = Duration::from_millis(200);
+
+/// A guard that runs. Dropping it ends it, once nothing of the run is left.
+#[derive(Debug)]
+pub(crate) struct Guard(Child);
+
+impl Guard {
+    /// Starts the guard of this process.
+    pub(crate) fn start(command: &[String], marker: &Marker, logs: &Path) -> io::Result<Self> {
+        let (program, arguments) =
+            command.split_first().ok_or_else(|| io::Error::other("the guard has no command"))?;
+        let log = OpenOptions::new().create(true).append(true).open(logs.join("containers.log"))?;
+        let guard = Command::new(program)
+            .args(arguments)
+            .arg(marker.path())
+            // Ctrl-C must not end it before the run.
+            .process_group(0)
+            .stdin(Stdio::piped())
+            .stdout(log.try_clone()?)
+            .stderr(log)
+            .spawn()?;
+        Ok(Self(guard))
+    }
+}
+
+impl Drop for Guard {
+    fn drop(&mut self) {
+        drop(self.0.stdin.take());
+        let _ = self.0.wait();
+    }
+}
+
+/// Guards the containers of the process that started this one: waits for its end, and removes them. `record` is the last
+/// argument that the guard's command got.
+///
+/// # Errors
+/// The error of the system or of the engine. `clean` finds the containers later.
+pub fn guard(record: &Path) -> io::Result<()> {
+    let serves = Record::read(record)?.address == Address::Service;
+    let (end, ended) = mpsc::channel::<()>();
+    thread::Builder::new().name("lifeline".to_owned()).spawn(move || {
+        // The other end closes when the process is gone, however it ended.
+        let _ = io::stdin().read_to_end(&mut Vec::new());
+        drop(end);
+    })?;
+    if serves {
+        serve(&record.with_extension("sock"), &ended)?;
+    } else {
+        let _ = ended.recv();
+    }
+    // The record is gone if the process ended in order.
+    if record.exists() { remove_run(record).map(drop) } else { Ok(()) }
+}
+
+/// Serves podman until the run ends, and starts it again if it dies.
+fn serve(socket: &Path, ended: &mpsc::Receiver<()>) -> io::Result<()> {
+    let mut service = Service::start(socket)?;
+    while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(CHECK_INTERVAL) {
+        if service.has_ended() {
+            service = Service::start(socket)?;
+        }
+    }
+    Ok(())
+}
+
+/// podman's service, which serves its interface at a socket. Dropping it ends it; containers go on.
+#[derive(Debug)]
+pub(crate) struct Service {
+    process: Child,
+    socket: PathBuf,
+}
+
+impl Service {
+    pub(crate) fn start(socket: &Path) -> io::Result<Self> {
+        // podman refuses a socket that exists.
+        let _ = std::fs::remove_file(socket);
+        let process = Command::new("podman")
+            .args(["system", "service", "--time=0"])
+            .arg(format!("unix://{}", socket.display()))
+            .stdin(Stdio::null())
+            .spawn()
+            .map_err(|e| io::Error::new(e.kind(), format!("cannot start podman: {e}")))?;
+        Ok(Self { process, socket: socket.to_owned() })
+    }
+
+    fn has_ended(&mut self) -> bool {
+        !matches!(self.process.try_wait(), Ok(None))
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+        let _ = std::fs::remove_file(&self.socket);
+    }
+}

@@ -1,0 +1,212 @@
+//! Records of runs with containers, by which those of killed runs are found and removed.
+//!
+//! A run holds a lock on its record. The kernel releases it when the process ends, however it ends: a record without a lock is
+//! that of a dead process.
+
+use std::{
+    env,
+    fs::{self, DirBuilder, File, TryLockError},
+    io::{self, Write as _},
+    os::unix::fs::{DirBuilderExt as _, MetadataExt as _},
+    path::{Path, PathBuf},
+    process,
+    sync::atomic::{AtomicU32, Ordering},
+};
+
+use cotorra_graph::EngineKind;
+use rustix::process::geteuid;
+
+use crate::{
+    address::Address,
+    daemon::{Daemon, DaemonError, Retries},
+    guard::Service,
+};
+
+/// Name of the folder of records.
+const FOLDER: &str = "cotorra-containers";
+/// Ending of the name of a socket beside a record.
+const SOCKET: &str = "sock";
+/// Attempts to connect to a service that was just started.
+const ATTEMPTS: u32 = 16;
+
+/// The record of a process that has containers.
+#[derive(Debug)]
+pub(crate) struct Marker {
+    path: PathBuf,
+    run: String,
+    /// Locked while the process lives.
+    _lock: File,
+}
+
+impl Marker {
+    /// Creates and locks a record of containers of this process.
+    pub(crate) fn create(kind: EngineKind, address: &Address) -> io::Result<Self> {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let run = format!("{}-{}-{number}", kind.name(), process::id());
+        let path = folder()?.join(&run);
+        // That of a dead process with the same ID stays under another name, so that its containers are found.
+        if path.exists() {
+            fs::rename(&path, path.with_extension("old"))?;
+        }
+        let mut file = File::create_new(&path)?;
+        file.try_lock().map_err(io::Error::from)?;
+        let address = match address {
+            Address::Socket(socket) => socket.to_string_lossy().into_owned(),
+            Address::Service => String::new(),
+        };
+        writeln!(file, "{run}\n{address}")?;
+        Ok(Self { path, run, _lock: file })
+    }
+
+    /// Returns the label of its containers.
+    pub(crate) fn run(&self) -> &str {
+        &self.run
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Returns the socket at which podman serves this process, if it does.
+    pub(crate) fn socket(&self) -> PathBuf {
+        self.path.with_extension(SOCKET)
+    }
+
+    /// Removes the record: nothing is left of the run.
+    pub(crate) fn remove(&self) {
+        remove(&self.path);
+    }
+}
+
+/// The content of a record.
+pub(crate) struct Record {
+    pub(crate) run: String,
+    pub(crate) address: Address,
+}
+
+impl Record {
+    pub(crate) fn read(path: &Path) -> io::Result<Self> {
+        let text = fs::read_to_string(path)?;
+        let mut lines = text.lines();
+        let (Some(run), Some(address)) = (lines.next(), lines.next()) else {
+            return Err(io::Error::other(format!("{} is no record of containers", path.display())));
+        };
+        let address = if address.is_empty() { Address::Service } else { Address::Socket(address.into()) };
+        Ok(Self { run: run.to_owned(), address })
+    }
+}
+
+/// Returns the folder of this user's records, which only this user may enter.
+fn folder() -> io::Result<PathBuf> {
+    let user = geteuid().as_raw();
+    let folder = match env::var_os("XDG_RUNTIME_DIR") {
+        _ if user == 0 => Path::new("/run").join(FOLDER),
+        Some(runtime) => Path::new(&runtime).join(FOLDER),
+        None => env::temp_dir().join(format!("{FOLDER}-{user}")),
+    };
+    DirBuilder::new().recursive(true).mode(0o700).create(&folder)?;
+    let found = fs::symlink_metadata(&folder)?;
+    if !found.is_dir() || found.uid() != user || found.mode() & 0o077 != 0 {
+        return Err(io::Error::other(format!("{} belongs to others, or is open to them", folder.display())));
+    }
+    Ok(folder)
+}
+
+fn remove(path: &Path) {
+    for path in [path, &path.with_extension(SOCKET)] {
+        if let Err(error) = fs::remove_file(path)
+            && error.kind() != io::ErrorKind::NotFound
+        {
+            tracing::warn!("cannot remove {}: {error}", path.display());
+        }
+    }
+}
+
+/// Connects to the engine of a process. A service of podman may be starting.
+pub(crate) async fn connect(address: &Address, marker: &Marker) -> Result<Daemon, DaemonError> {
+    match address {
+        Address::Socket(socket) => Daemon::connect(socket).await,
+        Address::Service => connect_to_service(&marker.socket()).await,
+    }
+}
+
+async fn connect_to_service(socket: &Path) -> Result<Daemon, DaemonError> {
+    let mut retries = Retries::default();
+    for _ in 1..ATTEMPTS {
+        if let Ok(daemon) = Daemon::connect(socket).await {
+            return Ok(daemon);
+        }
+        retries.wait().await;
+    }
+    Daemon::connect(socket).await
+}
+
+/// Removes all containers of a run.
+pub(crate) async fn remove_all(daemon: &Daemon, run: &str) -> Result<usize, DaemonError> {
+    let containers = daemon.containers_of(run).await?;
+    for container in &containers {
+        daemon.remove(container).await?;
+    }
+    Ok(containers.len())
+}
+
+/// Removes what is left of a dead process: its containers, its record, and its service's socket. Returns the number of
+/// containers.
+pub(crate) fn remove_run(path: &Path) -> io::Result<usize> {
+    let record = Record::read(path)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let removed = runtime.block_on(async {
+        let (daemon, _service) = match &record.address {
+            Address::Socket(socket) => (Daemon::connect(socket).await.map_err(io::Error::other)?, None),
+            Address::Service => {
+                let socket = path.with_extension(SOCKET);
+                let service = Service::start(&socket)?;
+                (connect_to_service(&socket).await.map_err(io::Error::other)?, Some(service))
+            }
+        };
+        remove_all(&daemon, &record.run).await.map_err(io::Error::other)
+    })?;
+    remove(path);
+    Ok(removed)
+}
+
+/// Returns the records of dead processes.
+fn stale() -> Vec<PathBuf> {
+    let Ok(entries) = folder().and_then(fs::read_dir) else { return Vec::new() };
+    let paths = entries.flatten().map(|entry| entry.path());
+    let is_stale = |path: &PathBuf| {
+        path.extension().is_none_or(|extension| extension != SOCKET)
+            && File::open(path).is_ok_and(|file| !matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
+    };
+    let mut stale: Vec<_> = paths.filter(is_stale).collect();
+    stale.sort();
+    stale
+}
+
+/// Removed containers, and what could not be removed.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Cleaned {
+    /// Killed runs, by the label `cotorra.run` of their containers, and the number of containers.
+    pub runs: Vec<(String, usize)>,
+    /// What could not be removed, each with the error.
+    pub kept: Vec<String>,
+}
+
+/// Returns the killed runs that may have containers left, by the label of these.
+pub fn leftovers() -> Vec<String> {
+    stale().iter().filter_map(|path| Some(Record::read(path).ok()?.run)).collect()
+}
+
+/// Removes the containers of killed runs.
+pub fn clean() -> Cleaned {
+    let mut cleaned = Cleaned::default();
+    for path in stale() {
+        let run = Record::read(&path).map_or_else(|_| path.display().to_string(), |record| record.run);
+        match remove_run(&path) {
+            Ok(containers) => cleaned.runs.push((run, containers)),
+            Err(error) => cleaned.kept.push(format!("containers of {run}: {error}")),
+        }
+    }
+    cleaned
+}

@@ -1,0 +1,23 @@
+//! An engine that runs VNFs in containers of podman or Docker, over the HTTP interface that both serve at a Unix socket.
+//!
+//! A container joins the network namespace of its node and no other network. [`ContainerEngine`] is the way in; its events are
+//! the way out. [`Address`] finds the engine of this machine. A [`Guard`] outlives a killed process, and [`clean`] finds what
+//! even the guard left.
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+
+mod address;
+mod daemon;
+mod engine;
+mod guard;
+mod holder;
+mod instance;
+mod leftovers;
+mod ready;
+mod spec;
+
+pub use address::{Address, NoEngine};
+pub use engine::{ContainerEngine, Settings, Surroundings};
+pub use guard::guard;
+pub use leftovers::{Cleaned, clean, leftovers};
+pub use spec::Network;
