@@ -1,5 +1,5 @@
 //! VNFs in virtual time. Bundled ones are parts of the simulation. Others do not run: datagrams to them are lost, and
-//! nothing answers.
+//! nothing answers. A VNF with an image is modelled: it is ready some time after its start, and a bundled one answers later.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -9,18 +9,16 @@ use std::{
 
 use cotorra_brain::NavigationVnf;
 use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome};
-use cotorra_graph::{NodeId, Program, Testbed, Vnf, VnfId};
+use cotorra_graph::{NodeId, Program, Testbed, Timestamp, Vnf, VnfId};
 use cotorra_plugin::wire;
 use cotorra_vnfs::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
 
-/// An instance of a bundled VNF.
+/// The state of a bundled VNF.
 #[derive(Clone)]
 enum Bundled {
     Navigation(NavigationVnf),
     Localization(Box<LocalizationVnf>),
-    /// A program of others, which does not run.
-    Absent,
 }
 
 impl Bundled {
@@ -29,7 +27,6 @@ impl Bundled {
         match self {
             Self::Navigation(vnf) => vnf.answer(datagram, answer).is_ok(),
             Self::Localization(vnf) => vnf.answer(datagram, answer).is_ok(),
-            Self::Absent => false,
         }
     }
 }
@@ -49,9 +46,13 @@ pub(crate) enum Mood {
 struct Instance {
     id: InstanceId,
     vnf: VnfId,
-    port: u16,
-    program: Bundled,
+    /// Its port and its program; `None` for a program of others, which does not run.
+    bundled: Option<(u16, Bundled)>,
+    /// Time from a request to its answer.
+    processing: Duration,
     mood: Mood,
+    /// Time from which it can serve.
+    serves_at: Timestamp,
     is_ready: bool,
 }
 
@@ -60,6 +61,8 @@ struct Instances {
     /// By node, in the order of their start.
     by_node: BTreeMap<NodeId, Vec<Instance>>,
     happened: VecDeque<EngineEvent>,
+    /// Time of the present step.
+    now: Timestamp,
     /// Nodes whose instances answer so much later.
     slow: BTreeMap<NodeId, Duration>,
     /// Whether started instances stay unready until this ends.
@@ -73,6 +76,21 @@ impl Instances {
 
     fn tell(&mut self, instance: InstanceId, outcome: Outcome) {
         self.happened.push_back(EngineEvent { instance, outcome });
+    }
+
+    /// Makes the instances ready that can serve by now, in the order of their times and then of their starts.
+    fn make_ready(&mut self) {
+        if self.starts_held {
+            return;
+        }
+        let now = self.now;
+        let mut ready = Vec::new();
+        for due in self.all().filter(|instance| !instance.is_ready && instance.serves_at <= now) {
+            due.is_ready = true;
+            ready.push((due.serves_at, due.id));
+        }
+        ready.sort_unstable();
+        ready.into_iter().for_each(|(_, instance)| self.tell(instance, Outcome::Ready));
     }
 }
 
@@ -92,18 +110,35 @@ impl Serving {
         let mut all = self.0.lock();
         let slow = all.slow.get(node).copied().unwrap_or_default();
         let here = all.by_node.get_mut(node).into_iter().flatten();
-        here.filter(|instance| instance.port == port && instance.is_ready).find_map(|instance| {
+        here.filter(|instance| instance.is_ready).find_map(|instance| {
+            let (_, program) = instance.bundled.as_mut().filter(|(its, _)| *its == port)?;
             let later = match instance.mood {
                 Mood::Prompt => Duration::ZERO,
                 Mood::Slow(later) => later,
                 Mood::Hung => return None,
             };
-            instance.program.answer(datagram, answer).then_some(later + slow)
+            program.answer(datagram, answer).then_some(later + instance.processing + slow)
         })
     }
 }
 
 impl Serving {
+    /// Goes on to the time of the next step, and makes the instances ready that can serve by then.
+    pub(super) fn advance(&self, now: Timestamp) {
+        let mut all = self.0.lock();
+        all.now = now;
+        all.make_ready();
+    }
+
+    /// Returns when the next instance can serve.
+    pub(super) fn next_deadline(&self) -> Option<Timestamp> {
+        let mut all = self.0.lock();
+        if all.starts_held {
+            return None;
+        }
+        all.all().filter(|instance| !instance.is_ready).map(|instance| instance.serves_at).min()
+    }
+
     /// Lets the instances on these nodes answer later.
     pub(super) fn slow_down(&self, slow: BTreeMap<NodeId, Duration>) {
         self.0.lock().slow = slow;
@@ -142,12 +177,7 @@ impl Serving {
     pub(crate) fn hold_starts(&self, held: bool) {
         let mut all = self.0.lock();
         all.starts_held = held;
-        if held {
-            return;
-        }
-        let waiting = all.all().filter(|instance| !instance.is_ready);
-        let ready: Vec<_> = waiting.map(|instance| (instance.is_ready = true, instance.id).1).collect();
-        ready.into_iter().for_each(|instance| all.tell(instance, Outcome::Ready));
+        all.make_ready();
     }
 
     /// Returns the running instances, ready or not.
@@ -158,9 +188,9 @@ impl Serving {
     }
 }
 
-/// Runs bundled VNFs as parts of the simulation. An instance is ready at once.
+/// Runs bundled VNFs as parts of the simulation. An instance is ready at once, or after the start of its image.
 pub(crate) struct VirtualEngine {
-    /// The initial state of an instance, and its port, by VNF.
+    /// The port of an instance, and its initial state, by VNF.
     planned: BTreeMap<VnfId, (u16, Bundled)>,
     serving: Serving,
 }
@@ -178,8 +208,7 @@ impl VirtualEngine {
                     Program::Localization => {
                         Bundled::Localization(Box::new(localizations.get(&service.robot)?.clone()))
                     }
-                    Program::Command(_) | Program::Host(_) => Bundled::Absent,
-                    Program::RobotDriver => return None,
+                    Program::Command(_) | Program::Host(_) | Program::RobotDriver => return None,
                 };
                 Some((vnf.id.clone(), (wire::port(testbed, &vnf.id)?, bundled)))
             })
@@ -190,14 +219,24 @@ impl VirtualEngine {
 
 impl Engine for VirtualEngine {
     fn start(&mut self, id: InstanceId, vnf: &Vnf, _replica: u32, node: &NodeId) -> Result<(), String> {
-        let (port, program) = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
+        let bundled = match vnf.program {
+            Program::Command(_) | Program::Host(_) => None,
+            _ => Some(self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone()),
+        };
+        let (start, processing) =
+            vnf.image.as_ref().map_or_else(Default::default, |i| (i.start, i.processing));
         let mut all = self.serving.0.lock();
-        let is_ready = !all.starts_held;
-        let instance = Instance { id, vnf: vnf.id.clone(), port, program, mood: Mood::default(), is_ready };
-        all.by_node.entry(node.clone()).or_default().push(instance);
-        if is_ready {
-            all.tell(id, Outcome::Ready);
-        }
+        let serves_at = all.now + start;
+        all.by_node.entry(node.clone()).or_default().push(Instance {
+            id,
+            vnf: vnf.id.clone(),
+            bundled,
+            processing,
+            mood: Mood::default(),
+            serves_at,
+            is_ready: false,
+        });
+        all.make_ready();
         Ok(())
     }
 

@@ -173,12 +173,15 @@ impl Simulation {
             locals.add(spec.id.clone(), plugin, &testbed, domains.of_plugin(&spec.id).cloned());
         }
         core.start(Timestamp::ZERO);
-        for vnf in testbed.services.iter().flat_map(|service| &service.vnfs) {
-            if matches!(vnf.program, Program::Command(_)) {
-                let message =
-                    format!("VNF {} does not run: in virtual time no program of others does", vnf.id);
-                core.observe(Stamped { at: Timestamp::ZERO, event: Event::Notice { message } });
-            }
+        for vnf in testbed.vnfs() {
+            let what = match vnf.program {
+                Program::Command(_) => "VNF",
+                Program::Host(_) => "The container of node",
+                Program::RobotDriver | Program::Navigation | Program::Localization => continue,
+            };
+            let message =
+                format!("{what} {} does not run: in virtual time no program of others does", vnf.id);
+            core.observe(Stamped { at: Timestamp::ZERO, event: Event::Notice { message } });
         }
         let hosts = testbed.graph.hosts().count();
         Ok(Self {
@@ -257,6 +260,7 @@ impl Simulation {
         }
         self.begun = true;
         let now = self.now();
+        self.serving.advance(now);
         // The network in memory cannot be gone.
         let _ = self.core.advance(now);
         self.carry(now);
@@ -269,7 +273,8 @@ impl Simulation {
         let plugins = self.locals.next_deadline();
         let fabric = self.network.fabric().poll(now, &mut |_, _| {});
         let held = self.interference.next_deadline();
-        let others = plugins.into_iter().chain(fabric).chain(self.alarm).chain(held);
+        let starts = self.serving.next_deadline();
+        let others = plugins.into_iter().chain(fabric).chain(self.alarm).chain(held).chain(starts);
         let next = others.fold(self.core.next_deadline(), Timestamp::min);
         // This step met all deadlines that are not in the future; time must not stand still.
         next.max(now + Duration::from_nanos(1))
@@ -542,6 +547,8 @@ impl Lockstep for Simulation {
 mod altered_tests;
 #[cfg(test)]
 mod camera_tests;
+#[cfg(test)]
+mod container_tests;
 #[cfg(test)]
 mod federation_tests;
 #[cfg(test)]
