@@ -74,9 +74,11 @@ impl DomainView {
         part.graph.nodes.retain(|node| node.domain == *domain);
         part.graph.links.retain(|link| link.ends.iter().all(|end| nodes.contains(end)));
         part.services.retain(|service| nodes.contains(&service.robot));
+        part.containers.engines.retain(|node, _| nodes.contains(node));
+        part.containers.hosts.retain(|host| host.node.all().iter().all(|node| nodes.contains(node)));
         part.walks.retain(|walk| nodes.contains(&walk.robot));
         part.plugins.retain(|plugin| plugin.domain.as_ref() == Some(domain));
-        let of_services = part.services.iter().flat_map(|service| &service.vnfs).map(|vnf| vnf.id.clone());
+        let vnfs = part.vnfs().map(|vnf| vnf.id.clone());
         let of_radio_units = part.graph.radio_units().map(|(node, _)| AccessPoint::vnf(&node.id));
         // A caller with the domain's token and no name uses the domain's name.
         let itself = PluginId::new(domain.as_str()).ok();
@@ -84,7 +86,7 @@ impl DomainView {
             domain: domain.clone(),
             all_nodes: graph.nodes.iter().map(|node| node.id.clone()).collect(),
             wired: graph.links.iter().map(|link| (link.id.clone(), link.ends.clone())).collect(),
-            vnfs: of_services.chain(of_radio_units).collect(),
+            vnfs: vnfs.chain(of_radio_units).collect(),
             plugins: part.plugins.iter().map(|plugin| plugin.id.clone()).chain(itself).collect(),
             nodes,
             testbed: part,

@@ -69,10 +69,9 @@ impl NetworkView {
                 ((link.id.clone(), direction), scaled(carriage(conditions), scale, medium))
             })
         });
-        let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
         Self {
             carriage: carriage.collect(),
-            placements: vnfs.map(|vnf| (vnf.id.clone(), vnf.node.clone())).collect(),
+            placements: testbed.vnfs().map(|vnf| (vnf.id.clone(), vnf.node.clone())).collect(),
             moves: BTreeMap::new(),
             handovers: BTreeMap::new(),
             mappings: BTreeMap::new(),

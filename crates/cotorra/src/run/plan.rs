@@ -104,8 +104,7 @@ pub fn describe(
 
 /// Lists the VNFs that start on a node.
 fn vnfs(testbed: &Testbed, node: &Node) -> String {
-    let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
-    let its = vnfs.filter(|vnf| vnf.node.all().contains(&node.id));
+    let its = testbed.vnfs().filter(|vnf| vnf.node.all().contains(&node.id));
     its.map(program).collect::<Vec<_>>().join(", ")
 }
 

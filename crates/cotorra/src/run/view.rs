@@ -186,8 +186,7 @@ fn walked(walk: &Walk, context: &RobotContext) -> f64 {
 
 /// Describes what robots wait for before they start: that every VNF serves.
 fn awaited(testbed: &Testbed, now: &Snapshot) -> String {
-    let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
-    let mut absent = vnfs.filter(|vnf| !now.placements.contains_key(&vnf.id));
+    let mut absent = testbed.vnfs().filter(|vnf| !now.placements.contains_key(&vnf.id));
     match absent.next() {
         None => "nothing known yet".to_owned(),
         Some(Vnf { id, node, .. }) => match absent.count() {

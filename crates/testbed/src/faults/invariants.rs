@@ -287,7 +287,8 @@ impl Fits {
     pub(super) fn state(&self, view: &View<'_>, checked: &mut Checked) -> Result<(), Broken> {
         let mut taken = Vec::new();
         let mut take = |node, cpus, memory, vnf| taken.push((node, cpus, memory, vnf));
-        for Managed { vnf, node, instances, .. } in &view.managed {
+        let takes_room = |its: &&Managed<'_>| !matches!(its.vnf.program, Program::Host(_));
+        for Managed { vnf, node, instances, .. } in view.managed.iter().filter(takes_room) {
             take(*node, vnf.cpus, vnf.memory_bytes, &vnf.id);
             let moves = instances.iter().filter(|(_, to, stage)| *stage == Stage::Starting && to != node);
             moves.for_each(|(_, to, _)| take(to, vnf.cpus, vnf.memory_bytes, &vnf.id));

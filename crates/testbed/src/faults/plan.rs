@@ -141,7 +141,6 @@ impl Plan {
     pub(super) fn new(seed: u64, testbed: &Testbed) -> Self {
         let mut draw = Draw::new(seed, "plan");
         let graph = &testbed.graph;
-        let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
         let has_ledger = graph.domains.len() > 1;
         // A negotiation takes some blocks.
         let (least, most) = if has_ledger { (12.0, 24.0) } else { (6.0, 14.0) };
@@ -152,7 +151,11 @@ impl Plan {
             units: graph.radio_units().map(|(node, _)| node.id.clone()).collect(),
             nodes: graph.nodes.iter().map(|node| node.id.clone()).collect(),
             links: graph.links.iter().map(|link| link.id.clone()).collect(),
-            vnfs: vnfs.filter(|vnf| vnf.program != Program::RobotDriver).map(|vnf| vnf.id.clone()).collect(),
+            vnfs: testbed
+                .vnfs()
+                .filter(|vnf| vnf.program != Program::RobotDriver)
+                .map(|vnf| vnf.id.clone())
+                .collect(),
             on_disk,
             has_ledger,
         };
