@@ -9,7 +9,7 @@ use crate::{output, temporary, words::count};
 /// Remove leftovers of killed runs
 ///
 /// The namespaces, interfaces and processes of a run end with it in any case. A run that is killed with SIGKILL leaves its
-/// control groups, the conditions of this machine's own interfaces, and the entry by which tools find the run. The next run
+/// control groups, the conditions of this machine's own interfaces, containers if their guard was killed too, and the entry by which tools find the run. The next run
 /// removes them, or this command does. It also removes this user's temporary folders of killed commands.
 #[derive(Debug, Args)]
 pub struct CleanArgs {
@@ -37,6 +37,9 @@ pub fn clean(args: &CleanArgs) -> miette::Result<()> {
     };
     for interface in &found.interfaces {
         text += &format!("{interface}: the conditions of a killed run {done}\n");
+    }
+    for run in &found.containers {
+        text += &format!("{run}: the containers of a killed run {done}\n");
     }
     for entry in &entries {
         text += &format!("{}: the entry of a killed run {done}\n", entry.display());

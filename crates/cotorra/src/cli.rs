@@ -166,6 +166,12 @@ Examples:
         #[command(subcommand)]
         vnf: BundledVnf,
     },
+    /// Remove the containers of a run that was killed; a run starts it.
+    #[command(hide = true)]
+    Guard {
+        /// The record of the run's containers
+        record: std::path::PathBuf,
+    },
     /// Run one end of a measurement; a benchmark starts it inside a peer.
     #[command(hide = true)]
     Probe {

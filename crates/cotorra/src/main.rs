@@ -117,6 +117,15 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
             };
             match served.into_diagnostic()? {}
         }
+        #[cfg(feature = "containers")]
+        Command::Guard { record } => cotorra_testbed::guard_containers(&record).into_diagnostic()?,
+        #[cfg(not(feature = "containers"))]
+        Command::Guard { .. } => {
+            return Err(miette::miette!(
+                help = "build it with `--features containers`",
+                "this cotorra was built without containers"
+            ));
+        }
         Command::Probe { probe } => bench::probe(&probe)?,
     }
     Ok(ExitCode::SUCCESS)

@@ -70,6 +70,23 @@ pub enum RunError {
         "the testbed has a border to other cores, and virtual time has none: run in real time, or remove `border` from the testbed file"
     )]
     VirtualBorder,
+    /// This machine has no engine for a container.
+    #[cfg(feature = "containers")]
+    #[error("VNF `{vnf}` starts in a container on `{node}`, and {source}")]
+    NoEngine {
+        /// The VNF.
+        vnf: cotorra_graph::VnfId,
+        /// Its node.
+        node: NodeId,
+        /// What is missing.
+        source: cotorra_containers::NoEngine,
+    },
+    /// This build has no containers.
+    #[cfg(not(feature = "containers"))]
+    #[error(
+        "VNF `{0}` has an image, and this cotorra has no containers: build it with `--features containers`, or simulate it"
+    )]
+    NoContainers(cotorra_graph::VnfId),
     /// Agents of real servers.
     #[cfg(feature = "agents")]
     #[error(transparent)]

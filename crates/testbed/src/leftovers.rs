@@ -1,4 +1,4 @@
-//! Leftovers of runs whose process was killed: control groups, and conditions of interfaces.
+//! Leftovers of runs whose process was killed: control groups, conditions of interfaces, and containers.
 
 use std::path::PathBuf;
 
@@ -11,6 +11,8 @@ pub struct Leftovers {
     pub control_groups: Vec<PathBuf>,
     /// Names of interfaces of this machine that still had conditions.
     pub interfaces: Vec<String>,
+    /// Containers, by the name of their run.
+    pub containers: Vec<String>,
     /// Leftovers that could not be removed, each with the error.
     pub kept: Vec<String>,
 }
@@ -18,7 +20,8 @@ pub struct Leftovers {
 /// Returns the leftovers that [`clean`] would remove.
 pub fn leftovers() -> Leftovers {
     let interfaces = cotorra_netem::leftovers().into_iter().map(|interface| interface.name).collect();
-    Leftovers { control_groups: Cgroups::leftovers(), interfaces, kept: Vec::new() }
+    let containers = containers::leftovers();
+    Leftovers { control_groups: Cgroups::leftovers(), interfaces, containers, kept: Vec::new() }
 }
 
 /// Removes the leftovers of runs whose process was killed. Returns those that it removed, and those that it could not.
@@ -32,5 +35,32 @@ pub fn clean() -> Leftovers {
             Err(error) => cleaned.kept.push(format!("{} cannot be put back: {error}", interface.name)),
         }
     }
+    containers::clean(&mut cleaned);
     cleaned
+}
+
+#[cfg(feature = "containers")]
+mod containers {
+    use super::Leftovers;
+
+    pub(super) fn leftovers() -> Vec<String> {
+        cotorra_containers::leftovers()
+    }
+
+    pub(super) fn clean(cleaned: &mut Leftovers) {
+        let cotorra_containers::Cleaned { runs, kept } = cotorra_containers::clean();
+        cleaned.containers.extend(runs.into_iter().map(|(run, _)| run));
+        cleaned.kept.extend(kept);
+    }
+}
+
+#[cfg(not(feature = "containers"))]
+mod containers {
+    use super::Leftovers;
+
+    pub(super) fn leftovers() -> Vec<String> {
+        Vec::new()
+    }
+
+    pub(super) fn clean(_: &mut Leftovers) {}
 }

@@ -50,6 +50,8 @@ mod whole;
 pub use agents::{AgentOptions, AgentsError};
 pub use api::{ApiError, Token, Tokens, TokensError, openapi};
 pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
+#[cfg(feature = "containers")]
+pub use cotorra_containers::guard as guard_containers;
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use error::RunError;
 pub use finished::Finished;

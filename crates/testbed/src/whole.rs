@@ -1,7 +1,10 @@
 //! Folders of runs that are whole: with everything that the testbed file names, so that a run can be replayed, exported and
 //! repeated from its folder alone.
 
-use std::{fs, io, path::Path};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
 
 use cotorra_graph::Testbed;
 use cotorra_testbed_file::{Carried, CarriedFile, Contents, Setting, annotated, carry};
@@ -26,6 +29,24 @@ pub(crate) fn create(
     let folder = RunFolder::create(place, &testbed.name, &text)?;
     files.iter().try_for_each(|file| put(file, folder.path()))?;
     Ok((folder, text))
+}
+
+/// Returns the files of a new run's folder, before the run writes its results there: the testbed file, and what it names. Their
+/// paths start at the folder.
+pub(crate) fn files(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(&next)? {
+            let path = entry?.path();
+            if path.is_dir() { folders.push(path) } else { found.push(path) }
+        }
+    }
+    let of_folder = |path: PathBuf| path.strip_prefix(folder).map(Path::to_owned).unwrap_or(path);
+    let is_result = |path: &PathBuf| RunFolder::NAMES.iter().any(|name| path.starts_with(name));
+    let mut found: Vec<_> = found.into_iter().map(of_folder).filter(|path| !is_result(path)).collect();
+    found.sort();
+    Ok(found)
 }
 
 fn put(file: &CarriedFile, folder: &Path) -> Result<(), RunError> {

@@ -41,6 +41,9 @@ pub trait Surroundings: Send + Sync + 'static {
     /// Returns the ports at which a VNF serves, beside those that its image declares.
     fn ports(&self, vnf: &Vnf) -> Vec<ListenPort>;
 
+    /// Returns files of this machine that an instance reads, each with its path in the container.
+    fn files(&self, vnf: &Vnf) -> Vec<(PathBuf, PathBuf)>;
+
     /// Signals a new event of [`Engine::poll`]. Called from another thread.
     fn wake(&self);
 }
@@ -56,8 +59,6 @@ pub struct Settings {
     pub folder: PathBuf,
     /// Folder of the logs: `<vnf>.log`, or `<vnf>@<replica>.log` for replicas from 1.
     pub logs: PathBuf,
-    /// File with the names of nodes, which containers have as `/etc/hosts`.
-    pub hosts: Option<PathBuf>,
     /// Command of the program that calls [`guard`](crate::guard), to which the guard's arguments are added. Without one, a
     /// killed process leaves its containers, and podman must be served at a socket.
     pub guard: Option<Vec<String>>,
@@ -242,9 +243,9 @@ impl Tasks {
         let (pull, mut ports) = (image.pull, image.ports.clone());
         ports.extend(self.surroundings.ports(&vnf));
         let environment = self.surroundings.environment(&vnf, replica, &node);
-        let (hosts, folder) = (self.settings.hosts.as_deref(), self.settings.folder.as_path());
+        let (files, folder) = (self.surroundings.files(&vnf), self.settings.folder.as_path());
         let spec =
-            Spec { vnf: &vnf, replica, node: &node, network, hostname, environment, hosts, folder, run };
+            Spec { vnf: &vnf, replica, node: &node, network, hostname, environment, files, folder, run };
         let container = spec.container()?;
         let name = format!("cotorra-{run}-{}", instance.0);
         Ok((daemon, Instance { name, container, pull, ports, memory_bytes: vnf.memory_bytes, log }))

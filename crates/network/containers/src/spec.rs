@@ -17,6 +17,11 @@ use rustix::process::{Resource, getrlimit};
 pub(crate) const RUN: &str = "cotorra.run";
 /// Most processes and threads of one container.
 const PROCESSES: i64 = 512;
+/// Most open files of a process in a container.
+const MOST_FILES: u64 = 1 << 16;
+/// Most processes of the container's user on the whole machine. podman lowers its own limit to the kernel's default of process
+/// IDs, 32,768.
+const MOST_PROCESSES: u64 = 1 << 14;
 /// Shortest CPU time per second of a container, ns. Engines take 0 for no limit.
 const LEAST_CPU_NS: i64 = 10_000_000;
 
@@ -40,8 +45,8 @@ pub(crate) struct Spec<'a> {
     /// Host name; `None` if it is that of another container.
     pub(crate) hostname: Option<String>,
     pub(crate) environment: Vec<(String, String)>,
-    /// File with the names of other nodes.
-    pub(crate) hosts: Option<&'a Path>,
+    /// Files that it reads, each with its path in the container.
+    pub(crate) files: Vec<(PathBuf, PathBuf)>,
     /// Folder from which sources of volumes start.
     pub(crate) folder: &'a Path,
     /// Name of the run.
@@ -68,7 +73,7 @@ impl Spec<'_> {
         };
         let volumes =
             image.volumes.iter().map(|v| bind(&self.folder.join(&v.source), &v.target, !v.writable));
-        let hosts = self.hosts.map(|hosts| bind(hosts, Path::new("/etc/hosts"), true));
+        let files = self.files.iter().map(|(source, target)| bind(source, target, true));
         let devices = image.devices.iter().map(|device| {
             let path = Some(device.to_string_lossy().into_owned());
             let (path_on_host, path_in_container) = (path.clone(), path);
@@ -80,7 +85,7 @@ impl Spec<'_> {
             memory: i64::try_from(self.vnf.memory_bytes).ok(),
             memory_swap: i64::try_from(self.vnf.memory_bytes).ok(),
             pids_limit: Some(PROCESSES),
-            mounts: Some(volumes.chain(hosts).collect()),
+            mounts: Some(volumes.chain(files).collect()),
             devices: Some(devices.collect()),
             cap_drop: Some(vec!["ALL".to_owned()]),
             cap_add: Some(capabilities(&self.vnf.rights)),
@@ -136,16 +141,16 @@ fn capabilities(rights: &Rights) -> Vec<String> {
     capabilities.iter().map(name).map(str::to_owned).collect()
 }
 
-/// Returns this process's own limits. The defaults of engines exceed them where the engine has no right to raise a limit, and
-/// no container starts then.
+/// Returns limits that are no higher than the engine's own. The defaults of engines may exceed them, and no container starts
+/// where the engine has no right to raise a limit.
 fn limits() -> Vec<ResourcesUlimits> {
-    let of = |name: &str, resource| {
+    let of = |name: &str, resource, most: u64| {
         let limit = getrlimit(resource);
-        let value = |limit: Option<u64>| limit.map_or(-1, |limit| i64::try_from(limit).unwrap_or(-1));
-        let (soft, hard) = (Some(value(limit.current)), Some(value(limit.maximum)));
+        let value = |limit: Option<u64>| i64::try_from(limit.unwrap_or(most).min(most)).ok();
+        let (soft, hard) = (value(limit.current), value(limit.maximum));
         ResourcesUlimits { name: Some(name.to_owned()), soft, hard }
     };
-    vec![of("nofile", Resource::Nofile), of("nproc", Resource::Nproc)]
+    vec![of("nofile", Resource::Nofile, MOST_FILES), of("nproc", Resource::Nproc, MOST_PROCESSES)]
 }
 
 #[cfg(test)]
@@ -189,7 +194,7 @@ mod tests {
             network: "ns:/proc/1/fd/2".to_owned(),
             hostname: None,
             environment: vec![("COTORRA_PORT".to_owned(), "5000".to_owned())],
-            hosts: Some(Path::new("/run/hosts")),
+            files: vec![("/run/hosts".into(), "/etc/hosts".into())],
             folder: Path::new("/testbeds"),
             run: "7-1",
         };

@@ -209,7 +209,12 @@ impl HostsFile {
     /// # Errors
     /// As [`Self::new`].
     pub fn of(graph: &HardwareGraph) -> Result<Self, Error> {
-        Self::new(&names(graph))
+        Self::new(&Self::text(graph))
+    }
+
+    /// Returns the text of [`Self::of`].
+    pub fn text(graph: &HardwareGraph) -> String {
+        names(graph)
     }
 
     /// Makes one with this text.

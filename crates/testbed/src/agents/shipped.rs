@@ -10,24 +10,19 @@ use std::{
 use cotorra_agent_protocol::Shipped;
 
 use super::error::AgentsError;
-use crate::report::RunFolder;
+use crate::whole;
 
 /// Most bytes of all files together.
 const MOST: u64 = 64 << 20;
 
 /// Lists the files of a new run's folder, before the run writes its results there. Returns their paths by SHA-256, too.
 pub(super) fn list(folder: &Path) -> Result<(Vec<Shipped>, BTreeMap<String, PathBuf>), AgentsError> {
-    let mut found = Vec::new();
-    walk(folder, &mut found)?;
-    found.sort();
+    let files =
+        whole::files(folder).map_err(|source| AgentsError::File { path: folder.to_owned(), source })?;
     let (mut shipped, mut paths, mut total) = (Vec::new(), BTreeMap::new(), 0);
-    for path in found {
+    for file in files {
+        let path = folder.join(&file);
         let at = |source: io::Error| AgentsError::File { path: path.clone(), source };
-        let name = path.strip_prefix(folder).unwrap_or(&path).to_string_lossy().into_owned();
-        let first = name.split('/').next().unwrap_or_default();
-        if RunFolder::NAMES.contains(&first) {
-            continue;
-        }
         let metadata = fs::metadata(&path).map_err(at)?;
         total += metadata.len();
         if total > MOST {
@@ -35,22 +30,9 @@ pub(super) fn list(folder: &Path) -> Result<(Vec<Shipped>, BTreeMap<String, Path
         }
         let bytes = fs::read(&path).map_err(at)?;
         let executable = metadata.permissions().mode() & 0o111 != 0;
-        let file = Shipped::new(name, &bytes, executable);
+        let file = Shipped::new(file.to_string_lossy().into_owned(), &bytes, executable);
         paths.insert(file.sha256.clone(), path);
         shipped.push(file);
     }
     Ok((shipped, paths))
-}
-
-fn walk(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), AgentsError> {
-    let at = |source: io::Error| AgentsError::File { path: folder.to_owned(), source };
-    for entry in fs::read_dir(folder).map_err(at)? {
-        let entry = entry.map_err(at)?;
-        if entry.file_type().map_err(at)?.is_dir() {
-            walk(&entry.path(), found)?;
-        } else {
-            found.push(entry.path());
-        }
-    }
-    Ok(())
 }

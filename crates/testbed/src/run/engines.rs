@@ -1,4 +1,5 @@
-//! The engines of a run: VNFs on emulated nodes are processes of this machine, and those on real servers run at their agents.
+//! The engines of a run: VNFs on emulated nodes are processes of this machine or run in containers, and those on real servers
+//! run at their agents.
 
 use std::collections::BTreeMap;
 
@@ -10,6 +11,8 @@ use super::launcher::NodeLauncher;
 /// The engines of a run.
 pub(super) struct Engines {
     local: ProcessEngine<NodeLauncher>,
+    /// Containers; `None` if this cotorra was built without.
+    containers: Option<Box<dyn Engine + Send>>,
     /// The engine of real servers; `None` if no agent can connect.
     agents: Option<Box<dyn Engine + Send>>,
     real_servers: BTreeMap<NodeId, AgentId>,
@@ -19,25 +22,33 @@ impl Engines {
     pub(super) fn new(
         graph: &HardwareGraph,
         local: ProcessEngine<NodeLauncher>,
+        containers: Option<Box<dyn Engine + Send>>,
         agents: Option<Box<dyn Engine + Send>>,
     ) -> Self {
         let real_servers = graph.real_servers().map(|(node, real)| (node.id.clone(), real.agent.clone()));
-        Self { local, agents, real_servers: real_servers.collect() }
+        Self { local, containers, agents, real_servers: real_servers.collect() }
     }
 
     fn all(&mut self) -> impl Iterator<Item = &mut dyn Engine> {
         let local: &mut dyn Engine = &mut self.local;
-        let agents = self.agents.as_mut().map(|agents| {
-            let agents: &mut dyn Engine = &mut **agents;
-            agents
+        let others = [&mut self.containers, &mut self.agents].into_iter().filter_map(|engine| {
+            let engine: &mut dyn Engine = &mut **engine.as_mut()?;
+            Some(engine)
         });
-        std::iter::once(local).chain(agents)
+        std::iter::once(local).chain(others)
     }
 }
 
 impl Engine for Engines {
     fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
         match (self.real_servers.get(node), &mut self.agents) {
+            (None, _) if vnf.image.is_some() => {
+                let containers = self.containers.as_mut();
+                let containers = containers
+                    .ok_or("this cotorra has no containers: build it with `--features containers`")?;
+                containers.start(instance, vnf, replica, node)
+            }
+            (Some(agent), _) if vnf.image.is_some() => Err(format!("its agent `{agent}` runs no images")),
             (None, _) => self.local.start(instance, vnf, replica, node),
             (Some(_), Some(agents)) => agents.start(instance, vnf, replica, node),
             (Some(agent), None) => Err(format!("its agent `{agent}` cannot connect: no agent is enrolled")),

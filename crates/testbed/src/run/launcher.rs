@@ -38,7 +38,8 @@ impl NodeLauncher {
     }
 }
 
-fn robots_by_vnf(testbed: &Testbed) -> BTreeMap<VnfId, NodeId> {
+/// Returns the robot that each VNF of a service serves.
+pub(super) fn robots_by_vnf(testbed: &Testbed) -> BTreeMap<VnfId, NodeId> {
     let of_service = |service: &Service| {
         let robot = service.robot.clone();
         service.vnfs.iter().map(move |vnf| (vnf.id.clone(), robot.clone())).collect::<Vec<_>>()

@@ -5,7 +5,7 @@ use std::io;
 use std::{collections::BTreeMap, net::UdpSocket, sync::Arc};
 
 use cotorra_datapath::Datapath;
-#[cfg(feature = "agents")]
+#[cfg(any(feature = "agents", feature = "containers"))]
 use cotorra_engine::Engine;
 use cotorra_engine::{Cgroups, ProcessEngine};
 use cotorra_graph::{Node, NodeId, Testbed};
@@ -13,6 +13,8 @@ use cotorra_graph::{Node, NodeId, Testbed};
 use cotorra_network_control::Network as _;
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
 
+#[cfg(feature = "containers")]
+use super::containers::Containers;
 use super::{engines::Engines, launcher::NodeLauncher, network::NetworkUp, prepared::Prepared};
 use crate::{
     border::{Border, Places, Tunnels},
@@ -58,6 +60,16 @@ impl NodesUp {
         );
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
         let local = ProcessEngine::new(Arc::new(launcher), prepared.folder.logs(), cgroups);
+        #[cfg(feature = "containers")]
+        let containers = {
+            let addresses = prepared.engines.clone();
+            let containers =
+                Containers::new(testbed, addresses, datapath, &prepared.folder, &network.messages);
+            let containers = containers.map_err(system("write the files of containers"))?;
+            Some(Box::new(containers) as Box<dyn Engine + Send>)
+        };
+        #[cfg(not(feature = "containers"))]
+        let containers = None;
         #[cfg(feature = "agents")]
         let (agents, at_agents) = match prepared.agents(&network.now, &network.messages)? {
             Some(agents) => {
@@ -72,7 +84,7 @@ impl NodesUp {
         };
         #[cfg(not(feature = "agents"))]
         let (agents, at_agents) = (None, AtAgents::new());
-        let engine = Engines::new(&testbed.graph, local, agents);
+        let engine = Engines::new(&testbed.graph, local, containers, agents);
         let now = Arc::clone(&network.now);
         let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), now, at_agents);
         let places = Places::default();

@@ -46,6 +46,9 @@ pub(super) struct Prepared {
     pub(super) seed: u64,
     pub(super) testbed: Arc<Testbed>,
     pub(super) options: Options,
+    /// Engines of containers, by their kind.
+    #[cfg(feature = "containers")]
+    pub(super) engines: super::containers::Addresses,
     /// With which the agents of the testbed are enrolled, if it has any.
     #[cfg(feature = "agents")]
     authority: Option<cotorra_enrolment::Authority>,
@@ -72,6 +75,12 @@ impl Prepared {
         let authority = crate::agents::authority(&testbed, &options.agents)?;
         #[cfg(not(feature = "agents"))]
         check_agents(&testbed)?;
+        #[cfg(feature = "containers")]
+        let engines = super::containers::find_engines(&testbed)?;
+        #[cfg(not(feature = "containers"))]
+        if let Some(vnf) = testbed.vnfs().find(|vnf| vnf.image.is_some()) {
+            return Err(RunError::NoContainers(vnf.id.clone()));
+        }
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;
@@ -103,6 +112,8 @@ impl Prepared {
             seed,
             testbed,
             options,
+            #[cfg(feature = "containers")]
+            engines,
             #[cfg(feature = "agents")]
             authority,
         };
