@@ -11,6 +11,7 @@ mod file;
 pub mod map_server;
 mod records;
 mod setting;
+mod vnf_keys;
 mod yaml;
 
 use std::{io, path::Path};
@@ -22,6 +23,7 @@ use self::yaml::{Sink, decode::Decode};
 pub use self::{
     carry::{Carried, CarriedFile, Contents, LEDGER_PATHS, carry},
     setting::{InvalidSetting, Setting},
+    vnf_keys::{VnfKeysError, set_vnf_keys},
     yaml::{Diagnostic, Diagnostics},
 };
 
