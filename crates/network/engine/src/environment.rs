@@ -29,7 +29,8 @@ const USUAL: &[&str] = &[
 const USUAL_BEGINNINGS: &[&str] =
     &["AMENT_", "COLCON_", "FASTDDS_", "FASTRTPS_", "LC_", "PYTHON", "RCL_", "RCUTILS_", "RMW_", "ROS_"];
 
-/// Creates a command whose environment has only the usual variables and `named` ones. Callers add others themselves.
+/// Creates a command whose environment has only the usual variables and `named` ones: `NAME` has its value here, and
+/// `NAME=VALUE` the one that it gives. Callers add others themselves.
 pub fn program_of_others(program: impl AsRef<OsStr>, named: &[String]) -> Command {
     let mut command = Command::new(program);
     command.env_clear().envs(allowed(env::vars_os(), named));
@@ -56,7 +57,10 @@ fn allowed(
             || USUAL_BEGINNINGS.iter().any(|beginning| name.starts_with(beginning))
             || named.iter().any(|named| named == name)
     };
-    all.filter(move |(name, _)| name.to_str().is_some_and(is_allowed))
+    let given = named.iter().filter_map(|variable| variable.split_once('='));
+    let given = given.map(|(name, value)| (OsString::from(name), OsString::from(value)));
+    // Those given come last, so that they take the place of ours.
+    all.filter(move |(name, _)| name.to_str().is_some_and(is_allowed)).chain(given)
 }
 
 #[cfg(test)]
@@ -83,5 +87,15 @@ mod tests {
         };
         assert_eq!(names(&[]), ["PATH", "ROS_DOMAIN_ID", "LC_TIME"]);
         assert_eq!(names(&["DISPLAY".to_owned()]), ["PATH", "ROS_DOMAIN_ID", "LC_TIME", "DISPLAY"]);
+    }
+    #[test]
+    fn given_values_replace_ours() {
+        let named = ["LANG=C", "MODE=a=b", "EMPTY="].map(str::to_owned);
+        let ours = [("LANG", "de_DE.UTF-8"), ("MODE", "secret")];
+        let ours = ours.iter().map(|(name, value)| (OsString::from(name), OsString::from(value)));
+        let all: std::collections::BTreeMap<_, _> = allowed(ours, &named).collect();
+        let expected = [("EMPTY", ""), ("LANG", "C"), ("MODE", "a=b")];
+        let expected = expected.map(|(name, value)| (OsString::from(name), OsString::from(value)));
+        assert_eq!(all, expected.into());
     }
 }
