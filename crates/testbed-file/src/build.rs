@@ -3,6 +3,8 @@
 
 mod border;
 mod builder;
+mod compose;
+mod containers;
 mod flows;
 mod kobuki;
 mod links;
@@ -23,6 +25,7 @@ use cotorra_graph::{
     Testbed, WaisSettings, Walk,
 };
 
+pub(super) use self::builder::is_variable;
 use self::builder::{Builder, each};
 use crate::{
     map_server,
@@ -46,6 +49,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         record,
         base_dir,
         traces: HashMap::new(),
+        composed: HashSet::new(),
         sink,
     };
     let map = builder.map();
@@ -55,6 +59,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     let nodes = builder.nodes();
     let links = builder.links();
     let services: Option<Vec<_>> = each(&record.services.0, |(id, service)| builder.service(id, service));
+    let containers = builder.containers();
     let walks: Option<Vec<_>> = each(&record.walks.0, |(robot, walk)| builder.walk(robot, walk));
     let plugins = builder.plugins();
     let wais = builder.wais(&record.wais);
@@ -76,7 +81,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         probes,
         retention,
         border: border?,
-        containers: Default::default(),
+        containers: containers?,
         description: record.description.clone(),
         // Only a working folder that does not exist any more has no absolute path.
         folder: std::path::absolute(base_dir.join(".")).unwrap_or_default(),

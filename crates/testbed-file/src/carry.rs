@@ -10,7 +10,7 @@ use std::{
 };
 
 use crate::{
-    file,
+    compose, file,
     map_server::image_of,
     tree,
     yaml::{Sink, decode::Node},
@@ -30,7 +30,7 @@ const MAX_BYTES: u64 = file::MAX_TEXT as u64;
 pub struct Carried {
     /// The text, whose relative paths start at the new folder.
     pub text: String,
-    /// Map, traces, recorded conditions, files of commands, and readable folders.
+    /// Map, traces, recorded conditions, files of commands, readable folders, compose files, and volumes.
     pub files: Vec<CarriedFile>,
 }
 
@@ -58,7 +58,7 @@ pub enum Contents {
 
 /// Carries a testbed file that stands in `folder`, and the files that it names, to another folder, in which the names in
 /// `taken` are not free. Keeps relative paths that do not lead out of the folder. Keeps absolute paths of programs, readable
-/// folders and keys, because those belong to the machine. Makes relative paths absolute if they lead to something that
+/// folders, volumes and keys, because those belong to the machine. Makes relative paths absolute if they lead to something that
 /// is not carried: keys, links, and what is too large. A text that cannot be parsed stays as it is.
 pub fn carry(text: &str, folder: &Path, taken: &[&str]) -> Carried {
     let mut sink = Sink::default();
@@ -68,11 +68,12 @@ pub fn carry(text: &str, folder: &Path, taken: &[&str]) -> Carried {
     let mut luggage = Luggage { folder, taken, files: BTreeMap::new() };
     let mut changes = Changes::default();
     for (kind, node) in named(&root) {
-        let Some(name) = node.text() else { continue };
+        let Some(text) = node.text() else { continue };
+        let (name, rest) = kind.split(text);
         if let Some(to) = luggage.pack(kind, name)
             && to != Path::new(name)
         {
-            changes.replace(&node.span, name, &to);
+            changes.replace(&node.span, text, &format!("{}{rest}", to.display()));
         }
     }
     let files = luggage.files.into_iter().map(|(to, contents)| CarriedFile { to, contents });
@@ -89,8 +90,22 @@ enum Kind {
     Readable,
     /// A word of a command, which may name a file.
     Word,
+    /// A volume of a container, with its path there.
+    Volume,
+    /// A compose file, which names volumes.
+    Compose,
     /// A key or its password.
     Key,
+}
+
+impl Kind {
+    /// Splits a value into the path and what follows.
+    fn split(self, text: &str) -> (&str, &str) {
+        match self {
+            Self::Volume => text.split_at(text.find(':').unwrap_or(text.len())),
+            _ => (text, ""),
+        }
+    }
 }
 
 /// Returns the items of a key's value.
@@ -111,9 +126,16 @@ fn named(root: &Node) -> Vec<(Kind, &Node)> {
     let of_schedule = items(root, "schedule").filter_map(|its| its.get("set"));
     let traces = of_links.chain(of_schedule).filter_map(|its| its.get("trace"));
     found.extend(traces.map(|node| (Kind::Trace, node)));
+    let composed = items(root, "services").filter_map(|its| its.get("compose")?.get("file"));
+    found.extend(composed.map(|node| (Kind::Compose, node)));
     let services = items(root, "services");
     let vnfs = services.flat_map(|its| items(its, "vnfs"));
-    for program in vnfs.chain(items(root, "plugins")) {
+    for program in vnfs.chain(items(root, "nodes")).chain(items(root, "plugins")) {
+        if program.get("image").is_some() {
+            // Words of its command are inside the image.
+            found.extend(items(program, "volumes").map(|node| (Kind::Volume, node)));
+            continue;
+        }
         let readable: Vec<_> = items(program, "readable").collect();
         for word in items(program, "command") {
             let is_readable = readable.iter().any(|path| path.text() == word.text());
@@ -141,19 +163,20 @@ impl Luggage<'_> {
     fn pack(&mut self, kind: Kind, name: &str) -> Option<PathBuf> {
         let from = self.folder.join(name);
         let contents = match kind {
-            Kind::Map | Kind::Trace => Some(Contents::Copy(from.is_file().then(|| from.clone())?)),
+            Kind::Map | Kind::Trace | Kind::Compose => {
+                Some(Contents::Copy(from.is_file().then(|| from.clone())?))
+            }
             Kind::Conditions => Some(Contents::Conditions(from.is_dir().then(|| from.clone())?)),
-            Kind::Readable | Kind::Word | Kind::Key if Path::new(name).is_absolute() => return None,
-            Kind::Readable => small_file(&from).or_else(|| small_folder(&from)),
+            Kind::Readable | Kind::Volume | Kind::Word | Kind::Key if Path::new(name).is_absolute() => {
+                return None;
+            }
+            Kind::Readable | Kind::Volume => small_file(&from).or_else(|| small_folder(&from)),
             Kind::Word => small_file(&from),
             Kind::Key => None,
         };
         let Some(contents) = contents else {
             let is_path = name.contains('/') || !matches!(kind, Kind::Word);
-            let fits = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-' | '/');
-            // Other letters may need quotes.
-            return Some(from)
-                .filter(|from| is_path && from.exists() && from.to_string_lossy().chars().all(fits));
+            return Some(from).filter(|from| is_path && stays(from));
         };
         let to = match self.inside(name) {
             Some(to) => {
@@ -162,8 +185,10 @@ impl Luggage<'_> {
             }
             None => self.add(&Path::new(OTHERS).join(plain(&from)), contents),
         };
-        if matches!(kind, Kind::Map) {
-            self.pack_image(&from, &to);
+        match kind {
+            Kind::Map => self.pack_image(&from, &to),
+            Kind::Compose => self.pack_volumes(&from, &to),
+            _ => {}
         }
         Some(to)
     }
@@ -176,22 +201,56 @@ impl Luggage<'_> {
         if !picture.is_file() {
             return;
         }
+        let named = self.pack_beside(to, &name, &picture, Contents::Copy(picture.clone()));
+        if named != Path::new(&name) {
+            let mut changes = Changes::default();
+            changes.replace(&span, &name, &named.to_string_lossy());
+            self.files.insert(to.to_owned(), Contents::Text(changes.apply(&text)));
+        }
+    }
+
+    /// Packs the volumes of a compose file, which may have to name them anew.
+    fn pack_volumes(&mut self, file: &Path, to: &Path) {
+        let Ok(text) = file::read_text_of(file, compose::MAX_FILE) else { return };
+        let mut changes = Changes::default();
+        for compose::NamedSource { source, text: written, span } in compose::sources(&text) {
+            let path = Path::new(&source);
+            if path.is_absolute() || source.starts_with('~') {
+                continue;
+            }
+            let from: PathBuf = file.parent().unwrap_or(Path::new("")).join(path).components().collect();
+            let new = match small_file(&from).or_else(|| small_folder(&from)) {
+                // Without `./`, a name would be that of a named volume.
+                Some(contents) => Path::new(".").join(self.pack_beside(
+                    to,
+                    source.trim_start_matches("./"),
+                    &from,
+                    contents,
+                )),
+                None if stays(&from) => from,
+                None => continue,
+            };
+            let from_here = |at: &Path| at.strip_prefix(".").unwrap_or(at).to_owned();
+            if from_here(&new) != from_here(path) {
+                changes.replace(&span, &written, &written.replacen(&source, &new.to_string_lossy(), 1));
+            }
+        }
+        if !changes.0.is_empty() {
+            self.files.insert(to.to_owned(), Contents::Text(changes.apply(&text)));
+        }
+    }
+
+    /// Packs what a carried file names, near it. Returns its new path from there.
+    fn pack_beside(&mut self, to: &Path, name: &str, from: &Path, contents: Contents) -> PathBuf {
         let beside = to.parent().unwrap_or(Path::new(""));
-        let contents = Contents::Copy(picture.clone());
-        let wanted = if is_plain(&name) { beside.join(&name) } else { beside.join(plain(&picture)) };
-        let is_from_inside = self.folder.join(&wanted) == picture;
-        let at = if is_from_inside {
+        let wanted = if is_plain(name) { beside.join(name) } else { beside.join(plain(from)) };
+        let at = if self.folder.join(&wanted) == from {
             self.files.entry(wanted.clone()).or_insert(contents);
             wanted
         } else {
             self.add(&wanted, contents)
         };
-        let named = at.strip_prefix(beside).unwrap_or(&at);
-        if named != Path::new(&name) {
-            let mut changes = Changes::default();
-            changes.replace(&span, &name, named);
-            self.files.insert(to.to_owned(), Contents::Text(changes.apply(&text)));
-        }
+        at.strip_prefix(beside).map(Path::to_owned).unwrap_or(at)
     }
 
     /// Returns the path of a file that can stay where it is in the folder.
@@ -249,6 +308,12 @@ fn small_folder(path: &Path) -> Option<Contents> {
     Some(Contents::Folder(path.to_owned(), files))
 }
 
+/// Whether something that is not carried is there, and YAML needs no quotes for its path.
+fn stays(path: &Path) -> bool {
+    let fits = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-' | '/');
+    path.exists() && path.to_string_lossy().chars().all(fits)
+}
+
 /// Whether a relative path leads down from its folder, in so many words.
 fn is_plain(name: &str) -> bool {
     let parts = || Path::new(name).components();
@@ -268,9 +333,8 @@ fn plain(path: &Path) -> String {
 struct Changes(BTreeMap<(usize, usize), BTreeMap<String, String>>);
 
 impl Changes {
-    fn replace(&mut self, span: &Range<usize>, old: &str, new: &Path) {
-        let new = new.to_string_lossy().into_owned();
-        self.0.entry((span.start, span.end)).or_default().insert(old.to_owned(), new);
+    fn replace(&mut self, span: &Range<usize>, old: &str, new: &str) {
+        self.0.entry((span.start, span.end)).or_default().insert(old.to_owned(), new.to_owned());
     }
 
     fn apply(&self, text: &str) -> String {
@@ -425,5 +489,49 @@ mod tests {
             carried.text,
             "map: files/2-hall.yaml\nlinks: [{ ends: [a, b], trace: files/hall.yaml }]\n"
         );
+    }
+    #[test]
+    fn volumes_are_carried_and_words_inside_images_stay() {
+        let place = place();
+        let text = |volume: &str| {
+            format!(
+                "nodes: {{ n: {{ image: x, volumes: ['{volume}:/data:rw', '/srv:/srv', absent:/a] }} }}\n\
+                 services: {{ s: {{ vnfs: {{ v: {{ image: x, command: [./serve.py], volumes: [maps:/maps] }} }} }} }}\n"
+            )
+        };
+        let carried = carry(&text("../elsewhere"), &place.path().join("bed"), &[]);
+        assert_eq!(carried.text, text("files/elsewhere"));
+        assert_eq!(files(&carried), ["files/elsewhere", "maps"]);
+    }
+
+    #[test]
+    fn a_compose_file_is_carried_with_its_volumes() {
+        let place = place();
+        let compose = |one: &str| {
+            format!(
+                "services:\n  a: {{ image: x, volumes: ['./maps:/maps', '{one}:/one:ro', /srv:/srv, data:/d] }}\n  \
+                 b: {{ image: x, volumes: [{{ type: bind, source: ./maps, target: /maps }}, ./absent:/a] }}\n"
+            )
+        };
+        let bed = place.path().join("bed");
+        fs::write(bed.join("compose.yaml"), compose("../elsewhere")).unwrap();
+        let text = "services: { s: { compose: { file: compose.yaml, node: n } } }\n";
+        let carried = carry(text, &bed, &[]);
+        assert_eq!(carried.text, text);
+        assert_eq!(files(&carried), ["compose.yaml", "elsewhere", "maps"]);
+        assert_eq!(carried.files[0].contents, Contents::Text(compose("./elsewhere")));
+    }
+
+    #[test]
+    fn a_compose_file_from_elsewhere_gets_a_path_in_the_folder() {
+        let place = place();
+        let compose = "services: { a: { image: x, volumes: ['./hall.yaml:/hall.yaml'] } }\n";
+        fs::write(place.path().join("elsewhere/stack.yaml"), compose).unwrap();
+        let text = |file: &str| format!("services: {{ s: {{ compose: {{ file: {file}, node: n }} }} }}\n");
+        let carried = carry(&text("../elsewhere/stack.yaml"), &place.path().join("bed"), &[]);
+        assert_eq!(carried.text, text("files/stack.yaml"));
+        assert_eq!(files(&carried), ["files/hall.yaml", "files/stack.yaml"]);
+        let original = place.path().join("bed/../elsewhere/stack.yaml");
+        assert_eq!(carried.files[1].contents, Contents::Copy(original));
     }
 }

@@ -2,6 +2,7 @@
 //! through walls.
 
 mod agents;
+mod containers;
 mod kpis;
 mod machines;
 mod real_ports;
@@ -26,6 +27,7 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     machines::machines(record, &testbed.graph, sink);
     real_ports::real_ports(record, &testbed.graph, sink);
     agents::agents(record, sink);
+    containers::hosts(record, testbed, sink);
     radio_units(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);
     ports(record, &testbed.graph, sink);
@@ -37,7 +39,7 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     let mut topology = Topology::new(&testbed.graph);
     if !broken && reach(record, &testbed.graph, &topology, sink) {
         for ((_, r), service) in record.services.0.iter().zip(&testbed.services) {
-            kpis::kpis(r, service, &testbed.graph, &mut topology, sink);
+            kpis::kpis(r, service, testbed, &mut topology, sink);
         }
     }
 }

@@ -20,7 +20,12 @@ pub(crate) fn read(path: &Path, most: usize) -> io::Result<Vec<u8>> {
 
 /// As [`read`], of a text.
 pub(crate) fn read_text(path: &Path) -> io::Result<String> {
-    text(read(path, MAX_TEXT)?)
+    read_text_of(path, MAX_TEXT)
+}
+
+/// As [`read`], of a text of at most this many bytes.
+pub(crate) fn read_text_of(path: &Path, most: usize) -> io::Result<String> {
+    text(read(path, most)?)
 }
 
 /// As [`read_text`], of what may also be a pipe.

@@ -7,7 +7,9 @@
 mod build;
 mod carry;
 mod check;
+pub mod compose;
 mod file;
+mod image;
 pub mod map_server;
 mod records;
 mod setting;

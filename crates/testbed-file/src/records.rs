@@ -3,14 +3,18 @@
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, GapPolicy, IpNetwork,
-    JitterDistribution, LinkId, LinuxCapability, NodeId, PluginId, Position, Probability, QueueLimit, Rate,
-    Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, WifiStandard,
+    AgentId, BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, GapPolicy, IpNetwork,
+    JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, PluginId, Position, Probability, Pull,
+    QueueLimit, Rate, Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume,
+    WifiStandard,
 };
 
-use crate::yaml::{
-    Angle, Bytes, Decibels, Frequency, Metres, Span, Speed,
-    decode::{Amount, Either, Spanned, Table, choice, record, tagged},
+use crate::{
+    image::{Device, Reference},
+    yaml::{
+        Angle, Bytes, Decibels, Frequency, Metres, Span, Speed,
+        decode::{Amount, Either, Spanned, Table, choice, record, tagged},
+    },
 };
 
 record! {
@@ -24,6 +28,8 @@ record! {
         seed: u64 = 1,
         /// Emulator of the links in real time.
         emulation: Emulation = "fabric",
+        /// Engine that runs container images on nodes without an `engine` of their own: docs/containers.md.
+        engine: EngineKind = "podman",
         /// Administrative domains. Without them there is one, `local`.
         domains: Vec<Spanned<DomainId>> = [],
         /// The map that robots move on: path of a ROS map_server YAML file, from this file's folder. Without one
@@ -265,6 +271,16 @@ tagged! {
 }
 
 impl NodeRecord {
+    /// Its engine and its image, if it can have them.
+    pub fn whole(&self) -> Option<&WholeRecord> {
+        match self {
+            Self::Robot(r) => Some(&r.whole),
+            Self::RadioUnit(r) => Some(&r.whole),
+            Self::Server(s) => Some(&s.whole),
+            Self::Switch(_) | Self::Gateway(_) | Self::Machine(_) => None,
+        }
+    }
+
     /// The domain that it names.
     pub fn domain(&self) -> Option<&Spanned<DomainId>> {
         match self {
@@ -275,6 +291,38 @@ impl NodeRecord {
             Self::Gateway(g) => g.domain.as_ref(),
             Self::Machine(m) => m.domain.as_ref(),
         }
+    }
+}
+
+record! {
+    /// The engine of a node, and the image of a node that is a container as a whole.
+    WholeRecord {
+        /// Engine that runs container images on this node. Without it: the testbed's.
+        engine: Option<Spanned<EngineKind>>,
+        ..container: ContainerRecord,
+    }
+}
+
+record! {
+    /// What runs in the node's network: a command, or containers of an image.
+    ContainerRecord {
+        /// Reference of a container image, such as `ros:jazzy`: docs/containers.md.
+        image: Option<Spanned<Reference>>,
+        /// A program and its arguments. With `image`, they are those of its containers; without them, the image's own run.
+        command: Option<Spanned<Vec<String>>>,
+        /// Variables that it gets beside the usual ones: `NAME` with its value in cotorra's own environment, or `NAME=VALUE`.
+        env: Vec<Spanned<String>> = [],
+        /// Capabilities of Linux over its node's network and its own threads.
+        capabilities: Spanned<Vec<LinuxCapability>> = [],
+        /// Files and folders that a container sees, such as `data:/data`: from this file's folder, and absolute in the
+        /// container. Read-only, unless `:rw` follows.
+        volumes: Option<Spanned<Vec<Spanned<Volume>>>>,
+        /// Devices of this machine that a container may use, such as `/dev/ttyUSB0`.
+        devices: Option<Spanned<Vec<Device>>>,
+        /// Ports at which a container serves. It is ready once it listens at all of them.
+        ports: Option<Spanned<Vec<ListenPort>>>,
+        /// When the engine pulls the image. Without it: `missing`.
+        pull: Option<Spanned<Pull>>,
     }
 }
 
@@ -308,6 +356,7 @@ record! {
         cpus: Amount = 2,
         /// Memory for VNFs.
         memory: Bytes = "8 GB",
+        ..whole: WholeRecord,
     }
 }
 
@@ -565,6 +614,7 @@ record! {
         cpus: Amount = 1,
         /// Memory for VNFs.
         memory: Bytes = "1 GB",
+        ..whole: WholeRecord,
     }
 }
 
@@ -604,6 +654,7 @@ record! {
         netns: Option<Spanned<String>>,
         /// IPv4 address of the real machine.
         address: Option<Spanned<Ipv4Addr>>,
+        ..whole: WholeRecord,
     }
 }
 
@@ -729,9 +780,21 @@ record! {
         /// Destination of the robot's requests, if a bundled VNF has several instances. Without it: `one`.
         requests: Option<Spanned<Requests>>,
         /// VNFs by name, in the order in which packets visit them.
-        vnfs: Table<VnfId, VnfRecord>,
+        vnfs: Table<VnfId, VnfRecord> = {},
+        /// A compose file whose services are VNFs, too, after those under `vnfs`.
+        compose: Option<ComposeRecord>,
         /// Links between its VNFs.
         virtual_links: Vec<VirtualLinkRecord> = [],
+    }
+}
+
+record! {
+    /// A compose file, and the node of its containers: docs/containers.md.
+    ComposeRecord {
+        /// Its path, from this file's folder.
+        file: Spanned<String>,
+        /// Node on which they start, unless `x-cotorra: { node: OTHER }` of a service names another.
+        node: Spanned<NodeId>,
     }
 }
 
@@ -876,17 +939,11 @@ record! {
 }
 
 record! {
-    /// A virtual network function. It runs a `program` or a `command`, on the node that it is `pinned_to` or first on
-    /// `node`, or an instance on each of several.
+    /// A virtual network function. It runs a `program`, a `command` or an `image`, on the node that it is `pinned_to` or
+    /// first on `node`, or an instance on each of several.
     VnfRecord {
-        /// A bundled program.
+        /// A bundled program. With `image`, the image's own command runs in its place in real time.
         program: Option<Spanned<ProgramWord>>,
-        /// Any program and its arguments, in its node's network namespace.
-        command: Option<Spanned<Vec<String>>>,
-        /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
-        env: Vec<Spanned<String>> = [],
-        /// Capabilities of Linux that a command has over its node's network and its own threads.
-        capabilities: Spanned<Vec<LinuxCapability>> = [],
         /// Files and folders that a command may read beside programs, libraries and this file's folder; from this folder.
         readable: Spanned<Vec<String>> = [],
         /// Whether a command may do on this machine what cotorra may.
@@ -903,6 +960,11 @@ record! {
         cpus: Amount = 1,
         /// Memory that it takes of its node, each instance.
         memory: Bytes = "256 MB",
+        /// Time from a container's start until it serves, in virtual time. Without it: none.
+        start_time: Option<Spanned<Duration>>,
+        /// Time that a container takes from a request to its answer, in virtual time. Without it: none.
+        processing_delay: Option<Spanned<Duration>>,
+        ..container: ContainerRecord,
     }
 }
 
@@ -953,7 +1015,8 @@ record! {
         command: Option<Spanned<Vec<String>>>,
         /// The one domain that a bundled plug-in sees and changes. Without one it is the operator's, and sees all.
         domain: Option<Spanned<DomainId>>,
-        /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
+        /// Variables that a command gets beside the usual ones: `NAME` with its value in cotorra's own environment, or
+        /// `NAME=VALUE`.
         env: Vec<Spanned<String>> = [],
         /// Whether it runs by itself. One that does not runs where the setting `plugin=…` chooses it.
         enabled: bool = true,
@@ -1066,6 +1129,16 @@ choice!(LinuxCapability, "capability", {
     "net_raw" => Self::NetRaw, "raw and packet sockets: ping, tcpdump";
     "ipc_lock" => Self::IpcLock, "memory that is never swapped out";
     "sys_nice" => Self::SysNice, "real-time priority";
+});
+choice!(EngineKind, "engine", {
+    "process" => Self::Process, "none: only programs of this machine run";
+    "podman" => Self::Podman, "podman";
+    "docker" => Self::Docker, "Docker";
+});
+choice!(Pull, "rule for pulling", {
+    "missing" => Self::Missing, "if the engine does not have the image";
+    "always" => Self::Always, "before each start";
+    "never" => Self::Never, "the engine must have it";
 });
 choice!(DataFormat, "format of images", {
     "mono8" => Self::Mono8, "brightness, a byte a pixel";

@@ -10,4 +10,4 @@ mod tree;
 pub(crate) use diagnostics::Sink;
 pub use diagnostics::{Diagnostic, Diagnostics};
 pub(crate) use quantity::{Angle, Bytes, Decibels, Frequency, Metres, Speed};
-pub(crate) use tree::{Span, parse};
+pub(crate) use tree::{Span, parse, shorten};

@@ -1,12 +1,16 @@
 //! State of a build: the record, its names, and what was reported.
 
-use std::{collections::HashMap, path::Path, sync::Arc};
+use std::{
+    collections::{HashMap, HashSet},
+    path::Path,
+    sync::Arc,
+};
 
-use cotorra_graph::{DomainId, NodeId, Trace};
+use cotorra_graph::{DomainId, NodeId, Trace, VnfId};
 
 use crate::{
     records::{NodeRecord, TestbedRecord},
-    yaml::{Sink, decode::Spanned},
+    yaml::{Sink, decode::Spanned, shorten},
 };
 
 /// Characters of the longest name of a variable.
@@ -20,6 +24,8 @@ pub(super) struct Builder<'a> {
     pub(super) networks: Vec<&'a str>,
     /// By path, so that a trace is read once and shared; `None` when it cannot be read.
     pub(super) traces: HashMap<String, Option<Arc<Trace>>>,
+    /// Names of VNFs in compose files so far.
+    pub(super) composed: HashSet<VnfId>,
     pub(super) sink: &'a mut Sink,
 }
 
@@ -60,26 +66,36 @@ impl Builder<'_> {
         Some(command.value.clone())
     }
 
-    /// The variables that a command is to get.
-    pub(super) fn env(&mut self, names: &[Spanned<String>], is_command: bool) -> Option<Vec<String>> {
-        each(names, |name| {
-            let starts_well = name.value.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
-            let all_well = name.value.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
-            if !is_command {
+    /// The variables that a command or an image's containers are to get.
+    pub(super) fn env(&mut self, variables: &[Spanned<String>], runs_others: bool) -> Option<Vec<String>> {
+        each(variables, |variable| {
+            if !runs_others {
                 self.sink
-                    .error(&name.span, "only a `command` gets variables")
-                    .help("leave out `env`: what is bundled gets what it needs");
-                None
-            } else if !starts_well || !all_well || name.value.len() > LONGEST_VARIABLE {
-                self.sink
-                    .error(&name.span, format!("`{}` is not the name of a variable", name.value))
-                    .help("write names alone, such as `env: [DISPLAY, MY_TOKEN]`: their values come from cotorra's environment");
-                None
-            } else {
-                Some(name.value.clone())
+                    .error(&variable.span, "what is bundled gets no variables")
+                    .help("leave out `env`: it has what it needs");
+                return None;
             }
+            is_variable(variable, self.sink).then(|| variable.value.clone())
         })
     }
+}
+
+/// Whether a text is `NAME` or `NAME=VALUE`; else that is reported.
+pub(crate) fn is_variable(variable: &Spanned<String>, sink: &mut Sink) -> bool {
+    let (name, value) = variable.value.split_once('=').unwrap_or((&variable.value, ""));
+    let starts_well = name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
+    let all_well = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    if !starts_well || !all_well || name.len() > LONGEST_VARIABLE {
+        sink.error(&variable.span, format!("`{}` is not the name of a variable", shorten(name)))
+            .help("write `NAME` for its value in cotorra's environment, or `NAME=VALUE`, such as `env: [DISPLAY, MODE=fast]`");
+        return false;
+    }
+    if value.contains('\0') {
+        sink.error(&variable.span, format!("the value of `{name}` has a null character"))
+            .help("leave it out: no environment can hold it");
+        return false;
+    }
+    true
 }
 
 /// The node of that name among those that fit; else that is reported.

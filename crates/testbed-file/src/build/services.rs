@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use cotorra_graph::{
-    Granted, Kpis, NodeId, Nodes, Program, Requests, Rights, Service, ServiceId, VirtualLink, Vnf,
+    Granted, Kpis, NodeId, Nodes, Program, Requests, Rights, Service, ServiceId, VirtualLink, Vnf, VnfId,
 };
 
 use super::builder::{Builder, each};
 use crate::{
-    records::{ProgramWord, ServiceRecord, VnfRecord},
+    records::{ContainerRecord, ProgramWord, ServiceRecord, VnfRecord},
     yaml::{
         Span,
         decode::{Either, Spanned},
@@ -18,29 +18,16 @@ use crate::{
 impl Builder<'_> {
     pub(super) fn service(&mut self, id: &Spanned<ServiceId>, record: &ServiceRecord) -> Option<Service> {
         let robot = self.robot(&record.robot);
-        let vnfs: Option<Vec<_>> = each(&record.vnfs.0, |(vnf, r)| {
-            let (program, pinned_to, node) = self.vnf(&vnf.span, r)?;
-            let id = vnf.value.clone();
-            let is_command = matches!(program, Program::Command(_));
-            let (env, rights) = (self.env(&r.env, is_command), self.rights(r, is_command));
-            let (env, rights) = (env?, rights?);
-            Some(Vnf {
-                id,
-                program,
-                cpus: r.cpus.0,
-                memory_bytes: r.memory.0,
-                pinned_to,
-                node,
-                env,
-                rights,
-                keep: r.keep,
-                image: None,
-            })
-        });
+        let vnfs: Option<Vec<_>> = each(&record.vnfs.0, |(vnf, r)| self.vnf(vnf, r));
+        let composed = record.compose.as_ref().map_or(Some(Vec::new()), |compose| self.compose(compose));
         let virtual_links: Option<Vec<_>> = each(&record.virtual_links, |link| {
             for end in [&link.from, &link.to] {
-                if !record.vnfs.0.iter().any(|(vnf, _)| vnf.value == end.value) {
-                    let vnfs = record.vnfs.0.iter().map(|(vnf, _)| vnf.value.as_str());
+                // Without those of a compose file that cannot be read, names would seem unknown.
+                let Some(composed) = &composed else { continue };
+                let names = record.vnfs.0.iter().map(|(vnf, _)| &vnf.value);
+                let names = names.chain(composed.iter().map(|vnf| &vnf.id));
+                if !names.clone().any(|vnf| *vnf == end.value) {
+                    let vnfs = names.map(VnfId::as_str);
                     self.sink.unknown_name(&end.span, "VNF in this service named", end.value.as_str(), vnfs);
                 }
             }
@@ -58,39 +45,82 @@ impl Builder<'_> {
             radio: record.kpis.radio.as_ref().map(|r| r.value),
             flow: self.flow(record)?,
         };
+        let mut vnfs = vnfs?;
+        vnfs.extend(composed?);
         Some(Service {
             id: id.value.clone(),
             robot: robot?,
-            vnfs: vnfs?,
+            vnfs,
             virtual_links: virtual_links?,
             kpis,
             requests: record.requests.as_ref().map_or_else(Requests::default, |requests| requests.value),
         })
     }
 
-    /// Builds the program of a VNF, the node that it is pinned to, and the nodes where it starts.
-    fn vnf(&mut self, span: &Span, record: &VnfRecord) -> Option<(Program, Option<NodeId>, Nodes)> {
-        let program = match (&record.program, &record.command) {
-            (Some(word), None) => match word.value {
-                ProgramWord::RobotDriver => Some(Program::RobotDriver),
-                ProgramWord::Navigation => Some(Program::Navigation),
-                ProgramWord::Localization => Some(Program::Localization),
-            },
-            (None, Some(command)) => self.command(command).map(Program::Command),
-            (None, None) => {
-                self.sink.error(span, "nothing says what this VNF runs").help(
-                    "add `program: navigation`, `program: localization`, `program: robot_driver`, or \
-                     `command: [program, argument]`",
-                );
-                None
-            }
-            (Some(_), Some(command)) => {
+    fn vnf(&mut self, id: &Spanned<VnfId>, record: &VnfRecord) -> Option<Vnf> {
+        let program = self.program(&id.span, record);
+        let place = self.pinned_and_started(&id.span, record);
+        let times = [("start_time", &record.start_time), ("processing_delay", &record.processing_delay)];
+        let image = self.image(&record.container, times);
+        let runs_others = record.container.image.is_some() || matches!(program, Some(Program::Command(_)));
+        let program = program?;
+        let (env, rights) = (self.env(&record.container.env, runs_others), self.rights(record, runs_others));
+        let (pinned_to, node) = place?;
+        Some(Vnf {
+            id: id.value.clone(),
+            program,
+            cpus: record.cpus.0,
+            memory_bytes: record.memory.0,
+            pinned_to,
+            node,
+            env: env?,
+            rights: rights?,
+            keep: record.keep,
+            image: image?.map(Box::new),
+        })
+    }
+
+    /// Builds the program of a VNF.
+    fn program(&mut self, span: &Span, record: &VnfRecord) -> Option<Program> {
+        let ContainerRecord { image, command, .. } = &record.container;
+        match (&record.program, command, image) {
+            (Some(_), Some(command), None) => {
                 self.sink
                     .error(&command.span, "both a program and a command")
                     .help("keep one of `program` and `command`");
                 None
             }
-        };
+            (Some(_), Some(command), Some(_)) => {
+                self.sink.error(&command.span, "a command beside a `program` and an `image`").help(
+                    "leave out `command`: the image's own runs in the bundled program's place; or leave out `program`",
+                );
+                None
+            }
+            (Some(word), None, image) => match (word.value, image) {
+                (ProgramWord::RobotDriver, Some(image)) => {
+                    self.sink
+                        .error(&image.span, "an image of a robot driver")
+                        .help("leave out `image`: the robot driver is part of cotorra");
+                    None
+                }
+                (ProgramWord::RobotDriver, None) => Some(Program::RobotDriver),
+                (ProgramWord::Navigation, _) => Some(Program::Navigation),
+                (ProgramWord::Localization, _) => Some(Program::Localization),
+            },
+            (None, command, Some(_)) => self.words_in_image(command.as_ref()).map(Program::Command),
+            (None, Some(command), None) => self.command(command).map(Program::Command),
+            (None, None, None) => {
+                self.sink.error(span, "nothing says what this VNF runs").help(
+                    "add `program: navigation`, `program: localization`, `program: robot_driver`, \
+                     `command: [program, argument]`, or `image: NAME:TAG`",
+                );
+                None
+            }
+        }
+    }
+
+    /// Builds the node that a VNF is pinned to, and the nodes where it starts.
+    fn pinned_and_started(&mut self, span: &Span, record: &VnfRecord) -> Option<(Option<NodeId>, Nodes)> {
         let (pinned, node) = match (&record.pinned_to, &record.node) {
             (Some(pinned), None) => {
                 let node = self.node(pinned);
@@ -126,7 +156,7 @@ impl Builder<'_> {
             self.sink.error(&replicas.span, format!("{wanted} instances on {nodes} node{s}")).help(help);
             return None;
         }
-        Some((program?, pinned, node))
+        Some((pinned, node))
     }
 
     /// The nodes of a VNF's instances.
@@ -143,33 +173,56 @@ impl Builder<'_> {
             .ok()
     }
 
-    /// Builds the rights of a command on this machine.
-    fn rights(&mut self, record: &VnfRecord, is_command: bool) -> Option<Rights> {
-        let VnfRecord { capabilities, readable, trusted, .. } = record;
+    /// Builds the rights on this machine of a command or an image's containers.
+    fn rights(&mut self, record: &VnfRecord, runs_others: bool) -> Option<Rights> {
+        let VnfRecord { readable, trusted, container: ContainerRecord { image, capabilities, .. }, .. } =
+            record;
         let given = [
             ("capabilities", &capabilities.span, !capabilities.value.is_empty()),
             ("readable", &readable.span, !readable.value.is_empty()),
         ];
         let mut well = true;
+        let mut error = |span: &Span, message: String, help: String| {
+            self.sink.error(span, message).help(help);
+            well = false;
+        };
+        if image.is_some() && trusted.value {
+            error(
+                &trusted.span,
+                "an image that is trusted".to_owned(),
+                "leave out `trusted`: name what its containers need under `volumes`, `devices` or `capabilities`".to_owned(),
+            );
+        }
         for (key, span, is_given) in given {
-            if is_given && trusted.value {
-                self.sink
-                    .error(span, format!("`{key}` of a VNF that is trusted"))
-                    .help("keep one of the two: what is trusted may do all that cotorra may");
-                well = false;
+            if is_given && trusted.value && image.is_none() {
+                error(
+                    span,
+                    format!("`{key}` of a VNF that is trusted"),
+                    "keep one of the two: what is trusted may do all that cotorra may".to_owned(),
+                );
             }
-            if is_given && !is_command {
-                self.sink
-                    .error(span, format!("only a `command` has `{key}`"))
-                    .help(format!("leave out `{key}`: what is bundled has what it needs"));
-                well = false;
+            if is_given && key == "readable" && image.is_some() {
+                error(
+                    span,
+                    "`readable` of a VNF with an image".to_owned(),
+                    "name what its containers see under `volumes`, such as `volumes: [data:/data]`"
+                        .to_owned(),
+                );
+            }
+            if is_given && !runs_others {
+                error(
+                    span,
+                    format!("what is bundled has no `{key}`"),
+                    format!("leave out `{key}`: it has what it needs"),
+                );
             }
         }
-        if trusted.value && !is_command {
-            self.sink
-                .error(&trusted.span, "only a `command` can be trusted or not")
-                .help("leave out `trusted`: what is bundled is cotorra itself");
-            well = false;
+        if trusted.value && !runs_others {
+            error(
+                &trusted.span,
+                "only a `command` can be trusted or not".to_owned(),
+                "leave out `trusted`: what is bundled is cotorra itself".to_owned(),
+            );
         }
         let readable = readable.value.iter().map(PathBuf::from).collect();
         let confined = Rights::Confined(Granted { capabilities: capabilities.value.clone(), readable });

@@ -1,6 +1,6 @@
 //! KPIs: some placement can keep each.
 
-use cotorra_graph::{Edge, HardwareGraph, Node, NodeId, NodeKind, Service, Topology, Vnf, WifiStandard};
+use cotorra_graph::{Edge, Node, NodeId, NodeKind, Service, Testbed, Topology, Vnf, WifiStandard};
 
 use super::services::carries;
 use crate::{records::ServiceRecord, yaml::Sink};
@@ -9,10 +9,11 @@ use crate::{records::ServiceRecord, yaml::Sink};
 pub(super) fn kpis(
     record: &ServiceRecord,
     service: &Service,
-    graph: &HardwareGraph,
+    testbed: &Testbed,
     topology: &mut Topology<'_>,
     sink: &mut Sink,
 ) {
+    let graph = &testbed.graph;
     let robot = graph.robots().find(|(node, _)| node.id == service.robot).map(|(_, robot)| robot);
     let ssid = &robot.expect("the builder found it").network;
     let network = &graph.wireless[ssid];
@@ -33,7 +34,7 @@ pub(super) fn kpis(
     let target = &kpis.service_time;
     // How the requests of another node go through the VNFs, nobody says.
     let is_elsewhere = service.kpis.flow.as_ref().is_some_and(|flow| flow.from != service.robot);
-    match fastest_ns(service, &units, graph, topology, target.value.as_nanos()) {
+    match fastest_ns(service, &units, testbed, topology, target.value.as_nanos()) {
         Some(best) if u128::from(best) > target.value.as_nanos() && !is_elsewhere => {
             sink.error(&target.span, "no placement reaches this service time").help(format!(
                 "the delays of the fastest paths alone add up to {} ms: allow more, or shorten a link",
@@ -43,7 +44,7 @@ pub(super) fn kpis(
         _ => {}
     }
     if let Some(wanted) = &kpis.reliability {
-        let best = most_reliable(service, &units, graph, topology);
+        let best = most_reliable(service, &units, testbed, topology);
         if best < wanted.value.get() - 1e-12 {
             sink.error(&wanted.span, "no placement is that reliable").help(format!(
                 "the most reliable servers and links together give {:.4} %: ask for less, or improve them",
@@ -63,12 +64,12 @@ pub(super) fn described(standard: WifiStandard) -> &'static str {
 }
 
 /// The hosts that could carry a VNF.
-fn candidates(vnf: &Vnf, graph: &HardwareGraph) -> Vec<usize> {
+fn candidates(vnf: &Vnf, testbed: &Testbed) -> Vec<usize> {
     let fits = |node: &Node| match &vnf.pinned_to {
         Some(pinned) => node.id == *pinned,
-        None => carries(node, vnf),
+        None => carries(node, vnf, &testbed.containers),
     };
-    graph.nodes.iter().enumerate().filter(|(_, node)| fits(node)).map(|(i, _)| i).collect()
+    testbed.graph.nodes.iter().enumerate().filter(|(_, node)| fits(node)).map(|(i, _)| i).collect()
 }
 
 /// The least that link delays add up to from the robot through the VNFs, in order, and back, over all placements and
@@ -76,11 +77,11 @@ fn candidates(vnf: &Vnf, graph: &HardwareGraph) -> Vec<usize> {
 fn fastest_ns(
     service: &Service,
     units: &[&NodeId],
-    graph: &HardwareGraph,
+    testbed: &Testbed,
     topology: &mut Topology<'_>,
     enough_ns: u128,
 ) -> Option<u64> {
-    let stages: Vec<_> = service.vnfs.iter().map(|vnf| candidates(vnf, graph)).collect();
+    let stages: Vec<_> = service.vnfs.iter().map(|vnf| candidates(vnf, testbed)).collect();
     let start = topology.place(&service.robot)?;
     let mut best = None;
     for unit in units {
@@ -105,7 +106,7 @@ fn fastest_ns(
 fn most_reliable(
     service: &Service,
     units: &[&NodeId],
-    graph: &HardwareGraph,
+    testbed: &Testbed,
     topology: &mut Topology<'_>,
 ) -> f64 {
     // -ln in fixed point, so that products become sums of integers; rounded down, as befits an upper bound.
@@ -113,17 +114,18 @@ fn most_reliable(
     let cost = |reliability: f64| (-reliability.ln() * UNIT) as u64;
     units.iter().for_each(|unit| topology.attach(&service.robot, unit));
     let start = topology.place(&service.robot).expect("the builder found it");
-    let reached = topology
-        .shortest(&[(start, 0)], |edge| edge.wired().map_or(0, |link| cost(graph.links[link].reliability)));
+    let reached = topology.shortest(&[(start, 0)], |edge| {
+        edge.wired().map_or(0, |link| cost(testbed.graph.links[link].reliability))
+    });
     topology.detach(&service.robot);
     let host = |i: usize| {
-        let own = match &graph.nodes[i].kind {
+        let own = match &testbed.graph.nodes[i].kind {
             NodeKind::Server(server) => cost(server.reliability),
             _ => 0,
         };
         reached[i].map(|path| path.cost + own)
     };
-    let best = |vnf: &Vnf| candidates(vnf, graph).into_iter().filter_map(host).min();
+    let best = |vnf: &Vnf| candidates(vnf, testbed).into_iter().filter_map(host).min();
     let worst = service.vnfs.iter().filter_map(best).max().unwrap_or(0);
     (-(worst as f64) / UNIT).exp()
 }

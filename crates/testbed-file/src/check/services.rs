@@ -2,15 +2,43 @@
 
 use std::collections::{HashMap, HashSet};
 
-use cotorra_graph::{Capacity, HardwareGraph, Node, NodeId, NodeKind, Program, Service, Testbed, Vnf, VnfId};
+use cotorra_graph::{Capacity, Containers, Node, NodeId, NodeKind, Program, Service, Testbed, Vnf, VnfId};
 
+use super::containers;
 use crate::{
-    records::{ServiceRecord, TestbedRecord, VnfRecord},
+    records::{ComposeRecord, ServiceRecord, TestbedRecord, VnfRecord},
     yaml::{
         Sink, Span,
         decode::{Either, Spanned, words},
     },
 };
+
+/// A VNF, and its places in the file. Those of a VNF in a compose file are where that is named.
+struct Placed<'a> {
+    vnf: &'a Vnf,
+    /// Place of its name.
+    id: &'a Span,
+    /// Places of its nodes.
+    starts: Vec<&'a Span>,
+    /// Place of its program.
+    program: &'a Span,
+}
+
+/// Returns the VNFs of a service with their places.
+fn placed<'a>(record: &'a ServiceRecord, service: &'a Service) -> impl Iterator<Item = Placed<'a>> {
+    let listed = record.vnfs.0.iter().zip(&service.vnfs).map(|((id, r), vnf)| Placed {
+        vnf,
+        id: &id.span,
+        starts: starts(id, r),
+        program: r.program.as_ref().map_or(&id.span, |program| &program.span),
+    });
+    let composed = service.vnfs.iter().skip(record.vnfs.0.len());
+    let composed = composed.zip(record.compose.iter().cycle()).map(|(vnf, ComposeRecord { file, node })| {
+        let start = if *vnf.node.first() == node.value { &node.span } else { &file.span };
+        Placed { vnf, id: &file.span, starts: vec![start], program: &file.span }
+    });
+    listed.chain(composed)
+}
 
 /// VNFs have names of their own, run on hosts that can carry them, and navigation has a robot that it drives.
 pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
@@ -18,12 +46,16 @@ pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
     let mut seen = HashSet::new();
     let mut used: HashMap<&NodeId, Capacity> = HashMap::new();
     for ((_, r), service) in record.services.0.iter().zip(&testbed.services) {
-        for ((id, r), vnf) in r.vnfs.0.iter().zip(&service.vnfs) {
+        for Placed { vnf, id, starts, .. } in placed(r, service) {
             if !seen.insert(&vnf.id) {
-                sink.error(&id.span, format!("the VNF `{}` is here twice", vnf.id))
+                sink.error(id, format!("the VNF `{}` is here twice", vnf.id))
                     .help("rename one of them: VNFs of all services have names of their own");
+            } else if testbed.containers.hosts.iter().any(|host| host.id == vnf.id) {
+                sink.error(id, format!("the VNF `{}` has the name of a node with an `image`", vnf.id))
+                    .help("rename one of them: both are containers");
             }
-            for (node, place) in vnf.node.all().iter().zip(starts(id, r)) {
+            let able = able(testbed, vnf);
+            for (node, place) in vnf.node.all().iter().zip(starts) {
                 let node = graph.node(node).expect("the builder found it");
                 let Some(capacity) = node.capacity() else {
                     let what = match node.kind {
@@ -32,16 +64,19 @@ pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
                         _ => "a switch, and a switch runs no VNF",
                     };
                     sink.error(place, format!("`{}` is {what}", node.id))
-                        .help(format!("place it on one of {}", words(&able(graph, vnf))));
+                        .help(format!("place it on one of {}", words(&able)));
                     continue;
                 };
+                if vnf.image.is_some() && !containers::runs_images(&testbed.containers, node) {
+                    containers::no_image(place, vnf, node, &able, sink);
+                    continue;
+                }
                 let all = used.entry(&node.id).or_insert(Capacity { cpus: 0.0, memory_bytes: 0 });
                 all.cpus += vnf.cpus;
                 all.memory_bytes = all.memory_bytes.saturating_add(vnf.memory_bytes);
-                let able = able(graph, vnf);
                 if able.is_empty() {
                     sink.error(
-                        &id.span,
+                        id,
                         format!("`{}` fits no node: it takes {}", vnf.id, amount(vnf.cpus, vnf.memory_bytes)),
                     )
                     .help("let it take less, or give a node more");
@@ -72,12 +107,15 @@ fn starts<'a>(id: &'a Spanned<VnfId>, record: &'a VnfRecord) -> Vec<&'a Span> {
 }
 
 /// The hosts that can carry a VNF alone.
-fn able<'a>(graph: &'a HardwareGraph, vnf: &Vnf) -> Vec<&'a str> {
-    graph.nodes.iter().filter(|node| carries(node, vnf)).map(|node| node.id.as_str()).collect()
+fn able<'a>(testbed: &'a Testbed, vnf: &Vnf) -> Vec<&'a str> {
+    let nodes = testbed.graph.nodes.iter();
+    nodes.filter(|node| carries(node, vnf, &testbed.containers)).map(|node| node.id.as_str()).collect()
 }
 
-pub(super) fn carries(node: &Node, vnf: &Vnf) -> bool {
+/// Whether a node alone has room for a VNF, and an engine for its image.
+pub(super) fn carries(node: &Node, vnf: &Vnf, all: &Containers) -> bool {
     node.capacity().is_some_and(|c| vnf.cpus <= c.cpus && vnf.memory_bytes <= c.memory_bytes)
+        && (vnf.image.is_none() || containers::runs_images(all, node))
 }
 
 fn amount(cpus: f64, memory_bytes: u64) -> String {
@@ -87,8 +125,7 @@ fn amount(cpus: f64, memory_bytes: u64) -> String {
 
 /// Navigation answers the position packets of a robot on its walk, localization its scans, on a map.
 fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut Sink) {
-    for ((id, r), vnf) in record.vnfs.0.iter().zip(&service.vnfs) {
-        let place = r.program.as_ref().map_or(&id.span, |program| &program.span);
+    for Placed { vnf, program: place, .. } in placed(record, service) {
         match vnf.program {
             Program::RobotDriver if vnf.pinned_to.as_ref() != Some(&service.robot) => {
                 sink.error(place, format!("a robot driver that is not pinned to `{}`", service.robot))

@@ -194,13 +194,14 @@ pub(crate) fn expected(node: &Node, what: &str, help: &str, sink: &mut Sink) {
 }
 
 /// Declares a record of a file: its Rust type, its decoder and its JSON Schema in one. A key may be left out if it has
-/// a default (`= json`) or an `Option` type. `..name: Type` at the end takes in the keys of another record.
+/// a default (`= json`) or an `Option` type. `field as "key"` gives a field another key. `..name: Type` at the end takes in
+/// the keys of another record.
 macro_rules! record {
     (
         $(#[doc = $doc:literal])*
         $(#[derive($derive:ident)])?
         $name:ident {
-            $( $(#[doc = $field_doc:literal])* $field:ident: $type:ty $(= $default:tt)?, )*
+            $( $(#[doc = $field_doc:literal])* $field:ident $(as $key:literal)?: $type:ty $(= $default:tt)?, )*
             $(.. $flat:ident: $flat_type:ty,)?
         }
     ) => {
@@ -219,7 +220,7 @@ macro_rules! record {
                 let mut fields = vec![$({
                     let default: Option<serde_json::Value> = None $(.or(Some(serde_json::json!($default))))?;
                     $crate::yaml::decode::Field {
-                        key: stringify!($field),
+                        key: $crate::yaml::decode::key!($field $($key)?),
                         doc: concat!($($field_doc, " "),*),
                         schema: <$type as $crate::yaml::decode::Decode>::schema(),
                         required: default.is_none()
@@ -238,12 +239,22 @@ macro_rules! record {
             ) -> Option<Self> {
                 $(
                     let default = None $(.or(Some(serde_json::json!($default))))?;
-                    let $field = from.take::<$type>(stringify!($field), default, sink);
+                    let $field = from.take::<$type>($crate::yaml::decode::key!($field $($key)?), default, sink);
                 )*
                 $( let $flat = <$flat_type as $crate::yaml::decode::Record>::take(from, sink); )?
                 Some(Self { $($field: $field?,)* $($flat: $flat?,)? })
             }
         }
+    };
+}
+
+/// Returns the key of a record's field.
+macro_rules! key {
+    ($field:ident) => {
+        stringify!($field)
+    };
+    ($field:ident $key:literal) => {
+        $key
     };
 }
 
@@ -311,7 +322,7 @@ macro_rules! choice {
     };
 }
 
-pub(crate) use {choice, record, tagged};
+pub(crate) use {choice, key, record, tagged};
 
 /// Decodes one of several words. Reports any other value.
 pub(crate) fn choose(
