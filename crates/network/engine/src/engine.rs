@@ -28,6 +28,8 @@ pub enum Outcome {
 ///
 /// `start` and `stop` return at once. `poll` reports the outcome of a start: exactly one `Ready` and then at most one
 /// `Died`, or one `Failed`. A stopped instance may still report one last event.
+///
+/// The module `contract`, with the feature of that name, checks these and all other promises of an engine.
 pub trait Engine {
     /// Begins to start an instance. `replica` is its number, from 0, among the VNF's instances.
     ///

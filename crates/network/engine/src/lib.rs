@@ -4,6 +4,8 @@
 #![forbid(unsafe_code)]
 
 mod cgroup;
+#[cfg(feature = "contract")]
+pub mod contract;
 mod engine;
 mod environment;
 mod memory;

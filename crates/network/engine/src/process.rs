@@ -14,6 +14,7 @@ use std::{
 };
 
 use cotorra_graph::{NodeId, Program, Vnf, VnfId};
+use parking_lot::Mutex;
 
 use crate::{
     cgroup::Cgroups,
@@ -123,7 +124,8 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         let path = self.logs.join(format!("{}.log", replica_name(&vnf.id, replica)));
         let in_log = |e: io::Error| format!("cannot write {}: {e}", path.display());
         let mut log = OpenOptions::new().create(true).append(true).open(&path).map_err(in_log)?;
-        writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
+        // A full disk must not stop the VNF.
+        let _ = writeln!(log, "--- instance {} on {node}", instance.0);
         let output = match vnf.program {
             Program::Command(_) => {
                 // A pipe rather than the log itself, so that the VNF cannot change what is written there.
@@ -148,14 +150,14 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         let thread = thread::Builder::new()
             .name(format!("vnf-{}", vnf.id))
             .spawn(move || {
-                let report = |outcome| {
+                let reporter = Reporter::new(|outcome| {
                     // Fails only while the engine is dropped.
                     let _ = events.send(EngineEvent { instance, outcome });
                     launcher.wake();
-                };
+                });
                 match launcher.launch(&vnf, replica, &node, command, procs) {
-                    Ok(mut child) => watch(&mut *child, log, output, &stopped, &report),
-                    Err(error) => report(Outcome::Failed(format!("cannot start: {error}"))),
+                    Ok(mut child) => watch(&mut *child, log, output, &stopped, &reporter),
+                    Err(error) => reporter.ended(format!("cannot start: {error}")),
                 }
                 if let Some(groups) = cgroups {
                     groups.release(instance);
@@ -197,30 +199,68 @@ impl<L> Drop for ProcessEngine<L> {
     }
 }
 
+/// Reports the outcomes of an instance in the order of [`Engine`].
+struct Reporter<F> {
+    report: F,
+    /// The stage after the last outcome.
+    stage: Mutex<Stage>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    Starting,
+    Ready,
+    Ended,
+}
+
+impl<F: Fn(Outcome)> Reporter<F> {
+    fn new(report: F) -> Self {
+        Self { report, stage: Mutex::new(Stage::Starting) }
+    }
+
+    fn ready(&self) {
+        let mut stage = self.stage.lock();
+        if *stage == Stage::Starting {
+            *stage = Stage::Ready;
+            (self.report)(Outcome::Ready);
+        }
+    }
+
+    fn ended(&self, reason: String) {
+        let mut stage = self.stage.lock();
+        match *stage {
+            Stage::Starting => (self.report)(Outcome::Failed(reason)),
+            Stage::Ready => (self.report)(Outcome::Died(reason)),
+            Stage::Ended => {}
+        }
+        *stage = Stage::Ended;
+    }
+}
+
 /// Watches a process until it ends or is stopped.
 fn watch(
     child: &mut dyn Process,
     mut log: File,
     output: Option<PipeReader>,
     stopped: &mpsc::Receiver<()>,
-    report: &(impl Fn(Outcome) + Sync),
+    reporter: &Reporter<impl Fn(Outcome) + Sync>,
 ) {
     thread::scope(|scope| {
         if let Some(mut output) = output {
-            report(Outcome::Ready);
+            reporter.ready();
             scope.spawn(move || {
                 // A full disk must not block the VNF.
                 let _ = io::copy(&mut output, &mut log).or_else(|_| io::copy(&mut output, &mut io::sink()));
             });
         } else if let Some(stdout) = child.stdout() {
-            scope.spawn(|| copy_output(stdout, log, report));
+            scope.spawn(|| copy_output(stdout, log, reporter));
         }
         loop {
             match stopped.recv_timeout(CHECK_INTERVAL) {
                 Err(mpsc::RecvTimeoutError::Timeout) => match child.try_wait() {
                     Ok(None) => {}
-                    Ok(Some(status)) => return report(Outcome::Died(describe(status))),
-                    Err(error) => return report(Outcome::Died(error.to_string())),
+                    Ok(Some(status)) => return reporter.ended(describe(status)),
+                    Err(error) => return reporter.ended(error.to_string()),
                 },
                 // Stopped, or the engine is gone.
                 Ok(()) | Err(mpsc::RecvTimeoutError::Disconnected) => return terminate(child),
@@ -230,12 +270,10 @@ fn watch(
 }
 
 /// Copies the output of a bundled VNF to its log. The line [`READY`] reports that it serves.
-fn copy_output(stdout: impl io::Read, mut log: File, report: &impl Fn(Outcome)) {
-    let mut waiting = true;
+fn copy_output(stdout: impl io::Read, mut log: File, reporter: &Reporter<impl Fn(Outcome)>) {
     for line in BufReader::new(stdout).lines().map_while(Result::ok) {
-        if waiting && line == READY {
-            waiting = false;
-            report(Outcome::Ready);
+        if line == READY {
+            reporter.ready();
         }
         // A full disk must not stop the VNF.
         let _ = writeln!(log, "{line}");
