@@ -127,6 +127,10 @@ class Client:
         """a(n): where every VNF runs."""
         return self._ask("network/placements")
 
+    def vnfs(self) -> list[JSON]:
+        """VNFs that were added by `add_vnf`, where they run, and their last event."""
+        return self._ask("vnfs")
+
     def virtual_links(self) -> list[JSON]:
         """a(n1,n2): which links carry each direction of every virtual link, and why: `path`."""
         return self._ask("network/virtual-links")

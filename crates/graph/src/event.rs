@@ -19,6 +19,7 @@ use crate::{
     machine_context::MachineContext,
     nodes::Nodes,
     sensor::SensorReading,
+    service::Vnf,
     units::{Position, Timestamp, millis},
 };
 
@@ -201,6 +202,17 @@ pub enum Instruction {
         /// The node, or one for each instance.
         node: Nodes,
     },
+    /// Add a VNF that belongs to no service, and start its instances. It is a command or an image with the rights of a
+    /// confined command, and ends with the run.
+    AddVnf {
+        /// The VNF. Its name is new in the testbed.
+        vnf: Box<Vnf>,
+    },
+    /// Remove a VNF that was added. Its instances stop once packets in flight to them have arrived.
+    RemoveVnf {
+        /// The VNF.
+        vnf: VnfId,
+    },
     /// Map the virtual links between two nodes, a(n1,n2). Packets from one node to the other take this path, and the rate of
     /// these virtual links is reserved on it in that direction. The mapping stays, whatever runs on the nodes.
     Map {
@@ -292,6 +304,8 @@ impl Instruction {
             Self::Scan { .. } => "scan",
             Self::Attach { .. } => "attach",
             Self::Place { .. } => "place",
+            Self::AddVnf { .. } => "add_vnf",
+            Self::RemoveVnf { .. } => "remove_vnf",
             Self::Map { .. } => "map",
             Self::Condition { .. } => "condition",
             Self::Deploy { .. } => "deploy",

@@ -6,12 +6,12 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
     AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, DataFormat,
-    Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, InstancePath, Instruction, Jitter,
-    JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters, LinkId, LinkTime, Loss, NodeId,
-    Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit,
-    RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId,
-    ServiceTime, Stamped, StationContext, Tested, ThroughputTest, TimeParts, Timestamp, Trace, Velocity,
-    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, Image, InstancePath, Instruction,
+    Jitter, JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters, LinkId, LinkTime, ListenPort,
+    Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed,
+    Program, QueueLimit, RadioContext, Rate, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId,
+    SensorReading, ServiceId, ServiceTime, Stamped, StationContext, Tested, ThroughputTest, TimeParts,
+    Timestamp, Trace, Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -304,6 +304,8 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         node().prop_map(|robot| Instruction::Scan { robot }),
         (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),
         (vnf(), nodes()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
+        added_vnf().prop_map(|vnf| Instruction::AddVnf { vnf: Box::new(vnf) }),
+        vnf().prop_map(|vnf| Instruction::RemoveVnf { vnf }),
         (node(), node(), vec(link(), 0..4)).prop_map(|(from, to, links)| Instruction::Map {
             from,
             to,
@@ -332,6 +334,34 @@ fn instruction() -> impl Strategy<Value = Instruction> {
             Instruction::TestThroughput { link, direction, test }
         }),
     ]
+}
+
+/// Draws a VNF that a run can add.
+fn added_vnf() -> impl Strategy<Value = Vnf> {
+    let image = (0..100_u64, vec(1..u16::MAX, 0..3)).prop_map(|(seconds, ports)| {
+        let port = |port| ListenPort { port, transport: Transport::Tcp };
+        let ports = ports.into_iter().map(port).collect();
+        Box::new(Image {
+            reference: "a:1".to_owned(),
+            ports,
+            start: Duration::from_secs(seconds),
+            ..Image::default()
+        })
+    });
+    (vnf(), nodes(), 1..64_u32, of(image), vec("[A-Z]{1,4}=[ -~]{0,9}", 0..3)).prop_map(
+        |(id, node, cpus, image, env)| Vnf {
+            id,
+            program: Program::Command(vec!["serve".to_owned()]),
+            cpus: f64::from(cpus) / 4.0,
+            memory_bytes: 1 << 20,
+            pinned_to: node.only().cloned(),
+            node,
+            env,
+            rights: Rights::default(),
+            keep: false,
+            image,
+        },
+    )
 }
 
 /// Draws one node or several.

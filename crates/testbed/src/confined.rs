@@ -28,6 +28,8 @@ pub(crate) struct Confined {
     /// Folder of the VNFs' home folders.
     homes: PathBuf,
     hidden: Vec<PathBuf>,
+    /// Reason for which no VNF can be shown the folder.
+    unfit: Option<String>,
 }
 
 impl Confined {
@@ -37,8 +39,11 @@ impl Confined {
         let folder = testbed.folder.canonicalize()?;
         let is_confined =
             |vnf: &Vnf| matches!(vnf.program, Program::Command(_)) && vnf.rights != Rights::Trusted;
+        let fit = check(&folder);
+        // VNFs may be added later. They are rejected then, and not the run.
+        let unfit = fit.as_ref().err().map(ToString::to_string);
         if testbed.services.iter().flat_map(|service| &service.vnfs).any(is_confined) {
-            check(&folder)?;
+            fit?;
         }
         let mut hidden = vec![run.path().to_owned()];
         hidden.extend(other_runs(&options.folder, &folder));
@@ -60,7 +65,7 @@ impl Confined {
             plugin.settings.values().for_each(|value| named_files(value, &folder, &mut hidden));
         }
         let hidden = hidden.iter().filter_map(|path| real(path)).collect();
-        Ok(Self { folder, homes: run.path().join("vnfs"), hidden })
+        Ok(Self { folder, homes: run.path().join("vnfs"), hidden, unfit })
     }
 
     /// Returns the working folder of commands.
@@ -75,6 +80,9 @@ impl Confined {
         else {
             return Ok(None);
         };
+        if let Some(reason) = &self.unfit {
+            return Err(io::Error::other(reason.clone()));
+        }
         let home = self.homes.join(replica_name(&vnf.id, replica));
         // Closed to others: what a VNF of root creates there belongs to root, whatever its mode.
         fs::DirBuilder::new().recursive(true).mode(0o700).create(&home)?;

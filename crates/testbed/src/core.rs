@@ -12,7 +12,7 @@ use std::{
 use cotorra_engine::Engine;
 use cotorra_graph::{
     Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId, Stamped,
-    Testbed, Timestamp,
+    Testbed, Timestamp, VnfId,
 };
 use cotorra_ledger::tunnel::TunnelId;
 use cotorra_localization::trajectory::Errors;
@@ -371,7 +371,8 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
         instruction: Instruction,
         reason: Option<String>,
     ) -> Result<(), InstructionError> {
-        let own = self.domains.of_plugin(&plugin).map_or(Ok(()), |view| view.check(&instruction));
+        let added = |vnf: &VnfId| Some(self.control.nodes_of_added(vnf)?.cloned().collect());
+        let own = self.domains.of_plugin(&plugin).map_or(Ok(()), |view| view.check(&instruction, added));
         let done = match &instruction {
             _ if own.is_err() => {
                 own.map(|()| Vec::new()).map_err(|reason| InstructionError(reason.to_string()))

@@ -206,7 +206,7 @@ impl DomainView {
             Event::Scanned { robot } | Event::WalkFinished { robot } => self.owns(robot),
             Event::Decision(Decision { plugin, instruction, .. }) => {
                 let is_note = matches!(instruction, Instruction::Note { .. });
-                self.has_plugin(plugin) || (!is_note && self.check(instruction).is_ok())
+                self.has_plugin(plugin) || (!is_note && self.check(instruction, |_| None).is_ok())
             }
             Event::PluginFault { plugin, .. } => self.has_plugin(plugin),
             // Lateness is the emulator's, and belongs to no node.
@@ -227,13 +227,22 @@ impl DomainView {
     }
 
     /// Checks that an instruction is for the domain's nodes. Whether a robot may attach is decided by the radio unit's
-    /// domain.
-    pub(crate) fn check(&self, instruction: &Instruction) -> Result<(), NotOwnError> {
+    /// domain. `added` returns the nodes of a VNF that was added during the run: it is the domain's while all its nodes are.
+    pub(crate) fn check(
+        &self,
+        instruction: &Instruction,
+        added: impl Fn(&VnfId) -> Option<Vec<NodeId>>,
+    ) -> Result<(), NotOwnError> {
         let not_own = |what: String| Err(NotOwnError { what, domain: self.domain.clone() });
         let node = |node: &NodeId| if self.owns(node) { Ok(()) } else { not_own(format!("`{node}`")) };
         let own_link = |link: &LinkId| {
             let own = self.ends(link).is_some_and(|ends| ends.iter().all(|end| self.owns(end)));
             if own { Ok(()) } else { not_own(format!("the link `{link}`")) }
+        };
+        let own_vnf = |vnf: &VnfId| {
+            let is_added_here = || added(vnf).is_some_and(|nodes| nodes.iter().all(|node| self.owns(node)));
+            let own = self.vnfs.contains(vnf) || is_added_here();
+            if own { Ok(()) } else { not_own(format!("the VNF `{vnf}`")) }
         };
         match instruction {
             Instruction::Move { robot, .. }
@@ -246,8 +255,12 @@ impl DomainView {
             | Instruction::Attach { robot, .. }
             | Instruction::Provision { robot, .. } => node(robot),
             Instruction::Deploy { radio_unit, .. } | Instruction::Remove { radio_unit } => node(radio_unit),
-            Instruction::Place { vnf, .. } if !self.vnfs.contains(vnf) => not_own(format!("the VNF `{vnf}`")),
-            Instruction::Place { node: to, .. } => to.all().iter().try_for_each(node),
+            Instruction::Place { vnf, node: to } => {
+                own_vnf(vnf)?;
+                to.all().iter().try_for_each(node)
+            }
+            Instruction::AddVnf { vnf } => vnf.node.all().iter().try_for_each(node),
+            Instruction::RemoveVnf { vnf } => own_vnf(vnf),
             Instruction::Map { from, to, links } => {
                 node(from)?;
                 node(to)?;

@@ -3,9 +3,9 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::{
-    Direction, Event, Lateness, LinkContext, LinkId, MachineContext, NodeId, Placement, RadioContext,
-    RobotContext, SensorId, SensorReading, ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
-    VnfEvent, VnfId, VnfState,
+    Decision, Direction, Event, Instruction, Lateness, LinkContext, LinkId, MachineContext, NodeId, Nodes,
+    Placement, RadioContext, RobotContext, SensorId, SensorReading, ServiceId, ServiceTime, Stamped,
+    Timestamp, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use parking_lot::RwLock;
 use serde::Serialize;
@@ -36,6 +36,9 @@ pub struct Snapshot {
     pub virtual_links: Vec<VirtualLinkMapping>,
     /// The last event of every VNF's process.
     pub vnfs: BTreeMap<VnfId, VnfEvent>,
+    /// The VNFs that were added during the run.
+    #[serde(skip)]
+    pub added: BTreeMap<VnfId, Vnf>,
     /// The last service time of every service.
     pub service_times: BTreeMap<ServiceId, ServiceTime>,
     /// The last reading of every sensor, and the time of its event.
@@ -50,6 +53,14 @@ pub struct Snapshot {
     pub finished: Vec<NodeId>,
     /// Plug-ins that were cut off, with the reason.
     pub plugin_faults: Vec<String>,
+}
+
+impl Snapshot {
+    /// Returns the present nodes of a VNF that was added during the run; `None` for all others.
+    pub fn nodes_of_added(&self, vnf: &VnfId) -> Option<Nodes> {
+        let added = self.added.get(vnf)?;
+        Some(self.placements.get(vnf).map_or(&added.node, |placement| &placement.node).clone())
+    }
 }
 
 /// A snapshot with many readers and one writer.
@@ -100,7 +111,10 @@ impl Live {
                     }
                     VnfState::Stopped | VnfState::Died | VnfState::Failed => {}
                 }
-                now.vnfs.insert(event.vnf.clone(), event);
+                // The last instances of a removed VNF stop when it is forgotten already.
+                if event.state != VnfState::Stopped || now.vnfs.contains_key(&event.vnf) {
+                    now.vnfs.insert(event.vnf.clone(), event);
+                }
             }
             Event::ServiceTime(sample) => {
                 now.service_times.insert(sample.service.clone(), sample);
@@ -111,6 +125,17 @@ impl Live {
             Event::Machine(context) => {
                 now.machines.insert(context.node.clone(), (*at, context));
             }
+            Event::Decision(Decision { instruction, refused: None, .. }) => match instruction {
+                Instruction::AddVnf { vnf } => {
+                    now.added.insert(vnf.id.clone(), *vnf);
+                }
+                Instruction::RemoveVnf { vnf } => {
+                    now.added.remove(&vnf);
+                    now.placements.remove(&vnf);
+                    now.vnfs.remove(&vnf);
+                }
+                _ => {}
+            },
             Event::Lateness(lateness) => now.lateness = lateness,
             Event::WalkFinished { robot } => now.finished.push(robot),
             Event::PluginFault { plugin, reason } => now.plugin_faults.push(format!("{plugin}: {reason}")),

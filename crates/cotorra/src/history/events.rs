@@ -208,6 +208,8 @@ fn instruction(instruction: &Instruction) -> String {
         Instruction::Scan { robot } => format!("scan with {robot}"),
         Instruction::Attach { robot, radio_unit } => format!("attach {robot} to {radio_unit}"),
         Instruction::Place { vnf, node } => format!("place {vnf} on {node}"),
+        Instruction::AddVnf { vnf } => format!("add {} on {}", vnf.id, vnf.node),
+        Instruction::RemoveVnf { vnf } => format!("remove {vnf}"),
         Instruction::Map { from, to, links } if links.is_empty() => format!("unmap {from} to {to}"),
         Instruction::Map { from, to, links } => format!("map {from} to {to} over {}", over(links)),
         Instruction::Condition { link, direction, .. } => {

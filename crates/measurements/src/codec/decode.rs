@@ -415,6 +415,8 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
             let node = several.map_or_else(|| node().map(Into::into), Ok)?;
             Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node }
         }
+        "add_vnf" => Instruction::AddVnf { vnf: json(&required(change)?)? },
+        "remove_vnf" => Instruction::RemoveVnf { vnf: subject.parse().map_err(unreadable)? },
         "map" => Instruction::Map { from: robot()?, to: node()?, links: json(&required(change)?)? },
         "test_throughput" => Instruction::TestThroughput {
             link: subject.parse().map_err(unreadable)?,

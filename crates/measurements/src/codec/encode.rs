@@ -354,6 +354,15 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
                 row.text(serde_json::to_string(nodes).expect("names are JSON"))
             });
         }
+        Instruction::AddVnf { vnf } => {
+            put("add_vnf", vnf.id.as_str(), Some(vnf.node.first().as_str()));
+            row.0.extend([const { Value::Null }; 4]);
+            row.text(serde_json::to_string(vnf).expect("a VNF has no map keys that are not text"));
+        }
+        Instruction::RemoveVnf { vnf } => {
+            put("remove_vnf", vnf.as_str(), None);
+            row.0.extend([const { Value::Null }; 5]);
+        }
         Instruction::Map { from, to, links } => {
             put("map", from.as_str(), Some(to.as_str()));
             row.0.extend([const { Value::Null }; 4]);

@@ -58,7 +58,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         self.vim.start(now)
     }
 
-    /// Whether all instances of every VNF are ready.
+    /// Whether all instances of every VNF of the testbed file are ready.
     pub fn all_ready(&self) -> bool {
         self.vim.all_ready()
     }
@@ -104,6 +104,11 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// Returns every replica of every VNF with its instances, by the VNF's name.
     pub fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
         self.vim.managed()
+    }
+
+    /// Returns the nodes of a VNF that was added during the run, with those that it is moving to; `None` for all others.
+    pub fn nodes_of_added(&self, vnf: &VnfId) -> Option<impl Iterator<Item = &NodeId>> {
+        self.vim.nodes_of_added(vnf)
     }
 
     /// Returns the events of VNFs and vAPs since the last call.
@@ -368,6 +373,8 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 Ok(Vec::new())
             }
             Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(rejected),
+            Instruction::AddVnf { vnf } => self.vim.add(now, &vnf).map_err(rejected),
+            Instruction::RemoveVnf { vnf } => self.vim.remove(now, &vnf).map_err(rejected),
             Instruction::Map { from, to, links } => self.map(from, to, links).map(|()| Vec::new()),
             Instruction::Condition { link, direction, change } => {
                 let contexts = self.network.change(&link, direction, &change)?;

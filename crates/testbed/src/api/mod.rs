@@ -19,7 +19,7 @@ use std::{io::ErrorKind, net::SocketAddr, sync::Arc};
 
 use axum::{
     Router, middleware,
-    routing::{MethodRouter, get, post},
+    routing::{MethodRouter, delete, get, post},
 };
 use cotorra_plugin::runs::{Announced, Runs, RunsError};
 use tokio::sync::oneshot;
@@ -74,7 +74,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 28] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 30] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/network/nodes/{id}", get(routes::node)),
@@ -89,6 +89,8 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 28] {
         ("/api/v1/network/radio-units", get(routes::radio_units)),
         ("/api/v1/network/placements", get(routes::placements)),
         ("/api/v1/network/virtual-links", get(routes::virtual_links)),
+        ("/api/v1/vnfs", get(routes::vnfs).post(routes::add_vnf)),
+        ("/api/v1/vnfs/{vnf}", delete(routes::remove_vnf)),
         ("/api/v1/instructions", post(routes::instruct)),
         ("/api/v1/measurements/robots/{id}", get(measurements::robot_history)),
         ("/api/v1/measurements/links/{id}", get(measurements::link_history)),

@@ -3,7 +3,7 @@
 use axum::{Extension, Json, extract::State, http::HeaderMap};
 use cotorra_graph::{
     Instruction, LinkId, NodeId, Placement, PluginId, RadioContext, RobotContext, ThroughputTest,
-    VirtualLinkMapping,
+    VirtualLinkMapping, VnfId,
 };
 
 #[cfg(feature = "openapi")]
@@ -12,8 +12,8 @@ use super::{
     auth::Caller,
     context::{Answer, Context},
     types::{
-        Body, Done, Failure, InstructionBody, LinkBody, MachineBody, NodeBody, Path, TestbedBody,
-        ThroughputTestBody,
+        AddVnfBody, AddedVnfBody, Body, Done, Failure, InstructionBody, LinkBody, MachineBody, NodeBody,
+        Path, TestbedBody, ThroughputTestBody,
     },
 };
 use crate::message::Message;
@@ -189,8 +189,58 @@ pub(super) fn plugin(
     caller.name(named, &context.hosted)
 }
 
-/// Gives an instruction: move, send, slow, halt or attach a robot, report its sensor, place a VNF, map a path, deploy a
-/// vAP, change a link.
+/// Returns the VNFs that were added during the run, and their states.
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/vnfs", tag = "network",
+    responses((status = 200, body = Vec<AddedVnfBody>))))]
+pub(super) async fn vnfs(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<Vec<AddedVnfBody>> {
+    Json(context.live.read(|now| {
+        let body = |(id, vnf): (&VnfId, &cotorra_graph::Vnf)| {
+            let node = now.nodes_of_added(id)?;
+            let is_seen = caller.keeps(|view| node.all().iter().all(|node| view.owns(node)));
+            let body = || AddedVnfBody { vnf: vnf.clone(), node, last: now.vnfs.get(id).cloned() };
+            is_seen.then(body)
+        };
+        now.added.iter().filter_map(body).collect()
+    }))
+}
+
+/// Adds a VNF that belongs to no service, and starts its instances.
+///
+/// It is a command or an image with the rights of a confined command, and ends with the run. `GET /api/v1/vnfs` has its
+/// state.
+#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/vnfs", tag = "instructions",
+    request_body = AddVnfBody,
+    params(("X-Cotorra-Plugin" = Option<String>, Header)),
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
+pub(super) async fn add_vnf(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+    Body(AddVnfBody { vnf, reason }): Body<AddVnfBody>,
+) -> Answer<Done> {
+    let instruction = Instruction::AddVnf { vnf: Box::new(vnf) };
+    give(&context, &caller, &headers, InstructionBody { instruction, reason }).await
+}
+
+/// Removes a VNF that was added. Its instances stop once packets in flight to them have arrived.
+#[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/api/v1/vnfs/{vnf}", tag = "instructions",
+    params(("vnf" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)),
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
+pub(super) async fn remove_vnf(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Path(vnf): Path<VnfId>,
+    headers: HeaderMap,
+) -> Answer<Done> {
+    let instruction = Instruction::RemoveVnf { vnf };
+    give(&context, &caller, &headers, InstructionBody { instruction, reason: None }).await
+}
+
+/// Gives an instruction: move, send, slow, halt or attach a robot, report its sensor, add, place or remove a VNF,
+/// map a path, deploy a vAP, change a link.
 ///
 /// The decision is recorded under the caller's name. A plug-in that the run started is identified by its token. Other
 /// callers choose a name with the header `X-Cotorra-Plugin`, but not one of the run's plug-ins.
@@ -215,7 +265,9 @@ async fn give(
     body: InstructionBody,
 ) -> Answer<Done> {
     if let Some(view) = &caller.view {
-        view.check(&body.instruction).map_err(|reason| Failure::not_own(reason.to_string()))?;
+        let added =
+            |vnf: &VnfId| context.live.read(|now| now.nodes_of_added(vnf).map(|nodes| nodes.all().to_vec()));
+        view.check(&body.instruction, added).map_err(|reason| Failure::not_own(reason.to_string()))?;
     }
     let plugin =
         plugin(context, caller, headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a valid name"));

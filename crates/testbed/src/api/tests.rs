@@ -372,6 +372,7 @@ struct Domains {
     server: Server,
     events: broadcast::Sender<Arc<Stamped>>,
     core: mpsc::Receiver<Message>,
+    live: Live,
 }
 
 const OPERATOR: &str = "operator-operator";
@@ -418,7 +419,7 @@ plugins:
         let testbed = Arc::new(testbed);
         let context = Context {
             testbed: Arc::clone(&testbed),
-            live,
+            live: live.clone(),
             history,
             run,
             events: events.clone(),
@@ -437,7 +438,7 @@ plugins:
             Tokens::new(Some(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)])).unwrap();
         let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
         let listener = listener.announced(found_in, "served", "/runs/served");
-        Self { server: Server::start(listener, context, tokens).unwrap(), events, core: inbox }
+        Self { server: Server::start(listener, context, tokens).unwrap(), events, core: inbox, live }
     }
 
     fn ask(&self, token: &str, head: &str, body: &str) -> (u16, BufReader<TcpStream>) {
@@ -534,6 +535,51 @@ fn a_domain_gives_instructions_to_its_own_nodes_and_under_its_own_name() {
     });
     assert_eq!(served.ask(ONE, "POST /api/v1/instructions", &scan).0, 200);
     assert_eq!(answers.join().unwrap().as_str(), "one");
+}
+
+#[test]
+fn vnfs_are_added_listed_and_removed() {
+    let mut served = Domains::serve();
+    let core = std::mem::replace(&mut served.core, mpsc::channel().1);
+    let live = served.live.clone();
+    // A core that applies everything.
+    let obedient = std::thread::spawn(move || {
+        let mut heard = Vec::new();
+        while let Ok(Message::Instruct { plugin, instruction, reply, .. }) = core.recv() {
+            heard.push(format!("{plugin} {}", instruction.name()));
+            let decision = cotorra_graph::Decision { plugin, instruction, reason: None, refused: None };
+            live.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Decision(decision) });
+            (reply.expect("the API waits for an answer"))(Ok(()));
+        }
+        heard
+    });
+    let body = |node: &str| {
+        json!({ "reason": "more sight", "vnf": {
+            "id": format!("detect-{node}"), "program": { "command": ["serve", "--fast"] }, "cpus": 0.5,
+            "memory_bytes": 1_000_000, "node": node, "env": ["LEVEL=3"],
+            "image": { "reference": "ros:jazzy", "ports": [{ "port": 8080, "transport": "tcp" }] },
+        } })
+        .to_string()
+    };
+    assert_eq!(served.ask(ONE, "POST /api/v1/vnfs", &body("left")).0, 200);
+    assert_eq!(served.ask(ONE, "POST /api/v1/vnfs", &body("right")).0, 403, "it is another domain's node");
+    assert_eq!(served.ask(OPERATOR, "POST /api/v1/vnfs", &body("right")).0, 200);
+    assert_eq!(served.ask(OPERATOR, "POST /api/v1/vnfs", "{\"vnf\":{},\"trusted\":true}").0, 422);
+    let names = |token| {
+        let (status, body) = served.get(token, "/api/v1/vnfs");
+        assert_eq!(status, 200, "{body}");
+        let names = body.as_array().unwrap().iter().map(|one| one["vnf"]["id"].as_str().unwrap().to_owned());
+        names.collect::<Vec<_>>()
+    };
+    assert_eq!(names(OPERATOR), ["detect-left", "detect-right"]);
+    assert_eq!((names(ONE), names(TWO)), (vec!["detect-left".into()], vec!["detect-right".into()]));
+    assert_eq!(served.get(ONE, "/api/v1/vnfs").1[0]["node"], "left");
+    assert_eq!(served.ask(TWO, "DELETE /api/v1/vnfs/detect-left", "").0, 403);
+    assert_eq!(served.ask(TWO, "DELETE /api/v1/vnfs/detect-right", "").0, 200);
+    assert_eq!(names(OPERATOR), ["detect-left"]);
+    drop(served);
+    let heard = ["one add_vnf", "api add_vnf", "two remove_vnf"];
+    assert_eq!(obedient.join().unwrap(), heard);
 }
 
 #[test]

@@ -9,8 +9,8 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use cotorra_graph::{
-    BitRate, Direction, HardwareGraph, HostAddress, Instruction, LinkContext, MachineContext, Node,
-    PluginSpec, Service, Testbed, Timestamp, Walk, millis,
+    BitRate, Direction, HardwareGraph, HostAddress, Instruction, LinkContext, MachineContext, Node, Nodes,
+    PluginSpec, Service, Testbed, Timestamp, Vnf, VnfEvent, Walk, millis,
 };
 use cotorra_measurements::{Gap, Run, RunId, RunInfo};
 use serde::{Deserialize, Serialize};
@@ -156,6 +156,30 @@ pub(super) struct InstructionBody {
     /// Recorded with the decision.
     #[serde(default)]
     pub(super) reason: Option<String>,
+}
+
+/// A VNF to add.
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub(super) struct AddVnfBody {
+    /// A command or an image. It has the rights of a confined command: `rights` other than the usual ones, and `volumes`
+    /// and `devices` of its image, are refused. Its variables have values: `NAME=VALUE`.
+    pub(super) vnf: Vnf,
+    /// Recorded with the decision.
+    #[serde(default)]
+    pub(super) reason: Option<String>,
+}
+
+/// A VNF that was added, and its state.
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub(super) struct AddedVnfBody {
+    pub(super) vnf: Vnf,
+    /// Present nodes of its instances.
+    pub(super) node: Nodes,
+    /// Its last event; null before its first instance serves.
+    pub(super) last: Option<VnfEvent>,
 }
 
 /// The instruction was applied, or its application has begun.

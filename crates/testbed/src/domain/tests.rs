@@ -2,7 +2,7 @@ use std::path::Path;
 
 use cotorra_graph::{
     Attachment, ConditionChange, Dbm, LinkTime, Pose, PoseSource, SensorData, ServiceTime, TimeParts,
-    Timestamp, Velocity,
+    Timestamp, Velocity, Vnf,
 };
 
 use super::*;
@@ -249,11 +249,28 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
     };
     let [one, two] = views();
     for (own, other) in of("1", "A", "A-s1").into_iter().zip(of("2", "B", "B-s2")) {
-        assert_eq!((one.check(&own), two.check(&other)), (Ok(()), Ok(())));
+        assert_eq!((one.check(&own, |_| None), two.check(&other, |_| None)), (Ok(()), Ok(())));
         for (view, instruction) in [(&one, other), (&two, own)] {
-            let refused = view.check(&instruction).unwrap_err().to_string();
+            let refused = view.check(&instruction, |_| None).unwrap_err().to_string();
             assert!(refused.contains(&format!("is not of the domain `{}`", view.domain())), "{refused}");
         }
+    }
+    // Added VNFs belong to the domain of their nodes.
+    let on = |nodes: &[&str]| Nodes::new(nodes.iter().map(|name| id(name)).collect()).unwrap();
+    let add = |nodes| {
+        let vnf = testbed().services[0].vnfs[1].clone();
+        Instruction::AddVnf { vnf: Box::new(Vnf { node: on(nodes), ..vnf }) }
+    };
+    let none = |_: &VnfId| None;
+    assert_eq!((one.check(&add(&["s1"]), none), two.check(&add(&["s2"]), none)), (Ok(()), Ok(())));
+    one.check(&add(&["s1", "s2"]), none).unwrap_err();
+    let place = Instruction::Place { vnf: id("new"), node: on(&["s1"]) };
+    for instruction in [Instruction::RemoveVnf { vnf: id("new") }, place] {
+        let check = |view: &DomainView, nodes: &'static [&str]| {
+            view.check(&instruction, |_| Some(on(nodes).all().to_vec())).is_ok()
+        };
+        assert!(check(&one, &["s1"]) && !check(&two, &["s1"]) && !check(&one, &["s1", "s2"]));
+        assert!(one.check(&instruction, none).is_err(), "it is not there");
     }
     // Between two domains, and to a node of the other domain.
     for instruction in [
@@ -264,7 +281,7 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
         Instruction::Map { from: id("r1"), to: id("s2"), links: Vec::new() },
         Instruction::Map { from: id("r1"), to: id("s1"), links: vec![id("r1~A"), id("A-B")] },
     ] {
-        one.check(&instruction).unwrap_err();
+        one.check(&instruction, |_| None).unwrap_err();
     }
     assert!(one.sees_link(&id("A-B")) && one.sees_link(&id("r1~B")) && !one.sees_link(&id("B-s2")));
 }

@@ -214,6 +214,7 @@ pub(super) fn served(view: &View<'_>, checked: &mut Checked) -> Result<(), Broke
     let mut replicas = BTreeSet::new();
     for Managed { vnf, node, instances, .. } in &view.managed {
         if !replicas.insert((&vnf.id, *node)) {
+            let node = node.map_or("no node", NodeId::as_str);
             return broken(format!("two replicas of {} are on {node}", vnf.id));
         }
         let count = |stage: Stage| instances.iter().filter(|(.., at)| *at == stage).count();
@@ -250,6 +251,8 @@ pub(super) fn served(view: &View<'_>, checked: &mut Checked) -> Result<(), Broke
 pub(super) fn restarted(view: &View<'_>, checked: &mut Checked) -> Result<(), Broken> {
     let mut exercised = false;
     for Managed { vnf, node, instances, restart_at } in &view.managed {
+        // A removed VNF is not started again.
+        let Some(node) = node else { continue };
         let lives = instances.iter().any(|(.., stage)| matches!(stage, Stage::Serving | Stage::Starting));
         exercised |= !instances.iter().any(|(.., stage)| *stage == Stage::Serving);
         if !lives && restart_at.is_none() {
@@ -289,8 +292,9 @@ impl Fits {
         let mut take = |node, cpus, memory, vnf| taken.push((node, cpus, memory, vnf));
         let takes_room = |its: &&Managed<'_>| !matches!(its.vnf.program, Program::Host(_));
         for Managed { vnf, node, instances, .. } in view.managed.iter().filter(takes_room) {
-            take(*node, vnf.cpus, vnf.memory_bytes, &vnf.id);
-            let moves = instances.iter().filter(|(_, to, stage)| *stage == Stage::Starting && to != node);
+            let Some(node) = *node else { continue };
+            take(node, vnf.cpus, vnf.memory_bytes, &vnf.id);
+            let moves = instances.iter().filter(|(_, to, stage)| *stage == Stage::Starting && *to != node);
             moves.for_each(|(_, to, _)| take(to, vnf.cpus, vnf.memory_bytes, &vnf.id));
         }
         let deployed = self.access_points.iter().filter(|(.., deployed)| *deployed);

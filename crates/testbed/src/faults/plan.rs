@@ -3,8 +3,9 @@
 use std::{fmt, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, ConditionChange, Direction, Instruction, LinkId, Loss, NodeId, NodeKind, Nodes, PluginId,
-    Position, Probability, Program, Rate, Testbed, ThroughputTest, Timestamp, Velocity, VnfId,
+    AccessPoint, ConditionChange, Direction, Image, Instruction, LinkId, Loss, NodeId, NodeKind, Nodes,
+    PluginId, Position, Probability, Program, Rate, Rights, Testbed, ThroughputTest, Timestamp, Velocity,
+    Vnf, VnfId,
 };
 
 use super::{draw::Draw, invariants::SABOTEUR};
@@ -302,7 +303,7 @@ impl Names {
     fn instruction(&self, draw: &mut Draw, robot: NodeId) -> Instruction {
         let radio_unit = draw.one(&self.units).clone();
         let link = draw.one(&self.links).clone();
-        match draw.whole(0..=9) {
+        match draw.whole(0..=12) {
             0 | 1 => Instruction::Attach { robot, radio_unit },
             2 => Instruction::Scan { robot },
             3 => {
@@ -321,6 +322,8 @@ impl Names {
                 let test = ThroughputTest { duration: draw.duration(0.01, 0.2), rate_limit: None };
                 Instruction::TestThroughput { link, direction: Direction::Forward, test }
             }
+            9 | 10 => self.added(draw),
+            11 => Instruction::RemoveVnf { vnf: added_name(draw) },
             _ => {
                 let change = ConditionChange {
                     delay_ms: Some(draw.number(0.0, 100.0)),
@@ -334,11 +337,36 @@ impl Names {
         }
     }
 
+    /// Draws a VNF to add. Its node may have no room for it, and its name may be taken.
+    fn added(&self, draw: &mut Draw) -> Instruction {
+        let Instruction::Place { node, .. } = self.place(draw) else { unreachable!("it places a VNF") };
+        let image = Image { reference: "a:1".to_owned(), start: draw.duration(0.0, 1.0), ..Image::default() };
+        let vnf = Vnf {
+            id: added_name(draw),
+            program: Program::Command(vec!["serve".to_owned()]),
+            cpus: draw.number(0.1, 2.0),
+            memory_bytes: draw.whole(1..=1_000_000_000) as u64,
+            pinned_to: None,
+            node,
+            env: Vec::new(),
+            rights: Rights::default(),
+            keep: false,
+            image: draw.chance(0.5).then(|| Box::new(image)),
+        };
+        Instruction::AddVnf { vnf: Box::new(vnf) }
+    }
+
     /// Draws an instruction that is invalid in every testbed.
     fn nonsense(&self, draw: &mut Draw) -> Instruction {
         let nobody = NodeId::new("nobody").expect("a valid name");
         let change = ConditionChange { delay_ms: Some(-1.0), ..ConditionChange::default() };
-        match draw.whole(0..=5) {
+        match draw.whole(0..=7) {
+            6 => Instruction::RemoveVnf { vnf: draw.one(&self.vnfs).clone() },
+            7 => {
+                let Instruction::AddVnf { mut vnf } = self.added(draw) else { unreachable!("it adds a VNF") };
+                vnf.rights = Rights::Trusted;
+                Instruction::AddVnf { vnf }
+            }
             0 => Instruction::Attach { robot: nobody, radio_unit: draw.one(&self.units).clone() },
             1 => Instruction::Place { vnf: draw.one(&self.vnfs).clone(), node: nobody.into() },
             2 => Instruction::Condition { link: draw.one(&self.links).clone(), direction: None, change },
@@ -354,4 +382,9 @@ impl Names {
             _ => Instruction::Note { process: String::new(), step: "x".repeat(200), ago: None },
         }
     }
+}
+
+/// Draws one of few names, so that VNFs of one name come and go.
+fn added_name(draw: &mut Draw) -> VnfId {
+    VnfId::new(&format!("added-{}", draw.whole(1..=3))).expect("a valid name")
 }

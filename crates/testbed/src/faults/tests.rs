@@ -59,7 +59,7 @@ fn brain(testbed: &Testbed) -> &Vnf {
 /// The brain with these instances.
 fn managed<'a>(vnf: &'a Vnf, instances: &[(u64, &'a NodeId, Stage)]) -> Managed<'a> {
     let instances = instances.iter().map(|(id, node, stage)| (InstanceId(*id), *node, *stage)).collect();
-    Managed { vnf, node: vnf.node.first(), instances, restart_at: None }
+    Managed { vnf, node: Some(vnf.node.first()), instances, restart_at: None }
 }
 
 /// A core's state with these VNFs, all of whose instances run.
@@ -258,11 +258,25 @@ fn a_vnf_served_by_two_instances_is_found() {
     // Each replica has a node of its own.
     let another = |place| {
         let serves = [(9, place, Stage::Serving)];
-        vec![managed(vnf, &usual), Managed { node: place, ..managed(vnf, &serves) }]
+        vec![managed(vnf, &usual), Managed { node: Some(place), ..managed(vnf, &serves) }]
     };
     assert_eq!(check(another(&two)), None);
     assert_eq!(check(another(&one)).unwrap(), "two replicas of brain are on one");
     assert_eq!((checked.checks, checked.exercised), (2, 2));
+}
+
+#[test]
+fn a_removed_vnf_takes_no_room_and_is_not_started_again() {
+    let testbed = lab();
+    let (vnf, one) = (brain(&testbed), node("one"));
+    let mut checked = Checked::default();
+    let draining = [(1, &one, Stage::Draining(at(5.5)))];
+    let removed = || vec![Managed { node: None, ..managed(vnf, &draining) }];
+    assert_eq!(found(served(&view(&testbed, removed()), &mut checked)), None);
+    assert_eq!(found(restarted(&view(&testbed, removed()), &mut checked)), None);
+    let large = Vnf { cpus: 1000.0, ..vnf.clone() };
+    let removed = vec![Managed { node: None, ..managed(&large, &draining) }];
+    assert_eq!(found(Fits::new(&testbed.graph).state(&view(&testbed, removed), &mut checked)), None);
 }
 
 #[test]

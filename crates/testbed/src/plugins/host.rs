@@ -17,6 +17,10 @@ use crate::follower::{Follower, PluginMessage};
 
 /// Instructions that a plug-in may give per second; also the size of a burst.
 const INSTRUCTIONS_PER_SECOND: f64 = 1000.0;
+/// VNFs that a plug-in may add per second. Each starts programs.
+const VNFS_PER_SECOND: f64 = 10.0;
+/// VNFs that a plug-in may add at once.
+const VNFS_AT_ONCE: f64 = 64.0;
 /// Maximum length of an instruction's reason, bytes.
 const MAX_REASON: usize = 1024;
 
@@ -51,6 +55,8 @@ enum NotTriedError {
     Fault(Fault),
     #[error("no more than {INSTRUCTIONS_PER_SECOND} instructions a second are taken")]
     TooMany,
+    #[error("no more than {VNFS_AT_ONCE} VNFs at once, and {VNFS_PER_SECOND} a second, are added")]
+    TooManyVnfs,
 }
 
 /// The object of plug-ins' instructions: a testbed, or a recorded run, which rejects them all.
@@ -76,10 +82,11 @@ struct Budget {
 }
 
 impl Budget {
-    fn take(&mut self, now: Timestamp) -> bool {
-        let earned = now.since(self.at).as_secs_f64() * INSTRUCTIONS_PER_SECOND;
+    /// Takes one, of so many a second and at most so many at once.
+    fn take(&mut self, now: Timestamp, per_second: f64, at_once: f64) -> bool {
+        let earned = now.since(self.at).as_secs_f64() * per_second;
         self.at = self.at.max(now);
-        self.left = (self.left + earned).min(INSTRUCTIONS_PER_SECOND);
+        self.left = (self.left + earned).min(at_once);
         let allowed = self.left >= 1.0;
         self.left -= f64::from(u8::from(allowed));
         allowed
@@ -136,6 +143,8 @@ pub(crate) struct PluginHost {
     domains: BTreeSet<PluginId>,
     /// Budget that all other callers of the API share, so that another name is no new budget.
     others: Option<Budget>,
+    /// VNFs that each caller with a budget may add, and all others together.
+    additions: BTreeMap<Option<PluginId>, Budget>,
     movers: BTreeMap<NodeId, PluginId>,
     /// In the order in which they are sent events.
     programs: Vec<Program>,
@@ -153,6 +162,7 @@ impl PluginHost {
             budgets: BTreeMap::new(),
             domains: BTreeSet::new(),
             others: None,
+            additions: BTreeMap::new(),
             movers: BTreeMap::new(),
             programs: Vec::new(),
             marks: 0,
@@ -200,6 +210,9 @@ impl PluginHost {
                 self.cut_off(now, &plugin, &fault, controlled);
             }
             return Err(refused);
+        }
+        if matches!(instruction, Instruction::AddVnf { .. }) && !self.admit_vnf(now, &plugin) {
+            return Err(InstructionError(NotTriedError::TooManyVnfs.to_string()));
         }
         if let Some(bytes) = reason.as_ref().map(String::len).filter(|bytes| *bytes > MAX_REASON) {
             return Err(InstructionError(format!("its reason has {bytes} bytes, more than {MAX_REASON}")));
@@ -254,6 +267,14 @@ impl PluginHost {
         controlled.cut_off(now, plugin.clone(), fault, &robots);
     }
 
+    /// Whether a plug-in may add a VNF now.
+    fn admit_vnf(&mut self, now: Timestamp, plugin: &PluginId) -> bool {
+        let has_own = self.members.contains(plugin) || self.domains.contains(plugin);
+        let whose = has_own.then(|| plugin.clone());
+        let budget = self.additions.entry(whose).or_insert(Budget { left: VNFS_AT_ONCE, at: now });
+        budget.take(now, VNFS_PER_SECOND, VNFS_AT_ONCE)
+    }
+
     fn admit(&mut self, now: Timestamp, plugin: &PluginId) -> Result<(), NotTriedError> {
         if self.is_cut_off(plugin) {
             return Err(NotTriedError::CutOff);
@@ -264,7 +285,7 @@ impl PluginHost {
         } else {
             self.others.get_or_insert_with(full)
         };
-        if budget.take(now) {
+        if budget.take(now, INSTRUCTIONS_PER_SECOND, INSTRUCTIONS_PER_SECOND) {
             return Ok(());
         }
         // A caller of the API that is no plug-in may come back later.
@@ -367,6 +388,8 @@ impl PluginHost {
 
 #[cfg(test)]
 mod tests {
+    use cotorra_graph::{Program, Rights, Vnf};
+
     use super::*;
     use crate::follower::EventFilter;
 
@@ -467,6 +490,38 @@ mod tests {
         assert_eq!(done, 1000);
         assert!(ask("member".into()) && ask("lab".into()), "these have their own");
         assert!(host.budgets.len() == 2, "invented names have no budget of their own");
+    }
+
+    #[test]
+    fn the_rate_of_added_vnfs_is_bounded_for_each_plugin() {
+        let [plugin, other]: [PluginId; 2] = ["plugin", "other"].map(|name| name.parse().unwrap());
+        let mut host = PluginHost::new([plugin.clone(), other.clone()], Duration::from_secs(1));
+        let mut testbed = Obedient::default();
+        let vnf = Vnf {
+            id: "new".parse().unwrap(),
+            program: Program::Command(vec!["serve".to_owned()]),
+            cpus: 1.0,
+            memory_bytes: 1,
+            pinned_to: None,
+            node: "edge".parse::<NodeId>().unwrap().into(),
+            env: Vec::new(),
+            rights: Rights::default(),
+            keep: false,
+            image: None,
+        };
+        let mut add = |seconds: f64, plugin: &PluginId| {
+            let now = Timestamp::from_secs_f64(seconds);
+            let instruction = Instruction::AddVnf { vnf: Box::new(vnf.clone()) };
+            host.instruct(now, plugin.clone(), instruction, None, &mut testbed)
+        };
+        assert_eq!((0..200).filter(|_| add(1.0, &plugin).is_ok()).count(), 64);
+        assert_eq!(
+            add(1.0, &plugin).unwrap_err().0,
+            "no more than 64 VNFs at once, and 10 a second, are added"
+        );
+        assert_eq!(add(1.0, &other), Ok(()), "each has its own");
+        assert_eq!((0..200).filter(|_| add(1.5, &plugin).is_ok()).count(), 5);
+        assert!(testbed.faults.is_empty(), "it is not cut off");
     }
 
     #[test]

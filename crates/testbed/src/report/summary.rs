@@ -341,6 +341,7 @@ impl Report {
                 let position = match &decision.instruction {
                     Instruction::Attach { robot, .. } => self.positions.get(robot).copied(),
                     Instruction::Place { vnf, .. } => self.position_for(vnf),
+                    Instruction::AddVnf { .. } | Instruction::RemoveVnf { .. } => None,
                     _ => return,
                 };
                 let instruction = decision.instruction.clone();

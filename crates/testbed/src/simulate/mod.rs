@@ -19,8 +19,8 @@ use std::{
 use cotorra_fabric::{Balance, Fabric, PortId};
 use cotorra_federation::Ledgers;
 use cotorra_graph::{
-    Direction, Event, HostAddress, Instruction, LinkId, NodeId, PluginId, PluginProgram, Program, Stamped,
-    Testbed, Timestamp,
+    Decision, Direction, Event, HostAddress, Instruction, LinkId, NodeId, PluginId, PluginProgram, Program,
+    Stamped, Testbed, Timestamp,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{InstructionError, vim::Managed};
@@ -500,6 +500,14 @@ impl Lockstep for Simulation {
             // The data is available when its event is published.
             self.outputs.extend(std::iter::from_fn(|| self.core.poll_data()).map(Output::Data));
             let event = Arc::new(self.core.poll_event()?);
+            if let Event::Decision(Decision {
+                instruction: Instruction::AddVnf { vnf }, refused: None, ..
+            }) = &event.event
+            {
+                let message =
+                    format!("VNF {} does not run: in virtual time no program of others does", vnf.id);
+                self.core.observe(Stamped { at: event.at, event: Event::Notice { message } });
+            }
             self.locals.publish(&event);
             self.outputs.push_back(Output::Event(event));
             self.events += 1;
@@ -543,6 +551,8 @@ impl Lockstep for Simulation {
     }
 }
 
+#[cfg(test)]
+mod added_tests;
 #[cfg(test)]
 mod altered_tests;
 #[cfg(test)]

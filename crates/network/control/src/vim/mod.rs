@@ -20,6 +20,10 @@ const HEALTHY_AFTER: Duration = Duration::from_secs(10);
 /// TurtleBot 2.
 const LAST_PACKETS: Duration = Duration::from_secs(1);
 
+mod added;
+
+pub use added::{AddedVnfError, MOST_ADDED, check_added};
+
 /// An error in placing a VNF.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum VimError {
@@ -38,6 +42,21 @@ pub enum VimError {
     /// A node without the room that the VNF needs.
     #[error("VNF `{vnf}` needs {needed} of `{node}`, which has {free} left")]
     NoRoom { vnf: VnfId, node: NodeId, needed: String, free: String },
+    /// A VNF that cannot be added.
+    #[error("VNF `{vnf}` cannot be added: {reason}")]
+    NotAddable { vnf: VnfId, reason: AddedVnfError },
+    /// A name in use.
+    #[error("there is a VNF `{0}` already")]
+    Taken(VnfId),
+    /// The name of a removed VNF whose last instance has not stopped.
+    #[error("VNF `{0}` was removed, and its last instances still stop: try again in a second")]
+    StillStopping(VnfId),
+    /// Too many VNFs.
+    #[error("no more than {MOST_ADDED} VNFs can be added at a time: remove one")]
+    TooMany,
+    /// A VNF of the testbed file.
+    #[error("VNF `{0}` is of the testbed file: only VNFs that were added can be removed")]
+    NotAdded(VnfId),
 }
 
 /// A running or starting instance of a VNF.
@@ -66,8 +85,8 @@ pub enum Stage {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Managed<'a> {
     pub vnf: &'a Vnf,
-    /// Node of the replica, also while no instance runs.
-    pub node: &'a NodeId,
+    /// Node of the replica, also while no instance runs; `None` if the VNF was removed, and its instances only drain.
+    pub node: Option<&'a NodeId>,
     /// Its instances. All draining ones of the VNF are with the first replica.
     pub instances: Vec<(InstanceId, &'a NodeId, Stage)>,
     /// Time of its next start.
@@ -141,12 +160,20 @@ struct Group {
     draining: Vec<(Timestamp, Instance)>,
     /// The last reported a(n).
     reported: Vec<NodeId>,
+    /// Whether it was added during the run.
+    is_added: bool,
 }
 
 impl Group {
     fn new(vnf: &Vnf) -> Self {
         let slots = vnf.node.all().iter().zip(0..).map(|(node, replica)| Slot::new(replica, node.clone()));
-        Self { vnf: vnf.clone(), slots: slots.collect(), draining: Vec::new(), reported: Vec::new() }
+        Self {
+            vnf: vnf.clone(),
+            slots: slots.collect(),
+            draining: Vec::new(),
+            reported: Vec::new(),
+            is_added: false,
+        }
     }
 
     /// Whether an instance runs on a node, or is moving there.
@@ -245,6 +272,8 @@ pub struct Vim<E> {
     graph: HardwareGraph,
     /// VNFs, sorted by name. A map would be slower to iterate in each step of virtual time.
     groups: Vec<Group>,
+    /// Removed VNFs, without replicas, whose last instances drain. Each has at least one.
+    removed: Vec<Group>,
     /// Room that VNFs outside of this manager take on nodes: CPUs and bytes.
     reserved: BTreeMap<VnfId, (NodeId, f64, u64)>,
     instances: u64,
@@ -255,7 +284,7 @@ impl<E: Engine> Vim<E> {
     pub fn new<'a>(graph: HardwareGraph, vnfs: impl IntoIterator<Item = &'a Vnf>, engine: E) -> Self {
         let mut groups: Vec<_> = vnfs.into_iter().map(Group::new).collect();
         groups.sort_by(|a, b| a.vnf.id.cmp(&b.vnf.id));
-        Self { engine, graph, groups, reserved: BTreeMap::new(), instances: 0 }
+        Self { engine, graph, groups, removed: Vec::new(), reserved: BTreeMap::new(), instances: 0 }
     }
 
     /// Starts every VNF on its nodes of the testbed file.
@@ -299,9 +328,14 @@ impl<E: Engine> Vim<E> {
         self.groups.iter().map(Group::placement).collect()
     }
 
-    /// Returns every replica of every VNF with its instances, by the VNF's name.
+    /// Returns every replica of every VNF with its instances, by the VNF's name, and then removed VNFs whose instances drain.
     pub fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
-        self.groups.iter().flat_map(|group| {
+        let drained = self.removed.iter().map(|group| {
+            let draining = group.draining.iter();
+            let instances = draining.map(|(until, i)| (i.id, &i.node, Stage::Draining(*until))).collect();
+            Managed { vnf: &group.vnf, node: None, instances, restart_at: None }
+        });
+        let replicas = self.groups.iter().flat_map(|group| {
             group.slots.iter().enumerate().map(|(place, slot)| {
                 let starting = slot.next.iter().map(|i| (i.id, &i.node, Stage::Starting));
                 let serving = slot.current.iter().map(|i| (i.id, &i.node, Stage::Serving));
@@ -309,17 +343,18 @@ impl<E: Engine> Vim<E> {
                 let draining = last.iter().map(|(until, i)| (i.id, &i.node, Stage::Draining(*until)));
                 Managed {
                     vnf: &group.vnf,
-                    node: &slot.node,
+                    node: Some(&slot.node),
                     instances: starting.chain(serving).chain(draining).collect(),
                     restart_at: slot.restart_at,
                 }
             })
-        })
+        });
+        replicas.chain(drained)
     }
 
-    /// Whether all instances of every VNF are ready.
+    /// Whether all instances of every VNF of the testbed file are ready.
     pub fn all_ready(&self) -> bool {
-        let mut slots = self.groups.iter().flat_map(|group| &group.slots);
+        let mut slots = self.groups.iter().filter(|group| !group.is_added).flat_map(|group| &group.slots);
         slots.all(|slot| slot.current.as_ref().is_some_and(|i| i.ready))
     }
 
@@ -371,12 +406,13 @@ impl<E: Engine> Vim<E> {
                 self.groups[index].settle(now, &mut events);
             }
         }
-        for group in &mut self.groups {
+        for group in self.groups.iter_mut().chain(&mut self.removed) {
             for (_, old) in group.draining.extract_if(.., |(until, _)| *until <= now) {
                 events.push(life(&group.vnf.id, &old.node, VnfState::Stopped, None));
                 self.engine.stop(old.id);
             }
         }
+        self.removed.retain(|group| !group.draining.is_empty());
         for index in 0..self.groups.len() {
             for place in 0..self.groups[index].slots.len() {
                 let slot = &mut self.groups[index].slots[place];
@@ -395,12 +431,12 @@ impl<E: Engine> Vim<E> {
             let restarts = group.slots.iter().filter_map(|slot| slot.restart_at);
             restarts.chain(group.draining.iter().map(|(until, _)| *until)).min()
         };
-        self.groups.iter().filter_map(of_group).min()
+        self.groups.iter().chain(&self.removed).filter_map(of_group).min()
     }
 
     /// Stops all instances and waits for their ends.
     pub fn shut_down(&mut self) {
-        for group in &mut self.groups {
+        for group in self.groups.iter_mut().chain(&mut self.removed) {
             for slot in &mut group.slots {
                 slot.restart_at = None;
                 for instance in slot.current.take().into_iter().chain(slot.next.take()) {
@@ -503,7 +539,7 @@ impl<E: Engine> Vim<E> {
         if let Outcome::Died(_) = event.outcome {
             // A draining instance that died needs no stop.
             let is_other = |(_, i): &(_, Instance)| i.id != event.instance;
-            self.groups.iter_mut().for_each(|group| group.draining.retain(is_other));
+            self.groups.iter_mut().chain(&mut self.removed).for_each(|group| group.draining.retain(is_other));
         }
         let is = |i: &Option<Instance>| i.as_ref().is_some_and(|i| i.id == event.instance);
         let in_group =
