@@ -139,6 +139,8 @@ fn wanted(text: &str, [service, vnf, key]: &[&str; 3], value: &str) -> Option<Js
 
 #[cfg(test)]
 mod tests {
+    use std::{path::Path, time::Duration};
+
     use super::*;
 
     const KEYS: [(&str, &str); 2] = [("start_time", "512 ms"), ("processing_delay", "3.1 ms")];
@@ -200,6 +202,20 @@ mod tests {
         let expected = "services:\n  s:\n    vnfs:\n      w: { image: x, start_time: 1 s }\n      v:\n        \
                         start_time: 512 ms  # guessed\n        image: x\n        processing_delay: 3.1 ms\n";
         assert_eq!(changed(text).as_deref(), Ok(expected));
+    }
+
+    #[test]
+    fn a_testbed_has_the_times_that_were_set() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds");
+        let text = std::fs::read_to_string(folder.join("corridor.yaml")).unwrap();
+        let text = text.replace("program: navigation,", "program: navigation, image: 'robot:1',");
+        let vnf = VnfId::new("navigation").unwrap();
+        let changed = set_vnf_keys(&text, &vnf, &KEYS).unwrap();
+        assert_eq!(changed.lines().count(), text.lines().count());
+        let testbed = crate::parse("x.yaml", &changed, &folder).unwrap_or_else(|wrong| panic!("{wrong}"));
+        let image = testbed.vnfs().find(|its| its.id == vnf).and_then(|its| its.image.clone()).unwrap();
+        let expected = (Duration::from_millis(512), Duration::from_micros(3100));
+        assert_eq!((image.start, image.processing), expected);
     }
 
     #[test]
