@@ -165,7 +165,8 @@ pub struct PluginSpec {
     /// The one domain that it sees and changes; without one it is the operator's, and sees and changes all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub domain: Option<DomainId>,
-    /// Variables of cotorra's own environment that a program gets beside the usual ones, by name.
+    /// Variables that a program gets beside the usual ones: `NAME` with its value in cotorra's own environment, or
+    /// `NAME=VALUE`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub env: Vec<String>,
     /// Settings, as the file has them.

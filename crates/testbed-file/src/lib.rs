@@ -344,6 +344,15 @@ mod tests {
     }
 
     #[test]
+    fn images_fit_the_schema() {
+        let text = "name: x\nengine: docker\nnodes:\n  a:\n    kind: server\n    tier: fog\n    cpus: 4\n    memory: 8 GB\n    \
+                    engine: podman\n    image: ros:jazzy\n    command: [ros2, launch]\n    volumes: [maps:/maps, out:/out:rw]\n    \
+                    devices: [/dev/dri]\n    ports: [8080, 8080:8080/tcp, 9000/udp]\n    pull: never\n    env: [A, B=c]\n";
+        parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
+        assert_eq!(violation(&json_of(text), &schema(), "x"), None);
+    }
+
+    #[test]
     fn no_more_hosts_than_addresses() {
         let mut text = String::from("name: x\nnodes:\n  lan: { kind: switch }\n");
         for i in 0..=HostAddress::MAX_HOSTS {
