@@ -9,6 +9,7 @@
 #![allow(clippy::unwrap_used, reason = "a fixture that fails, fails the test")]
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
 
+pub mod containers;
 pub mod mariadb;
 pub mod placement;
 pub mod process;

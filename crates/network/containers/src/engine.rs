@@ -130,7 +130,8 @@ impl Engine for ContainerEngine {
         let path = self.logs.join(format!("{}.log", replica_name(&vnf.id, replica)));
         let in_log = |e: io::Error| format!("cannot write {}: {e}", path.display());
         let mut log = OpenOptions::new().create(true).append(true).open(&path).map_err(in_log)?;
-        writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
+        // A full disk must not keep the VNF from running.
+        let _ = writeln!(log, "--- instance {} on {node}", instance.0);
         let wanted = Wanted { vnf: vnf.clone(), replica, node: node.clone(), network, log };
         self.send(Command::Start(instance, Box::new(wanted)))
     }

@@ -1,7 +1,7 @@
 //! A process that outlives a killed run, to remove its containers. It also serves podman, if nobody else does.
 
 use std::{
-    fs::OpenOptions,
+    fs::{self, OpenOptions},
     io::{self, Read as _},
     os::unix::process::CommandExt as _,
     path::{Path, PathBuf},
@@ -13,7 +13,7 @@ use std::{
 
 use crate::{
     address::Address,
-    leftovers::{Marker, Record, remove_run},
+    leftovers::{Marker, Record, remove_run, service_folder},
 };
 
 /// Interval of checks whether podman's service still runs.
@@ -63,7 +63,7 @@ pub fn guard(record: &Path) -> io::Result<()> {
         drop(end);
     })?;
     if serves {
-        serve(&record.with_extension("sock"), &ended)?;
+        serve(&service_folder(record), &ended)?;
     } else {
         let _ = ended.recv();
     }
@@ -72,11 +72,11 @@ pub fn guard(record: &Path) -> io::Result<()> {
 }
 
 /// Serves podman until the run ends, and starts it again if it dies.
-fn serve(socket: &Path, ended: &mpsc::Receiver<()>) -> io::Result<()> {
-    let mut service = Service::start(socket)?;
+fn serve(folder: &Path, ended: &mpsc::Receiver<()>) -> io::Result<()> {
+    let mut service = Service::start(folder)?;
     while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(CHECK_INTERVAL) {
         if service.has_ended() {
-            service = Service::start(socket)?;
+            service = Service::start(folder)?;
         }
     }
     Ok(())
@@ -84,33 +84,38 @@ fn serve(socket: &Path, ended: &mpsc::Receiver<()>) -> io::Result<()> {
 
 /// podman's service, which serves its interface at a socket. Dropping it ends it; containers go on.
 #[derive(Debug)]
-pub(crate) struct Service {
-    process: Child,
-    socket: PathBuf,
-}
+pub(crate) struct Service(Child);
 
 impl Service {
-    pub(crate) fn start(socket: &Path) -> io::Result<Self> {
+    /// Returns the socket in the folder of a service.
+    pub(crate) fn socket(folder: &Path) -> PathBuf {
+        folder.join("socket")
+    }
+
+    pub(crate) fn start(folder: &Path) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let socket = Self::socket(folder);
         // podman refuses a socket that exists.
-        let _ = std::fs::remove_file(socket);
+        let _ = fs::remove_file(&socket);
         let process = Command::new("podman")
             .args(["system", "service", "--time=0"])
             .arg(format!("unix://{}", socket.display()))
+            // Its monitors of containers leave files where they run.
+            .current_dir(folder)
             .stdin(Stdio::null())
             .spawn()
             .map_err(|e| io::Error::new(e.kind(), format!("cannot start podman: {e}")))?;
-        Ok(Self { process, socket: socket.to_owned() })
+        Ok(Self(process))
     }
 
     fn has_ended(&mut self) -> bool {
-        !matches!(self.process.try_wait(), Ok(None))
+        !matches!(self.0.try_wait(), Ok(None))
     }
 }
 
 impl Drop for Service {
     fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-        let _ = std::fs::remove_file(&self.socket);
+        let _ = self.0.kill();
+        let _ = self.0.wait();
     }
 }

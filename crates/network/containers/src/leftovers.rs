@@ -24,8 +24,8 @@ use crate::{
 
 /// Name of the folder of records.
 const FOLDER: &str = "cotorra-containers";
-/// Ending of the name of a socket beside a record.
-const SOCKET: &str = "sock";
+/// Ending of the name of the folder beside a record, in which podman serves the process.
+const SERVICE: &str = "service";
 /// Attempts to connect to a service that was just started.
 const ATTEMPTS: u32 = 16;
 
@@ -66,11 +66,6 @@ impl Marker {
 
     pub(crate) fn path(&self) -> &Path {
         &self.path
-    }
-
-    /// Returns the socket at which podman serves this process, if it does.
-    pub(crate) fn socket(&self) -> PathBuf {
-        self.path.with_extension(SOCKET)
     }
 
     /// Removes the record: nothing is left of the run.
@@ -114,8 +109,8 @@ fn folder() -> io::Result<PathBuf> {
 }
 
 fn remove(path: &Path) {
-    for path in [path, &path.with_extension(SOCKET)] {
-        if let Err(error) = fs::remove_file(path)
+    for removed in [fs::remove_file(path), fs::remove_dir_all(service_folder(path))] {
+        if let Err(error) = removed
             && error.kind() != io::ErrorKind::NotFound
         {
             tracing::warn!("cannot remove {}: {error}", path.display());
@@ -123,11 +118,16 @@ fn remove(path: &Path) {
     }
 }
 
+/// Returns the folder in which podman serves the process of a record.
+pub(crate) fn service_folder(record: &Path) -> PathBuf {
+    record.with_extension(SERVICE)
+}
+
 /// Connects to the engine of a process. A service of podman may be starting.
 pub(crate) async fn connect(address: &Address, marker: &Marker) -> Result<Daemon, DaemonError> {
     match address {
         Address::Socket(socket) => Daemon::connect(socket).await,
-        Address::Service => connect_to_service(&marker.socket()).await,
+        Address::Service => connect_to_service(&Service::socket(&service_folder(&marker.path))).await,
     }
 }
 
@@ -160,9 +160,12 @@ pub(crate) fn remove_run(path: &Path) -> io::Result<usize> {
         let (daemon, _service) = match &record.address {
             Address::Socket(socket) => (Daemon::connect(socket).await.map_err(io::Error::other)?, None),
             Address::Service => {
-                let socket = path.with_extension(SOCKET);
-                let service = Service::start(&socket)?;
-                (connect_to_service(&socket).await.map_err(io::Error::other)?, Some(service))
+                let folder = service_folder(path);
+                let service = Service::start(&folder)?;
+                (
+                    connect_to_service(&Service::socket(&folder)).await.map_err(io::Error::other)?,
+                    Some(service),
+                )
             }
         };
         remove_all(&daemon, &record.run).await.map_err(io::Error::other)
@@ -176,7 +179,7 @@ fn stale() -> Vec<PathBuf> {
     let Ok(entries) = folder().and_then(fs::read_dir) else { return Vec::new() };
     let paths = entries.flatten().map(|entry| entry.path());
     let is_stale = |path: &PathBuf| {
-        path.extension().is_none_or(|extension| extension != SOCKET)
+        path.is_file()
             && File::open(path).is_ok_and(|file| !matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
     };
     let mut stale: Vec<_> = paths.filter(is_stale).collect();
