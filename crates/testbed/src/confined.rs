@@ -37,12 +37,10 @@ impl Confined {
     /// An error if the testbed file's folder holds more than a testbed's files, and a VNF would be shown it.
     pub(crate) fn new(testbed: &Testbed, options: &Options, run: &RunFolder) -> io::Result<Self> {
         let folder = testbed.folder.canonicalize()?;
-        let is_confined =
-            |vnf: &Vnf| matches!(vnf.program, Program::Command(_)) && vnf.rights != Rights::Trusted;
         let fit = check(&folder);
         // VNFs may be added later. They are rejected then, and not the run.
         let unfit = fit.as_ref().err().map(ToString::to_string);
-        if testbed.services.iter().flat_map(|service| &service.vnfs).any(is_confined) {
+        if testbed.services.iter().flat_map(|service| &service.vnfs).any(|vnf| granted(vnf).is_some()) {
             fit?;
         }
         let mut hidden = vec![run.path().to_owned()];
@@ -75,11 +73,7 @@ impl Confined {
 
     /// Returns the confinement of a VNF's instance, if it is confined. Each replica has its own home folder.
     pub(crate) fn of(&self, vnf: &Vnf, replica: u32) -> io::Result<Option<Confinement>> {
-        let (Program::Command(_), Rights::Confined(Granted { capabilities, readable })) =
-            (&vnf.program, &vnf.rights)
-        else {
-            return Ok(None);
-        };
+        let Some(Granted { capabilities, readable }) = granted(vnf) else { return Ok(None) };
         if let Some(reason) = &self.unfit {
             return Err(io::Error::other(reason.clone()));
         }
@@ -95,6 +89,14 @@ impl Confined {
             processes: PROCESSES,
             memory_bytes: vnf.memory_bytes,
         }))
+    }
+}
+
+/// Returns the rights of a VNF that is confined here. Containers are confined by their engine.
+fn granted(vnf: &Vnf) -> Option<&Granted> {
+    match (&vnf.program, &vnf.rights, &vnf.image) {
+        (Program::Command(_), Rights::Confined(granted), None) => Some(granted),
+        _ => None,
     }
 }
 
@@ -163,6 +165,23 @@ mod tests {
         // A run's own testbed file would be hidden with its folder.
         assert!(other_runs(&runs, &run).is_empty());
         assert_eq!(other_runs(&runs, Path::new("/elsewhere")), [parent]);
+    }
+
+    #[test]
+    fn only_commands_outside_containers_are_confined() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds");
+        let corridor = fs::read_to_string(folder.join("corridor.yaml")).unwrap();
+        for (keys, is_confined) in [
+            ("command: [x],", true),
+            ("command: [x], trusted: true,", false),
+            ("command: [x], image: y,", false),
+            ("program: navigation,", false),
+        ] {
+            let text = corridor.replace("program: navigation,", keys);
+            let testbed = cotorra_testbed_file::parse("corridor.yaml", &text, &folder)
+                .unwrap_or_else(|wrong| panic!("{wrong}"));
+            assert_eq!(testbed.vnfs().any(|vnf| granted(vnf).is_some()), is_confined, "{keys}");
+        }
     }
 
     #[test]
