@@ -5,9 +5,10 @@ mod coverage;
 mod extent;
 mod walls;
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode, time::Duration};
 
 use clap::Args;
+use cotorra_graph::{Program, Testbed};
 use cotorra_testbed::Rehearsal;
 
 use crate::{figures::parse_figure_file, output, testbed_file};
@@ -48,6 +49,23 @@ fn scripted(Rehearsal { timed, areas, replayed }: Rehearsal) -> String {
     if parts.is_empty() { String::new() } else { format!("; links: {}", parts.join(", ")) }
 }
 
+/// Returns a hint for each image whose times virtual time would take for zero.
+fn hints(testbed: &Testbed) -> Vec<String> {
+    let is_instant = |program: &Program, start: Duration, processing: Duration| {
+        // A command in a container does not run in virtual time.
+        matches!(program, Program::Navigation | Program::Localization) && (start + processing).is_zero()
+    };
+    let images = testbed.vnfs().filter_map(|vnf| Some((vnf, vnf.image.as_deref()?)));
+    let instant = images.filter(|(vnf, image)| is_instant(&vnf.program, image.start, image.processing));
+    let hint = |id| {
+        format!(
+            "hint: VNF `{id}` has an image, but neither `start_time` nor `processing_delay`: in virtual time, it starts and \
+             answers at once. `cotorra bench image` measures both"
+        )
+    };
+    instant.map(|(vnf, _)| hint(&vnf.id)).collect()
+}
+
 /// Checks every file, also after one that is not valid.
 pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
     if let Some(out) = &args.coverage {
@@ -60,6 +78,7 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
                 Ok(script) => {
                     let overview = testbed_file::overview(&loaded.testbed) + &scripted(script);
                     output::print(&format!("{}: {overview}\n", file.display()))?;
+                    hints(&loaded.testbed).iter().for_each(|hint| note!("{}: {hint}", file.display()));
                     if let Some(out) = &args.coverage {
                         let shown = coverage::write(&loaded.testbed, out)?;
                         output::print(&format!("{}: {shown}\n", out.display()))?;
@@ -84,6 +103,27 @@ mod tests {
     use std::path::Path;
 
     use cotorra_graph::Testbed;
+
+    #[test]
+    fn images_in_roles_without_times_get_a_hint() {
+        let folder = cotorra_testing::project_file("testbeds");
+        let corridor = std::fs::read_to_string(folder.join("corridor.yaml")).unwrap();
+        let role = |keys: &str| {
+            let text = corridor.replace("program: navigation,", &format!("{keys},"));
+            let parsed = cotorra_testbed_file::parse("corridor.yaml", &text, &folder);
+            super::hints(&parsed.unwrap_or_else(|wrong| panic!("{wrong}\n{text}")))
+        };
+        let [hint] = &role("program: navigation, image: x")[..] else { panic!("one hint") };
+        assert!(hint.contains("VNF `navigation`"), "{hint}");
+        for keys in [
+            "program: navigation, image: x, start_time: 1 s",
+            "program: navigation, image: x, processing_delay: 1 ms",
+            "program: navigation",
+            "image: x, command: [y]",
+        ] {
+            assert_eq!(role(keys), Vec::<String>::new(), "{keys}");
+        }
+    }
 
     /// Returns a testbed of a switch, these radio units, whose lines begin with their names, and a robot with this walk.
     pub fn testbed(units: &str, walk: &str) -> Testbed {
