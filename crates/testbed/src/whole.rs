@@ -1,10 +1,9 @@
 //! Folders of runs that are whole: with everything that the testbed file names, so that a run can be replayed, exported and
 //! repeated from its folder alone.
 
-use std::{
-    fs, io,
-    path::{Path, PathBuf},
-};
+#[cfg(any(feature = "agents", feature = "containers"))]
+use std::path::PathBuf;
+use std::{fs, io, path::Path};
 
 use cotorra_graph::Testbed;
 use cotorra_testbed_file::{Carried, CarriedFile, Contents, Setting, annotated, carry};
@@ -31,6 +30,7 @@ pub(crate) fn create(
     Ok((folder, text))
 }
 
+#[cfg(any(feature = "agents", feature = "containers"))]
 /// Returns the files of a new run's folder, before the run writes its results there: the testbed file, and what it names. Their
 /// paths start at the folder.
 pub(crate) fn files(folder: &Path) -> io::Result<Vec<PathBuf>> {

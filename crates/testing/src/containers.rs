@@ -20,6 +20,9 @@ use crate::program;
 
 /// An image with busybox, which every engine of this module has.
 pub const BUSYBOX: &str = "localhost/busybox:cotorra";
+/// podman's settings. Its defaults need version 2 of control groups, and systemd.
+const CONTAINERS_CONF: &str =
+    "[engine]\nruntime = \"runc\"\ncgroup_manager = \"cgroupfs\"\nevents_logger = \"file\"\n";
 
 /// An engine that serves its interface at a socket. Dropping it ends it, with all containers.
 pub struct Containers {
@@ -44,8 +47,15 @@ impl Containers {
             return None;
         }
         let engine = Self { kind, folder: tempfile::tempdir().unwrap(), daemon: Mutex::new(None) };
+        let folder = engine.folder.path();
+        fs::write(folder.join("containers.conf"), CONTAINERS_CONF).unwrap();
+        let storage = format!(
+            "[storage]\ndriver = \"overlay\"\ngraphroot = \"{0}/storage\"\nrunroot = \"{0}/run\"\n",
+            folder.display()
+        );
+        fs::write(folder.join("storage.conf"), storage).unwrap();
         engine.resume();
-        engine.import(BUSYBOX, &busybox(engine.folder.path()));
+        engine.import(BUSYBOX, &busybox(folder), &[]);
         Some(engine)
     }
 
@@ -60,6 +70,12 @@ impl Containers {
         (name, format!("unix://{}", self.socket().display()))
     }
 
+    /// Returns the variables with which the program `podman` uses the folders of this fixture.
+    pub fn settings(&self) -> [(&'static str, PathBuf); 2] {
+        let file = |name: &str| self.folder.path().join(name);
+        [("CONTAINERS_CONF", file("containers.conf")), ("CONTAINERS_STORAGE_CONF", file("storage.conf"))]
+    }
+
     /// Returns a command of the engine's own program.
     pub fn client(&self) -> Command {
         if self.kind == EngineKind::Docker {
@@ -68,15 +84,15 @@ impl Containers {
             return client;
         }
         let mut client = Command::new("podman");
-        let folder = self.folder.path();
-        client.arg("--root").arg(folder.join("storage")).arg("--runroot").arg(folder.join("run"));
-        client.args(["--cgroup-manager=cgroupfs", "--runtime=runc"]);
+        client.envs(self.settings());
         client
     }
 
-    /// Makes an image of a tar archive.
-    pub fn import(&self, image: &str, archive: &Path) {
-        let done = self.client().arg("import").arg(archive).arg(image).output().unwrap();
+    /// Makes an image of a tar archive, with changes such as `CMD ["/bin/sh"]`.
+    pub fn import(&self, image: &str, archive: &Path, changes: &[&str]) {
+        let mut client = self.client();
+        client.arg("import").args(changes.iter().flat_map(|change| ["--change", *change]));
+        let done = client.arg(archive).arg(image).output().unwrap();
         assert!(done.status.success(), "{}{}", String::from_utf8_lossy(&done.stderr), self.log());
     }
 
@@ -157,7 +173,7 @@ impl Drop for Containers {
 }
 
 /// Writes an archive with busybox and its programs into a folder.
-fn busybox(folder: &Path) -> PathBuf {
+pub fn busybox(folder: &Path) -> PathBuf {
     let programs = folder.join("busybox/bin");
     fs::create_dir_all(&programs).unwrap();
     fs::copy(program("busybox").unwrap(), programs.join("busybox")).unwrap();

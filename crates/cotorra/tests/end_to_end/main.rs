@@ -12,6 +12,8 @@ mod chain;
 mod clients;
 mod command_line;
 mod confinement;
+#[cfg(feature = "containers")]
+mod containers;
 mod coverage;
 mod disk;
 mod documents;

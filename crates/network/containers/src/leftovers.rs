@@ -92,20 +92,29 @@ impl Record {
     }
 }
 
-/// Returns the folder of this user's records, which only this user may enter.
+/// Returns the folders where this user's records can be. New ones are put into the first.
+fn places() -> Vec<PathBuf> {
+    let user = geteuid();
+    let runtime = env::var_os("XDG_RUNTIME_DIR").map(|runtime| Path::new(&runtime).join(FOLDER));
+    let of_root = user.is_root().then(|| Path::new("/run").join(FOLDER));
+    let temporary = env::temp_dir().join(format!("{FOLDER}-{}", user.as_raw()));
+    runtime.into_iter().chain(of_root).chain([temporary]).collect()
+}
+
+/// Creates the folder of new records, which only this user may enter.
 fn folder() -> io::Result<PathBuf> {
-    let user = geteuid().as_raw();
-    let folder = match env::var_os("XDG_RUNTIME_DIR") {
-        _ if user == 0 => Path::new("/run").join(FOLDER),
-        Some(runtime) => Path::new(&runtime).join(FOLDER),
-        None => env::temp_dir().join(format!("{FOLDER}-{user}")),
-    };
+    let folder = places().swap_remove(0);
     DirBuilder::new().recursive(true).mode(0o700).create(&folder)?;
-    let found = fs::symlink_metadata(&folder)?;
-    if !found.is_dir() || found.uid() != user || found.mode() & 0o077 != 0 {
-        return Err(io::Error::other(format!("{} belongs to others, or is open to them", folder.display())));
+    if is_ours(&folder) {
+        Ok(folder)
+    } else {
+        Err(io::Error::other(format!("{} belongs to others, or is open to them", folder.display())))
     }
-    Ok(folder)
+}
+
+fn is_ours(folder: &Path) -> bool {
+    fs::symlink_metadata(folder)
+        .is_ok_and(|found| found.is_dir() && found.uid() == geteuid().as_raw() && found.mode() & 0o077 == 0)
 }
 
 fn remove(path: &Path) {
@@ -176,8 +185,8 @@ pub(crate) fn remove_run(path: &Path) -> io::Result<usize> {
 
 /// Returns the records of dead processes.
 fn stale() -> Vec<PathBuf> {
-    let Ok(entries) = folder().and_then(fs::read_dir) else { return Vec::new() };
-    let paths = entries.flatten().map(|entry| entry.path());
+    let folders = places().into_iter().filter(|folder| is_ours(folder));
+    let paths = folders.flat_map(fs::read_dir).flatten().flatten().map(|entry| entry.path());
     let is_stale = |path: &PathBuf| {
         path.is_file()
             && File::open(path).is_ok_and(|file| !matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
@@ -208,7 +217,10 @@ pub fn clean() -> Cleaned {
         let run = Record::read(&path).map_or_else(|_| path.display().to_string(), |record| record.run);
         match remove_run(&path) {
             Ok(containers) => cleaned.runs.push((run, containers)),
-            Err(error) => cleaned.kept.push(format!("containers of {run}: {error}")),
+            Err(error) => cleaned.kept.push(format!(
+                "containers of {run}: {error} (remove {} if their engine is gone for good)",
+                path.display()
+            )),
         }
     }
     cleaned
