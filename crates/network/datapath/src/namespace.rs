@@ -13,6 +13,7 @@ use std::{
 
 use crate::{
     error::{Action, Error},
+    netlink::{self, LOOPBACK, Netlink},
     privilege, sys,
 };
 
@@ -26,6 +27,19 @@ impl Namespace {
     /// [`Error::Kernel`] without the right to make one; see [`crate::enter_user_namespace_if_needed`].
     pub fn new() -> Result<Self, Error> {
         on_a_thread(Self::enter_new).action("make a network namespace")
+    }
+
+    /// Makes an empty namespace, whose loopback interface is up.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_loopback() -> Result<Self, Error> {
+        on_a_thread(|| {
+            let namespace = Self::enter_new().action("make a network namespace")?;
+            let netlink = Netlink::open().action("open a netlink socket")?;
+            netlink.execute(vec![netlink::up(LOOPBACK, vec![])]).action("bring up loopback")?;
+            Ok(namespace)
+        })
     }
 
     /// Makes a namespace and leaves the calling thread in it. No other work may share the thread.

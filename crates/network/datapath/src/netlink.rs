@@ -23,6 +23,9 @@ use netlink_packet_route::{
 };
 use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
 
+/// Index of the loopback interface in every network namespace.
+pub(crate) const LOOPBACK: u32 = 1;
+
 /// An rtnetlink socket of one network namespace.
 pub(crate) struct Netlink {
     socket: Socket,
@@ -188,7 +191,6 @@ pub(crate) fn has_ipv6() -> bool {
 
 /// Returns the requests that configure a host: loopback up, `eth0` up with its addresses and routes.
 pub(crate) fn host(eth0: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<RouteNetlinkMessage> {
-    const LOOPBACK: u32 = 1;
     let mut requests = vec![up(LOOPBACK, vec![])];
     if has_ipv6() {
         // The kernel's own link-local address would be tentative for a second.
