@@ -83,6 +83,8 @@ impl std::fmt::Debug for ContainerEngine {
 enum Command {
     Start(InstanceId, Box<Wanted>),
     Stop(InstanceId),
+    /// The sender is dropped once nothing is left of stopped instances.
+    Settle(events::Sender<()>),
 }
 
 /// An instance to start.
@@ -116,6 +118,14 @@ impl ContainerEngine {
             drop(guard);
         })?;
         Ok(Self { commands: Some(commands), events, thread: Some(thread), surroundings, logs })
+    }
+
+    /// Waits until instances that were stopped have ended and are cleaned up.
+    pub fn settle(&mut self) {
+        let (settled, wait) = events::channel();
+        // Fails only if the thread has ended, and all instances with it.
+        let _ = self.send(Command::Settle(settled));
+        let _ = wait.recv();
     }
 
     fn send(&self, command: Command) -> Result<(), String> {
@@ -176,7 +186,12 @@ impl Tasks {
     async fn serve(self: Rc<Self>, mut inbox: mpsc::UnboundedReceiver<Command>) {
         let mut running = JoinSet::new();
         let mut stops = BTreeMap::new();
+        let mut settling = Vec::new();
         loop {
+            // Instances that run and were not stopped have an entry in each.
+            if running.len() == stops.len() {
+                settling.clear();
+            }
             tokio::select! {
                 command = inbox.recv() => match command {
                     Some(Command::Start(instance, wanted)) => {
@@ -186,6 +201,7 @@ impl Tasks {
                     }
                     // A sender that is gone stops the instance.
                     Some(Command::Stop(instance)) => drop(stops.remove(&instance)),
+                    Some(Command::Settle(settled)) => settling.push(settled),
                     None => break,
                 },
                 Some(Ok(instance)) = running.join_next() => drop(stops.remove(&instance)),

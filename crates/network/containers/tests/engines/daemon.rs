@@ -51,6 +51,20 @@ fn end(process: &str) {
 }
 
 #[test]
+fn an_engine_that_has_settled_has_no_stopped_containers() {
+    let Some(lab) = Lab::of(EngineKind::Podman) else { return };
+    let mut engine = lab.engine();
+    for number in 1..=2 {
+        assert_eq!(start(&lab, &mut engine, number, "while true; do sleep 1; done"), Outcome::Ready);
+    }
+    engine.stop(InstanceId(1));
+    engine.settle();
+    assert_eq!(lab.containers.names().len(), 1, "the other one goes on");
+    engine.shut_down();
+    engine.settle();
+}
+
+#[test]
 fn a_container_goes_on_while_podman_serves_nobody_and_is_watched_again() {
     let Some(lab) = Lab::of(EngineKind::Podman) else { return };
     let mut engine = lab.engine();
