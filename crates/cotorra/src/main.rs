@@ -103,7 +103,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Link { link } => link::link(&link)?,
         Command::Capture(args) => capture::capture(&args)?,
         Command::Stamp { stamp } => stamp::stamp(&stamp)?,
-        Command::Bench(args) => bench::bench(&args)?,
+        Command::Bench(args) => return bench::bench(&args),
         Command::Netem { netem } => netem::netem(&netem)?,
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -1,15 +1,17 @@
 //! `cotorra bench`: measures the performance of the emulated network on this machine, beside installed peers.
 
 mod figures;
+#[cfg(feature = "containers")]
+mod image;
 mod load;
 mod netem;
 mod peers;
 mod probe;
 mod report;
 
-use std::{collections::BTreeSet, path::PathBuf, time::Duration};
+use std::{collections::BTreeSet, path::PathBuf, process::ExitCode, time::Duration};
 
-use clap::Args;
+use clap::{Args, Subcommand};
 use cotorra_datapath::{Privilege, enter_user_namespace_if_needed};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::Diagnostic;
@@ -26,7 +28,10 @@ pub use probe::{Probe, probe};
 /// Prints the median and the tail of each figure. Peers are measured for comparison if they are installed: rattan (from
 /// PATH or --rattan) and Mininet (`mn`).
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, disable_help_subcommand = true)]
 pub struct BenchArgs {
+    #[command(subcommand)]
+    pub of: Option<BenchOf>,
     /// The benchmarks; default: all
     #[arg(value_name = "NAME")]
     pub names: Vec<String>,
@@ -36,6 +41,20 @@ pub struct BenchArgs {
     /// The program rattan, for comparison
     #[arg(long, value_name = "PATH", default_value = "rattan")]
     pub rattan: PathBuf,
+}
+
+/// Subjects of measurements beside the emulated network.
+#[derive(Debug, Subcommand)]
+pub enum BenchOf {
+    #[cfg(feature = "containers")]
+    Image(image::ImageArgs),
+    /// Measure how long an image takes to start and to answer (needs a build with `--features containers`)
+    #[cfg(not(feature = "containers"))]
+    #[command(disable_help_flag = true)]
+    Image {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        _arguments: Vec<std::ffi::OsString>,
+    },
 }
 
 #[derive(Debug, thiserror::Error, Diagnostic)]
@@ -53,7 +72,21 @@ fn names() -> String {
 }
 
 /// Runs the benchmarks and prints the table.
-pub fn bench(args: &BenchArgs) -> miette::Result<()> {
+pub fn bench(args: &BenchArgs) -> miette::Result<ExitCode> {
+    match &args.of {
+        #[cfg(feature = "containers")]
+        Some(BenchOf::Image(args)) => image::image(args),
+        #[cfg(not(feature = "containers"))]
+        Some(BenchOf::Image { .. }) => Err(miette::miette!(
+            help = "build it with `--features containers`",
+            "this cotorra was built without containers"
+        )),
+        None => emulation(args).map(|()| ExitCode::SUCCESS),
+    }
+}
+
+/// Measures the emulated network.
+fn emulation(args: &BenchArgs) -> miette::Result<()> {
     if args.list {
         let mut table = Table::new("<<");
         ALL.iter().for_each(|benchmark| table.row([benchmark.name, benchmark.about]));

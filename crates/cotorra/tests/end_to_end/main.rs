@@ -5,6 +5,8 @@ mod agent_enrolment;
 #[cfg(feature = "agents")]
 mod agents;
 mod api;
+#[cfg(feature = "containers")]
+mod bench_image;
 mod camera;
 mod capture;
 #[cfg(feature = "ethereum")]
