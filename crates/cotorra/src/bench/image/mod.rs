@@ -146,7 +146,6 @@ enum Error {
     #[error("`{image}` does not serve: {reason}{output}")]
     Failed { image: String, reason: String, output: String },
     #[error("{request} failed: {reason}")]
-    #[diagnostic(help("nothing was written"))]
     Request { request: Request, reason: String },
 }
 
