@@ -9,11 +9,10 @@ use bollard::{
     query_parameters::{
         CreateContainerOptionsBuilder, CreateImageOptionsBuilder, KillContainerOptionsBuilder,
         ListContainersOptionsBuilder, LogsOptionsBuilder, RemoveContainerOptionsBuilder,
-        WaitContainerOptionsBuilder,
     },
 };
 use bytes::Bytes;
-use futures_util::{Stream, StreamExt as _, TryStreamExt as _};
+use futures_util::{Stream, TryStreamExt as _};
 
 use crate::spec::RUN;
 
@@ -53,6 +52,8 @@ impl From<Error> for DaemonError {
             Error::DockerResponseServerError { status_code: status, message } => {
                 Self::Rejected { status, message }
             }
+            // podman has states for a moment that the client does not know.
+            Error::JsonDataError { message, .. } => Self::Rejected { status: 200, message },
             Error::DockerStreamError { error } => Self::Rejected { status: 500, message: error },
             other => Self::Lost(describe(&other)),
         }
@@ -160,21 +161,13 @@ impl Daemon {
         Ok(found.state.map(State::of).unwrap_or_default())
     }
 
-    /// Waits until a container does not run.
-    pub(crate) async fn wait(&self, name: &str) -> Result<(), DaemonError> {
-        let options = WaitContainerOptionsBuilder::default().condition("not-running").build();
-        let ended = self.patient.wait_container(name, Some(options));
-        let mut ended = std::pin::pin!(ended);
-        match ended.next().await {
-            Some(Ok(_) | Err(Error::DockerContainerWaitError { .. })) => Ok(()),
-            Some(Err(error)) => Err(error.into()),
-            None => Err(DaemonError::Lost("it ended the connection".to_owned())),
-        }
-    }
-
-    /// Returns the output of a container from its beginning, until the container ends.
-    pub(crate) fn output(&self, name: &str) -> impl Stream<Item = Result<Bytes, DaemonError>> {
-        let options = LogsOptionsBuilder::default().follow(true).stdout(true).stderr(true).build();
+    /// Returns the output of a container from its beginning: what there is, or until the container ends.
+    pub(crate) fn output(
+        &self,
+        name: &str,
+        follow: bool,
+    ) -> impl Stream<Item = Result<Bytes, DaemonError>> + use<> {
+        let options = LogsOptionsBuilder::default().follow(follow).stdout(true).stderr(true).build();
         let output = self.patient.logs(name, Some(options));
         output.map_ok(|part| part.into_bytes()).map_err(DaemonError::from)
     }

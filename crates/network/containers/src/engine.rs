@@ -1,6 +1,7 @@
 //! The engine: takes what Network Control wants, and runs each instance as a task of one thread.
 
 use std::{
+    cell::Cell,
     collections::BTreeMap,
     fs::{File, OpenOptions},
     io::{self, Write as _},
@@ -110,11 +111,13 @@ impl ContainerEngine {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (logs, around) = (settings.logs.clone(), Arc::clone(&surroundings));
         let thread = thread::Builder::new().name(settings.kind.name().to_owned()).spawn(move || {
-            let (daemon, holding) = (Mutex::default(), Mutex::default());
-            let tasks = Rc::new(Tasks { settings, surroundings: around, marker, report, daemon, holding });
-            LocalSet::new().block_on(&runtime, Rc::clone(&tasks).serve(inbox));
-            // Nothing of the run is left: the guard has nothing to do.
-            tasks.marker.remove();
+            let (daemon, holding, is_last) = (Mutex::default(), Mutex::default(), Cell::new(false));
+            let tasks =
+                Rc::new(Tasks { settings, surroundings: around, marker, report, daemon, holding, is_last });
+            if LocalSet::new().block_on(&runtime, Rc::clone(&tasks).serve(inbox)) {
+                // The guard has nothing to do.
+                tasks.marker.remove();
+            }
             drop(guard);
         })?;
         Ok(Self { commands: Some(commands), events, thread: Some(thread), surroundings, logs })
@@ -179,11 +182,13 @@ struct Tasks {
     daemon: Mutex<Option<Daemon>>,
     /// Locked while a holder starts.
     holding: Mutex<()>,
+    /// Whether the run ends.
+    is_last: Cell<bool>,
 }
 
 impl Tasks {
-    /// Runs instances until the last sender of commands is gone, and then ends them.
-    async fn serve(self: Rc<Self>, mut inbox: mpsc::UnboundedReceiver<Command>) {
+    /// Runs instances until the last sender of commands is gone, and then ends them. Returns whether nothing is left.
+    async fn serve(self: Rc<Self>, mut inbox: mpsc::UnboundedReceiver<Command>) -> bool {
         let mut running = JoinSet::new();
         let mut stops = BTreeMap::new();
         let mut settling = Vec::new();
@@ -207,14 +212,17 @@ impl Tasks {
                 Some(Ok(instance)) = running.join_next() => drop(stops.remove(&instance)),
             }
         }
+        self.is_last.set(true);
         drop(stops);
         while running.join_next().await.is_some() {}
-        let daemon = self.daemon.lock().await.take();
-        if let Some(daemon) = daemon
-            && let Err(error) = leftovers::remove_all(&daemon, self.marker.run()).await
-        {
-            tracing::warn!("containers of {} are left: {error}", self.marker.run());
+        // Without an engine there was no container.
+        let Some(daemon) = self.daemon.lock().await.take() else { return true };
+        let removed = leftovers::remove_all(&daemon, self.marker.run()).await;
+        if let Err(error) = &removed {
+            let run = self.marker.run();
+            tracing::warn!("containers of {run} may be left, which `cotorra clean` removes: {error}");
         }
+        removed.is_ok()
     }
 
     /// Runs an instance until it ends or is stopped. Returns its number.
@@ -235,7 +243,7 @@ impl Tasks {
             prepared = self.prepare(instance, wanted) => prepared,
         };
         match prepared {
-            Ok((daemon, prepared)) => prepared.run(&daemon, stop, &report).await,
+            Ok((daemon, prepared)) => prepared.run(&daemon, stop, &self.is_last, &report).await,
             Err(error) => report(Outcome::Failed(error)),
         }
         instance

@@ -1,16 +1,12 @@
-//! The life of one instance: its image is pulled, its container is created, started, watched, stopped and removed.
+//! The life of one instance: its container is created, started, watched, stopped and removed.
 
-use std::{
-    fs::{self, File},
-    io::Write as _,
-    path::Path,
-    time::Duration,
-};
+use std::{cell::Cell, fs::File, io::Write as _, time::Duration};
 
 use bollard::models::ContainerCreateBody;
 use cotorra_engine::Outcome;
 use cotorra_graph::{ListenPort, Pull};
 use futures_util::StreamExt as _;
+use rustix::process::{Pid, PidfdFlags, pidfd_open};
 use tokio::sync::oneshot;
 
 use crate::{
@@ -20,10 +16,12 @@ use crate::{
 
 /// Time from SIGTERM until a container is killed, as for processes.
 const GRACE: Duration = Duration::from_millis(500);
-/// Longest wait for the last output of a container that has ended.
-const LAST_OUTPUT: Duration = Duration::from_secs(2);
 /// Interval of checks whether an instance listens at its ports.
 const READY_INTERVAL: Duration = Duration::from_millis(5);
+/// Interval of checks whether a container has ended.
+const EXIT_INTERVAL: Duration = Duration::from_millis(10);
+/// Attempts to remove a container at the end of a run, while the engine is away.
+const LAST_ATTEMPTS: u32 = 5;
 
 /// An instance to run.
 pub(crate) struct Instance {
@@ -40,103 +38,112 @@ pub(crate) struct Instance {
 pub(crate) type Report<'a> = &'a dyn Fn(Outcome);
 
 impl Instance {
-    /// Runs until the container ends or `stop` resolves. Nothing is left then.
-    pub(crate) async fn run(mut self, daemon: &Daemon, mut stop: oneshot::Receiver<()>, report: Report<'_>) {
-        let failed = |error: String| report(Outcome::Failed(error));
-        // Only a pull takes long. The other requests are not cancelled, because the engine would carry them out all the same.
-        let pulled = tokio::select! {
-            biased;
-            _ = &mut stop => return,
-            pulled = pull(daemon, self.reference(), self.pull) => pulled,
-        };
-        if let Err(error) = pulled {
-            return failed(error);
+    /// Runs until the container ends or `stop` resolves. Nothing is left then, unless the engine is away when the run ends.
+    pub(crate) async fn run(
+        mut self,
+        daemon: &Daemon,
+        mut stop: oneshot::Receiver<()>,
+        is_last: &Cell<bool>,
+        report: Report<'_>,
+    ) {
+        match self.start(daemon, &mut stop).await {
+            Ok(true) => self.watch(daemon, stop, report).await,
+            Ok(false) => {}
+            Err(error) => report(Outcome::Failed(error)),
         }
-        let container = std::mem::take(&mut self.container);
-        let mut started = daemon.create(&self.name, container).await;
-        if started.is_ok() {
-            started = daemon.start(&self.name).await;
-        }
-        match started {
-            Ok(()) => self.watch(daemon, stop, report).await,
-            Err(error) => failed(format!("cannot start its container: {error}")),
-        }
-        let mut retries = Retries::default();
+        let (mut retries, mut last_attempts) = (Retries::default(), 0);
         while let Err(error) = daemon.remove(&self.name).await {
-            match error {
-                // Nothing else removes it once the engine is back.
-                DaemonError::Lost(_) => retries.wait().await,
-                DaemonError::Rejected { .. } => return tracing::warn!("{} is left: {error}", self.name),
+            last_attempts += u32::from(is_last.get());
+            if matches!(error, DaemonError::Rejected { .. }) || last_attempts == LAST_ATTEMPTS {
+                return tracing::warn!("{} is left: {error}", self.name);
             }
+            retries.wait().await;
         }
     }
 
-    fn reference(&self) -> &str {
-        self.container.image.as_deref().unwrap_or_default()
+    /// Creates and starts the container. Returns false if it is stopped before.
+    async fn start(&mut self, daemon: &Daemon, stop: &mut oneshot::Receiver<()>) -> Result<bool, String> {
+        let cannot = |error: DaemonError| format!("cannot start its container: {error}");
+        let reference = self.container.image.clone().unwrap_or_default();
+        let container = std::mem::take(&mut self.container);
+        let mut is_pulled = false;
+        if self.pull != Pull::Always {
+            // The engine says whether it has the image. That saves a request.
+            match daemon.create(&self.name, container.clone()).await {
+                Ok(()) => return daemon.start(&self.name).await.map(|()| true).map_err(cannot),
+                // What is missing may also be its network.
+                Err(error) if !error.is_missing() || daemon.has_image(&reference).await.unwrap_or(true) => {
+                    return Err(cannot(error));
+                }
+                Err(_) if self.pull == Pull::Never => {
+                    let never = "on this machine, and `pull: never` forbids to pull it";
+                    return Err(format!("there is no image `{reference}` {never}"));
+                }
+                Err(_) => {}
+            }
+        }
+        // Only a pull takes long. The other requests are not cancelled, because the engine would carry them out all the same.
+        while !is_pulled {
+            tokio::select! {
+                biased;
+                _ = &mut *stop => return Ok(false),
+                pulled = daemon.pull(&reference) => {
+                    pulled.map_err(|error| format!("there is no image `{reference}`: {error}"))?;
+                    is_pulled = true;
+                }
+            }
+        }
+        daemon.create(&self.name, container).await.map_err(cannot)?;
+        daemon.start(&self.name).await.map(|()| true).map_err(cannot)
     }
 
     /// Watches a started container until it ends or is stopped.
     async fn watch(&mut self, daemon: &Daemon, mut stop: oneshot::Receiver<()>, report: Report<'_>) {
         let Self { name, ports, memory_bytes, log, .. } = self;
-        let copying = copy_output(daemon, name, log);
-        let mut copying = std::pin::pin!(copying);
-        let ended = ended(daemon, name);
-        let mut ended = std::pin::pin!(ended);
-        let serving = listens(daemon, name, ports);
-        let mut serving = std::pin::pin!(serving);
-        let (mut is_ready, mut is_copied) = (false, false);
-        let state = loop {
-            tokio::select! {
-                biased;
-                _ = &mut stop => break None,
-                () = &mut serving, if !is_ready => {
-                    is_ready = true;
-                    report(Outcome::Ready);
+        let mut output = Output { daemon, name, log, copied: 0 };
+        let state = {
+            let mut copying = std::pin::pin!(output.follow());
+            let mut ended = std::pin::pin!(ended(daemon, name));
+            let mut serving = std::pin::pin!(listens(daemon, name, ports));
+            let (mut is_ready, mut is_copied) = (false, false);
+            let state = loop {
+                tokio::select! {
+                    biased;
+                    _ = &mut stop => break None,
+                    () = &mut serving, if !is_ready => {
+                        is_ready = true;
+                        report(Outcome::Ready);
+                    }
+                    state = &mut ended => break Some(state),
+                    () = &mut copying, if !is_copied => is_copied = true,
                 }
-                state = &mut ended => break Some(state),
-                () = &mut copying, if !is_copied => is_copied = true,
+            };
+            match state {
+                Some(state) => Some((state, is_ready)),
+                None => {
+                    terminate(daemon, name, &mut ended).await;
+                    None
+                }
             }
         };
-        match state {
-            Some(state) => {
-                let end = state.end(*memory_bytes);
-                let outcome = if is_ready {
-                    Outcome::Died(end)
-                } else {
-                    Outcome::Failed(format!("{end} before it listened at its ports"))
-                };
-                report(outcome);
-            }
-            None => terminate(daemon, name, &mut ended).await,
+        // The engine may be away.
+        let _ = output.finish().await;
+        if let Some((state, is_ready)) = state {
+            let end = state.end(*memory_bytes);
+            report(if is_ready {
+                Outcome::Died(end)
+            } else {
+                Outcome::Failed(format!("{end} before it listened at its ports"))
+            });
         }
-        if !is_copied {
-            // A full disk or a lost engine must not hold up the end.
-            let _ = tokio::time::timeout(LAST_OUTPUT, copying).await;
-        }
-    }
-}
-
-async fn pull(daemon: &Daemon, reference: &str, policy: Pull) -> Result<(), String> {
-    let missing = |error: DaemonError| format!("there is no image `{reference}`: {error}");
-    let is_there = daemon.has_image(reference).await.map_err(|e| e.to_string())?;
-    match policy {
-        Pull::Missing if is_there => Ok(()),
-        Pull::Never if is_there => Ok(()),
-        Pull::Never => Err(format!(
-            "there is no image `{reference}` on this machine, and `pull: never` forbids to pull it"
-        )),
-        Pull::Missing | Pull::Always => daemon.pull(reference).await.map_err(missing),
     }
 }
 
 /// Returns when a container listens at its ports, at once if it has none.
 async fn listens(daemon: &Daemon, name: &str, ports: &[ListenPort]) {
-    if ports.is_empty() {
-        return;
-    }
-    loop {
+    while !ports.is_empty() {
         if let Ok(State { process: Some(process), .. }) = daemon.state(name).await {
-            while fs::exists(Path::new("/proc").join(process.to_string())).unwrap_or_default() {
+            while is_alive(process) {
                 if ready::are_served(process, ports) {
                     return;
                 }
@@ -149,24 +156,50 @@ async fn listens(daemon: &Daemon, name: &str, ports: &[ListenPort]) {
 
 /// Waits for the end of a container. While the engine is away, the container may go on.
 async fn ended(daemon: &Daemon, name: &str) -> State {
-    let mut retries = Retries::default();
-    let mut process = daemon.state(name).await.ok().and_then(|state| state.process);
+    let (mut retries, mut process) = (Retries::default(), None);
     loop {
-        if daemon.wait(name).await.is_err_and(|error| !error.is_missing()) {
-            retries.wait().await;
-        }
         match daemon.state(name).await {
             Ok(state @ State { process: None, .. }) => return state,
             Ok(state) => process = state.process,
             // Somebody removed it.
-            Err(error) if error.is_missing() => return State::default(),
-            Err(_) => {
-                let is_gone = |process: &u32| !fs::exists(format!("/proc/{process}")).unwrap_or(true);
-                if process.as_ref().is_some_and(is_gone) {
-                    return State { exit_code: 137, ..State::default() };
-                }
+            Err(error) if error.is_missing() => return State { exit_code: KILLED, ..State::default() },
+            Err(DaemonError::Lost(_)) if process.is_some_and(|process| !is_alive(process)) => {
+                return State { exit_code: KILLED, ..State::default() };
             }
+            Err(_) => {}
         }
+        match process {
+            Some(process) if is_alive(process) => {
+                exit(process).await;
+                retries = Retries::default();
+            }
+            // The engine has not noticed yet.
+            _ => retries.wait().await,
+        }
+    }
+}
+
+/// Exit code of a process that was killed by SIGKILL.
+const KILLED: i64 = 137;
+
+fn is_alive(process: u32) -> bool {
+    i32::try_from(process)
+        .ok()
+        .and_then(Pid::from_raw)
+        .is_some_and(|pid| pidfd_open(pid, PidfdFlags::empty()).is_ok_and(|fd| !has_exited(&fd)))
+}
+
+/// Whether the process of a descriptor has exited, though nobody may have waited for it yet.
+fn has_exited(process: &rustix::fd::OwnedFd) -> bool {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    let mut fds = [PollFd::new(process, PollFlags::IN)];
+    poll(&mut fds, Some(&Timespec::default())).is_ok_and(|ready| ready > 0)
+}
+
+/// Waits until a process has exited.
+async fn exit(process: u32) {
+    while is_alive(process) {
+        tokio::time::sleep(EXIT_INTERVAL).await;
     }
 }
 
@@ -174,40 +207,46 @@ async fn ended(daemon: &Daemon, name: &str) -> State {
 async fn terminate(daemon: &Daemon, name: &str, ended: &mut (impl Future<Output = State> + Unpin)) {
     // It may have ended by itself.
     let _ = daemon.signal(name, "SIGTERM").await;
-    if tokio::time::timeout(GRACE, &mut *ended).await.is_err() {
-        let _ = daemon.signal(name, "SIGKILL").await;
+    if tokio::time::timeout(GRACE, &mut *ended).await.is_err() && daemon.signal(name, "SIGKILL").await.is_ok()
+    {
+        ended.await;
     }
 }
 
-/// Copies the output of a container to its log until the container ends. When the engine was away, it begins again after what
-/// is in the log already.
-async fn copy_output(daemon: &Daemon, name: &str, log: &mut File) {
-    let mut retries = Retries::default();
-    let mut copied: u64 = 0;
-    loop {
-        let mut skipped = copied;
-        let output = daemon.output(name);
-        let mut output = std::pin::pin!(output);
-        let error = loop {
-            match output.next().await {
-                Some(Ok(part)) => {
-                    let old = usize::try_from(skipped).unwrap_or(usize::MAX).min(part.len());
-                    skipped -= old as u64;
-                    copied += (part.len() - old) as u64;
-                    // A full disk must not stop the VNF.
-                    let _ = log.write_all(&part[old..]);
-                }
-                Some(Err(error)) => break error,
-                None => match daemon.state(name).await {
-                    Ok(State { process: Some(_), .. }) => break DaemonError::Lost(String::new()),
-                    Err(error) if !error.is_missing() => break error,
-                    _ => return,
-                },
-            }
-        };
-        if error.is_missing() {
-            return;
+/// Copies the output of a container to its log.
+struct Output<'a> {
+    daemon: &'a Daemon,
+    name: &'a str,
+    log: &'a mut File,
+    /// Bytes that were copied.
+    copied: u64,
+}
+
+impl Output<'_> {
+    /// Copies until the container ends. When the engine was away, this begins again after what is in the log already.
+    async fn follow(&mut self) {
+        let mut retries = Retries::default();
+        while let Err(DaemonError::Lost(_)) = self.copy(true).await {
+            retries.wait().await;
         }
-        retries.wait().await;
+    }
+
+    /// Copies what a container that has ended wrote and was not copied.
+    async fn finish(&mut self) -> Result<(), DaemonError> {
+        self.copy(false).await
+    }
+
+    async fn copy(&mut self, follow: bool) -> Result<(), DaemonError> {
+        let mut skipped = self.copied;
+        let mut output = std::pin::pin!(self.daemon.output(self.name, follow));
+        while let Some(part) = output.next().await {
+            let part = part?;
+            let old = usize::try_from(skipped).unwrap_or(usize::MAX).min(part.len());
+            skipped -= old as u64;
+            self.copied += (part.len() - old) as u64;
+            // A full disk must not stop the VNF.
+            let _ = self.log.write_all(&part[old..]);
+        }
+        Ok(())
     }
 }

@@ -6,11 +6,11 @@
 use std::{
     env,
     fs::{self, DirBuilder, File, TryLockError},
+    hash::{BuildHasher as _, RandomState},
     io::{self, Write as _},
     os::unix::fs::{DirBuilderExt as _, MetadataExt as _},
     path::{Path, PathBuf},
     process,
-    sync::atomic::{AtomicU32, Ordering},
 };
 
 use cotorra_graph::EngineKind;
@@ -41,14 +41,10 @@ pub(crate) struct Marker {
 impl Marker {
     /// Creates and locks a record of containers of this process.
     pub(crate) fn create(kind: EngineKind, address: &Address) -> io::Result<Self> {
-        static NUMBER: AtomicU32 = AtomicU32::new(0);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let run = format!("{}-{}-{number}", kind.name(), process::id());
+        // A later process with the same ID has other containers.
+        let random = RandomState::new().hash_one(0) as u32;
+        let run = format!("{}-{}-{random:08x}", kind.name(), process::id());
         let path = folder()?.join(&run);
-        // That of a dead process with the same ID stays under another name, so that its containers are found.
-        if path.exists() {
-            fs::rename(&path, path.with_extension("old"))?;
-        }
         let mut file = File::create_new(&path)?;
         file.try_lock().map_err(io::Error::from)?;
         let address = match address {

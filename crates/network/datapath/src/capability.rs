@@ -123,7 +123,7 @@ pub fn probe() -> Vec<Capability> {
             "container engine",
             "VNFs from images",
             container_engine(),
-            "not needed: VNFs run as processes; otherwise install docker or podman and start its socket",
+            "not needed: VNFs run as processes; for images, install podman, or start docker",
         ),
     ]
 }
@@ -239,5 +239,5 @@ fn container_engine() -> io::Result<String> {
             return Ok(socket.display().to_string());
         }
     }
-    Err(io::Error::other("no socket of docker or podman answers"))
+    Err(io::Error::other("podman is not installed, and no socket of docker answers"))
 }

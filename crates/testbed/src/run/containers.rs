@@ -1,7 +1,7 @@
 //! Containers of a run: VNFs with an image run in containers of podman or Docker, in the network namespaces of their nodes.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, btree_map::Entry},
     fs, io,
     path::PathBuf,
     sync::{Arc, mpsc::Sender},
@@ -31,10 +31,10 @@ pub(crate) fn find_engines(testbed: &Testbed) -> Result<Addresses, RunError> {
     let images = || testbed.vnfs().filter(|vnf| vnf.image.is_some());
     let mut addresses = Addresses::new();
     for (vnf, node) in images().flat_map(|vnf| vnf.node.all().iter().map(move |node| (vnf, node))) {
-        let kind = testbed.containers.engine(node);
-        if !addresses.contains_key(&kind) {
+        if let Entry::Vacant(place) = addresses.entry(testbed.containers.engine(node)) {
             let cannot = |source| RunError::NoEngine { vnf: vnf.id.clone(), node: node.clone(), source };
-            addresses.insert(kind, Address::find(kind).map_err(cannot)?);
+            let address = Address::find(*place.key()).map_err(cannot)?;
+            place.insert(address);
         }
     }
     let others: BTreeSet<_> = testbed.graph.hosts().map(|node| testbed.containers.engine(&node.id)).collect();
@@ -62,9 +62,11 @@ impl Containers {
         folder: &RunFolder,
         messages: &Sender<Message>,
     ) -> io::Result<Self> {
+        // One mount for each file or folder beside the testbed file.
         let files = whole::files(folder.path())?;
+        let beside: BTreeSet<_> = files.iter().filter_map(|file| file.iter().next()).collect();
         let files =
-            files.into_iter().map(|file| (folder.path().join(&file), PathBuf::from(FILES).join(file)));
+            beside.into_iter().map(|name| (folder.path().join(name), PathBuf::from(FILES).join(name)));
         let files = files.collect();
         let hosts = folder.logs().join("hosts");
         fs::write(&hosts, HostsFile::text(&testbed.graph))?;
@@ -82,24 +84,26 @@ impl Containers {
 
     /// Returns the engine of a node.
     fn engine(&mut self, node: &NodeId) -> Result<&mut ContainerEngine, String> {
-        let kind = self.testbed.containers.engine(node);
-        if !self.engines.contains_key(&kind) {
-            let address = match self.addresses.get(&kind) {
-                Some(address) => address.clone(),
-                None => Address::find(kind).map_err(|e: NoEngine| e.to_string())?,
-            };
-            let settings = Settings {
-                kind,
-                address,
-                folder: self.testbed.folder.clone(),
-                logs: self.logs.clone(),
-                guard: Some(guard()),
-            };
-            let nodes: Arc<dyn Surroundings> = Arc::<Nodes>::clone(&self.nodes);
-            let engine = ContainerEngine::new(settings, nodes);
-            self.engines.insert(kind, engine.map_err(|e| format!("cannot watch containers: {e}"))?);
+        match self.engines.entry(self.testbed.containers.engine(node)) {
+            Entry::Occupied(engine) => Ok(engine.into_mut()),
+            Entry::Vacant(place) => {
+                let kind = *place.key();
+                let address = match self.addresses.get(&kind) {
+                    Some(address) => address.clone(),
+                    None => Address::find(kind).map_err(|e: NoEngine| e.to_string())?,
+                };
+                let settings = Settings {
+                    kind,
+                    address,
+                    folder: self.testbed.folder.clone(),
+                    logs: self.logs.clone(),
+                    guard: Some(guard()),
+                };
+                let nodes: Arc<dyn Surroundings> = Arc::<Nodes>::clone(&self.nodes);
+                let engine = ContainerEngine::new(settings, nodes);
+                Ok(place.insert(engine.map_err(|e| format!("cannot watch containers: {e}"))?))
+            }
         }
-        Ok(self.engines.get_mut(&kind).expect("it was inserted"))
     }
 }
 

@@ -110,3 +110,16 @@ fn vnfs_run_again_once_docker_is_back() {
     engine.shut_down();
     assert_eq!(lab.containers.names(), Vec::<String>::new());
 }
+
+#[test]
+fn a_run_ends_while_the_engine_is_away_and_its_containers_are_cleaned_up_later() {
+    let Some(lab) = Lab::of(EngineKind::Podman) else { return };
+    let mut engine = lab.engine();
+    assert_eq!(start(&lab, &mut engine, 1, "while true; do sleep 1; done"), Outcome::Ready);
+    lab.containers.kill();
+    engine.shut_down();
+    lab.containers.resume();
+    assert_ne!(lab.containers.names(), Vec::<String>::new());
+    cotorra_containers::clean();
+    assert_eq!(lab.containers.names(), Vec::<String>::new());
+}

@@ -570,6 +570,9 @@ impl<E: Engine> Vim<E> {
             }
             Outcome::Died(detail) | Outcome::Failed(detail) => {
                 let failed = slot.next.take()?;
+                if slot.backoff == FIRST_BACKOFF {
+                    tracing::warn!("VNF `{vnf}` does not start on `{}`: {detail}", failed.node);
+                }
                 events.push(life(&failed.node, VnfState::Failed, Some(detail)));
                 // A failed move leaves the old instance in service. A failed start is retried.
                 if slot.current.is_none() {

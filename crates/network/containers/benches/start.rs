@@ -1,0 +1,237 @@
+//! Time to start and to stop containers in nodes, beside the engine's own time for the same container without a network.
+//!
+//! `cargo bench -p cotorra-containers`, as root, with podman and Docker installed. Pairs are interleaved.
+#![allow(clippy::unwrap_used, reason = "a benchmark")]
+#![allow(clippy::disallowed_types, reason = "measures time")]
+
+use std::{
+    path::PathBuf,
+    sync::{Arc, mpsc},
+    time::{Duration, Instant},
+};
+
+use bollard::{
+    API_DEFAULT_VERSION, Docker,
+    models::{ContainerCreateBody, HostConfig, ResourcesUlimits},
+    query_parameters::{
+        CreateContainerOptionsBuilder, KillContainerOptionsBuilder, RemoveContainerOptionsBuilder,
+        WaitContainerOptionsBuilder,
+    },
+};
+use cotorra_containers::{Address, ContainerEngine, Network, Settings, Surroundings};
+use cotorra_datapath::Namespace;
+use cotorra_engine::{Engine as _, InstanceId, Outcome};
+use cotorra_graph::{EngineKind, Image, ListenPort, NodeId, Program, Rights, Vnf};
+use cotorra_testing::containers::{BUSYBOX, Containers};
+use futures_util::StreamExt as _;
+
+const PAIRS: usize = 30;
+const MANY: usize = 50;
+const SCRIPT: [&str; 3] = ["sh", "-c", "trap 'exit 0' TERM; sleep 100000 & wait"];
+
+struct Nodes {
+    namespaces: Vec<(NodeId, Namespace)>,
+    wake: mpsc::Sender<()>,
+}
+
+impl Surroundings for Nodes {
+    fn network(&self, node: &NodeId) -> Result<Network, String> {
+        let found = self.namespaces.iter().find(|(id, _)| id == node).ok_or("no such node")?;
+        Ok(Network::Namespace(found.1.path()))
+    }
+
+    fn environment(&self, _vnf: &Vnf, _replica: u32, _node: &NodeId) -> Vec<(String, String)> {
+        Vec::new()
+    }
+
+    fn ports(&self, _vnf: &Vnf) -> Vec<ListenPort> {
+        Vec::new()
+    }
+
+    fn files(&self, _vnf: &Vnf) -> Vec<(PathBuf, PathBuf)> {
+        Vec::new()
+    }
+
+    fn wake(&self) {
+        let _ = self.wake.send(());
+    }
+}
+
+/// The engine alone.
+struct Bare {
+    runtime: tokio::runtime::Runtime,
+    docker: Docker,
+}
+
+impl Bare {
+    fn connect(engine: &Containers) -> Self {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let socket = engine.socket();
+        let docker = runtime.block_on(async {
+            let docker =
+                Docker::connect_with_unix(socket.to_str().unwrap(), 120, API_DEFAULT_VERSION).unwrap();
+            docker.negotiate_version().await.unwrap()
+        });
+        Self { runtime, docker }
+    }
+
+    async fn start(&self, name: &str) {
+        let limit =
+            |name: &str| ResourcesUlimits { name: Some(name.to_owned()), soft: Some(1024), hard: Some(1024) };
+        let body = ContainerCreateBody {
+            image: Some(BUSYBOX.to_owned()),
+            cmd: Some(SCRIPT.map(str::to_owned).to_vec()),
+            host_config: Some(HostConfig {
+                network_mode: Some("none".to_owned()),
+                memory: Some(64 << 20),
+                ulimits: Some(vec![limit("nofile"), limit("nproc")]),
+                ..HostConfig::default()
+            }),
+            ..ContainerCreateBody::default()
+        };
+        let options = CreateContainerOptionsBuilder::default().name(name).build();
+        self.docker.create_container(Some(options), body).await.unwrap();
+        self.docker.start_container(name, None).await.unwrap();
+    }
+
+    async fn stop(&self, name: &str) {
+        let signal = KillContainerOptionsBuilder::default().signal("SIGTERM").build();
+        let wait = WaitContainerOptionsBuilder::default().condition("not-running").build();
+        self.docker.kill_container(name, Some(signal)).await.unwrap();
+        let _ = self.docker.wait_container(name, Some(wait)).next().await;
+        let force = RemoveContainerOptionsBuilder::default().force(true).build();
+        self.docker.remove_container(name, Some(force)).await.unwrap();
+    }
+}
+
+/// cotorra's engine.
+struct Ours {
+    engine: ContainerEngine,
+    woken: mpsc::Receiver<()>,
+    started: u64,
+}
+
+impl Ours {
+    /// Starts this many containers, each on a node of its own, and waits until all are ready. Returns their numbers.
+    fn start(&mut self, count: usize) -> Vec<InstanceId> {
+        let ids: Vec<_> = (0..count)
+            .map(|place| {
+                self.started += 1;
+                let id = InstanceId(self.started);
+                self.engine.start(id, &vnf(place), 0, &node(place)).unwrap();
+                id
+            })
+            .collect();
+        let mut ready = 0;
+        while ready < count {
+            match self.engine.poll() {
+                Some(event) if event.outcome == Outcome::Ready => ready += 1,
+                Some(event) => panic!("{event:?}"),
+                None => self.woken.recv().unwrap(),
+            }
+        }
+        ids
+    }
+
+    fn stop(&mut self, ids: Vec<InstanceId>) {
+        ids.into_iter().for_each(|id| self.engine.stop(id));
+        self.engine.settle();
+    }
+}
+
+fn node(place: usize) -> NodeId {
+    NodeId::new(&format!("n{place}")).unwrap()
+}
+
+fn vnf(place: usize) -> Vnf {
+    Vnf {
+        id: format!("v{place}").parse().unwrap(),
+        program: Program::Command(SCRIPT.map(str::to_owned).to_vec()),
+        cpus: 1.0,
+        memory_bytes: 64 << 20,
+        pinned_to: None,
+        node: node(place).into(),
+        env: Vec::new(),
+        rights: Rights::default(),
+        keep: false,
+        image: Some(Box::new(Image { reference: BUSYBOX.to_owned(), ..Image::default() })),
+    }
+}
+
+fn time(work: impl FnOnce()) -> Duration {
+    let begin = Instant::now();
+    work();
+    begin.elapsed()
+}
+
+/// Prints medians and 95th percentiles of pairs, ms, and the ratio of the medians.
+fn print(what: &str, mut pairs: [Vec<Duration>; 2]) {
+    pairs.iter_mut().for_each(|times| times.sort_unstable());
+    let ms = |time: Duration| time.as_secs_f64() * 1e3;
+    let [bare, ours] = pairs.map(|times| (ms(times[times.len() / 2]), ms(times[times.len() * 95 / 100])));
+    println!(
+        "{what:<28} engine {:7.1} (p95 {:7.1})   cotorra {:7.1} (p95 {:7.1})   ratio {:.3}",
+        bare.0,
+        bare.1,
+        ours.0,
+        ours.1,
+        ours.0 / bare.0
+    );
+}
+
+fn measure(kind: EngineKind) {
+    let Some(containers) = Containers::start(kind) else { return };
+    let bare = Bare::connect(&containers);
+    let folder = tempfile::tempdir().unwrap();
+    let (wake, woken) = mpsc::channel();
+    let namespaces = (0..MANY).map(|place| (node(place), Namespace::new().unwrap())).collect();
+    let nodes: Arc<dyn Surroundings> = Arc::new(Nodes { namespaces, wake });
+    let settings = Settings {
+        kind,
+        address: Address::Socket(containers.socket()),
+        folder: folder.path().to_owned(),
+        logs: folder.path().to_owned(),
+        guard: None,
+    };
+    let mut ours = Ours { engine: ContainerEngine::new(settings, nodes).unwrap(), woken, started: 0 };
+    // The first has the connection and, with Docker, the node's holder to make.
+    let first = time(|| {
+        let ids = ours.start(1);
+        ours.stop(ids);
+    });
+    println!("{} first start and stop: {:.0} ms", kind.name(), first.as_secs_f64() * 1e3);
+    let (mut starts, mut stops) = ([const { Vec::new() }; 2], [const { Vec::new() }; 2]);
+    for _ in 0..PAIRS {
+        starts[0].push(time(|| bare.runtime.block_on(bare.start("bare"))));
+        stops[0].push(time(|| bare.runtime.block_on(bare.stop("bare"))));
+        let mut ids = Vec::new();
+        starts[1].push(time(|| ids = ours.start(1)));
+        stops[1].push(time(|| ours.stop(ids)));
+    }
+    print(&format!("{} start, ms", kind.name()), starts);
+    print(&format!("{} stop, ms", kind.name()), stops);
+    let (mut up, mut down) = ([const { Vec::new() }; 2], [const { Vec::new() }; 2]);
+    for _ in 0..3 {
+        let names: Vec<_> = (0..MANY).map(|i| format!("bare{i}")).collect();
+        up[0].push(time(|| {
+            bare.runtime.block_on(futures_util::future::join_all(names.iter().map(|name| bare.start(name))));
+        }));
+        down[0].push(time(|| {
+            bare.runtime.block_on(futures_util::future::join_all(names.iter().map(|name| bare.stop(name))));
+        }));
+        let mut ids = Vec::new();
+        up[1].push(time(|| ids = ours.start(MANY)));
+        down[1].push(time(|| ours.stop(ids)));
+    }
+    print(&format!("{} {MANY} up, ms", kind.name()), up);
+    print(&format!("{} {MANY} down, ms", kind.name()), down);
+}
+
+fn main() {
+    // The machine's speed, to compare figures of several machines.
+    let mut sum = 0_u64;
+    let speed =
+        time(|| (0..200_000_000_u64).for_each(|i| sum = std::hint::black_box(sum ^ i.wrapping_mul(31))));
+    println!("2e8 steps of arithmetic: {:.0} ms ({sum})", speed.as_secs_f64() * 1e3);
+    [EngineKind::Podman, EngineKind::Docker].into_iter().for_each(measure);
+}
