@@ -13,6 +13,7 @@ use crate::{
     exec::ExecArgs,
     experiment::Experiment,
     fault_test::FaultTestArgs,
+    fdu::Fdu,
     history::{self, History},
     link::Link,
     localize::LocalizeArgs,
@@ -86,6 +87,11 @@ pub enum Command {
     New {
         #[command(subcommand)]
         new: New,
+    },
+    /// Use descriptors of Eclipse fog05
+    Fdu {
+        #[command(subcommand)]
+        fdu: Fdu,
     },
     /// Print the JSON Schema of a testbed file
     ///

@@ -22,6 +22,7 @@ mod exec;
 mod experiment;
 mod explanation;
 mod fault_test;
+mod fdu;
 mod figures;
 mod history;
 mod link;
@@ -95,6 +96,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
                 "this cotorra was built without agents"
             ));
         }
+        Command::Fdu { fdu } => fdu::fdu(&fdu)?,
         Command::Doctor => doctor::doctor()?,
         Command::Clean(args) => clean::clean(&args)?,
         Command::Exec(args) => match exec::exec(&args)? {},
