@@ -60,7 +60,7 @@ pub struct Settings {
     pub folder: PathBuf,
     /// Folder of the logs: `<vnf>.log`, or `<vnf>@<replica>.log` for replicas from 1.
     pub logs: PathBuf,
-    /// Command of the program that calls [`guard`](crate::guard), to which the guard's arguments are added. Without one, a
+    /// Command of the program that calls [`guard`](crate::guard()), to which the guard's arguments are added. Without one, a
     /// killed process leaves its containers, and podman must be served at a socket.
     pub guard: Option<Vec<String>>,
 }

@@ -1,8 +1,8 @@
 //! An engine that runs VNFs in containers of podman or Docker, over the HTTP interface that both serve at a Unix socket.
 //!
 //! A container joins the network namespace of its node and no other network. [`ContainerEngine`] is the way in; its events are
-//! the way out. [`Address`] finds the engine of this machine. A [`Guard`] outlives a killed process, and [`clean`] finds what
-//! even the guard left.
+//! the way out. [`Address`] finds the engine of this machine. A process that runs [`guard()`] outlives a killed one, and
+//! [`clean`] finds what even the guard left.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
