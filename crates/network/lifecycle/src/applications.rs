@@ -1,0 +1,395 @@
+//! The catalog of descriptors and the instances of applications, as a state machine. It says which VNF to add, move or
+//! remove, and is told the outcome.
+
+use std::collections::BTreeMap;
+
+use cotorra_graph::{DomainId, NodeId, Vnf, VnfId};
+
+use crate::{
+    Descriptor, DescriptorError,
+    descriptor::variables,
+    mec::{Occurrence, OperationState},
+};
+
+/// The most descriptors in the catalog.
+const MOST_DESCRIPTORS: usize = 256;
+/// The most instances, in all stages.
+const MOST_INSTANCES: usize = 256;
+/// The most occurrences of operations that are kept. The oldest are dropped.
+const MOST_OCCURRENCES: usize = 1024;
+
+/// Reason for which a request is rejected. Nothing has changed then.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum LifecycleError {
+    /// An unknown descriptor, instance or occurrence.
+    #[error("there is no {0} `{1}`")]
+    Unknown(&'static str, String),
+    /// A request that does not fit the present state.
+    #[error("{0}")]
+    Conflict(String),
+    /// A request that cannot be.
+    #[error("{0}")]
+    Invalid(String),
+    /// A descriptor that is rejected.
+    #[error("the descriptor is rejected: {0}")]
+    Descriptor(#[from] DescriptorError),
+}
+
+fn conflict<T>(reason: impl Into<String>) -> Result<T, LifecycleError> {
+    Err(LifecycleError::Conflict(reason.into()))
+}
+
+/// The stage of an instance.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Stage {
+    /// It is known. It may have a node.
+    Defined,
+    /// It can be started.
+    Configured,
+    /// Its VNF was added.
+    Started(VnfId),
+}
+
+/// What is seen of the VNF of a started instance.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Seen {
+    /// It does not serve yet.
+    Starting,
+    /// It serves, or is started again after it ended.
+    Serves,
+    /// It cannot be started, for this reason.
+    Failed(String),
+    /// It is gone: others removed it.
+    Gone,
+}
+
+/// An instance of an application.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Application {
+    /// Its identifier.
+    pub id: String,
+    /// The catalog's identifier of its descriptor.
+    pub descriptor: String,
+    /// Its name, if MEC gave it one.
+    pub name: Option<String>,
+    /// Its description, if MEC gave it one.
+    pub description: Option<String>,
+    /// Its node, once it has one.
+    pub node: Option<NodeId>,
+    /// Its stage.
+    pub stage: Stage,
+    owner: Option<DomainId>,
+    /// Whether an operation is under way.
+    is_busy: bool,
+}
+
+#[derive(Debug)]
+struct Known {
+    owner: Option<DomainId>,
+    descriptor: Descriptor,
+}
+
+/// The catalog and the instances. A viewer is a domain, or `None` for the operator, who sees everything. Domains see their own.
+#[derive(Debug, Default)]
+pub struct Applications {
+    catalog: BTreeMap<String, Known>,
+    instances: BTreeMap<String, Application>,
+    occurrences: BTreeMap<u64, (Option<DomainId>, Occurrence)>,
+    /// Number of identifiers made so far.
+    made: u64,
+}
+
+fn sees(viewer: Option<&DomainId>, owner: Option<&DomainId>) -> bool {
+    viewer.is_none() || viewer == owner
+}
+
+impl Applications {
+    /// Makes an identifier. It has the form of a UUID, is unique in a run, and the same whenever the run is repeated.
+    fn make_id(&mut self) -> String {
+        self.made += 1;
+        format!("c0704a00-0000-4000-8000-{:012x}", self.made)
+    }
+
+    /// Adds a descriptor to the catalog. Returns its identifier there.
+    ///
+    /// # Errors
+    /// [`LifecycleError`] if the identifier is taken, or the catalog is full.
+    pub fn onboard(
+        &mut self,
+        viewer: Option<&DomainId>,
+        descriptor: Descriptor,
+    ) -> Result<String, LifecycleError> {
+        if self.catalog.len() >= MOST_DESCRIPTORS {
+            return conflict(format!("the catalog has {MOST_DESCRIPTORS} descriptors already: remove one"));
+        }
+        let id = match &descriptor.uuid {
+            Some(id) if self.catalog.contains_key(id) => {
+                return conflict(format!("there is a descriptor `{id}` already"));
+            }
+            Some(id) => id.clone(),
+            None => self.make_id(),
+        };
+        self.catalog.insert(id.clone(), Known { owner: viewer.cloned(), descriptor });
+        Ok(id)
+    }
+
+    /// Returns the catalog: identifiers and descriptors.
+    pub fn catalog(&self, viewer: Option<&DomainId>) -> impl Iterator<Item = (&str, &Descriptor)> {
+        let seen = self.catalog.iter().filter(move |(_, known)| sees(viewer, known.owner.as_ref()));
+        seen.map(|(id, known)| (id.as_str(), &known.descriptor))
+    }
+
+    /// Returns the identifier and the descriptor that are named by an identifier of the catalog, or by the descriptor's own
+    /// name if only one has it.
+    ///
+    /// # Errors
+    /// [`LifecycleError::Unknown`].
+    pub fn descriptor(
+        &self,
+        viewer: Option<&DomainId>,
+        name: &str,
+    ) -> Result<(&str, &Descriptor), LifecycleError> {
+        let by_id = self.catalog(viewer).find(|(id, _)| *id == name);
+        let mut by_name = self.catalog(viewer).filter(|(_, descriptor)| descriptor.id == name);
+        let only = || by_name.next().filter(|_| by_name.next().is_none());
+        by_id.or_else(only).ok_or_else(|| LifecycleError::Unknown("descriptor", name.to_owned()))
+    }
+
+    /// Removes a descriptor without instances from the catalog.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn offload(&mut self, viewer: Option<&DomainId>, name: &str) -> Result<String, LifecycleError> {
+        let id = self.descriptor(viewer, name)?.0.to_owned();
+        if let Some(instance) = self.instances.values().find(|instance| instance.descriptor == id) {
+            return conflict(format!(
+                "the descriptor `{id}` has the instance `{}`: remove that first",
+                instance.id
+            ));
+        }
+        self.catalog.remove(&id);
+        Ok(id)
+    }
+
+    /// Defines an instance of a descriptor, on a node or without one so far.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn define(
+        &mut self,
+        viewer: Option<&DomainId>,
+        descriptor: &str,
+        node: Option<NodeId>,
+        [name, description]: [Option<String>; 2],
+    ) -> Result<&Application, LifecycleError> {
+        let descriptor = self.descriptor(viewer, descriptor)?.0.to_owned();
+        if self.instances.len() >= MOST_INSTANCES {
+            return conflict(format!("there are {MOST_INSTANCES} instances already: remove one"));
+        }
+        let (id, owner) = (self.make_id(), viewer.cloned());
+        let stage = Stage::Defined;
+        let instance =
+            Application { id: id.clone(), descriptor, name, description, node, stage, owner, is_busy: false };
+        Ok(self.instances.entry(id).or_insert(instance))
+    }
+
+    /// Returns the instances.
+    pub fn instances(&self, viewer: Option<&DomainId>) -> impl Iterator<Item = &Application> {
+        self.instances.values().filter(move |instance| sees(viewer, instance.owner.as_ref()))
+    }
+
+    /// Returns an instance.
+    ///
+    /// # Errors
+    /// [`LifecycleError::Unknown`].
+    pub fn instance(&self, viewer: Option<&DomainId>, id: &str) -> Result<&Application, LifecycleError> {
+        let found = self.instances.get(id).filter(|instance| sees(viewer, instance.owner.as_ref()));
+        found.ok_or_else(|| LifecycleError::Unknown("instance", id.to_owned()))
+    }
+
+    /// Returns an instance without an operation under way.
+    fn idle(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<&mut Application, LifecycleError> {
+        if self.instance(viewer, id)?.is_busy {
+            return conflict(format!("another operation of the instance `{id}` is under way"));
+        }
+        Ok(self.instances.get_mut(id).expect("it was just found"))
+    }
+
+    /// Makes a defined instance one that can be started.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn configure(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<(), LifecycleError> {
+        let instance = self.idle(viewer, id)?;
+        match instance.stage {
+            Stage::Defined => instance.stage = Stage::Configured,
+            Stage::Configured => return conflict(format!("the instance `{id}` is configured already")),
+            Stage::Started(_) => return conflict(format!("the instance `{id}` runs already")),
+        }
+        Ok(())
+    }
+
+    /// Makes a configured instance a defined one again.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn clean(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<(), LifecycleError> {
+        let instance = self.idle(viewer, id)?;
+        match instance.stage {
+            Stage::Configured => instance.stage = Stage::Defined,
+            Stage::Defined => return conflict(format!("the instance `{id}` is not configured")),
+            Stage::Started(_) => return conflict(format!("the instance `{id}` runs: stop it first")),
+        }
+        Ok(())
+    }
+
+    /// Removes a defined instance.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn undefine(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<(), LifecycleError> {
+        match self.idle(viewer, id)?.stage {
+            Stage::Defined => {}
+            Stage::Configured => {
+                return conflict(format!("the instance `{id}` is configured: clean it first"));
+            }
+            Stage::Started(_) => {
+                return conflict(format!("the instance `{id}` runs: stop and clean it first"));
+            }
+        }
+        self.instances.remove(id);
+        Ok(())
+    }
+
+    /// Begins to start a configured instance, with variables `NAME=VALUE,…`. Returns the VNF to add. Call
+    /// [`Self::end_start`] with the outcome.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn begin_start(
+        &mut self,
+        viewer: Option<&DomainId>,
+        id: &str,
+        env: &str,
+    ) -> Result<Vnf, LifecycleError> {
+        let env = variables(env)
+            .map_err(|part| LifecycleError::Invalid(format!("{part} is no variable: write NAME=VALUE,…")))?;
+        let instance = self.idle(viewer, id)?;
+        match &instance.stage {
+            Stage::Configured => {}
+            Stage::Defined => return conflict(format!("the instance `{id}` is not configured")),
+            Stage::Started(_) => return conflict(format!("the instance `{id}` runs already")),
+        }
+        let node = instance.node.clone();
+        let node =
+            node.ok_or_else(|| LifecycleError::Conflict(format!("the instance `{id}` has no node")))?;
+        instance.is_busy = true;
+        let known = &self.catalog[&self.instances[id].descriptor];
+        self.made += 1;
+        Ok(known.descriptor.vnf(known.descriptor.vnf_name(self.made), node, env))
+    }
+
+    /// Ends a start, with the VNF if it was added.
+    pub fn end_start(&mut self, id: &str, added: Option<VnfId>) {
+        let Some(instance) = self.instances.get_mut(id) else { return };
+        instance.is_busy = false;
+        if let Some(vnf) = added {
+            instance.stage = Stage::Started(vnf);
+        }
+    }
+
+    /// Begins to stop a started instance. Returns the VNF to remove. Call [`Self::end_stop`] with the outcome.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn begin_stop(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
+        self.begin(viewer, id)
+    }
+
+    /// Ends a stop.
+    pub fn end_stop(&mut self, id: &str, removed: bool) {
+        let Some(instance) = self.instances.get_mut(id) else { return };
+        instance.is_busy = false;
+        if removed {
+            instance.stage = Stage::Configured;
+        }
+    }
+
+    /// Begins to move a started instance. Returns the VNF to place. Call [`Self::end_move`] with the outcome.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn begin_move(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
+        self.begin(viewer, id)
+    }
+
+    /// Ends a move, with the new node if it was accepted.
+    pub fn end_move(&mut self, id: &str, to: Option<NodeId>) {
+        let Some(instance) = self.instances.get_mut(id) else { return };
+        instance.is_busy = false;
+        instance.node = to.or(instance.node.take());
+    }
+
+    fn begin(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
+        let instance = self.idle(viewer, id)?;
+        let Stage::Started(vnf) = &instance.stage else {
+            return conflict(format!("the instance `{id}` does not run"));
+        };
+        instance.is_busy = true;
+        Ok(vnf.clone())
+    }
+
+    /// Gives a defined instance its node, and configures it, in the one step of MEC.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub(crate) fn settle(
+        &mut self,
+        viewer: Option<&DomainId>,
+        id: &str,
+        node: NodeId,
+    ) -> Result<(), LifecycleError> {
+        let instance = self.idle(viewer, id)?;
+        if instance.stage != Stage::Defined {
+            return conflict(format!("the application instance `{id}` is instantiated already"));
+        }
+        (instance.node, instance.stage) = (Some(node), Stage::Configured);
+        Ok(())
+    }
+
+    /// Takes an instance back to where it has no node, after a failed instantiation or a termination.
+    pub(crate) fn unsettle(&mut self, id: &str) {
+        if let Some(instance) = self.instances.get_mut(id)
+            && !matches!(instance.stage, Stage::Started(_))
+        {
+            (instance.node, instance.stage) = (None, Stage::Defined);
+        }
+    }
+
+    /// Records the begin of an instance's operation. Returns its number.
+    pub(crate) fn record(&mut self, id: &str, occurrence: Occurrence) -> u64 {
+        self.made += 1;
+        let owner = self.instances.get(id).and_then(|instance| instance.owner.clone());
+        self.occurrences.insert(self.made, (owner, occurrence));
+        if self.occurrences.len() > MOST_OCCURRENCES {
+            self.occurrences.pop_first();
+        }
+        self.made
+    }
+
+    /// Records an operation's end.
+    pub(crate) fn conclude(&mut self, number: u64, state: OperationState, at_ns: u64) {
+        if let Some((_, occurrence)) = self.occurrences.get_mut(&number) {
+            (occurrence.state, occurrence.entered_ns) = (state, at_ns);
+        }
+    }
+
+    /// Returns the occurrences of operations, the oldest first.
+    pub(crate) fn occurrences(&self, viewer: Option<&DomainId>) -> impl Iterator<Item = (u64, &Occurrence)> {
+        let seen = self.occurrences.iter().filter(move |(_, (owner, _))| sees(viewer, owner.as_ref()));
+        seen.map(|(number, (_, occurrence))| (*number, occurrence))
+    }
+}
+
+#[cfg(test)]
+mod tests;

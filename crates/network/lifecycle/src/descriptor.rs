@@ -1,0 +1,327 @@
+//! FDU descriptors of Eclipse fog05 v0.2, read as VNFs.
+
+use std::fmt::Write as _;
+
+use cotorra_graph::{Image, NodeId, Program, Rights, Vnf, VnfId};
+use serde::Deserialize;
+use serde_json::{Map, Value};
+
+/// Longest descriptor, bytes.
+pub const LONGEST_DESCRIPTOR: usize = 64 * 1024;
+
+/// Reason for which a descriptor is rejected.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum DescriptorError {
+    /// It has too many bytes.
+    #[error("it has {0} bytes, more than {LONGEST_DESCRIPTOR}")]
+    TooLong(usize),
+    /// It is not a descriptor.
+    #[error("it is not an FDU descriptor of fog05 v0.2: {0}")]
+    Unreadable(String),
+    /// A hypervisor other than BARE and DOCKER.
+    #[error("`hypervisor` is {0}: only BARE and DOCKER can run here")]
+    Hypervisor(String),
+    /// A key that cannot be honoured.
+    #[error("`{key}` cannot be honoured here: {reason}")]
+    NotHonoured { key: &'static str, reason: &'static str },
+    /// A value that is out of its range.
+    #[error("`{key}` is {value}, which is not {wanted}")]
+    Value { key: &'static str, value: String, wanted: &'static str },
+    /// A missing key.
+    #[error("`{key}` is missing, which {hypervisor} needs")]
+    Missing { key: &'static str, hypervisor: &'static str },
+}
+
+/// The keys of a descriptor. Those that must say nothing are values of any type.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Keys {
+    id: String,
+    #[serde(default)]
+    name: Option<String>,
+    #[serde(default)]
+    uuid: Option<String>,
+    #[serde(default, rename = "description")]
+    _description: Option<String>,
+    computation_requirements: Requirements,
+    #[serde(default)]
+    image: Option<ImageKeys>,
+    #[serde(default)]
+    command: Option<CommandKeys>,
+    hypervisor: String,
+    migration_kind: String,
+    #[serde(default)]
+    storage: Value,
+    #[serde(default)]
+    interfaces: Value,
+    #[serde(default)]
+    io_ports: Value,
+    #[serde(default)]
+    connection_points: Value,
+    #[serde(default)]
+    depends_on: Value,
+    #[serde(default)]
+    configuration: Value,
+    #[serde(default)]
+    geographical_requirements: Value,
+    #[serde(default)]
+    energy_requirements: Value,
+    #[serde(default)]
+    hypervisor_specific: Value,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Requirements {
+    #[serde(default, rename = "uuid")]
+    _uuid: Value,
+    #[serde(default, rename = "name")]
+    _name: Value,
+    #[serde(default, rename = "cpu_arch")]
+    _cpu_arch: Value,
+    #[serde(default, rename = "cpu_min_freq")]
+    _cpu_min_freq: Value,
+    cpu_min_count: f64,
+    ram_size_mb: f64,
+    #[serde(default, rename = "storage_size_gb")]
+    _storage_size_gb: Value,
+    #[serde(default)]
+    gpu_min_count: Value,
+    #[serde(default)]
+    fpga_min_count: Value,
+    #[serde(default)]
+    duty_cycle: Value,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ImageKeys {
+    #[serde(default, rename = "uuid")]
+    _uuid: Option<String>,
+    #[serde(default, rename = "name")]
+    _name: Option<String>,
+    uri: String,
+    #[serde(default)]
+    checksum: Value,
+    #[serde(default)]
+    format: Value,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CommandKeys {
+    binary: String,
+    #[serde(default)]
+    args: Vec<String>,
+}
+
+/// An application as its descriptor gives it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Descriptor {
+    /// Its own name.
+    pub id: String,
+    /// Its name for people; its own name if it has none.
+    pub name: String,
+    /// Its identifier in a catalog, if it brings one.
+    pub uuid: Option<String>,
+    /// The keys as they were given.
+    pub keys: Map<String, Value>,
+    words: Vec<String>,
+    image: Option<String>,
+    cpus: f64,
+    memory_bytes: u64,
+}
+
+impl Descriptor {
+    /// Reads a descriptor's text.
+    ///
+    /// # Errors
+    /// [`DescriptorError`].
+    pub fn read(text: &[u8]) -> Result<Self, DescriptorError> {
+        if text.len() > LONGEST_DESCRIPTOR {
+            return Err(DescriptorError::TooLong(text.len()));
+        }
+        let unreadable = |error: serde_json::Error| DescriptorError::Unreadable(error.to_string());
+        let keys: Map<String, Value> = serde_json::from_slice(text).map_err(unreadable)?;
+        let read: Keys = serde_json::from_slice(text).map_err(unreadable)?;
+        Self::of(read, keys)
+    }
+
+    fn of(read: Keys, keys: Map<String, Value>) -> Result<Self, DescriptorError> {
+        let Requirements { cpu_min_count, ram_size_mb, gpu_min_count, fpga_min_count, duty_cycle, .. } =
+            read.computation_requirements;
+        let network = "a VNF has the interfaces of its node";
+        let devices = "a VNF that is added has no devices";
+        for (key, value, reason) in [
+            ("storage", &read.storage, "a VNF has no disks of its own"),
+            ("interfaces", &read.interfaces, network),
+            ("io_ports", &read.io_ports, devices),
+            ("connection_points", &read.connection_points, network),
+            ("depends_on", &read.depends_on, "VNFs start independently of each other"),
+            ("configuration", &read.configuration, "put it into the image or the command"),
+            ("geographical_requirements", &read.geographical_requirements, "name the node instead"),
+            ("energy_requirements", &read.energy_requirements, "nodes have no energy"),
+            ("hypervisor_specific", &read.hypervisor_specific, "a VNF has no settings of hypervisors"),
+            ("gpu_min_count", &gpu_min_count, devices),
+            ("fpga_min_count", &fpga_min_count, devices),
+            ("duty_cycle", &duty_cycle, "a VNF runs all the time"),
+        ] {
+            if !says_nothing(value) {
+                return Err(DescriptorError::NotHonoured { key, reason });
+            }
+        }
+        if read.migration_kind != "COLD" {
+            let (key, value) = ("migration_kind", shown(&read.migration_kind));
+            return Err(DescriptorError::Value { key, value, wanted: "COLD: a move starts a new instance" });
+        }
+        for (key, value) in [("id", &read.id), ("name", read.name.as_ref().unwrap_or(&read.id))] {
+            if value.is_empty() || value.len() > 128 {
+                return Err(DescriptorError::Value {
+                    key,
+                    value: shown(value),
+                    wanted: "1 to 128 bytes long",
+                });
+            }
+        }
+        if let Some(uuid) = read.uuid.as_ref().filter(|uuid| !is_uuid(uuid)) {
+            let wanted = "1 to 64 letters, digits, `-` or `_`";
+            return Err(DescriptorError::Value { key: "uuid", value: shown(uuid), wanted });
+        }
+        for (key, value, most) in
+            [("cpu_min_count", cpu_min_count, 1024.0), ("ram_size_mb", ram_size_mb, 1e8)]
+        {
+            if !(value > 0.0 && value <= most) {
+                let wanted = "a number above 0, up to 1024 CPUs or 100 TB";
+                return Err(DescriptorError::Value { key, value: value.to_string(), wanted });
+            }
+        }
+        let words =
+            read.command.map_or_else(Vec::new, |command| [vec![command.binary], command.args].concat());
+        let image = match (read.hypervisor.as_str(), read.image) {
+            ("DOCKER", Some(image)) => {
+                let more = [("image.checksum", &image.checksum), ("image.format", &image.format)];
+                if let Some((key, _)) = more.into_iter().find(|(_, value)| !says_nothing(value)) {
+                    let reason = "name the image by its digest, as in `name@sha256:…`";
+                    return Err(DescriptorError::NotHonoured { key, reason });
+                }
+                Some(image.uri.strip_prefix("docker://").map(str::to_owned).unwrap_or(image.uri))
+            }
+            ("DOCKER", None) => return Err(DescriptorError::Missing { key: "image", hypervisor: "DOCKER" }),
+            ("BARE", Some(_)) => {
+                let reason = "a BARE command is a program of the machine";
+                return Err(DescriptorError::NotHonoured { key: "image", reason });
+            }
+            ("BARE", None) if words.is_empty() => {
+                return Err(DescriptorError::Missing { key: "command", hypervisor: "BARE" });
+            }
+            ("BARE", None) => None,
+            (other, _) => return Err(DescriptorError::Hypervisor(shown(other))),
+        };
+        Ok(Self {
+            name: read.name.unwrap_or_else(|| read.id.clone()),
+            id: read.id,
+            uuid: read.uuid,
+            keys,
+            words,
+            image,
+            cpus: cpu_min_count,
+            memory_bytes: (ram_size_mb * 1e6).round() as u64,
+        })
+    }
+
+    /// Returns the VNF of an instance.
+    pub fn vnf(&self, id: VnfId, node: NodeId, env: Vec<String>) -> Vnf {
+        let image = |reference: &String| Box::new(Image { reference: reference.clone(), ..Image::default() });
+        Vnf {
+            id,
+            program: Program::Command(self.words.clone()),
+            cpus: self.cpus,
+            memory_bytes: self.memory_bytes,
+            pinned_to: None,
+            node: node.into(),
+            env,
+            rights: Rights::default(),
+            keep: false,
+            image: self.image.as_ref().map(image),
+        }
+    }
+
+    /// Returns the CPUs and the bytes that an instance takes.
+    pub fn needs(&self) -> (f64, u64) {
+        (self.cpus, self.memory_bytes)
+    }
+
+    /// Returns the name of a VNF: the application's, as far as a VNF can have it, and a number.
+    pub(crate) fn vnf_name(&self, number: u64) -> VnfId {
+        let is_fit = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
+        let name: String = self.id.chars().filter(|c| is_fit(*c)).take(40).collect();
+        let name = name.trim_start_matches(|c: char| !c.is_ascii_alphanumeric());
+        let name = if name.is_empty() { "fdu" } else { name };
+        VnfId::new(&format!("{name}-{number}")).expect("it begins with a letter or digit, and is short")
+    }
+
+    /// Returns the VNF as YAML for the `vnfs:` of a testbed file.
+    ///
+    /// # Errors
+    /// [`DescriptorError`] if its own name cannot be a VNF's.
+    pub fn yaml(&self, node: Option<&NodeId>) -> Result<String, DescriptorError> {
+        let wanted = "the name of a VNF: letters, digits, `_`, `-`, `.` and `~`";
+        let invalid = |_| DescriptorError::Value { key: "id", value: shown(&self.id), wanted };
+        let id = VnfId::new(&self.id).map_err(invalid)?;
+        let mut yaml = format!("{id}:\n");
+        let mut line = |key: &str, value: String| {
+            writeln!(yaml, "  {key}: {value}").expect("a string takes all");
+        };
+        if let Some(image) = &self.image {
+            line("image", Value::from(image.as_str()).to_string());
+        }
+        if !self.words.is_empty() {
+            line("command", Value::from(self.words.as_slice()).to_string());
+        }
+        if let Some(node) = node {
+            line("node", node.to_string());
+        }
+        line("cpus", self.cpus.to_string());
+        line("memory", format!("{} MB", self.memory_bytes as f64 / 1e6));
+        Ok(yaml)
+    }
+}
+
+/// Reads the variables of a start: `NAME=VALUE,NAME2=VALUE2`. The empty text has none.
+///
+/// # Errors
+/// The part that is not a variable.
+pub fn variables(text: &str) -> Result<Vec<String>, String> {
+    let parts = text.split(',').map(str::trim).filter(|part| !part.is_empty());
+    let variable = |part: &str| {
+        let has_name = part.split_once('=').is_some_and(|(name, _)| !name.is_empty());
+        if has_name { Ok(part.to_owned()) } else { Err(shown(part)) }
+    };
+    parts.map(variable).collect()
+}
+
+/// Whether a value is absent, or says nothing.
+fn says_nothing(value: &Value) -> bool {
+    match value {
+        Value::Null | Value::Bool(false) => true,
+        Value::Bool(true) => false,
+        Value::Number(number) => number.as_f64() == Some(0.0),
+        Value::String(text) => text.is_empty(),
+        Value::Array(all) => all.is_empty(),
+        Value::Object(all) => all.values().all(says_nothing),
+    }
+}
+
+/// Whether a text can identify an entry of a catalog in a path.
+fn is_uuid(text: &str) -> bool {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    (1..=64).contains(&text.len()) && text.chars().all(is_plain)
+}
+
+/// Returns the beginning of a text, for messages.
+fn shown(text: &str) -> String {
+    format!("`{}`", text.chars().take(64).collect::<String>())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,14 @@
+//! The life cycle of applications in the terms of two published interfaces: the FDUs of Eclipse fog05 v0.2, and ETSI GS MEC
+//! 010-2 v2.1.1. docs/lifecycle.md has the mapping.
+//!
+//! [`Applications`] is a state machine without a socket or a clock. It says which VNF to add, to move or to remove, and is
+//! told the outcome. [`fog05`] and [`mec`] read requests and write documents.
+#![forbid(unsafe_code)]
+
+mod applications;
+mod descriptor;
+pub mod fog05;
+pub mod mec;
+
+pub use applications::{Application, Applications, LifecycleError, Seen, Stage};
+pub use descriptor::{Descriptor, DescriptorError, LONGEST_DESCRIPTOR, variables};
