@@ -1,17 +1,13 @@
 //! `cotorra fdu import`: turns a descriptor of Eclipse fog05 v0.2 into a VNF of a testbed file.
 
-use std::{fmt::Write as _, fs::File, io::Read as _, path::PathBuf};
+use std::{fs::File, io::Read as _, path::PathBuf};
 
 use clap::{Args, Subcommand};
-use cotorra_graph::{NodeId, VnfId};
+use cotorra_graph::NodeId;
+use cotorra_lifecycle::{Descriptor, DescriptorError, LONGEST_DESCRIPTOR};
 use miette::{Context as _, IntoDiagnostic, miette};
-use serde::Deserialize;
-use serde_json::Value;
 
 use crate::output;
-
-/// Longest descriptor, bytes.
-const LONGEST: u64 = 1 << 20;
 
 /// Descriptors of Eclipse fog05
 #[derive(Debug, Subcommand)]
@@ -41,163 +37,17 @@ pub fn fdu(fdu: &Fdu) -> miette::Result<()> {
     let place = || args.file.display().to_string();
     let mut text = String::new();
     let file = File::open(&args.file).into_diagnostic().with_context(place)?;
-    file.take(LONGEST + 1).read_to_string(&mut text).into_diagnostic().with_context(place)?;
-    if text.len() as u64 > LONGEST {
-        return Err(miette!("{}: a descriptor has {LONGEST} bytes at most", place()));
-    }
+    file.take(LONGEST_DESCRIPTOR as u64 + 1)
+        .read_to_string(&mut text)
+        .into_diagnostic()
+        .with_context(place)?;
     let vnf = import(&text, args.node.as_ref()).map_err(|error| miette!("{}: {error}", place()))?;
     output::print(&vnf)
 }
 
-/// A descriptor. Unknown keys are rejected.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Descriptor {
-    id: String,
-    #[serde(default, rename = "name")]
-    _name: Option<String>,
-    #[serde(default, rename = "uuid")]
-    _uuid: Option<String>,
-    computation_requirements: Requirements,
-    image: Option<Image>,
-    command: Option<Command>,
-    hypervisor: String,
-    migration_kind: String,
-    #[serde(default)]
-    storage: Value,
-    #[serde(default)]
-    interfaces: Value,
-    #[serde(default)]
-    io_ports: Value,
-    #[serde(default)]
-    connection_points: Value,
-    #[serde(default)]
-    depends_on: Value,
-    #[serde(default)]
-    configuration: Value,
-    #[serde(default)]
-    hypervisor_specific: Value,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Requirements {
-    #[serde(default, rename = "cpu_arch")]
-    _cpu_arch: Value,
-    #[serde(default, rename = "cpu_min_freq")]
-    _cpu_min_freq: Value,
-    cpu_min_count: f64,
-    ram_size_mb: f64,
-    #[serde(default, rename = "storage_size_gb")]
-    _storage_size_gb: Value,
-    #[serde(default)]
-    gpu_min_count: Value,
-    #[serde(default)]
-    fpga_min_count: Value,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Image {
-    #[serde(default, rename = "uuid")]
-    _uuid: Option<String>,
-    #[serde(default, rename = "name")]
-    _name: Option<String>,
-    uri: String,
-    #[serde(default)]
-    checksum: Value,
-    #[serde(default)]
-    format: Value,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Command {
-    binary: String,
-    #[serde(default)]
-    args: Vec<String>,
-}
-
-/// Whether a value is absent or says nothing.
-fn is_empty(value: &Value) -> bool {
-    match value {
-        Value::Null => true,
-        Value::Number(number) => number.as_f64() == Some(0.0),
-        Value::String(text) => text.is_empty(),
-        Value::Array(all) => all.is_empty(),
-        Value::Object(all) => all.is_empty(),
-        Value::Bool(_) => false,
-    }
-}
-
 /// Returns the VNF of a descriptor, as YAML.
-fn import(text: &str, node: Option<&NodeId>) -> Result<String, String> {
-    let fdu: Descriptor =
-        serde_json::from_str(text).map_err(|error| format!("no FDU descriptor: {error}"))?;
-    let Requirements { gpu_min_count, fpga_min_count, cpu_min_count, ram_size_mb, .. } =
-        fdu.computation_requirements;
-    let unsupported = [
-        ("storage", &fdu.storage),
-        ("interfaces", &fdu.interfaces),
-        ("io_ports", &fdu.io_ports),
-        ("connection_points", &fdu.connection_points),
-        ("depends_on", &fdu.depends_on),
-        ("configuration", &fdu.configuration),
-        ("hypervisor_specific", &fdu.hypervisor_specific),
-        ("gpu_min_count", &gpu_min_count),
-        ("fpga_min_count", &fpga_min_count),
-    ];
-    if let Some((key, value)) = unsupported.into_iter().find(|(_, value)| !is_empty(value)) {
-        return Err(format!("`{key}` has no counterpart in a testbed file: {value}"));
-    }
-    if fdu.migration_kind != "COLD" {
-        return Err(format!(
-            "`migration_kind` {}: cotorra starts a new instance elsewhere",
-            fdu.migration_kind
-        ));
-    }
-    let id = VnfId::new(&fdu.id).map_err(|error| format!("`id`: {error}"))?;
-    for (key, value) in [("cpu_min_count", cpu_min_count), ("ram_size_mb", ram_size_mb)] {
-        if !(value.is_finite() && (0.0..=1e9).contains(&value)) {
-            return Err(format!("`{key}` is {value}"));
-        }
-    }
-    let words = fdu.command.map(|command| [vec![command.binary], command.args].concat());
-    let image = match (fdu.hypervisor.as_str(), fdu.image) {
-        ("DOCKER", Some(image)) => {
-            let more = [("checksum", &image.checksum), ("format", &image.format)];
-            if let Some((key, value)) = more.into_iter().find(|(_, value)| !is_empty(value)) {
-                return Err(format!("`image.{key}` {value}: name the image by its digest instead"));
-            }
-            Some(image.uri.strip_prefix("docker://").map(str::to_owned).unwrap_or(image.uri))
-        }
-        ("DOCKER", None) => return Err("a DOCKER descriptor without an `image`".to_owned()),
-        ("BARE", None) if words.is_some() => None,
-        ("BARE", None) => return Err("a BARE descriptor without a `command`".to_owned()),
-        ("BARE", Some(image)) => {
-            return Err(format!(
-                "`image` {} of a BARE descriptor: unpack it beside the testbed file",
-                image.uri
-            ));
-        }
-        (other, _) => return Err(format!("`hypervisor` {other}: only DOCKER and BARE have counterparts")),
-    };
-    let mut yaml = format!("{id}:\n");
-    let mut line = |key: &str, value: String| {
-        writeln!(yaml, "  {key}: {value}").expect("a string takes all");
-    };
-    if let Some(image) = &image {
-        line("image", Value::from(image.as_str()).to_string());
-    }
-    if let Some(words) = &words {
-        line("command", Value::from(words.as_slice()).to_string());
-    }
-    if let Some(node) = node {
-        line("node", node.to_string());
-    }
-    line("cpus", cpu_min_count.to_string());
-    line("memory", format!("{ram_size_mb} MB"));
-    Ok(yaml)
+fn import(text: &str, node: Option<&NodeId>) -> Result<String, DescriptorError> {
+    Descriptor::read(text.as_bytes())?.yaml(node)
 }
 
 #[cfg(test)]
@@ -237,28 +87,5 @@ mod tests {
         assert_eq!((hello.cpus, hello.memory_bytes), (1.0, 64_000_000));
         let words = ["/usr/bin/python3", "-m", "http.server"].map(str::to_owned).to_vec();
         assert_eq!(native.program, cotorra_graph::Program::Command(words));
-    }
-
-    #[test]
-    fn what_has_no_counterpart_is_rejected_by_name() {
-        let rejected = |from: &str, to: &str| {
-            assert!(HELLO.contains(from), "{from}");
-            import(&HELLO.replace(from, to), None).unwrap_err()
-        };
-        for (from, to, named) in [
-            ("DOCKER", "KVM", "KVM"),
-            ("DOCKER", "LXD", "LXD"),
-            ("COLD", "LIVE", "migration_kind"),
-            (r#""interfaces": []"#, r#""interfaces": [{ "name": "eth0" }]"#, "interfaces"),
-            (r#""depends_on": []"#, r#""depends_on": ["other"]"#, "depends_on"),
-            (r#""checksum": """#, r#""checksum": "abc""#, "checksum"),
-            (r#""storage": []"#, r#""disk": []"#, "disk"),
-            (r#""id": "hello""#, r#""id": "no name""#, "id"),
-            (r#""cpu_min_count": 1"#, r#""cpu_min_count": -1"#, "cpu_min_count"),
-        ] {
-            let error = rejected(from, to);
-            assert!(error.contains(named), "{error}");
-        }
-        assert!(import("[]", None).is_err());
     }
 }
