@@ -110,6 +110,9 @@ Examples:
         /// Print the document of the WLAN Access Information Service, which a run serves at /wai/v2/openapi.json
         #[arg(long)]
         wais: bool,
+        /// Print the document of application life cycle management, which a run serves at /app_lcm/v1/openapi.json
+        #[arg(long, conflicts_with = "wais")]
+        app_lcm: bool,
     },
     /// Check what this machine can do, and how to add the rest
     ///

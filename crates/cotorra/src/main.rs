@@ -85,8 +85,9 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Check(args) => return check::check(&args),
         Command::New { new } => new::new(&new)?,
         Command::Schema => output::print(&format!("{:#}\n", cotorra_testbed_file::schema()))?,
-        Command::OpenApi { wais: false } => output::print(&cotorra_testbed::openapi())?,
-        Command::OpenApi { wais: true } => output::print(&cotorra_testbed::wais_openapi())?,
+        Command::OpenApi { app_lcm: true, .. } => output::print(&cotorra_testbed::app_lcm_openapi())?,
+        Command::OpenApi { wais: false, .. } => output::print(&cotorra_testbed::openapi())?,
+        Command::OpenApi { wais: true, .. } => output::print(&cotorra_testbed::wais_openapi())?,
         #[cfg(feature = "agents")]
         Command::Agent { agent } => agent::agent(&agent)?,
         #[cfg(not(feature = "agents"))]

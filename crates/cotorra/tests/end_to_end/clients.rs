@@ -21,7 +21,11 @@ fn generated_clients_work_against_a_run() {
     let folder = TempDir::new().unwrap();
     let path = |name: &str| folder.path().join(name).into_os_string();
     fs::write(path("settings.yaml"), "post_hooks: []\n").unwrap();
-    for (name, document) in [("operator", &["openapi"][..]), ("wais", &["openapi", "--wais"])] {
+    for (name, document) in [
+        ("operator", &["openapi"][..]),
+        ("wais", &["openapi", "--wais"]),
+        ("app_lcm", &["openapi", "--app-lcm"]),
+    ] {
         let file = path(&format!("{name}.json"));
         fs::write(&file, stdout(&output(document))).unwrap();
         run(&program("openapi-spec-validator"), [&file], OsStr::new(""));

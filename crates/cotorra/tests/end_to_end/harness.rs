@@ -161,6 +161,11 @@ impl Run {
         (bytes, move |name| headers[name].to_str().unwrap().to_owned())
     }
 
+    /// Deletes a resource. Returns the status.
+    pub fn delete(&self, path: &str) -> u16 {
+        agent().delete(format!("{}{path}", self.api)).call().unwrap().status().as_u16()
+    }
+
     /// Posts a body to a path of the API. Returns the status and the body of the response.
     pub fn post(&self, path: &str, body: &str) -> (u16, Value) {
         let request = agent().post(format!("{}{path}", self.api)).header("Content-Type", "application/json");

@@ -30,6 +30,7 @@ mod history;
 mod history_server;
 mod interruption;
 mod kill_cycles;
+mod lifecycle;
 mod link;
 mod localize;
 mod map;

@@ -73,6 +73,7 @@ fn no_request_breaks_the_apis() {
     run.wait_for_service();
     for (document, url, more) in [
         (&["openapi", "--wais"][..], format!("{}/wai/v2", run.api), &[][..]),
+        (&["openapi", "--app-lcm"], format!("{}/app_lcm/v1", run.api), &[]),
         // Streams of events and of packets have no end.
         (
             &["openapi"],

@@ -268,6 +268,26 @@ pub(super) async fn check(
     Ok(next.run(request).await)
 }
 
+/// Checks callers of application life cycle management, which reports problems as the ETSI MEC standards do.
+pub(super) async fn check_mec(
+    State(gate): State<Gate>,
+    Extension(place): Extension<Arc<Place>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let let_in = match gate.caller(request.headers()) {
+        Ok(caller) => place.let_in(caller.whose(), request).await.map(|request| (caller, request)),
+        Err(refusal) => Err(refusal),
+    };
+    match let_in {
+        Err(refusal) => refusal.into_problem(),
+        Ok((caller, mut request)) => {
+            request.extensions_mut().insert(caller);
+            next.run(request).await
+        }
+    }
+}
+
 /// Checks callers of the WLAN Access Information Service. It reports problems as its standard does, and has a service per
 /// domain.
 pub(super) async fn check_wais(

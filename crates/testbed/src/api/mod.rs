@@ -1,6 +1,7 @@
 //! The HTTP API: the current state, the history, events, and instructions. A script can do everything here that bundled
 //! plug-ins can. The API is described at `/openapi.json`.
 
+mod applications;
 mod auth;
 mod capture;
 mod connections;
@@ -26,6 +27,11 @@ use tokio::sync::oneshot;
 
 use self::{auth::Gate, connections::Limits, context::BLOCKING_THREADS, serve::Patience};
 use crate::domain::Domains;
+
+/// Returns the OpenAPI document of application life cycle management.
+pub fn app_lcm_openapi() -> String {
+    applications::openapi()
+}
 
 pub(crate) use auth::PluginTokens;
 pub use auth::{Token, Tokens, TokensError};
@@ -205,6 +211,7 @@ impl Server {
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
         let (wais, delivery) = wais::serve(&context, gate.clone()).map_err(ApiError::Start)?;
+        let lifecycle = applications::serve(&context, gate.clone());
         let app = paths()
             .into_iter()
             .fold(Router::new(), |router, (path, methods)| router.route(path, methods))
@@ -216,6 +223,7 @@ impl Server {
             .fallback(|| async { types::Failure::not_found("no such path; see /openapi.json") })
             .with_state(context)
             .merge(wais)
+            .merge(lifecycle)
             .layer(middleware::from_fn(serve::attend));
         let thread = std::thread::Builder::new()
             .name("api".to_owned())

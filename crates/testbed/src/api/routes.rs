@@ -258,7 +258,7 @@ pub(super) async fn instruct(
 }
 
 /// Gives an instruction to the core, and waits for the outcome.
-async fn give(
+pub(super) async fn give(
     context: &Context,
     caller: &Caller,
     headers: &HeaderMap,

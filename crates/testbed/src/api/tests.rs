@@ -1,5 +1,6 @@
 //! The API over a socket, as a caller uses it: its answers equal the history's, and slow readers harm nobody.
 
+mod applications;
 mod machines;
 
 use std::{

@@ -244,6 +244,11 @@ impl Failure {
         Self::unavailable("the run has ended")
     }
 
+    /// Returns the status and the reason.
+    pub(super) fn into_parts(self) -> (StatusCode, String) {
+        (self.status, self.reason)
+    }
+
     /// Returns the failure in the form of the ETSI MEC standards.
     pub(super) fn into_problem(self) -> Response {
         cotorra_wais::http::problem(self.status, self.reason)

@@ -1,0 +1,224 @@
+//! Applications over the routes of fog05 and of MEC 010-2, against a core that applies everything.
+
+use std::thread::JoinHandle;
+
+use super::*;
+
+/// A served testbed, and what its core hears.
+struct Applications {
+    served: Domains,
+    heard: JoinHandle<Vec<String>>,
+}
+
+impl Applications {
+    fn serve() -> Self {
+        let mut served = Domains::serve();
+        let core = std::mem::replace(&mut served.core, mpsc::channel().1);
+        let live = served.live.clone();
+        let heard = std::thread::spawn(move || {
+            let mut heard = Vec::new();
+            while let Ok(Message::Instruct { instruction, reply, .. }) = core.recv() {
+                let refused = match &instruction {
+                    cotorra_graph::Instruction::AddVnf { vnf } if vnf.env.iter().any(|v| v == "REFUSE=1") => {
+                        Some("the node is full".to_owned())
+                    }
+                    _ => None,
+                };
+                let about = match &instruction {
+                    cotorra_graph::Instruction::AddVnf { vnf } => {
+                        format!("add {} {}", vnf.node, vnf.env.join(" "))
+                    }
+                    cotorra_graph::Instruction::Place { node, .. } => format!("place {node}"),
+                    other => other.name().to_owned(),
+                };
+                heard.push(about);
+                let plugin = "api".parse().unwrap();
+                let event =
+                    cotorra_graph::Decision { plugin, instruction, reason: None, refused: refused.clone() };
+                live.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Decision(event) });
+                let done =
+                    refused.map_or(Ok(()), |reason| Err(cotorra_network_control::InstructionError(reason)));
+                (reply.expect("the API waits for an answer"))(done);
+            }
+            heard
+        });
+        Self { served, heard }
+    }
+
+    fn ask(&self, token: &str, head: &str, body: &str) -> (u16, Value) {
+        let (status, mut answer) = self.served.ask(token, head, body);
+        let mut text = String::new();
+        answer.read_to_string(&mut text).unwrap();
+        let text = if text.is_empty() { "null" } else { &text };
+        (status, serde_json::from_str(text).unwrap_or_else(|e| panic!("{head}: {e}: {text}")))
+    }
+
+    fn ok(&self, head: &str, body: &str) -> Value {
+        let (status, answer) = self.ask(OPERATOR, head, body);
+        assert!((200..300).contains(&status), "{head}: {status} {answer}");
+        answer
+    }
+
+    /// Lets the VNF of an instance serve, or fail.
+    fn vnf(&self, vnf: &Value, state: cotorra_graph::VnfState) {
+        let event = cotorra_graph::VnfEvent {
+            vnf: vnf.as_str().unwrap().parse().unwrap(),
+            node: "left".parse().unwrap(),
+            state,
+            detail: Some("why".to_owned()),
+        };
+        self.served.live.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Vnf(event) });
+    }
+
+    fn heard(self) -> Vec<String> {
+        drop(self.served);
+        self.heard.join().unwrap()
+    }
+}
+
+fn fdu() -> String {
+    json!({
+        "id": "detector", "name": "detector", "hypervisor": "DOCKER", "migration_kind": "COLD",
+        "computation_requirements": { "cpu_min_count": 1, "ram_size_mb": 64.0 }, "image": { "uri": "a:1" },
+        "storage": [], "interfaces": [], "io_ports": [], "connection_points": [], "depends_on": [],
+    })
+    .to_string()
+}
+
+#[test]
+fn an_fdu_goes_through_its_life_over_the_routes_of_fog05() {
+    let all = Applications::serve();
+    assert_eq!(all.ok("GET /fog05/nodes/list", ""), json!(["left", "right"]));
+    assert_eq!(all.ok("GET /fog05/nodes/left/info", "")["ram"]["size"], 1000.0);
+    assert_eq!(all.ok("GET /fog05/node/left/status", "")["ram"]["free"], 1000.0);
+    assert_eq!(all.ok("PUT /fog05/fdu/one-fdu/info", &fdu())["uuid"], "one-fdu");
+    assert_eq!(all.ok("GET /fog05/fdu/list", ""), json!(["one-fdu"]));
+    let record = all.ok("PUT /fog05/nodes/left/one-fdu/define", "");
+    assert_eq!((&record["status"], &record["fdu_id"]), (&json!("DEFINE"), &json!("one-fdu")));
+    let instance = format!("/fog05/fdu/instances/{}", record["uuid"].as_str().unwrap());
+    let info = || all.ok(&format!("GET {instance}/info"), "");
+    let step = |name: &str| all.ok(&format!("POST {instance}/{name}"), "");
+    step("configure");
+    let (status, refused) = all.ask(OPERATOR, &format!("POST {instance}/start"), "REFUSE=1");
+    assert_eq!((status, &refused["error"]), (409, &json!("the node is full")));
+    assert_eq!(info()["status"], "CONFIGURE");
+    all.ok(&format!("POST {instance}/start"), "MYENV=Hello World!,B=2");
+    assert_eq!(info()["status"], "CONFIGURE", "it does not serve yet");
+    let vnf = info()["hypervisor_info"]["vnf"].clone();
+    all.vnf(&vnf, cotorra_graph::VnfState::Failed);
+    assert_eq!((&info()["status"], &info()["error_msg"]), (&json!("ERROR"), &json!("why")));
+    all.vnf(&vnf, cotorra_graph::VnfState::Started);
+    assert_eq!(info()["status"], "RUN");
+    assert_eq!(all.ok("GET /fog05/node/left/status", "")["ram"]["free"], 936.0);
+    step("migrate/right");
+    let at_right = json!({ "right": [record["uuid"]] });
+    assert_eq!(all.ok("GET /fog05/fdu/one-fdu/instances/list", ""), at_right);
+    assert_eq!(all.ok("GET /fog05/nodes/right/fdu/list", ""), json!(["one-fdu"]));
+    assert_eq!(all.ask(OPERATOR, "DELETE /fog05/fdu/one-fdu/info", "").0, 409);
+    step("stop");
+    step("clean");
+    all.ok(&format!("DELETE {instance}/info"), "");
+    all.ok("DELETE /fog05/fdu/one-fdu/info", "");
+    assert_eq!(all.ok("GET /fog05/fdu/list", ""), json!([]));
+    let heard = ["add left REFUSE=1", "add left MYENV=Hello World! B=2", "place right", "remove_vnf"];
+    assert_eq!(all.heard(), heard);
+}
+
+#[test]
+fn invalid_requests_of_fog05_say_what_is_wrong() {
+    let all = Applications::serve();
+    all.ok("PUT /fog05/fdu/one-fdu/info", &fdu());
+    for (head, body, expected, part) in [
+        ("PUT /fog05/fdu/other/info", fdu().replace("DOCKER", "LXD"), 400, "`LXD`: only BARE and DOCKER"),
+        ("PUT /fog05/fdu/one-fdu/info", fdu(), 409, "already"),
+        ("PUT /fog05/fdu/a%2Fb/info", fdu(), 400, "`uuid`"),
+        ("PUT /fog05/nodes/A/one-fdu/define", String::new(), 404, "`A`"),
+        ("PUT /fog05/nodes/left/nothing/define", String::new(), 404, "there is no descriptor `nothing`"),
+        ("POST /fog05/fdu/instances/x/start", String::new(), 404, "there is no instance `x`"),
+        ("POST /fog05/fdu/instances/x/pause", String::new(), 404, "not served here"),
+        ("PUT /fog05/networks/x/info", "{}".to_owned(), 404, "not served here"),
+    ] {
+        let (status, answer) = all.ask(OPERATOR, head, &body);
+        assert_eq!(status, expected, "{head}: {answer}");
+        assert!(answer["error"].as_str().unwrap().contains(part), "{head}: {answer}");
+    }
+    // A scheduled one gets a node with room.
+    assert!(all.ok("PUT /fog05/fdu/one-fdu/schedule", "")["hypervisor_info"]["node"].is_string());
+    let large = fdu().replace("64.0", "6400.0");
+    all.ok("PUT /fog05/fdu/large/info", &large);
+    assert_eq!(all.ask(OPERATOR, "PUT /fog05/fdu/large/schedule", "").0, 409);
+    assert_eq!(all.heard(), Vec::<String>::new());
+}
+
+#[test]
+fn a_domain_has_applications_of_its_own() {
+    let all = Applications::serve();
+    assert_eq!(all.ask(ONE, "GET /fog05/nodes/list", "").1, json!(["left"]));
+    assert_eq!(all.ask(ONE, "PUT /fog05/fdu/a/info", &fdu()).0, 200);
+    assert_eq!(all.ask(ONE, "PUT /fog05/nodes/right/a/define", "").0, 404);
+    let (_, record) = all.ask(ONE, "PUT /fog05/nodes/left/a/define", "");
+    let instance = format!("/fog05/fdu/instances/{}", record["uuid"].as_str().unwrap());
+    assert_eq!(all.ask(TWO, &format!("GET {instance}/info"), "").0, 404);
+    assert_eq!(all.ask(TWO, "GET /fog05/fdu/list", "").1, json!([]));
+    assert_eq!(all.ask("nobody-nobody-nobody", "GET /fog05/fdu/list", "").0, 401);
+    let (status, problem) = all.ask("nobody-nobody-nobody", "GET /app_lcm/v1/app_instances", "");
+    assert_eq!((status, &problem["title"]), (401, &json!("Unauthorized")));
+    assert_eq!(all.ask(TWO, "GET /app_lcm/v1/app_instances", "").1, json!([]));
+    assert_eq!(all.ask(ONE, "GET /app_lcm/v1/app_instances", "").1.as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn an_application_goes_through_its_life_over_mec() {
+    let all = Applications::serve();
+    all.ok("PUT /fog05/fdu/one-fdu/info", &fdu());
+    let instance = all.ok("POST /app_lcm/v1/app_instances", r#"{ "appDId": "detector" }"#);
+    assert_eq!((&instance["appDId"], &instance["appName"]), (&json!("one-fdu"), &json!("detector")));
+    let itself = instance["_links"]["self"]["href"].as_str().unwrap();
+    let host = r#"{ "selectedMECHostInfo": [{ "hostName": "left", "hostId": {} }] }"#;
+    let instantiate = instance["_links"]["instantiate"]["href"].as_str().unwrap();
+    all.ok(&format!("POST {instantiate}"), host);
+    let state = || {
+        let now = all.ok(&format!("GET {itself}"), "");
+        (now["instantiationState"].clone(), now["instantiatedAppState"]["operationalState"].clone())
+    };
+    assert_eq!(state(), (json!("INSTANTIATED"), json!("STARTED")));
+    let (status, problem) = all.ask(OPERATOR, &format!("POST {instantiate}"), host);
+    assert_eq!((status, &problem["status"]), (409, &json!(409)));
+    assert_eq!(all.ask(OPERATOR, &format!("DELETE {itself}"), "").0, 409);
+    all.ok(&format!("POST {itself}/operate"), r#"{ "changeStateTo": "STOPPED" }"#);
+    assert_eq!(state().1, "STOPPED");
+    all.ok(&format!("POST {itself}/operate"), r#"{ "changeStateTo": "STARTED" }"#);
+    all.ok(&format!("POST {itself}/terminate"), r#"{ "terminationType": "FORCEFUL" }"#);
+    assert_eq!(state().0, "NOT_INSTANTIATED");
+    let occurrences = all.ok("GET /app_lcm/v1/app_lcm_op_occs", "");
+    let operations: Vec<_> = occurrences.as_array().unwrap().iter().map(|one| &one["lcmOperation"]).collect();
+    assert_eq!(operations, ["INSTANTIATE", "OPERATE", "OPERATE", "TERMINATE"]);
+    let first = occurrences[0]["_links"]["self"]["href"].as_str().unwrap();
+    assert_eq!(all.ok(&format!("GET {first}"), ""), occurrences[0]);
+    assert_eq!(all.ask(OPERATOR, &format!("DELETE {itself}"), "").0, 204);
+    for (head, body, expected) in [
+        ("POST /app_lcm/v1/app_instances", "{}", 400),
+        ("POST /app_lcm/v1/app_instances", r#"{ "appDId": "nothing" }"#, 404),
+        ("GET /app_lcm/v1/app_instances?filter=(eq,id,1)", "", 400),
+        ("GET /app_lcm/v1/subscriptions", "", 404),
+        ("GET /app_lcm/v1/app_lcm_op_occs/99", "", 404),
+    ] {
+        let (status, problem) = all.ask(OPERATOR, head, body);
+        assert_eq!((status, &problem["status"]), (expected, &json!(expected)), "{head}: {problem}");
+    }
+    assert_eq!(all.heard(), ["add left ", "remove_vnf", "add left ", "remove_vnf"]);
+}
+
+#[test]
+fn the_document_of_application_life_cycle_has_every_path() {
+    let document: Value = serde_json::from_str(&app_lcm_openapi()).unwrap();
+    let served = Applications::serve();
+    assert_eq!(served.ok("GET /app_lcm/v1/openapi.json", ""), document);
+    for (path, methods) in document["paths"].as_object().unwrap() {
+        for method in methods.as_object().unwrap().keys().filter(|key| *key != "parameters") {
+            let head = format!("{} /app_lcm/v1{}", method.to_uppercase(), path.replace("{id}", "x"));
+            let (status, _) = served.ask(OPERATOR, &head, "{}");
+            assert_ne!(status, 405, "{head}");
+        }
+    }
+}
