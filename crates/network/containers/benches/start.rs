@@ -5,7 +5,6 @@
 #![allow(clippy::disallowed_types, reason = "measures time")]
 
 use std::{
-    path::PathBuf,
     sync::{Arc, mpsc},
     time::{Duration, Instant},
 };
@@ -21,7 +20,7 @@ use bollard::{
 use cotorra_containers::{Address, ContainerEngine, Network, Settings, Surroundings};
 use cotorra_datapath::Namespace;
 use cotorra_engine::{Engine as _, InstanceId, Outcome};
-use cotorra_graph::{EngineKind, Image, ListenPort, NodeId, Program, Rights, Vnf};
+use cotorra_graph::{EngineKind, Image, NodeId, Program, Rights, Vnf};
 use cotorra_testing::containers::{BUSYBOX, Containers};
 use futures_util::StreamExt as _;
 
@@ -38,18 +37,6 @@ impl Surroundings for Nodes {
     fn network(&self, node: &NodeId) -> Result<Network, String> {
         let found = self.namespaces.iter().find(|(id, _)| id == node).ok_or("no such node")?;
         Ok(Network::Namespace(found.1.path()))
-    }
-
-    fn environment(&self, _vnf: &Vnf, _replica: u32, _node: &NodeId) -> Vec<(String, String)> {
-        Vec::new()
-    }
-
-    fn ports(&self, _vnf: &Vnf) -> Vec<ListenPort> {
-        Vec::new()
-    }
-
-    fn files(&self, _vnf: &Vnf) -> Vec<(PathBuf, PathBuf)> {
-        Vec::new()
     }
 
     fn wake(&self) {

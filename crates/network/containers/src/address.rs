@@ -3,7 +3,6 @@
 use std::{
     env,
     ffi::OsStr,
-    fmt,
     path::{Path, PathBuf},
 };
 
@@ -67,15 +66,6 @@ impl Address {
                 _ => Err(NoEngine::NotASocket { variable, value }),
             },
             _ => otherwise(),
-        }
-    }
-}
-
-impl fmt::Display for Address {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Socket(path) => write!(f, "{}", path.display()),
-            Self::Service => f.write_str("podman"),
         }
     }
 }

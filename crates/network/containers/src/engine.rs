@@ -36,14 +36,21 @@ pub trait Surroundings: Send + Sync + 'static {
     /// The reason for which containers cannot join it, for people.
     fn network(&self, node: &NodeId) -> Result<Network, String>;
 
-    /// Returns variables of an instance beside those of its VNF and `COTORRA_VNF`, `COTORRA_NODE` and `COTORRA_REPLICA`.
-    fn environment(&self, vnf: &Vnf, replica: u32, node: &NodeId) -> Vec<(String, String)>;
+    /// Returns variables of an instance beside those of its VNF and `COTORRA_VNF`, `COTORRA_NODE` and `COTORRA_REPLICA`. By
+    /// default, none.
+    fn environment(&self, _vnf: &Vnf, _replica: u32, _node: &NodeId) -> Vec<(String, String)> {
+        Vec::new()
+    }
 
-    /// Returns the ports at which a VNF serves, beside those that its image declares.
-    fn ports(&self, vnf: &Vnf) -> Vec<ListenPort>;
+    /// Returns the ports at which a VNF serves, beside those that its image declares. By default, none.
+    fn ports(&self, _vnf: &Vnf) -> Vec<ListenPort> {
+        Vec::new()
+    }
 
-    /// Returns files of this machine that an instance reads, each with its path in the container.
-    fn files(&self, vnf: &Vnf) -> Vec<(PathBuf, PathBuf)>;
+    /// Returns files of this machine that an instance reads, each with its path in the container. By default, none.
+    fn files(&self, _vnf: &Vnf) -> Vec<(PathBuf, PathBuf)> {
+        Vec::new()
+    }
 
     /// Signals a new event of [`Engine::poll`]. Called from another thread.
     fn wake(&self);

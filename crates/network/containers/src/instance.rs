@@ -66,7 +66,6 @@ impl Instance {
         let cannot = |error: DaemonError| format!("cannot start its container: {error}");
         let reference = self.container.image.clone().unwrap_or_default();
         let container = std::mem::take(&mut self.container);
-        let mut is_pulled = false;
         if self.pull != Pull::Always {
             // The engine says whether it has the image. That saves a request.
             match daemon.create(&self.name, container.clone()).await {
@@ -83,14 +82,11 @@ impl Instance {
             }
         }
         // Only a pull takes long. The other requests are not cancelled, because the engine would carry them out all the same.
-        while !is_pulled {
-            tokio::select! {
-                biased;
-                _ = &mut *stop => return Ok(false),
-                pulled = daemon.pull(&reference) => {
-                    pulled.map_err(|error| format!("there is no image `{reference}`: {error}"))?;
-                    is_pulled = true;
-                }
+        tokio::select! {
+            biased;
+            _ = &mut *stop => return Ok(false),
+            pulled = daemon.pull(&reference) => {
+                pulled.map_err(|error| format!("there is no image `{reference}`: {error}"))?;
             }
         }
         daemon.create(&self.name, container).await.map_err(cannot)?;

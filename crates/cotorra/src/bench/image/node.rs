@@ -14,7 +14,7 @@ use std::{
 use cotorra_containers::{Address, ContainerEngine, Network, Settings, Surroundings};
 use cotorra_datapath::Namespace;
 use cotorra_engine::{Engine as _, EngineEvent, InstanceId, Outcome};
-use cotorra_graph::{EngineKind, ListenPort, NodeId, Vnf};
+use cotorra_graph::{EngineKind, NodeId, Vnf};
 
 use super::Error;
 
@@ -53,18 +53,6 @@ struct Around {
 impl Surroundings for Around {
     fn network(&self, _node: &NodeId) -> Result<Network, String> {
         Ok(Network::Namespace(self.namespace.path()))
-    }
-
-    fn environment(&self, _vnf: &Vnf, _replica: u32, _node: &NodeId) -> Vec<(String, String)> {
-        Vec::new()
-    }
-
-    fn ports(&self, _vnf: &Vnf) -> Vec<ListenPort> {
-        Vec::new()
-    }
-
-    fn files(&self, _vnf: &Vnf) -> Vec<(PathBuf, PathBuf)> {
-        Vec::new()
     }
 
     fn wake(&self) {

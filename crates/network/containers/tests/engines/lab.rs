@@ -3,14 +3,13 @@
 use std::{
     fs,
     os::unix::fs::symlink,
-    path::PathBuf,
     sync::{Arc, mpsc},
 };
 
 use cotorra_containers::{Address, ContainerEngine, Network, Settings, Surroundings};
 use cotorra_datapath::Namespace;
 use cotorra_engine::contract::Subject;
-use cotorra_graph::{EngineKind, Image, ListenPort, NodeId, Pull, Vnf};
+use cotorra_graph::{EngineKind, Image, NodeId, Pull};
 use cotorra_testing::containers::{BUSYBOX, Containers};
 use parking_lot::Mutex;
 use tempfile::TempDir;
@@ -25,18 +24,6 @@ impl Surroundings for Nodes {
     fn network(&self, node: &NodeId) -> Result<Network, String> {
         let found = self.namespaces.iter().find(|(id, _)| id == node).ok_or("no such node")?;
         Ok(Network::Namespace(found.1.path()))
-    }
-
-    fn environment(&self, _vnf: &Vnf, _replica: u32, _node: &NodeId) -> Vec<(String, String)> {
-        Vec::new()
-    }
-
-    fn ports(&self, _vnf: &Vnf) -> Vec<ListenPort> {
-        Vec::new()
-    }
-
-    fn files(&self, _vnf: &Vnf) -> Vec<(PathBuf, PathBuf)> {
-        Vec::new()
     }
 
     fn wake(&self) {
