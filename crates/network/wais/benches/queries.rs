@@ -20,8 +20,9 @@ use std::{
 
 use axum::{Router, routing::get};
 use cotorra_graph::{Dbm, NodeId, RadioContext, StationContext, Timestamp};
+use cotorra_mec::Allowed;
 use cotorra_wais::{
-    Allowed, Scope, Site, Survey,
+    Scope, Site, Survey,
     http::{Service, Testbed},
     types::Epoch,
 };

@@ -1,59 +1,10 @@
 //! The attributes of the data types that can be queried (ETSI GS MEC 028 v2.3.1, clauses 6.2 and 6.5). All are
 //! listed: the standard lets filters and selectors also name attributes that this service omits.
 
-use Kind::{Address, Flag, Number, Structure, Text};
-
-#[derive(Debug)]
-pub(crate) struct Attribute {
-    pub(crate) name: &'static str,
-    pub(crate) kind: Kind,
-    /// Whether it is an array.
-    pub(crate) many: bool,
-    /// Whether its minimum cardinality is 1.
-    pub(crate) required: bool,
-}
-
-/// Type of an attribute's value.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Kind {
-    Text,
-    /// A MAC address: a string compared without regard to case.
-    Address,
-    Number,
-    Flag,
-    /// A structure with these attributes.
-    Structure(&'static [Attribute]),
-}
-
-impl Attribute {
-    /// Whether it is a structure or an array, which ETSI GS MEC 009 calls complex.
-    pub(crate) fn is_complex(&self) -> bool {
-        self.many || matches!(self.kind, Structure(_))
-    }
-}
-
-pub(crate) fn find(attributes: &'static [Attribute], name: &str) -> Option<&'static Attribute> {
-    attributes.iter().find(|attribute| attribute.name == name)
-}
-
-/// Declares the attributes of data types: `name: kind` for one, `name: [kind]` for an array, `!` before required
-/// ones.
-macro_rules! attributes {
-    (@kind $kind:ident) => { $kind };
-    (@kind ($kind:ident)) => { Structure($kind) };
-    (@one $required:literal $name:literal [$kind:tt]) => {
-        Attribute { name: $name, kind: attributes!(@kind $kind), many: true, required: $required }
-    };
-    (@one $required:literal $name:literal $kind:tt) => {
-        Attribute { name: $name, kind: attributes!(@kind $kind), many: false, required: $required }
-    };
-    ($( $data_type:ident { $( ! $must:literal: $must_kind:tt, )* $( $may:literal: $may_kind:tt, )* } )*) => {
-        $( pub(crate) static $data_type: &[Attribute] = &[
-            $( attributes!(@one true $must $must_kind), )*
-            $( attributes!(@one false $may $may_kind), )*
-        ]; )*
-    };
-}
+use cotorra_mec::{
+    Attribute,
+    Kind::{Flag, Number},
+};
 
 /// Declares a data type whose attributes all have one kind, none of them an array.
 macro_rules! alike {
@@ -63,8 +14,8 @@ macro_rules! alike {
     };
 }
 
-attributes! {
-    AP_INFO {
+cotorra_mec::attributes! {
+    pub(crate) AP_INFO {
         !"apId": (AP_IDENTITY),
         "timeStamp": (TIME_STAMP),
         "channel": Number,
@@ -75,7 +26,7 @@ attributes! {
         "oBssLoad": (O_BSS_LOAD),
         "apLocation": (AP_LOCATION),
     }
-    STA_INFO {
+    pub(crate) STA_INFO {
         !"staId": (STA_IDENTITY),
         "timeStamp": (TIME_STAMP),
         "channel": Number,

@@ -6,17 +6,12 @@
 #![forbid(unsafe_code)]
 
 mod attributes;
-mod callback;
 mod coding;
 mod conditional;
-mod filter;
 pub mod http;
-mod limiter;
 mod measurement;
 mod notification;
-mod outbox;
 pub mod requests;
-mod selector;
 mod survey;
 #[cfg(test)]
 mod testing;
@@ -24,11 +19,7 @@ pub mod types;
 mod view;
 mod wais;
 
-pub use callback::{Allowed, Callback, CallbackError};
-pub use filter::{Filter, FilterError};
 pub use notification::Notification;
-pub use outbox::Outcome;
-pub use selector::SelectorError;
 pub use survey::{Scope, Site, Survey};
-pub use view::{Answer, Kind, Query, QueryError};
-pub use wais::{Dispatch, RequestError, Resource, Target, Wais};
+pub use view::{Answer, Kind};
+pub use wais::{RequestError, Resource, Target, Wais};

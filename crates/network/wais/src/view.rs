@@ -6,26 +6,18 @@ use std::{
 };
 
 use bytes::Bytes;
+use cotorra_mec::{Attribute, Query};
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::{
-    attributes::{AP_INFO, Attribute, STA_INFO},
+    attributes::{AP_INFO, STA_INFO},
     coding::{rcpi, share},
-    filter::Filter,
     measurement::{Measured, Reports},
     requests::MeasurementConfig,
-    selector::{Selection, SelectorError, Selectors},
     survey::{Station, Survey},
     types::{ApInfo, BssLoad, Epoch, Rssi, StaDataRate, StaIdentity, StaInfo},
 };
-
-/// A parsed query.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Query {
-    filter: Option<Filter>,
-    selection: Selection,
-}
 
 /// Kind of object to query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,48 +28,13 @@ pub enum Kind {
     Stations,
 }
 
-/// Invalid query parameters.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum QueryError {
-    #[error(transparent)]
-    Filter(#[from] crate::filter::FilterError),
-    #[error(transparent)]
-    Selector(#[from] SelectorError),
-    /// The parameter does not exist.
-    #[error(
-        "there is no parameter `{0}`; there are filter, all_fields, fields, exclude_fields, exclude_default"
-    )]
-    Unknown(String),
-    /// The parameter is repeated.
-    #[error("`{0}` is given twice")]
-    Twice(String),
-}
-
-impl Query {
-    /// Parses the parameters of a query.
-    ///
-    /// # Errors
-    /// [`QueryError`].
-    pub fn read(of: Kind, parameters: &[(String, String)]) -> Result<Self, QueryError> {
-        let attributes: &'static [Attribute] = match of {
-            Kind::AccessPoints => AP_INFO,
-            Kind::Stations => STA_INFO,
-        };
-        let (mut selectors, mut filter) = (Selectors::default(), None);
-        for (i, (name, value)) in parameters.iter().enumerate() {
-            if parameters[..i].iter().any(|(other, _)| other == name) {
-                return Err(QueryError::Twice(name.clone()));
-            }
-            match name.as_str() {
-                "filter" => filter = Some(Filter::parse(value, attributes)?),
-                "all_fields" => selectors.all_fields = true,
-                "fields" => selectors.fields = Some(value.clone()),
-                "exclude_fields" => selectors.exclude_fields = Some(value.clone()),
-                "exclude_default" => selectors.exclude_default = true,
-                _ => return Err(QueryError::Unknown(name.clone())),
-            }
+impl Kind {
+    /// Returns the attributes of the object.
+    pub fn attributes(self) -> &'static [Attribute] {
+        match self {
+            Self::AccessPoints => AP_INFO,
+            Self::Stations => STA_INFO,
         }
-        Ok(Self { filter, selection: Selection::new(&selectors, attributes)? })
     }
 }
 
@@ -120,16 +77,11 @@ impl Listing {
 
     /// Returns the answer to a query.
     pub(crate) fn answer(&self, query: &Query) -> Answer {
-        let matching = || {
-            let filter = query.filter.as_ref();
-            self.items.iter().filter(move |(value, _)| filter.is_none_or(|filter| filter.matches(value)))
-        };
-        match (&query.filter, &query.selection) {
-            (None, Selection::All) => self.whole.clone(),
-            (_, Selection::All) => Answer::new(array(matching().map(|(_, text)| text.as_str()))),
-            (_, selection) => {
-                Answer::new(array(matching().map(|(value, _)| selection.apply(value).to_string())))
-            }
+        let wanted = self.items.iter().filter(|(value, _)| query.wants(value));
+        match (query.wants_all(), query.selects_all()) {
+            (true, true) => self.whole.clone(),
+            (false, true) => Answer::new(array(wanted.map(|(_, text)| text.as_str()))),
+            (_, false) => Answer::new(array(wanted.map(|(value, _)| query.select(value).to_string()))),
         }
     }
 }

@@ -6,18 +6,16 @@ mod configured;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use cotorra_graph::Timestamp;
+use cotorra_mec::{Callback, CallbackError, Dispatch, Limiter, Outbox, Outcome, Query, TooOften};
 
 use self::configured::Configured;
 use crate::{
-    callback::{Callback, CallbackError},
     conditional::may_change,
-    limiter::Limiter,
     notification::{Notification, Schedule},
-    outbox::{Outbox, Outcome},
     requests::{InvalidRequest, Subscription, SubscriptionLink, SubscriptionLinkList, WebsockNotifConfig},
     survey::{Site, Survey},
     types::{Epoch, SelfLink},
-    view::{self, Answer, Kind, Listings, Query},
+    view::{self, Answer, Kind, Listings},
 };
 
 /// Most subscriptions, and most measurement configurations.
@@ -51,8 +49,8 @@ pub enum RequestError {
     #[error("there are {MOST} already: delete some first")]
     Full,
     /// Changes are too frequent.
-    #[error("resources change at most 200 times a second: try again later")]
-    TooOften(Duration),
+    #[error(transparent)]
+    TooOften(#[from] TooOften),
 }
 
 /// A resource with its metadata.
@@ -62,18 +60,6 @@ pub struct Resource<T> {
     pub href: String,
     /// Entity tag in quotes, which changes with the resource.
     pub etag: String,
-}
-
-/// A notification to send now.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Dispatch {
-    /// ID of the subscription.
-    pub subscription: u64,
-    /// ID of the attempt.
-    pub attempt: u64,
-    pub target: Target,
-    /// A JSON object.
-    pub body: Arc<str>,
 }
 
 /// Target of a subscription's notifications.
@@ -183,7 +169,7 @@ impl Wais {
     }
 
     fn admit(&mut self, now: Timestamp) -> Result<(), RequestError> {
-        self.limiter.admit(now).map_err(RequestError::TooOften)
+        Ok(self.limiter.admit(now)?)
     }
 
     /// Creates a subscription. `base` is the URI under which the consumer sees the service.
@@ -365,7 +351,7 @@ impl Wais {
 
     /// Ends expired subscriptions, composes due notifications, and returns those to send now. The sender reports each
     /// outcome by [`Wais::done`].
-    pub fn poll(&mut self, now: Timestamp) -> Vec<Dispatch> {
+    pub fn poll(&mut self, now: Timestamp) -> Vec<Dispatch<Target>> {
         self.subscriptions.retain(|_, held| held.expiry.is_none_or(|expiry| now < expiry.at));
         let mut dispatches = Vec::new();
         for (id, held) in &mut self.subscriptions {

@@ -22,6 +22,7 @@ use axum::{
     Router, middleware,
     routing::{MethodRouter, delete, get, post},
 };
+use cotorra_mec::Delivery;
 use cotorra_plugin::runs::{Announced, Runs, RunsError};
 use tokio::sync::oneshot;
 
@@ -129,7 +130,7 @@ pub(crate) struct Server {
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
     announced: Option<Announced>,
-    _delivery: cotorra_wais::http::Delivery,
+    _delivery: Delivery,
 }
 
 /// Connections that wait to be accepted. A client that finds no room retries a second later.
@@ -210,7 +211,8 @@ impl Server {
             .map_err(ApiError::Start)?;
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
-        let (wais, delivery) = wais::serve(&context, gate.clone()).map_err(ApiError::Start)?;
+        let (wais, senders) = wais::serve(&context, gate.clone());
+        let delivery = Delivery::start(senders).map_err(ApiError::Start)?;
         let lifecycle = applications::serve(&context, gate.clone());
         let app = paths()
             .into_iter()

@@ -13,6 +13,7 @@ use cotorra_graph::{
     PluginSpec, Service, Testbed, Timestamp, Vnf, VnfEvent, Walk, millis,
 };
 use cotorra_measurements::{Gap, Run, RunId, RunInfo};
+use cotorra_mec::Problem;
 use serde::{Deserialize, Serialize};
 
 /// A testbed.
@@ -251,7 +252,7 @@ impl Failure {
 
     /// Returns the failure in the form of the ETSI MEC standards.
     pub(super) fn into_problem(self) -> Response {
-        cotorra_wais::http::problem(self.status, self.reason)
+        Problem::new(self.status, self.reason).into_response()
     }
 
     pub(super) fn refused(reason: impl Into<String>) -> Self {

@@ -1,13 +1,14 @@
 //! The WLAN Access Information Service (ETSI GS MEC 028): `/wai/v2` for all of the testbed, `/domains/{name}/wai/v2` for
 //! the radio units of one domain.
 
-use std::{io, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use axum::{Router, http::StatusCode, middleware, routing::get};
 use cotorra_graph::{Event, Stamped, Timestamp};
+use cotorra_mec::{Allowed, Problem, Task, deliver};
 use cotorra_wais::{
-    Allowed, Scope, Site, Survey,
-    http::{Delivery, Service, Testbed, openapi, problem},
+    Scope, Site, Survey,
+    http::{Service, Testbed, openapi},
 };
 
 use super::{
@@ -19,8 +20,8 @@ use crate::message::Message;
 /// Longest age of answers in real time.
 const FRESHNESS: Duration = Duration::from_millis(20);
 
-/// Returns the services' paths, and the delivery of their notifications.
-pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delivery)> {
+/// Returns the services' paths, and the tasks that send their notifications.
+pub(super) fn serve(context: &Context, gate: Gate) -> (Router, Vec<Task>) {
     let graph = &context.testbed.graph;
     let settings = &context.testbed.wais;
     let WaisOptions { epoch, callbacks, .. } = &context.wais;
@@ -42,7 +43,7 @@ pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delive
     let mut services = vec![service(Scope::Testbed, "/wai/v2".to_owned())];
     services.extend(graph.domains.iter().map(of_domain));
     let no_domain =
-        || async { problem(StatusCode::NOT_FOUND, "there is no such domain; see /api/v1/testbed") };
+        || async { Problem::new(StatusCode::NOT_FOUND, "there is no such domain; see /api/v1/testbed") };
     let document = openapi();
     let router = services
         .iter()
@@ -53,7 +54,7 @@ pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delive
             "/wai/v2/openapi.json",
             get(move || async move { ([("content-type", "application/json")], document) }),
         );
-    Ok((router, Delivery::start(services)?))
+    (router, services.into_iter().map(deliver).collect())
 }
 
 /// The API's state, in the form that the service needs.

@@ -29,7 +29,7 @@ use super::routes;
         routes::reconfigure,
         routes::unconfigure
     ),
-    components(schemas(crate::notification::Notification, super::ProblemDetails))
+    components(schemas(crate::notification::Notification, cotorra_mec::ProblemDetails))
 )]
 struct Document;
 

@@ -1,14 +1,15 @@
 //! Extractors of request data, whose errors are the standard's problems: URIs, bodies, conditions.
 
 use axum::{
-    extract::{FromRequest, FromRequestParts, Path, Query, Request},
-    http::{HeaderMap, HeaderName, StatusCode, header, request::Parts, uri::Authority},
+    extract::{FromRequest, FromRequestParts, Path, Request},
+    http::{HeaderMap, HeaderName, StatusCode, header, request::Parts},
     middleware::Next,
     response::{IntoResponse, Response},
 };
 use bytes::Bytes;
+use cotorra_mec::Problem;
 
-use super::{Service, problem::Problem};
+use super::Service;
 
 /// Longest body, bytes.
 const LONGEST_BODY: usize = 64 * 1024;
@@ -50,14 +51,7 @@ impl FromRequestParts<Service> for Base {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, service: &Service) -> Result<Self, Problem> {
-        let host = parts.headers.get(header::HOST).map(|host| Authority::try_from(host.as_bytes()));
-        let authority = match host.or_else(|| parts.uri.authority().cloned().map(Ok)) {
-            Some(Ok(authority)) => authority,
-            _ => {
-                return Err(Problem::bad_request("the `Host` header is missing or invalid"));
-            }
-        };
-        Ok(Self(format!("http://{authority}{}", service.prefix())))
+        Ok(Self(format!("http://{}{}", cotorra_mec::authority(parts)?, service.prefix())))
     }
 }
 
@@ -70,20 +64,6 @@ impl FromRequestParts<Service> for Id {
     async fn from_request_parts(parts: &mut Parts, service: &Service) -> Result<Self, Problem> {
         match Path::from_request_parts(parts, service).await {
             Ok(Path(id)) => Ok(Self(id)),
-            Err(rejection) => Err(Problem::bad_request(rejection.body_text())),
-        }
-    }
-}
-
-/// The parameters of a query, in order.
-pub(super) struct Parameters(pub(super) Vec<(String, String)>);
-
-impl FromRequestParts<Service> for Parameters {
-    type Rejection = Problem;
-
-    async fn from_request_parts(parts: &mut Parts, service: &Service) -> Result<Self, Problem> {
-        match Query::from_request_parts(parts, service).await {
-            Ok(Query(parameters)) => Ok(Self(parameters)),
             Err(rejection) => Err(Problem::bad_request(rejection.body_text())),
         }
     }

@@ -1,6 +1,5 @@
 //! HTTP resources and WebSockets around a [`Wais`], and the thread that delivers its notifications.
 
-mod delivery;
 #[cfg(feature = "openapi")]
 mod document;
 mod extract;
@@ -8,7 +7,7 @@ mod problem;
 mod routes;
 mod websocket;
 
-use std::{future::Future, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use axum::{
     Router,
@@ -17,22 +16,19 @@ use axum::{
     routing::{MethodRouter, get},
 };
 use cotorra_graph::Timestamp;
+use cotorra_mec::{Allowed, Dispatch, Notifier, Outcome, Problem};
 use parking_lot::Mutex;
 use tokio::sync::Notify;
 
-pub use delivery::Delivery;
 #[cfg(feature = "openapi")]
 pub use document::openapi;
-pub use problem::{ProblemDetails, problem};
 
-use self::{problem::Problem, websocket::Sockets};
+use self::websocket::Sockets;
 use crate::{
-    callback::Allowed,
-    outbox::Outcome,
     requests::Subscription,
     survey::{Site, Survey},
     types::Epoch,
-    wais::{Dispatch, RequestError, Target, Wais},
+    wais::{RequestError, Target, Wais},
 };
 
 /// Interval of surveys while there are subscriptions. The testbed changes without notice.
@@ -150,8 +146,33 @@ impl Service {
         result
     }
 
-    /// Returns the notifications to send now, and the time until there is more to do; `None` until woken.
-    fn poll(&self) -> (Vec<Dispatch>, Option<Duration>) {
+    fn wake(&self) {
+        self.0.wake.notify_one();
+    }
+
+    fn sockets(&self) -> &Sockets {
+        &self.0.sockets
+    }
+
+    /// Rejects a callback that could never be called.
+    async fn check_callback(&self, subscription: &Subscription) -> Result<(), Problem> {
+        subscription.check()?;
+        if let Target::Callback(callback) = Target::of(subscription)? {
+            cotorra_mec::resolve(&callback, &self.0.allowed).await.map_err(RequestError::from)?;
+        }
+        Ok(())
+    }
+
+    fn set_websocket_open(&self, subscription: u64, open: bool) {
+        self.with(|wais| wais.set_websocket_open(subscription, open));
+        self.wake();
+    }
+}
+
+impl Notifier for Service {
+    type Target = Target;
+
+    fn poll(&self) -> (Vec<Dispatch<Target>>, Option<Duration>) {
         let now = self.now();
         self.with(|wais| {
             let dispatches = wais.poll(now);
@@ -163,43 +184,20 @@ impl Service {
         })
     }
 
+    async fn woken(&self) {
+        self.0.wake.notified().await;
+    }
+
+    async fn send(&self, Dispatch { subscription, target, body, .. }: Dispatch<Target>) -> Outcome {
+        match target {
+            Target::WebSocket => self.0.sockets.send(subscription, body).await,
+            Target::Callback(callback) => cotorra_mec::post(&callback, &self.0.allowed, body).await,
+        }
+    }
+
     fn done(&self, subscription: u64, attempt: u64, outcome: Outcome) {
         let now = self.now();
         self.with(|wais| wais.done(now, subscription, attempt, outcome));
-        self.wake();
-    }
-
-    fn wake(&self) {
-        self.0.wake.notify_one();
-    }
-
-    fn woken(&self) -> impl Future<Output = ()> {
-        self.0.wake.notified()
-    }
-
-    fn allowed(&self) -> &Allowed {
-        &self.0.allowed
-    }
-
-    fn sockets(&self) -> &Sockets {
-        &self.0.sockets
-    }
-
-    /// Rejects a callback that could never be called.
-    async fn check_callback(&self, subscription: &Subscription) -> Result<(), Problem> {
-        subscription.check()?;
-        if let Target::Callback(callback) = Target::of(subscription)? {
-            delivery::resolve(&callback, self.allowed()).await.map_err(RequestError::from)?;
-        }
-        Ok(())
-    }
-
-    async fn send_over_websocket(&self, subscription: u64, body: Arc<str>) -> Outcome {
-        self.0.sockets.send(subscription, body).await
-    }
-
-    fn set_websocket_open(&self, subscription: u64, open: bool) {
-        self.with(|wais| wais.set_websocket_open(subscription, open));
         self.wake();
     }
 }

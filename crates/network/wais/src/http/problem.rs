@@ -1,102 +1,24 @@
-//! Errors in the form that ETSI GS MEC 009 requires: problem details (RFC 9457).
+//! Errors of the service as problems.
 
-use axum::{
-    http::{HeaderName, HeaderValue, StatusCode, header},
-    response::{IntoResponse, Response},
-};
-use serde::Serialize;
+use axum::http::StatusCode;
+use cotorra_mec::Problem;
+#[cfg(feature = "openapi")]
+use cotorra_mec::ProblemDetails;
 
-use crate::{callback::CallbackError, requests::InvalidRequest, view::QueryError, wais::RequestError};
-
-/// A problem (RFC 9457).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-pub struct ProblemDetails {
-    /// `about:blank`: the status describes the kind of problem.
-    #[serde(rename = "type")]
-    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
-    kind: &'static str,
-    /// Name of the status.
-    title: &'static str,
-    /// HTTP status.
-    status: u16,
-    /// Explanation of the error, and its remedy.
-    detail: String,
-}
-
-/// A problem with a header of its response.
-#[derive(Debug)]
-pub(crate) struct Problem {
-    status: StatusCode,
-    detail: String,
-    header: Option<(HeaderName, HeaderValue)>,
-}
-
-impl Problem {
-    pub(crate) fn new(status: StatusCode, detail: impl Into<String>) -> Self {
-        Self { status, detail: detail.into(), header: None }
-    }
-
-    pub(crate) fn bad_request(detail: impl Into<String>) -> Self {
-        Self::new(StatusCode::BAD_REQUEST, detail)
-    }
-}
-
-/// Returns a response with a problem. For servers that reject a request on the service's behalf, such as an
-/// unauthorised one.
-pub fn problem(status: StatusCode, detail: impl Into<String>) -> Response {
-    let mut problem = Problem::new(status, detail);
-    if status == StatusCode::UNAUTHORIZED {
-        problem.header = Some((header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer")));
-    }
-    problem.into_response()
-}
-
-impl IntoResponse for Problem {
-    fn into_response(self) -> Response {
-        let body = ProblemDetails {
-            kind: "about:blank",
-            title: self.status.canonical_reason().unwrap_or("Error"),
-            status: self.status.as_u16(),
-            detail: self.detail,
-        };
-        let text = serde_json::to_string(&body).expect("problem details hold only what JSON can");
-        let content_type = [(header::CONTENT_TYPE, "application/problem+json")];
-        let mut response = (self.status, content_type, text).into_response();
-        if let Some((name, value)) = self.header {
-            response.headers_mut().insert(name, value);
-        }
-        response
-    }
-}
+use crate::{requests::InvalidRequest, wais::RequestError};
 
 impl From<RequestError> for Problem {
     fn from(error: RequestError) -> Self {
-        let status = match &error {
-            RequestError::Invalid(InvalidRequest::Malformed(_))
-            | RequestError::Callback(CallbackError::Invalid(_) | CallbackError::Unknown(_)) => {
-                StatusCode::BAD_REQUEST
-            }
+        let status = match error {
+            RequestError::Callback(error) => return error.into(),
+            RequestError::TooOften(error) => return error.into(),
+            RequestError::Invalid(InvalidRequest::Malformed(_)) => StatusCode::BAD_REQUEST,
             RequestError::Invalid(InvalidRequest::Unsupported(_)) => StatusCode::UNPROCESSABLE_ENTITY,
-            RequestError::Callback(CallbackError::Forbidden(_)) | RequestError::Full => StatusCode::FORBIDDEN,
+            RequestError::Full => StatusCode::FORBIDDEN,
             RequestError::NotFound { .. } => StatusCode::NOT_FOUND,
             RequestError::Changed(_) => StatusCode::PRECONDITION_FAILED,
-            RequestError::TooOften(_) => StatusCode::TOO_MANY_REQUESTS,
         };
-        let header = match &error {
-            RequestError::TooOften(wait) => {
-                let seconds = HeaderValue::from(wait.as_secs() + 1);
-                Some((header::RETRY_AFTER, seconds))
-            }
-            _ => None,
-        };
-        Self { status, detail: error.to_string(), header }
-    }
-}
-
-impl From<QueryError> for Problem {
-    fn from(error: QueryError) -> Self {
-        Self::bad_request(error.to_string())
+        Self::new(status, error.to_string())
     }
 }
 

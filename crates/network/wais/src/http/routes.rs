@@ -5,19 +5,19 @@ use axum::{
     http::{HeaderMap, StatusCode, header},
     response::{IntoResponse, Response},
 };
+use cotorra_mec::{Parameters, Problem, Query};
 use serde::Serialize;
 
 #[cfg(feature = "openapi")]
 use super::problem::{ChangeProblems, RequestProblems};
 use super::{
     Service,
-    extract::{Base, Id, Json, Parameters, if_match, text},
-    problem::Problem,
+    extract::{Base, Id, Json, if_match, text},
 };
 use crate::{
     conditional::is_known,
     requests::{MeasurementConfig, Subscription},
-    view::{Kind, Query},
+    view::Kind,
     wais::Resource,
 };
 #[cfg(feature = "openapi")]
@@ -49,7 +49,7 @@ struct Selecting {
 }
 
 fn query(of: Kind, service: &Service, headers: &HeaderMap, parameters: &[(String, String)]) -> Answer {
-    let query = Query::read(of, parameters)?;
+    let query = Query::read(of.attributes(), parameters)?;
     let answer = service.with(|wais| wais.query(of, &query));
     Ok(tagged(headers, answer.etag, answer.body))
 }

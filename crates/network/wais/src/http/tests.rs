@@ -10,6 +10,7 @@ use std::{
     },
 };
 
+use cotorra_mec::{Delivery, deliver};
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite;
 
@@ -66,7 +67,7 @@ fn serve() -> Served {
             axum::serve(tokio::net::TcpListener::from_std(listener).unwrap(), app).await.unwrap();
         });
     });
-    Served { address, testbed, told, _delivery: Delivery::start(vec![service]).unwrap() }
+    Served { address, testbed, told, _delivery: Delivery::start([deliver(service)]).unwrap() }
 }
 
 /// Status, head in lower case, and body of an answer.

@@ -10,11 +10,12 @@ use axum::{
     http::StatusCode,
     response::{IntoResponse, Response},
 };
+use cotorra_mec::{Outcome, Problem};
 use parking_lot::Mutex;
 use tokio::sync::{mpsc, oneshot};
 
-use super::{Service, extract::Id, problem::Problem};
-use crate::{outbox::Outcome, wais::RequestError};
+use super::{Service, extract::Id};
+use crate::wais::RequestError;
 
 /// Longest accepted message, bytes. Consumers have nothing longer to send.
 const LONGEST_MESSAGE: usize = 4096;

@@ -1,14 +1,10 @@
 //! Tests queries, subscriptions and measurements in virtual time.
 
+use cotorra_mec::Attribute;
 use serde_json::{Value, json};
 
 use super::*;
-use crate::{
-    outbox::{ATTEMPTS, WAITING},
-    requests::MeasurementConfig,
-    survey::Scope,
-    testing,
-};
+use crate::{requests::MeasurementConfig, survey::Scope, testing};
 
 const BASE: &str = "http://wais.lab/wai/v2";
 const R1: &str = "02:77:00:00:00:01";
@@ -44,7 +40,7 @@ impl Rig {
 
     fn query(&mut self, of: Kind, parameters: &[(&str, &str)]) -> Value {
         let parameters: Vec<_> = parameters.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
-        let answer = self.wais.query(of, &Query::read(of, &parameters).unwrap());
+        let answer = self.wais.query(of, &Query::read(of.attributes(), &parameters).unwrap());
         serde_json::from_slice(&answer.body).unwrap()
     }
 
@@ -339,7 +335,7 @@ fn dead_callbacks_lose_only_their_notifications_and_are_reported() {
     rig.subscribe(&assoc(&json!({ "notificationPeriod": 255, "requestTestNotification": true })));
     let sent = rig.sent_with(100.0, |_| Outcome::Failed("connection refused".to_owned()));
     let times: Vec<_> = sent.iter().map(|(at, _)| *at).collect();
-    assert_eq!(times, [0.0, 0.5, 1.5, 3.5, 7.5], "{ATTEMPTS} attempts, and then no more");
+    assert_eq!(times, [0.0, 0.5, 1.5, 3.5, 7.5], "five attempts, and then no more");
     let complaints = rig.wais.take_complaints();
     assert_eq!(complaints.len(), 1);
     assert!(
@@ -361,7 +357,7 @@ fn dead_callbacks_lose_only_their_notifications_and_are_reported() {
     }
     assert_eq!(hanging, 1, "it is called once until it answers");
     let complaints = rig.wais.take_complaints();
-    assert!(complaints[0].contains(&format!("{WAITING} notifications wait already")), "{complaints:?}");
+    assert!(complaints[0].contains("64 notifications wait already"), "{complaints:?}");
 }
 
 #[test]
@@ -400,15 +396,15 @@ fn lists_link_all_resources_up_to_the_limit() {
 /// The standard knows every attribute that is reported, so that filters and selectors can name it.
 #[test]
 fn all_reported_attributes_can_be_filtered_by() {
-    fn check(value: &Value, of: &'static [crate::attributes::Attribute], path: &str) {
+    fn check(value: &Value, of: &'static [Attribute], path: &str) {
         match value {
             Value::Array(elements) => elements.iter().for_each(|element| check(element, of, path)),
             Value::Object(map) => {
                 for (name, inner) in map {
-                    let attribute = crate::attributes::find(of, name);
+                    let attribute = of.iter().find(|attribute| attribute.name == name);
                     let attribute = attribute.unwrap_or_else(|| panic!("{path}/{name}"));
                     assert_eq!(attribute.many, inner.is_array(), "{path}/{name}");
-                    if let crate::attributes::Kind::Structure(of) = attribute.kind {
+                    if let cotorra_mec::Kind::Structure(of) = attribute.kind {
                         check(inner, of, &format!("{path}/{name}"));
                     }
                 }
@@ -431,6 +427,6 @@ fn all_reported_attributes_can_be_filtered_by() {
         rig.configure(&json!({ "measurementId": name, "staId": [{ "macId": R1 }], "measurementInfo": info }))
             .unwrap();
     }
-    check(&rig.query(Kind::Stations, &[]), crate::attributes::STA_INFO, "");
-    check(&rig.query(Kind::AccessPoints, &[]), crate::attributes::AP_INFO, "");
+    check(&rig.query(Kind::Stations, &[]), Kind::Stations.attributes(), "");
+    check(&rig.query(Kind::AccessPoints, &[]), Kind::AccessPoints.attributes(), "");
 }

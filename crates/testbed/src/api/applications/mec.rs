@@ -36,7 +36,7 @@ impl<E: Into<Rejected>> From<E> for Problem {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        cotorra_wais::http::problem(self.0.status, self.0.reason)
+        cotorra_mec::Problem::new(self.0.status, self.0.reason).into_response()
     }
 }
 
@@ -57,7 +57,7 @@ pub(super) fn router(served: Served, gate: Gate) -> Router {
         .route("/app_lcm_op_occs/{id}", get(occurrence))
         .fallback(async || {
             let reason = "no such path; see /app_lcm/v1/openapi.json";
-            cotorra_wais::http::problem(StatusCode::NOT_FOUND, reason)
+            cotorra_mec::Problem::new(StatusCode::NOT_FOUND, reason)
         })
         .layer(middleware::from_fn_with_state(gate, auth::check_mec))
         .route(

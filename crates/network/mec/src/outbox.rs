@@ -6,9 +6,9 @@ use std::{collections::VecDeque, sync::Arc, time::Duration};
 use cotorra_graph::Timestamp;
 
 /// Most notifications that may wait; beyond it the oldest is dropped.
-pub(crate) const WAITING: usize = 64;
+const WAITING: usize = 64;
 /// Attempts per notification.
-pub(crate) const ATTEMPTS: u32 = 5;
+const ATTEMPTS: u32 = 5;
 /// Pause before the second attempt. It doubles each time.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 /// Longest pause between attempts.
@@ -17,6 +17,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(8);
 /// Outcome of an attempt.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
+    /// The consumer has it.
     Delivered,
     /// A retry may succeed.
     Failed(String),
@@ -24,8 +25,9 @@ pub enum Outcome {
     Refused(String),
 }
 
+/// The queue.
 #[derive(Debug)]
-pub(crate) struct Outbox {
+pub struct Outbox {
     waiting: VecDeque<Arc<str>>,
     /// Whether sending is possible: always to a callback, to a WebSocket while it is open.
     open: bool,
@@ -38,7 +40,8 @@ pub(crate) struct Outbox {
 }
 
 impl Outbox {
-    pub(crate) fn new(open: bool) -> Self {
+    /// Creates an empty queue; `open` says whether sending is possible.
+    pub fn new(open: bool) -> Self {
         Self {
             waiting: VecDeque::new(),
             open,
@@ -50,7 +53,7 @@ impl Outbox {
     }
 
     /// Adds a notification. Returns a complaint if another was dropped for it.
-    pub(crate) fn push(&mut self, notification: Arc<str>) -> Option<String> {
+    pub fn push(&mut self, notification: Arc<str>) -> Option<String> {
         self.waiting.push_back(notification);
         if self.waiting.len() <= WAITING {
             return None;
@@ -61,7 +64,7 @@ impl Outbox {
     }
 
     /// Returns the next notification if one is due. `attempt` identifies the attempt.
-    pub(crate) fn poll(&mut self, now: Timestamp, attempt: u64) -> Option<Arc<str>> {
+    pub fn poll(&mut self, now: Timestamp, attempt: u64) -> Option<Arc<str>> {
         if self.deadline().is_none_or(|at| at > now) {
             return None;
         }
@@ -70,12 +73,12 @@ impl Outbox {
     }
 
     /// Returns when the next notification is due.
-    pub(crate) fn deadline(&self) -> Option<Timestamp> {
+    pub fn deadline(&self) -> Option<Timestamp> {
         (self.open && self.current.is_none() && !self.waiting.is_empty()).then_some(self.retry_at)
     }
 
     /// Ends an attempt. Returns a complaint if its notification was dropped.
-    pub(crate) fn done(&mut self, now: Timestamp, attempt: u64, outcome: Outcome) -> Option<String> {
+    pub fn done(&mut self, now: Timestamp, attempt: u64, outcome: Outcome) -> Option<String> {
         self.current.take_if(|current| *current == attempt)?;
         self.attempts += 1;
         match outcome {
@@ -99,7 +102,7 @@ impl Outbox {
     }
 
     /// Sets whether sending is possible. The current attempt will be repeated.
-    pub(crate) fn set_open(&mut self, open: bool) {
+    pub fn set_open(&mut self, open: bool) {
         (self.open, self.current) = (open, None);
     }
 

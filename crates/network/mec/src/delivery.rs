@@ -1,7 +1,7 @@
 //! The thread that sends notifications. It waits until one is due, and posts it. It is separate from the thread that
 //! serves requests, so that a hanging consumer delays nobody else.
 
-use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+use std::{io, net::SocketAddr, pin::Pin, sync::Arc, time::Duration};
 
 use axum::{
     body::Body,
@@ -10,11 +10,9 @@ use axum::{
 use hyper_util::rt::TokioIo;
 use tokio::{net::TcpStream, sync::oneshot, task::JoinSet};
 
-use super::Service;
 use crate::{
     callback::{Allowed, Callback, CallbackError},
     outbox::Outcome,
-    wais::{Dispatch, Target},
 };
 
 /// Longest duration of an attempt.
@@ -22,25 +20,60 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// Longest duration of a callback's name resolution at subscription.
 const LOOK_UP: Duration = Duration::from_secs(2);
 
-/// Sends the notifications of services until it is dropped.
+/// A notification to send now.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Dispatch<T> {
+    /// ID of the subscription.
+    pub subscription: u64,
+    /// ID of the attempt.
+    pub attempt: u64,
+    /// The receiver.
+    pub target: T,
+    /// A JSON object.
+    pub body: Arc<str>,
+}
+
+/// A service whose notifications are sent.
+pub trait Notifier: Clone + Send + Sync + 'static {
+    /// A receiver of notifications.
+    type Target: Send;
+
+    /// Returns the notifications to send now, and the time until there is more to do; `None` until woken.
+    fn poll(&self) -> (Vec<Dispatch<Self::Target>>, Option<Duration>);
+
+    /// Waits until there may be something to do before the time that [`Self::poll`] returned.
+    fn woken(&self) -> impl Future<Output = ()> + Send;
+
+    /// Sends a notification. It is given up after some seconds.
+    fn send(&self, dispatch: Dispatch<Self::Target>) -> impl Future<Output = Outcome> + Send;
+
+    /// Records the outcome of an attempt.
+    fn done(&self, subscription: u64, attempt: u64, outcome: Outcome);
+}
+
+/// A task of the thread that sends notifications. It never ends.
+pub type Task = Pin<Box<dyn Future<Output = ()> + Send>>;
+
+/// Runs tasks until it is dropped.
 pub struct Delivery {
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
 impl Delivery {
-    /// Starts sending the notifications of these services.
+    /// Starts these tasks.
     ///
     /// # Errors
     /// The system provides no thread or runtime.
-    pub fn start(services: Vec<Service>) -> io::Result<Self> {
+    pub fn start(tasks: impl IntoIterator<Item = Task>) -> io::Result<Self> {
+        let tasks: Vec<_> = tasks.into_iter().collect();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (stop, stopped) = oneshot::channel::<()>();
-        let thread = std::thread::Builder::new().name("wais".to_owned()).spawn(move || {
+        let thread = std::thread::Builder::new().name("notifications".to_owned()).spawn(move || {
             runtime.block_on(async move {
-                let mut tasks: JoinSet<()> = services.into_iter().map(deliver).collect();
+                let mut tasks: JoinSet<()> = tasks.into_iter().collect();
                 tokio::select! {
-                    _ = tasks.join_next() => {}
+                    _ = tasks.join_next(), if !tasks.is_empty() => {}
                     _ = stopped => {}
                 }
             });
@@ -60,35 +93,35 @@ impl Drop for Delivery {
     }
 }
 
-async fn deliver(service: Service) {
-    loop {
-        let (dispatches, wait) = service.poll();
-        for dispatch in dispatches {
-            tokio::spawn(send(service.clone(), dispatch));
+/// Returns the task that sends a service's notifications.
+pub fn deliver(service: impl Notifier) -> Task {
+    Box::pin(async move {
+        loop {
+            let (dispatches, wait) = service.poll();
+            for dispatch in dispatches {
+                tokio::spawn(attempt(service.clone(), dispatch));
+            }
+            let woken = service.woken();
+            match wait {
+                Some(wait) => drop(tokio::time::timeout(wait, woken).await),
+                None => woken.await,
+            }
         }
-        let woken = service.woken();
-        match wait {
-            Some(wait) => drop(tokio::time::timeout(wait, woken).await),
-            None => woken.await,
-        }
-    }
+    })
 }
 
-async fn send(service: Service, dispatch: Dispatch) {
-    let Dispatch { subscription, attempt, target, body } = dispatch;
-    let sending = async {
-        match target {
-            Target::WebSocket => service.send_over_websocket(subscription, body).await,
-            Target::Callback(callback) => post(&callback, service.allowed(), body).await,
-        }
-    };
-    let outcome = tokio::time::timeout(PATIENCE, sending).await;
+async fn attempt<N: Notifier>(service: N, dispatch: Dispatch<N::Target>) {
+    let (subscription, attempt) = (dispatch.subscription, dispatch.attempt);
+    let outcome = tokio::time::timeout(PATIENCE, service.send(dispatch)).await;
     let outcome = outcome.unwrap_or_else(|_| Outcome::Failed(format!("no answer within {PATIENCE:?}")));
     service.done(subscription, attempt, outcome);
 }
 
 /// Resolves a callback's host, and returns an allowed address.
-pub(super) async fn resolve(callback: &Callback, allowed: &Allowed) -> Result<SocketAddr, CallbackError> {
+///
+/// # Errors
+/// [`CallbackError`] if there is none.
+pub async fn resolve(callback: &Callback, allowed: &Allowed) -> Result<SocketAddr, CallbackError> {
     let host = (callback.host.as_str(), callback.port);
     match tokio::time::timeout(LOOK_UP, tokio::net::lookup_host(host)).await {
         Ok(Ok(addresses)) => allowed.choose(&callback.host, addresses),
@@ -96,8 +129,8 @@ pub(super) async fn resolve(callback: &Callback, allowed: &Allowed) -> Result<So
     }
 }
 
-/// Posts a notification to the address that was checked. Does not follow redirections.
-async fn post(callback: &Callback, allowed: &Allowed, body: Arc<str>) -> Outcome {
+/// Posts a notification to an allowed address of the callback. Does not follow redirections.
+pub async fn post(callback: &Callback, allowed: &Allowed, body: Arc<str>) -> Outcome {
     let address = match resolve(callback, allowed).await {
         Ok(address) => address,
         Err(error @ CallbackError::Unknown(_)) => return Outcome::Failed(error.to_string()),

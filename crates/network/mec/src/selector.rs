@@ -39,8 +39,8 @@ pub(crate) struct Selectors {
 
 /// The attributes of an object to include.
 ///
-/// The standard excludes no attribute of access points and stations by default. `all_fields`, `exclude_default` and
-/// no selector therefore mean the same.
+/// The standards exclude no attribute of the types here by default. `all_fields`, `exclude_default` and no selector
+/// therefore mean the same.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) enum Selection {
     /// All attributes.
@@ -205,7 +205,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::attributes::AP_INFO;
+    use crate::testing::ACCESS_POINT;
 
     fn object() -> Value {
         json!({
@@ -226,7 +226,7 @@ mod tests {
                 _ => selectors.exclude_default = true,
             }
         }
-        Selection::new(&selectors, AP_INFO).map(|selection| selection.apply(&object()))
+        Selection::new(&selectors, ACCESS_POINT).map(|selection| selection.apply(&object()))
     }
 
     fn names(value: &Value) -> Vec<&str> {

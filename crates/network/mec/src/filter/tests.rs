@@ -2,7 +2,7 @@ use proptest::prelude::*;
 use serde_json::json;
 
 use super::*;
-use crate::attributes::STA_INFO;
+use crate::testing::STATION;
 
 fn station() -> Value {
     json!({
@@ -18,7 +18,7 @@ fn station() -> Value {
 }
 
 fn filter(text: &str) -> Filter {
-    Filter::of_stations(text).unwrap_or_else(|error| panic!("{text}: {error}"))
+    Filter::parse(text, STATION).unwrap_or_else(|error| panic!("{text}: {error}"))
 }
 
 #[test]
@@ -108,7 +108,7 @@ fn errors_name_their_place() {
         ("(eq,staId/ssid,it's)", 18, "in quotes"),
         ("(eq,staId/ssid,'é", 18, "ends with `'`"),
     ] {
-        let error = Filter::of_stations(text).unwrap_err().to_string();
+        let error = Filter::parse(text, STATION).unwrap_err().to_string();
         assert!(error.contains(part), "{text}: {error}");
         assert!(error.contains(&format!("at character {at}:")), "{text}: {error}");
     }
@@ -126,7 +126,7 @@ fn leaves() -> Vec<(String, Kind)> {
         }
     }
     let mut all = Vec::new();
-    collect(STA_INFO, "", &mut all);
+    collect(STATION, "", &mut all);
     all
 }
 
@@ -187,7 +187,7 @@ proptest! {
 
     #[test]
     fn arbitrary_text_never_panics(text in "\\PC{0,40}|[(),;'/a-z0-9]{0,40}") {
-        if let Ok(read) = Filter::of_stations(&text) {
+        if let Ok(read) = Filter::parse(&text, STATION) {
             prop_assert_eq!(filter(&read.to_string()), read);
         }
     }

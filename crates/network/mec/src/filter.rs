@@ -97,23 +97,11 @@ impl Op {
 }
 
 impl Filter {
-    /// Parses a filter of access point information (`ApInfo`).
+    /// Parses a filter of a data type with these attributes.
     ///
     /// # Errors
     /// [`FilterError`] with the place and the expected text.
-    pub fn of_access_points(text: &str) -> Result<Self, FilterError> {
-        Self::parse(text, crate::attributes::AP_INFO)
-    }
-
-    /// Parses a filter of station information (`StaInfo`).
-    ///
-    /// # Errors
-    /// [`FilterError`] with the place and the expected text.
-    pub fn of_stations(text: &str) -> Result<Self, FilterError> {
-        Self::parse(text, crate::attributes::STA_INFO)
-    }
-
-    pub(crate) fn parse(text: &str, of: &'static [Attribute]) -> Result<Self, FilterError> {
+    pub fn parse(text: &str, of: &'static [Attribute]) -> Result<Self, FilterError> {
         let mut reader = Reader { text, at: 0 };
         let mut root = Node::default();
         loop {

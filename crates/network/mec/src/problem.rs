@@ -1,0 +1,89 @@
+//! Errors in the form that ETSI GS MEC 009 requires: problem details (RFC 9457).
+
+use axum::{
+    http::{HeaderName, HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use serde::Serialize;
+
+use crate::{callback::CallbackError, limiter::TooOften, query::QueryError};
+
+/// A problem (RFC 9457).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ProblemDetails {
+    /// `about:blank`: the status describes the kind of problem.
+    #[serde(rename = "type")]
+    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
+    kind: &'static str,
+    /// Name of the status.
+    title: &'static str,
+    /// HTTP status.
+    status: u16,
+    /// Explanation of the error, and its remedy.
+    detail: String,
+}
+
+/// A response with a problem, and a header if the status needs one.
+#[derive(Debug)]
+pub struct Problem {
+    status: StatusCode,
+    detail: String,
+    header: Option<(HeaderName, HeaderValue)>,
+}
+
+impl Problem {
+    /// Creates a problem.
+    pub fn new(status: StatusCode, detail: impl Into<String>) -> Self {
+        let bearer = || (header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+        let header = (status == StatusCode::UNAUTHORIZED).then(bearer);
+        Self { status, detail: detail.into(), header }
+    }
+
+    /// Creates the problem of an invalid request.
+    pub fn bad_request(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, detail)
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let body = ProblemDetails {
+            kind: "about:blank",
+            title: self.status.canonical_reason().unwrap_or("Error"),
+            status: self.status.as_u16(),
+            detail: self.detail,
+        };
+        let text = serde_json::to_string(&body).expect("problem details hold only what JSON can");
+        let content_type = [(header::CONTENT_TYPE, "application/problem+json")];
+        let mut response = (self.status, content_type, text).into_response();
+        if let Some((name, value)) = self.header {
+            response.headers_mut().insert(name, value);
+        }
+        response
+    }
+}
+
+impl From<CallbackError> for Problem {
+    fn from(error: CallbackError) -> Self {
+        let status = match error {
+            CallbackError::Invalid(_) | CallbackError::Unknown(_) => StatusCode::BAD_REQUEST,
+            CallbackError::Forbidden(_) => StatusCode::FORBIDDEN,
+        };
+        Self::new(status, error.to_string())
+    }
+}
+
+impl From<QueryError> for Problem {
+    fn from(error: QueryError) -> Self {
+        Self::bad_request(error.to_string())
+    }
+}
+
+impl From<TooOften> for Problem {
+    fn from(error: TooOften) -> Self {
+        let wait = HeaderValue::from(error.0.as_secs() + 1);
+        let problem = Self::new(StatusCode::TOO_MANY_REQUESTS, error.to_string());
+        Self { header: Some((header::RETRY_AFTER, wait)), ..problem }
+    }
+}
