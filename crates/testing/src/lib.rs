@@ -9,6 +9,7 @@
 #![allow(clippy::unwrap_used, reason = "a fixture that fails, fails the test")]
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
 
+pub mod browser;
 pub mod containers;
 pub mod mariadb;
 pub mod placement;
@@ -47,6 +48,14 @@ pub fn anvil() -> Option<PathBuf> {
     let installed = project_file("contracts/node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
     let program = env::var_os("COTORRA_ANVIL").map_or(installed, PathBuf::from);
     found(program.exists(), "anvil", "npm install --prefix contracts --no-save").then_some(program)
+}
+
+/// Finds axe-core, which examines a page for what keeps people from using it: the file that `COTORRA_AXE` names, or the one
+/// that scripts/test installs.
+pub fn axe() -> Option<PathBuf> {
+    let installed = project_file("target/tools/page/node_modules/axe-core/axe.min.js");
+    let file = env::var_os("COTORRA_AXE").map_or(installed, PathBuf::from);
+    found(file.exists(), "axe-core", "scripts/check-page installs it").then_some(file)
 }
 
 /// Returns the Python of the peers that scripts/test installs, as `COTORRA_PEERS` names it. `peer` is for the message.

@@ -1,5 +1,6 @@
-//! Access control of the API. On loopback everyone is admitted, elsewhere only callers with a token. Web pages from other
-//! origins are rejected. The operator's token opens everything, a domain's token what belongs to its own nodes.
+//! Access control of the API. On loopback everyone is admitted, elsewhere only callers with a token. Without a token, web
+//! pages from other origins are rejected. The operator's token opens everything, a domain's token what belongs to its own
+//! nodes.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -11,7 +12,7 @@ use std::{
 use axum::{
     extract::{Extension, Request, State},
     http::{
-        HeaderMap,
+        HeaderMap, HeaderName,
         header::{AUTHORIZATION, HOST, ORIGIN},
     },
     middleware::Next,
@@ -240,9 +241,7 @@ impl Gate {
             });
         }
         let Some(operator) = &self.tokens.operator else {
-            // Without tokens, a page from elsewhere in a user's browser could reach a loopback address, under its own name
-            // (Origin) or under one that it points there (Host).
-            let foreign = text(ORIGIN).is_some() || text(HOST).is_some_and(|host| !is_loopback(host));
+            let foreign = is_of_another_site(text(HOST), text(ORIGIN), text(SEC_FETCH_SITE));
             return if foreign { Err(Failure::forbidden()) } else { Ok(Caller::default()) };
         };
         let shown = shown.ok_or_else(Failure::unauthorized)?;
@@ -254,6 +253,19 @@ impl Gate {
         view.map(|view| Caller { view: Some(Arc::clone(view)), plugin: None })
             .ok_or_else(Failure::unauthorized)
     }
+}
+
+/// Where a browser's request comes from, which no page can choose (Fetch Metadata).
+const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+
+/// Whether a page from elsewhere in a user's browser makes a request. It can reach a loopback address under a name that it
+/// points there (`host`), or under its own (`origin`). For pictures and scripts, browsers leave the origin out and send the
+/// `site`.
+fn is_of_another_site(host: Option<&str>, origin: Option<&str>, site: Option<&str>) -> bool {
+    let is_own = |origin: &str| origin.strip_prefix("http://").is_some_and(|at| Some(at) == host);
+    host.is_some_and(|host| !is_loopback(host))
+        || origin.is_some_and(|origin| !is_own(origin))
+        || site.is_some_and(|site| !matches!(site, "same-origin" | "none"))
 }
 
 pub(super) async fn check(
@@ -348,6 +360,35 @@ mod tests {
         assert_eq!(Tokens::new(Some(token("1")), one.clone()).unwrap_err(), TokensError::Shared);
         assert!(Tokens::new(Some(token("0")), one).unwrap().are_needed());
         assert!(!Tokens::default().are_needed());
+    }
+
+    #[test]
+    fn only_the_own_page_may_use_an_api_without_tokens() {
+        let own = [
+            (Some("localhost:7700"), None, None),
+            (Some("localhost:7700"), Some("http://localhost:7700"), Some("same-origin")),
+            (Some("[::1]:7700"), Some("http://[::1]:7700"), None),
+            (Some("127.0.0.1:7700"), None, Some("none")),
+            // Tools that use the Unix socket.
+            (None, None, None),
+        ];
+        for (host, origin, site) in own {
+            assert!(!is_of_another_site(host, origin, site), "{host:?} {origin:?} {site:?}");
+        }
+        let others = [
+            (Some("localhost:7700"), Some("http://localhost:7701"), None),
+            (Some("localhost:7700"), Some("http://127.0.0.1:7700"), None),
+            (Some("localhost:7700"), Some("https://localhost:7700"), None),
+            (Some("localhost:7700"), Some("http://example.org"), Some("cross-site")),
+            (Some("localhost:7700"), Some("null"), None),
+            (None, Some("http://localhost:7700"), None),
+            (Some("example.org:7700"), Some("http://example.org:7700"), Some("same-origin")),
+            (Some("localhost:7700"), None, Some("cross-site")),
+            (Some("localhost:7700"), None, Some("same-site")),
+        ];
+        for (host, origin, site) in others {
+            assert!(is_of_another_site(host, origin, site), "{host:?} {origin:?} {site:?}");
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi as _;
 
-use super::{capture, measurements, routes, sensors, stream};
+use super::{capture, map, measurements, routes, sensors, stream};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -16,6 +16,8 @@ use super::{capture, measurements, routes, sensors, stream};
     ),
     paths(
         routes::testbed,
+        map::map,
+        map::image,
         routes::node,
         routes::machine,
         routes::robots,

@@ -8,7 +8,9 @@ mod connections;
 mod context;
 #[cfg(feature = "openapi")]
 mod document;
+mod map;
 mod measurements;
+mod page;
 mod routes;
 mod sensors;
 mod serve;
@@ -81,9 +83,11 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 30] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 32] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
+        ("/api/v1/map", get(map::map)),
+        ("/api/v1/map/image", get(map::image)),
         ("/api/v1/network/nodes/{id}", get(routes::node)),
         ("/api/v1/network/nodes/{id}/machine", get(routes::machine)),
         ("/api/v1/robots", get(routes::robots)),
@@ -222,6 +226,7 @@ impl Server {
                 "/openapi.json",
                 get(move || async move { ([("content-type", "application/json")], document) }),
             )
+            .merge(page::routes())
             .fallback(|| async { types::Failure::not_found("no such path; see /openapi.json") })
             .with_state(context)
             .merge(wais)

@@ -225,7 +225,10 @@ impl Failure {
     }
 
     pub(super) fn forbidden() -> Self {
-        Self::new(StatusCode::FORBIDDEN, "web pages may not use this API; run it with a token to allow that")
+        Self::new(
+            StatusCode::FORBIDDEN,
+            "pages of other sites may not use this API; run it with a token to allow that",
+        )
     }
 
     /// The object belongs to another domain than the caller's.

@@ -1,0 +1,356 @@
+// Draws figures over time on a canvas, and as SVG. Knows no element and no state: what is drawn is an argument.
+//
+// A line has at most four points in each column of pixels, however many samples there are.
+
+import { DASHES, faded } from "./palette.js";
+import { clock, figure, ticks, timeTicks } from "./format.js";
+import { FONT } from "./canvas.js";
+
+/** @typedef {import("./series.js").Series} Series */
+/** @typedef {import("./palette.js").Palette} Palette */
+/** @typedef {{ name: string, series: Series, index: number }} Line */
+/** @typedef {{ from: number, until: number, index: number, name: string }} Band */
+/** @typedef {{ at: number, bad: boolean }} Mark */
+/**
+ * @typedef {object} Plot
+ * @property {number} from
+ * @property {number} until
+ * @property {Line[]} lines
+ * @property {Band[]} bands
+ * @property {Mark[]} marks
+ * @property {number | null} target
+ * @property {string} unit
+ * @property {boolean} fromZero Whether the axis begins at zero.
+ * @property {number | null} longestGap Seconds without a sample above which a line is broken.
+ */
+
+const LEFT = 46;
+const RIGHT = 10;
+const TOP = 16;
+const BOTTOM = 18;
+/** Values beyond this share of all columns are clipped if they are far above the rest. */
+const MOST = 0.97;
+
+/** A drawing surface: that of a canvas, or {@link Svg}. @typedef {CanvasRenderingContext2D | Svg} Surface */
+
+/**
+ * Returns the place of a plot's axes in a canvas of this size.
+ * @param {number} width
+ * @param {number} height
+ */
+export function area(width, height) {
+    return { left: LEFT, right: Math.max(LEFT + 1, width - RIGHT), top: TOP, bottom: Math.max(TOP + 1, height - BOTTOM) };
+}
+
+/**
+ * Reduces a line to points in each column of pixels. Calls `point(x, value)` in order; a value of NaN is a gap.
+ * @param {Plot} plot
+ * @param {Line} line
+ * @param {number} left
+ * @param {number} right
+ * @param {(x: number, value: number) => void} point
+ */
+export function reduce(plot, line, left, right, point) {
+    const scale = (right - left) / (plot.until - plot.from);
+    const longest = plot.longestGap ?? Infinity;
+    let [column, x, low, high, last, before] = [NaN, NaN, NaN, NaN, NaN, NaN];
+    const flush = () => {
+        if (Number.isNaN(low)) return;
+        if (low !== high) {
+            point(x, low);
+            point(x, high);
+        }
+        point(x, last);
+    };
+    line.series.scan(plot.from, plot.until, (at, least, most, value) => {
+        const place = left + (at - plot.from) * scale;
+        const isGap = Number.isNaN(value) || at - before > longest;
+        if (Math.floor(place) !== column || isGap) {
+            flush();
+            if (isGap) point(place, NaN);
+            [column, x, low, high] = [Math.floor(place), place, NaN, NaN];
+        }
+        if (!Number.isNaN(value)) {
+            low = low <= least ? low : least;
+            high = high >= most ? high : most;
+            last = value;
+        }
+        before = at;
+    });
+    flush();
+}
+
+/**
+ * Returns the range of the axis. A few values far above all others do not decide it: they are clipped, and marked.
+ * @param {Plot} plot
+ * @param {number} columns
+ */
+export function range(plot, columns) {
+    /** @type {number[]} */
+    const values = [];
+    for (const line of plot.lines) {
+        reduce(plot, line, 0, columns, (x, value) => {
+            if (x >= 0 && x <= columns && !Number.isNaN(value)) values.push(value);
+        });
+    }
+    values.sort((one, other) => one - other);
+    let low = values[0] ?? 0;
+    let high = values.at(-1) ?? 1;
+    const usual = values[Math.floor((values.length - 1) * MOST)] ?? high;
+    const floor = plot.target ?? 0;
+    if (plot.fromZero) {
+        low = Math.min(0, low);
+        const most = Math.max(usual, floor) * 1.3;
+        if (high > most * 1.6) high = most;
+        high = Math.max(high, floor * 1.25);
+    }
+    if (!(high > low)) [low, high] = [low - (low === 0 ? 0 : 1), low + 1];
+    const pad = (high - low) * 0.08;
+    const { step } = ticks(low, high, 4);
+    const round = step / 2;
+    return {
+        low: plot.fromZero && low === 0 ? 0 : Math.floor((low - pad) / round) * round,
+        high: Math.ceil((high + pad) / round) * round,
+    };
+}
+
+/**
+ * Draws a plot.
+ * @param {Surface} on
+ * @param {number} width
+ * @param {number} height
+ * @param {Plot} plot
+ * @param {Palette} palette
+ */
+export function draw(on, width, height, plot, palette) {
+    const { left, right, top, bottom } = area(width, height);
+    const { low, high } = range(plot, right - left);
+    const xOf = (/** @type {number} */ at) => left + ((at - plot.from) / (plot.until - plot.from)) * (right - left);
+    const yOf = (/** @type {number} */ value) => bottom - ((value - low) / (high - low)) * (bottom - top);
+    on.font = FONT;
+    on.textBaseline = "middle";
+
+    for (const band of plot.bands) {
+        const from = Math.max(left, xOf(band.from));
+        const until = Math.min(right, xOf(band.until));
+        if (until <= from) continue;
+        const colour = palette.bands[band.index % palette.bands.length];
+        on.fillStyle = faded(colour, palette.dark ? 0.12 : 0.15);
+        on.fillRect(from, top, until - from, bottom - top);
+        on.fillStyle = faded(colour, palette.dark ? 0.5 : 0.55);
+        on.fillRect(from, 1, until - from, top - 3);
+        if (until - from > 10 + 7 * band.name.length) {
+            on.fillStyle = palette.ink;
+            on.textAlign = "center";
+            on.fillText(band.name, (from + until) / 2, top / 2 + 0.5);
+        }
+    }
+
+    const rows = ticks(low, high, Math.max(3, Math.floor((bottom - top) / 30)));
+    on.lineWidth = 1;
+    on.textAlign = "right";
+    for (const value of rows.places) {
+        const y = Math.round(yOf(value)) + 0.5;
+        if (y < top - 1 || y > bottom + 1) continue;
+        stroke(on, palette.grid, [left, y, right, y]);
+        on.fillStyle = palette.faint;
+        on.fillText(axisLabel(value, plot.unit, rows.step), left - 6, y);
+    }
+    const columns = timeTicks(plot.from, plot.until, Math.max(2, Math.floor((right - left) / 90)));
+    on.textAlign = "center";
+    for (const at of columns.places) {
+        const x = Math.round(xOf(at)) + 0.5;
+        stroke(on, palette.grid, [x, top, x, bottom]);
+        on.fillStyle = palette.faint;
+        if (at >= 0) on.fillText(clock(at, columns.step < 1 ? 1 : 0), Math.min(x, right - 12), bottom + 10);
+    }
+    stroke(on, palette.axis, [left, bottom + 0.5, right, bottom + 0.5]);
+
+    for (const mark of plot.marks) {
+        const x = Math.round(xOf(mark.at)) + 0.5;
+        if (x < left || x > right) continue;
+        on.setLineDash([2, 3]);
+        stroke(on, mark.bad ? palette.alert : palette.faint, [x, top - 2, x, bottom]);
+        on.setLineDash([]);
+    }
+
+    on.save();
+    on.beginPath();
+    on.rect(left, top - 1, right - left, bottom - top + 2);
+    on.clip();
+    on.lineJoin = "round";
+    on.lineWidth = 1.4;
+    /** @type {{ x: number, index: number }[]} */
+    const clipped = [];
+    for (const line of plot.lines) {
+        const index = line.index % palette.series.length;
+        on.strokeStyle = palette.series[index];
+        on.setLineDash(DASHES[index]);
+        on.beginPath();
+        let drawn = false;
+        reduce(plot, line, left, right, (x, value) => {
+            if (Number.isNaN(value)) {
+                drawn = false;
+                return;
+            }
+            if (value > high && x >= left && x <= right) clipped.push({ x, index });
+            if (drawn) on.lineTo(x, yOf(value));
+            else {
+                on.moveTo(x - 0.7, yOf(value));
+                on.lineTo(x, yOf(value));
+            }
+            drawn = true;
+        });
+        on.stroke();
+    }
+    on.setLineDash([]);
+    on.restore();
+    for (const { x, index } of clipped) {
+        on.fillStyle = palette.series[index];
+        on.beginPath();
+        on.moveTo(x - 3, top + 4);
+        on.lineTo(x + 3, top + 4);
+        on.lineTo(x, top - 1);
+        on.fill();
+    }
+
+    if (plot.target !== null && plot.target <= high) {
+        const y = Math.round(yOf(plot.target)) + 0.5;
+        on.setLineDash([5, 4]);
+        on.lineWidth = 1.2;
+        stroke(on, palette.alert, [left, y, right, y]);
+        on.setLineDash([]);
+        on.fillStyle = palette.alert;
+        on.textAlign = "right";
+        on.fillText(`target ${figure(plot.target, plot.unit)}`, right - 2, y - 7);
+    }
+    return { low, high, left, right, top, bottom };
+}
+
+/**
+ * @param {number} value
+ * @param {string} unit
+ * @param {number} step
+ */
+function axisLabel(value, unit, step) {
+    if (unit === "bit/s" || unit === "bytes") return figure(value, unit).replace(/bit\/s$/, "bit/s");
+    const decimals = Math.max(0, Math.min(4, -Math.floor(Math.log10(step) + 1e-9)));
+    return value.toFixed(decimals).replace("-", "−");
+}
+
+/**
+ * @param {Surface} on
+ * @param {string} colour
+ * @param {number[]} points
+ */
+function stroke(on, colour, [x1, y1, x2, y2]) {
+    on.strokeStyle = colour;
+    on.beginPath();
+    on.moveTo(x1, y1);
+    on.lineTo(x2, y2);
+    on.stroke();
+}
+
+/** A surface that keeps what is drawn as the text of an SVG picture. */
+export class Svg {
+    font = FONT;
+    /** @type {string} */ textBaseline = "middle";
+    /** @type {string} */ textAlign = "left";
+    /** @type {string} */ lineJoin = "round";
+    fillStyle = "#000000";
+    strokeStyle = "#000000";
+    lineWidth = 1;
+    #dash = /** @type {number[]} */ ([]);
+    #path = "";
+    #rect = "";
+    #clip = "";
+    #clips = 0;
+    #parts = /** @type {string[]} */ ([]);
+
+    /** @param {number[]} dash */
+    setLineDash(dash) {
+        this.#dash = dash;
+    }
+    save() {
+        this.#clip = "";
+    }
+    restore() {
+        this.#clip = "";
+    }
+    beginPath() {
+        this.#path = "";
+    }
+    /**
+     * @param {number} x
+     * @param {number} y
+     */
+    moveTo(x, y) {
+        this.#path += `M${short(x)} ${short(y)}`;
+    }
+    /**
+     * @param {number} x
+     * @param {number} y
+     */
+    lineTo(x, y) {
+        this.#path += `L${short(x)} ${short(y)}`;
+    }
+    /**
+     * @param {number} x
+     * @param {number} y
+     * @param {number} width
+     * @param {number} height
+     */
+    rect(x, y, width, height) {
+        this.#rect = `<rect x="${short(x)}" y="${short(y)}" width="${short(width)}" height="${short(height)}"/>`;
+    }
+    clip() {
+        this.#clips += 1;
+        this.#parts.push(`<clipPath id="clip${this.#clips}">${this.#rect}</clipPath>`);
+        this.#clip = ` clip-path="url(#clip${this.#clips})"`;
+    }
+    stroke() {
+        const dash = this.#dash.length > 0 ? ` stroke-dasharray="${this.#dash.join(" ")}"` : "";
+        const pen = `fill="none" stroke="${this.strokeStyle}" stroke-width="${this.lineWidth}" stroke-linejoin="round"`;
+        this.#parts.push(`<path d="${this.#path}" ${pen}${dash}${this.#clip}/>`);
+    }
+    fill() {
+        this.#parts.push(`<path d="${this.#path}Z" fill="${this.fillStyle}"/>`);
+    }
+    /**
+     * @param {number} x
+     * @param {number} y
+     * @param {number} width
+     * @param {number} height
+     */
+    fillRect(x, y, width, height) {
+        const size = `width="${short(width)}" height="${short(height)}"`;
+        this.#parts.push(`<rect x="${short(x)}" y="${short(y)}" ${size} fill="${this.fillStyle}"/>`);
+    }
+    /**
+     * @param {string} text
+     * @param {number} x
+     * @param {number} y
+     */
+    fillText(text, x, y) {
+        const anchor = this.textAlign === "right" ? "end" : this.textAlign === "center" ? "middle" : "start";
+        const place = `x="${short(x)}" y="${short(y)}" text-anchor="${anchor}" dominant-baseline="central"`;
+        this.#parts.push(`<text ${place} fill="${this.fillStyle}">${escaped(text)}</text>`);
+    }
+
+    /**
+     * Returns the picture.
+     * @param {number} width
+     * @param {number} height
+     * @param {string} back
+     */
+    text(width, height, back) {
+        const head = `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 ${width} ${height}" width="${width}" height="${height}"`;
+        const paper = `<rect width="${width}" height="${height}" fill="${back}"/>`;
+        return `${head} font-family="sans-serif" font-size="11">${paper}${this.#parts.join("")}</svg>\n`;
+    }
+}
+
+const short = (/** @type {number} */ value) => String(Math.round(value * 100) / 100);
+
+const escaped = (/** @type {string} */ text) =>
+    text.replace(/[&<>"]/g, (letter) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[letter] ?? letter);

@@ -1,0 +1,176 @@
+// A figure over time in bounded memory: recent samples as they are, and older ones in steps with their extremes. When there
+// are too many steps, each two become one, so that a run of any length stays whole.
+
+/** Samples that are kept as they are. */
+const RECENT = 8192;
+/** Steps of older samples. */
+const STEPS = 2048;
+
+export class Series {
+    constructor() {
+        this.times = new Float64Array(RECENT);
+        this.values = new Float64Array(RECENT);
+        this.length = 0;
+        /** Ends of the steps, in order. */
+        this.ends = new Float64Array(STEPS);
+        this.lows = new Float64Array(STEPS);
+        this.highs = new Float64Array(STEPS);
+        this.lasts = new Float64Array(STEPS);
+        this.steps = 0;
+        /** Length of a step in seconds. */
+        this.step = 0.2;
+        /** Time of the last sample. */
+        this.at = -Infinity;
+    }
+
+    /**
+     * Adds a sample. NaN is a gap. A sample that is not newer than the last one is known already.
+     * @param {number} at
+     * @param {number} value
+     */
+    add(at, value) {
+        if (!(at > this.at)) return;
+        if (this.length === RECENT) this.#foldHalf();
+        this.times[this.length] = at;
+        this.values[this.length] = value;
+        this.length += 1;
+        this.at = at;
+    }
+
+    /**
+     * Adds a step of the history, whose samples are older than all others that will be added.
+     * @param {number} until
+     * @param {number} low
+     * @param {number} high
+     * @param {number} last
+     */
+    addStep(until, low, high, last) {
+        if (!(until > this.at)) return;
+        this.#push(until, low, high, last);
+        this.at = until;
+    }
+
+    /** The last value, or NaN. */
+    get last() {
+        if (this.length > 0) return this.values[this.length - 1];
+        return this.steps > 0 ? this.lasts[this.steps - 1] : NaN;
+    }
+
+    /**
+     * Calls `visit(time, low, high, last)` for what lies in a window, in order, with one neighbour on either side.
+     * @param {number} from
+     * @param {number} until
+     * @param {(at: number, low: number, high: number, last: number) => void} visit
+     */
+    scan(from, until, visit) {
+        const before = (/** @type {number} */ at) => Math.max(0, at - 1);
+        for (let i = before(after(this.ends, this.steps, from)); i < this.steps; i++) {
+            visit(this.ends[i], this.lows[i], this.highs[i], this.lasts[i]);
+            if (this.ends[i] > until) return;
+        }
+        for (let i = before(after(this.times, this.length, from)); i < this.length; i++) {
+            const value = this.values[i];
+            visit(this.times[i], value, value, value);
+            if (this.times[i] > until) return;
+        }
+    }
+
+    /**
+     * Returns the value at a time, i.e. of the last sample until then, and its own time.
+     * @param {number} at
+     */
+    valueAt(at) {
+        const recent = after(this.times, this.length, at) - 1;
+        if (recent >= 0) return { at: this.times[recent], value: this.values[recent] };
+        const step = Math.min(after(this.ends, this.steps, at), this.steps - 1);
+        return step >= 0 ? { at: this.ends[step], value: this.lasts[step] } : { at: NaN, value: NaN };
+    }
+
+    /**
+     * Returns the share of the samples in a window that are at most a limit. A gap is not. NaN if there are none, or if some
+     * are only known in steps.
+     * @param {number} limit
+     * @param {number} from
+     * @param {number} until
+     */
+    shareWithin(limit, from, until) {
+        if (this.steps > 0 && this.ends[this.steps - 1] > from) return NaN;
+        const [first, end] = [after(this.times, this.length, from), after(this.times, this.length, until)];
+        let within = 0;
+        for (let i = first; i < end; i++) if (this.values[i] <= limit) within += 1;
+        return end > first ? within / (end - first) : NaN;
+    }
+
+    /** Turns the older half of the samples into steps. */
+    #foldHalf() {
+        const half = this.length >> 1;
+        let i = 0;
+        while (i < half) {
+            const end = this.times[i] + this.step;
+            let [low, high, last, until] = [Infinity, -Infinity, NaN, this.times[i]];
+            for (; i < half && this.times[i] < end; i++) {
+                const value = this.values[i];
+                until = this.times[i];
+                if (Number.isNaN(value)) continue;
+                [low, high, last] = [Math.min(low, value), Math.max(high, value), value];
+            }
+            if (Number.isNaN(last)) [low, high] = [NaN, NaN];
+            this.#push(until, low, high, last);
+        }
+        this.times.copyWithin(0, half, this.length);
+        this.values.copyWithin(0, half, this.length);
+        this.length -= half;
+    }
+
+    /**
+     * @param {number} until
+     * @param {number} low
+     * @param {number} high
+     * @param {number} last
+     */
+    #push(until, low, high, last) {
+        if (this.steps === STEPS) this.#mergePairs();
+        this.ends[this.steps] = until;
+        this.lows[this.steps] = low;
+        this.highs[this.steps] = high;
+        this.lasts[this.steps] = last;
+        this.steps += 1;
+    }
+
+    #mergePairs() {
+        this.steps >>= 1;
+        for (let i = 0; i < this.steps; i++) {
+            const [one, other] = [2 * i, 2 * i + 1];
+            this.ends[i] = this.ends[other];
+            this.lows[i] = least(this.lows[one], this.lows[other]);
+            this.highs[i] = -least(-this.highs[one], -this.highs[other]);
+            this.lasts[i] = Number.isNaN(this.lasts[other]) ? this.lasts[one] : this.lasts[other];
+        }
+        this.step *= 2;
+    }
+}
+
+/**
+ * The lower of two numbers, of which one may be NaN.
+ * @param {number} one
+ * @param {number} other
+ */
+function least(one, other) {
+    return Number.isNaN(one) ? other : Number.isNaN(other) ? one : Math.min(one, other);
+}
+
+/**
+ * Returns the place of the first number that is above another, in numbers in order.
+ * @param {Float64Array} sorted
+ * @param {number} length
+ * @param {number} value
+ */
+function after(sorted, length, value) {
+    let [low, high] = [0, length];
+    while (low < high) {
+        const middle = (low + high) >> 1;
+        if (sorted[middle] > value) high = middle;
+        else low = middle + 1;
+    }
+    return low;
+}

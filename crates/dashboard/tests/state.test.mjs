@@ -1,0 +1,87 @@
+// Events become the model, whatever their order and number.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { describe, Model } from "../page/state.js";
+
+const testbed = () => ({
+    name: "lab",
+    description: "",
+    graph: {
+        domains: [], links: [], wireless: {},
+        nodes: [
+            { id: "robot", kind: "robot", position: { x: 0, y: 0 } },
+            { id: "R1", kind: "radio_unit", position: { x: 1, y: 0 } },
+            { id: "R2", kind: "radio_unit", position: { x: 9, y: 0 } },
+        ],
+    },
+    services: [{ id: "navigation", robot: "robot", vnfs: [], virtual_links: [], kpis: { service_time_target_ms: 15 } }],
+    walks: [], plugins: [], version: "0",
+});
+
+const robot = (second, x, unit) => ({
+    at_ns: second * 1e9, event: "robot", robot: "robot", waypoint: 0,
+    attachments: [{ radio_unit: unit, attached: true, signal_dbm: -50 - x }],
+    sensors: { pose: { x, y: 0, heading: 0, covariance: [1, 0, 0, 0, 1, 0, 0, 0, 1] }, velocity: { linear: 1, angular: 0 } },
+});
+const handover = (second, from, to) => ({ at_ns: second * 1e9, event: "handover", robot: "robot", from, to, fast: true, gap_ms: 30 });
+const sample = (second, ms) => ({ at_ns: second * 1e9, event: "service_time", service: "navigation", service_time_ms: ms });
+
+test("a handover ends a region and begins the next at its own time", () => {
+    const model = new Model(testbed());
+    model.take(robot(1, 0, "R1"));
+    model.take(handover(2.5, "R1", "R2"));
+    model.take(robot(3, 1, "R2"));
+    assert.deepEqual(model.robots.get("robot").regions, [
+        { from: 1, until: 2.5, unit: "R1" },
+        { from: 2.5, until: null, unit: "R2" },
+    ]);
+    assert.equal(model.robots.get("robot").unit, "R2");
+});
+
+test("regions of the history begin with the run, and the stream continues them", () => {
+    const model = new Model(testbed());
+    model.recount(handover(10, "R1", "R2"));
+    model.begin({ at_ns: 20e9, robots: [robot(20, 5, "R2")], links: [], placements: [], virtual_links: [], radio_units: [] });
+    model.take({ at_ns: 30e9, event: "detached", robot: "robot" });
+    assert.deepEqual(model.robots.get("robot").regions, [
+        { from: 0, until: 10, unit: "R1" },
+        { from: 10, until: 30, unit: "R2" },
+    ]);
+});
+
+test("what history and stream both have is there once", () => {
+    const model = new Model(testbed());
+    model.recount(handover(10, "R1", "R2"));
+    model.take(handover(10, "R1", "R2"));
+    model.take(handover(9, "R2", "R1"));
+    assert.deepEqual(model.entries.map((entry) => entry.title), ["robot: R1 → R2"]);
+    model.take(sample(10, 11));
+    model.take(sample(10, 12));
+    assert.equal(model.figure("service_time:navigation").last, 11);
+});
+
+test("a long run stays in bounded memory", () => {
+    const model = new Model(testbed());
+    for (let i = 0; i < 30_000; i++) {
+        model.take(robot(i, i, i % 2 ? "R1" : "R2"));
+        model.take(handover(i, i % 2 ? "R2" : "R1", i % 2 ? "R1" : "R2"));
+        model.take(sample(i, i));
+    }
+    const { entries, robots } = model;
+    const { regions, trail } = robots.get("robot");
+    assert.ok(entries.length <= 4000 && regions.length <= 2000 && trail.length <= 1500);
+    assert.equal(entries.at(-1).at, 29_999);
+});
+
+test("a refused decision names the plug-in, the instruction and the reason", () => {
+    const words = describe({
+        at_ns: 0, event: "decision", plugin: "okpi", reason: "closer", refused: "no room",
+        instruction: { instruction: "place", vnf: "navigation", node: ["edge", "fog"] },
+    });
+    assert.deepEqual(words, {
+        group: "decision", title: "okpi: place navigation on edge, fog", detail: "closer; refused: no room", bad: true,
+    });
+    assert.equal(describe({ at_ns: 0, event: "goal", state: "progress", robot: "robot", goal: { x: 0, y: 0 } }), null);
+});
