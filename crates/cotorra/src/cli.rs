@@ -26,6 +26,7 @@ use crate::{
     stamp::Stamp,
     stop::StopArgs,
     sweep::SweepArgs,
+    view::ViewArgs,
 };
 
 /// A context-aware testbed for networked robots.
@@ -48,6 +49,7 @@ Examples:
   cotorra sweep testbeds/corridor.yaml --seeds 10  run it ten times in virtual time
   cotorra experiment okpi                          repeat the published comparison
   cotorra history series latest service            plot the service time of the last run
+  cotorra view --open                              see the last run in a browser
   cotorra exec robot -- ping cloud                 run a program inside a node of a run
   cotorra link set lan-cloud --delay 40ms          change a link of a run
   cotorra ps                                       list your runs
@@ -81,6 +83,7 @@ pub enum Command {
         command: History,
     },
     Replay(ReplayArgs),
+    View(ViewArgs),
     Localize(LocalizeArgs),
     Check(CheckArgs),
     /// Make a testbed or a plug-in from a template

@@ -12,6 +12,7 @@ mod output;
 mod agent;
 mod arguments;
 mod bench;
+mod browser;
 mod capture;
 mod check;
 mod clean;
@@ -46,6 +47,7 @@ mod table;
 mod temporary;
 mod testbed_file;
 mod verdict;
+mod view;
 mod words;
 
 use std::process::ExitCode;
@@ -81,6 +83,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::FaultTest(args) => return fault_test::fault_test(&args),
         Command::History { command } => return history::history(&command),
         Command::Replay(args) => return replay::replay(&args),
+        Command::View(args) => return view::view(&args),
         Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),
         Command::New { new } => new::new(&new)?,

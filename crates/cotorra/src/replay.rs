@@ -10,6 +10,7 @@ use indicatif::ProgressBar;
 
 use crate::{
     arguments::parse_address,
+    browser::Opener,
     history::{HistoryPlace, Source, Span},
     output,
     run::{self, FOXGLOVE},
@@ -49,7 +50,10 @@ pub struct ReplayArgs {
     pub bundled: Option<PluginId>,
     #[command(flatten)]
     pub span: Span,
-    /// Address of the HTTP API, as with `cotorra run`
+    /// Open the dashboard in the browser (by xdg-open)
+    #[arg(long)]
+    pub open: bool,
+    /// Address of the HTTP API and the dashboard, as with `cotorra run`
     #[arg(long, value_name = "ADDR:PORT", value_parser = parse_address)]
     pub api: Option<SocketAddr>,
     /// Serve the replay to Foxglove, too, as with `cotorra run`
@@ -89,6 +93,7 @@ enum Error {
 
 /// Plays a run to its end.
 pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
+    let opener = Opener::prepare(args.open)?;
     let source = Source::find(&args.run, &args.place)?;
     let bundled = args.bundled.as_ref().map(|plugin| format!("plugin={plugin}"));
     let setting = bundled.map(|setting| setting.parse().expect("a plug-in's name is a value"));
@@ -116,6 +121,9 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let interrupts = signals::listen().map_err(Error::Signals)?;
     let replay = Replay::new(testbed, source.history, source.run.id, options).map_err(Error::from)?;
     note!("API on http://{}, replay of {}", replay.api_address(), args.run);
+    let dashboard = format!("http://{}/", replay.api_address());
+    note!("Dashboard on {dashboard}");
+    opener.open(&dashboard);
     if let Some(foxglove) = replay.foxglove_address() {
         note!("Foxglove on ws://{foxglove}");
     }

@@ -73,6 +73,12 @@ impl Live {
         read(&self.0.read())
     }
 
+    /// Sets the time, if it is later than that of the last event.
+    pub(crate) fn reach(&self, at: Timestamp) {
+        let mut now = self.0.write();
+        now.at = now.at.max(at);
+    }
+
     pub(crate) fn absorb(&self, Stamped { at, event }: &Stamped) {
         let mut now = self.0.write();
         now.at = now.at.max(*at);

@@ -32,6 +32,7 @@ pub const DEFAULT_API: &str = "127.0.0.1:7700";
 #[command(after_long_help = "\
 Examples:
   cotorra run testbeds/corridor.yaml
+  cotorra run testbeds/corridor.yaml --open
   cotorra run testbeds/corridor.yaml --until 60s --seed 7
   cotorra run testbeds/corridor.yaml --headless --out /tmp/runs
   cotorra run testbeds/corridor.yaml --simulate
@@ -84,7 +85,10 @@ pub struct RunArgs {
     /// This is the default if standard error is not a terminal.
     #[arg(long)]
     pub headless: bool,
-    /// Address of the HTTP API
+    /// Open the dashboard in the browser (by xdg-open)
+    #[arg(long, conflicts_with = "simulate")]
+    pub open: bool,
+    /// Address of the HTTP API and the dashboard
     ///
     /// The default is 127.0.0.1:7700, or another port if that is taken. An address that others can reach needs a token of
     /// 16 characters or more in COTORRA_TOKEN. Tools of the same user, such as `cotorra exec`, find the run by themselves.

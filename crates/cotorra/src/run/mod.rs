@@ -28,6 +28,7 @@ use cotorra_testbed::{
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
+    browser::Opener,
     history::{self, HistoryPlace, Source},
     logs::{self, LogFile},
     output,
@@ -128,13 +129,14 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         output::print(&plan::describe(&loaded.testbed, &args, history.as_ref(), &interfaces))?;
         return Ok(ExitCode::SUCCESS);
     }
+    let opener = Opener::prepare(args.open)?;
     let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;
     // Only now, because a history may have threads, and the stage must be set by a process with a single one.
     options.after = previous(&args, &mut loaded)?;
     let finished = if args.simulate {
         stage.simulate(&loaded, &options, "")?
     } else {
-        stage.emulate(&loaded, &args.file, options)?
+        stage.emulate_and_show(&loaded, &args.file, options, |address| opener.open(address))?
     };
     for format in args.figure.further() {
         finished.write_figure(format).map_err(|error| Error::from(RunError::from(error)))?;
@@ -188,6 +190,17 @@ impl Stage {
 
     /// Runs a testbed with real packets to its end.
     pub fn emulate(&self, loaded: &Loaded, file: &Path, options: Options) -> miette::Result<Finished> {
+        self.emulate_and_show(loaded, file, options, |_| {})
+    }
+
+    /// Does the same as [`Self::emulate`]. `show` receives the dashboard's address once the run is up.
+    fn emulate_and_show(
+        &self,
+        loaded: &Loaded,
+        file: &Path,
+        options: Options,
+        show: impl FnOnce(&str),
+    ) -> miette::Result<Finished> {
         let until = options.until;
         let run = Run::start(loaded.testbed.clone(), &loaded.text, options).map_err(Error::from)?;
         let folder = run.folder().to_owned();
@@ -195,6 +208,7 @@ impl Stage {
         let version = env!("CARGO_PKG_VERSION");
         tracing::info!(version, file = %file.display(), api = %run.api_address(), "up");
         let places = Places { api: run.api_address(), foxglove: run.foxglove_address(), folder: &folder };
+        show(&format!("http://{}/", run.api_address()));
         let mut view = View::new(&loaded.testbed, until, &places, &self.terminal);
         watch(&run, &mut view, &self.interrupts);
         let finished = run.finish().map_err(Error::from);

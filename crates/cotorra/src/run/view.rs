@@ -67,14 +67,16 @@ impl<'a> View<'a> {
         if let Some(foxglove) = places.foxglove {
             note!("Foxglove on ws://{foxglove}");
         }
+        note!("Dashboard on http://{}/", places.api);
         note!("API on http://{}, run in {}", places.api, places.folder.display());
         Shape::Plain { next_s: LINE_EVERY_S }
     }
 
     fn live(testbed: &Testbed, places: &Places<'_>, terminal: &MultiProgress) -> Shape {
         let robots: Vec<_> = testbed.graph.robots().map(|(node, _)| node.id.clone()).collect();
-        let labels =
-            ["so far", "API", "Foxglove", &testbed.name].into_iter().chain(robots.iter().map(NodeId::as_str));
+        let labels = ["so far", "API", "Dashboard", "Foxglove", &testbed.name]
+            .into_iter()
+            .chain(robots.iter().map(NodeId::as_str));
         let width = labels.map(str::len).max().unwrap_or(0);
         let mut lines = Lines::new(terminal, &testbed.name, width);
         let more = robots.len().saturating_sub(ROBOTS_SHOWN);
@@ -89,6 +91,7 @@ impl<'a> View<'a> {
         if let Some(foxglove) = places.foxglove {
             lines.add("Foxglove", &format!("ws://{foxglove}"));
         }
+        lines.add("Dashboard", &format!("http://{}/", places.api));
         let so_far = lines.add("so far", "");
         let places = lines.add("API", &format!("http://{}, run in {}", places.api, places.folder.display()));
         Shape::Live { lines, robots, so_far, places, refreshes: 0 }

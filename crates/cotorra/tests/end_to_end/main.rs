@@ -17,6 +17,7 @@ mod confinement;
 #[cfg(feature = "containers")]
 mod containers;
 mod coverage;
+mod dashboard;
 mod disk;
 mod documents;
 mod experiment;

@@ -245,6 +245,7 @@ impl Replay {
         let before = Timestamp::from_nanos(options.from.as_nanos().saturating_sub(1));
         if options.from > Timestamp::ZERO {
             know(&live, tap.as_ref(), history.state_at(run, before)?);
+            live.reach(before);
         }
         // Others choose whether to follow: in a replay, the user starts plug-ins that are programs.
         let hosted = if options.to_plugins {
@@ -294,6 +295,14 @@ impl Replay {
     /// Returns the address for Foxglove, if it is served.
     pub fn foxglove_address(&self) -> Option<SocketAddr> {
         self.watched.as_ref().and_then(Recording::foxglove)
+    }
+
+    /// Plays nothing: serves the run as it was at the beginning of the replay, until `report` returns false. It is called
+    /// several times a second.
+    pub fn hold(self, report: impl FnMut(Played<'_>) -> bool) {
+        let Self { mut programs, audience, watched: _watched, tap, .. } = self;
+        let mut playing = Playing { audience, tap, report, stopped: false };
+        while programs.listen(LOOK, &mut playing) {}
     }
 
     /// Plays the run. `report` receives the progress, at least several times a second, and returns whether to go on.
