@@ -24,8 +24,9 @@ impl Browser {
     pub fn start(width: u32, height: u32) -> Option<Self> {
         let [driver, chromium] = ["chromedriver", "chromium"].map(program);
         let is_there = driver.is_some() && chromium.is_some();
-        found(is_there, "chromium", "install the packages chromium and chromium-driver").then_some(())?;
-        let mut driver = Command::new(driver?)
+        found(is_there, "chromium", "install the packages chromium and chromium-driver");
+        let (driver, chromium) = (driver?, chromium?);
+        let mut driver = Command::new(driver)
             .arg("--port=0")
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
@@ -48,7 +49,7 @@ impl Browser {
         ];
         let capabilities = json!({ "capabilities": { "alwaysMatch": {
             "goog:loggingPrefs": { "browser": "ALL", "performance": "ALL" },
-            "goog:chromeOptions": { "binary": chromium?, "args": arguments },
+            "goog:chromeOptions": { "binary": chromium, "args": arguments },
         } } });
         let mut browser = Self { driver, agent, session: format!("http://127.0.0.1:{port}/session") };
         let session = browser.post("", &capabilities);
