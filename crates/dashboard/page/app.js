@@ -1,7 +1,7 @@
 // The page: connects to the API, keeps the model, and draws once a frame what has changed.
 
 import { Api, Refused, Unauthorized } from "./api.js";
-import { Charts } from "./charts.js";
+import { Charts, WORDS_EVERY_MS } from "./charts.js";
 import { byId, element, setText } from "./dom.js";
 import { clock, figure } from "./format.js";
 import { MapView } from "./map.js";
@@ -11,6 +11,7 @@ import { RobotsTable } from "./robots.js";
 import { HAPPENINGS, KINDS, Model } from "./state.js";
 import { TimeAxis } from "./time_axis.js";
 import { Timeline } from "./timeline.js";
+import { Topology } from "./topology.js";
 
 /** @typedef {import("#api").components["schemas"]} Schemas */
 /** @typedef {import("./state.js").Stamped} Stamped */
@@ -30,11 +31,12 @@ const api = new Api();
 const axis = new TimeAxis();
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
-/** @type {{ model: Model, map: MapView, robots: RobotsTable, charts: Charts, timeline: Timeline } | null} */
+/** @type {{ model: Model, map: MapView, topology: Topology, robots: RobotsTable, charts: Charts, timeline: Timeline } | null} */
 let views = null;
 /** @type {string | null} */
 let focus = null;
 let wanted = false;
+let telling = false;
 
 /** Draws in the next frame, once. */
 function changed() {
@@ -78,8 +80,15 @@ function render() {
     const { model } = views;
     const colours = palette(isDark());
     setText(byId("clock"), clock(axis.isLive ? model.now : axis.window(model.now).until));
-    views.map.draw(colours, focus);
-    views.robots.draw(focus);
+    if (byId("topology").hidden) views.map.draw(colours, focus);
+    else views.topology.draw(colours);
+    if (!telling) {
+        telling = true;
+        setTimeout(() => {
+            telling = false;
+            views?.robots.draw(focus);
+        }, WORDS_EVERY_MS);
+    }
     views.charts.draw(colours, focus);
     views.timeline.draw();
     const fidelity = byId("fidelity");
@@ -137,6 +146,7 @@ function show(model, grid) {
     views = {
         model,
         map: new MapView(byId("map"), byId("map-tools"), model, grid, changed, setFocus),
+        topology: new Topology(byId("topology"), model, changed),
         robots: new RobotsTable(byId("robots"), model, setFocus),
         charts: new Charts(byId("charts"), model, axis, changed),
         timeline: new Timeline(byId("timeline"), byId("timeline-tools"), model, changed, (entry) => {
@@ -332,6 +342,18 @@ function prepare() {
         event.preventDefault();
         hold.click();
     });
+
+    const shown = ["Map", "Topology"].map((name) => element("button", {
+        type: "button", "aria-pressed": String(name === "Map"),
+        click: () => {
+            for (const button of shown) button.setAttribute("aria-pressed", String(button.textContent === name));
+            setText(byId("map-title"), name);
+            for (const id of ["map", "map-tools"]) byId(id).hidden = name !== "Map";
+            byId("topology").hidden = name !== "Topology";
+            changed();
+        },
+    }, name));
+    byId("views").replaceChildren(...shown);
 
     const theme = byId("theme");
     const themes = ["system", "light", "dark"];

@@ -23,6 +23,8 @@ import { clock, figure, percent } from "./format.js";
 /** Lines of a chart. There are as many colours. */
 const MOST_LINES = 8;
 const MOST_MARKS = 400;
+/** Pause between two changes of legends. */
+export const WORDS_EVERY_MS = 200;
 
 /**
  * Returns the charts of a testbed.
@@ -124,6 +126,7 @@ class Chart {
     #palette = null;
     /** @type {number | null} */
     #hovered = null;
+    #telling = false;
     /** Names of lines that are hidden. @type {Set<string>} */
     #hidden = new Set();
     /** Each line keeps its colour as long as it is there. @type {Map<string, number>} */
@@ -268,8 +271,18 @@ class Chart {
         this.#plot = this.#compose(focus);
         const on = this.canvas.clear(this.canvas.base);
         this.#axes = draw(on, this.canvas.width, this.canvas.height, this.#plot, palette);
-        this.#tell();
         if (this.#hovered !== null) this.hover(this.#hovered);
+        else this.#tellSoon();
+    }
+
+    /** Nobody reads words that change with every frame. */
+    #tellSoon() {
+        if (this.#telling) return;
+        this.#telling = true;
+        setTimeout(() => {
+            this.#telling = false;
+            this.#tell();
+        }, WORDS_EVERY_MS);
     }
 
     /** Brings the legend up to date: each line with its colour and its value at the pointer, or its last. */

@@ -16,11 +16,14 @@ const LARGEST = 400;
 /** A covariance ellipse holds the robot in 95 of 100 cases: the quantile of χ² with two degrees of freedom. */
 const CHI_SQUARED = 5.991;
 const MARGIN = 24;
+/** Pause between two descriptions of the map. */
+const WORDS_EVERY_MS = 200;
 
 export class MapView {
     /** Centre of the view in metres, and pixels to the metre; `null` to show all. @type {{x: number, y: number, scale: number} | null} */
     #view = null;
     #follow = false;
+    #telling = false;
     #drawn = "";
     /** The floor in the colours of a palette. @type {{ dark: boolean, picture: HTMLCanvasElement } | null} */
     #floor = null;
@@ -203,7 +206,12 @@ export class MapView {
         this.#drawUnits(on, to, palette);
         for (const robot of this.model.robots.values()) this.#drawRobot(on, to, scale, robot, palette, robot.id === focus);
         this.#drawScale(on, scale, palette);
-        this.#tell();
+        if (this.#telling) return;
+        this.#telling = true;
+        setTimeout(() => {
+            this.#telling = false;
+            this.#tell();
+        }, WORDS_EVERY_MS);
     }
 
     /**
@@ -248,10 +256,15 @@ export class MapView {
         let region = 0;
         let open = false;
         const colour = (/** @type {string} */ unit) => this.#colour(unit);
-        for (const { x, y, at } of robot.trail) {
+        let [beforeX, beforeY] = [NaN, NaN];
+        for (const [i, { x, y, at }] of robot.trail.entries()) {
+            const [px, py] = to(x, y);
+            const isEnd = i === robot.trail.length - 1 || (robot.regions[region]?.until ?? Infinity) < at;
+            if (!isEnd && Math.abs(px - beforeX) + Math.abs(py - beforeY) < 3) continue;
+            [beforeX, beforeY] = [px, py];
             while (region < robot.regions.length && (robot.regions[region].until ?? Infinity) < at) {
                 if (open) {
-                    on.lineTo(...to(x, y));
+                    on.lineTo(px, py);
                     on.stroke();
                 }
                 [region, open] = [region + 1, false];
@@ -261,7 +274,7 @@ export class MapView {
                 on.strokeStyle = region < robot.regions.length ? colour(robot.regions[region].unit) : faded("#999999", 0.8);
                 open = true;
             }
-            on.lineTo(...to(x, y));
+            on.lineTo(px, py);
         }
         if (open) on.stroke();
         on.lineCap = "butt";

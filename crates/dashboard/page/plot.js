@@ -5,6 +5,7 @@
 import { DASHES, faded } from "./palette.js";
 import { clock, figure, ticks, timeTicks } from "./format.js";
 import { FONT } from "./canvas.js";
+import { Raster } from "./raster.js";
 
 /** @typedef {import("./series.js").Series} Series */
 /** @typedef {import("./palette.js").Palette} Palette */
@@ -30,6 +31,8 @@ const TOP = 16;
 const BOTTOM = 18;
 /** Values beyond this share of all columns are clipped if they are far above the rest. */
 const MOST = 0.97;
+
+const raster = typeof OffscreenCanvas === "undefined" ? null : new Raster();
 
 /** A drawing surface: that of a canvas, or {@link Svg}. @typedef {CanvasRenderingContext2D | Svg} Surface */
 
@@ -86,17 +89,8 @@ export function reduce(plot, line, left, right, point) {
  * @param {number} columns
  */
 export function range(plot, columns) {
-    /** @type {number[]} */
-    const values = [];
-    for (const line of plot.lines) {
-        reduce(plot, line, 0, columns, (x, value) => {
-            if (x >= 0 && x <= columns && !Number.isNaN(value)) values.push(value);
-        });
-    }
-    values.sort((one, other) => one - other);
-    let low = values[0] ?? 0;
-    let high = values.at(-1) ?? 1;
-    const usual = values[Math.floor((values.length - 1) * MOST)] ?? high;
+    const { lowest, highest, usual } = extremes(plot, columns);
+    let [low, high] = [lowest, highest];
     const floor = plot.target ?? 0;
     if (plot.fromZero) {
         low = Math.min(0, low);
@@ -113,6 +107,42 @@ export function range(plot, columns) {
         high: Math.ceil((high + pad) / round) * round,
     };
 }
+
+/**
+ * Returns the lowest and the highest value of all lines, and the one that a share of all columns keep, to 1/256 of the range.
+ * @param {Plot} plot
+ * @param {number} columns
+ */
+function extremes(plot, columns) {
+    const width = Math.max(1, Math.ceil(columns));
+    const highs = new Float64Array(width * plot.lines.length).fill(NaN);
+    const scale = width / (plot.until - plot.from);
+    let [lowest, highest] = [Infinity, -Infinity];
+    plot.lines.forEach(({ series }, line) => {
+        series.scan(plot.from, plot.until, (at, low, high) => {
+            const column = Math.floor((at - plot.from) * scale);
+            if (column < 0 || column > width || Number.isNaN(high)) return;
+            const i = line * width + Math.min(column, width - 1);
+            if (!(highs[i] >= high)) highs[i] = high;
+            if (low < lowest) lowest = low;
+            if (high > highest) highest = high;
+        });
+    });
+    if (!(highest >= lowest)) return { lowest: 0, highest: 1, usual: 1 };
+    const bins = new Uint32Array(BINS);
+    const binScale = BINS / (highest - lowest || 1);
+    let count = 0;
+    for (const high of highs) {
+        if (Number.isNaN(high)) continue;
+        bins[Math.min(BINS - 1, Math.floor((high - lowest) * binScale))] += 1;
+        count += 1;
+    }
+    let [bin, seen] = [0, 0];
+    while (bin < BINS - 1 && (seen += bins[bin]) < count * MOST) bin += 1;
+    return { lowest, highest, usual: Math.min(highest, lowest + (bin + 1) / binScale) };
+}
+
+const BINS = 256;
 
 /**
  * Draws a plot.
@@ -174,37 +204,9 @@ export function draw(on, width, height, plot, palette) {
         on.setLineDash([]);
     }
 
-    on.save();
-    on.beginPath();
-    on.rect(left, top - 1, right - left, bottom - top + 2);
-    on.clip();
-    on.lineJoin = "round";
-    on.lineWidth = 1.4;
-    /** @type {{ x: number, index: number }[]} */
-    const clipped = [];
-    for (const line of plot.lines) {
-        const index = line.index % palette.series.length;
-        on.strokeStyle = palette.series[index];
-        on.setLineDash(DASHES[index]);
-        on.beginPath();
-        let drawn = false;
-        reduce(plot, line, left, right, (x, value) => {
-            if (Number.isNaN(value)) {
-                drawn = false;
-                return;
-            }
-            if (value > high && x >= left && x <= right) clipped.push({ x, index });
-            if (drawn) on.lineTo(x, yOf(value));
-            else {
-                on.moveTo(x - 0.7, yOf(value));
-                on.lineTo(x, yOf(value));
-            }
-            drawn = true;
-        });
-        on.stroke();
-    }
-    on.setLineDash([]);
-    on.restore();
+    const clipped = on instanceof Svg || !raster
+        ? strokeLines(on, plot, palette, { left, right, top, bottom, high }, yOf)
+        : rasterLines(on, raster, plot, palette, { left, right, top, bottom, high }, yOf);
     for (const { x, index } of clipped) {
         on.fillStyle = palette.series[index];
         on.beginPath();
@@ -225,6 +227,77 @@ export function draw(on, width, height, plot, palette) {
         on.fillText(`target ${figure(plot.target, plot.unit)}`, right - 2, y - 7);
     }
     return { low, high, left, right, top, bottom };
+}
+
+/** @typedef {{ left: number, right: number, top: number, bottom: number, high: number }} Frame */
+/** @typedef {{ x: number, index: number }[]} Clipped Places of values above the axis. */
+
+/**
+ * Draws the lines as paths.
+ * @param {Surface} on
+ * @param {Plot} plot
+ * @param {Palette} palette
+ * @param {Frame} frame
+ * @param {(value: number) => number} yOf
+ */
+function strokeLines(on, plot, palette, { left, right, top, bottom, high }, yOf) {
+    /** @type {Clipped} */
+    const clipped = [];
+    on.save();
+    on.beginPath();
+    on.rect(left, top - 1, right - left, bottom - top + 2);
+    on.clip();
+    on.lineJoin = "round";
+    on.lineWidth = 1.5;
+    for (const line of plot.lines) {
+        const index = line.index % palette.series.length;
+        on.strokeStyle = palette.series[index];
+        on.setLineDash(DASHES[index]);
+        on.beginPath();
+        let drawn = false;
+        reduce(plot, line, left, right, (x, value) => {
+            if (Number.isNaN(value)) {
+                drawn = false;
+                return;
+            }
+            if (value > high && x >= left && x <= right) clipped.push({ x, index });
+            if (!drawn) on.moveTo(x - 0.7, yOf(value));
+            on.lineTo(x, yOf(value));
+            drawn = true;
+        });
+        on.stroke();
+    }
+    on.setLineDash([]);
+    on.restore();
+    return clipped;
+}
+
+/**
+ * Draws the lines as pixels.
+ * @param {CanvasRenderingContext2D} on
+ * @param {Raster} raster
+ * @param {Plot} plot
+ * @param {Palette} palette
+ * @param {Frame} frame
+ * @param {(value: number) => number} yOf
+ */
+function rasterLines(on, raster, plot, palette, { left, right, top, bottom, high }, yOf) {
+    /** @type {Clipped} */
+    const clipped = [];
+    const density = on.getTransform().a;
+    const [width, height] = [Math.ceil((right - left) * density), Math.ceil((bottom - top) * density)];
+    raster.begin(width, height);
+    for (const line of plot.lines) {
+        const index = line.index % palette.series.length;
+        raster.line((point) => {
+            reduce(plot, line, 0, width, (x, value) => {
+                if (value > high && x >= 0 && x <= width) clipped.push({ x: left + x / density, index });
+                point(x, (yOf(value) - top) * density);
+            });
+        }, palette.series[index], DASHES[index], density);
+    }
+    raster.copy(on, left, top, width / density, height / density);
+    return clipped;
 }
 
 /**

@@ -154,6 +154,10 @@ export class Model {
         for (const { at_ns: _, ...mapping } of state.virtual_links) this.#map(mapping);
         for (const { at_ns, ...machine } of state.machines ?? []) this.#machine(at_ns / 1e9, machine);
         this.now = Math.max(this.now, state.at_ns / 1e9);
+        // Without a handover, a robot is where it was when the run began.
+        for (const { regions } of this.robots.values()) {
+            if (regions.length === 1 && regions[0].until === null && this.entries.every(({ group }) => group !== "handover")) regions[0].from = 0;
+        }
     }
 
     /**

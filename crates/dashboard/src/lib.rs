@@ -61,12 +61,14 @@ pub fn files() -> &'static [File] {
         "palette.js",
         "pgm.js",
         "plot.js",
+        "raster.js",
         "robots.js",
         "series.js",
         "state.js",
         "style.css",
         "time_axis.js",
-        "timeline.js"
+        "timeline.js",
+        "topology.js",
     ]
 }
 

@@ -10,6 +10,7 @@ import { ellipse } from "../page/map.js";
 import { palette } from "../page/palette.js";
 import { read } from "../page/pgm.js";
 import { draw, range, reduce, Svg } from "../page/plot.js";
+import { spans } from "../page/raster.js";
 import { Series } from "../page/series.js";
 import { TimeAxis } from "../page/time_axis.js";
 import { filtered } from "../page/timeline.js";
@@ -158,4 +159,12 @@ test("the filter of the timeline looks at groups and words", () => {
     ];
     assert.equal(filtered(entries, new Set(), "r2").length, 2);
     assert.deepEqual(filtered(entries, new Set(["handover"]), "r2"), [entries[1]]);
+});
+
+test("a line as pixels covers every column between its points, and none in a gap", () => {
+    const [tops, bottoms] = [new Float32Array(8), new Float32Array(8)];
+    const points = [[0.5, 4], [3.5, 1], [4, NaN], [6.5, 2], [6.5, 7]];
+    spans((point) => points.forEach(([x, y]) => point(x, y)), tops, bottoms);
+    const covered = [...tops].map((top, i) => (top <= bottoms[i] ? [top, bottoms[i]] : null));
+    assert.deepEqual(covered, [[3.5, 4], [2.5, 3.5], [1.5, 2.5], [1, 1.5], null, null, [2, 7], null]);
 });

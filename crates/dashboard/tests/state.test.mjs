@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { describe, Model } from "../page/state.js";
+import { carrying, columns, figures, links, vnfsByNode } from "../page/topology.js";
 
 const testbed = () => ({
     name: "lab",
@@ -51,6 +52,12 @@ test("regions of the history begin with the run, and the stream continues them",
     ]);
 });
 
+test("a robot without handovers was attached since the run began", () => {
+    const model = new Model(testbed());
+    model.begin({ at_ns: 20e9, robots: [robot(20, 5, "R2")], links: [], placements: [], virtual_links: [], radio_units: [] });
+    assert.deepEqual(model.robots.get("robot").regions, [{ from: 0, until: null, unit: "R2" }]);
+});
+
 test("what history and stream both have is there once", () => {
     const model = new Model(testbed());
     model.recount(handover(10, "R1", "R2"));
@@ -84,4 +91,21 @@ test("a refused decision names the plug-in, the instruction and the reason", () 
         group: "decision", title: "okpi: place navigation on edge, fog", detail: "closer; refused: no room", bad: true,
     });
     assert.equal(describe({ at_ns: 0, event: "goal", state: "progress", robot: "robot", goal: { x: 0, y: 0 } }), null);
+});
+
+test("the topology follows placements, attachments and virtual links", () => {
+    const lab = testbed();
+    lab.graph.nodes.push({ id: "cloud", kind: "server", tier: "cloud" }, { id: "fog", kind: "server", tier: "fog" });
+    lab.graph.links.push({ id: "R1-fog", ends: ["R1", "fog"] });
+    const model = new Model(lab);
+    assert.deepEqual(columns(model), [["robot"], ["R1", "R2"], ["fog", "cloud"]]);
+    model.take(robot(1, 0, "R1"));
+    model.take({ at_ns: 1e9, event: "placement", vnf: "navigation", node: ["fog", "cloud"] });
+    model.take({ at_ns: 1e9, event: "virtual_link", from: "driver", to: "navigation", links: ["robot~R1", "R1-fog"], path: "shortest" });
+    assert.deepEqual([...vnfsByNode(model)], [["fog", ["navigation"]], ["cloud", ["navigation"]]]);
+    assert.deepEqual(links(model).map(({ id }) => id), ["R1-fog", "robot~R1"]);
+    assert.deepEqual([...carrying(model)], ["robot~R1", "R1-fog"]);
+    const link = { at_ns: 1e9, event: "link", link: "R1-fog", direction: "forward", delay_ms: 4.5, throughput_bps: 80_000 };
+    model.take({ ...link, probed: { loss: 0.02, loss_age_ms: 1 } });
+    assert.deepEqual(figures(model, "R1-fog"), { delay: "4.50 / – ms", rate: "80.0 kbit/s", loss: "2.0 % lost" });
 });

@@ -97,6 +97,9 @@ fn a_run_is_shown_live_with_its_handovers() {
     browser.wait_for("document.getElementById('robots').innerText.includes('R3')");
     browser.wait_for(&format!("/api: attach robot to R3\\s+a test/.test({TIMELINE})"));
     browser.wait_for("globalThis.changes > 0");
+    browser.evaluate("document.querySelector('#views button:last-child').click();");
+    let topology = "document.querySelector('#topology canvas').getAttribute('aria-label')";
+    browser.wait_for(&format!("/cloud: navigation.* over robot~R3, R3-cloud/.test({topology})"));
     // Values come on, and the clock with them.
     let clock = "document.getElementById('clock').textContent";
     let before = browser.evaluate(&format!("return {clock};"));

@@ -1,0 +1,247 @@
+// The topology: nodes in columns from robots to servers, links between them, VNFs on the nodes, and the links that carry
+// virtual links, with their delay and throughput.
+
+import { Canvas, FONT, rimmed } from "./canvas.js";
+import { BANDS, faded } from "./palette.js";
+import { figure } from "./format.js";
+
+/** @typedef {import("./state.js").Model} Model */
+/** @typedef {import("./palette.js").Palette} Palette */
+/** @typedef {{ id: string, x: number, y: number, vnfs: string[] }} Box */
+/** @typedef {{ id: string, ends: [string, string] }} Link */
+
+const ROW = 14;
+const WIDTH = 104;
+const MARGIN = 12;
+const WORDS_EVERY_MS = 200;
+/** Places for the figures of a link on it, as shares of its length, the best first. */
+const SHARES = [0.5, 0.42, 0.58, 0.34, 0.66, 0.28, 0.72];
+/** Columns of nodes, by kind. Servers stand in the order of their distance from the robots. */
+const COLUMNS = ["robot", "radio_unit", "switch", "server", "gateway", "machine"];
+const TIERS = ["fog", "edge", "cloud"];
+
+/**
+ * Returns the columns of nodes from left to right, without empty ones.
+ * @param {Model} model
+ */
+export function columns(model) {
+    const tier = (/** @type {import("./state.js").PlacedNode & { tier?: string }} */ node) => TIERS.indexOf(node.tier ?? "");
+    const all = COLUMNS.map((kind) => [...model.nodes.values()].filter((node) => node.kind === kind));
+    for (const nodes of all) nodes.sort((one, other) => tier(one) - tier(other));
+    return all.filter((nodes) => nodes.length > 0).map((nodes) => nodes.map(({ id }) => id));
+}
+
+/**
+ * Returns the VNFs of each node.
+ * @param {Model} model
+ */
+export function vnfsByNode(model) {
+    /** @type {Map<string, string[]>} */
+    const by = new Map();
+    const add = (/** @type {string} */ node, /** @type {string} */ vnf) => by.set(node, [...(by.get(node) ?? []), vnf]);
+    const known = new Set(model.placements.keys());
+    for (const { vnfs } of model.testbed.services) {
+        for (const vnf of vnfs) if (vnf.pinned_to && !known.has(vnf.id)) add(vnf.pinned_to, vnf.id);
+    }
+    for (const [vnf, nodes] of model.placements) for (const node of nodes) add(node, vnf);
+    return by;
+}
+
+/**
+ * Returns the links: wired ones, and those of robots to their radio units.
+ * @param {Model} model
+ * @returns {Link[]}
+ */
+export function links(model) {
+    const wired = model.testbed.graph.links.map(({ id, ends }) => /** @type {Link} */ ({ id, ends }));
+    const wireless = [...model.robots.values()].filter((robot) => robot.unit !== null);
+    return [...wired, ...wireless.map(({ id, unit }) => /** @type {Link} */ ({ id: `${id}~${unit}`, ends: [id, unit] }))];
+}
+
+/**
+ * Returns the links that carry virtual links.
+ * @param {Model} model
+ */
+export function carrying(model) {
+    return new Set([...model.virtualLinks.values()].flatMap((mapping) => mapping.links));
+}
+
+export class Topology {
+    #drawn = "";
+    #telling = false;
+
+    /**
+     * @param {HTMLElement} host
+     * @param {Model} model
+     * @param {() => void} changed
+     */
+    constructor(host, model, changed) {
+        host.replaceChildren();
+        this.model = model;
+        this.columns = columns(model);
+        this.canvas = new Canvas(host, "Topology", () => {
+            this.#drawn = "";
+            changed();
+        });
+    }
+
+    /**
+     * Draws the topology if something in it has changed.
+     * @param {Palette} palette
+     */
+    draw(palette) {
+        const { model, canvas } = this;
+        if (canvas.width === 0) return;
+        const units = [...model.robots.values()].map((robot) => robot.unit);
+        const state = [model.version.network, units, palette.dark].join();
+        if (state === this.#drawn) return;
+        this.#drawn = state;
+        const on = canvas.clear(canvas.base);
+        on.font = FONT;
+        on.textBaseline = "middle";
+        on.textAlign = "center";
+        const vnfs = vnfsByNode(model);
+        const boxes = this.#place(vnfs);
+        const used = carrying(model);
+        const all = links(model);
+        for (const link of all) if (!used.has(link.id)) this.#drawLink(on, boxes, link, palette.axis, 1);
+        const inUse = all.filter(({ id }) => used.has(id));
+        for (const link of inUse) this.#drawLink(on, boxes, link, palette.series[0], 2.5);
+        for (const box of boxes.values()) this.#drawNode(on, box, palette);
+        /** @type {{x: number, y: number}[]} */
+        const taken = [];
+        for (const link of inUse) this.#describe(on, boxes, link, palette, taken);
+        if (this.#telling) return;
+        this.#telling = true;
+        setTimeout(() => {
+            this.#telling = false;
+            this.#tell(vnfs);
+        }, WORDS_EVERY_MS);
+    }
+
+    /**
+     * Returns the place of each node: its middle.
+     * @param {Map<string, string[]>} vnfs
+     */
+    #place(vnfs) {
+        const { width, height } = this.canvas;
+        /** @type {Map<string, Box>} */
+        const boxes = new Map();
+        const inner = width - 2 * MARGIN - WIDTH;
+        this.columns.forEach((nodes, column) => {
+            const x = MARGIN + WIDTH / 2 + (this.columns.length > 1 ? (inner * column) / (this.columns.length - 1) : inner / 2);
+            nodes.forEach((id, row) => {
+                boxes.set(id, { id, x, y: (height * (row + 0.5)) / nodes.length, vnfs: vnfs.get(id) ?? [] });
+            });
+        });
+        return boxes;
+    }
+
+    /**
+     * @param {CanvasRenderingContext2D} on
+     * @param {Map<string, Box>} boxes
+     * @param {Link} link
+     * @param {string} colour
+     * @param {number} width
+     */
+    #drawLink(on, boxes, { ends }, colour, width) {
+        const [from, to] = [boxes.get(ends[0]), boxes.get(ends[1])];
+        if (!from || !to) return;
+        on.strokeStyle = colour;
+        on.lineWidth = width;
+        on.beginPath();
+        on.moveTo(from.x, from.y);
+        on.lineTo(to.x, to.y);
+        on.stroke();
+    }
+
+    /**
+     * @param {CanvasRenderingContext2D} on
+     * @param {Box} box
+     * @param {Palette} palette
+     */
+    #drawNode(on, box, palette) {
+        const { id, x, y, vnfs } = box;
+        const high = height(box);
+        const unit = this.model.units.indexOf(id);
+        const [left, top] = [x - WIDTH / 2, y - high / 2];
+        on.fillStyle = palette.back;
+        on.strokeStyle = vnfs.length > 0 ? palette.ink : palette.axis;
+        on.lineWidth = 1;
+        on.beginPath();
+        on.roundRect(left, top, WIDTH, high, 4);
+        on.fill();
+        on.stroke();
+        if (unit >= 0) {
+            on.fillStyle = BANDS[unit % BANDS.length];
+            on.fillRect(left + 1, top + 4, 4, high - 8);
+        }
+        on.fillStyle = palette.ink;
+        on.font = `bold ${FONT}`;
+        on.fillText(short(id), x, top + 4 + ROW / 2, WIDTH - 16);
+        on.font = FONT;
+        vnfs.forEach((vnf, i) => {
+            const middle = top + 4 + ROW * (i + 1.5);
+            on.fillStyle = faded(palette.series[2], 0.2);
+            on.fillRect(left + 8, middle - ROW / 2 + 1, WIDTH - 16, ROW - 2);
+            on.fillStyle = palette.ink;
+            on.fillText(short(vnf), x, middle, WIDTH - 20);
+        });
+    }
+
+    /**
+     * Writes the figures of a link on it, where no node and no other figures are.
+     * @param {CanvasRenderingContext2D} on
+     * @param {Map<string, Box>} boxes
+     * @param {Link} link
+     * @param {Palette} palette
+     * @param {{x: number, y: number}[]} taken Places of the figures so far; gets this one's.
+     */
+    #describe(on, boxes, { id, ends }, palette, taken) {
+        const [from, to] = [boxes.get(ends[0]), boxes.get(ends[1])];
+        if (!from || !to) return;
+        const at = (/** @type {number} */ share) => ({ x: from.x + (to.x - from.x) * share, y: from.y + (to.y - from.y) * share });
+        const isFree = (/** @type {{x: number, y: number}} */ { x, y }) =>
+            taken.every((other) => Math.abs(other.x - x) > 80 || Math.abs(other.y - y) > 28) &&
+            [...boxes.values()].every((box) => Math.abs(box.x - x) > WIDTH / 2 + 36 || Math.abs(box.y - y) > height(box) / 2 + 14);
+        const place = SHARES.map(at).find(isFree) ?? at(0.5);
+        taken.push(place);
+        const { delay, rate, loss } = figures(this.model, id);
+        rimmed(on, delay, place.x, place.y - 7, palette.ink, palette.back);
+        rimmed(on, rate, place.x, place.y + 6, palette.faint, palette.back);
+        if (loss) rimmed(on, loss, place.x, place.y + 19, palette.alert, palette.back);
+    }
+
+    /** @param {Map<string, string[]>} vnfs */
+    #tell(vnfs) {
+        const placed = [...vnfs].map(([node, of]) => `${node}: ${of.join(", ")}`).join("; ");
+        const paths = [...this.model.virtualLinks.values()].map(({ from, to, links: over }) => `${from} to ${to} over ${over.join(", ")}`);
+        const label = `Topology: ${placed || "no VNFs"}; ${paths.join("; ") || "no virtual links"}`;
+        if (this.canvas.base.getAttribute("aria-label") !== label) this.canvas.base.setAttribute("aria-label", label);
+    }
+}
+
+/**
+ * Returns the height of a node, pixels.
+ * @param {Box} box
+ */
+const height = ({ vnfs }) => ROW * (1 + vnfs.length) + 8;
+
+/**
+ * Returns the figures of a link in words: d there and back, λ of both directions, and what is lost.
+ * @param {Model} model
+ * @param {string} link
+ */
+export function figures(model, link) {
+    const [there, back] = ["forward", "backward"].map((direction) => model.links.get(`${link}:${direction}`));
+    const delay = (/** @type {typeof there} */ of) => figure(of?.delay_ms ?? of?.probed?.delay_ms);
+    const rate = (there?.throughput_bps ?? 0) + (back?.throughput_bps ?? 0);
+    const loss = Math.max(there?.probed?.loss ?? 0, back?.probed?.loss ?? 0);
+    return {
+        delay: `${delay(there)} / ${delay(back)} ms`,
+        rate: figure(rate, "bit/s"),
+        loss: loss > 0 ? `${(100 * loss).toFixed(1)} % lost` : "",
+    };
+}
+
+const short = (/** @type {string} */ name) => (name.length > 16 ? `${name.slice(0, 15)}…` : name);
