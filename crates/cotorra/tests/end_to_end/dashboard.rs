@@ -1,4 +1,5 @@
 //! The dashboard in a real browser: a run with real packets, finished and replayed runs, and pages of other sites.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
     fs,
