@@ -173,6 +173,13 @@ pub enum Program {
     Host(Vec<String>),
 }
 
+impl Program {
+    /// Whether it answers requests of robots as the bundled VNFs do: navigation or localization.
+    pub const fn serves_robots(&self) -> bool {
+        matches!(self, Self::Navigation | Self::Localization)
+    }
+}
+
 /// A link between two VNFs of a service.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

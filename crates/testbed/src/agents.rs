@@ -3,6 +3,8 @@
 //!
 //! A thread of its own owns the router and the protocol's state. It talks to the core by messages.
 
+#[cfg(test)]
+mod contract_tests;
 mod error;
 mod link;
 mod links;

@@ -39,6 +39,10 @@ pub(crate) enum AgentError {
     /// A robot whose agent is gone may move.
     #[error("cannot leave the robot at rest: {0}")]
     Guard(io::Error),
+    /// Containers are left.
+    #[cfg(feature = "containers")]
+    #[error("cannot remove the containers of an agent that is gone: {0}")]
+    GuardContainers(io::Error),
     #[error("cannot listen to Ctrl-C: {0}")]
     Signals(#[from] ctrlc::Error),
     #[error("the system gives no random numbers: {0}")]

@@ -8,6 +8,10 @@ use std::{
 
 use cotorra_agent_protocol::{Run, Shipped};
 
+/// The testbed file in a run's folder.
+pub(crate) const TESTBED: &str = "testbed.yaml";
+/// Folder of the logs of VNFs in a run's folder.
+pub(crate) const LOGS: &str = "logs";
 /// Most that the files of a run take on the disk, bytes.
 const MOST: u64 = 256 << 20;
 

@@ -1,44 +1,42 @@
 //! Starts VNFs as processes of this machine.
 
 use std::{
-    collections::BTreeMap,
     env,
-    io::{self, PipeWriter, Write},
-    os::unix::process::CommandExt,
+    io::{self, Read, Write},
+    os::{
+        fd::OwnedFd,
+        unix::{net::UnixStream, process::CommandExt},
+    },
     path::PathBuf,
     process::{Child, ChildStdout, Command, ExitStatus},
+    sync::Arc,
 };
 
 use cotorra_engine::{Launcher, Process, program_of_others};
-use cotorra_graph::{Granted, NodeId, Program, Rights, Vnf, VnfId};
-use parking_lot::Mutex;
+use cotorra_graph::{Granted, NodeId, Program, Rights, Vnf};
 
-use crate::{holder, options::Options};
+use crate::{environments::Environments, files::TESTBED, holder, options::Options, works::Wake};
 
 /// The file of this process, even if it was replaced on the disk since.
 pub(crate) const SELF: &str = "/proc/self/exe";
-/// The testbed file in a run's folder.
-const TESTBED: &str = "testbed.yaml";
 
 /// Starts VNFs of one run as processes of this machine. Each has a [`holder`].
-pub(crate) struct MachineLauncher<W> {
+pub(crate) struct MachineLauncher {
     options: Options,
     /// Folder of the run, with its files.
     folder: PathBuf,
-    /// Variables of each instance, as the core sent them.
-    environments: Mutex<BTreeMap<(VnfId, u32), BTreeMap<String, String>>>,
-    wake: W,
+    environments: Arc<Environments>,
+    wake: Wake,
 }
 
-impl<W: Fn() + Send + Sync + 'static> MachineLauncher<W> {
-    pub(crate) fn new(options: Options, folder: PathBuf, wake: W) -> Self {
-        Self { options, folder, environments: Mutex::default(), wake }
-    }
-
-    /// Sets the variables of an instance that is started next.
-    pub(crate) fn set_environment(&self, vnf: &Vnf, replica: u32, environment: BTreeMap<String, String>) {
-        let mut all = self.environments.lock();
-        all.insert((vnf.id.clone(), replica), environment);
+impl MachineLauncher {
+    pub(crate) fn new(
+        options: &Options,
+        folder: PathBuf,
+        environments: Arc<Environments>,
+        wake: Wake,
+    ) -> Self {
+        Self { options: options.clone(), folder, environments, wake }
     }
 
     /// Whether a VNF's program is the agent's user. Bundled VNFs and trusted commands are.
@@ -58,7 +56,7 @@ impl<W: Fn() + Send + Sync + 'static> MachineLauncher<W> {
     }
 }
 
-impl<W: Fn() + Send + Sync + 'static> Launcher for MachineLauncher<W> {
+impl Launcher for MachineLauncher {
     fn launch(
         &self,
         _vnf: &Vnf,
@@ -67,11 +65,15 @@ impl<W: Fn() + Send + Sync + 'static> Launcher for MachineLauncher<W> {
         mut command: Command,
         cgroup_procs: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>> {
-        let (lifeline, agents_end) = io::pipe()?;
+        let (lifeline, agents_end) = UnixStream::pair()?;
         // In a group of its own: Ctrl-C in a terminal is for the agent alone, which then ends the VNF.
-        command.stdin(lifeline).current_dir(&self.folder).process_group(0);
+        command.stdin(OwnedFd::from(lifeline)).current_dir(&self.folder).process_group(0);
         command.env(holder::GROUPS, env::join_paths(cgroup_procs).map_err(io::Error::other)?);
-        Ok(Box::new(Held { holder: command.spawn()?, lifeline: Some(agents_end) }))
+        let mut held = Held { holder: command.spawn()?, lifeline: Some(agents_end) };
+        // Only the holder has its end now: this one reads no byte if the holder dies.
+        drop(command);
+        held.started()?;
+        Ok(Box::new(held))
     }
 
     fn command(&self, vnf: &Vnf, replica: u32, _node: &NodeId) -> Result<Command, String> {
@@ -88,8 +90,7 @@ impl<W: Fn() + Send + Sync + 'static> Launcher for MachineLauncher<W> {
             Program::Localization => drop(command.args([SELF, "vnf", "localization"])),
             _ => drop(command.args([SELF, "vnf", "navigation"])),
         }
-        let environments = self.environments.lock();
-        command.envs(environments.get(&(vnf.id.clone(), replica)).into_iter().flatten());
+        command.envs(self.environments.of(&vnf.id, replica));
         command.env(cotorra_vnfs::TESTBED, self.folder.join(TESTBED));
         Ok(command)
     }
@@ -102,8 +103,26 @@ impl<W: Fn() + Send + Sync + 'static> Launcher for MachineLauncher<W> {
 /// A VNF's holder.
 struct Held {
     holder: Child,
-    /// The holder kills the VNF when this end of the pipe closes.
-    lifeline: Option<PipeWriter>,
+    /// The holder kills the VNF when this end closes.
+    lifeline: Option<UnixStream>,
+}
+
+impl Held {
+    /// Waits until the VNF's program runs.
+    ///
+    /// # Errors
+    /// The holder's reason for which it does not.
+    fn started(&mut self) -> io::Result<()> {
+        let mut lifeline = self.lifeline.as_ref().ok_or(io::ErrorKind::BrokenPipe)?;
+        let mut first = [0];
+        lifeline.read_exact(&mut first).map_err(|_| io::Error::other("its holder ended"))?;
+        if first == [holder::STARTED] {
+            return Ok(());
+        }
+        let mut reason = String::from_utf8_lossy(&first).into_owned();
+        lifeline.read_to_string(&mut reason)?;
+        Err(io::Error::other(reason))
+    }
 }
 
 impl Process for Held {

@@ -1,10 +1,13 @@
 //! The agent of a real machine: runs VNFs of a testbed there, and reports the machine's context to the core.
 #![forbid(unsafe_code)]
 
+mod environments;
 mod error;
 mod files;
 mod guard;
 mod holder;
+#[cfg(feature = "containers")]
+mod images;
 mod journal;
 mod launcher;
 mod links;
@@ -51,6 +54,7 @@ enum Command {
 Examples:
   cotorra-agent run /etc/cotorra/edge1.agent
   cotorra-agent run edge1.agent --state /tmp/edge1 --allow-trusted
+  cotorra-agent run edge1.agent --images podman
   cotorra-agent run gate1.agent --allow-interface eth0")]
     Run(RunArgs),
     /// Try the connection to the core once, and report what is wrong
@@ -75,6 +79,10 @@ Examples:
     /// Leave a robot at rest if the agent is gone; started by the agent
     #[command(hide = true)]
     Guard,
+    /// Remove the containers of an agent that is gone; started by the agent
+    #[cfg(feature = "containers")]
+    #[command(hide = true)]
+    GuardContainers { record: std::path::PathBuf },
 }
 
 #[derive(Debug, Args)]
@@ -90,6 +98,13 @@ struct RunArgs {
     /// Run commands of `trusted: true` with the agent's own rights; without it, they are rejected
     #[arg(long)]
     allow_trusted: bool,
+    /// Run VNFs that have an image in containers of this engine; without it, they are rejected
+    ///
+    /// A container is in the network of this machine, without capabilities. Devices, capabilities, and volumes other than files of
+    /// the run need `--allow-trusted`, too.
+    #[cfg(feature = "containers")]
+    #[arg(long, value_name = "ENGINE")]
+    images: Option<options::ImageEngine>,
     /// Give an interface conditions even if it is the loopback one or carries the default route; can be repeated
     #[arg(long, value_name = "NAME")]
     allow_interface: Vec<String>,
@@ -124,9 +139,14 @@ fn main() -> ExitCode {
 fn dispatch(command: Command) -> Result<ExitCode, AgentError> {
     match command {
         Command::Run(args) => {
-            let RunArgs { credentials, state, vnf_user, allow_trusted, allow_interface, replace } = args;
-            let confirmed = Confirmed { replace, interfaces: allow_interface };
-            Service::start(Options::new(credentials, state, vnf_user, allow_trusted, confirmed)?)?.run();
+            #[cfg(feature = "containers")]
+            let images = args.images;
+            #[cfg(not(feature = "containers"))]
+            let images = None;
+            let confirmed = Confirmed { replace: args.replace, interfaces: args.allow_interface };
+            let RunArgs { credentials, state, vnf_user, allow_trusted, .. } = args;
+            let options = Options::new(credentials, state, vnf_user, allow_trusted, images, confirmed)?;
+            Service::start(options)?.run();
         }
         Command::Check { credentials } => {
             let bundle = options::bundle(&credentials)?;
@@ -139,6 +159,8 @@ fn dispatch(command: Command) -> Result<ExitCode, AgentError> {
         Command::Vnf { vnf: BundledVnf::Localization } => match cotorra_vnfs::localization()? {},
         Command::Hold { user, words } => return holder::hold(user, &words).map_err(AgentError::Hold),
         Command::Guard => guard::guard().map_err(AgentError::Guard)?,
+        #[cfg(feature = "containers")]
+        Command::GuardContainers { record } => images::guard(&record).map_err(AgentError::GuardContainers)?,
     }
     Ok(ExitCode::SUCCESS)
 }

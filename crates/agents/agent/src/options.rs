@@ -29,6 +29,23 @@ impl FromStr for User {
     }
 }
 
+/// What runs images.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum ImageEngine {
+    Podman,
+    Docker,
+}
+
+#[cfg(feature = "containers")]
+impl From<ImageEngine> for cotorra_graph::EngineKind {
+    fn from(engine: ImageEngine) -> Self {
+        match engine {
+            ImageEngine::Podman => Self::Podman,
+            ImageEngine::Docker => Self::Docker,
+        }
+    }
+}
+
 /// Options of an agent.
 #[derive(Debug, Clone)]
 pub(crate) struct Options {
@@ -40,6 +57,8 @@ pub(crate) struct Options {
     pub(crate) user: Option<User>,
     /// Whether commands can have the agent's own rights.
     pub(crate) allow_trusted: bool,
+    /// What runs images; `None` if the machine's owner does not permit any.
+    pub(crate) images: Option<ImageEngine>,
     /// What the core may do to interfaces.
     pub(crate) confirmed: Confirmed,
 }
@@ -51,6 +70,7 @@ impl Options {
         state: Option<PathBuf>,
         user: User,
         allow_trusted: bool,
+        images: Option<ImageEngine>,
         confirmed: Confirmed,
     ) -> Result<Self, AgentError> {
         let is_root = rustix::process::geteuid().is_root();
@@ -61,7 +81,7 @@ impl Options {
         };
         // VNFs have another working folder.
         let state = std::path::absolute(&state).map_err(at("find", &state))?;
-        Ok(Self { credentials, state, user: is_root.then_some(user), allow_trusted, confirmed })
+        Ok(Self { credentials, state, user: is_root.then_some(user), allow_trusted, images, confirmed })
     }
 }
 

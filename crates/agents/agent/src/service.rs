@@ -16,6 +16,8 @@ use cotorra_enrolment::{Bundle, CORE_COMMON_NAME};
 use cotorra_graph::{NodeId, Timestamp};
 use cotorra_host::Host;
 
+#[cfg(feature = "containers")]
+use crate::images;
 use crate::{
     error::AgentError,
     files,
@@ -67,6 +69,10 @@ impl Service {
     /// Locks and loads the state, and begins to connect.
     pub(crate) fn start(options: Options) -> Result<Self, AgentError> {
         let journal = Journal::open(&options.state)?;
+        #[cfg(feature = "containers")]
+        if options.images.is_some() {
+            images::clean();
+        }
         let credentials_of = written(&options.credentials);
         let bundle = options::bundle(&options.credentials)?;
         let (messages, inbox) = mpsc::sync_channel(MOST_WAITING);
@@ -106,9 +112,10 @@ impl Service {
             self.agent.advance(now);
             if let Some(works) = &mut self.works {
                 while let Some(event) = works.poll() {
-                    self.agent.outcome(now, event);
+                    self.agent.outcome(now, works.run(), event);
                 }
             }
+            self.count_stopping();
             let state = self.robot.want(now, self.agent.robot());
             self.agent.set_robot_state(now, state);
             self.links.advance(now);
@@ -167,7 +174,7 @@ impl Service {
                         // The core tries again, and the files with it.
                         self.works = None;
                     }
-                    failures.into_iter().for_each(|(id, reason)| self.fail(id, reason));
+                    failures.into_iter().for_each(|(id, reason)| self.fail(run, id, reason));
                 }
             }
             Message::Wake | Message::Stop => {}
@@ -193,14 +200,18 @@ impl Service {
                     // After a restart of the agent.
                     self.prepare(&wanted);
                 }
-                if let Some(Err(reason)) = self.works.as_mut().map(|works| works.start(id, instance)) {
-                    self.fail(id, reason);
+                if let Some(works) = &mut self.works
+                    && let Err(reason) = works.start(id, instance)
+                {
+                    let run = works.run();
+                    self.fail(run, id, reason);
                 }
             }
             Action::Stop(id) => {
                 if let Some(works) = &mut self.works {
                     works.stop(id);
                 }
+                self.count_stopping();
             }
             Action::Emulate(links) => {
                 let now = self.now();
@@ -225,9 +236,15 @@ impl Service {
         files::remove_others(&self.options.state, wanted.run);
         let wake = self.messages.clone();
         // A full inbox wakes the loop anyway.
-        let wake: Wake = Box::new(move || drop(wake.try_send(Message::Wake)));
+        let wake: Wake = Arc::new(move || drop(wake.try_send(Message::Wake)));
         self.works = Some(Works::new(wanted.run, &self.options, folder.clone(), wake));
         self.fetch(folder, wanted);
+    }
+
+    /// Counts the stopped instances that have not ended yet.
+    fn count_stopping(&mut self) {
+        let now = self.now();
+        self.agent.set_stopping(now, self.works.as_ref().map_or(0, Works::stopping));
     }
 
     /// Fetches the files of a run on a thread of its own.
@@ -247,10 +264,10 @@ impl Service {
     }
 
     /// Reports that an instance could not be started.
-    fn fail(&mut self, id: InstanceId, reason: String) {
+    fn fail(&mut self, run: Run, id: InstanceId, reason: String) {
         tracing::warn!("{reason}");
         let now = self.now();
-        self.agent.outcome(now, EngineEvent { instance: id, outcome: Outcome::Failed(reason) });
+        self.agent.outcome(now, run, EngineEvent { instance: id, outcome: Outcome::Failed(reason) });
     }
 
     fn report_context(&mut self) {

@@ -1,20 +1,26 @@
-//! What runs VNFs of one run: its files, and the engine.
+//! What runs VNFs of one run: its files, and the engines.
 
 use std::{fs, path::PathBuf, sync::Arc};
 
 use cotorra_agent_protocol::{Run, WantedInstance};
 use cotorra_engine::{Cgroups, Engine, EngineEvent, InstanceId, ProcessEngine};
 
-use crate::{error::at, launcher::MachineLauncher, options::Options};
+#[cfg(feature = "containers")]
+use crate::images::Images;
+use crate::{
+    environments::Environments, error::at, files::LOGS, launcher::MachineLauncher, options::Options,
+};
 
 /// Wakes the agent's loop.
-pub(crate) type Wake = Box<dyn Fn() + Send + Sync>;
+pub(crate) type Wake = Arc<dyn Fn() + Send + Sync>;
 
 /// Runs VNFs of one run. Dropping it ends them.
 pub(crate) struct Works {
     run: Run,
-    launcher: Arc<MachineLauncher<Wake>>,
-    engine: ProcessEngine<MachineLauncher<Wake>>,
+    environments: Arc<Environments>,
+    processes: ProcessEngine<MachineLauncher>,
+    #[cfg(feature = "containers")]
+    images: Images,
     /// Instances that wait for the run's files; `None` once the files are there.
     waiting: Option<Vec<(InstanceId, Box<WantedInstance>)>>,
 }
@@ -25,14 +31,24 @@ pub(crate) type Failures = Vec<(InstanceId, String)>;
 impl Works {
     /// Makes ready to run VNFs in a run's folder, whose files [`Self::complete`] reports.
     pub(crate) fn new(run: Run, options: &Options, folder: PathBuf, wake: Wake) -> Self {
-        let logs = folder.join("logs");
+        let logs = folder.join(LOGS);
         if let Err(error) = fs::create_dir_all(&logs).map_err(at("create", &logs)) {
             tracing::error!("{error}");
         }
-        let launcher = Arc::new(MachineLauncher::new(options.clone(), folder, wake));
+        let environments = Arc::<Environments>::default();
+        #[cfg(feature = "containers")]
+        let images = Images::new(options, folder.clone(), Arc::clone(&environments), Arc::clone(&wake));
+        let launcher = MachineLauncher::new(options, folder, Arc::clone(&environments), wake);
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
-        let engine = ProcessEngine::new(Arc::clone(&launcher), logs, cgroups);
-        Self { run, launcher, engine, waiting: Some(Vec::new()) }
+        let processes = ProcessEngine::new(Arc::new(launcher), logs, cgroups);
+        Self {
+            run,
+            environments,
+            processes,
+            #[cfg(feature = "containers")]
+            images,
+            waiting: Some(Vec::new()),
+        }
     }
 
     pub(crate) fn run(&self) -> Run {
@@ -49,9 +65,15 @@ impl Works {
             return Ok(());
         }
         let WantedInstance { vnf, replica, node, environment, .. } = *instance;
-        self.launcher.set_environment(&vnf, replica, environment);
+        self.environments.set(&vnf.id, replica, environment);
         tracing::info!("starting `{}`", vnf.id);
-        self.engine.start(id, &vnf, replica, &node)
+        if vnf.image.is_none() {
+            return self.processes.start(id, &vnf, replica, &node);
+        }
+        #[cfg(feature = "containers")]
+        return self.images.start(id, &vnf, replica, &node);
+        #[cfg(not(feature = "containers"))]
+        Err("the agent has no containers: build it with `--features containers`".to_owned())
     }
 
     /// Starts what waited for the files, if they are there.
@@ -71,41 +93,63 @@ impl Works {
         if let Some(waiting) = &mut self.waiting {
             waiting.retain(|(waiting, _)| *waiting != id);
         }
-        self.engine.stop(id);
+        self.processes.stop(id);
+        #[cfg(feature = "containers")]
+        self.images.stop(id);
+    }
+
+    /// Returns the number of stopped instances that have not ended yet.
+    pub(crate) fn stopping(&self) -> usize {
+        let stopping = self.processes.stopping();
+        #[cfg(feature = "containers")]
+        let stopping = stopping + self.images.stopping();
+        stopping
     }
 
     pub(crate) fn poll(&mut self) -> Option<EngineEvent> {
-        self.engine.poll()
+        let event = self.processes.poll();
+        #[cfg(feature = "containers")]
+        let event = event.or_else(|| self.images.poll());
+        event
     }
 
     pub(crate) fn shut_down(&mut self) {
-        self.engine.shut_down();
+        self.processes.shut_down();
+        #[cfg(feature = "containers")]
+        self.images.shut_down();
     }
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use std::collections::BTreeMap;
 
-    use cotorra_graph::{NodeId, Program, Vnf, VnfId};
+    use cotorra_graph::{Image, NodeId, Program, Vnf, VnfId};
 
     use super::*;
 
-    fn instance(command: &str) -> Box<WantedInstance> {
-        let node = NodeId::new("edge").unwrap();
-        let vnf = Vnf {
-            id: VnfId::new("navigation").unwrap(),
+    pub(crate) fn vnf(id: &str, command: &str) -> Vnf {
+        Vnf {
+            id: VnfId::new(id).unwrap(),
             program: Program::Command(command.split_whitespace().map(str::to_owned).collect()),
             cpus: 1.0,
             memory_bytes: 1 << 20,
             pinned_to: None,
-            node: node.clone().into(),
+            node: NodeId::new("edge").unwrap().into(),
             env: Vec::new(),
             rights: Default::default(),
             keep: false,
             image: None,
-        };
+        }
+    }
+
+    fn wanted(vnf: Vnf) -> Box<WantedInstance> {
+        let node = vnf.node.first().clone();
         Box::new(WantedInstance { vnf, replica: 0, node, environment: BTreeMap::new(), keep: false })
+    }
+
+    fn instance(command: &str) -> Box<WantedInstance> {
+        wanted(vnf("navigation", command))
     }
 
     fn works() -> (tempfile::TempDir, Works) {
@@ -115,9 +159,10 @@ mod tests {
             state: folder.path().to_owned(),
             user: None,
             allow_trusted: false,
+            images: None,
             confirmed: Default::default(),
         };
-        let works = Works::new(Run(1), &options, folder.path().join("runs/1"), Box::new(|| {}));
+        let works = Works::new(Run(1), &options, folder.path().join("runs/1"), Arc::new(|| {}));
         (folder, works)
     }
 
@@ -141,5 +186,16 @@ mod tests {
         let failures = works.complete(&Ok(()));
         assert_eq!(failures, [(InstanceId(1), "its command is empty".to_owned())]);
         assert_eq!(works.start(InstanceId(2), instance("")), Err("its command is empty".to_owned()));
+    }
+
+    #[test]
+    fn images_need_the_permission_of_the_machines_owner() {
+        let (_folder, mut works) = works();
+        works.complete(&Ok(()));
+        let image = Image { reference: "ros:jazzy".to_owned(), ..Image::default() };
+        let vnf = Vnf { image: Some(Box::new(image)), ..vnf("planner", "plan") };
+        let rejected = works.start(InstanceId(1), wanted(vnf)).unwrap_err();
+        let remedy = if cfg!(feature = "containers") { "--images podman" } else { "--features containers" };
+        assert!(rejected.contains(remedy), "{rejected}");
     }
 }

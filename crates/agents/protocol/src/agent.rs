@@ -39,8 +39,6 @@ pub enum Action {
 /// A wanted instance.
 #[derive(Debug)]
 struct Running {
-    /// Its number at the engine, unique in this process.
-    local: InstanceId,
     state: InstanceState,
     keep: bool,
 }
@@ -60,7 +58,8 @@ pub struct Agent {
     boot: u64,
     wanted: Option<Wanted>,
     instances: BTreeMap<Instance, Running>,
-    started: u64,
+    /// Number of instances that were stopped and have not ended yet.
+    stopping: usize,
     /// The newest run that was heard of.
     run: Option<Run>,
     /// Time of the last sign of life of the core.
@@ -89,7 +88,7 @@ impl Agent {
             run: saved.as_ref().map(|wanted| wanted.run),
             wanted: None,
             instances: BTreeMap::new(),
-            started: 0,
+            stopping: 0,
             heard: now,
             is_alone: false,
             has_heard: false,
@@ -158,6 +157,13 @@ impl Agent {
         }
     }
 
+    /// Takes the number of instances that were stopped and have not ended yet.
+    pub fn set_stopping(&mut self, now: Timestamp, stopping: usize) {
+        if std::mem::replace(&mut self.stopping, stopping) != stopping {
+            self.next_report = now;
+        }
+    }
+
     /// Takes the state of the robot to drive; `None` if there is none.
     pub fn set_robot_state(&mut self, now: Timestamp, state: Option<RobotState>) {
         let state = state.map(|state| match state {
@@ -211,14 +217,13 @@ impl Agent {
         }
     }
 
-    /// Takes an event of the engine. Ignores that of an instance that is not wanted any more.
-    pub fn outcome(&mut self, now: Timestamp, event: EngineEvent) {
-        let Some(running) = self.instances.values_mut().find(|its| its.local == event.instance) else {
-            return;
-        };
-        if running.has_ended() {
+    /// Takes an event of the engine of a run. Ignores that of an instance that is not wanted any more.
+    pub fn outcome(&mut self, now: Timestamp, run: Run, event: EngineEvent) {
+        if self.wanted.as_ref().is_none_or(|wanted| wanted.run != run) {
             return;
         }
+        let running = self.instances.get_mut(&event.instance.0).filter(|its| !its.has_ended());
+        let Some(running) = running else { return };
         running.state = match event.outcome {
             Outcome::Ready => InstanceState::Ready,
             Outcome::Died(reason) => InstanceState::Died(short(&reason)),
@@ -235,8 +240,9 @@ impl Agent {
         };
         let failed: Vec<_> = self.actions.iter().filter_map(starts).collect();
         self.actions.retain(|action| starts(action).is_none());
+        let Some(run) = self.wanted.as_ref().map(|wanted| wanted.run) else { return };
         for instance in failed {
-            self.outcome(now, EngineEvent { instance, outcome: Outcome::Failed(reason.to_owned()) });
+            self.outcome(now, run, EngineEvent { instance, outcome: Outcome::Failed(reason.to_owned()) });
         }
     }
 
@@ -278,6 +284,7 @@ impl Agent {
             generation: wanted.map_or(0, |wanted| wanted.generation),
             echo,
             instances: instances.map(|(id, its)| (*id, its.state.clone())).collect(),
+            stopping: self.stopping,
             robot: self.robot.clone().filter(|_| wanted.is_some()),
             links: self.links.clone(),
         }))
@@ -306,34 +313,31 @@ impl Agent {
     }
 
     fn start(&mut self, id: Instance, instance: &WantedInstance) {
-        self.started += 1;
-        let local = InstanceId(self.started);
-        self.instances.insert(id, Running { local, state: InstanceState::Starting, keep: instance.keep });
-        self.actions.push_back(Action::Start(local, Box::new(instance.clone())));
+        self.instances.insert(id, Running { state: InstanceState::Starting, keep: instance.keep });
+        self.actions.push_back(Action::Start(InstanceId(id), Box::new(instance.clone())));
     }
 
     /// Ends an instance that is still wanted.
     fn end(&mut self, id: Instance, reason: &str) {
         if let Some(running) = self.instances.get_mut(&id).filter(|its| !its.has_ended()) {
             running.state = InstanceState::Died(reason.to_owned());
-            let local = running.local;
-            self.cancel(local);
+            self.cancel(InstanceId(id));
         }
     }
 
     /// Ends an instance that is not wanted any more.
     fn forget(&mut self, id: Instance) {
-        if let Some(running) = self.instances.remove(&id).filter(|its| !its.has_ended()) {
-            self.cancel(running.local);
+        if self.instances.remove(&id).is_some_and(|its| !its.has_ended()) {
+            self.cancel(InstanceId(id));
         }
     }
 
     /// Stops an instance, or leaves out its start if that was not done yet.
-    fn cancel(&mut self, local: InstanceId) {
-        let starts = |action: &Action| matches!(action, Action::Start(id, _) if *id == local);
+    fn cancel(&mut self, id: InstanceId) {
+        let starts = |action: &Action| matches!(action, Action::Start(its, _) if *its == id);
         match self.actions.iter().position(starts) {
             Some(place) => drop(self.actions.remove(place)),
-            None => self.actions.push_back(Action::Stop(local)),
+            None => self.actions.push_back(Action::Stop(id)),
         }
     }
 }

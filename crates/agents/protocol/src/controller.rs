@@ -75,6 +75,7 @@ struct Remote {
     reported: u64,
     /// Numbers of instances and links in its last report.
     running: usize,
+    stopping: usize,
     emulated: usize,
     /// Time of its last report, while it is not lost.
     seen: Option<Timestamp>,
@@ -175,6 +176,7 @@ impl Controller {
         self.agents.values().filter(|remote| remote.seen.is_some()).all(|remote| {
             remote.reported == remote.generation
                 && remote.running == remote.instances.len()
+                && remote.stopping == 0
                 && remote.emulated == remote.links.len()
                 && remote.robot_state.is_some() == remote.robot.is_some()
         })
@@ -217,7 +219,8 @@ impl Controller {
         if let Some(echo) = report.echo {
             remote.clock.receive(now, echo);
         }
-        (remote.reported, remote.running) = (report.generation, report.instances.len());
+        (remote.reported, remote.running, remote.stopping) =
+            (report.generation, report.instances.len(), report.stopping);
         remote.emulated = report.links.len();
         for (link, known) in &mut remote.links {
             // Before that, the report is on other conditions.

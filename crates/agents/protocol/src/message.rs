@@ -81,6 +81,9 @@ pub struct Report {
     pub echo: Option<Echo>,
     /// The state of each wanted instance.
     pub instances: BTreeMap<Instance, InstanceState>,
+    /// Number of instances that were stopped and have not ended yet.
+    #[serde(default)]
+    pub stopping: usize,
     /// The state of the wanted robot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<RobotState>,

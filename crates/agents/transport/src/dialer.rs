@@ -1,6 +1,6 @@
 //! An agent's end.
 
-use std::time::Duration;
+use std::{thread, time::Duration};
 
 use cotorra_agent_protocol::{Beat, Report, RobotCommand, RobotReading, RobotTurn, Run, Wanted};
 use cotorra_graph::AgentId;
@@ -19,6 +19,9 @@ use crate::{
 
 /// Time for one file.
 const FILE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Attempts to fetch a file, and the pause after each.
+const FILE_ATTEMPTS: u32 = 10;
+const FILE_PAUSE: Duration = Duration::from_millis(200);
 /// Something that arrived from the core.
 #[derive(Debug)]
 pub enum FromCore {
@@ -154,6 +157,11 @@ impl RobotSender {
     }
 }
 
+#[allow(clippy::disallowed_methods, reason = "waits for the other end on a thread that does nothing else")]
+fn pause() {
+    thread::sleep(FILE_PAUSE);
+}
+
 /// Fetches files of a run from the core.
 #[derive(Clone)]
 pub struct Fetcher {
@@ -162,17 +170,21 @@ pub struct Fetcher {
 }
 
 impl Fetcher {
-    /// Fetches a file by its SHA-256. Blocks until it is there, or for ten seconds. The bytes are not verified.
+    /// Fetches a file by its SHA-256. Blocks until it is there, or for some seconds. The bytes are not verified.
     ///
     /// # Errors
     /// [`TransportError::NoFile`].
     pub fn fetch(&self, run: Run, sha256: &str) -> Result<Vec<u8>, TransportError> {
         let key = format!("{}/{}/{sha256}", keys::in_run(run, &self.agent), keys::FILE);
-        let replies = self.session.get(key).timeout(FILE_TIMEOUT).wait().map_err(session)?;
-        while let Ok(reply) = replies.recv() {
-            if let Ok(sample) = reply.result() {
-                return Ok(sample.payload().to_bytes().into_owned());
+        // A core can send what it wants before this end of the connection knows that the core has files.
+        for _ in 0..FILE_ATTEMPTS {
+            let replies = self.session.get(&key).timeout(FILE_TIMEOUT).wait().map_err(session)?;
+            while let Ok(reply) = replies.recv() {
+                if let Ok(sample) = reply.result() {
+                    return Ok(sample.payload().to_bytes().into_owned());
+                }
             }
+            pause();
         }
         Err(TransportError::NoFile(sha256.to_owned()))
     }

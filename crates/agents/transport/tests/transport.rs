@@ -101,6 +101,7 @@ fn report(boot: u64) -> Report {
         generation: 0,
         echo: None,
         instances: BTreeMap::new(),
+        stopping: 0,
         robot: None,
         links: BTreeMap::new(),
     }

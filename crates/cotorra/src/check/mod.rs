@@ -53,7 +53,7 @@ fn scripted(Rehearsal { timed, areas, replayed }: Rehearsal) -> String {
 fn hints(testbed: &Testbed) -> Vec<String> {
     let is_instant = |program: &Program, start: Duration, processing: Duration| {
         // A command in a container does not run in virtual time.
-        matches!(program, Program::Navigation | Program::Localization) && (start + processing).is_zero()
+        program.serves_robots() && (start + processing).is_zero()
     };
     let images = testbed.vnfs().filter_map(|vnf| Some((vnf, vnf.image.as_deref()?)));
     let instant = images.filter(|(vnf, image)| is_instant(&vnf.program, image.start, image.processing));

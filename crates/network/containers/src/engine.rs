@@ -7,7 +7,7 @@ use std::{
     io::{self, Write as _},
     path::PathBuf,
     rc::Rc,
-    sync::{Arc, mpsc as events},
+    sync::{Arc, Weak, mpsc as events},
     thread,
 };
 
@@ -80,6 +80,14 @@ pub struct ContainerEngine {
     thread: Option<thread::JoinHandle<()>>,
     surroundings: Arc<dyn Surroundings>,
     logs: PathBuf,
+    instances: BTreeMap<InstanceId, Known>,
+}
+
+/// What the engine's owner knows of an instance.
+struct Known {
+    is_stopped: bool,
+    /// Upgrades until the instance has ended and is cleaned up.
+    alive: Weak<()>,
 }
 
 impl std::fmt::Debug for ContainerEngine {
@@ -89,7 +97,8 @@ impl std::fmt::Debug for ContainerEngine {
 }
 
 enum Command {
-    Start(InstanceId, Box<Wanted>),
+    /// Start an instance. The last part is dropped once it has ended and is cleaned up.
+    Start(InstanceId, Box<Wanted>, Arc<()>),
     Stop(InstanceId),
     /// The sender is dropped once nothing is left of stopped instances.
     Settle(events::Sender<()>),
@@ -127,7 +136,20 @@ impl ContainerEngine {
             }
             drop(guard);
         })?;
-        Ok(Self { commands: Some(commands), events, thread: Some(thread), surroundings, logs })
+        Ok(Self {
+            commands: Some(commands),
+            events,
+            thread: Some(thread),
+            surroundings,
+            logs,
+            instances: BTreeMap::new(),
+        })
+    }
+
+    /// Returns the number of instances that were stopped and have not ended yet. The owner is woken when one has.
+    pub fn stopping(&self) -> usize {
+        let is_stopping = |its: &&Known| its.is_stopped && its.alive.strong_count() > 0;
+        self.instances.values().filter(is_stopping).count()
     }
 
     /// Waits until instances that were stopped have ended and are cleaned up.
@@ -153,10 +175,18 @@ impl Engine for ContainerEngine {
         // A full disk must not keep the VNF from running.
         let _ = writeln!(log, "--- instance {} on {node}", instance.0);
         let wanted = Wanted { vnf: vnf.clone(), replica, node: node.clone(), network, log };
-        self.send(Command::Start(instance, Box::new(wanted)))
+        let lives = Arc::new(());
+        let alive = Arc::downgrade(&lives);
+        self.send(Command::Start(instance, Box::new(wanted), lives))?;
+        self.instances.retain(|_, known| known.alive.strong_count() > 0);
+        self.instances.insert(instance, Known { is_stopped: false, alive });
+        Ok(())
     }
 
     fn stop(&mut self, instance: InstanceId) {
+        if let Some(known) = self.instances.get_mut(&instance) {
+            known.is_stopped = true;
+        }
         // Fails only if the thread has ended, and all instances with it.
         let _ = self.send(Command::Stop(instance));
     }
@@ -206,10 +236,16 @@ impl Tasks {
             }
             tokio::select! {
                 command = inbox.recv() => match command {
-                    Some(Command::Start(instance, wanted)) => {
+                    Some(Command::Start(instance, wanted, lives)) => {
                         let (stop, stopped) = oneshot::channel::<()>();
                         stops.insert(instance, stop);
-                        running.spawn_local(Rc::clone(&self).run(instance, *wanted, stopped));
+                        let tasks = Rc::clone(&self);
+                        running.spawn_local(async move {
+                            tasks.run(instance, *wanted, stopped).await;
+                            drop(lives);
+                            tasks.surroundings.wake();
+                            instance
+                        });
                     }
                     // A sender that is gone stops the instance.
                     Some(Command::Stop(instance)) => drop(stops.remove(&instance)),
@@ -232,13 +268,8 @@ impl Tasks {
         removed.is_ok()
     }
 
-    /// Runs an instance until it ends or is stopped. Returns its number.
-    async fn run(
-        self: Rc<Self>,
-        instance: InstanceId,
-        wanted: Wanted,
-        mut stop: oneshot::Receiver<()>,
-    ) -> InstanceId {
+    /// Runs an instance until it ends or is stopped.
+    async fn run(&self, instance: InstanceId, wanted: Wanted, mut stop: oneshot::Receiver<()>) {
         let report = |outcome| {
             // Fails only while the engine is dropped.
             let _ = self.report.send(EngineEvent { instance, outcome });
@@ -246,14 +277,13 @@ impl Tasks {
         };
         let prepared = tokio::select! {
             biased;
-            _ = &mut stop => return instance,
+            _ = &mut stop => return,
             prepared = self.prepare(instance, wanted) => prepared,
         };
         match prepared {
             Ok((daemon, prepared)) => prepared.run(&daemon, stop, &self.is_last, &report).await,
             Err(error) => report(Outcome::Failed(error)),
         }
-        instance
     }
 
     async fn prepare(&self, instance: InstanceId, wanted: Wanted) -> Result<(Daemon, Instance), String> {

@@ -8,7 +8,7 @@ use std::{
     io::{self, BufRead, BufReader, PipeReader, Write},
     path::PathBuf,
     process::{ChildStdout, Command, ExitStatus, Stdio},
-    sync::{Arc, mpsc},
+    sync::{Arc, Weak, mpsc},
     thread,
     time::Duration,
 };
@@ -96,7 +96,18 @@ impl<L> std::fmt::Debug for ProcessEngine<L> {
 
 struct Watched {
     stop: mpsc::Sender<()>,
+    is_stopped: bool,
+    /// Upgrades until the instance has ended and is cleaned up.
+    alive: Weak<()>,
     thread: thread::JoinHandle<()>,
+}
+
+impl Watched {
+    fn stop(&mut self) {
+        self.is_stopped = true;
+        // Fails only if it has ended.
+        let _ = self.stop.send(());
+    }
 }
 
 impl<L: Launcher> ProcessEngine<L> {
@@ -105,6 +116,12 @@ impl<L: Launcher> ProcessEngine<L> {
     pub fn new(launcher: Arc<L>, logs: PathBuf, cgroups: Option<Cgroups>) -> Self {
         let (report, events) = mpsc::channel();
         Self { launcher, logs, cgroups: cgroups.map(Arc::new), watched: BTreeMap::new(), events, report }
+    }
+
+    /// Returns the number of instances that were stopped and have not ended yet. The owner is woken when one has.
+    pub fn stopping(&self) -> usize {
+        let is_stopping = |its: &&Watched| its.is_stopped && its.alive.strong_count() > 0;
+        self.watched.values().filter(is_stopping).count()
     }
 
     fn command(&self, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<Command, String> {
@@ -147,6 +164,8 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         let (launcher, events) = (Arc::clone(&self.launcher), self.report.clone());
         let (node, vnf) = (node.clone(), vnf.clone());
         let cgroups = self.cgroups.clone();
+        let lives = Arc::new(());
+        let alive = Arc::downgrade(&lives);
         let thread = thread::Builder::new()
             .name(format!("vnf-{}", vnf.id))
             .spawn(move || {
@@ -162,28 +181,28 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
                 if let Some(groups) = cgroups {
                     groups.release(instance);
                 }
+                drop(lives);
+                launcher.wake();
             })
             .map_err(|e| format!("cannot start a thread: {e}"))?;
-        self.watched.insert(instance, Watched { stop, thread });
+        self.watched.insert(instance, Watched { stop, is_stopped: false, alive, thread });
         Ok(())
     }
 
     fn stop(&mut self, instance: InstanceId) {
-        if let Some(watched) = self.watched.get(&instance) {
-            let _ = watched.stop.send(());
+        if let Some(watched) = self.watched.get_mut(&instance) {
+            watched.stop();
         }
     }
 
     fn poll(&mut self) -> Option<EngineEvent> {
         let event = self.events.try_recv().ok();
-        self.watched.retain(|_, watched| !watched.thread.is_finished());
+        self.watched.retain(|_, watched| watched.alive.strong_count() > 0);
         event
     }
 
     fn shut_down(&mut self) {
-        for watched in self.watched.values() {
-            let _ = watched.stop.send(());
-        }
+        self.watched.values_mut().for_each(Watched::stop);
         for (_, watched) in std::mem::take(&mut self.watched) {
             let _ = watched.thread.join();
         }
@@ -192,8 +211,8 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
 
 impl<L> Drop for ProcessEngine<L> {
     fn drop(&mut self) {
-        for (_, watched) in std::mem::take(&mut self.watched) {
-            let _ = watched.stop.send(());
+        for (_, mut watched) in std::mem::take(&mut self.watched) {
+            watched.stop();
             let _ = watched.thread.join();
         }
     }

@@ -8,4 +8,4 @@ mod programs;
 
 pub use belief::{believed, parameters, planar, to_pose};
 pub use localization::{LocalizationVnf, NotLocalized, PacketError};
-pub use programs::{PORT, ROBOT, TESTBED, VnfError, localization, navigation};
+pub use programs::{FILES, PORT, ROBOT, TESTBED, VnfError, localization, navigation};

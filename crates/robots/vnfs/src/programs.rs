@@ -16,6 +16,9 @@ pub const ROBOT: &str = "COTORRA_ROBOT";
 /// UDP port of the VNF.
 pub const PORT: &str = "COTORRA_PORT";
 
+/// Folder of a container in which it finds the testbed file, and what this names.
+pub const FILES: &str = "/run/cotorra";
+
 /// Error of a bundled VNF.
 #[derive(Debug, thiserror::Error)]
 pub enum VnfError {

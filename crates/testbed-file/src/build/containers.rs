@@ -118,9 +118,9 @@ impl Builder<'_> {
             self.sink
                 .error(
                     &engine.span,
-                    format!("an engine of `{}`, whose agent `{}` runs no images", id.value, agent.value),
+                    format!("an engine of `{}`, which is at the agent `{}`", id.value, agent.value),
                 )
-                .help("leave out `engine`");
+                .help("leave out `engine`, and choose one there: `cotorra-agent run --images podman`");
         }
         let Some(image) = &record.image else {
             let given: Vec<_> = record.keys_of_command().chain(record.keys_of_image()).collect();
@@ -135,7 +135,7 @@ impl Builder<'_> {
             let what = format!("`{}` is at the agent `{}`, and cannot be a container", id.value, agent.value);
             self.sink
                 .error(&image.span, what)
-                .help("leave out `image`, or the `agent`: containers of images run on this machine");
+                .help("leave out `image`, and place a VNF with an `image` there, or leave out the `agent`");
         }
         let image = self.image(record, [("start_time", &None), ("processing_delay", &None)]);
         let words = self.words_in_image(record.command.as_ref());

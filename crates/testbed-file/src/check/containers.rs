@@ -1,6 +1,6 @@
 //! Images run on nodes that have an engine for them.
 
-use cotorra_graph::{Containers, EngineKind, Node, NodeKind, Testbed, Vnf};
+use cotorra_graph::{Containers, EngineKind, Node, Testbed, Vnf};
 
 use crate::{
     records::TestbedRecord,
@@ -20,28 +20,16 @@ pub(super) fn hosts(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
 
 const AN_ENGINE: &str = "write `engine: podman` or `engine: docker` at the node";
 
-/// Whether a node runs images. Agents do not.
+/// Whether a node runs images. The agent of a real server says what it runs.
 pub(super) fn runs_images(containers: &Containers, node: &Node) -> bool {
-    containers.engine(&node.id) != EngineKind::Process && !is_real(node)
-}
-
-fn is_real(node: &Node) -> bool {
-    matches!(&node.kind, NodeKind::Server(server) if server.real.is_some())
+    node.real_server().is_some() || containers.engine(&node.id) != EngineKind::Process
 }
 
 /// Reports an image on a node that runs none.
 pub(super) fn no_image(place: &Span, vnf: &Vnf, node: &Node, able: &[&str], sink: &mut Sink) {
-    let (what, others) = if is_real(node) {
-        ("it is a real server, whose agent runs programs of its machine", "")
-    } else {
-        ("its engine is `process`", AN_ENGINE)
+    let help = match able {
+        [] => AN_ENGINE.to_owned(),
+        able => format!("place `{}` on one of {}, or {AN_ENGINE}", vnf.id, words(able)),
     };
-    let place_it = format!("place `{}` on one of {}", vnf.id, words(able));
-    let help = match (able, others) {
-        ([], "") => "add an emulated server for it".to_owned(),
-        ([], others) => others.to_owned(),
-        (_, "") => place_it,
-        (_, others) => format!("{place_it}, or {others}"),
-    };
-    sink.error(place, format!("`{}` runs no images: {what}", node.id)).help(help);
+    sink.error(place, format!("`{}` runs no images: its engine is `process`", node.id)).help(help);
 }

@@ -148,7 +148,7 @@ fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &m
             _ => {}
         }
     }
-    let is_asked = |vnf: &Vnf| matches!(vnf.program, Program::Navigation | Program::Localization);
+    let is_asked = |vnf: &Vnf| vnf.program.serves_robots();
     if let Some(requests) = record.requests.as_ref().filter(|_| !service.vnfs.iter().any(is_asked)) {
         sink.error(&requests.span, "`requests` of a service that the robot asks nothing")
             .help("leave it out: where requests of your own programs go, these programs decide");

@@ -24,6 +24,9 @@ use crate::{clock::Clock, message::Message};
 /// Interval of looking for enrolled, renewed and revoked agents.
 const LOOK: Duration = Duration::from_secs(1);
 
+/// Longest time at the end of a run for agents that report that something still ends, as a container of a busy engine may.
+const LONGEST_END: Duration = Duration::from_secs(30);
+
 /// A message to the thread.
 pub(super) enum Command {
     Start(AgentId, InstanceId, Box<WantedInstance>),
@@ -107,7 +110,7 @@ impl Link {
             match inbox.recv_timeout(deadline.since((self.parts.now)())) {
                 Ok(Command::End) | Err(mpsc::RecvTimeoutError::Disconnected) => {
                     self.controller.lock().stop_all();
-                    ends_at = Some((self.parts.now)() + self.parts.lease);
+                    ends_at = Some((self.parts.now)() + LONGEST_END);
                 }
                 Ok(command) => self.take(command),
                 Err(mpsc::RecvTimeoutError::Timeout) => {}

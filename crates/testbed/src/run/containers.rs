@@ -3,41 +3,38 @@
 use std::{
     collections::{BTreeMap, BTreeSet, btree_map::Entry},
     fs, io,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Arc, mpsc::Sender},
 };
 
 use cotorra_containers::{Address, ContainerEngine, Network, NoEngine, Settings, Surroundings};
 use cotorra_datapath::{Datapath, HostsFile};
 use cotorra_engine::{Engine, EngineEvent, InstanceId};
-use cotorra_graph::{EngineKind, ListenPort, NodeId, Program, Testbed, Transport, Vnf, VnfId};
+use cotorra_graph::{EngineKind, ListenPort, NodeId, Testbed, Transport, Vnf, VnfId};
 use cotorra_plugin::wire;
 
-use super::launcher::robots_by_vnf;
+use super::{engines::images_here, launcher::robots_by_vnf};
 use crate::{error::RunError, message::Message, report::RunFolder, whole};
-
-/// Folder of containers in which navigation and localization find the testbed file, and what it names.
-const FILES: &str = "/run/cotorra";
 
 /// The engines that a testbed needs, by their kind.
 pub(crate) type Addresses = BTreeMap<EngineKind, Address>;
 
-/// Finds the engines of a testbed, before a run has a folder: those of nodes where containers start, and those to which they can
-/// move.
+/// Finds the engines of a testbed on this machine, before a run has a folder: those of nodes where containers start, and those
+/// to which they can move.
 ///
 /// # Errors
 /// [`RunError::NoEngine`] if this machine has no engine for a node where a container starts.
 pub(crate) fn find_engines(testbed: &Testbed) -> Result<Addresses, RunError> {
-    let images = || testbed.vnfs().filter(|vnf| vnf.image.is_some());
     let mut addresses = Addresses::new();
-    for (vnf, node) in images().flat_map(|vnf| vnf.node.all().iter().map(move |node| (vnf, node))) {
+    for (vnf, node) in images_here(testbed) {
         if let Entry::Vacant(place) = addresses.entry(testbed.containers.engine(node)) {
             let cannot = |source| RunError::NoEngine { vnf: vnf.id.clone(), node: node.clone(), source };
             let address = Address::find(*place.key()).map_err(cannot)?;
             place.insert(address);
         }
     }
-    let others: BTreeSet<_> = testbed.graph.hosts().map(|node| testbed.containers.engine(&node.id)).collect();
+    let here = testbed.graph.hosts().filter(|node| node.real_server().is_none());
+    let others: BTreeSet<_> = here.map(|node| testbed.containers.engine(&node.id)).collect();
     let others = others.into_iter().filter_map(|kind| Some((kind, Address::find(kind).ok()?)));
     let missing: Vec<_> = others.filter(|(kind, _)| !addresses.contains_key(kind)).collect();
     addresses.extend(missing);
@@ -65,8 +62,9 @@ impl Containers {
         // One mount for each file or folder beside the testbed file.
         let files = whole::files(folder.path())?;
         let beside: BTreeSet<_> = files.iter().filter_map(|file| file.iter().next()).collect();
-        let files =
-            beside.into_iter().map(|name| (folder.path().join(name), PathBuf::from(FILES).join(name)));
+        let files = beside
+            .into_iter()
+            .map(|name| (folder.path().join(name), Path::new(cotorra_vnfs::FILES).join(name)));
         let files = files.collect();
         let hosts = folder.logs().join("hosts");
         fs::write(&hosts, HostsFile::text(&testbed.graph))?;
@@ -142,10 +140,6 @@ struct Nodes {
     messages: Sender<Message>,
 }
 
-fn is_role(vnf: &Vnf) -> bool {
-    matches!(vnf.program, Program::Navigation | Program::Localization)
-}
-
 impl Surroundings for Nodes {
     fn network(&self, node: &NodeId) -> Result<Network, String> {
         let namespace = self.datapath.namespace(node).map_err(|e| e.to_string())?;
@@ -155,8 +149,8 @@ impl Surroundings for Nodes {
     fn environment(&self, vnf: &Vnf, _replica: u32, node: &NodeId) -> Vec<(String, String)> {
         let robot = self.robots.get(&vnf.id).map(|robot| (cotorra_vnfs::ROBOT, robot.to_string()));
         let port = wire::port(&self.testbed, &vnf.id).map(|port| (cotorra_vnfs::PORT, port.to_string()));
-        let testbed = is_role(vnf).then(|| {
-            let path = PathBuf::from(FILES).join(RunFolder::TESTBED);
+        let testbed = vnf.program.serves_robots().then(|| {
+            let path = Path::new(cotorra_vnfs::FILES).join(RunFolder::TESTBED);
             (cotorra_vnfs::TESTBED, path.to_string_lossy().into_owned())
         });
         let ours = [robot, port, testbed].into_iter().flatten();
@@ -167,13 +161,13 @@ impl Surroundings for Nodes {
     }
 
     fn ports(&self, vnf: &Vnf) -> Vec<ListenPort> {
-        let port = wire::port(&self.testbed, &vnf.id).filter(|_| is_role(vnf));
+        let port = wire::port(&self.testbed, &vnf.id).filter(|_| vnf.program.serves_robots());
         port.map(|port| ListenPort { port, transport: Transport::Udp }).into_iter().collect()
     }
 
     fn files(&self, vnf: &Vnf) -> Vec<(PathBuf, PathBuf)> {
         let hosts = (self.hosts.clone(), PathBuf::from("/etc/hosts"));
-        let files = self.files.iter().filter(|_| is_role(vnf)).cloned();
+        let files = self.files.iter().filter(|_| vnf.program.serves_robots()).cloned();
         std::iter::once(hosts).chain(files).collect()
     }
 

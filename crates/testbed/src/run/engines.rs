@@ -1,12 +1,20 @@
-//! The engines of a run: VNFs on emulated nodes are processes of this machine or run in containers, and those on real servers
-//! run at their agents.
+//! The engines of a run: VNFs on emulated nodes are processes or containers of this machine, and those on real servers run at
+//! their agents.
 
 use std::collections::BTreeMap;
 
 use cotorra_engine::{Engine, EngineEvent, InstanceId, ProcessEngine};
-use cotorra_graph::{AgentId, HardwareGraph, NodeId, Vnf};
+use cotorra_graph::{AgentId, HardwareGraph, NodeId, Testbed, Vnf};
 
 use super::launcher::NodeLauncher;
+
+/// Returns the VNFs with an image that start on this machine, with their nodes. Agents of real servers have engines of their own.
+pub(super) fn images_here(testbed: &Testbed) -> impl Iterator<Item = (&Vnf, &NodeId)> {
+    let is_here = |id: &NodeId| testbed.graph.node(id).is_none_or(|node| node.real_server().is_none());
+    let images = testbed.vnfs().filter(|vnf| vnf.image.is_some());
+    let starts = images.flat_map(|vnf| vnf.node.all().iter().map(move |node| (vnf, node)));
+    starts.filter(move |(_, node)| is_here(node))
+}
 
 /// The engines of a run.
 pub(super) struct Engines {
@@ -42,16 +50,15 @@ impl Engines {
 impl Engine for Engines {
     fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
         match (self.real_servers.get(node), &mut self.agents) {
+            (Some(_), Some(agents)) => agents.start(instance, vnf, replica, node),
+            (Some(agent), None) => Err(format!("its agent `{agent}` cannot connect: no agent is enrolled")),
             (None, _) if vnf.image.is_some() => {
                 let containers = self.containers.as_mut();
                 let containers = containers
                     .ok_or("this cotorra has no containers: build it with `--features containers`")?;
                 containers.start(instance, vnf, replica, node)
             }
-            (Some(agent), _) if vnf.image.is_some() => Err(format!("its agent `{agent}` runs no images")),
             (None, _) => self.local.start(instance, vnf, replica, node),
-            (Some(_), Some(agents)) => agents.start(instance, vnf, replica, node),
-            (Some(agent), None) => Err(format!("its agent `{agent}` cannot connect: no agent is enrolled")),
         }
     }
 

@@ -78,7 +78,7 @@ impl Prepared {
         #[cfg(feature = "containers")]
         let engines = super::containers::find_engines(&testbed)?;
         #[cfg(not(feature = "containers"))]
-        if let Some(vnf) = testbed.vnfs().find(|vnf| vnf.image.is_some()) {
+        if let Some((vnf, _)) = super::engines::images_here(&testbed).next() {
             return Err(RunError::NoContainers(vnf.id.clone()));
         }
         let testbed = Arc::new(testbed);

@@ -39,7 +39,9 @@ struct Machine {
     saved: Option<Wanted>,
     boots: u64,
     agent: Option<Agent>,
-    /// Running instances by their numbers at the engine, and whether they were reported.
+    /// The run whose instances run.
+    run: Run,
+    /// Running instances by their numbers, and whether they were reported.
     running: BTreeMap<InstanceId, (WantedInstance, bool)>,
 }
 
@@ -71,7 +73,7 @@ impl World {
             now: Timestamp::ZERO,
             runs: 0,
             controller: Controller::new(Run(0), LEASE, Vec::new(), []),
-            machine: Machine { saved: None, boots: 0, agent: None, running: BTreeMap::new() },
+            machine: Machine { saved: None, boots: 0, agent: None, run: Run(0), running: BTreeMap::new() },
             under_way: Vec::new(),
             is_cut: false,
             faults: Box::new(faults),
@@ -90,13 +92,16 @@ impl World {
         self.controller = Controller::new(Run(self.runs), LEASE, Vec::new(), [name()]);
         self.outcomes.clear();
         self.wanted.clear();
+        // Numbers are unique in a run only.
+        self.next = 0;
     }
 
     /// Kills the agent with what it runs, and starts it again.
     fn restart_agent(&mut self) {
-        let Machine { saved, boots, agent, running } = &mut self.machine;
+        let Machine { saved, boots, agent, run, running } = &mut self.machine;
         *boots += 1;
         running.clear();
+        *run = saved.as_ref().map_or(Run(0), |saved| saved.run);
         *agent = Some(Agent::new(self.now, *boots, saved.clone()));
     }
 
@@ -166,7 +171,10 @@ impl World {
         let mut reports = Vec::new();
         while let Some(action) = agent.poll(now) {
             match action {
-                Action::Save(wanted) => self.machine.saved = Some(*wanted),
+                Action::Save(wanted) => {
+                    self.machine.run = wanted.run;
+                    self.machine.saved = Some(*wanted);
+                }
                 Action::Start(id, wanted) => {
                     let twice = self.machine.running.insert(id, (*wanted, false));
                     assert!(twice.is_none(), "started twice: {id:?}");
@@ -180,7 +188,8 @@ impl World {
         }
         for (id, (_, is_told)) in &mut self.machine.running {
             if !std::mem::replace(is_told, true) {
-                agent.outcome(now, EngineEvent { instance: *id, outcome: Outcome::Ready });
+                let ready = EngineEvent { instance: *id, outcome: Outcome::Ready };
+                agent.outcome(now, self.machine.run, ready);
             }
         }
         self.machine.agent = Some(agent);
@@ -262,7 +271,8 @@ proptest! {
                     let id = machine.running.keys().nth(usize::from(which) % count).copied();
                     if let (Some(id), Some(agent)) = (id, machine.agent.as_mut()) {
                         machine.running.remove(&id);
-                        agent.outcome(world.now, EngineEvent { instance: id, outcome: Outcome::Died("x".into()) });
+                        let died = EngineEvent { instance: id, outcome: Outcome::Died("x".into()) };
+                        agent.outcome(world.now, machine.run, died);
                     }
                 }
                 Step::RestartAgent => world.restart_agent(),
@@ -416,6 +426,7 @@ fn an_unknown_agent_is_refused_and_its_reports_are_ignored() {
         generation: 9,
         echo: None,
         instances: BTreeMap::new(),
+        stopping: 0,
         robot: None,
         links: BTreeMap::new(),
     };
@@ -434,4 +445,30 @@ proptest! {
 fn messages_that_are_too_long_are_rejected() {
     let error = Beat::decode(&[b' '; 257]).unwrap_err().to_string();
     assert!(error.contains("257 bytes, of at most 256"), "{error}");
+}
+
+#[test]
+fn events_of_an_earlier_run_are_ignored() {
+    let (mut world, ids) = running(&[true]);
+    let (now, run) = (world.now, world.machine.run);
+    let agent = world.machine.agent.as_mut().unwrap();
+    let died = || EngineEvent { instance: InstanceId(ids[0]), outcome: Outcome::Died("x".to_owned()) };
+    agent.outcome(now, Run(run.0 - 1), died());
+    world.settle();
+    assert_eq!(world.outcomes[&ids[0]], [Outcome::Ready]);
+    world.machine.agent.as_mut().unwrap().outcome(world.now, run, died());
+    world.settle();
+    assert!(matches!(world.outcomes[&ids[0]][..], [Outcome::Ready, Outcome::Died(_)]));
+}
+
+#[test]
+fn an_agent_is_settled_once_what_it_stopped_has_ended() {
+    let (mut world, ids) = running(&[true]);
+    world.stop(ids[0]);
+    world.machine.agent.as_mut().unwrap().set_stopping(world.now, 1);
+    world.settle();
+    assert!(world.machine.running.is_empty() && !world.controller.is_settled());
+    world.machine.agent.as_mut().unwrap().set_stopping(world.now, 0);
+    world.settle();
+    assert!(world.controller.is_settled());
 }
