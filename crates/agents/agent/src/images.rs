@@ -216,7 +216,7 @@ mod tests {
         environments.set(&vnf.id, 1, [("COTORRA_PORT".to_owned(), "5000".to_owned())].into());
         let port = ("COTORRA_PORT".to_owned(), "5000".to_owned());
         let node = NodeId::new("edge").unwrap();
-        assert_eq!(machine.environment(&vnf, 1, &node), [port.clone()]);
+        assert_eq!(machine.environment(&vnf, 1, &node), vec![port.clone()]);
         assert_eq!((machine.ports(&vnf), machine.files(&vnf)), (vec![], vec![]), "a command of others");
         vnf.program = cotorra_graph::Program::Navigation;
         let testbed = ("COTORRA_TESTBED".to_owned(), "/run/cotorra/testbed.yaml".to_owned());
