@@ -1,9 +1,10 @@
 //! No descriptor or request of an application's life cycle makes a reader panic, and what is read becomes a VNF.
 #![no_main]
 
+use cotorra_graph::Timestamp;
 use cotorra_lifecycle::{
-    Applications, Descriptor,
-    mec::{self, CreateRequest, InstantiateRequest, OperateRequest, TerminateRequest},
+    Applications, Descriptor, Seen, Subscription,
+    mec::{self, CreateRequest, OperationRequest},
     variables,
 };
 use libfuzzer_sys::fuzz_target;
@@ -12,23 +13,28 @@ fuzz_target!(|bytes: &[u8]| {
     if let Ok(text) = std::str::from_utf8(bytes) {
         let _ = variables(text);
     }
-    let _ = mec::read::<InstantiateRequest>(bytes).and_then(|request| request.node());
-    let mut all = Applications::default();
+    let (mut all, now) = (Applications::default(), Timestamp::ZERO);
     if let Ok(request) = mec::read::<CreateRequest>(bytes) {
         let _ = all.create(None, request);
     }
-    if let Ok(request) = mec::read::<OperateRequest>(bytes) {
-        let _ = all.operate(None, "x", &request, 0);
+    for operation in ["instantiate", "operate", "terminate"] {
+        if let Ok(request) = OperationRequest::read(operation, bytes) {
+            let _ = all.begin(None, "x", &request, now);
+        }
     }
-    if let Ok(request) = mec::read::<TerminateRequest>(bytes) {
-        let _ = all.terminate(None, "x", &request, 0);
+    if let Ok(subscription) = Subscription::read(bytes) {
+        all.subscriptions().add(None, "http://lab", subscription, now).expect("there are no others");
     }
     let Ok(descriptor) = Descriptor::read(bytes) else { return };
     let _ = descriptor.yaml(None);
     let node = "edge".parse().expect("a valid name");
     let fdu = all.onboard(None, descriptor).expect("the catalog is empty");
     let id = all.define(None, &fdu, Some(node), [None, None]).expect("it is on board").id.clone();
-    all.configure(None, &id).expect("it is defined");
+    all.configure(None, &id, now).expect("it is defined");
     let vnf = all.begin_start(None, &id, "").expect("it is configured");
     assert!(vnf.cpus > 0.0 && vnf.env.is_empty());
+    all.end_start(&id, Some(vnf.id.clone()), now);
+    all.observe(&vnf.id, Seen::Serves, now);
+    // A subscription has one notification under way.
+    assert!(all.subscriptions().poll(now).len() <= 1);
 });

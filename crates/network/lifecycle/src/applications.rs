@@ -3,12 +3,14 @@
 
 use std::collections::BTreeMap;
 
-use cotorra_graph::{DomainId, NodeId, Vnf, VnfId};
+use cotorra_graph::{DomainId, NodeId, Timestamp, Vnf, VnfId};
+use cotorra_mec::{CallbackError, Epoch, TooOften};
 
 use crate::{
     Descriptor, DescriptorError,
     descriptor::variables,
-    mec::{Occurrence, OperationState},
+    mec::{Occurrence, Operation, OperationState, State},
+    subscriptions::Subscriptions,
 };
 
 /// The most descriptors in the catalog.
@@ -33,6 +35,15 @@ pub enum LifecycleError {
     /// A descriptor that is rejected.
     #[error("the descriptor is rejected: {0}")]
     Descriptor(#[from] DescriptorError),
+    /// A callback that cannot be used.
+    #[error(transparent)]
+    Callback(#[from] CallbackError),
+    /// Too many subscriptions.
+    #[error("{0}")]
+    Full(String),
+    /// Too frequent changes of subscriptions.
+    #[error(transparent)]
+    TooOften(#[from] TooOften),
 }
 
 fn conflict<T>(reason: impl Into<String>) -> Result<T, LifecycleError> {
@@ -46,8 +57,8 @@ pub enum Stage {
     Defined,
     /// It can be started.
     Configured,
-    /// Its VNF was added.
-    Started(VnfId),
+    /// Its VNF was added, and this is the last that was seen of it.
+    Started(VnfId, Seen),
 }
 
 /// What is seen of the VNF of a started instance.
@@ -55,8 +66,10 @@ pub enum Stage {
 pub enum Seen {
     /// It does not serve yet.
     Starting,
-    /// It serves, or is started again after it ended.
+    /// It serves.
     Serves,
+    /// It ended, and is started again.
+    Restarts,
     /// It cannot be started, for this reason.
     Failed(String),
     /// It is gone: others removed it.
@@ -78,7 +91,7 @@ pub struct Application {
     pub node: Option<NodeId>,
     /// Its stage.
     pub stage: Stage,
-    owner: Option<DomainId>,
+    pub(crate) owner: Option<DomainId>,
     /// Whether an operation is under way.
     is_busy: bool,
 }
@@ -95,15 +108,22 @@ pub struct Applications {
     catalog: BTreeMap<String, Known>,
     instances: BTreeMap<String, Application>,
     occurrences: BTreeMap<u64, (Option<DomainId>, Occurrence)>,
+    subscriptions: Subscriptions,
+    epoch: Epoch,
     /// Number of identifiers made so far.
     made: u64,
 }
 
-fn sees(viewer: Option<&DomainId>, owner: Option<&DomainId>) -> bool {
+pub(crate) fn sees(viewer: Option<&DomainId>, owner: Option<&DomainId>) -> bool {
     viewer.is_none() || viewer == owner
 }
 
 impl Applications {
+    /// Creates an empty catalog in a run that began then.
+    pub fn new(epoch: Epoch) -> Self {
+        Self { epoch, ..Self::default() }
+    }
+
     /// Makes an identifier. It has the form of a UUID, is unique in a run, and the same whenever the run is repeated.
     fn make_id(&mut self) -> String {
         self.made += 1;
@@ -219,13 +239,18 @@ impl Applications {
     ///
     /// # Errors
     /// [`LifecycleError`].
-    pub fn configure(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<(), LifecycleError> {
-        let instance = self.idle(viewer, id)?;
-        match instance.stage {
-            Stage::Defined => instance.stage = Stage::Configured,
+    pub fn configure(
+        &mut self,
+        viewer: Option<&DomainId>,
+        id: &str,
+        now: Timestamp,
+    ) -> Result<(), LifecycleError> {
+        match self.idle(viewer, id)?.stage {
+            Stage::Defined => {}
             Stage::Configured => return conflict(format!("the instance `{id}` is configured already")),
-            Stage::Started(_) => return conflict(format!("the instance `{id}` runs already")),
+            Stage::Started(..) => return conflict(format!("the instance `{id}` runs already")),
         }
+        self.change(id, now, |instance| instance.stage = Stage::Configured);
         Ok(())
     }
 
@@ -233,13 +258,18 @@ impl Applications {
     ///
     /// # Errors
     /// [`LifecycleError`].
-    pub fn clean(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<(), LifecycleError> {
-        let instance = self.idle(viewer, id)?;
-        match instance.stage {
-            Stage::Configured => instance.stage = Stage::Defined,
+    pub fn clean(
+        &mut self,
+        viewer: Option<&DomainId>,
+        id: &str,
+        now: Timestamp,
+    ) -> Result<(), LifecycleError> {
+        match self.idle(viewer, id)?.stage {
+            Stage::Configured => {}
             Stage::Defined => return conflict(format!("the instance `{id}` is not configured")),
-            Stage::Started(_) => return conflict(format!("the instance `{id}` runs: stop it first")),
+            Stage::Started(..) => return conflict(format!("the instance `{id}` runs: stop it first")),
         }
+        self.change(id, now, |instance| instance.stage = Stage::Defined);
         Ok(())
     }
 
@@ -253,7 +283,7 @@ impl Applications {
             Stage::Configured => {
                 return conflict(format!("the instance `{id}` is configured: clean it first"));
             }
-            Stage::Started(_) => {
+            Stage::Started(..) => {
                 return conflict(format!("the instance `{id}` runs: stop and clean it first"));
             }
         }
@@ -278,7 +308,7 @@ impl Applications {
         match &instance.stage {
             Stage::Configured => {}
             Stage::Defined => return conflict(format!("the instance `{id}` is not configured")),
-            Stage::Started(_) => return conflict(format!("the instance `{id}` runs already")),
+            Stage::Started(..) => return conflict(format!("the instance `{id}` runs already")),
         }
         let node = instance.node.clone();
         let node =
@@ -290,12 +320,46 @@ impl Applications {
     }
 
     /// Ends a start, with the VNF if it was added.
-    pub fn end_start(&mut self, id: &str, added: Option<VnfId>) {
+    pub fn end_start(&mut self, id: &str, added: Option<VnfId>, now: Timestamp) {
+        self.change(id, now, |instance| {
+            instance.is_busy = false;
+            if let Some(vnf) = added {
+                instance.stage = Stage::Started(vnf, Seen::Starting);
+            }
+        });
+    }
+
+    /// Returns the VNFs of started instances.
+    pub fn vnfs(&self) -> impl Iterator<Item = &VnfId> {
+        self.instances.values().filter_map(|instance| match &instance.stage {
+            Stage::Started(vnf, _) => Some(vnf),
+            Stage::Defined | Stage::Configured => None,
+        })
+    }
+
+    /// Records what is seen of a VNF. Does nothing if it is of no started instance.
+    pub fn observe(&mut self, vnf: &VnfId, seen: Seen, now: Timestamp) {
+        let is_of = |instance: &&Application| matches!(&instance.stage, Stage::Started(own, _) if own == vnf);
+        let Some(id) = self.instances.values().find(is_of).map(|instance| instance.id.clone()) else {
+            return;
+        };
+        self.change(&id, now, |instance| instance.stage = Stage::Started(vnf.clone(), seen));
+    }
+
+    /// Changes an instance, and notifies those who subscribed to changes of its state.
+    fn change(&mut self, id: &str, now: Timestamp, change: impl FnOnce(&mut Application)) {
         let Some(instance) = self.instances.get_mut(id) else { return };
-        instance.is_busy = false;
-        if let Some(vnf) = added {
-            instance.stage = Stage::Started(vnf);
+        let before = State::of(instance);
+        change(instance);
+        if State::of(instance) != before {
+            let of = &self.catalog[&instance.descriptor].descriptor;
+            self.subscriptions.tell_instance(instance, of, self.epoch.at(now));
         }
+    }
+
+    /// Returns the subscriptions to changes.
+    pub fn subscriptions(&mut self) -> &mut Subscriptions {
+        &mut self.subscriptions
     }
 
     /// Begins to stop a started instance. Returns the VNF to remove. Call [`Self::end_stop`] with the outcome.
@@ -303,16 +367,17 @@ impl Applications {
     /// # Errors
     /// [`LifecycleError`].
     pub fn begin_stop(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
-        self.begin(viewer, id)
+        self.take_vnf(viewer, id)
     }
 
     /// Ends a stop.
-    pub fn end_stop(&mut self, id: &str, removed: bool) {
-        let Some(instance) = self.instances.get_mut(id) else { return };
-        instance.is_busy = false;
-        if removed {
-            instance.stage = Stage::Configured;
-        }
+    pub fn end_stop(&mut self, id: &str, removed: bool, now: Timestamp) {
+        self.change(id, now, |instance| {
+            instance.is_busy = false;
+            if removed {
+                instance.stage = Stage::Configured;
+            }
+        });
     }
 
     /// Begins to move a started instance. Returns the VNF to place. Call [`Self::end_move`] with the outcome.
@@ -320,7 +385,7 @@ impl Applications {
     /// # Errors
     /// [`LifecycleError`].
     pub fn begin_move(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
-        self.begin(viewer, id)
+        self.take_vnf(viewer, id)
     }
 
     /// Ends a move, with the new node if it was accepted.
@@ -330,9 +395,9 @@ impl Applications {
         instance.node = to.or(instance.node.take());
     }
 
-    fn begin(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
+    fn take_vnf(&mut self, viewer: Option<&DomainId>, id: &str) -> Result<VnfId, LifecycleError> {
         let instance = self.idle(viewer, id)?;
-        let Stage::Started(vnf) = &instance.stage else {
+        let Stage::Started(vnf, _) = &instance.stage else {
             return conflict(format!("the instance `{id}` does not run"));
         };
         instance.is_busy = true;
@@ -348,39 +413,50 @@ impl Applications {
         viewer: Option<&DomainId>,
         id: &str,
         node: NodeId,
+        now: Timestamp,
     ) -> Result<(), LifecycleError> {
-        let instance = self.idle(viewer, id)?;
-        if instance.stage != Stage::Defined {
+        if self.idle(viewer, id)?.stage != Stage::Defined {
             return conflict(format!("the application instance `{id}` is instantiated already"));
         }
-        (instance.node, instance.stage) = (Some(node), Stage::Configured);
+        self.change(id, now, |instance| (instance.node, instance.stage) = (Some(node), Stage::Configured));
         Ok(())
     }
 
     /// Takes an instance back to where it has no node, after a failed instantiation or a termination.
-    pub(crate) fn unsettle(&mut self, id: &str) {
-        if let Some(instance) = self.instances.get_mut(id)
-            && !matches!(instance.stage, Stage::Started(_))
-        {
-            (instance.node, instance.stage) = (None, Stage::Defined);
-        }
+    pub(crate) fn unsettle(&mut self, id: &str, now: Timestamp) {
+        self.change(id, now, |instance| {
+            if !matches!(instance.stage, Stage::Started(..)) {
+                (instance.node, instance.stage) = (None, Stage::Defined);
+            }
+        });
     }
 
     /// Records the begin of an instance's operation. Returns its number.
-    pub(crate) fn record(&mut self, id: &str, occurrence: Occurrence) -> u64 {
+    pub(crate) fn record(&mut self, id: &str, operation: Operation, now: Timestamp) -> u64 {
         self.made += 1;
         let owner = self.instances.get(id).and_then(|instance| instance.owner.clone());
-        self.occurrences.insert(self.made, (owner, occurrence));
+        self.occurrences.insert(self.made, (owner, Occurrence::new(id, operation, self.epoch.at(now))));
         if self.occurrences.len() > MOST_OCCURRENCES {
             self.occurrences.pop_first();
         }
+        self.tell_operation(self.made, now);
         self.made
     }
 
     /// Records an operation's end.
-    pub(crate) fn conclude(&mut self, number: u64, state: OperationState, at_ns: u64) {
+    pub(crate) fn conclude(&mut self, number: u64, state: OperationState, now: Timestamp) {
         if let Some((_, occurrence)) = self.occurrences.get_mut(&number) {
-            (occurrence.state, occurrence.entered_ns) = (state, at_ns);
+            (occurrence.state, occurrence.entered) = (state, self.epoch.at(now));
+            self.tell_operation(number, now);
+        }
+    }
+
+    fn tell_operation(&mut self, number: u64, now: Timestamp) {
+        if let Some((_, occurrence)) = self.occurrences.get(&number)
+            && let Some(instance) = self.instances.get(&occurrence.instance)
+        {
+            let of = &self.catalog[&instance.descriptor].descriptor;
+            self.subscriptions.tell_operation(number, occurrence, instance, of, self.epoch.at(now));
         }
     }
 

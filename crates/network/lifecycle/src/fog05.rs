@@ -14,34 +14,34 @@ pub fn descriptor(id: &str, descriptor: &Descriptor) -> Value {
 }
 
 /// Returns the state of an instance: `DEFINE`, `CONFIGURE`, `RUN` or `ERROR`. A started one is configured until it serves.
-pub fn status(instance: &Application, seen: &Seen) -> &'static str {
-    match (&instance.stage, seen) {
-        (Stage::Defined, _) => "DEFINE",
-        (Stage::Configured, _) | (Stage::Started(_), Seen::Starting) => "CONFIGURE",
-        (Stage::Started(_), Seen::Serves) => "RUN",
-        (Stage::Started(_), Seen::Failed(_) | Seen::Gone) => "ERROR",
+pub fn status(instance: &Application) -> &'static str {
+    match &instance.stage {
+        Stage::Defined => "DEFINE",
+        Stage::Configured | Stage::Started(_, Seen::Starting) => "CONFIGURE",
+        Stage::Started(_, Seen::Serves | Seen::Restarts) => "RUN",
+        Stage::Started(_, Seen::Failed(_) | Seen::Gone) => "ERROR",
     }
 }
 
-/// Returns the record of an instance, with what is seen of its VNF.
-pub fn record(instance: &Application, of: &Descriptor, seen: &Seen) -> Value {
+/// Returns the record of an instance.
+pub fn record(instance: &Application, of: &Descriptor) -> Value {
     let mut keys: Map<String, Value> = of.keys.clone();
     for unused in ["id", "name", "description"] {
         keys.remove(unused);
     }
-    let error = match (&instance.stage, seen) {
-        (Stage::Started(_), Seen::Failed(reason)) => Some(reason.clone()),
-        (Stage::Started(_), Seen::Gone) => Some("its VNF was removed".to_owned()),
+    let error = match &instance.stage {
+        Stage::Started(_, Seen::Failed(reason)) => Some(reason.clone()),
+        Stage::Started(_, Seen::Gone) => Some("its VNF was removed".to_owned()),
         _ => None,
     };
     let mut set = |key: &str, value: Value| keys.insert(key.to_owned(), value);
     set("uuid", instance.id.as_str().into());
     set("fdu_id", instance.descriptor.as_str().into());
-    set("status", status(instance, seen).into());
+    set("status", status(instance).into());
     set("error_code", if error.is_some() { 1.into() } else { Value::Null });
     set("error_msg", error.map_or(Value::Null, Value::from));
     let vnf = match &instance.stage {
-        Stage::Started(vnf) => Value::from(vnf.as_str()),
+        Stage::Started(vnf, _) => Value::from(vnf.as_str()),
         Stage::Defined | Stage::Configured => Value::Null,
     };
     set("hypervisor_info", json!({ "node": instance.node, "vnf": vnf }));

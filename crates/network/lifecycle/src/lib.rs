@@ -2,13 +2,16 @@
 //! 010-2 v2.1.1. docs/lifecycle.md has the mapping.
 //!
 //! [`Applications`] is a state machine without a socket or a clock. It says which VNF to add, to move or to remove, and is
-//! told the outcome. [`fog05`] and [`mec`] read requests and write documents.
+//! told the outcome. [`fog05`] and [`mec`] read requests and write documents. [`Subscriptions`] hold notifications for those who
+//! subscribed to changes.
 #![forbid(unsafe_code)]
 
 mod applications;
 mod descriptor;
 pub mod fog05;
 pub mod mec;
+mod subscriptions;
 
 pub use applications::{Application, Applications, LifecycleError, Seen, Stage};
 pub use descriptor::{Descriptor, DescriptorError, LONGEST_DESCRIPTOR, variables};
+pub use subscriptions::{Recipient, Subscription, SubscriptionType, Subscriptions};

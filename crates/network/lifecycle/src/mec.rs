@@ -1,11 +1,16 @@
 //! Requests and documents of ETSI GS MEC 010-2 v2.1.1, application life cycle management.
 
-use cotorra_graph::{DomainId, NodeId};
-use serde::Deserialize;
+use cotorra_graph::{DomainId, NodeId, Timestamp};
+use cotorra_mec::{Attribute, TimeStamp};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::{Application, Applications, Descriptor, LifecycleError, Stage};
+use crate::{Application, Applications, Descriptor, LifecycleError, Seen, Stage};
 
+/// Provider of all applications.
+pub(crate) const PROVIDER: &str = "cotorra";
+/// Version of all applications and descriptors.
+pub(crate) const VERSION: &str = "1";
 /// Longest name or description of an instance, bytes.
 const LONGEST_TEXT: usize = 1024;
 
@@ -25,7 +30,7 @@ pub struct CreateRequest {
 /// InstantiateAppRequest (6.2.2.7).
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]
-pub struct InstantiateRequest {
+struct InstantiateRequest {
     #[serde(rename = "selectedMECHostInfo")]
     selected_mec_host_info: Vec<HostInformation>,
     #[serde(default)]
@@ -51,7 +56,7 @@ struct HostInformation {
 /// OperateAppRequest (6.2.2.8).
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]
-pub struct OperateRequest {
+struct OperateRequest {
     change_state_to: Change,
     #[serde(default)]
     stop_type: Option<StopType>,
@@ -76,14 +81,26 @@ enum StopType {
 /// TerminateAppRequest (6.2.2.9).
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]
-pub struct TerminateRequest {
+struct TerminateRequest {
     termination_type: StopType,
     #[serde(default)]
     graceful_termination_timeout: Option<u32>,
 }
 
+/// A request for an operation.
+#[derive(Debug, Clone)]
+pub struct OperationRequest(Wanted);
+
+#[derive(Debug, Clone)]
+enum Wanted {
+    Instantiate(NodeId),
+    Operate(Change),
+    Terminate,
+}
+
 /// An operation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
 pub enum Operation {
     /// Add the VNF on a node.
     Instantiate,
@@ -94,8 +111,11 @@ pub enum Operation {
 }
 
 /// State of an operation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
 pub enum OperationState {
+    /// It is about to be carried out. No operation here has this state.
+    Starting,
     /// It is carried out.
     Processing,
     /// It is done.
@@ -104,14 +124,38 @@ pub enum OperationState {
     Failed,
 }
 
+/// State of an instance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "SCREAMING_SNAKE_CASE")]
+pub(crate) enum State {
+    /// It has no node.
+    NotInstantiated,
+    /// Its VNF serves.
+    Started,
+    /// Its VNF does not serve.
+    Stopped,
+}
+
+impl State {
+    pub(crate) const ALL: [Self; 3] = [Self::NotInstantiated, Self::Started, Self::Stopped];
+
+    pub(crate) fn of(instance: &Application) -> Self {
+        match &instance.stage {
+            Stage::Defined => Self::NotInstantiated,
+            Stage::Started(_, Seen::Serves) => Self::Started,
+            Stage::Configured | Stage::Started(..) => Self::Stopped,
+        }
+    }
+}
+
 /// An operation that occurred, or that is carried out.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Occurrence {
-    instance: String,
-    operation: Operation,
+    pub(crate) instance: String,
+    pub(crate) operation: Operation,
     pub(crate) state: OperationState,
-    started_ns: u64,
-    pub(crate) entered_ns: u64,
+    started: TimeStamp,
+    pub(crate) entered: TimeStamp,
 }
 
 /// What an operation asks of the testbed.
@@ -155,10 +199,7 @@ fn is_absent(value: &Value) -> bool {
 
 impl InstantiateRequest {
     /// Returns the selected node.
-    ///
-    /// # Errors
-    /// [`LifecycleError::Invalid`] if it asks for more than one node.
-    pub fn node(&self) -> Result<NodeId, LifecycleError> {
+    fn node(&self) -> Result<NodeId, LifecycleError> {
         for (key, value) in [
             ("locationConstraints", &self.location_constraints),
             ("vimConnectionInfo", &self.vim_connection_info),
@@ -188,6 +229,51 @@ impl InstantiateRequest {
     }
 }
 
+impl OperateRequest {
+    /// Returns the wanted state.
+    fn change(&self) -> Result<Change, LifecycleError> {
+        let graceful = self.stop_type == Some(StopType::Graceful);
+        if self.change_state_to == Change::Started && self.stop_type.is_some() {
+            return invalid("`stopType` is for `changeStateTo` STOPPED only");
+        }
+        if graceful != self.graceful_stop_timeout.is_some() {
+            return invalid("`gracefulStopTimeout` goes with `stopType` GRACEFUL, and only with it");
+        }
+        Ok(self.change_state_to)
+    }
+}
+
+impl OperationRequest {
+    /// Reads the request for an operation: `instantiate`, `operate` or `terminate`.
+    ///
+    /// # Errors
+    /// [`LifecycleError`].
+    pub fn read(operation: &str, body: &[u8]) -> Result<Self, LifecycleError> {
+        Ok(Self(match operation {
+            "instantiate" => Wanted::Instantiate(read::<InstantiateRequest>(body)?.node()?),
+            "operate" => Wanted::Operate(read::<OperateRequest>(body)?.change()?),
+            "terminate" => {
+                let request: TerminateRequest = read(body)?;
+                let is_forced = request.termination_type == StopType::Forceful;
+                if is_forced && request.graceful_termination_timeout.is_some() {
+                    let reason = "`gracefulTerminationTimeout` goes with `terminationType` GRACEFUL only";
+                    return invalid(reason);
+                }
+                Wanted::Terminate
+            }
+            other => return Err(LifecycleError::Unknown("operation", other.to_owned())),
+        }))
+    }
+
+    /// Returns the selected node of an instantiation.
+    pub fn node(&self) -> Option<&NodeId> {
+        match &self.0 {
+            Wanted::Instantiate(node) => Some(node),
+            Wanted::Operate(_) | Wanted::Terminate => None,
+        }
+    }
+}
+
 impl Applications {
     /// Creates an application instance. Returns its identifier.
     ///
@@ -205,99 +291,46 @@ impl Applications {
         Ok(self.define(viewer, &request.app_d_id, None, texts)?.id.clone())
     }
 
-    /// Begins to instantiate an application on a node. Call [`Self::end`] with the outcome of its task.
+    /// Begins an operation. Call [`Self::end`] with the outcome of its task.
     ///
     /// # Errors
     /// [`LifecycleError`].
-    pub fn instantiate(
+    pub fn begin(
         &mut self,
         viewer: Option<&DomainId>,
         id: &str,
-        node: NodeId,
-        now_ns: u64,
+        request: &OperationRequest,
+        now: Timestamp,
     ) -> Result<Begun, LifecycleError> {
-        self.settle(viewer, id, node)?;
-        Ok(self.begun(id, Operation::Instantiate, Task::Start, now_ns))
-    }
-
-    /// Begins to start or stop an instantiated application. Call [`Self::end`] with the outcome of its task.
-    ///
-    /// # Errors
-    /// [`LifecycleError`].
-    pub fn operate(
-        &mut self,
-        viewer: Option<&DomainId>,
-        id: &str,
-        request: &OperateRequest,
-        now_ns: u64,
-    ) -> Result<Begun, LifecycleError> {
-        let graceful = request.stop_type == Some(StopType::Graceful);
-        if request.change_state_to == Change::Started && request.stop_type.is_some() {
-            return invalid("`stopType` is for `changeStateTo` STOPPED only");
-        }
-        if graceful != request.graceful_stop_timeout.is_some() {
-            return invalid("`gracefulStopTimeout` goes with `stopType` GRACEFUL, and only with it");
-        }
-        let task = match (&self.instance(viewer, id)?.stage, request.change_state_to) {
-            (Stage::Defined, _) => {
-                let reason = format!("the application instance `{id}` is not instantiated");
-                return Err(LifecycleError::Conflict(reason));
+        let conflict =
+            |what: &str| Err(LifecycleError::Conflict(format!("the application instance `{id}` {what}")));
+        let (operation, task) = match (&request.0, &self.instance(viewer, id)?.stage) {
+            (Wanted::Instantiate(node), _) => {
+                self.settle(viewer, id, node.clone(), now)?;
+                (Operation::Instantiate, Task::Start)
             }
-            (Stage::Configured, Change::Started) => Task::Start,
-            (Stage::Started(_), Change::Stopped) => Task::Stop,
-            (Stage::Configured, Change::Stopped) | (Stage::Started(_), Change::Started) => {
-                let reason = format!("the application instance `{id}` has this state already");
-                return Err(LifecycleError::Conflict(reason));
+            (_, Stage::Defined) => return conflict("is not instantiated"),
+            (Wanted::Operate(Change::Started), Stage::Configured) => (Operation::Operate, Task::Start),
+            (Wanted::Operate(Change::Stopped), Stage::Started(..)) => (Operation::Operate, Task::Stop),
+            (Wanted::Operate(Change::Stopped), Stage::Configured) => return conflict("is stopped already"),
+            (Wanted::Operate(Change::Started), Stage::Started(..)) => {
+                return conflict("was started already: if it does not serve, stop it first");
             }
+            (Wanted::Terminate, Stage::Configured) => (Operation::Terminate, Task::Nothing),
+            (Wanted::Terminate, Stage::Started(..)) => (Operation::Terminate, Task::Stop),
         };
-        Ok(self.begun(id, Operation::Operate, task, now_ns))
-    }
-
-    /// Begins to terminate an instantiated application. Call [`Self::end`] with the outcome of its task.
-    ///
-    /// # Errors
-    /// [`LifecycleError`].
-    pub fn terminate(
-        &mut self,
-        viewer: Option<&DomainId>,
-        id: &str,
-        request: &TerminateRequest,
-        now_ns: u64,
-    ) -> Result<Begun, LifecycleError> {
-        if request.termination_type == StopType::Forceful && request.graceful_termination_timeout.is_some() {
-            return invalid("`gracefulTerminationTimeout` goes with `terminationType` GRACEFUL only");
-        }
-        let task = match self.instance(viewer, id)?.stage {
-            Stage::Defined => {
-                let reason = format!("the application instance `{id}` is not instantiated");
-                return Err(LifecycleError::Conflict(reason));
-            }
-            Stage::Configured => Task::Nothing,
-            Stage::Started(_) => Task::Stop,
-        };
-        Ok(self.begun(id, Operation::Terminate, task, now_ns))
-    }
-
-    fn begun(&mut self, id: &str, operation: Operation, task: Task, now_ns: u64) -> Begun {
-        let occurrence = Occurrence {
-            instance: id.to_owned(),
-            operation,
-            state: OperationState::Processing,
-            started_ns: now_ns,
-            entered_ns: now_ns,
-        };
-        Begun { number: self.record(id, occurrence), operation, task }
+        Ok(Begun { number: self.record(id, operation, now), operation, task })
     }
 
     /// Ends an operation.
-    pub fn end(&mut self, id: &str, begun: Begun, is_done: bool, now_ns: u64) {
+    pub fn end(&mut self, id: &str, begun: Begun, is_done: bool, now: Timestamp) {
         let state = if is_done { OperationState::Completed } else { OperationState::Failed };
         match begun.operation {
-            Operation::Instantiate if !is_done => self.unsettle(id),
-            Operation::Terminate if is_done => self.unsettle(id),
+            Operation::Instantiate if !is_done => self.unsettle(id, now),
+            Operation::Terminate if is_done => self.unsettle(id, now),
             _ => {}
         }
-        self.conclude(begun.number, state, now_ns);
+        self.conclude(begun.number, state, now);
     }
 
     /// Returns the occurrences of operations (6.2.2.13), at addresses below `base`.
@@ -323,21 +356,15 @@ impl Applications {
 }
 
 impl Occurrence {
+    pub(crate) fn new(instance: &str, operation: Operation, now: TimeStamp) -> Self {
+        let state = OperationState::Processing;
+        Self { instance: instance.to_owned(), operation, state, started: now, entered: now }
+    }
+
     fn document(&self, number: u64, base: &str) -> Value {
-        let operation = match self.operation {
-            Operation::Instantiate => "INSTANTIATE",
-            Operation::Operate => "OPERATE",
-            Operation::Terminate => "TERMINATE",
-        };
-        let state = match self.state {
-            OperationState::Processing => "PROCESSING",
-            OperationState::Completed => "COMPLETED",
-            OperationState::Failed => "FAILED",
-        };
-        let time = |ns: u64| json!({ "seconds": ns / 1_000_000_000, "nanoSeconds": ns % 1_000_000_000 });
         json!({
-            "id": number.to_string(), "operationState": state, "lcmOperation": operation,
-            "stateEnteredTime": time(self.entered_ns), "startTime": time(self.started_ns),
+            "id": number.to_string(), "operationState": self.state, "lcmOperation": self.operation,
+            "stateEnteredTime": self.entered, "startTime": self.started,
             "_links": {
                 "self": { "href": format!("{base}/app_lcm_op_occs/{number}") },
                 "appInstance": { "href": format!("{base}/app_instances/{}", self.instance) },
@@ -348,16 +375,14 @@ impl Occurrence {
 
 /// Returns an application instance (6.2.2.4), at an address below `base`.
 pub fn instance(instance: &Application, of: &Descriptor, base: &str) -> Value {
-    let (instantiation, operational) = match instance.stage {
-        Stage::Defined => ("NOT_INSTANTIATED", None),
-        Stage::Configured => ("INSTANTIATED", Some("STOPPED")),
-        Stage::Started(_) => ("INSTANTIATED", Some("STARTED")),
-    };
+    let state = State::of(instance);
+    let operational = (state != State::NotInstantiated).then_some(state);
+    let instantiation = if operational.is_some() { "INSTANTIATED" } else { "NOT_INSTANTIATED" };
     let itself = format!("{base}/app_instances/{}", instance.id);
     let link = |task: &str| json!({ "href": format!("{itself}/{task}") });
     let mut document = json!({
         "id": instance.id, "appDId": instance.descriptor, "appPkgId": instance.descriptor, "appName": of.name,
-        "appProvider": "cotorra", "appSoftVersion": "1", "appDVersion": "1", "instantiationState": instantiation,
+        "appProvider": PROVIDER, "appSoftVersion": VERSION, "appDVersion": VERSION, "instantiationState": instantiation,
         "_links": { "self": { "href": itself } },
     });
     if let Some(name) = &instance.name {
@@ -375,4 +400,47 @@ pub fn instance(instance: &Application, of: &Descriptor, base: &str) -> Value {
         }
     }
     document
+}
+
+/// Attributes of application instances (6.2.2.4), for queries.
+pub static INSTANCE_ATTRIBUTES: &[Attribute] = APP_INSTANCE_INFO;
+/// Attributes of operations' occurrences (6.2.2.13), for queries.
+pub static OCCURRENCE_ATTRIBUTES: &[Attribute] = APP_INSTANCE_LCM_OP_OCC;
+
+cotorra_mec::attributes! {
+    APP_INSTANCE_INFO {
+        !"id": Text,
+        !"appDId": Text,
+        !"appProvider": Text,
+        !"appName": Text,
+        !"appSoftVersion": Text,
+        !"appDVersion": Text,
+        !"appPkgId": Text,
+        !"instantiationState": Text,
+        !"_links": (INSTANCE_LINKS),
+        "appInstanceName": Text,
+        "appInstanceDescription": Text,
+        "vimConnectionInfo": [(VIM_CONNECTION_INFO)],
+        "instantiatedAppState": (INSTANTIATED_APP_STATE),
+    }
+    INSTANCE_LINKS {
+        !"self": (LINK),
+        "instantiate": (LINK),
+        "terminate": (LINK),
+        "operate": (LINK),
+    }
+    VIM_CONNECTION_INFO { !"id": Text, !"vimType": Text, "vimId": Text, }
+    INSTANTIATED_APP_STATE { !"operationalState": Text, }
+    APP_INSTANCE_LCM_OP_OCC {
+        !"id": Text,
+        !"operationState": Text,
+        !"stateEnteredTime": (TIME_STAMP),
+        !"startTime": (TIME_STAMP),
+        !"lcmOperation": Text,
+        !"_links": (OCCURRENCE_LINKS),
+        "operationParams": Text,
+    }
+    OCCURRENCE_LINKS { !"self": (LINK), !"appInstance": (LINK), }
+    TIME_STAMP { !"seconds": Number, !"nanoSeconds": Number, }
+    LINK { !"href": Text, }
 }

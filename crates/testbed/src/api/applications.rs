@@ -4,15 +4,20 @@
 mod fog05;
 mod mec;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, convert::Infallible, sync::Arc, time::Duration};
 
 use axum::{
     Router,
-    http::{HeaderMap, StatusCode},
+    extract::FromRequestParts,
+    http::{HeaderMap, StatusCode, request::Parts},
 };
-use cotorra_graph::{DomainId, Instruction, Node, NodeId, Nodes, Vnf, VnfId, VnfState};
-use cotorra_lifecycle::{Application, Applications, LifecycleError, Seen, Stage, fog05::is_node};
-use parking_lot::Mutex;
+use cotorra_graph::{
+    Decision, DomainId, Event, Instruction, Node, NodeId, Nodes, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
+};
+use cotorra_lifecycle::{Applications, LifecycleError, Recipient, Seen, fog05::is_node};
+use cotorra_mec::{Allowed, CallbackError, Dispatch, Notifier, Outcome, QueryError, Task, deliver};
+use parking_lot::{Mutex, MutexGuard};
+use tokio::sync::{Notify, broadcast::error::RecvError};
 
 use super::{
     auth::{Caller, Gate},
@@ -24,10 +29,17 @@ pub(super) use mec::openapi;
 
 use crate::live::Snapshot;
 
-/// Returns the paths of both interfaces.
-pub(super) fn serve(context: &Context, gate: Gate) -> Router {
-    let served = Served { context: context.clone(), all: Arc::default() };
-    Router::new().merge(fog05::router(served.clone(), gate.clone())).merge(mec::router(served, gate))
+/// Returns the paths of both interfaces, and the tasks that follow the testbed and send notifications.
+pub(super) fn serve(context: &Context, gate: Gate) -> (Router, [Task; 2]) {
+    let served = Served {
+        context: context.clone(),
+        all: Arc::new(Mutex::new(Applications::new(context.wais.epoch))),
+        wake: Arc::default(),
+        callbacks: Arc::new([true, false].map(|of_operator| context.callbacks(of_operator))),
+    };
+    let tasks = [deliver(served.clone()), follow(served.clone())];
+    let router = fog05::router(served.clone(), gate.clone()).merge(mec::router(served, gate));
+    (router, tasks)
 }
 
 /// The state of the handlers.
@@ -35,6 +47,10 @@ pub(super) fn serve(context: &Context, gate: Gate) -> Router {
 struct Served {
     context: Context,
     all: Arc<Mutex<Applications>>,
+    /// Woken when there may be notifications to send.
+    wake: Arc<Notify>,
+    /// Networks for callbacks of the operator, and of domains.
+    callbacks: Arc<[Allowed; 2]>,
 }
 
 /// A rejected request.
@@ -54,9 +70,21 @@ impl From<LifecycleError> for Rejected {
         let status = match error {
             LifecycleError::Unknown(..) => StatusCode::NOT_FOUND,
             LifecycleError::Conflict(_) => StatusCode::CONFLICT,
-            LifecycleError::Invalid(_) | LifecycleError::Descriptor(_) => StatusCode::BAD_REQUEST,
+            LifecycleError::Callback(CallbackError::Forbidden(_)) | LifecycleError::Full(_) => {
+                StatusCode::FORBIDDEN
+            }
+            LifecycleError::TooOften(_) => StatusCode::TOO_MANY_REQUESTS,
+            LifecycleError::Invalid(_) | LifecycleError::Descriptor(_) | LifecycleError::Callback(_) => {
+                StatusCode::BAD_REQUEST
+            }
         };
         Self { status, reason: error.to_string() }
+    }
+}
+
+impl From<QueryError> for Rejected {
+    fn from(error: QueryError) -> Self {
+        Self { status: StatusCode::BAD_REQUEST, reason: error.to_string() }
     }
 }
 
@@ -74,6 +102,15 @@ struct Asked {
     headers: HeaderMap,
 }
 
+impl FromRequestParts<Served> for Asked {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, _: &Served) -> Result<Self, Infallible> {
+        let caller = parts.extensions.get::<Caller>().expect("callers are checked first");
+        Ok(Self { caller: caller.clone(), headers: parts.headers.clone() })
+    }
+}
+
 impl Asked {
     /// Returns the domain whose applications the caller sees; `None` for all.
     fn viewer(&self) -> Option<&DomainId> {
@@ -82,6 +119,22 @@ impl Asked {
 }
 
 impl Served {
+    /// Locks the applications, after a look at their VNFs. What changes is then notified.
+    fn all(&self) -> MutexGuard<'_, Applications> {
+        let (now, mut all) = (self.context.now(), self.all.lock());
+        let vnfs: Vec<_> = all.vnfs().cloned().collect();
+        self.context.live.read(|snapshot| {
+            vnfs.iter().for_each(|vnf| all.observe(vnf, seen(snapshot, vnf), now));
+        });
+        self.wake.notify_one();
+        all
+    }
+
+    /// Returns the networks for a caller's callbacks.
+    fn callbacks(&self, viewer: Option<&DomainId>) -> &Allowed {
+        &self.callbacks[usize::from(viewer.is_some())]
+    }
+
     /// Returns the servers that a caller sees.
     fn nodes(&self, asked: &Asked) -> impl Iterator<Item = &Node> {
         let seen = |node: &&Node| is_node(node) && asked.caller.keeps(|view| view.owns(&node.id));
@@ -110,14 +163,6 @@ impl Served {
         taken
     }
 
-    /// Returns what is seen of an instance's VNF.
-    fn seen(&self, instance: &Application) -> Seen {
-        match &instance.stage {
-            Stage::Started(vnf) => self.context.live.read(|now| seen(now, vnf)),
-            Stage::Defined | Stage::Configured => Seen::Starting,
-        }
-    }
-
     async fn give(&self, asked: &Asked, instruction: Instruction, reason: &str) -> Result<(), Rejected> {
         let body = InstructionBody { instruction, reason: Some(reason.to_owned()) };
         Ok(give(&self.context, &asked.caller, &asked.headers, body).await.map(|_| ())?)
@@ -125,31 +170,33 @@ impl Served {
 
     /// Starts an instance, and waits until its VNF was added or rejected.
     async fn start(&self, asked: &Asked, id: &str, env: &str, reason: &str) -> Result<(), Rejected> {
-        let vnf: Vnf = self.all.lock().begin_start(asked.viewer(), id, env)?;
+        let vnf: Vnf = self.all().begin_start(asked.viewer(), id, env)?;
         let name = vnf.id.clone();
         let done = self.give(asked, Instruction::AddVnf { vnf: Box::new(vnf) }, reason).await;
-        self.all.lock().end_start(id, done.is_ok().then_some(name));
+        self.all().end_start(id, done.is_ok().then_some(name), self.context.now());
+        // It may serve already.
+        drop(self.all());
         done
     }
 
     /// Stops an instance.
     async fn stop(&self, asked: &Asked, id: &str, reason: &str) -> Result<(), Rejected> {
-        let vnf = self.all.lock().begin_stop(asked.viewer(), id)?;
+        let vnf = self.all().begin_stop(asked.viewer(), id)?;
         // Others may have removed its VNF already.
         let is_gone = self.context.live.read(|now| seen(now, &vnf)) == Seen::Gone;
         let done = match is_gone {
             true => Ok(()),
             false => self.give(asked, Instruction::RemoveVnf { vnf }, reason).await,
         };
-        self.all.lock().end_stop(id, done.is_ok());
+        self.all().end_stop(id, done.is_ok(), self.context.now());
         done
     }
 
     /// Moves an instance to a node.
     async fn migrate(&self, asked: &Asked, id: &str, to: NodeId, reason: &str) -> Result<(), Rejected> {
-        let vnf = self.all.lock().begin_move(asked.viewer(), id)?;
+        let vnf = self.all().begin_move(asked.viewer(), id)?;
         let done = self.give(asked, Instruction::Place { vnf, node: Nodes::from(to.clone()) }, reason).await;
-        self.all.lock().end_move(id, done.is_ok().then_some(to));
+        self.all().end_move(id, done.is_ok().then_some(to));
         done
     }
 }
@@ -167,9 +214,74 @@ fn seen(now: &Snapshot, vnf: &VnfId) -> Seen {
     if !now.added.contains_key(vnf) {
         return Seen::Gone;
     }
-    match now.vnfs.get(vnf) {
-        None => Seen::Starting,
-        Some(last) if last.state == VnfState::Failed => Seen::Failed(last.detail.clone().unwrap_or_default()),
-        Some(_) => Seen::Serves,
+    now.vnfs.get(vnf).map_or(Seen::Starting, seen_after)
+}
+
+/// Returns what is seen of a VNF after its last event.
+fn seen_after(last: &VnfEvent) -> Seen {
+    match last.state {
+        // An instance that stops was moved, and serves elsewhere.
+        VnfState::Started | VnfState::Stopped => Seen::Serves,
+        VnfState::Died => Seen::Restarts,
+        VnfState::Failed => Seen::Failed(last.detail.clone().unwrap_or_default()),
+    }
+}
+
+/// Returns the task that follows the testbed's events: each state of a VNF is seen, however short it is.
+fn follow(served: Served) -> Task {
+    let mut events = served.context.events.subscribe();
+    Box::pin(async move {
+        loop {
+            let (vnf, seen) = match events.recv().await {
+                Ok(stamped) => match &stamped.event {
+                    Event::Vnf(event) => (event.vnf.clone(), seen_after(event)),
+                    Event::Decision(Decision {
+                        instruction: Instruction::RemoveVnf { vnf },
+                        refused: None,
+                        ..
+                    }) => (vnf.clone(), Seen::Gone),
+                    _ => continue,
+                },
+                Err(RecvError::Lagged(_)) => {
+                    drop(served.all());
+                    continue;
+                }
+                // The run has ended.
+                Err(RecvError::Closed) => std::future::pending().await,
+            };
+            served.all.lock().observe(&vnf, seen, served.context.now());
+            served.wake.notify_one();
+        }
+    })
+}
+
+impl Notifier for Served {
+    type Target = Recipient;
+
+    fn poll(&self) -> (Vec<Dispatch<Recipient>>, Option<Duration>) {
+        let (now, mut all) = (self.context.now(), self.all.lock());
+        let subscriptions = all.subscriptions();
+        let dispatches = subscriptions.poll(now);
+        let complaints = subscriptions.take_complaints();
+        // In virtual time a deadline may stand still: this must not become a busy loop.
+        let wait = |deadline: Timestamp| deadline.since(now).max(Duration::from_millis(1));
+        let wait = subscriptions.deadline().map(wait);
+        drop(all);
+        complaints.into_iter().for_each(|complaint| self.context.tell(complaint));
+        (dispatches, wait)
+    }
+
+    async fn woken(&self) {
+        self.wake.notified().await;
+    }
+
+    async fn send(&self, Dispatch { target, body, .. }: Dispatch<Recipient>) -> Outcome {
+        cotorra_mec::post(&target.callback, self.callbacks(target.owner.as_ref()), body).await
+    }
+
+    fn done(&self, subscription: u64, attempt: u64, outcome: Outcome) {
+        let now = self.context.now();
+        self.all.lock().subscriptions().done(subscription, attempt, outcome, now);
+        self.wake.notify_one();
     }
 }

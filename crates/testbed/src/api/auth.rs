@@ -268,59 +268,46 @@ fn is_of_another_site(host: Option<&str>, origin: Option<&str>, site: Option<&st
         || site.is_some_and(|site| !matches!(site, "same-origin" | "none"))
 }
 
+/// Admits a request of a caller that passes a check, and reads its body.
+async fn admit(
+    gate: &Gate,
+    place: &Place,
+    mut request: Request,
+    check: impl FnOnce(&Caller) -> Result<(), Failure>,
+) -> Result<Request, Failure> {
+    let caller = gate.caller(request.headers())?;
+    check(&caller)?;
+    request = place.let_in(caller.whose(), request).await?;
+    request.extensions_mut().insert(caller);
+    Ok(request)
+}
+
 pub(super) async fn check(
     State(gate): State<Gate>,
     Extension(place): Extension<Arc<Place>>,
-    mut request: Request,
+    request: Request,
     next: Next,
 ) -> Result<Response, Failure> {
-    let caller = gate.caller(request.headers())?;
-    request = place.let_in(caller.whose(), request).await?;
-    request.extensions_mut().insert(caller);
-    Ok(next.run(request).await)
+    Ok(next.run(admit(&gate, &place, request, |_| Ok(())).await?).await)
 }
 
-/// Checks callers of application life cycle management, which reports problems as the ETSI MEC standards do.
+/// Checks callers of services of ETSI MEC, which report problems as their standards do. Below `/wai` a service is the
+/// operator's, and below `/domains/{name}` that domain's.
 pub(super) async fn check_mec(
     State(gate): State<Gate>,
     Extension(place): Extension<Arc<Place>>,
     request: Request,
     next: Next,
 ) -> Response {
-    let let_in = match gate.caller(request.headers()) {
-        Ok(caller) => place.let_in(caller.whose(), request).await.map(|request| (caller, request)),
-        Err(refusal) => Err(refusal),
-    };
-    match let_in {
-        Err(refusal) => refusal.into_problem(),
-        Ok((caller, mut request)) => {
-            request.extensions_mut().insert(caller);
-            next.run(request).await
+    let path = request.uri().path().to_owned();
+    let admitted = admit(&gate, &place, request, |caller| {
+        match path.strip_prefix("/domains/").and_then(|rest| rest.split('/').next()) {
+            Some(domain) => caller.sees(&domain, |view| view.domain().as_str() == domain),
+            None if path.starts_with("/wai/") => caller.operator(),
+            None => Ok(()),
         }
-    }
-}
-
-/// Checks callers of the WLAN Access Information Service. It reports problems as its standard does, and has a service per
-/// domain.
-pub(super) async fn check_wais(
-    State(gate): State<Gate>,
-    Extension(place): Extension<Arc<Place>>,
-    request: Request,
-    next: Next,
-) -> Response {
-    let of = request.uri().path().strip_prefix("/domains/").and_then(|rest| rest.split('/').next());
-    let caller = gate.caller(request.headers()).and_then(|caller| {
-        match of {
-            Some(domain) => caller.sees(&domain, |view| view.domain().as_str() == domain)?,
-            None => caller.operator()?,
-        }
-        Ok(caller)
     });
-    let let_in = match caller {
-        Ok(caller) => place.let_in(caller.whose(), request).await,
-        Err(refusal) => Err(refusal),
-    };
-    match let_in {
+    match admitted.await {
         Err(refusal) => refusal.into_problem(),
         Ok(request) => next.run(request).await,
     }

@@ -7,9 +7,9 @@ use std::{
 };
 
 use axum::Json;
-use cotorra_graph::{IpNetwork, NodeId, PluginId, Stamped, Testbed};
+use cotorra_graph::{Event, IpNetwork, NodeId, PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{History, PacedRecorder, RunId};
-use cotorra_wais::types::Epoch;
+use cotorra_mec::{Allowed, Epoch};
 use tokio::sync::broadcast;
 
 use super::types::Failure;
@@ -44,6 +44,32 @@ pub(crate) struct Context {
     pub(crate) wiretap: Option<Wiretap>,
 }
 
+impl Context {
+    /// Returns the time of the run.
+    pub(super) fn now(&self) -> Timestamp {
+        match &self.wais.clock {
+            Some(clock) => clock(),
+            None => self.live.read(|now| now.at),
+        }
+    }
+
+    /// Returns the networks that notifications may be sent to. A domain may not make this machine post to other services
+    /// on it.
+    pub(super) fn callbacks(&self, of_operator: bool) -> Allowed {
+        let named = self.testbed.wais.callbacks.iter().chain(&self.wais.callbacks).copied();
+        let allowed = Allowed::new(named);
+        if of_operator { allowed.and_loopback() } else { allowed }
+    }
+
+    /// Reports a message to the operator.
+    pub(super) fn tell(&self, message: String) {
+        tracing::warn!("{message}");
+        let event = Event::Notice { message };
+        // The run may have ended already.
+        let _ = self.core.send(Message::Network(Stamped { at: self.now(), event }));
+    }
+}
+
 /// The difference in virtual time, which stands still while a plug-in answers.
 #[derive(Clone)]
 pub(crate) struct Lockstep {
@@ -54,7 +80,7 @@ pub(crate) struct Lockstep {
     pub(crate) recorder: Option<PacedRecorder>,
 }
 
-/// Options of the WLAN Access Information Service.
+/// Options of the services of ETSI MEC.
 #[derive(Clone, Default)]
 pub(crate) struct WaisOptions {
     /// The run's clock; without one the time is that of the last event.

@@ -215,9 +215,10 @@ impl Server {
             .map_err(ApiError::Start)?;
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
-        let (wais, senders) = wais::serve(&context, gate.clone());
+        let (wais, mut senders) = wais::serve(&context, gate.clone());
+        let (lifecycle, more) = applications::serve(&context, gate.clone());
+        senders.extend(more);
         let delivery = Delivery::start(senders).map_err(ApiError::Start)?;
-        let lifecycle = applications::serve(&context, gate.clone());
         let app = paths()
             .into_iter()
             .fold(Router::new(), |router, (path, methods)| router.route(path, methods))

@@ -4,8 +4,8 @@
 use std::{sync::Arc, time::Duration};
 
 use axum::{Router, http::StatusCode, middleware, routing::get};
-use cotorra_graph::{Event, Stamped, Timestamp};
-use cotorra_mec::{Allowed, Problem, Task, deliver};
+use cotorra_graph::Timestamp;
+use cotorra_mec::{Problem, Task, deliver};
 use cotorra_wais::{
     Scope, Site, Survey,
     http::{Service, Testbed, openapi},
@@ -13,9 +13,8 @@ use cotorra_wais::{
 
 use super::{
     auth::{self, Gate},
-    context::{Context, WaisOptions},
+    context::Context,
 };
-use crate::message::Message;
 
 /// Longest age of answers in real time.
 const FRESHNESS: Duration = Duration::from_millis(20);
@@ -24,18 +23,11 @@ const FRESHNESS: Duration = Duration::from_millis(20);
 pub(super) fn serve(context: &Context, gate: Gate) -> (Router, Vec<Task>) {
     let graph = &context.testbed.graph;
     let settings = &context.testbed.wais;
-    let WaisOptions { epoch, callbacks, .. } = &context.wais;
-    let allowed = Allowed::new(settings.callbacks.iter().chain(callbacks).copied());
     let testbed: Arc<dyn Testbed> = Arc::new(ApiState(context.clone()));
-    // A domain may not make this machine post to other services on it.
-    let of_scope = |scope: &Scope| match scope {
-        Scope::Testbed => allowed.clone().and_loopback(),
-        Scope::Domain(_) => allowed.clone(),
-    };
     let service = |scope: Scope, prefix: String| {
-        let allowed = of_scope(&scope);
+        let allowed = context.callbacks(matches!(scope, Scope::Testbed));
         let site = Site::new(graph, settings, &scope);
-        Service::new(Arc::clone(&testbed), site, *epoch, allowed, prefix)
+        Service::new(Arc::clone(&testbed), site, context.wais.epoch, allowed, prefix)
     };
     let of_domain = |domain: &cotorra_graph::DomainId| {
         service(Scope::Domain(domain.clone()), format!("/domains/{domain}/wai/v2"))
@@ -49,7 +41,7 @@ pub(super) fn serve(context: &Context, gate: Gate) -> (Router, Vec<Task>) {
         .iter()
         .fold(Router::new(), |router, service| router.nest(service.prefix(), service.router()))
         .route("/domains/{*rest}", axum::routing::any(no_domain))
-        .layer(middleware::from_fn_with_state(gate, auth::check_wais))
+        .layer(middleware::from_fn_with_state(gate, auth::check_mec))
         .route(
             "/wai/v2/openapi.json",
             get(move || async move { ([("content-type", "application/json")], document) }),
@@ -62,10 +54,7 @@ struct ApiState(Context);
 
 impl Testbed for ApiState {
     fn now(&self) -> Timestamp {
-        match &self.0.wais.clock {
-            Some(clock) => clock(),
-            None => self.0.live.read(|now| now.at),
-        }
+        self.0.now()
     }
 
     fn survey(&self, site: &Arc<Site>) -> Survey {
@@ -78,9 +67,6 @@ impl Testbed for ApiState {
     }
 
     fn tell(&self, message: String) {
-        tracing::warn!("{message}");
-        let event = Event::Notice { message };
-        // The run may have ended already.
-        let _ = self.0.core.send(Message::Network(Stamped { at: self.now(), event }));
+        self.0.tell(message);
     }
 }

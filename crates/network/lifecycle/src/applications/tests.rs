@@ -1,7 +1,13 @@
-use serde_json::json;
+use proptest::prelude::*;
+use serde_json::{Value, json};
 
 use super::*;
-use crate::{fog05, mec};
+use crate::{
+    fog05,
+    mec::{self, OperationRequest},
+};
+
+const NOW: Timestamp = Timestamp::ZERO;
 
 fn descriptor(id: &str) -> Descriptor {
     let fdu = json!({
@@ -24,30 +30,40 @@ fn defined() -> (Applications, String) {
 }
 
 fn status(all: &Applications, id: &str) -> &'static str {
-    fog05::status(all.instance(None, id).unwrap(), &Seen::Serves)
+    fog05::status(all.instance(None, id).unwrap())
 }
 
 #[test]
 fn an_instance_goes_through_all_stages_and_back() {
     let (mut all, id) = defined();
     assert_eq!(status(&all, &id), "DEFINE");
-    all.configure(None, &id).unwrap();
+    all.configure(None, &id, NOW).unwrap();
     assert_eq!(status(&all, &id), "CONFIGURE");
     let vnf = all.begin_start(None, &id, "A=1").unwrap();
     assert_eq!((vnf.node.only(), vnf.env.as_slice()), (Some(&node("edge")), &["A=1".to_owned()][..]));
-    all.end_start(&id, Some(vnf.id.clone()));
-    assert_eq!(status(&all, &id), "RUN");
+    all.end_start(&id, Some(vnf.id.clone()), NOW);
+    assert_eq!(status(&all, &id), "CONFIGURE");
+    for (seen, expected) in [
+        (Seen::Serves, "RUN"),
+        (Seen::Restarts, "RUN"),
+        (Seen::Failed("why".to_owned()), "ERROR"),
+        (Seen::Gone, "ERROR"),
+        (Seen::Serves, "RUN"),
+    ] {
+        all.observe(&vnf.id, seen, NOW);
+        assert_eq!(status(&all, &id), expected);
+    }
     assert_eq!(all.begin_move(None, &id).unwrap(), vnf.id);
     all.end_move(&id, Some(node("fog")));
     assert_eq!(all.begin_stop(None, &id).unwrap(), vnf.id);
-    all.end_stop(&id, true);
+    all.end_stop(&id, true, NOW);
     // The next start has another name, because the last VNF still drains.
     let again = all.begin_start(None, &id, "").unwrap();
     assert_ne!(again.id, vnf.id);
     assert_eq!(again.node.only(), Some(&node("fog")));
-    all.end_start(&id, None);
+    all.end_start(&id, None, NOW);
     assert_eq!(status(&all, &id), "CONFIGURE", "the testbed rejected the VNF");
-    all.clean(None, &id).unwrap();
+    all.clean(None, &id, NOW).unwrap();
     all.undefine(None, &id).unwrap();
     assert_eq!(all.offload(None, "a").unwrap(), all.made_first());
     assert_eq!(all.catalog(None).count(), 0);
@@ -63,23 +79,24 @@ impl Applications {
 fn steps_out_of_order_are_rejected_and_change_nothing() {
     let (mut all, id) = defined();
     let text = |result: Result<(), LifecycleError>| result.unwrap_err().to_string();
-    assert!(text(all.clean(None, &id)).contains("not configured"));
+    assert!(text(all.clean(None, &id, NOW)).contains("not configured"));
     assert!(all.begin_start(None, &id, "").unwrap_err().to_string().contains("not configured"));
     assert!(all.begin_stop(None, &id).unwrap_err().to_string().contains("does not run"));
     assert!(all.offload(None, "a").unwrap_err().to_string().contains("remove that first"));
-    all.configure(None, &id).unwrap();
-    assert!(text(all.configure(None, &id)).contains("already"));
+    all.configure(None, &id, NOW).unwrap();
+    assert!(text(all.configure(None, &id, NOW)).contains("already"));
     assert!(text(all.undefine(None, &id)).contains("clean it first"));
     assert!(all.begin_start(None, &id, "PATH").unwrap_err().to_string().contains("`PATH` is no variable"));
     all.begin_start(None, &id, "").unwrap();
-    for busy in [all.clean(None, &id), all.undefine(None, &id), all.begin_start(None, &id, "").map(drop)] {
+    for busy in [all.clean(None, &id, NOW), all.undefine(None, &id), all.begin_start(None, &id, "").map(drop)]
+    {
         assert!(text(busy).contains("under way"));
     }
     assert_eq!(
         all.define(None, "b", None, [None, None]),
         Err(LifecycleError::Unknown("descriptor", "b".to_owned()))
     );
-    assert_eq!(text(all.configure(None, "x")), "there is no instance `x`");
+    assert_eq!(text(all.configure(None, "x", NOW)), "there is no instance `x`");
 }
 
 #[test]
@@ -89,7 +106,7 @@ fn a_domain_sees_its_own_only() {
     let fdu = all.onboard(Some(&one), descriptor("a")).unwrap();
     let id = all.define(Some(&one), &fdu, Some(node("edge")), [None, None]).unwrap().id.clone();
     assert!(all.descriptor(Some(&two), &fdu).is_err() && all.instance(Some(&two), &id).is_err());
-    assert!(all.configure(Some(&two), &id).is_err());
+    assert!(all.configure(Some(&two), &id, NOW).is_err());
     assert_eq!((all.catalog(Some(&two)).count(), all.instances(Some(&two)).count()), (0, 0));
     assert_eq!((all.catalog(None).count(), all.instances(None).count()), (1, 1));
 }
@@ -110,45 +127,120 @@ fn catalog_and_instances_are_bounded() {
     assert!(all.define(None, &first, None, [None, None]).is_err());
 }
 
-#[test]
-fn mec_instantiates_operates_and_terminates() {
+/// The subscriber's service.
+const BASE: &str = "http://lab:7700/app_lcm/v1";
+
+fn read(operation: &str, body: &Value) -> Result<OperationRequest, LifecycleError> {
+    OperationRequest::read(operation, body.to_string().as_bytes())
+}
+
+fn instantiate(node: &str) -> OperationRequest {
+    read("instantiate", &json!({ "selectedMECHostInfo": [{ "hostName": node, "hostId": {} }] })).unwrap()
+}
+
+fn stop() -> OperationRequest {
+    let request = json!({ "changeStateTo": "STOPPED", "stopType": "GRACEFUL", "gracefulStopTimeout": 1 });
+    read("operate", &request).unwrap()
+}
+
+fn terminate() -> OperationRequest {
+    read("terminate", &json!({ "terminationType": "FORCEFUL" })).unwrap()
+}
+
+/// An application instance, as MEC creates it.
+fn created() -> (Applications, String) {
     let mut all = Applications::default();
     all.onboard(None, descriptor("a")).unwrap();
     let create = mec::read(br#"{ "appDId": "a", "appInstanceName": "first" }"#).unwrap();
     let id = all.create(None, create).unwrap();
-    let document = |all: &Applications| {
-        let instance = all.instance(None, &id).unwrap();
-        let of = all.descriptor(None, &instance.descriptor).unwrap().1;
-        let document = mec::instance(instance, of, "/app_lcm/v1");
-        (document["instantiationState"].clone(), document["instantiatedAppState"]["operationalState"].clone())
-    };
-    assert_eq!(document(&all), (json!("NOT_INSTANTIATED"), json!(null)));
-    // A rejected VNF leaves it as it was.
-    let begun = all.instantiate(None, &id, node("edge"), 5).unwrap();
-    assert_eq!(begun.task, mec::Task::Start);
-    all.begin_start(None, &id, "").unwrap();
-    all.end_start(&id, None);
-    all.end(&id, begun, false, 6);
-    assert_eq!(document(&all).0, "NOT_INSTANTIATED");
+    (all, id)
+}
 
-    let begun = all.instantiate(None, &id, node("edge"), 7).unwrap();
-    let vnf = all.begin_start(None, &id, "").unwrap();
-    all.end_start(&id, Some(vnf.id));
-    all.end(&id, begun, true, 8);
-    assert_eq!(document(&all), (json!("INSTANTIATED"), json!("STARTED")));
-    let stop =
-        mec::read(br#"{ "changeStateTo": "STOPPED", "stopType": "GRACEFUL", "gracefulStopTimeout": 1 }"#);
-    let begun = all.operate(None, &id, &stop.unwrap(), 9).unwrap();
+impl Applications {
+    /// Carries out what was begun, as a testbed that accepts it or not.
+    fn carry_out(&mut self, id: &str, begun: mec::Begun, accepts: bool, now: Timestamp) -> Option<VnfId> {
+        let mut added = None;
+        let is_done = match begun.task {
+            mec::Task::Start => self.begin_start(None, id, "").is_ok_and(|vnf| {
+                added = accepts.then_some(vnf.id);
+                self.end_start(id, added.clone(), now);
+                accepts
+            }),
+            mec::Task::Stop => self.begin_stop(None, id).is_ok_and(|_| {
+                self.end_stop(id, accepts, now);
+                accepts
+            }),
+            mec::Task::Nothing => true,
+        };
+        self.end(id, begun, is_done, now);
+        added
+    }
+
+    fn subscribe(&mut self, viewer: Option<&DomainId>, request: &Value) -> Result<String, LifecycleError> {
+        let subscription = crate::Subscription::read(request.to_string().as_bytes())?;
+        let (_, document) = self.subscriptions().add(viewer, BASE, subscription, NOW)?;
+        Ok(document["id"].as_str().unwrap().to_owned())
+    }
+
+    /// Delivers all notifications. Returns them, in the order of each subscription.
+    fn deliver(&mut self) -> Vec<Value> {
+        let mut told = Vec::new();
+        loop {
+            let dispatches = self.subscriptions().poll(NOW);
+            if dispatches.is_empty() {
+                return told;
+            }
+            for one in dispatches {
+                told.push(serde_json::from_str(&one.body).unwrap());
+                let delivered = cotorra_mec::Outcome::Delivered;
+                self.subscriptions().done(one.subscription, one.attempt, delivered, NOW);
+            }
+        }
+    }
+
+    /// The state of an instance as its document shows it.
+    fn shown(&self, id: &str) -> String {
+        let instance = self.instance(None, id).unwrap();
+        let (_, of) = self.descriptor(None, &instance.descriptor).unwrap();
+        let document = mec::instance(instance, of, "/app_lcm/v1");
+        let state = &document["instantiatedAppState"]["operationalState"];
+        state.as_str().or(document["instantiationState"].as_str()).unwrap().to_owned()
+    }
+}
+
+fn to(request: Value) -> Value {
+    let mut whole = json!({ "callbackUri": "http://127.0.0.1:9/" });
+    whole.as_object_mut().unwrap().extend(request.as_object().unwrap().clone());
+    whole
+}
+
+fn kinds(notifications: &[Value]) -> Vec<&str> {
+    notifications.iter().map(|one| one["notificationType"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn mec_instantiates_operates_and_terminates() {
+    let (mut all, id) = created();
+    assert_eq!(all.shown(&id), "NOT_INSTANTIATED");
+    // A rejected VNF leaves it as it was.
+    let begun = all.begin(None, &id, &instantiate("edge"), NOW).unwrap();
+    assert_eq!(begun.task, mec::Task::Start);
+    all.carry_out(&id, begun, false, NOW);
+    assert_eq!(all.shown(&id), "NOT_INSTANTIATED");
+
+    let begun = all.begin(None, &id, &instantiate("edge"), NOW).unwrap();
+    let vnf = all.carry_out(&id, begun, true, NOW).unwrap();
+    assert_eq!(all.shown(&id), "STOPPED", "its VNF does not serve yet");
+    all.observe(&vnf, Seen::Serves, NOW);
+    assert_eq!(all.shown(&id), "STARTED");
+    let begun = all.begin(None, &id, &stop(), NOW).unwrap();
     assert_eq!(begun.task, mec::Task::Stop);
-    all.begin_stop(None, &id).unwrap();
-    all.end_stop(&id, true);
-    all.end(&id, begun, true, 10);
-    assert_eq!(document(&all), (json!("INSTANTIATED"), json!("STOPPED")));
-    let begun =
-        all.terminate(None, &id, &mec::read(br#"{ "terminationType": "FORCEFUL" }"#).unwrap(), 11).unwrap();
+    all.carry_out(&id, begun, true, NOW);
+    assert_eq!(all.shown(&id), "STOPPED");
+    let begun = all.begin(None, &id, &terminate(), NOW).unwrap();
     assert_eq!(begun.task, mec::Task::Nothing);
-    all.end(&id, begun, true, 2_000_000_012);
-    assert_eq!(document(&all).0, "NOT_INSTANTIATED");
+    all.carry_out(&id, begun, true, Timestamp::from_nanos(2_000_000_012));
+    assert_eq!(all.shown(&id), "NOT_INSTANTIATED");
     let occurrences = all.occurrence_documents(None, "");
     let states: Vec<_> = occurrences.iter().map(|one| one["operationState"].as_str().unwrap()).collect();
     assert_eq!(states, ["FAILED", "COMPLETED", "COMPLETED", "COMPLETED"]);
@@ -159,15 +251,11 @@ fn mec_instantiates_operates_and_terminates() {
 
 #[test]
 fn invalid_mec_requests_name_the_mistake() {
-    let node = |body: serde_json::Value| {
-        let request: mec::InstantiateRequest = mec::read(body.to_string().as_bytes())?;
-        request.node()
-    };
-    assert_eq!(
-        node(json!({ "selectedMECHostInfo": [{ "hostName": "edge", "hostId": {} }] })).unwrap(),
-        "edge"
-    );
-    assert_eq!(node(json!({ "selectedMECHostInfo": [{ "hostId": { "node": "fog" } }] })).unwrap(), "fog");
+    let node = |body: Value| Ok(read("instantiate", &body)?.node().unwrap().to_string());
+    let by_name = json!({ "selectedMECHostInfo": [{ "hostName": "edge", "hostId": {} }] });
+    assert_eq!(node(by_name), Ok("edge".to_owned()));
+    let by_id = json!({ "selectedMECHostInfo": [{ "hostId": { "node": "fog" } }] });
+    assert_eq!(node(by_id), Ok("fog".to_owned()));
     for (body, named) in [
         (json!({}), "selectedMECHostInfo"),
         (json!({ "selectedMECHostInfo": [] }), "one host"),
@@ -178,20 +266,189 @@ fn invalid_mec_requests_name_the_mistake() {
             "locationConstraints",
         ),
     ] {
-        let error = node(body).unwrap_err().to_string();
-        assert!(error.contains(named), "{error}");
+        let error: LifecycleError = node(body).unwrap_err();
+        assert!(error.to_string().contains(named), "{error}");
     }
     let (mut all, id) = defined();
-    let operate = |all: &mut Applications, body: &str| {
-        all.operate(None, &id, &mec::read(body.as_bytes())?, 0).map(drop)
-    };
-    for (body, named) in [
-        (r#"{ "changeStateTo": "PAUSED" }"#, "PAUSED"),
-        (r#"{ "changeStateTo": "STARTED", "stopType": "FORCEFUL" }"#, "stopType"),
-        (r#"{ "changeStateTo": "STOPPED", "stopType": "GRACEFUL" }"#, "gracefulStopTimeout"),
-        (r#"{ "changeStateTo": "STOPPED" }"#, "not instantiated"),
+    for (operation, body, named) in [
+        ("operate", json!({ "changeStateTo": "PAUSED" }), "PAUSED"),
+        ("operate", json!({ "changeStateTo": "STARTED", "stopType": "FORCEFUL" }), "stopType"),
+        ("operate", json!({ "changeStateTo": "STOPPED", "stopType": "GRACEFUL" }), "gracefulStopTimeout"),
+        ("operate", json!({ "changeStateTo": "STOPPED" }), "not instantiated"),
+        (
+            "terminate",
+            json!({ "terminationType": "FORCEFUL", "gracefulTerminationTimeout": 1 }),
+            "gracefulTerminationTimeout",
+        ),
+        ("pause", json!({}), "no operation `pause`"),
     ] {
-        let error = operate(&mut all, body).unwrap_err().to_string();
+        let begun = read(operation, &body).and_then(|request| all.begin(None, &id, &request, NOW));
+        let error = begun.unwrap_err().to_string();
         assert!(error.contains(named), "{error}");
+    }
+}
+
+#[test]
+fn subscribers_are_notified_of_what_they_filter_for() {
+    let (mut all, id) = created();
+    let one: DomainId = "one".parse().unwrap();
+    let name = &all.descriptor(None, "a").unwrap().1.name.clone();
+    let of_instances = |filter: Value| {
+        to(json!({ "subscriptionType": "AppInstanceStateChange", "appInstanceSubscriptionFilter": filter }))
+    };
+    let states = to(json!({ "subscriptionType": "AppInstanceStateChange", "appInstanceState": ["STARTED"] }));
+    let provider = json!({ "appProvider": "cotorra", "appProducts": { "appName": name,
+        "versions": { "appSoftVersion": "1", "appDVersion": ["1"] } } });
+    let operations = json!({ "operationStates": "COMPLETED", "operationTypes": ["INSTANTIATE"] });
+    let operations = to(
+        json!({ "subscriptionType": "AppLcmOpOccStateChange", "appLcmOpOccSubscriptionFilter": operations }),
+    );
+    let wanting = [
+        of_instances(json!({ "appInstSelectorType": "VOID" })),
+        of_instances(json!({ "appInstSelectorType": "APP_IDENTITY", "appInstances": [id] })),
+        of_instances(json!({ "appInstSelectorType": "APP_NAME", "appInstances": ["b", name] })),
+        of_instances(json!({ "appInstSelectorType": "APP_FROM_PROVIDER", "appsFromProviders": [provider] })),
+    ];
+    let wanting = wanting.map(|request| all.subscribe(None, &request).unwrap());
+    let other = json!({ "appInstSelectorType": "APP_D_ID", "appInstances": ["b"] });
+    let silent =
+        [all.subscribe(None, &of_instances(other)).unwrap(), all.subscribe(Some(&one), &states).unwrap()];
+    let started = all.subscribe(None, &states).unwrap();
+    let completed = all.subscribe(None, &operations).unwrap();
+    let begun = all.begin(None, &id, &instantiate("edge"), NOW).unwrap();
+    let vnf = all.carry_out(&id, begun, true, NOW).unwrap();
+    all.observe(&vnf, Seen::Serves, NOW);
+    all.observe(&vnf, Seen::Restarts, NOW);
+    all.observe(&vnf, Seen::Serves, NOW);
+    let told = all.deliver();
+    let of = |subscription: &String| -> Vec<Value> {
+        told.iter().filter(|one| one["subscriptionId"] == **subscription).cloned().collect()
+    };
+    for subscription in &wanting {
+        assert_eq!(kinds(&of(subscription)), ["STOPPED", "STARTED", "STOPPED", "STARTED"]);
+    }
+    // All are told of the same change under the same identifier.
+    assert_eq!(of(&wanting[0])[1]["id"], of(&wanting[3])[1]["id"]);
+    silent.iter().for_each(|subscription| assert_eq!(of(subscription), Vec::<Value>::new()));
+    assert_eq!(kinds(&of(&started)), ["STARTED", "STARTED"]);
+    let [occurred] = &of(&completed)[..] else { panic!("{told:?}") };
+    assert_eq!(
+        (&occurred["notificationType"], &occurred["appInstanceId"], &occurred["appLcmOpOccId"]),
+        (&json!("COMPLETED"), &json!(id), &json!(begun.number.to_string()))
+    );
+    let links = &occurred["_links"];
+    assert_eq!(links["subscription"]["href"], format!("{BASE}/subscriptions/{completed}"));
+    assert_eq!(links["appLcmOpOcc"]["href"], format!("{BASE}/app_lcm_op_occs/{}", begun.number));
+    assert_eq!(links["appInstance"]["href"], format!("{BASE}/app_instances/{id}"));
+}
+
+#[test]
+fn subscriptions_are_seen_by_their_callers_and_bounded() {
+    let (mut all, _) = created();
+    let [one, two]: [DomainId; 2] = ["one", "two"].map(|name| name.parse().unwrap());
+    let request = to(json!({ "subscriptionType": "AppInstanceStateChange" }));
+    let id = all.subscribe(Some(&one), &request).unwrap();
+    let subscriptions = all.subscriptions();
+    assert!(subscriptions.document(Some(&two), BASE, &id).is_err());
+    assert!(subscriptions.remove(Some(&two), &id, NOW).is_err());
+    let document = subscriptions.document(None, BASE, &id).unwrap();
+    assert_eq!(document["notificationType"], json!(["NOT_INSTANTIATED", "STARTED", "STOPPED"]));
+    assert_eq!(document["callbackUri"], "http://127.0.0.1:9/");
+    let listed = |all: &mut Applications, viewer| {
+        let list = all.subscriptions().list(viewer, BASE, Some(crate::SubscriptionType::Instances));
+        list["_links"]["subscriptions"].as_array().unwrap().len()
+    };
+    assert_eq!((listed(&mut all, Some(&two)), listed(&mut all, Some(&one))), (0, 1));
+    let made = (0..100).map_while(|_| all.subscribe(Some(&one), &request).ok()).count();
+    assert_eq!(made, 63);
+    assert!(matches!(all.subscribe(Some(&one), &request), Err(LifecycleError::Full(_))));
+    // Others have room of their own.
+    all.subscribe(Some(&two), &request).unwrap();
+    all.subscriptions().remove(Some(&one), &id, NOW).unwrap();
+    all.subscribe(Some(&one), &request).unwrap();
+    let many = (0..1000).map(|_| all.subscriptions().remove(Some(&one), "0", NOW).unwrap_err());
+    assert!(many.into_iter().any(|error| matches!(error, LifecycleError::TooOften(_))));
+}
+
+#[test]
+fn invalid_subscriptions_name_the_mistake() {
+    for (request, named) in [
+        (json!({ "subscriptionType": "X" }), "AppInstanceStateChange"),
+        (
+            json!({ "subscriptionType": "AppInstanceStateChange", "callbackUri": "https://a/" }),
+            "not a callback",
+        ),
+        (json!({ "subscriptionType": "AppInstanceStateChange", "more": 1 }), "more"),
+        (
+            json!({ "subscriptionType": "AppInstanceStateChange", "appLcmOpOccSubscriptionFilter": {} }),
+            "only",
+        ),
+        (json!({ "subscriptionType": "AppLcmOpOccStateChange", "appInstanceState": "STARTED" }), "no state"),
+        (
+            json!({ "subscriptionType": "AppInstanceStateChange",
+                "appInstanceSubscriptionFilter": { "appInstSelectorType": "APP_NAME" } }),
+            "take `appInstances`",
+        ),
+        (
+            json!({ "subscriptionType": "AppLcmOpOccStateChange", "appLcmOpOccSubscriptionFilter": {
+                "appInstanceSubscriptionFilter": { "appInstSelectorType": "VOID", "appInstances": ["a"] } } }),
+            "VOID takes no list",
+        ),
+        (
+            json!({ "subscriptionType": "AppInstanceStateChange", "callbackUri": "x".repeat(20_000) }),
+            "16384 bytes",
+        ),
+    ] {
+        let request = to(request).to_string();
+        let error = crate::Subscription::read(request.as_bytes()).unwrap_err().to_string();
+        assert!(error.contains(named), "{error}");
+    }
+}
+
+proptest! {
+    /// A subscriber to all changes can follow the state that the documents show, and hears of nothing else.
+    #[test]
+    fn notifications_follow_the_shown_state(steps in prop::collection::vec((0_u8..10, any::<bool>()), 0..60)) {
+        let (mut all, id) = created();
+        all.subscribe(None, &to(json!({ "subscriptionType": "AppInstanceStateChange" }))).unwrap();
+        let (mut shown, mut vnf) = (all.shown(&id), None);
+        for (step, accepts) in steps {
+            let request = match step {
+                0 => Some(instantiate("edge")),
+                1 => Some(read("operate", &json!({ "changeStateTo": "STARTED" })).unwrap()),
+                2 => Some(stop()),
+                3 => Some(terminate()),
+                _ => None,
+            };
+            if let Some(request) = request {
+                if let Ok(begun) = all.begin(None, &id, &request, NOW) {
+                    // An instance has a state between the steps of an operation, too.
+                    let between = all.shown(&id);
+                    vnf = all.carry_out(&id, begun, accepts, NOW).or(vnf);
+                    let now = all.shown(&id);
+                    let stops = begun.task == mec::Task::Stop && accepts;
+                    let stopped = if stops { "STOPPED".to_owned() } else { between.clone() };
+                    let states = [shown, between, stopped, now.clone()];
+                    let changes: Vec<_> = states.windows(2).filter(|two| two[0] != two[1]).map(|two| two[1].as_str()).collect();
+                    let told = all.deliver();
+                    prop_assert_eq!(kinds(&told), changes);
+                    shown = now;
+                    continue;
+                }
+            } else {
+                let seen = [Seen::Serves, Seen::Restarts, Seen::Gone, Seen::Starting];
+                match (step, &vnf) {
+                    (4, _) => drop(all.configure(None, &id, NOW)),
+                    (5, _) => drop(all.clean(None, &id, NOW)),
+                    (step, Some(vnf)) => all.observe(vnf, seen[usize::from(step) - 6].clone(), NOW),
+                    (_, None) => {}
+                }
+            }
+            let now = all.shown(&id);
+            let changed: Vec<_> = (now != shown).then_some(now.as_str()).into_iter().collect();
+            let told = all.deliver();
+            prop_assert_eq!(kinds(&told), changed);
+            shown = now;
+        }
     }
 }

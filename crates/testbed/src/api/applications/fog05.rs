@@ -3,19 +3,18 @@
 use std::collections::BTreeMap;
 
 use axum::{
-    Extension, Json, Router,
+    Json, Router,
     body::Bytes,
     extract::{Path, State},
-    http::HeaderMap,
     middleware,
     response::{IntoResponse, Response},
     routing::{get, post, put},
 };
-use cotorra_lifecycle::{Descriptor, LifecycleError, Seen, fog05};
+use cotorra_lifecycle::{Descriptor, LifecycleError, fog05};
 use serde_json::{Value, json};
 
 use super::{
-    super::auth::{self, Caller, Gate},
+    super::auth::{self, Gate},
     Asked, Rejected, Served, to_the_end,
 };
 
@@ -75,67 +74,39 @@ async fn index(State(served): State<Served>) -> Json<Value> {
     Json(json!({ "name": "cotorra", "version": "0.2.0", "system": system, "tenant": "0" }))
 }
 
-fn asked(caller: Caller, headers: HeaderMap) -> Asked {
-    Asked { caller, headers }
-}
-
-async fn nodes(State(served): State<Served>, Extension(caller): Extension<Caller>) -> Json<Value> {
-    let asked = asked(caller, HeaderMap::new());
+async fn nodes(State(served): State<Served>, asked: Asked) -> Json<Value> {
     Json(served.nodes(&asked).map(|node| Value::from(node.id.as_str())).collect())
 }
 
-async fn node_info(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(node): Path<String>,
-) -> Answer {
-    Ok(Json(fog05::node_info(served.node(&asked(caller, HeaderMap::new()), &node)?)))
+async fn node_info(State(served): State<Served>, asked: Asked, Path(node): Path<String>) -> Answer {
+    Ok(Json(fog05::node_info(served.node(&asked, &node)?)))
 }
 
-async fn node_status(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(node): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
+async fn node_status(State(served): State<Served>, asked: Asked, Path(node): Path<String>) -> Answer {
     let node = served.node(&asked, &node)?;
     let (_, bytes) = served.taken().get(&node.id).copied().unwrap_or_default();
     Ok(Json(fog05::node_status(node, bytes)))
 }
 
 /// A node has no plug-ins of fog05.
-async fn plugins(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(node): Path<String>,
-) -> Answer {
-    served.node(&asked(caller, HeaderMap::new()), &node)?;
+async fn plugins(State(served): State<Served>, asked: Asked, Path(node): Path<String>) -> Answer {
+    served.node(&asked, &node)?;
     Ok(Json(json!([])))
 }
 
-async fn fdus(State(served): State<Served>, Extension(caller): Extension<Caller>) -> Json<Value> {
-    let (asked, all) = (asked(caller, HeaderMap::new()), served.all.lock());
+async fn fdus(State(served): State<Served>, asked: Asked) -> Json<Value> {
+    let all = served.all();
     Json(all.catalog(asked.viewer()).map(|(id, _)| Value::from(id)).collect())
 }
 
-async fn fdu(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(fdu): Path<String>,
-) -> Answer {
-    let (asked, all) = (asked(caller, HeaderMap::new()), served.all.lock());
+async fn fdu(State(served): State<Served>, asked: Asked, Path(fdu): Path<String>) -> Answer {
+    let all = served.all();
     let (id, descriptor) = all.descriptor(asked.viewer(), &fdu)?;
     Ok(Json(fog05::descriptor(id, descriptor)))
 }
 
 /// Adds the descriptor in the body to the catalog. The path's identifier is its own, or it gets that one.
-async fn onboard(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(fdu): Path<String>,
-    body: Bytes,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
+async fn onboard(State(served): State<Served>, asked: Asked, Path(fdu): Path<String>, body: Bytes) -> Answer {
     let mut descriptor = Descriptor::read(&body).map_err(LifecycleError::from)?;
     match &descriptor.uuid {
         None => {
@@ -150,40 +121,29 @@ async fn onboard(
             return Err(LifecycleError::Invalid(reason).into());
         }
     }
-    let mut all = served.all.lock();
+    let mut all = served.all();
     let id = all.onboard(asked.viewer(), descriptor)?;
     let (id, descriptor) = all.descriptor(asked.viewer(), &id)?;
     Ok(Json(fog05::descriptor(id, descriptor)))
 }
 
-async fn offload(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(fdu): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
-    Ok(Json(served.all.lock().offload(asked.viewer(), &fdu)?.into()))
+async fn offload(State(served): State<Served>, asked: Asked, Path(fdu): Path<String>) -> Answer {
+    Ok(Json(served.all().offload(asked.viewer(), &fdu)?.into()))
 }
 
 async fn define(
     State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
+    asked: Asked,
     Path((node, fdu)): Path<(String, String)>,
 ) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
     let node = served.node(&asked, &node)?.id.clone();
     define_on(&served, &asked, &fdu, node)
 }
 
 /// Defines an instance on the node with the most CPUs left, of those that have room.
-async fn schedule(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(fdu): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
+async fn schedule(State(served): State<Served>, asked: Asked, Path(fdu): Path<String>) -> Answer {
     let node = {
-        let all = served.all.lock();
+        let all = served.all();
         let (_, descriptor) = all.descriptor(asked.viewer(), &fdu)?;
         let taken = served.taken();
         let free = |node: &cotorra_graph::Node| {
@@ -200,112 +160,68 @@ async fn schedule(
 }
 
 fn define_on(served: &Served, asked: &Asked, fdu: &str, node: cotorra_graph::NodeId) -> Answer {
-    let mut all = served.all.lock();
+    let mut all = served.all();
     let id = all.define(asked.viewer(), fdu, Some(node), [None, None])?.id.clone();
     let instance = all.instance(asked.viewer(), &id)?;
     let (_, of) = all.descriptor(None, &instance.descriptor)?;
-    Ok(Json(fog05::record(instance, of, &Seen::Starting)))
+    Ok(Json(fog05::record(instance, of)))
 }
 
-async fn instance(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(id): Path<String>,
-) -> Answer {
-    let (asked, all) = (asked(caller, HeaderMap::new()), served.all.lock());
+async fn instance(State(served): State<Served>, asked: Asked, Path(id): Path<String>) -> Answer {
+    let all = served.all();
     let instance = all.instance(asked.viewer(), &id)?;
     let (_, of) = all.descriptor(None, &instance.descriptor)?;
-    Ok(Json(fog05::record(instance, of, &served.seen(instance))))
+    Ok(Json(fog05::record(instance, of)))
 }
 
-async fn undefine(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(id): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
-    served.all.lock().undefine(asked.viewer(), &id)?;
+async fn undefine(State(served): State<Served>, asked: Asked, Path(id): Path<String>) -> Answer {
+    served.all().undefine(asked.viewer(), &id)?;
     Ok(Json(id.into()))
 }
 
-async fn configure(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(id): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
-    served.all.lock().configure(asked.viewer(), &id)?;
+async fn configure(State(served): State<Served>, asked: Asked, Path(id): Path<String>) -> Answer {
+    served.all().configure(asked.viewer(), &id, served.context.now())?;
     Ok(Json(id.into()))
 }
 
-async fn clean(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(id): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
-    served.all.lock().clean(asked.viewer(), &id)?;
+async fn clean(State(served): State<Served>, asked: Asked, Path(id): Path<String>) -> Answer {
+    served.all().clean(asked.viewer(), &id, served.context.now())?;
     Ok(Json(id.into()))
 }
 
 /// Starts an instance, with the variables in the body: `NAME=VALUE,NAME2=VALUE2`.
-async fn start(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(id): Path<String>,
-    headers: HeaderMap,
-    body: Bytes,
-) -> Answer {
-    let asked = asked(caller, headers);
+async fn start(State(served): State<Served>, asked: Asked, Path(id): Path<String>, body: Bytes) -> Answer {
     let text = |_| LifecycleError::Invalid("the variables are not UTF-8".to_owned());
     let env = String::from_utf8(body.to_vec()).map_err(text)?;
     to_the_end(async move { served.start(&asked, &id, &env, REASON).await.map(|()| Json(id.into())) }).await
 }
 
-async fn stop(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(id): Path<String>,
-    headers: HeaderMap,
-) -> Answer {
-    let asked = asked(caller, headers);
+async fn stop(State(served): State<Served>, asked: Asked, Path(id): Path<String>) -> Answer {
     to_the_end(async move { served.stop(&asked, &id, REASON).await.map(|()| Json(id.into())) }).await
 }
 
 async fn migrate(
     State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
+    asked: Asked,
     Path((id, node)): Path<(String, String)>,
-    headers: HeaderMap,
 ) -> Answer {
-    let asked = asked(caller, headers);
     let to = served.node(&asked, &node)?.id.clone();
     to_the_end(async move { served.migrate(&asked, &id, to, REASON).await.map(|()| Json(id.into())) }).await
 }
 
 /// Returns the nodes on which instances of an FDU are defined.
-async fn nodes_of_fdu(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(fdu): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
+async fn nodes_of_fdu(State(served): State<Served>, asked: Asked, Path(fdu): Path<String>) -> Answer {
     let by_node = by_node(&served, &asked, &fdu)?;
     Ok(Json(by_node.into_keys().map(Value::from).collect()))
 }
 
 /// Returns the instances of an FDU, by node.
-async fn instances(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(fdu): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
+async fn instances(State(served): State<Served>, asked: Asked, Path(fdu): Path<String>) -> Answer {
     Ok(Json(json!(by_node(&served, &asked, &fdu)?)))
 }
 
 fn by_node(served: &Served, asked: &Asked, fdu: &str) -> Result<BTreeMap<String, Vec<String>>, Rejected> {
-    let all = served.all.lock();
+    let all = served.all();
     let (id, _) = all.descriptor(asked.viewer(), fdu)?;
     let mut by_node = BTreeMap::<_, Vec<_>>::new();
     for instance in all.instances(asked.viewer()).filter(|instance| instance.descriptor == id) {
@@ -317,14 +233,9 @@ fn by_node(served: &Served, asked: &Asked, fdu: &str) -> Result<BTreeMap<String,
 }
 
 /// Returns the FDUs with instances on a node.
-async fn fdus_of_node(
-    State(served): State<Served>,
-    Extension(caller): Extension<Caller>,
-    Path(node): Path<String>,
-) -> Answer {
-    let asked = asked(caller, HeaderMap::new());
+async fn fdus_of_node(State(served): State<Served>, asked: Asked, Path(node): Path<String>) -> Answer {
     let node = &served.node(&asked, &node)?.id;
-    let all = served.all.lock();
+    let all = served.all();
     let here = all.instances(asked.viewer()).filter(|instance| instance.node.as_ref() == Some(node));
     let fdus: std::collections::BTreeSet<_> = here.map(|instance| instance.descriptor.as_str()).collect();
     Ok(Json(json!(fdus)))

@@ -1,6 +1,6 @@
 //! Applications over the routes of fog05 and of MEC 010-2, against a core that applies everything.
 
-use std::thread::JoinHandle;
+use std::{net::TcpListener, thread::JoinHandle};
 
 use super::*;
 
@@ -67,7 +67,14 @@ impl Applications {
             state,
             detail: Some("why".to_owned()),
         };
-        self.served.live.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Vnf(event) });
+        let event = Stamped { at: Timestamp::ZERO, event: Event::Vnf(event) };
+        self.served.live.absorb(&event);
+        let _ = self.served.events.send(Arc::new(event));
+    }
+
+    /// The VNF of an instance.
+    fn vnf_of(&self, instance: &str) -> Value {
+        self.ok(&format!("GET /fog05/fdu/instances/{instance}/info"), "")["hypervisor_info"]["vnf"].clone()
     }
 
     fn heard(self) -> Vec<String> {
@@ -181,7 +188,19 @@ fn an_application_goes_through_its_life_over_mec() {
         let now = all.ok(&format!("GET {itself}"), "");
         (now["instantiationState"].clone(), now["instantiatedAppState"]["operationalState"].clone())
     };
+    assert_eq!(state(), (json!("INSTANTIATED"), json!("STOPPED")), "its VNF does not serve yet");
+    all.vnf(&all.vnf_of(instance["id"].as_str().unwrap()), cotorra_graph::VnfState::Started);
     assert_eq!(state(), (json!("INSTANTIATED"), json!("STARTED")));
+    let found = |filter: &str| {
+        let found = all.ok(
+            &format!("GET /app_lcm/v1/app_instances?filter={filter}&exclude_fields=instantiatedAppState"),
+            "",
+        );
+        assert!(found.as_array().unwrap().iter().all(|one| one.get("instantiatedAppState").is_none()));
+        found.as_array().unwrap().len()
+    };
+    assert_eq!(found("(eq,instantiatedAppState/operationalState,STARTED);(eq,appName,detector)"), 1);
+    assert_eq!(found("(eq,instantiationState,NOT_INSTANTIATED)"), 0);
     let (status, problem) = all.ask(OPERATOR, &format!("POST {instantiate}"), host);
     assert_eq!((status, &problem["status"]), (409, &json!(409)));
     assert_eq!(all.ask(OPERATOR, &format!("DELETE {itself}"), "").0, 409);
@@ -193,20 +212,90 @@ fn an_application_goes_through_its_life_over_mec() {
     let occurrences = all.ok("GET /app_lcm/v1/app_lcm_op_occs", "");
     let operations: Vec<_> = occurrences.as_array().unwrap().iter().map(|one| &one["lcmOperation"]).collect();
     assert_eq!(operations, ["INSTANTIATE", "OPERATE", "OPERATE", "TERMINATE"]);
+    let filtered = all.ok("GET /app_lcm/v1/app_lcm_op_occs?filter=(eq,lcmOperation,OPERATE)", "");
+    assert_eq!(filtered, json!([occurrences[1], occurrences[2]]));
     let first = occurrences[0]["_links"]["self"]["href"].as_str().unwrap();
     assert_eq!(all.ok(&format!("GET {first}"), ""), occurrences[0]);
     assert_eq!(all.ask(OPERATOR, &format!("DELETE {itself}"), "").0, 204);
     for (head, body, expected) in [
         ("POST /app_lcm/v1/app_instances", "{}", 400),
         ("POST /app_lcm/v1/app_instances", r#"{ "appDId": "nothing" }"#, 404),
-        ("GET /app_lcm/v1/app_instances?filter=(eq,id,1)", "", 400),
-        ("GET /app_lcm/v1/subscriptions", "", 404),
+        ("GET /app_lcm/v1/app_instances?filter=(eq,name,1)", "", 400),
+        ("GET /app_lcm/v1/app_lcm_op_occs?fields=nothing", "", 400),
+        ("GET /app_lcm/v1/subscriptions?subscriptionType=x", "", 400),
+        ("GET /app_lcm/v1/subscriptions/1", "", 404),
+        ("POST /app_lcm/v1/app_instances/1/pause", "{}", 404),
         ("GET /app_lcm/v1/app_lcm_op_occs/99", "", 404),
     ] {
         let (status, problem) = all.ask(OPERATOR, head, body);
         assert_eq!((status, &problem["status"]), (expected, &json!(expected)), "{head}: {problem}");
     }
     assert_eq!(all.heard(), ["add left ", "remove_vnf", "add left ", "remove_vnf"]);
+}
+
+/// Receives a notification as a subscriber's server.
+fn receive(subscriber: &TcpListener) -> Value {
+    let mut stream = BufReader::new(subscriber.accept().unwrap().0);
+    let (mut line, mut length) = (String::new(), 0);
+    while line != "\r\n" {
+        line.clear();
+        stream.read_line(&mut line).unwrap();
+        if let Some(text) = line.to_ascii_lowercase().strip_prefix("content-length: ") {
+            length = text.trim().parse().unwrap();
+        }
+    }
+    let mut body = vec![0; length];
+    stream.read_exact(&mut body).unwrap();
+    stream.into_inner().write_all(b"HTTP/1.1 204 No Content\r\n\r\n").unwrap();
+    serde_json::from_slice(&body).unwrap()
+}
+
+#[test]
+fn subscribers_hear_of_what_happens_in_the_testbed() {
+    let all = Applications::serve();
+    all.ok("PUT /fog05/fdu/one-fdu/info", &fdu());
+    let instance = all.ok("POST /app_lcm/v1/app_instances", r#"{ "appDId": "detector" }"#);
+    let id = instance["id"].as_str().unwrap();
+    let listener = || TcpListener::bind("127.0.0.1:0").unwrap();
+    let (instances, operations) = (listener(), listener());
+    let subscribe = |listener: &TcpListener, kind: &str| {
+        let uri = format!("http://{}/told", listener.local_addr().unwrap());
+        let body = json!({ "subscriptionType": kind, "callbackUri": uri }).to_string();
+        all.ask(OPERATOR, &format!("POST /app_lcm/v1/subscriptions?subscriptionType={kind}"), &body)
+    };
+    let (status, subscription) = subscribe(&instances, "AppInstanceStateChange");
+    assert_eq!(status, 201, "{subscription}");
+    assert_eq!(subscribe(&operations, "AppLcmOpOccStateChange").0, 201);
+    let host = r#"{ "selectedMECHostInfo": [{ "hostName": "left", "hostId": {} }] }"#;
+    all.ok(&format!("POST /app_lcm/v1/app_instances/{id}/instantiate"), host);
+    let vnf = all.vnf_of(id);
+    // It serves, dies and serves again before anybody looks.
+    use cotorra_graph::VnfState::{Died, Started};
+    [Started, Died, Started].into_iter().for_each(|state| all.vnf(&vnf, state));
+    let told: Vec<_> = (0..4).map(|_| receive(&instances)).collect();
+    let kinds: Vec<_> = told.iter().map(|one| one["notificationType"].as_str().unwrap()).collect();
+    assert_eq!(kinds, ["STOPPED", "STARTED", "STOPPED", "STARTED"]);
+    let itself = subscription["_links"]["self"]["href"].as_str().unwrap();
+    assert_eq!(told[0]["_links"]["subscription"]["href"], itself);
+    assert_eq!((&told[0]["appInstanceId"], &told[0]["appDId"]), (&json!(id), &json!("one-fdu")));
+    let operation = [receive(&operations), receive(&operations)].map(|one| one["notificationType"].clone());
+    assert_eq!(operation, ["PROCESSING", "COMPLETED"]);
+    let path = &itself[itself.find("/app_lcm").unwrap()..];
+    assert_eq!(all.ok(&format!("GET {path}"), ""), subscription);
+    let list = all.ok("GET /app_lcm/v1/subscriptions?subscriptionType=AppInstanceStateChange", "");
+    assert_eq!(
+        list["_links"]["subscriptions"],
+        json!([{ "href": itself, "subscriptionType": "AppInstanceStateChange" }])
+    );
+    // A domain may not make the testbed post to this machine, and sees no subscriptions of others.
+    let body = json!({ "subscriptionType": "AppInstanceStateChange", "callbackUri": "http://127.0.0.1:9/" });
+    let (status, problem) = all.ask(ONE, "POST /app_lcm/v1/subscriptions", &body.to_string());
+    assert!(status == 403 && problem["detail"].as_str().unwrap().contains("127.0.0.1"), "{problem}");
+    assert_eq!(all.ask(ONE, &format!("DELETE {path}"), "").0, 404);
+    assert_eq!(all.ask(OPERATOR, &format!("DELETE {path}"), "").0, 204);
+    assert_eq!(all.ask(OPERATOR, &format!("GET {path}"), "").0, 404);
+    all.ok(&format!("POST /app_lcm/v1/app_instances/{id}/terminate"), r#"{ "terminationType": "FORCEFUL" }"#);
+    assert_eq!(receive(&operations)["notificationType"], "PROCESSING");
 }
 
 #[test]
