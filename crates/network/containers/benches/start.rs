@@ -2,7 +2,7 @@
 //!
 //! `cargo bench -p cotorra-containers`, as root, with podman and Docker installed. Pairs are interleaved.
 #![allow(clippy::unwrap_used, reason = "a benchmark")]
-#![allow(clippy::disallowed_types, reason = "measures time")]
+#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures time, and waits")]
 
 use std::{
     sync::{Arc, mpsc},
@@ -26,6 +26,8 @@ use futures_util::StreamExt as _;
 
 const PAIRS: usize = 30;
 const MANY: usize = 50;
+/// Rounds of [`MANY`] containers.
+const ROUNDS: usize = 6;
 const SCRIPT: [&str; 3] = ["sh", "-c", "trap 'exit 0' TERM; sleep 100000 & wait"];
 
 struct Nodes {
@@ -70,7 +72,12 @@ impl Bare {
             cmd: Some(SCRIPT.map(str::to_owned).to_vec()),
             host_config: Some(HostConfig {
                 network_mode: Some("none".to_owned()),
+                nano_cpus: Some(1_000_000_000),
                 memory: Some(64 << 20),
+                memory_swap: Some(64 << 20),
+                pids_limit: Some(512),
+                cap_drop: Some(vec!["ALL".to_owned()]),
+                security_opt: Some(vec!["no-new-privileges".to_owned()]),
                 ulimits: Some(vec![limit("nofile"), limit("nproc")]),
                 ..HostConfig::default()
             }),
@@ -151,6 +158,19 @@ fn time(work: impl FnOnce()) -> Duration {
     begin.elapsed()
 }
 
+/// Waits until nothing is left to do after earlier containers: podman's monitors run a program for each that ended.
+fn settle() {
+    let works = |entry: std::fs::DirEntry| {
+        let words = std::fs::read(entry.path().join("cmdline")).unwrap_or_default();
+        let words: Vec<_> = words.split(|byte| *byte == 0).collect();
+        // Monitors have the words of that program among their own, as long as their container runs.
+        words[0].ends_with(b"podman") && words.contains(&&b"cleanup"[..])
+    };
+    while std::fs::read_dir("/proc").unwrap().flatten().any(works) {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
 /// Prints medians and 95th percentiles of pairs, ms, and the ratio of the medians.
 fn print(what: &str, mut pairs: [Vec<Duration>; 2]) {
     pairs.iter_mut().for_each(|times| times.sort_unstable());
@@ -198,17 +218,22 @@ fn measure(kind: EngineKind) {
     print(&format!("{} start, ms", kind.name()), starts);
     print(&format!("{} stop, ms", kind.name()), stops);
     let (mut up, mut down) = ([const { Vec::new() }; 2], [const { Vec::new() }; 2]);
-    for _ in 0..3 {
-        let names: Vec<_> = (0..MANY).map(|i| format!("bare{i}")).collect();
-        up[0].push(time(|| {
-            bare.runtime.block_on(futures_util::future::join_all(names.iter().map(|name| bare.start(name))));
-        }));
-        down[0].push(time(|| {
-            bare.runtime.block_on(futures_util::future::join_all(names.iter().map(|name| bare.stop(name))));
-        }));
-        let mut ids = Vec::new();
-        up[1].push(time(|| ids = ours.start(MANY)));
-        down[1].push(time(|| ours.stop(ids)));
+    let names: Vec<_> = (0..MANY).map(|i| format!("bare{i}")).collect();
+    for round in 0..2 * ROUNDS {
+        settle();
+        // Each is first as often as the other: ABBA.
+        if [0, 3].contains(&(round % 4)) {
+            let all = || futures_util::future::join_all(names.iter().map(|name| bare.start(name)));
+            up[0].push(time(|| drop(bare.runtime.block_on(all()))));
+            settle();
+            let all = || futures_util::future::join_all(names.iter().map(|name| bare.stop(name)));
+            down[0].push(time(|| drop(bare.runtime.block_on(all()))));
+        } else {
+            let mut ids = Vec::new();
+            up[1].push(time(|| ids = ours.start(MANY)));
+            settle();
+            down[1].push(time(|| ours.stop(ids)));
+        }
     }
     print(&format!("{} {MANY} up, ms", kind.name()), up);
     print(&format!("{} {MANY} down, ms", kind.name()), down);
@@ -220,5 +245,10 @@ fn main() {
     let speed =
         time(|| (0..200_000_000_u64).for_each(|i| sum = std::hint::black_box(sum ^ i.wrapping_mul(31))));
     println!("2e8 steps of arithmetic: {:.0} ms ({sum})", speed.as_secs_f64() * 1e3);
-    [EngineKind::Podman, EngineKind::Docker].into_iter().for_each(measure);
+    // Names of engines select them.
+    let wanted: Vec<_> = std::env::args().collect();
+    let names = |kind: &EngineKind| wanted.iter().any(|word| word == kind.name());
+    let all = [EngineKind::Podman, EngineKind::Docker];
+    let is_wanted = |kind: &EngineKind| names(kind) || !all.iter().any(names);
+    all.into_iter().filter(is_wanted).for_each(measure);
 }

@@ -22,7 +22,7 @@ use crate::{
     address::Address,
     daemon::Daemon,
     guard::Guard,
-    holder,
+    holder::Holders,
     instance::Instance,
     leftovers::{self, Marker},
     spec::{Network, Spec},
@@ -127,9 +127,9 @@ impl ContainerEngine {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (logs, around) = (settings.logs.clone(), Arc::clone(&surroundings));
         let thread = thread::Builder::new().name(settings.kind.name().to_owned()).spawn(move || {
-            let (daemon, holding, is_last) = (Mutex::default(), Mutex::default(), Cell::new(false));
+            let (daemon, holders, is_last) = (Mutex::default(), Holders::default(), Cell::new(false));
             let tasks =
-                Rc::new(Tasks { settings, surroundings: around, marker, report, daemon, holding, is_last });
+                Rc::new(Tasks { settings, surroundings: around, marker, report, daemon, holders, is_last });
             if LocalSet::new().block_on(&runtime, Rc::clone(&tasks).serve(inbox)) {
                 // The guard has nothing to do.
                 tasks.marker.remove();
@@ -217,8 +217,7 @@ struct Tasks {
     report: events::Sender<EngineEvent>,
     /// The engine, once it answered.
     daemon: Mutex<Option<Daemon>>,
-    /// Locked while a holder starts.
-    holding: Mutex<()>,
+    holders: Holders,
     /// Whether the run ends.
     is_last: Cell<bool>,
 }
@@ -293,10 +292,8 @@ impl Tasks {
         let (network, hostname) = match (network, self.settings.kind) {
             (Network::Machine, _) => ("host".to_owned(), None),
             (Network::Namespace(path), EngineKind::Docker) => {
-                let holder = format!("cotorra-{run}-{node}");
-                let _one_at_a_time = self.holding.lock().await;
-                let held = holder::hold(&daemon, &holder, &node, &path, run).await;
-                held.map_err(|e| format!("cannot join the network of `{node}`: {e}"))?;
+                let held = self.holders.hold(&daemon, &node, &path, run).await;
+                let holder = held.map_err(|e| format!("cannot join the network of `{node}`: {e}"))?;
                 (format!("container:{holder}"), None)
             }
             (Network::Namespace(path), _) => (format!("ns:{}", path.display()), Some(node.to_string())),

@@ -4,10 +4,11 @@
 //! process enters the node's namespace, which is mounted into the holder, and then sleeps. Its image holds that one program,
 //! and is made here, without a registry.
 
-use std::{fs, os::unix::fs::MetadataExt as _, path::Path};
+use std::{cell::RefCell, collections::BTreeMap, fs, os::unix::fs::MetadataExt as _, path::Path, rc::Rc};
 
 use bollard::models::{ContainerCreateBody, HostConfig, Mount, MountType};
 use cotorra_graph::NodeId;
+use tokio::sync::Mutex;
 
 use crate::{
     daemon::{Daemon, DaemonError, Retries},
@@ -79,31 +80,62 @@ const BASE: u64 = 0x0040_0000;
 /// Bytes of the headers before the code: that of the file, and of its one segment.
 const HEADERS: u64 = 64 + 56;
 
-/// Makes a holder that is in a network namespace, if it does not run yet.
-pub(crate) async fn hold(
-    daemon: &Daemon,
-    name: &str,
-    node: &NodeId,
-    namespace: &Path,
-    run: &str,
-) -> Result<(), DaemonError> {
-    match daemon.state(name).await {
-        Ok(state) if state.process.is_some() => return Ok(()),
-        Err(error) if !error.is_missing() => return Err(error),
-        // One that the daemon killed when it was started again.
-        _ => daemon.remove(name).await?,
+/// The holders of one engine.
+#[derive(Debug, Default)]
+pub(crate) struct Holders {
+    /// Each is locked while its node's holder starts.
+    nodes: RefCell<BTreeMap<NodeId, Rc<Mutex<()>>>>,
+    /// Locked while the image is made.
+    image: Mutex<()>,
+}
+
+impl Holders {
+    /// Makes a holder that is in a node's network namespace, if it does not run yet. Returns its name.
+    pub(crate) async fn hold(
+        &self,
+        daemon: &Daemon,
+        node: &NodeId,
+        namespace: &Path,
+        run: &str,
+    ) -> Result<String, DaemonError> {
+        let name = format!("cotorra-{run}-{node}");
+        let lock = Rc::clone(self.nodes.borrow_mut().entry(node.clone()).or_default());
+        let _one_at_a_time = lock.lock().await;
+        match daemon.state(&name).await {
+            Ok(state) if state.process.is_some() => return Ok(name),
+            Err(error) if error.is_missing() => {}
+            Err(error) => return Err(error),
+            // One that the daemon killed when it was started again.
+            Ok(_) => daemon.remove(&name).await?,
+        }
+        if CODE.is_empty() {
+            let what = format!("containers of Docker cannot join nodes on {}", std::env::consts::ARCH);
+            return Err(rejected(format!("{what}: use podman")));
+        }
+        let container = container(node, namespace, run);
+        match daemon.create(&name, container.clone()).await {
+            Err(error) if error.is_missing() => {
+                self.make_image(daemon).await?;
+                daemon.create(&name, container).await?;
+            }
+            created => created?,
+        }
+        daemon.start(&name).await?;
+        enters(daemon, &name, namespace).await?;
+        Ok(name)
     }
-    let rejected = |message: String| DaemonError::Rejected { status: 500, message };
-    if CODE.is_empty() {
-        let what = format!("containers of Docker cannot join nodes on {}", std::env::consts::ARCH);
-        return Err(rejected(format!("{what}: use podman")));
+
+    async fn make_image(&self, daemon: &Daemon) -> Result<(), DaemonError> {
+        let _one_at_a_time = self.image.lock().await;
+        if daemon.has_image(&format!("{IMAGE}:{TAG}")).await? {
+            return Ok(());
+        }
+        daemon.import(IMAGE, TAG, tar(PROGRAM, &program())).await
     }
-    let image = format!("{IMAGE}:{TAG}");
-    if !daemon.has_image(&image).await? {
-        daemon.import(IMAGE, TAG, tar(PROGRAM, &program())).await?;
-    }
-    daemon.create(name, container(&image, node, namespace, run)).await?;
-    daemon.start(name).await?;
+}
+
+/// Waits until a holder has entered a namespace.
+async fn enters(daemon: &Daemon, name: &str, namespace: &Path) -> Result<(), DaemonError> {
     let wanted = fs::metadata(namespace).map_err(|e| rejected(format!("{}: {e}", namespace.display())))?;
     let mut retries = Retries::default();
     loop {
@@ -119,7 +151,11 @@ pub(crate) async fn hold(
     }
 }
 
-fn container(image: &str, node: &NodeId, namespace: &Path, run: &str) -> ContainerCreateBody {
+fn rejected(message: String) -> DaemonError {
+    DaemonError::Rejected { status: 500, message }
+}
+
+fn container(node: &NodeId, namespace: &Path, run: &str) -> ContainerCreateBody {
     let mount = Mount {
         typ: Some(MountType::BIND),
         source: Some(namespace.to_string_lossy().into_owned()),
@@ -128,7 +164,8 @@ fn container(image: &str, node: &NodeId, namespace: &Path, run: &str) -> Contain
         ..Mount::default()
     };
     let config = HostConfig {
-        network_mode: Some("none".to_owned()),
+        // It leaves this network at once. A network of its own would take Docker as long as all the rest.
+        network_mode: Some("host".to_owned()),
         mounts: Some(vec![mount]),
         cap_drop: Some(vec!["ALL".to_owned()]),
         // To enter the namespace. Nothing of others runs in it.
@@ -136,7 +173,7 @@ fn container(image: &str, node: &NodeId, namespace: &Path, run: &str) -> Contain
         ..HostConfig::default()
     };
     ContainerCreateBody {
-        image: Some(image.to_owned()),
+        image: Some(format!("{IMAGE}:{TAG}")),
         entrypoint: Some(vec![format!("/{PROGRAM}")]),
         hostname: Some(node.to_string()),
         labels: Some(labels(run, "", node)),

@@ -1,13 +1,25 @@
 //! The life of one instance: its container is created, started, watched, stopped and removed.
 
-use std::{cell::Cell, fs::File, io::Write as _, time::Duration};
+use std::{
+    cell::Cell,
+    fs::File,
+    io::{self, Write as _},
+    time::Duration,
+};
 
 use bollard::models::ContainerCreateBody;
 use cotorra_engine::Outcome;
 use cotorra_graph::{ListenPort, Pull};
 use futures_util::StreamExt as _;
-use rustix::process::{Pid, PidfdFlags, pidfd_open};
-use tokio::sync::oneshot;
+use rustix::{
+    event::{PollFd, PollFlags, Timespec, poll},
+    fd::OwnedFd,
+    process::{Pid, PidfdFlags, pidfd_open},
+};
+use tokio::{
+    io::{Interest, unix::AsyncFd},
+    sync::oneshot,
+};
 
 use crate::{
     daemon::{Daemon, DaemonError, Retries, State},
@@ -18,8 +30,6 @@ use crate::{
 const GRACE: Duration = Duration::from_millis(500);
 /// Interval of checks whether an instance listens at its ports.
 const READY_INTERVAL: Duration = Duration::from_millis(5);
-/// Interval of checks whether a container has ended.
-const EXIT_INTERVAL: Duration = Duration::from_millis(10);
 /// Attempts to remove a container at the end of a run, while the engine is away.
 const LAST_ATTEMPTS: u32 = 5;
 
@@ -135,19 +145,25 @@ impl Instance {
     }
 }
 
-/// Returns when a container listens at its ports, at once if it has none.
+/// Returns when a container listens at its ports, at once if it has none. Never returns if it ends before.
 async fn listens(daemon: &Daemon, name: &str, ports: &[ListenPort]) {
-    while !ports.is_empty() {
-        if let Ok(State { process: Some(process), .. }) = daemon.state(name).await {
-            while is_alive(process) {
-                if ready::are_served(process, ports) {
-                    return;
-                }
-                tokio::time::sleep(READY_INTERVAL).await;
-            }
+    if ports.is_empty() {
+        return;
+    }
+    let mut retries = Retries::default();
+    let process = loop {
+        match daemon.state(name).await {
+            Ok(State { process: Some(process), .. }) => break process,
+            _ => retries.wait().await,
+        }
+    };
+    while is_alive(process) {
+        if ready::are_served(process, ports) {
+            return;
         }
         tokio::time::sleep(READY_INTERVAL).await;
     }
+    std::future::pending().await
 }
 
 /// Waits for the end of a container. While the engine is away, the container may go on.
@@ -165,10 +181,10 @@ async fn ended(daemon: &Daemon, name: &str) -> State {
             Err(_) => {}
         }
         match process {
-            Some(process) if is_alive(process) => {
-                exit(process).await;
-                retries = Retries::default();
-            }
+            Some(process) if is_alive(process) => match exit(process).await {
+                Ok(()) => retries = Retries::default(),
+                Err(_) => retries.wait().await,
+            },
             // The engine has not noticed yet.
             _ => retries.wait().await,
         }
@@ -178,25 +194,28 @@ async fn ended(daemon: &Daemon, name: &str) -> State {
 /// Exit code of a process that was killed by SIGKILL.
 const KILLED: i64 = 137;
 
-fn is_alive(process: u32) -> bool {
-    i32::try_from(process)
-        .ok()
-        .and_then(Pid::from_raw)
-        .is_some_and(|pid| pidfd_open(pid, PidfdFlags::empty()).is_ok_and(|fd| !has_exited(&fd)))
+/// Returns a descriptor of a process, which can be read once it has exited, though nobody may have waited for it yet.
+fn open(process: u32) -> io::Result<OwnedFd> {
+    let process = i32::try_from(process).ok().and_then(Pid::from_raw).ok_or(io::ErrorKind::InvalidInput)?;
+    Ok(pidfd_open(process, PidfdFlags::empty())?)
 }
 
-/// Whether the process of a descriptor has exited, though nobody may have waited for it yet.
-fn has_exited(process: &rustix::fd::OwnedFd) -> bool {
-    use rustix::event::{PollFd, PollFlags, Timespec, poll};
-    let mut fds = [PollFd::new(process, PollFlags::IN)];
-    poll(&mut fds, Some(&Timespec::default())).is_ok_and(|ready| ready > 0)
+fn is_alive(process: u32) -> bool {
+    let has_exited = |process: OwnedFd| {
+        let mut processes = [PollFd::new(&process, PollFlags::IN)];
+        poll(&mut processes, Some(&Timespec::default())).is_ok_and(|exited| exited > 0)
+    };
+    open(process).is_ok_and(|process| !has_exited(process))
 }
 
 /// Waits until a process has exited.
-async fn exit(process: u32) {
-    while is_alive(process) {
-        tokio::time::sleep(EXIT_INTERVAL).await;
-    }
+async fn exit(process: u32) -> io::Result<()> {
+    #[allow(
+        deprecated,
+        reason = "its successor is unsafe, as the descriptor might be closed: this one is owned"
+    )]
+    let process = AsyncFd::with_interest(open(process)?, Interest::READABLE)?;
+    process.readable().await.map(drop)
 }
 
 /// Ends a container, by SIGTERM first.
