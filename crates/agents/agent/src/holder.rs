@@ -16,6 +16,7 @@ use std::{
         },
     },
     process::{Child, Command, ExitCode, Stdio},
+    sync::mpsc,
     thread,
 };
 
@@ -37,6 +38,14 @@ pub(crate) const GROUPS: &str = "COTORRA_CGROUPS";
 /// # Errors
 /// The error of the system if the program cannot be started.
 pub(crate) fn hold(user: Option<User>, words: &[String]) -> io::Result<ExitCode> {
+    // Set first: a signal while the program starts waits in the channel until there is a process to kill.
+    let (signals, to_send) = mpsc::channel();
+    let ended = signals.clone();
+    let handler = move || {
+        // Fails only if the holder is about to end.
+        let _ = ended.send(Signal::KILL);
+    };
+    ctrlc::set_handler(handler).map_err(io::Error::other)?;
     let mut agent = UnixStream::from(io::stdin().as_fd().try_clone_to_owned()?);
     let mut child = match start(user, words) {
         Ok(child) => child,
@@ -55,15 +64,15 @@ pub(crate) fn hold(user: Option<User>, words: &[String]) -> io::Result<ExitCode>
             let _ = kill_process_group(group, signal);
         }
     };
-    ctrlc::set_handler(move || signal(Signal::KILL)).map_err(io::Error::other)?;
+    thread::spawn(move || to_send.into_iter().for_each(signal));
     thread::spawn(move || {
         let mut byte = [0];
         while matches!(io::stdin().read(&mut byte), Ok(1)) {
             if byte[0] == TERMINATE {
-                signal(Signal::TERM);
+                let _ = signals.send(Signal::TERM);
             }
         }
-        signal(Signal::KILL);
+        let _ = signals.send(Signal::KILL);
     });
     let status = child.wait()?;
     // Its descendants do not outlive it.
