@@ -73,7 +73,7 @@ pub struct CaptureArgs {
 
 /// Captures until a limit is reached, the run ends, or Ctrl-C.
 pub fn capture(args: &CaptureArgs) -> miette::Result<()> {
-    let interrupts = signals::listen().into_diagnostic().wrap_err("cannot listen to Ctrl-C")?;
+    let interrupts = signals::listen()?;
     let (run, client) = args.run.find(&Runs::of_user(), token_text())?;
     let stream = client
         .capture(&args.of, args.filter.as_deref(), args.snap)

@@ -4,6 +4,7 @@ use std::{num::NonZero, path::PathBuf, process::ExitCode, thread};
 
 use clap::Args;
 use cotorra_testbed::faults::{Checked, FaultTest, FaultTested, Invariant};
+use miette::IntoDiagnostic;
 
 use crate::{arguments::parse_seed, output, progress::Progress, signals, table::Table, words::count};
 
@@ -42,19 +43,11 @@ pub struct FaultTestArgs {
 /// Maximum number of broken promises that are listed.
 const LISTED: usize = 10;
 
-#[derive(Debug, thiserror::Error, miette::Diagnostic)]
-enum Error {
-    #[error(transparent)]
-    FaultTest(#[from] cotorra_testbed::faults::FaultTestError),
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(ctrlc::Error),
-}
-
 /// Runs the test, and prints the totals.
 pub fn fault_test(args: &FaultTestArgs) -> miette::Result<ExitCode> {
     let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).unwrap_or(NonZero::<usize>::MIN);
     let test = FaultTest { first_seed: args.seed, runs: args.runs, jobs, keep: args.keep.clone() };
-    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let interrupts = signals::listen()?;
     let mut progress = Progress::new(args.headless);
     let shown = &mut progress;
     let tested = test.run(&mut move |done| {
@@ -62,7 +55,7 @@ pub fn fault_test(args: &FaultTestArgs) -> miette::Result<ExitCode> {
         interrupts.try_recv().is_err()
     });
     progress.close();
-    let tested = tested.map_err(Error::from)?;
+    let tested = tested.into_diagnostic()?;
     output::print(&describe(&tested, args.runs))?;
     Ok(if !tested.violations.is_empty() {
         ExitCode::FAILURE

@@ -127,8 +127,6 @@ enum Error {
     Reach(f64),
     #[error(transparent)]
     Localization(#[from] LocalizationError),
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(ctrlc::Error),
 }
 
 /// Localizes the robot at every scan of the log.
@@ -167,7 +165,7 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
     };
     let mut localizer = localizer.map_err(Error::from)?;
 
-    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let interrupts = signals::listen()?;
     let bar = progress(scans.len(), args.headless);
     let mut table = String::from(HEAD);
     let mut found: Vec<Estimate> = Vec::with_capacity(scans.len());

@@ -5,8 +5,9 @@ use std::{net::SocketAddr, num::NonZero, path::PathBuf, process::ExitCode, time:
 use clap::Args;
 use cotorra_graph::{PluginId, Timestamp};
 use cotorra_plugin::runs::Runs;
-use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayError, ReplayOptions, Speed};
+use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayOptions, Speed};
 use indicatif::ProgressBar;
+use miette::IntoDiagnostic;
 
 use crate::{
     arguments::parse_address,
@@ -83,14 +84,6 @@ fn parse_speed(text: &str) -> Result<Pace, String> {
     times.map(Pace::Times).ok_or_else(|| "write it like 1x, 2.5x or max".to_owned())
 }
 
-#[derive(Debug, thiserror::Error, miette::Diagnostic)]
-enum Error {
-    #[error(transparent)]
-    Replay(#[from] ReplayError),
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(ctrlc::Error),
-}
-
 /// Plays a run to its end.
 pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let opener = Opener::prepare(args.open)?;
@@ -118,8 +111,8 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
         foxglove: args.foxglove,
         to_plugins: args.bundled.is_some(),
     };
-    let interrupts = signals::listen().map_err(Error::Signals)?;
-    let replay = Replay::new(testbed, source.history, source.run.id, options).map_err(Error::from)?;
+    let interrupts = signals::listen()?;
+    let replay = Replay::new(testbed, source.history, source.run.id, options).into_diagnostic()?;
     note!("API on http://{}, replay of {}", replay.api_address(), args.run);
     let dashboard = format!("http://{}/", replay.api_address());
     note!("Dashboard on {dashboard}");
@@ -143,7 +136,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
         printed.is_ok() && interrupts.try_recv().is_err()
     });
     bar.finish_and_clear();
-    let end = end.map_err(Error::from)?;
+    let end = end.into_diagnostic()?;
     printed?;
     let (reason, code) = match end {
         ReplayEnd::Played => ("all was played", ExitCode::SUCCESS),

@@ -11,16 +11,22 @@ use std::{
 /// Exit status of a program that was ended by Ctrl-C, as shells have it.
 pub const INTERRUPTED: u8 = 130;
 
+/// Signals cannot be listened to.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+#[error("cannot listen to Ctrl-C: {0}")]
+pub struct SignalsError(ctrlc::Error);
+
 /// Starts listening to SIGINT, SIGTERM and SIGHUP. The first signal is received; the second one ends the process.
 ///
 /// The process can then leave control groups and conditions of interfaces behind, which the next run removes.
-pub fn listen() -> Result<mpsc::Receiver<()>, ctrlc::Error> {
+pub fn listen() -> Result<mpsc::Receiver<()>, SignalsError> {
     let (sender, interrupts) = mpsc::channel();
     let interrupted = AtomicBool::new(false);
     ctrlc::set_handler(move || {
         if interrupted.swap(true, Ordering::Relaxed) || sender.send(()).is_err() {
             process::exit(INTERRUPTED.into());
         }
-    })?;
+    })
+    .map_err(SignalsError)?;
     Ok(interrupts)
 }

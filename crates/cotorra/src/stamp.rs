@@ -109,7 +109,7 @@ fn send(args: &SendArgs) -> miette::Result<()> {
     let address = resolve(&args.reflector)?;
     let reached = || format!("cannot send to {address}");
     let mut sender = Sender::connect(address, config).into_diagnostic().wrap_err_with(reached)?;
-    let stopped = signals::listen().into_diagnostic()?;
+    let stopped = signals::listen()?;
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} packets to {msg}")
         .expect("the template is well-formed");
     let progress =
@@ -147,7 +147,7 @@ fn reflect(args: &ReflectArgs) -> miette::Result<()> {
         ),
         _ => miette!("cannot listen on {}: {error}", args.listen),
     })?;
-    let stopped = signals::listen().into_diagnostic()?;
+    let stopped = signals::listen()?;
     let address = socket.local_addr().into_diagnostic()?;
     output::print(&format!("reflecting on {address}; Ctrl-C ends it\n"))?;
     let clock = Clock::start();

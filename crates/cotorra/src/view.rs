@@ -7,6 +7,7 @@ use cotorra_graph::Timestamp;
 use cotorra_measurements::{History, Run};
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::replay::{Replay, ReplayError, ReplayOptions, Speed};
+use miette::IntoDiagnostic;
 
 use crate::{
     arguments::parse_address,
@@ -44,21 +45,13 @@ pub struct ViewArgs {
     pub place: HistoryPlace,
 }
 
-#[derive(Debug, thiserror::Error, miette::Diagnostic)]
-enum Error {
-    #[error(transparent)]
-    Replay(#[from] ReplayError),
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(ctrlc::Error),
-}
-
 /// Serves a run until Ctrl-C.
 pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
     let opener = Opener::prepare(args.open)?;
     let source = Source::find(&args.run, &args.place)?;
     let base = source.base(args.base.as_deref());
     let testbed = recorded(&source.run.info.testbed, &args.run, &base, None).map_err(FileError::from)?;
-    let end = end(&source.history, &source.run).map_err(ReplayError::from).map_err(Error::from)?;
+    let end = end(&source.history, &source.run).map_err(ReplayError::from).into_diagnostic()?;
     let options = ReplayOptions {
         api: args.api,
         known: Some((Runs::of_user(), format!("view of {}", args.run))),
@@ -70,8 +63,8 @@ pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
         foxglove: None,
         to_plugins: false,
     };
-    let interrupts = signals::listen().map_err(Error::Signals)?;
-    let replay = Replay::new(testbed, source.history, source.run.id, options).map_err(Error::from)?;
+    let interrupts = signals::listen()?;
+    let replay = Replay::new(testbed, source.history, source.run.id, options).into_diagnostic()?;
     let address = format!("http://{}/", replay.api_address());
     note!("Dashboard on {address}, view of {}; Ctrl-C ends it", args.run);
     opener.open(&address);

@@ -8,7 +8,6 @@ use super::args::PruneArgs;
 use super::{
     place::location,
     source::{Error, Source, open},
-    transfer::TransferError,
 };
 use crate::{output, signals, table::Table};
 
@@ -36,7 +35,7 @@ pub fn prune(args: &PruneArgs) -> miette::Result<()> {
         let Source { history, run, .. } = Source::find(&args.run, &args.place)?;
         (history, vec![run])
     };
-    let interrupts = signals::listen().map_err(TransferError::Signals)?;
+    let interrupts = signals::listen()?;
     let bar = ProgressBar::new_spinner();
     let mut table = Table::new("><>>>");
     table.row(["run", "kind", "samples", "become points", "dropped"]);

@@ -33,8 +33,8 @@ pub(super) enum TransferError {
     #[error("an import needs a history")]
     #[diagnostic(help("name one with --history or in {HISTORY_VARIABLE}, as in --history runs/all.sqlite"))]
     Nowhere,
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(ctrlc::Error),
+    #[error(transparent)]
+    Signals(#[from] signals::SignalsError),
 }
 
 /// Writes a run as tables, or as MCAP.
@@ -110,7 +110,7 @@ struct Progress {
 
 impl Progress {
     fn begin() -> Result<Self, TransferError> {
-        let interrupts = signals::listen().map_err(TransferError::Signals)?;
+        let interrupts = signals::listen()?;
         Ok(Self { bar: ProgressBar::new_spinner(), interrupts })
     }
 

@@ -33,8 +33,8 @@ enum Error {
     Resolution { name: &'static str, most: &'static str },
     #[error(transparent)]
     Folder(#[from] FolderError),
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(ctrlc::Error),
+    #[error(transparent)]
+    Signals(#[from] signals::SignalsError),
 }
 
 impl From<MarginError> for Error {
@@ -102,7 +102,7 @@ pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
 
 /// Opens the folder of the results, and listens to Ctrl-C.
 fn open(args: &MarginArgs, place: &Path) -> Result<(std::sync::mpsc::Receiver<()>, Journal), Error> {
-    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let interrupts = signals::listen()?;
     let journal = Journal::open(place)?;
     if args.fresh {
         journal.clear()?;

@@ -67,8 +67,6 @@ pub enum Error {
     Tokens(#[from] TokensError),
     #[error("cannot write {}: {source}", path.display())]
     Log { path: PathBuf, source: io::Error },
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(ctrlc::Error),
     #[error("cannot continue after {run}: {why}")]
     #[diagnostic(help(
         "docs/federation.md, \"After a crash\", lists the conditions; without --after, the run starts afresh"
@@ -184,7 +182,7 @@ impl Stage {
         let target = if headless { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let terminal = MultiProgress::with_draw_target(target);
         let log = logs::begin(verbose, &terminal);
-        let interrupts = signals::listen().map_err(Error::Signals)?;
+        let interrupts = signals::listen()?;
         Ok(Self { terminal, log, interrupts })
     }
 

@@ -35,8 +35,6 @@ enum Error {
     Sweep(SweepError),
     #[error(transparent)]
     Folder(#[from] FolderError),
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(ctrlc::Error),
     #[error("the figure is drawn when all shards are merged")]
     #[diagnostic(help("give --figure to `cotorra sweep merge`"))]
     Figure,
@@ -88,7 +86,7 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path) -> miette::Result<ExitCode
     if let Some(shard) = args.shard {
         Shard::check(shard.shards(), points.len()).map_err(report)?;
     }
-    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let interrupts = signals::listen()?;
     let folder = match args.shard {
         Some(shard) => Journal::open(&place.join(shard.folder())).map(Journal::durable),
         None => Journal::open(place),

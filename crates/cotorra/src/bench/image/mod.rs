@@ -138,8 +138,8 @@ enum Error {
     Datapath(#[from] cotorra_datapath::Error),
     #[error("cannot prepare containers: {0}")]
     System(#[from] std::io::Error),
-    #[error("cannot listen to Ctrl-C: {0}")]
-    Signals(#[from] ctrlc::Error),
+    #[error(transparent)]
+    Signals(#[from] signals::SignalsError),
     #[error(transparent)]
     Folder(#[from] cotorra_testbed::FolderError),
     /// A container did not serve; with the end of its output.
