@@ -184,6 +184,10 @@ class Client:
         """How far samples were rolled up, by kind; none if all are as they were recorded."""
         return self._ask("measurements/retained", run=run)
 
+    def verdict(self) -> JSON:
+        """Whether the emulation of a recorded run did what its testbed file demands, and why; None before its end."""
+        return self._ask("measurements/verdict")
+
     def difference(self, a: int, b: Optional[int] = None) -> JSON:
         """Two runs of this history side by side; this one, if the second is left out."""
         return self._ask("measurements/difference", a=a, b=b)

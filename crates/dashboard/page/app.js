@@ -124,9 +124,10 @@ function setFocus(robot) {
  * @param {AbortSignal} signal
  */
 async function load(signal) {
-    const [testbed, grid] = await Promise.all([
+    const [testbed, grid, verdict] = await Promise.all([
         /** @type {Promise<Schemas["TestbedBody"]>} */ (api.get("testbed", {}, signal)),
         readMap(signal),
+        /** @type {Promise<Schemas["Fidelity"] | null>} */ (api.get("measurements/verdict", {}, signal)),
     ]);
     /** @type {Schemas["GraphState"]} */
     const state = await api.get("measurements/state", {}, signal);
@@ -135,7 +136,19 @@ async function load(signal) {
     await recount(model, signal);
     if (state.at_ns > 0) await recall(model, state, signal);
     model.begin(state);
+    showVerdict(verdict);
     return { model, grid };
+}
+
+/** @param {Schemas["Fidelity"] | null} verdict */
+function showVerdict(verdict) {
+    const place = byId("verdict");
+    place.hidden = !verdict;
+    if (!verdict) return;
+    place.dataset.valid = String(verdict.valid);
+    const [heading, reason] = place.children;
+    setText(heading, verdict.valid ? "Valid" : "Not valid");
+    setText(reason, `The emulation was ${verdict.valid ? "as" : "not as"} the testbed file demands: ${verdict.reason}.`);
 }
 
 /**

@@ -133,6 +133,11 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
     browser.wait_for(&format!("{TIMELINE}.includes('robot: R3 → R2')"));
     browser.wait_for(&format!("{MAP}.includes(', R2')"));
     assert_eq!(browser.evaluate("return document.getElementById('clock').textContent;"), "1:40");
+    let summary = fs::read_to_string(folder.join("summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    let verdict = browser.evaluate("return document.getElementById('verdict').textContent;");
+    let (verdict, reason) = (verdict.as_str().unwrap(), summary["fidelity"]["reason"].as_str().unwrap());
+    assert!(verdict.starts_with("Valid") && verdict.contains(reason), "{verdict}");
     browser.evaluate("document.querySelector('[data-span=all]').click();");
     browser.wait_for(&format!("{CHART}.includes('0:00 to 1:40, attached to R1, R3, R2')"));
 

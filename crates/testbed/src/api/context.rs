@@ -13,7 +13,9 @@ use cotorra_mec::{Allowed, Epoch};
 use tokio::sync::broadcast;
 
 use super::types::Failure;
-use crate::{capture::Wiretap, clock::Clock, keeping::Keeper, live::Live, message::Message};
+use crate::{
+    capture::Wiretap, clock::Clock, keeping::Keeper, live::Live, message::Message, report::Fidelity,
+};
 
 /// Threads for queries of the history.
 pub(super) const BLOCKING_THREADS: usize = 16;
@@ -37,6 +39,8 @@ pub(crate) struct Context {
     pub(crate) lockstep: Option<Lockstep>,
     /// Whether events come from a recording: the history then reaches beyond the present of the run.
     pub(crate) replay: bool,
+    /// The verdict on a recorded run, if its folder has one.
+    pub(crate) verdict: Option<Fidelity>,
     /// Large data of sensors, if any sensor has such.
     pub(crate) keeper: Option<Keeper>,
     pub(crate) wais: WaisOptions,

@@ -45,6 +45,7 @@ use super::{capture, map, measurements, routes, sensors, stream};
         measurements::gaps,
         measurements::retained,
         measurements::runs,
+        measurements::verdict,
         measurements::difference,
         stream::events,
         stream::done

@@ -22,6 +22,7 @@ use super::{
     stream::parse_kinds,
     types::{Failure, GapBody, Path, Query, RunBody},
 };
+use crate::report::Fidelity;
 
 /// A part of the history.
 #[derive(Debug, Deserialize)]
@@ -211,6 +212,17 @@ pub(super) async fn retained(
 ) -> Answer<Vec<Retained>> {
     caller.operator()?;
     ask(context, of.run, |history, run, _| history.retained(run)).await
+}
+
+/// Returns whether the emulation of a recorded run did what its testbed file demands. It is null if the run is not over, was
+/// killed, or the token is a domain's.
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/verdict", tag = "measurements",
+    responses((status = 200, body = Option<Fidelity>))))]
+pub(super) async fn verdict(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<Option<Fidelity>> {
+    Json(context.verdict.filter(|_| caller.operator().is_ok()))
 }
 
 /// A run.

@@ -83,7 +83,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 32] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 33] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/map", get(map::map)),
@@ -114,6 +114,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 32] {
         ("/api/v1/measurements/gaps", get(measurements::gaps)),
         ("/api/v1/measurements/retained", get(measurements::retained)),
         ("/api/v1/measurements/runs", get(measurements::runs)),
+        ("/api/v1/measurements/verdict", get(measurements::verdict)),
         ("/api/v1/measurements/difference", get(measurements::difference)),
         ("/api/v1/events", get(stream::events)),
         ("/api/v1/marks/{number}", post(stream::done)),

@@ -32,6 +32,7 @@ use crate::{
         lockstep::{Call, Guarded, Locals, Lockstep, PATIENCE, Returned},
         programs,
     },
+    report::Fidelity,
     run_info::{about, epoch},
 };
 
@@ -264,6 +265,8 @@ impl Replay {
             namespaces: Arc::new(BTreeMap::new()),
             lockstep: waits.then_some(Waiting { plugins: None, recorder: None }),
             replay: true,
+            // A run that was killed has none.
+            verdict: options.folder.as_deref().and_then(|folder| Fidelity::of_folder(folder).ok()),
             keeper: options.folder.as_ref().map(|folder| Keeper::of_folder(folder, Pace::Live)),
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
             wiretap: None,

@@ -1,7 +1,15 @@
 //! Judges whether a run's emulation did what the testbed file demands.
 
+use std::{
+    fs::File,
+    io::{self, Read as _},
+    path::Path,
+};
+
 use cotorra_graph::Lateness;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+
+use super::run_folder::SUMMARY;
 
 /// Highest trusted lateness at the 99th percentile, µs.
 pub(super) const VALID_P99_US: f64 = 1000.0;
@@ -13,7 +21,8 @@ const VALID_DROPPED: f64 = 1e-4;
 const VALID_PROBES: u64 = 100;
 
 /// Verdict on the emulation: whether it did what the testbed file demands.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Fidelity {
     /// Whether the figures can be trusted.
     pub valid: bool,
@@ -28,7 +37,8 @@ pub struct Fidelity {
 }
 
 /// Quantiles of the lateness, µs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LatenessSummary {
     /// Median.
     pub p50: f64,
@@ -49,7 +59,24 @@ pub(super) enum MeasuredFrames {
     Probes,
 }
 
+/// Size of the longest `summary.json` that is read, bytes.
+const LONGEST_SUMMARY: u64 = 64 << 20;
+
 impl Fidelity {
+    /// Reads the verdict on a run from its folder.
+    ///
+    /// # Errors
+    /// That of the system, if the folder has no `summary.json`; `InvalidData` if the file holds no verdict.
+    pub(crate) fn of_folder(folder: &Path) -> io::Result<Self> {
+        #[derive(Deserialize)]
+        struct Summary {
+            fidelity: Fidelity,
+        }
+        let file = File::open(folder.join(SUMMARY))?.take(LONGEST_SUMMARY);
+        let summary: Summary = serde_json::from_reader(io::BufReader::new(file))?;
+        Ok(summary.fidelity)
+    }
+
     /// Judges the frames of a run. Without any, it is valid only if `is_idle`, i.e. nothing that it measures needs one.
     pub(super) fn of(
         measured_frames: MeasuredFrames,

@@ -15,6 +15,9 @@ use super::{
     summary::{Report, Summary, service_time_ms},
 };
 
+/// Name of the file with a run's [`Summary`].
+pub(super) const SUMMARY: &str = "summary.json";
+
 /// A run's folder.
 #[derive(Debug, Clone)]
 pub struct RunFolder {
@@ -39,7 +42,7 @@ impl RunFolder {
         "service_time.svg",
         "services.csv",
         "services.tex",
-        "summary.json",
+        SUMMARY,
         "vnfs",
     ];
     /// Name of the testbed file in the folder.
@@ -83,7 +86,7 @@ impl RunFolder {
     /// [`FolderError`].
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
         let json = serde_json::to_string_pretty(summary).expect("a summary is valid JSON");
-        write_file(&self.path, "summary.json", &(json + "\n"))?;
+        write_file(&self.path, SUMMARY, &(json + "\n"))?;
         write_file(&self.path, "services.csv", services::exact(&summary.services).to_csv())?;
         write_file(&self.path, "services.tex", summary.by_service().to_latex())?;
         let path = self.path.join("service_time.csv");

@@ -125,6 +125,7 @@ pub(super) fn simulate_with(
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: Some(Lockstep { plugins: Some(waited_for), recorder: Some(recorder) }),
             replay: false,
+            verdict: None,
             keeper,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
             wiretap: Some(Arc::clone(&wiretap)),
