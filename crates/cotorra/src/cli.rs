@@ -10,6 +10,7 @@ use crate::{
     capture::CaptureArgs,
     check::CheckArgs,
     clean::CleanArgs,
+    edit::EditArgs,
     exec::ExecArgs,
     experiment::Experiment,
     fault_test::FaultTestArgs,
@@ -86,6 +87,7 @@ pub enum Command {
     View(ViewArgs),
     Localize(LocalizeArgs),
     Check(CheckArgs),
+    Edit(EditArgs),
     /// Make a testbed or a plug-in from a template
     New {
         #[command(subcommand)]

@@ -19,6 +19,7 @@ mod clean;
 mod cli;
 mod doctor;
 mod duration;
+mod edit;
 mod exec;
 mod experiment;
 mod explanation;
@@ -86,6 +87,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::View(args) => return view::view(&args),
         Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),
+        Command::Edit(args) => return edit::edit(&args),
         Command::New { new } => new::new(&new)?,
         Command::Schema => output::print(&format!("{:#}\n", cotorra_testbed_file::schema()))?,
         Command::OpenApi { app_lcm: true, .. } => output::print(&cotorra_testbed::app_lcm_openapi())?,

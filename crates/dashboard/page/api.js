@@ -5,6 +5,7 @@
 
 /** Longest event that is read. */
 const LONGEST = 4 << 20;
+const ROOT = "/api/v1/";
 const TOKEN_KEY = "cotorra-token";
 
 /** The API wants a token, or another one. */
@@ -41,7 +42,18 @@ export class Api {
      * @returns {Promise<T>}
      */
     async get(path, query = {}, signal) {
-        return (await this.#ask(path, query, { signal })).json();
+        return (await this.#ask(ROOT + path, query, { signal })).json();
+    }
+
+    /**
+     * Makes a call, and returns its answer.
+     * @template T
+     * @param {{ method: string, path: string, body: unknown }} call
+     * @returns {Promise<T>}
+     */
+    async send({ method, path, body }) {
+        const headers = { "Content-Type": "application/json" };
+        return (await this.#ask(path, {}, { method, headers, body: JSON.stringify(body) })).json();
     }
 
     /**
@@ -50,7 +62,7 @@ export class Api {
      * @param {AbortSignal} [signal]
      */
     async bytes(path, signal) {
-        return new Uint8Array(await (await this.#ask(path, {}, { signal })).arrayBuffer());
+        return new Uint8Array(await (await this.#ask(ROOT + path, {}, { signal })).arrayBuffer());
     }
 
     /**
@@ -61,7 +73,7 @@ export class Api {
      * @param {AbortSignal} signal
      */
     async follow(kinds, opened, received, signal) {
-        const answer = await this.#ask("events", { kinds: kinds.join(",") }, { signal });
+        const answer = await this.#ask(`${ROOT}events`, { kinds: kinds.join(",") }, { signal });
         if (!answer.body) throw new Error("the stream has no body");
         opened();
         const parser = new EventParser();
@@ -88,9 +100,9 @@ export class Api {
     async #ask(path, query, options) {
         const words = Object.entries(query).filter(([, value]) => value !== undefined);
         const parameters = new URLSearchParams(words.map(([name, value]) => [name, String(value)])).toString();
-        /** @type {Record<string, string>} */
-        const headers = this.#token ? { Authorization: `Bearer ${this.#token}` } : {};
-        const url = `/api/v1/${path}${parameters ? `?${parameters}` : ""}`;
+        const headers = new Headers(options.headers);
+        if (this.#token) headers.set("Authorization", `Bearer ${this.#token}`);
+        const url = `${path}${parameters ? `?${parameters}` : ""}`;
         const answer = await fetch(url, { ...options, headers, cache: "no-store", credentials: "omit" });
         if (answer.ok) return answer;
         const body = await answer.json().catch(() => ({}));

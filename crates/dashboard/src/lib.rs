@@ -40,21 +40,30 @@ impl File {
 
 macro_rules! files {
     ($($path:literal),* $(,)?) => {
-        &[
-            File { path: "/", bytes: include_bytes!("../page/index.html") },
-            $(File { path: concat!("/dashboard/", $path), bytes: include_bytes!(concat!("../page/", $path)) }),*
-        ]
+        [$(File { path: concat!("/dashboard/", $path), bytes: include_bytes!(concat!("../page/", $path)) }),*]
     };
 }
 
-/// Returns the files of the page. The first is the page itself.
-pub fn files() -> &'static [File] {
-    files![
+/// Returns the files of the dashboard. The first is the page itself.
+pub fn files() -> Vec<File> {
+    with_modules(include_bytes!("../page/index.html"))
+}
+
+/// Returns the files of the editor of testbed files. The first is the page itself.
+pub fn editor() -> Vec<File> {
+    with_modules(include_bytes!("../page/edit.html"))
+}
+
+/// Returns a page with the modules that pages load.
+fn with_modules(page: &'static [u8]) -> Vec<File> {
+    let modules = files![
         "api.js",
         "app.js",
         "canvas.js",
         "charts.js",
+        "complete.js",
         "dom.js",
+        "edit.js",
         "format.js",
         "icon.svg",
         "map.js",
@@ -69,7 +78,8 @@ pub fn files() -> &'static [File] {
         "time_axis.js",
         "timeline.js",
         "topology.js",
-    ]
+    ];
+    std::iter::once(File { path: "/", bytes: page }).chain(modules).collect()
 }
 
 #[cfg(test)]
@@ -83,9 +93,9 @@ mod tests {
         let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("page");
         let name = |entry: std::io::Result<fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
         let there: BTreeSet<_> = fs::read_dir(page).unwrap().map(name).collect();
-        let served = files().iter().map(|file| file.path.rsplit('/').next().unwrap());
-        let served: BTreeSet<_> =
-            served.map(|name| if name.is_empty() { "index.html" } else { name }.to_owned()).collect();
+        let name = |path: &'static str| path.rsplit('/').next().unwrap_or_default();
+        let served = files().into_iter().map(|file| name(file.path)).filter(|name| !name.is_empty());
+        let served = served.chain(["index.html", "edit.html"]).map(str::to_owned).collect();
         assert_eq!(there, served);
     }
 
@@ -93,7 +103,7 @@ mod tests {
     fn the_page_is_small_and_names_no_other_host() {
         let bytes: usize = files().iter().map(|file| file.bytes.len()).sum();
         assert!(bytes < 1 << 20, "{bytes} bytes");
-        for file in files() {
+        for file in files().into_iter().chain(editor()) {
             let text = std::str::from_utf8(file.bytes).unwrap();
             let others = text
                 .match_indices("://")

@@ -48,7 +48,9 @@ mod whole;
 
 #[cfg(feature = "agents")]
 pub use agents::{AgentOptions, AgentsError};
-pub use api::{ApiError, Token, Tokens, TokensError, app_lcm_openapi, openapi};
+pub use api::{
+    ApiError, Checked, Edited, Editor, Mistake, Token, Tokens, TokensError, app_lcm_openapi, openapi,
+};
 pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
 #[cfg(feature = "containers")]
 pub use cotorra_containers::guard as guard_containers;

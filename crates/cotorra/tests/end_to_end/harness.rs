@@ -295,7 +295,7 @@ pub fn kill(signal: &str, target: &str) {
     assert!(Command::new("kill").args(["-s", signal, "--", target]).status().unwrap().success());
 }
 
-fn agent() -> ureq::Agent {
+pub fn agent() -> ureq::Agent {
     ureq::Agent::config_builder().http_status_as_error(false).proxy(None).build().new_agent()
 }
 

@@ -20,6 +20,7 @@ mod coverage;
 mod dashboard;
 mod disk;
 mod documents;
+mod edit;
 mod experiment;
 mod fields;
 mod figures;

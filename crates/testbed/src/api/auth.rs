@@ -47,7 +47,7 @@ impl Token {
     }
 
     /// Compares in constant time, which does not reveal how much of a guess is right.
-    fn is(&self, shown: &str) -> bool {
+    pub(super) fn is(&self, shown: &str) -> bool {
         let (secret, shown) = (self.0.as_bytes(), shown.as_bytes());
         let differences = secret.iter().zip(shown).fold(0, |all, (a, b)| all | (a ^ b));
         secret.len() == shown.len() && differences == 0
@@ -232,8 +232,7 @@ impl Gate {
 
     /// Identifies the caller by a request's headers, or rejects it.
     fn caller(&self, headers: &HeaderMap) -> Result<Caller, Failure> {
-        let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
-        let shown = text(AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
+        let shown = shown(headers);
         if let Some(plugin) = shown.and_then(|shown| find(&self.plugins.0, shown)) {
             return Ok(Caller {
                 view: self.domains.of_plugin(plugin).cloned(),
@@ -241,8 +240,7 @@ impl Gate {
             });
         }
         let Some(operator) = &self.tokens.operator else {
-            let foreign = is_of_another_site(text(HOST), text(ORIGIN), text(SEC_FETCH_SITE));
-            return if foreign { Err(Failure::forbidden()) } else { Ok(Caller::default()) };
+            return if foreign(headers) { Err(Failure::forbidden()) } else { Ok(Caller::default()) };
         };
         let shown = shown.ok_or_else(Failure::unauthorized)?;
         let of_domain = find(&self.tokens.domains, shown);
@@ -257,6 +255,21 @@ impl Gate {
 
 /// Where a browser's request comes from, which no page can choose (Fetch Metadata).
 const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+
+/// Returns a header's text.
+fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
+    headers.get(name).and_then(|value| value.to_str().ok())
+}
+
+/// Returns the token that a request shows.
+pub(super) fn shown(headers: &HeaderMap) -> Option<&str> {
+    text(headers, &AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "))
+}
+
+/// Whether a page from elsewhere in a user's browser makes a request.
+pub(super) fn foreign(headers: &HeaderMap) -> bool {
+    is_of_another_site(text(headers, &HOST), text(headers, &ORIGIN), text(headers, &SEC_FETCH_SITE))
+}
 
 /// Whether a page from elsewhere in a user's browser makes a request. It can reach a loopback address under a name that it
 /// points there (`host`), or under its own (`origin`). For pictures and scripts, browsers leave the origin out and send the

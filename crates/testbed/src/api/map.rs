@@ -35,13 +35,18 @@ fn grid(testbed: &Testbed) -> Result<&OccupancyGrid, Failure> {
     testbed.map.as_ref().ok_or_else(|| Failure::not_found("this testbed has no map"))
 }
 
+impl From<&OccupancyGrid> for MapBody {
+    fn from(grid: &OccupancyGrid) -> Self {
+        let (width, height) = (grid.width(), grid.height());
+        Self { width, height, resolution_m: grid.resolution(), origin: grid.origin() }
+    }
+}
+
 /// Returns the size and the place of the map.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/map", tag = "robots",
     responses((status = 200, body = MapBody))))]
 pub(super) async fn map(State(context): State<Context>) -> Answer<MapBody> {
-    let grid = grid(&context.testbed)?;
-    let (width, height) = (grid.width(), grid.height());
-    Ok(Json(MapBody { width, height, resolution_m: grid.resolution(), origin: grid.origin() }))
+    Ok(Json(grid(&context.testbed)?.into()))
 }
 
 /// Returns the map as a picture: PGM, with a byte for each cell, the uppermost row first. 0 is occupied, 254 free and 205
@@ -49,7 +54,11 @@ pub(super) async fn map(State(context): State<Context>) -> Answer<MapBody> {
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/map/image", tag = "robots",
     responses((status = 200, body = String, content_type = "image/x-portable-graymap"))))]
 pub(super) async fn image(State(context): State<Context>) -> Result<Response, Failure> {
-    let testbed = Arc::clone(&context.testbed);
+    picture(context.testbed)
+}
+
+/// Returns the map of a testbed as a picture.
+pub(super) fn picture(testbed: Arc<Testbed>) -> Result<Response, Failure> {
     let (width, height) = grid(&testbed).map(|grid| (grid.width(), grid.height()))?;
     let head = Bytes::from(format!("P5\n{width} {height}\n255\n"));
     // Row by row, so that a large map is in memory only once.

@@ -8,6 +8,7 @@ mod connections;
 mod context;
 #[cfg(feature = "openapi")]
 mod document;
+mod editor;
 mod map;
 mod measurements;
 mod page;
@@ -41,6 +42,7 @@ pub use auth::{Token, Tokens, TokensError};
 pub(crate) use context::{Context, Lockstep, WaisOptions};
 #[cfg(feature = "openapi")]
 pub use document::openapi;
+pub use editor::{Checked, Edited, Editor, Mistake};
 
 #[cfg(test)]
 mod tests;
@@ -228,7 +230,7 @@ impl Server {
                 "/openapi.json",
                 get(move || async move { ([("content-type", "application/json")], document) }),
             )
-            .merge(page::routes())
+            .merge(page::routes(cotorra_dashboard::files()))
             .fallback(|| async { types::Failure::not_found("no such path; see /openapi.json") })
             .with_state(context)
             .merge(wais)

@@ -1,4 +1,4 @@
-//! The dashboard's files, beside the API that they use.
+//! The files of the dashboard and of the editor, beside the API that they use.
 
 use axum::{
     Router,
@@ -19,12 +19,12 @@ const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-
 /// Windows that opened the page have no reference to it (HTML standard).
 const CROSS_ORIGIN_OPENER_POLICY: HeaderName = HeaderName::from_static("cross-origin-opener-policy");
 
-/// Returns the paths of the page's files.
-pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
-    let add = |router: Router<S>, file: &'static File| {
-        router.route(file.path, get(move |headers: HeaderMap| async move { answer(*file, &headers) }))
+/// Returns the paths of a page's files.
+pub(super) fn routes<S: Clone + Send + Sync + 'static>(files: Vec<File>) -> Router<S> {
+    let add = |router: Router<S>, file: File| {
+        router.route(file.path, get(move |headers: HeaderMap| async move { answer(file, &headers) }))
     };
-    cotorra_dashboard::files().iter().fold(Router::new(), add)
+    files.into_iter().fold(Router::new(), add)
 }
 
 fn answer(file: File, request: &HeaderMap) -> Response {
