@@ -35,8 +35,13 @@ pub struct Problem {
 impl Problem {
     /// Creates a problem.
     pub fn new(status: StatusCode, detail: impl Into<String>) -> Self {
-        let bearer = || (header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-        let header = (status == StatusCode::UNAUTHORIZED).then(bearer);
+        let header = match status {
+            StatusCode::UNAUTHORIZED => Some((header::WWW_AUTHENTICATE, "Bearer")),
+            // Limits on rates and connections may admit a request again at once. Seconds are the smallest unit.
+            StatusCode::TOO_MANY_REQUESTS => Some((header::RETRY_AFTER, "1")),
+            _ => None,
+        };
+        let header = header.map(|(name, value)| (name, HeaderValue::from_static(value)));
         Self { status, detail: detail.into(), header }
     }
 

@@ -308,6 +308,37 @@ fn the_document_of_application_life_cycle_has_every_path() {
             let head = format!("{} /app_lcm/v1{}", method.to_uppercase(), path.replace("{id}", "x"));
             let (status, _) = served.ask(OPERATOR, &head, "{}");
             assert_ne!(status, 405, "{head}");
+            // The API's limit on requests holds for each of them.
+            let limited = &methods[method]["responses"]["429"];
+            assert!(limited["headers"]["Retry-After"].is_object(), "{head}: {limited}");
         }
     }
+}
+
+/// Whether an answer is a problem that says when to ask again.
+fn is_limited(answer: &str) -> bool {
+    answer.starts_with("HTTP/1.1 429 ")
+        && answer.contains("\r\nretry-after: 1\r\n")
+        && answer.contains("\r\ncontent-type: application/problem+json\r\n")
+}
+
+#[test]
+fn limits_of_mec_say_when_to_ask_again() {
+    let served = serve_within(false, FEW, Patience::default());
+    let ask = |head: &str| {
+        let request = format!("{head} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+        until_closed(say(&served.server, &request))
+    };
+    let unsubscribe = || ask("DELETE /app_lcm/v1/subscriptions/1");
+    let limited = (0..600).map(|_| unsubscribe()).find(|answer| !answer.starts_with("HTTP/1.1 404 "));
+    let limited = limited.expect("there is a limit");
+    assert!(is_limited(&limited), "{limited}");
+    let list = || ask("GET /app_lcm/v1/app_instances");
+    assert!(list().starts_with("HTTP/1.1 200 "), "the limit is on changes");
+    // A server asks for the body once it has admitted the request.
+    let post = "POST /app_lcm/v1/app_instances HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\
+                Expect: 100-continue\r\n\r\n";
+    let stalled: Vec<_> = (0..FEW.callers).map(|_| answer(say(&served.server, post))).collect();
+    assert!(stalled.iter().all(|(status, _)| *status == 100));
+    assert!(is_limited(&list()), "{}", list());
 }
