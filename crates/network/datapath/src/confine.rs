@@ -6,6 +6,7 @@
 //! and exec are in [`crate::init`].
 
 use std::{
+    collections::BTreeSet,
     env,
     fs::{self, File},
     io,
@@ -104,7 +105,8 @@ impl Confinement {
             tree.attach_if_new()?;
         }
         let mut covers = Vec::new();
-        for path in covered.iter().chain(&self.hidden) {
+        // A folder comes before what is in it, which is no longer there then.
+        for path in covered.iter().chain(&self.hidden).collect::<BTreeSet<_>>() {
             covers.extend(cover(inside(path))?);
         }
         home.attach()?;

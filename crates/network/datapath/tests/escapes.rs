@@ -73,7 +73,8 @@ impl Place {
         Confinement {
             home: self.home(),
             readable: vec![self.testbed()],
-            hidden: vec![self.root.join("testbed/runs")],
+            // A run hides its own folder, and then that of all runs.
+            hidden: vec![self.root.join("testbed/runs/1"), self.root.join("testbed/runs")],
             capabilities: capabilities.to_vec(),
             processes: 500,
             memory_bytes: 512 << 20,
