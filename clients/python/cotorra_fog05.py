@@ -12,8 +12,8 @@ This file and `cotorra.py` beside it need nothing but the standard library. The 
 it: COTORRA_API, or else your only run on this machine. A locator of fog05 is ignored, because there is no Zenoh.
 `from fog05_sdk.interfaces.FDU import FDU` works after this import, too, unless the SDK of fog05 is installed.
 
-Networks, routers, images and flavors are not here: a VNF has the network of its node, and images come from registries.
-docs/lifecycle.md has what a descriptor may say.
+Routers, images and flavors are not here: nodes have their paths in the testbed file, and images come from registries. A
+virtual network is the emulated network, which all nodes share. docs/lifecycle.md has what a descriptor may say.
 """
 from __future__ import annotations
 
@@ -81,13 +81,14 @@ class InfraFDU(_Document):
 
 
 class FIMAPI:
-    """Nodes and FDUs of a testbed. The arguments of fog05 are taken and ignored."""
+    """Nodes, networks and FDUs of a testbed. The arguments of fog05 are taken and ignored."""
 
     def __init__(self, locator: Optional[str] = None, sysid: str = "0", tenantid: str = "0") -> None:
         rest = _Rest()
         self.node = _Nodes(rest)
+        self.network = _Networks(rest)
         self.fdu = _Fdus(rest)
-        for missing in ("network", "image", "flavor", "plugin"):
+        for missing in ("descriptor", "image", "flavor", "plugin"):
             setattr(self, missing, _Missing(missing))
 
     def close(self) -> None:
@@ -141,7 +142,48 @@ class _Nodes:
         return self._rest.ask("GET", f"nodes/{_name(node_uuid)}/plugins/list")
 
 
+class _Networks:
+    """Virtual networks: names for the emulated network, which joins all nodes."""
+
+    def __init__(self, rest: _Rest) -> None:
+        self._rest = rest
+
+    def add_network(self, descriptor: dict[str, Any]) -> None:
+        """Adds a network to the catalog."""
+        self._rest.ask("PUT", f"networks/{_name(descriptor.get('uuid'))}/info", descriptor)
+
+    def remove_network(self, net_uuid: str) -> None:
+        """Removes a network that no instance is connected to."""
+        self._rest.ask("DELETE", f"networks/{_name(net_uuid)}/info")
+
+    def add_network_to_node(self, descriptor: dict[str, Any] | str, nodeid: str) -> dict[str, Any]:
+        """Adds a network to a node: a descriptor, or the identifier of one in the catalog."""
+        is_known = isinstance(descriptor, str)
+        net_uuid, body = (descriptor, None) if is_known else (descriptor.get("uuid"), descriptor)
+        return self._rest.ask("PUT", self._at(nodeid, net_uuid), body)
+
+    def remove_network_from_node(self, netid: str, nodeid: str) -> dict[str, Any]:
+        """Removes a network from a node without instances that are connected to it."""
+        return self._rest.ask("DELETE", self._at(nodeid, netid))
+
+    def list(self) -> list[dict[str, Any]]:
+        """The networks of the catalog."""
+        return self._rest.ask("GET", "network/list")
+
+    def _at(self, node: str, network: str) -> str:
+        return f"nodes/{_name(node)}/network/{_name(network)}/info"
+
+    def __getattr__(self, name: str) -> Any:
+        raise NotImplementedError(f"network.{name} of fog05 is not here: docs/lifecycle.md has what is")
+
+
 class _Fdus:
+    _missing = {
+        "pause": "a VNF cannot be paused: stop it",
+        "resume": "a VNF cannot be paused: start it",
+        "run": "a VNF that ends is started again: start it, and read its log",
+    }
+
     def __init__(self, rest: _Rest) -> None:
         self._rest = rest
 
@@ -199,6 +241,10 @@ class _Fdus:
         self.clean(instanceid)
         return self.undefine(instanceid)
 
+    def log(self, instanceid: str) -> str:
+        """The last 64 KiB of what an instance wrote since its last start."""
+        return self._rest.ask("GET", f"fdu/instances/{_name(instanceid)}/log")
+
     def info(self, fdu_uuid: str) -> FDU:
         return FDU(self._rest.ask("GET", f"fdu/{_name(fdu_uuid)}/info"))
 
@@ -218,7 +264,8 @@ class _Fdus:
         return self._rest.ask("GET", "fdu/list")
 
     def __getattr__(self, name: str) -> Any:
-        raise NotImplementedError(f"fdu.{name} of fog05 is not here: docs/lifecycle.md has what is")
+        reason = self._missing.get(name, "docs/lifecycle.md has what is")
+        raise NotImplementedError(f"fdu.{name} of fog05 is not here: {reason}")
 
     def _step(self, instance: str, step: str, body: str = "") -> str:
         return self._rest.ask("POST", f"fdu/instances/{_name(instance)}/{step}", body)

@@ -1,9 +1,10 @@
-//! No descriptor or request of an application's life cycle makes a reader panic, and what is read becomes a VNF.
+//! No descriptor or request of an application's life cycle makes a reader panic, and what is read becomes a VNF, or a network
+//! whose record is a descriptor of the same.
 #![no_main]
 
-use cotorra_graph::Timestamp;
+use cotorra_graph::{NodeId, Timestamp};
 use cotorra_lifecycle::{
-    Applications, Descriptor, Seen, Subscription,
+    Applications, Descriptor, NetworkDescriptor, Seen, Subscription,
     mec::{self, CreateRequest, OperationRequest},
     variables,
 };
@@ -25,15 +26,26 @@ fuzz_target!(|bytes: &[u8]| {
     if let Ok(subscription) = Subscription::read(bytes) {
         all.subscriptions().add(None, "http://lab", subscription, now).expect("there are no others");
     }
+    let node = "edge".parse::<NodeId>().expect("a valid name");
+    if let Ok(network) = NetworkDescriptor::read(bytes) {
+        let uuid = network.uuid.clone();
+        all.add_network(None, network.clone()).expect("there are no others");
+        let record = all.connect(None, &uuid, node.clone()).expect("it was just added").record();
+        assert_eq!(NetworkDescriptor::read(record.to_string().as_bytes()), Ok(network));
+        all.remove_network(None, &uuid).expect("nothing uses it");
+    }
     let Ok(descriptor) = Descriptor::read(bytes) else { return };
     let _ = descriptor.yaml(None);
-    let node = "edge".parse().expect("a valid name");
+    if let Some(uuid) = descriptor.network.clone() {
+        let name = "net".to_owned();
+        all.add_network(None, NetworkDescriptor { uuid, name }).expect("there are no others");
+    }
     let fdu = all.onboard(None, descriptor).expect("the catalog is empty");
     let id = all.define(None, &fdu, Some(node), [None, None]).expect("it is on board").id.clone();
     all.configure(None, &id, now).expect("it is defined");
     let vnf = all.begin_start(None, &id, "").expect("it is configured");
     assert!(vnf.cpus > 0.0 && vnf.env.is_empty());
-    all.end_start(&id, Some(vnf.id.clone()), now);
+    all.end_start(&id, Some((vnf.id.clone(), 0)), now);
     all.observe(&vnf.id, Seen::Serves, now);
     // A subscription has one notification under way.
     assert!(all.subscriptions().poll(now).len() <= 1);

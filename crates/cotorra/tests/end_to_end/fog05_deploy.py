@@ -22,6 +22,7 @@ record = api.fdu.instance_info(instance)
 print("status", record.get_status(), record.get_hypervisor_info()["vnf"], flush=True)
 
 sys.stdin.readline()
+print("log", json.dumps(api.fdu.log(instance)), flush=True)
 api.fdu.stop(instance)
 print("status", api.fdu.instance_info(instance).get_status(), flush=True)
 api.fdu.clean(instance)
@@ -32,8 +33,8 @@ try:
 except ValueError as refused:
     print("refused", refused, flush=True)
 try:
-    api.fdu.log(instance)
-except NotImplementedError:
-    print("no logs", flush=True)
+    api.fdu.pause(instance)
+except NotImplementedError as missing:
+    print("missing", missing, flush=True)
 print("left", api.fdu.list(), flush=True)
 api.close()

@@ -1,9 +1,11 @@
-//! VNFs that come and go during a live run: by instruction, and by a script of fog05.
+//! VNFs that come and go during a live run: by instruction, and by scripts of fog05.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
     fs,
-    io::{BufRead as _, BufReader, Write as _},
-    process::{Command, Stdio},
+    io::{BufRead as _, BufReader, Lines, Write as _},
+    path::Path,
+    process::{Child, ChildStdout, Command, Stdio},
 };
 
 use serde_json::{Value, json};
@@ -21,6 +23,38 @@ fn with_word(run: &Run, word: &str) -> usize {
         words.split(|byte| *byte == 0).any(|is| is == word.as_bytes())
     };
     run.processes().iter().filter(|pid| has_word(pid)).count()
+}
+
+/// A script of fog05 that talks to a run.
+struct Script {
+    python: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+}
+
+impl Script {
+    fn start<'a>(run: &Run, name: &str, arguments: impl IntoIterator<Item = &'a Path>) -> Self {
+        let mut python = Command::new("python3");
+        python.arg(project_file(&format!("crates/cotorra/tests/end_to_end/{name}"))).args(arguments);
+        python.env("PYTHONPATH", project_file("clients/python")).env("COTORRA_API", &run.api);
+        let mut python = python.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let lines = BufReader::new(python.stdout.take().unwrap()).lines();
+        Self { python, lines }
+    }
+
+    /// Returns what comes after this word in the script's next line.
+    fn after(&mut self, word: &str) -> String {
+        let line = self.lines.next().and_then(Result::ok).unwrap_or_default();
+        let rest = line.strip_prefix(word).unwrap_or_else(|| panic!("not `{word}`: {line}"));
+        rest.trim_start().to_owned()
+    }
+
+    fn press_enter(&mut self) {
+        self.python.stdin.as_mut().unwrap().write_all(b"\n").unwrap();
+    }
+
+    fn end(mut self) {
+        assert!(self.python.wait().unwrap().success());
+    }
 }
 
 #[test]
@@ -74,23 +108,103 @@ fn a_script_of_fog05_deploys_an_fdu_after_changing_one_import() {
     });
     let descriptor = folder.path().join("fdu.json");
     fs::write(&descriptor, fdu.to_string()).unwrap();
-    let mut python = Command::new("python3");
-    python.arg(project_file("crates/cotorra/tests/end_to_end/fog05_deploy.py")).arg(&descriptor).arg("cloud");
-    python.env("PYTHONPATH", project_file("clients/python")).env("COTORRA_API", &run.api);
-    let mut python = python.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    let mut lines = BufReader::new(python.stdout.take().unwrap()).lines().map_while(Result::ok);
-    let mut line = || lines.next().unwrap_or_default();
-    assert_eq!((line().as_str(), line().as_str()), ("memory 8000.0", "onboarded helloworld"));
-    let status = line();
-    let vnf = status.strip_prefix("status RUN ").unwrap_or_else(|| panic!("{status}"));
+    let mut script = Script::start(&run, "fog05_deploy.py", [&*descriptor, Path::new("cloud")]);
+    assert_eq!((&*script.after("memory"), &*script.after("onboarded")), ("8000.0", "helloworld"));
+    let vnf = script.after("status RUN");
     let log = run.folder.join(format!("logs/{vnf}.log"));
     wait_until(|| fs::read_to_string(&log).is_ok_and(|log| log.contains("Hello World! 3")));
     assert_eq!(with_word(&run, "4322"), 1);
-    python.stdin.as_mut().unwrap().write_all(b"\n").unwrap();
-    assert_eq!(line(), "status CONFIGURE");
-    let refused = line();
+    script.press_enter();
+    assert_eq!(script.after("log"), json!(fs::read_to_string(&log).unwrap()).to_string());
+    assert_eq!(script.after("status"), "CONFIGURE");
+    let refused = script.after("refused");
     assert!(refused.contains("`hypervisor` is `KVM`: only BARE and DOCKER"), "{refused}");
-    assert_eq!((line().as_str(), line().as_str()), ("no logs", "left []"));
-    assert!(python.wait().unwrap().success());
+    let missing = script.after("missing");
+    assert_eq!(missing, "fdu.pause of fog05 is not here: a VNF cannot be paused: stop it");
+    assert_eq!(script.after("left"), "[]");
+    script.end();
     wait_until(|| with_word(&run, "4322") == 0);
+}
+
+/// Says to each client which address it has.
+const SERVER: &str = "
+import socket
+with socket.create_server(('', 7000)) as server:
+    while True:
+        client, (address, _) = server.accept()
+        with client:
+            client.sendall(f'you are {address}'.encode())
+";
+/// Asks the server of another node, once it is there.
+const CLIENT: &str = "
+import socket, time
+while True:
+    try:
+        with socket.create_connection(('edge', 7000), 5) as server:
+            print(server.makefile().read(), flush=True)
+            time.sleep(4323)
+    except OSError:
+        time.sleep(0.1)
+";
+
+#[test]
+fn a_script_of_fog05_connects_two_fdus_by_a_network_after_changing_one_import() {
+    let folder = TempDir::new().unwrap();
+    let file = testbed(folder.path(), "connected", "{ kind: robot }", NAVIGATED);
+    let edge = "\n  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }\n  tb:";
+    let link = "links:\n  - { ends: [R1, edge], delay: 1 ms }";
+    let text = fs::read_to_string(&file).unwrap();
+    fs::write(&file, text.replacen("\n  tb:", edge, 1).replacen("links:", link, 1)).unwrap();
+    let run = Run::start(&file, &["--until", "5min"]);
+    run.wait_for_service();
+    let network = "6cc2aa30-1dcf-4c93-a57e-433fd0bd498e";
+    let fdu = |name: &str, program: &str| {
+        json!({
+            "id": name, "name": name,
+            "computation_requirements": { "cpu_arch": "x86_64", "cpu_min_freq": 0, "cpu_min_count": 1,
+                "ram_size_mb": 128.0, "storage_size_gb": 1.0 },
+            "command": { "binary": "python3", "args": ["-c", program] },
+            "hypervisor": "BARE", "migration_kind": "COLD",
+            "interfaces": [{ "name": "eth0", "is_mgmt": false, "if_type": "INTERNAL", "cp_id": "cp1",
+                "virtual_interface": { "intf_type": "VIRTIO", "vpci": "0:0:0", "bandwidth": 10 } }],
+            "connection_points": [{ "id": "cp1", "name": "internal", "vld_ref": network }],
+            "storage": [], "depends_on": [], "io_ports": [],
+        })
+    };
+    let net = json!({ "uuid": network, "name": "net1", "net_type": "ELAN", "is_mgmt": false });
+    let dhcp = json!({ "ip_version": "IPV4", "subnet": "192.168.234.0/24", "dhcp_enable": true });
+    for (name, content) in [
+        ("network.json", net),
+        ("dhcp.json", dhcp),
+        ("server.json", fdu("server", SERVER)),
+        ("client.json", fdu("client", CLIENT)),
+    ] {
+        fs::write(folder.path().join(name), content.to_string()).unwrap();
+    }
+    let arguments = [folder.path(), Path::new("edge"), Path::new("cloud")];
+    let mut script = Script::start(&run, "fog05_network.py", arguments);
+    let refused = script.after("refused");
+    assert!(refused.contains("`ip_configuration.subnet` is `192.168.234.0/24`"), "{refused}");
+    assert_eq!(script.after("network"), "net1 10.77.0.0/16");
+    let running = script.after("running");
+    let (server, client) = running.split_once(' ').unwrap();
+    let log = |vnf: &str| fs::read_to_string(run.folder.join(format!("logs/{vnf}.log"))).unwrap_or_default();
+    wait_until(|| log(client).contains("you are"));
+    // It has the interface of its node, and reaches the other FDU over the emulated network.
+    let cloud = run.get("/api/v1/network/nodes/cloud");
+    let said = format!("\nyou are {}\n", cloud["address"]["ipv4"].as_str().unwrap());
+    script.press_enter();
+    let printed = script.after("log");
+    assert_eq!(printed, json!(log(client)).to_string());
+    assert!(log(client).ends_with(&said), "{printed}");
+    assert!(!log(server).contains("you are"));
+    let refused = script.after("refused");
+    assert!(refused.starts_with(&format!("the network `{network}` has the instance ")), "{refused}");
+    assert_eq!(script.after("left"), "[] []");
+    assert_eq!(
+        script.after("missing"),
+        "network.add_router of fog05 is not here: docs/lifecycle.md has what is"
+    );
+    script.end();
+    wait_until(|| run.get("/api/v1/vnfs") == json!([]));
 }

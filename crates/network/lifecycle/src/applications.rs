@@ -10,6 +10,7 @@ use crate::{
     Descriptor, DescriptorError,
     descriptor::variables,
     mec::{Occurrence, Operation, OperationState, State},
+    network::Network,
     subscriptions::Subscriptions,
 };
 
@@ -23,7 +24,7 @@ const MOST_OCCURRENCES: usize = 1024;
 /// Reason for which a request is rejected. Nothing has changed then.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LifecycleError {
-    /// An unknown descriptor, instance or occurrence.
+    /// An unknown descriptor, network, instance or occurrence.
     #[error("there is no {0} `{1}`")]
     Unknown(&'static str, String),
     /// A request that does not fit the present state.
@@ -46,7 +47,7 @@ pub enum LifecycleError {
     TooOften(#[from] TooOften),
 }
 
-fn conflict<T>(reason: impl Into<String>) -> Result<T, LifecycleError> {
+pub(crate) fn conflict<T>(reason: impl Into<String>) -> Result<T, LifecycleError> {
     Err(LifecycleError::Conflict(reason.into()))
 }
 
@@ -76,6 +77,17 @@ pub enum Seen {
     Gone,
 }
 
+/// The part of a VNF's log that is of one instance. VNFs before and after it may have had the same name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Output {
+    /// The VNF.
+    pub vnf: VnfId,
+    /// First byte.
+    pub from: u64,
+    /// End, once it was stopped.
+    pub to: Option<u64>,
+}
+
 /// An instance of an application.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Application {
@@ -92,21 +104,24 @@ pub struct Application {
     /// Its stage.
     pub stage: Stage,
     pub(crate) owner: Option<DomainId>,
+    /// What its last start wrote.
+    output: Option<Output>,
     /// Whether an operation is under way.
     is_busy: bool,
 }
 
 #[derive(Debug)]
-struct Known {
+pub(crate) struct Known {
     owner: Option<DomainId>,
-    descriptor: Descriptor,
+    pub(crate) descriptor: Descriptor,
 }
 
 /// The catalog and the instances. A viewer is a domain, or `None` for the operator, who sees everything. Domains see their own.
 #[derive(Debug, Default)]
 pub struct Applications {
-    catalog: BTreeMap<String, Known>,
-    instances: BTreeMap<String, Application>,
+    pub(crate) catalog: BTreeMap<String, Known>,
+    pub(crate) networks: BTreeMap<String, Network>,
+    pub(crate) instances: BTreeMap<String, Application>,
     occurrences: BTreeMap<u64, (Option<DomainId>, Occurrence)>,
     subscriptions: Subscriptions,
     epoch: Epoch,
@@ -202,14 +217,27 @@ impl Applications {
         node: Option<NodeId>,
         [name, description]: [Option<String>; 2],
     ) -> Result<&Application, LifecycleError> {
-        let descriptor = self.descriptor(viewer, descriptor)?.0.to_owned();
+        let (descriptor, of) = self.descriptor(viewer, descriptor)?;
+        if let Some(network) = &of.network {
+            self.network(viewer, network)?;
+        }
+        let descriptor = descriptor.to_owned();
         if self.instances.len() >= MOST_INSTANCES {
             return conflict(format!("there are {MOST_INSTANCES} instances already: remove one"));
         }
         let (id, owner) = (self.make_id(), viewer.cloned());
         let stage = Stage::Defined;
-        let instance =
-            Application { id: id.clone(), descriptor, name, description, node, stage, owner, is_busy: false };
+        let instance = Application {
+            id: id.clone(),
+            descriptor,
+            name,
+            description,
+            node,
+            stage,
+            owner,
+            output: None,
+            is_busy: false,
+        };
         Ok(self.instances.entry(id).or_insert(instance))
     }
 
@@ -269,7 +297,7 @@ impl Applications {
             Stage::Defined => return conflict(format!("the instance `{id}` is not configured")),
             Stage::Started(..) => return conflict(format!("the instance `{id}` runs: stop it first")),
         }
-        self.change(id, now, |instance| instance.stage = Stage::Defined);
+        self.change(id, now, |instance| (instance.stage, instance.output) = (Stage::Defined, None));
         Ok(())
     }
 
@@ -319,14 +347,27 @@ impl Applications {
         Ok(known.descriptor.vnf(known.descriptor.vnf_name(self.made), node, env))
     }
 
-    /// Ends a start, with the VNF if it was added.
-    pub fn end_start(&mut self, id: &str, added: Option<VnfId>, now: Timestamp) {
+    /// Ends a start, with the VNF if it was added, whose log had so many bytes before.
+    pub fn end_start(&mut self, id: &str, added: Option<(VnfId, u64)>, now: Timestamp) {
         self.change(id, now, |instance| {
             instance.is_busy = false;
-            if let Some(vnf) = added {
+            if let Some((vnf, from)) = added {
+                instance.output = Some(Output { vnf: vnf.clone(), from, to: None });
                 instance.stage = Stage::Started(vnf, Seen::Starting);
             }
         });
+    }
+
+    /// Returns where the output of an instance's last start is.
+    ///
+    /// # Errors
+    /// [`LifecycleError`] if there is none.
+    pub fn output(&self, viewer: Option<&DomainId>, id: &str) -> Result<&Output, LifecycleError> {
+        let output = &self.instance(viewer, id)?.output;
+        output.as_ref().ok_or_else(|| {
+            let reason = "has no output: it was not started, or others removed its VNF";
+            LifecycleError::Conflict(format!("the instance `{id}` {reason}"))
+        })
     }
 
     /// Returns the VNFs of started instances.
@@ -343,7 +384,13 @@ impl Applications {
         let Some(id) = self.instances.values().find(is_of).map(|instance| instance.id.clone()) else {
             return;
         };
-        self.change(&id, now, |instance| instance.stage = Stage::Started(vnf.clone(), seen));
+        self.change(&id, now, |instance| {
+            if seen == Seen::Gone && !instance.is_busy {
+                // Others removed it. Its name is free, and with it the log.
+                instance.output = None;
+            }
+            instance.stage = Stage::Started(vnf.clone(), seen);
+        });
     }
 
     /// Changes an instance, and notifies those who subscribed to changes of its state.
@@ -370,11 +417,14 @@ impl Applications {
         self.take_vnf(viewer, id)
     }
 
-    /// Ends a stop.
-    pub fn end_stop(&mut self, id: &str, removed: bool, now: Timestamp) {
+    /// Ends a stop. If the VNF was removed, its log has so many bytes now.
+    pub fn end_stop(&mut self, id: &str, removed: Option<u64>, now: Timestamp) {
         self.change(id, now, |instance| {
             instance.is_busy = false;
-            if removed {
+            if let Some(to) = removed {
+                if let Some(output) = &mut instance.output {
+                    output.to = Some(to);
+                }
                 instance.stage = Stage::Configured;
             }
         });
@@ -426,7 +476,7 @@ impl Applications {
     pub(crate) fn unsettle(&mut self, id: &str, now: Timestamp) {
         self.change(id, now, |instance| {
             if !matches!(instance.stage, Stage::Started(..)) {
-                (instance.node, instance.stage) = (None, Stage::Defined);
+                (instance.node, instance.stage, instance.output) = (None, Stage::Defined, None);
             }
         });
     }

@@ -15,9 +15,9 @@ pub enum DescriptorError {
     /// It has too many bytes.
     #[error("it has {0} bytes, more than {LONGEST_DESCRIPTOR}")]
     TooLong(usize),
-    /// It is not a descriptor.
-    #[error("it is not an FDU descriptor of fog05 v0.2: {0}")]
-    Unreadable(String),
+    /// It does not describe what it should.
+    #[error("it does not describe {0} of fog05 v0.2: {1}")]
+    Unreadable(&'static str, String),
     /// A hypervisor other than BARE and DOCKER.
     #[error("`hypervisor` is {0}: only BARE and DOCKER can run here")]
     Hypervisor(String),
@@ -53,11 +53,11 @@ struct Keys {
     #[serde(default)]
     storage: Value,
     #[serde(default)]
-    interfaces: Value,
+    interfaces: Option<Vec<Interface>>,
     #[serde(default)]
     io_ports: Value,
     #[serde(default)]
-    connection_points: Value,
+    connection_points: Option<Vec<ConnectionPoint>>,
     #[serde(default)]
     depends_on: Value,
     #[serde(default)]
@@ -115,6 +115,112 @@ struct CommandKeys {
     args: Vec<String>,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Interface {
+    name: String,
+    #[serde(default)]
+    is_mgmt: Value,
+    if_type: String,
+    #[serde(default)]
+    mac_address: Value,
+    virtual_interface: VirtualInterface,
+    #[serde(default)]
+    cp_id: Option<String>,
+    #[serde(default)]
+    ext_cp_id: Value,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct VirtualInterface {
+    intf_type: String,
+    #[serde(default, rename = "vpci")]
+    _vpci: Value,
+    #[serde(default, rename = "bandwidth")]
+    _bandwidth: Value,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ConnectionPoint {
+    id: String,
+    #[serde(default, rename = "uuid")]
+    _uuid: Value,
+    #[serde(default, rename = "name")]
+    _name: Value,
+    #[serde(default, rename = "short_name")]
+    _short_name: Value,
+    /// Only `VPORT` exists.
+    #[serde(default, rename = "cp_type")]
+    _cp_type: Value,
+    #[serde(default)]
+    port_security_enabled: Value,
+    #[serde(default)]
+    vld_ref: Option<String>,
+}
+
+/// Checks the interface of a VNF, which is that of its node. Returns the network that it names.
+fn network(interfaces: &[Interface], points: &[ConnectionPoint]) -> Result<Option<String>, DescriptorError> {
+    let one = "a VNF has one interface, which is that of its node";
+    let interface = match interfaces {
+        [] => None,
+        [interface] => Some(interface),
+        _ => return Err(DescriptorError::NotHonoured { key: "interfaces", reason: one }),
+    };
+    if let Some(interface) = interface {
+        let kind = &interface.virtual_interface.intf_type;
+        for (key, value, allowed, wanted) in [
+            ("interfaces.name", &interface.name, &["eth0"][..], "`eth0`, as a node's interface is called"),
+            (
+                "interfaces.if_type",
+                &interface.if_type,
+                &["INTERNAL", "EXTERNAL"],
+                "INTERNAL or EXTERNAL: a VNF has no radio of its own",
+            ),
+            (
+                "virtual_interface.intf_type",
+                kind,
+                &["VIRTIO", "PARAVIRT"],
+                "VIRTIO or PARAVIRT: it is no interface of the machine",
+            ),
+        ] {
+            if !allowed.contains(&value.as_str()) {
+                return Err(DescriptorError::Value { key, value: shown(value), wanted });
+            }
+        }
+        for (key, value, reason) in [
+            ("interfaces.is_mgmt", &interface.is_mgmt, "there is no network for management"),
+            ("interfaces.mac_address", &interface.mac_address, "a node has its address already"),
+            ("interfaces.ext_cp_id", &interface.ext_cp_id, "an FDU is no part of an entity"),
+        ] {
+            if !says_nothing(value) {
+                return Err(DescriptorError::NotHonoured { key, reason });
+            }
+        }
+    }
+    let named = interface.and_then(|interface| interface.cp_id.as_deref()).filter(|id| !id.is_empty());
+    let point = match (named, points) {
+        (None, []) => return Ok(None),
+        (Some(named), [point]) if point.id == named => point,
+        (Some(named), []) => {
+            let wanted = "the `id` of a connection point";
+            return Err(DescriptorError::Value { key: "interfaces.cp_id", value: shown(named), wanted });
+        }
+        _ => {
+            let reason = "the only one is that which `cp_id` of the interface names";
+            return Err(DescriptorError::NotHonoured { key: "connection_points", reason });
+        }
+    };
+    if !says_nothing(&point.port_security_enabled) {
+        let reason = "nothing checks the addresses that a VNF sends from";
+        return Err(DescriptorError::NotHonoured { key: "port_security_enabled", reason });
+    }
+    let network = point.vld_ref.clone().filter(|network| !network.is_empty());
+    network.as_deref().map_or(Ok(()), |network| check_uuid("vld_ref", network))?;
+    Ok(network)
+}
+
 /// An application as its descriptor gives it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Descriptor {
@@ -124,6 +230,8 @@ pub struct Descriptor {
     pub name: String,
     /// Its identifier in a catalog, if it brings one.
     pub uuid: Option<String>,
+    /// The virtual network that its interface names.
+    pub network: Option<String>,
     /// The keys as they were given.
     pub keys: Map<String, Value>,
     words: Vec<String>,
@@ -141,7 +249,7 @@ impl Descriptor {
         if text.len() > LONGEST_DESCRIPTOR {
             return Err(DescriptorError::TooLong(text.len()));
         }
-        let unreadable = |error: serde_json::Error| DescriptorError::Unreadable(error.to_string());
+        let unreadable = |error: serde_json::Error| DescriptorError::Unreadable("an FDU", error.to_string());
         let keys: Map<String, Value> = serde_json::from_slice(text).map_err(unreadable)?;
         let read: Keys = serde_json::from_slice(text).map_err(unreadable)?;
         Self::of(read, keys)
@@ -150,13 +258,12 @@ impl Descriptor {
     fn of(read: Keys, keys: Map<String, Value>) -> Result<Self, DescriptorError> {
         let Requirements { cpu_min_count, ram_size_mb, gpu_min_count, fpga_min_count, duty_cycle, .. } =
             read.computation_requirements;
-        let network = "a VNF has the interfaces of its node";
+        let network =
+            network(&read.interfaces.unwrap_or_default(), &read.connection_points.unwrap_or_default())?;
         let devices = "a VNF that is added has no devices";
         for (key, value, reason) in [
             ("storage", &read.storage, "a VNF has no disks of its own"),
-            ("interfaces", &read.interfaces, network),
             ("io_ports", &read.io_ports, devices),
-            ("connection_points", &read.connection_points, network),
             ("depends_on", &read.depends_on, "VNFs start independently of each other"),
             ("configuration", &read.configuration, "put it into the image or the command"),
             ("geographical_requirements", &read.geographical_requirements, "name the node instead"),
@@ -174,19 +281,9 @@ impl Descriptor {
             let (key, value) = ("migration_kind", shown(&read.migration_kind));
             return Err(DescriptorError::Value { key, value, wanted: "COLD: a move starts a new instance" });
         }
-        for (key, value) in [("id", &read.id), ("name", read.name.as_ref().unwrap_or(&read.id))] {
-            if value.is_empty() || value.len() > 128 {
-                return Err(DescriptorError::Value {
-                    key,
-                    value: shown(value),
-                    wanted: "1 to 128 bytes long",
-                });
-            }
-        }
-        if let Some(uuid) = read.uuid.as_ref().filter(|uuid| !is_uuid(uuid)) {
-            let wanted = "1 to 64 letters, digits, `-` or `_`";
-            return Err(DescriptorError::Value { key: "uuid", value: shown(uuid), wanted });
-        }
+        check_name("id", &read.id)?;
+        check_name("name", read.name.as_ref().unwrap_or(&read.id))?;
+        read.uuid.as_deref().map_or(Ok(()), |uuid| check_uuid("uuid", uuid))?;
         for (key, value, most) in
             [("cpu_min_count", cpu_min_count, 1024.0), ("ram_size_mb", ram_size_mb, 1e8)]
         {
@@ -221,6 +318,7 @@ impl Descriptor {
             name: read.name.unwrap_or_else(|| read.id.clone()),
             id: read.id,
             uuid: read.uuid,
+            network,
             keys,
             words,
             image,
@@ -301,7 +399,7 @@ pub fn variables(text: &str) -> Result<Vec<String>, String> {
 }
 
 /// Whether a value is absent, or says nothing.
-fn says_nothing(value: &Value) -> bool {
+pub(crate) fn says_nothing(value: &Value) -> bool {
     match value {
         Value::Null | Value::Bool(false) => true,
         Value::Bool(true) => false,
@@ -312,14 +410,26 @@ fn says_nothing(value: &Value) -> bool {
     }
 }
 
-/// Whether a text can identify an entry of a catalog in a path.
-fn is_uuid(text: &str) -> bool {
+/// Rejects a text that cannot identify an entry of a catalog in a path.
+pub(crate) fn check_uuid(key: &'static str, text: &str) -> Result<(), DescriptorError> {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-    (1..=64).contains(&text.len()) && text.chars().all(is_plain)
+    if (1..=64).contains(&text.len()) && text.chars().all(is_plain) {
+        return Ok(());
+    }
+    let wanted = "1 to 64 letters, digits, `-` or `_`";
+    Err(DescriptorError::Value { key, value: shown(text), wanted })
+}
+
+/// Rejects a name of an unfit length.
+pub(crate) fn check_name(key: &'static str, text: &str) -> Result<(), DescriptorError> {
+    if (1..=128).contains(&text.len()) {
+        return Ok(());
+    }
+    Err(DescriptorError::Value { key, value: shown(text), wanted: "1 to 128 bytes long" })
 }
 
 /// Returns the beginning of a text, for messages.
-fn shown(text: &str) -> String {
+pub(crate) fn shown(text: &str) -> String {
     format!("`{}`", text.chars().take(64).collect::<String>())
 }
 

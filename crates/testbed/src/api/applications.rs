@@ -4,17 +4,26 @@
 mod fog05;
 mod mec;
 
-use std::{collections::BTreeMap, convert::Infallible, sync::Arc, time::Duration};
+use std::{
+    collections::BTreeMap,
+    convert::Infallible,
+    fs::{self, File},
+    io::{self, Read as _, Seek as _, SeekFrom},
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
 
 use axum::{
     Router,
     extract::FromRequestParts,
     http::{HeaderMap, StatusCode, request::Parts},
 };
+use cotorra_engine::replica_name;
 use cotorra_graph::{
     Decision, DomainId, Event, Instruction, Node, NodeId, Nodes, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
 };
-use cotorra_lifecycle::{Applications, LifecycleError, Recipient, Seen, fog05::is_node};
+use cotorra_lifecycle::{Applications, LifecycleError, Output, Recipient, Seen, fog05::is_node};
 use cotorra_mec::{Allowed, CallbackError, Dispatch, Notifier, Outcome, QueryError, Task, deliver};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{Notify, broadcast::error::RecvError};
@@ -41,6 +50,9 @@ pub(super) fn serve(context: &Context, gate: Gate) -> (Router, [Task; 2]) {
     let router = fog05::router(served.clone(), gate.clone()).merge(mec::router(served, gate));
     (router, tasks)
 }
+
+/// The most bytes of an instance's output that are read at once, from its end.
+const LONGEST_OUTPUT: u64 = 64 * 1024;
 
 /// The state of the handlers.
 #[derive(Clone)]
@@ -172,8 +184,9 @@ impl Served {
     async fn start(&self, asked: &Asked, id: &str, env: &str, reason: &str) -> Result<(), Rejected> {
         let vnf: Vnf = self.all().begin_start(asked.viewer(), id, env)?;
         let name = vnf.id.clone();
+        let written = self.log_length(&name);
         let done = self.give(asked, Instruction::AddVnf { vnf: Box::new(vnf) }, reason).await;
-        self.all().end_start(id, done.is_ok().then_some(name), self.context.now());
+        self.all().end_start(id, done.is_ok().then_some((name, written)), self.context.now());
         // It may serve already.
         drop(self.all());
         done
@@ -182,14 +195,47 @@ impl Served {
     /// Stops an instance.
     async fn stop(&self, asked: &Asked, id: &str, reason: &str) -> Result<(), Rejected> {
         let vnf = self.all().begin_stop(asked.viewer(), id)?;
+        // Once it is removed, a VNF of another may get its name and write there.
+        let written = self.log_length(&vnf);
         // Others may have removed its VNF already.
         let is_gone = self.context.live.read(|now| seen(now, &vnf)) == Seen::Gone;
         let done = match is_gone {
             true => Ok(()),
-            false => self.give(asked, Instruction::RemoveVnf { vnf }, reason).await,
+            false => self.give(asked, Instruction::RemoveVnf { vnf: vnf.clone() }, reason).await,
         };
-        self.all().end_stop(id, done.is_ok(), self.context.now());
+        self.all().end_stop(id, done.is_ok().then_some(written), self.context.now());
         done
+    }
+
+    /// Returns the log of a VNF with one instance; `None` if no program runs.
+    fn log(&self, vnf: &VnfId) -> Option<PathBuf> {
+        Some(self.context.logs.as_ref()?.join(format!("{}.log", replica_name(vnf, 0))))
+    }
+
+    /// Returns the length of a VNF's log so far, bytes.
+    fn log_length(&self, vnf: &VnfId) -> u64 {
+        let metadata = self.log(vnf).and_then(|log| fs::metadata(log).ok());
+        metadata.map_or(0, |metadata| metadata.len())
+    }
+
+    /// Returns the end of what an instance wrote since its last start.
+    async fn output(&self, asked: &Asked, id: &str) -> Result<String, Rejected> {
+        let (output, node) = {
+            let all = self.all();
+            let node = all.instance(asked.viewer(), id)?.node.clone();
+            (all.output(asked.viewer(), id)?.clone(), node)
+        };
+        let agent = node.and_then(|node| self.context.testbed.graph.node(&node)?.real_server());
+        if agent.is_some() {
+            return Err(Rejected::conflict(format!(
+                "the output of the instance `{id}` is at the agent of its node"
+            )));
+        }
+        let no_program = || Rejected::conflict("no program runs in virtual time, so that there is no output");
+        let log = self.log(&output.vnf).ok_or_else(no_program)?;
+        let read = tokio::task::spawn_blocking(move || tail(&log, &output)).await;
+        let read = read.map_err(|_| Failure::ended())?;
+        read.map_err(|error| Rejected::conflict(format!("the output of the instance `{id}`: {error}")))
     }
 
     /// Moves an instance to a node.
@@ -199,6 +245,21 @@ impl Served {
         self.all().end_move(id, done.is_ok().then_some(to));
         done
     }
+}
+
+/// Reads the end of an instance's part of a log, of at most [`LONGEST_OUTPUT`].
+fn tail(log: &Path, output: &Output) -> io::Result<String> {
+    let mut log = match File::open(log) {
+        // It has not written anything yet.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(String::new()),
+        log => log?,
+    };
+    let to = output.to.map_or_else(|| log.metadata().map(|metadata| metadata.len()), Ok)?;
+    let from = output.from.max(to.saturating_sub(LONGEST_OUTPUT));
+    log.seek(SeekFrom::Start(from))?;
+    let mut bytes = Vec::new();
+    log.take(to.saturating_sub(from)).read_to_end(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
 /// Runs a task to its end, even if the caller does not wait for it: an operation is never left half done.

@@ -44,6 +44,8 @@ pub(crate) struct Context {
     /// Large data of sensors, if any sensor has such.
     pub(crate) keeper: Option<Keeper>,
     pub(crate) wais: WaisOptions,
+    /// Folder of the output of VNFs; `None` if no program of theirs runs.
+    pub(crate) logs: Option<PathBuf>,
     /// Access to packets; `None` if there are none.
     pub(crate) wiretap: Option<Wiretap>,
 }

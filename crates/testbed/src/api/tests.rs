@@ -105,6 +105,7 @@ links: [{ ends: [left, ap] }]
         verdict: None,
         keeper: Some(keeper.clone()),
         wais: WaisOptions::default(),
+        logs: None,
         wiretap: Some(Arc::new(move |name, reader| Ok(tapped.lock().tap(name, reader)?))),
     };
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
@@ -375,6 +376,7 @@ struct Domains {
     events: broadcast::Sender<Arc<Stamped>>,
     core: mpsc::Receiver<Message>,
     live: Live,
+    logs: tempfile::TempDir,
 }
 
 const OPERATOR: &str = "operator-operator";
@@ -414,7 +416,7 @@ plugins:
         let recorder = history.paced_recorder(run).unwrap();
         (0..3).for_each(|second| recorder.record(sample(second)));
         recorder.flush().unwrap();
-        let live = Live::default();
+        let (live, logs) = (Live::default(), tempfile::tempdir().unwrap());
         live.absorb(&machines::machine("left", 1));
         let (events, _) = broadcast::channel(16);
         let (core, inbox) = mpsc::channel();
@@ -433,6 +435,7 @@ plugins:
             verdict: None,
             keeper: None,
             wais: WaisOptions::default(),
+            logs: Some(logs.path().to_owned()),
             wiretap: None,
         };
         let token = |text: &str| Token::new(text).unwrap();
@@ -441,7 +444,8 @@ plugins:
             Tokens::new(Some(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)])).unwrap();
         let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
         let listener = listener.announced(found_in, "served", "/runs/served");
-        Self { server: Server::start(listener, context, tokens).unwrap(), events, core: inbox, live }
+        let server = Server::start(listener, context, tokens).unwrap();
+        Self { server, events, core: inbox, live, logs }
     }
 
     fn ask(&self, token: &str, head: &str, body: &str) -> (u16, BufReader<TcpStream>) {

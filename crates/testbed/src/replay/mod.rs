@@ -269,6 +269,7 @@ impl Replay {
             verdict: options.folder.as_deref().and_then(|folder| Fidelity::of_folder(folder).ok()),
             keeper: options.folder.as_ref().map(|folder| Keeper::of_folder(folder, Pace::Live)),
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
+            logs: None,
             wiretap: None,
         };
         let programs = ExternalPlugins::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;

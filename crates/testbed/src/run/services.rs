@@ -61,6 +61,7 @@ impl ServicesUp {
                 epoch: epoch(&prepared.info),
                 callbacks: options.wais_callbacks.clone(),
             },
+            logs: Some(folder.logs()),
             wiretap: Some(wiretap(testbed, &network.datapath)),
         };
         let listener =

@@ -128,6 +128,7 @@ pub(super) fn simulate_with(
             verdict: None,
             keeper,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
+            logs: None,
             wiretap: Some(Arc::clone(&wiretap)),
         };
         let listener =

@@ -41,7 +41,7 @@ fn an_instance_goes_through_all_stages_and_back() {
     assert_eq!(status(&all, &id), "CONFIGURE");
     let vnf = all.begin_start(None, &id, "A=1").unwrap();
     assert_eq!((vnf.node.only(), vnf.env.as_slice()), (Some(&node("edge")), &["A=1".to_owned()][..]));
-    all.end_start(&id, Some(vnf.id.clone()), NOW);
+    all.end_start(&id, Some((vnf.id.clone(), 0)), NOW);
     assert_eq!(status(&all, &id), "CONFIGURE");
     for (seen, expected) in [
         (Seen::Serves, "RUN"),
@@ -56,7 +56,7 @@ fn an_instance_goes_through_all_stages_and_back() {
     assert_eq!(all.begin_move(None, &id).unwrap(), vnf.id);
     all.end_move(&id, Some(node("fog")));
     assert_eq!(all.begin_stop(None, &id).unwrap(), vnf.id);
-    all.end_stop(&id, true, NOW);
+    all.end_stop(&id, Some(0), NOW);
     // The next start has another name, because the last VNF still drains.
     let again = all.begin_start(None, &id, "").unwrap();
     assert_ne!(again.id, vnf.id);
@@ -73,6 +73,30 @@ impl Applications {
     fn made_first(&self) -> String {
         "c0704a00-0000-4000-8000-000000000001".to_owned()
     }
+}
+
+#[test]
+fn the_output_is_that_of_the_last_start() {
+    let (mut all, id) = defined();
+    let none = |all: &Applications| all.output(None, &id).unwrap_err().to_string();
+    all.configure(None, &id, NOW).unwrap();
+    assert!(none(&all).contains("has no output"), "{}", none(&all));
+    let vnf = all.begin_start(None, &id, "").unwrap().id;
+    all.end_start(&id, Some((vnf.clone(), 7)), NOW);
+    assert_eq!(all.output(None, &id), Ok(&Output { vnf: vnf.clone(), from: 7, to: None }));
+    // The testbed has removed it before the stop ends.
+    all.begin_stop(None, &id).unwrap();
+    all.observe(&vnf, Seen::Gone, NOW);
+    all.end_stop(&id, Some(20), NOW);
+    assert_eq!(all.output(None, &id), Ok(&Output { vnf, from: 7, to: Some(20) }));
+    assert!(all.output(Some(&"one".parse().unwrap()), &id).is_err(), "it is the operator's");
+    all.clean(None, &id, NOW).unwrap();
+    assert!(none(&all).contains("has no output"));
+    all.configure(None, &id, NOW).unwrap();
+    let vnf = all.begin_start(None, &id, "").unwrap().id;
+    all.end_start(&id, Some((vnf.clone(), 0)), NOW);
+    all.observe(&vnf, Seen::Gone, NOW);
+    assert!(none(&all).contains("others removed its VNF"), "{}", none(&all));
 }
 
 #[test]
@@ -163,11 +187,11 @@ impl Applications {
         let is_done = match begun.task {
             mec::Task::Start => self.begin_start(None, id, "").is_ok_and(|vnf| {
                 added = accepts.then_some(vnf.id);
-                self.end_start(id, added.clone(), now);
+                self.end_start(id, added.clone().map(|vnf| (vnf, 0)), now);
                 accepts
             }),
             mec::Task::Stop => self.begin_stop(None, id).is_ok_and(|_| {
-                self.end_stop(id, accepts, now);
+                self.end_stop(id, accepts.then_some(0), now);
                 accepts
             }),
             mec::Task::Nothing => true,

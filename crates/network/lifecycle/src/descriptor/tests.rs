@@ -50,10 +50,10 @@ fn what_cannot_be_honoured_is_rejected_by_name() {
         ("hypervisor", json!("LXD"), "`hypervisor` is `LXD`"),
         ("hypervisor", json!("ROS2"), "`hypervisor` is `ROS2`"),
         ("migration_kind", json!("LIVE"), "`migration_kind`"),
-        ("interfaces", json!([{ "name": "eth0" }]), "`interfaces`"),
         ("io_ports", json!([{ "name": "gpio" }]), "`io_ports`"),
         ("storage", json!([{ "id": "disk" }]), "`storage`"),
         ("connection_points", json!([{ "id": "cp1" }]), "`connection_points`"),
+        ("interfaces", json!([{ "name": "eth0" }]), "`if_type`"),
         ("depends_on", json!(["other"]), "`depends_on`"),
         ("configuration", json!({ "conf_type": "SCRIPT", "script": "ls" }), "`configuration`"),
         ("geographical_requirements", json!({ "position": { "lat": "1" } }), "`geographical_requirements`"),
@@ -88,6 +88,47 @@ fn what_cannot_be_honoured_is_rejected_by_name() {
     assert!(read(&fdu).unwrap_err().to_string().contains("`command` is missing, which BARE needs"));
     let long = vec![b' '; LONGEST_DESCRIPTOR + 1];
     assert_eq!(Descriptor::read(&long), Err(DescriptorError::TooLong(long.len())));
+}
+
+#[test]
+fn an_interface_is_that_of_the_node_or_rejected_by_name() {
+    let mut fdu = container();
+    fdu["interfaces"] = json!([{ "name": "eth0", "is_mgmt": false, "if_type": "INTERNAL", "cp_id": "cp1",
+        "virtual_interface": { "intf_type": "VIRTIO", "vpci": "0:0:0", "bandwidth": 10 } }]);
+    fdu["connection_points"] = json!([{ "id": "cp1", "name": "cp", "cp_type": "VPORT", "vld_ref": "net" }]);
+    assert_eq!(read(&fdu).unwrap().network.as_deref(), Some("net"));
+    let mut alone = fdu.clone();
+    (alone["interfaces"][0]["cp_id"], alone["connection_points"]) = (Value::Null, json!([]));
+    alone["interfaces"][0]["if_type"] = "EXTERNAL".into();
+    assert_eq!(read(&alone).unwrap().network, None);
+    for (pointer, value, named) in [
+        ("/interfaces/0/name", json!("eth1"), "`interfaces.name` is `eth1`"),
+        ("/interfaces/0/is_mgmt", json!(true), "`interfaces.is_mgmt`"),
+        ("/interfaces/0/if_type", json!("WLAN"), "`interfaces.if_type` is `WLAN`"),
+        ("/interfaces/0/virtual_interface/intf_type", json!("BRIDGED"), "`virtual_interface.intf_type`"),
+        ("/interfaces/0/cp_id", json!("cp2"), "`connection_points`"),
+        ("/connection_points", json!([]), "`interfaces.cp_id` is `cp1`"),
+        ("/connection_points/0/id", json!("cp2"), "`connection_points`"),
+    ] {
+        let mut other = fdu.clone();
+        *other.pointer_mut(pointer).unwrap() = value;
+        let error = read(&other).unwrap_err().to_string();
+        assert!(error.contains(named), "{pointer}: {error}");
+    }
+    for (at, key, value) in [
+        ("/interfaces/0", "mac_address", json!("be:ef:be:ef:00:01")),
+        ("/interfaces/0", "ext_cp_id", json!("cp9")),
+        ("/connection_points/0", "port_security_enabled", json!(true)),
+        ("/connection_points/0", "vld_ref", json!("../net")),
+        ("/connection_points/0", "pair_id", json!("net")),
+    ] {
+        let mut other = fdu.clone();
+        other.pointer_mut(at).unwrap()[key] = value;
+        assert!(read(&other).unwrap_err().to_string().contains(key), "{key}");
+    }
+    let first = fdu["interfaces"][0].clone();
+    fdu["interfaces"].as_array_mut().unwrap().push(first);
+    assert!(read(&fdu).unwrap_err().to_string().contains("`interfaces`"));
 }
 
 #[test]

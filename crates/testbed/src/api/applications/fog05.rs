@@ -6,11 +6,12 @@ use axum::{
     Json, Router,
     body::Bytes,
     extract::{Path, State},
+    http::StatusCode,
     middleware,
     response::{IntoResponse, Response},
     routing::{get, post, put},
 };
-use cotorra_lifecycle::{Descriptor, LifecycleError, fog05};
+use cotorra_lifecycle::{Descriptor, LifecycleError, Network, NetworkDescriptor, fog05};
 use serde_json::{Value, json};
 
 use super::{
@@ -49,8 +50,14 @@ pub(super) fn router(served: Served, gate: Gate) -> Router {
         .route("/fdu/instances/{instance}/start", post(start))
         .route("/fdu/instances/{instance}/stop", post(stop))
         .route("/fdu/instances/{instance}/migrate/{node}", post(migrate))
-        // There are none: networks are the testbed file's, and images those of registries.
-        .route("/network/list", get(nothing))
+        .route("/fdu/instances/{instance}/pause", post(unpausable))
+        .route("/fdu/instances/{instance}/resume", post(unpausable))
+        // fog05 has the output in its Python API only.
+        .route("/fdu/instances/{instance}/log", get(log))
+        .route("/network/list", get(networks))
+        .route("/networks/{network}/info", get(network).put(add_network).delete(remove_network))
+        .route("/nodes/{node}/network/{network}/info", put(connect).delete(disconnect))
+        // There are none: images are those of registries.
         .route("/images/list", get(nothing))
         .route("/flavors/list", get(nothing))
         .fallback(not_served)
@@ -60,9 +67,9 @@ pub(super) fn router(served: Served, gate: Gate) -> Router {
 }
 
 async fn not_served() -> Rejected {
-    let reason = "this is not served here: of fog05 v0.2 there are nodes and FDUs, which are defined, configured, \
-                  started, migrated, stopped, cleaned and undefined; see docs/lifecycle.md";
-    Rejected { status: axum::http::StatusCode::NOT_FOUND, reason: reason.to_owned() }
+    let reason = "this is not served here: of fog05 v0.2 there are nodes, networks and FDUs, which are defined, \
+                  configured, started, migrated, stopped, cleaned and undefined; see docs/lifecycle.md";
+    Rejected { status: StatusCode::NOT_FOUND, reason: reason.to_owned() }
 }
 
 async fn nothing() -> Json<Value> {
@@ -196,6 +203,16 @@ async fn start(State(served): State<Served>, asked: Asked, Path(id): Path<String
     to_the_end(async move { served.start(&asked, &id, &env, REASON).await.map(|()| Json(id.into())) }).await
 }
 
+async fn unpausable() -> Rejected {
+    let reason = "a VNF cannot be paused or resumed: stop it, and start it again";
+    Rejected { status: StatusCode::NOT_IMPLEMENTED, reason: reason.to_owned() }
+}
+
+/// Returns the end of what an instance wrote since its last start.
+async fn log(State(served): State<Served>, asked: Asked, Path(id): Path<String>) -> Answer {
+    Ok(Json(served.output(&asked, &id).await?.into()))
+}
+
 async fn stop(State(served): State<Served>, asked: Asked, Path(id): Path<String>) -> Answer {
     to_the_end(async move { served.stop(&asked, &id, REASON).await.map(|()| Json(id.into())) }).await
 }
@@ -239,4 +256,62 @@ async fn fdus_of_node(State(served): State<Served>, asked: Asked, Path(node): Pa
     let here = all.instances(asked.viewer()).filter(|instance| instance.node.as_ref() == Some(node));
     let fdus: std::collections::BTreeSet<_> = here.map(|instance| instance.descriptor.as_str()).collect();
     Ok(Json(json!(fdus)))
+}
+
+async fn networks(State(served): State<Served>, asked: Asked) -> Json<Value> {
+    Json(served.all().networks(asked.viewer()).map(Network::record).collect())
+}
+
+async fn network(State(served): State<Served>, asked: Asked, Path(network): Path<String>) -> Answer {
+    Ok(Json(served.all().network(asked.viewer(), &network)?.record()))
+}
+
+/// Reads the descriptor of a network, whose identifier is that of the path.
+fn read_network(body: &[u8], uuid: &str) -> Result<NetworkDescriptor, LifecycleError> {
+    let descriptor = NetworkDescriptor::read(body)?;
+    if descriptor.uuid != uuid {
+        let own = descriptor.uuid;
+        let reason = format!("the descriptor's `uuid` is `{own}`, and the path's is `{uuid}`");
+        return Err(LifecycleError::Invalid(reason));
+    }
+    Ok(descriptor)
+}
+
+async fn add_network(
+    State(served): State<Served>,
+    asked: Asked,
+    Path(network): Path<String>,
+    body: Bytes,
+) -> Answer {
+    let descriptor = read_network(&body, &network)?;
+    Ok(Json(served.all().add_network(asked.viewer(), descriptor)?.record()))
+}
+
+async fn remove_network(State(served): State<Served>, asked: Asked, Path(network): Path<String>) -> Answer {
+    served.all().remove_network(asked.viewer(), &network)?;
+    Ok(Json(network.into()))
+}
+
+/// Adds a network to a node. A descriptor in the body is added to the catalog first.
+async fn connect(
+    State(served): State<Served>,
+    asked: Asked,
+    Path((node, network)): Path<(String, String)>,
+    body: Bytes,
+) -> Answer {
+    let node = served.node(&asked, &node)?.id.clone();
+    let mut all = served.all();
+    if !body.is_empty() {
+        all.add_network(asked.viewer(), read_network(&body, &network)?)?;
+    }
+    Ok(Json(all.connect(asked.viewer(), &network, node)?.record()))
+}
+
+async fn disconnect(
+    State(served): State<Served>,
+    asked: Asked,
+    Path((node, network)): Path<(String, String)>,
+) -> Answer {
+    let node = &served.node(&asked, &node)?.id;
+    Ok(Json(served.all().disconnect(asked.viewer(), &network, node)?.record()))
 }

@@ -92,6 +92,77 @@ fn fdu() -> String {
     .to_string()
 }
 
+fn net() -> String {
+    json!({ "uuid": "n1", "name": "net", "net_type": "ELAN", "is_mgmt": false }).to_string()
+}
+
+#[test]
+fn networks_are_added_to_nodes_and_removed_over_the_routes_of_fog05() {
+    let all = Applications::serve();
+    let record = all.ok("PUT /fog05/networks/n1/info", &net());
+    assert_eq!(record["ip_configuration"]["subnet"], "10.77.0.0/16");
+    assert_eq!(all.ok("GET /fog05/network/list", ""), json!([record]));
+    assert_eq!(all.ok("GET /fog05/networks/n1/info", ""), record);
+    // By its descriptor, as the first of its kind, and by its identifier.
+    let other = net().replace("n1", "n2");
+    let at_left = all.ok("PUT /fog05/nodes/left/network/n2/info", &other);
+    assert_eq!(at_left["properties"]["nodes"], json!(["left"]));
+    let at_both = all.ok("PUT /fog05/nodes/right/network/n2/info", "");
+    assert_eq!(at_both["properties"]["nodes"], json!(["left", "right"]));
+    let at_right = all.ok("DELETE /fog05/nodes/left/network/n2/info", "");
+    assert_eq!(at_right["properties"]["nodes"], json!(["right"]));
+    assert_eq!(all.ask(OPERATOR, "DELETE /fog05/nodes/left/network/n2/info", "").0, 409);
+    assert_eq!(all.ask(ONE, "GET /fog05/network/list", "").1, json!([]));
+    assert_eq!(all.ask(ONE, "DELETE /fog05/networks/n2/info", "").0, 404);
+    let connected = fdu().replace(
+        r#""interfaces":[]"#,
+        r#""interfaces":[{"name":"eth0","if_type":"INTERNAL","virtual_interface":{"intf_type":"VIRTIO"},"cp_id":"c"}]"#,
+    );
+    let connected =
+        connected.replace(r#""connection_points":[]"#, r#""connection_points":[{"id":"c","vld_ref":"n2"}]"#);
+    all.ok("PUT /fog05/fdu/one/info", &connected);
+    let instance = all.ok("PUT /fog05/nodes/right/one/define", "")["uuid"].as_str().unwrap().to_owned();
+    let (status, answer) = all.ask(OPERATOR, "DELETE /fog05/networks/n2/info", "");
+    assert!(status == 409 && answer["error"].as_str().unwrap().contains(&instance), "{answer}");
+    all.ok(&format!("DELETE /fog05/fdu/instances/{instance}/info"), "");
+    all.ok("DELETE /fog05/networks/n2/info", "");
+    assert_eq!(all.ok("GET /fog05/network/list", ""), json!([record]));
+}
+
+#[test]
+fn the_log_is_the_end_of_what_the_instance_itself_wrote() {
+    let all = Applications::serve();
+    all.ok("PUT /fog05/fdu/one/info", &fdu());
+    let instance = all.ok("PUT /fog05/nodes/left/one/define", "")["uuid"].as_str().unwrap().to_owned();
+    let step = |name: &str| all.ok(&format!("POST /fog05/fdu/instances/{instance}/{name}"), "");
+    let log = |token| all.ask(token, &format!("GET /fog05/fdu/instances/{instance}/log"), "");
+    step("configure");
+    assert_eq!(log(OPERATOR).0, 409, "it was not started");
+    // A VNF of another had the name that this one will have.
+    let folder = all.served.logs.path().to_owned();
+    let write = |name: &str, text: &str| {
+        let mut file = std::fs::OpenOptions::new();
+        let mut file = file.create(true).append(true).open(folder.join(name)).unwrap();
+        file.write_all(text.as_bytes()).unwrap();
+    };
+    write("detector-2.log", "of another\n");
+    step("start");
+    assert_eq!(all.vnf_of(&instance), "detector-2");
+    assert_eq!(log(OPERATOR), (200, json!("")));
+    write("detector-2.log", "first\n");
+    write("detector-3.log", "of another\n");
+    assert_eq!(log(OPERATOR), (200, json!("first\n")));
+    assert_eq!(log(TWO).0, 404);
+    write("detector-2.log", &"x".repeat(1 << 16));
+    step("stop");
+    // A VNF of another gets the name that this one had.
+    write("detector-2.log", "of another\n");
+    assert_eq!(log(OPERATOR), (200, json!("x".repeat(1 << 16))));
+    step("start");
+    write("detector-3.log", "second\n");
+    assert_eq!(log(OPERATOR), (200, json!("second\n")));
+}
+
 #[test]
 fn an_fdu_goes_through_its_life_over_the_routes_of_fog05() {
     let all = Applications::serve();
@@ -142,8 +213,18 @@ fn invalid_requests_of_fog05_say_what_is_wrong() {
         ("PUT /fog05/nodes/A/one-fdu/define", String::new(), 404, "`A`"),
         ("PUT /fog05/nodes/left/nothing/define", String::new(), 404, "there is no descriptor `nothing`"),
         ("POST /fog05/fdu/instances/x/start", String::new(), 404, "there is no instance `x`"),
-        ("POST /fog05/fdu/instances/x/pause", String::new(), 404, "not served here"),
-        ("PUT /fog05/networks/x/info", "{}".to_owned(), 404, "not served here"),
+        ("POST /fog05/fdu/instances/x/pause", String::new(), 501, "cannot be paused or resumed"),
+        ("GET /fog05/fdu/instances/x/log", String::new(), 404, "there is no instance `x`"),
+        (
+            "PUT /fog05/networks/x/info",
+            net().replace("n1", "n2"),
+            400,
+            "`uuid` is `n2`, and the path's is `x`",
+        ),
+        ("PUT /fog05/networks/n1/info", net().replace("ELAN", "ELINE"), 400, "`net_type` is `ELINE`"),
+        ("PUT /fog05/nodes/left/network/n1/info", String::new(), 404, "there is no network `n1`"),
+        ("PUT /fog05/nodes/A/network/n1/info", net(), 404, "`A`"),
+        ("PUT /fog05/nodes/left/routers/r1/info", String::new(), 404, "not served here"),
     ] {
         let (status, answer) = all.ask(OPERATOR, head, &body);
         assert_eq!(status, expected, "{head}: {answer}");
