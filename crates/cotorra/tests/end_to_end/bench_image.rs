@@ -4,6 +4,8 @@
 use std::{
     fs,
     io::{BufRead as _, BufReader},
+    os::unix::fs::PermissionsExt as _,
+    path::Path,
     process::{Command, Stdio},
 };
 
@@ -11,7 +13,7 @@ use cotorra_graph::EngineKind;
 use cotorra_testing::containers::{BUSYBOX, Containers};
 use tempfile::TempDir;
 
-use crate::harness::{corridor_ending_in, cotorra, kill, stderr, stdout};
+use crate::harness::{corridor_ending_in, cotorra, kill, stderr, stdout, wait_until};
 
 /// Shell script of a web server with one page.
 const SERVER: &str = "echo hello > /tmp/plan; exec httpd -f -p 8080 -h /tmp";
@@ -105,5 +107,48 @@ fn ctrl_c_ends_the_wait_for_a_port_and_leaves_no_container() {
     kill("INT", &child.id().to_string());
     assert!(lines.any(|line| line == "stopped; no container is left"));
     assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(engine.names(), Vec::<String>::new());
+}
+
+/// Runs the benchmark with a program `podman` that does this, in a shell, when it is to start a container for comparison.
+fn killed_in_the_comparison(bench: &mut Command, folder: &Path, script: &str) {
+    let program = folder.join("podman");
+    let script = format!(
+        "#!/bin/sh\nPATH=${{PATH#*:}}\ncase \" $* \" in\n*\" run \"*) {script} ;;\n*) exec podman \"$@\" ;;\nesac\n"
+    );
+    fs::write(&program, script).unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", folder.display(), std::env::var("PATH").unwrap());
+    let ended = bench.env("PATH", path).env("XDG_RUNTIME_DIR", folder).current_dir(folder).status().unwrap();
+    assert!(!ended.success());
+}
+
+#[test]
+fn the_guard_removes_what_a_killed_comparison_starts() {
+    let Some(engine) = Containers::start(EngineKind::Podman) else { return };
+    let folder = TempDir::new().unwrap();
+    let mut command = bench(&engine, &[BUSYBOX, "--runs", "1", "--", "sleep", "1000000"]);
+    command.env_remove(engine.variable().0).envs(engine.settings());
+    // The container comes after the benchmark is dead.
+    let script = r#"kill -KILL $PPID; podman "$@" && touch started"#;
+    killed_in_the_comparison(&mut command, folder.path(), script);
+    wait_until(|| folder.path().join("started").exists() && engine.names().is_empty());
+    let records = folder.path().join("cotorra-containers");
+    wait_until(|| fs::read_dir(&records).unwrap().next().is_none());
+}
+
+#[test]
+fn a_comparison_that_was_killed_with_its_guard_is_cleaned_up_later() {
+    let Some(engine) = Containers::start(EngineKind::Podman) else { return };
+    let folder = TempDir::new().unwrap();
+    let mut command = bench(&engine, &[BUSYBOX, "--runs", "1", "--", "sleep", "1000000"]);
+    let guards =
+        "for child in $(cat /proc/$PPID/task/*/children); do [ $child = $$ ] || kill -KILL $child; done";
+    let script = format!(r#"podman "$@"; {guards}; kill -KILL $PPID"#);
+    killed_in_the_comparison(&mut command, folder.path(), &script);
+    let names = engine.names();
+    assert!(names.len() == 1 && names[0].starts_with("cotorra-bench-"), "{names:?}");
+    let cleaned = cotorra(["clean"]).env("XDG_RUNTIME_DIR", folder.path()).output().unwrap();
+    assert!(cleaned.status.success(), "{}", stderr(&cleaned));
     assert_eq!(engine.names(), Vec::<String>::new());
 }

@@ -6,6 +6,7 @@ use std::{
     fs::{File, OpenOptions},
     io::{self, Write as _},
     path::PathBuf,
+    process::Stdio,
     rc::Rc,
     sync::{Arc, Weak, mpsc as events},
     thread,
@@ -25,7 +26,7 @@ use crate::{
     holder::Holders,
     instance::Instance,
     leftovers::{self, Marker},
-    spec::{Network, Spec},
+    spec::{Network, RUN, Spec},
 };
 
 /// What containers find around them, as far as it depends on the testbed.
@@ -77,9 +78,13 @@ pub struct ContainerEngine {
     /// `None` once it is shut down.
     commands: Option<mpsc::UnboundedSender<Command>>,
     events: events::Receiver<EngineEvent>,
-    thread: Option<thread::JoinHandle<()>>,
+    /// It returns the record, whose lock it holds.
+    thread: Option<thread::JoinHandle<Arc<Marker>>>,
     surroundings: Arc<dyn Surroundings>,
     logs: PathBuf,
+    label: String,
+    /// `None` once the engine is shut down.
+    guard: Option<Guard>,
     instances: BTreeMap<InstanceId, Known>,
 }
 
@@ -120,6 +125,7 @@ impl ContainerEngine {
     /// The error of the system if there can be no thread, no guard or no record of the containers.
     pub fn new(settings: Settings, surroundings: Arc<dyn Surroundings>) -> io::Result<Self> {
         let marker = Marker::create(settings.kind, &settings.address)?;
+        let label = format!("{RUN}={}", marker.run());
         let guard = settings.guard.as_ref().map(|command| Guard::start(command, &marker, &settings.logs));
         let guard = guard.transpose()?;
         let (commands, inbox) = mpsc::unbounded_channel();
@@ -128,13 +134,21 @@ impl ContainerEngine {
         let (logs, around) = (settings.logs.clone(), Arc::clone(&surroundings));
         let thread = thread::Builder::new().name(settings.kind.name().to_owned()).spawn(move || {
             let (daemon, holders, is_last) = (Mutex::default(), Holders::default(), Cell::new(false));
-            let tasks =
-                Rc::new(Tasks { settings, surroundings: around, marker, report, daemon, holders, is_last });
+            let marker = Arc::new(marker);
+            let tasks = Rc::new(Tasks {
+                settings,
+                surroundings: around,
+                marker: Arc::clone(&marker),
+                report,
+                daemon,
+                holders,
+                is_last,
+            });
             if LocalSet::new().block_on(&runtime, Rc::clone(&tasks).serve(inbox)) {
                 // The guard has nothing to do.
-                tasks.marker.remove();
+                marker.remove();
             }
-            drop(guard);
+            marker
         })?;
         Ok(Self {
             commands: Some(commands),
@@ -142,8 +156,24 @@ impl ContainerEngine {
             thread: Some(thread),
             surroundings,
             logs,
+            label,
+            guard,
             instances: BTreeMap::new(),
         })
+    }
+
+    /// Returns the label of the run's containers, as `NAME=VALUE`. All containers with it are removed with the run's.
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+
+    /// Returns the standard input for a program that creates containers with [`Self::label`]. If this process is killed, the
+    /// guard waits for that program before it removes them.
+    ///
+    /// # Errors
+    /// The error of the system.
+    pub fn lifeline(&self) -> io::Result<Stdio> {
+        self.guard.as_ref().map_or_else(|| Ok(Stdio::null()), Guard::lifeline)
     }
 
     /// Returns the number of instances that were stopped and have not ended yet. The owner is woken when one has.
@@ -197,9 +227,10 @@ impl Engine for ContainerEngine {
 
     fn shut_down(&mut self) {
         self.commands = None;
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        let record = self.thread.take().map(thread::JoinHandle::join);
+        // It removes what the thread could not.
+        self.guard = None;
+        drop(record);
     }
 }
 
@@ -213,7 +244,7 @@ impl Drop for ContainerEngine {
 struct Tasks {
     settings: Settings,
     surroundings: Arc<dyn Surroundings>,
-    marker: Marker,
+    marker: Arc<Marker>,
     report: events::Sender<EngineEvent>,
     /// The engine, once it answered.
     daemon: Mutex<Option<Daemon>>,

@@ -3,7 +3,7 @@
 use std::{
     fs::{self, OpenOptions},
     io::{self, Read as _},
-    os::unix::process::CommandExt as _,
+    os::{fd::AsFd as _, unix::process::CommandExt as _},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     sync::mpsc::{self, RecvTimeoutError},
@@ -39,6 +39,12 @@ impl Guard {
             .stderr(log)
             .spawn()?;
         Ok(Self(guard))
+    }
+
+    /// Returns another end of its lifeline. It removes nothing while one is open.
+    pub(crate) fn lifeline(&self) -> io::Result<Stdio> {
+        let lifeline = self.0.stdin.as_ref().ok_or(io::ErrorKind::BrokenPipe)?;
+        lifeline.as_fd().try_clone_to_owned().map(Stdio::from)
     }
 }
 

@@ -6,25 +6,32 @@ use std::{
     process::{self, Command, Stdio},
 };
 
+use cotorra_containers::ContainerEngine;
+
 use super::{EngineWord, ImageArgs, times::Times};
 
-/// Measures starts of the image by `podman run -d` or `docker run -d`, while `goes_on`, which gets each start's number.
+/// Measures starts of the image by `podman run -d` or `docker run -d`, while `goes_on`, which gets each start's number. The
+/// containers have the label of a run.
 ///
 /// # Errors
 /// The reason for which there are none, for people.
 #[allow(clippy::disallowed_types, reason = "real containers take real time")]
-pub fn starts(args: &ImageArgs, goes_on: impl Fn(u16) -> bool) -> Result<Times, String> {
+pub fn starts(
+    args: &ImageArgs,
+    run: &ContainerEngine,
+    goes_on: impl Fn(u16) -> bool,
+) -> Result<Times, String> {
     let mut series = Vec::new();
     // The first one is not counted, as with cotorra.
-    for run in 0..=args.runs {
-        if !goes_on(run.max(1)) {
+    for number in 0..=args.runs {
+        if !goes_on(number.max(1)) {
             break;
         }
-        let container = Container(args.engine, format!("cotorra-bench-{}-{run}", process::id()));
+        let container = Container(args.engine, format!("cotorra-bench-{}-{number}", process::id()));
         let began = std::time::Instant::now();
-        container.start(args)?;
+        container.start(args, run)?;
         let took = began.elapsed();
-        if run > 0 {
+        if number > 0 {
             series.push(took);
         }
     }
@@ -35,9 +42,11 @@ pub fn starts(args: &ImageArgs, goes_on: impl Fn(u16) -> bool) -> Result<Times, 
 struct Container(EngineWord, String);
 
 impl Container {
-    fn start(&self, args: &ImageArgs) -> Result<(), String> {
+    /// Starts it as one of the containers of a run, which are removed with it.
+    fn start(&self, args: &ImageArgs, run: &ContainerEngine) -> Result<(), String> {
         let mut command = client(self.0);
         command.args(["run", "-d", "--pull", "never", "--network", "none", "--name", &self.1]);
+        command.args(["--label", run.label()]).stdin(run.lifeline().map_err(|error| error.to_string())?);
         let own = fs::read_to_string("/proc/self/limits").unwrap_or_default();
         let limits = [("nofile", "Max open files", 1 << 16), ("nproc", "Max processes", 1 << 14)];
         // The engine's own may exceed what it may set. cotorra's containers have these, too.

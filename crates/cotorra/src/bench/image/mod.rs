@@ -250,8 +250,7 @@ fn measure(
             return Ok(None);
         }
     }
-    drop(node);
-    let bare = bare::starts(args, |run| {
+    let bare = bare::starts(args, node.engine(), |run| {
         progress.set_message(format!("start {run} of {} without cotorra", args.runs));
         !interrupt.is_raised()
     });

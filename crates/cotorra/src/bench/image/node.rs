@@ -95,6 +95,11 @@ impl Node {
         Ok(Self { engine, around, folder: folder.to_owned(), last: InstanceId(0) })
     }
 
+    /// Returns the engine, by whose guard containers of others can be removed, too.
+    pub fn engine(&self) -> &ContainerEngine {
+        &self.engine
+    }
+
     pub fn namespace(&self) -> &Namespace {
         &self.around.namespace
     }
