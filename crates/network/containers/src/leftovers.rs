@@ -1,7 +1,7 @@
 //! Records of runs with containers, by which those of killed runs are found and removed.
 //!
 //! A run holds a lock on its record. The kernel releases it when the process ends, however it ends: a record without a lock is
-//! that of a dead process.
+//! that of a dead process. A new record has another name until it is locked and complete.
 
 use std::{
     env,
@@ -26,6 +26,8 @@ use crate::{
 const FOLDER: &str = "cotorra-containers";
 /// Ending of the name of the folder beside a record, in which podman serves the process.
 const SERVICE: &str = "service";
+/// Ending of the name of a record that is not complete.
+const NEW: &str = "new";
 /// Attempts to connect to a service that was just started.
 const ATTEMPTS: u32 = 16;
 
@@ -41,18 +43,29 @@ pub(crate) struct Marker {
 impl Marker {
     /// Creates and locks a record of containers of this process.
     pub(crate) fn create(kind: EngineKind, address: &Address) -> io::Result<Self> {
+        Self::create_in(&folder()?, kind, address)
+    }
+
+    fn create_in(folder: &Path, kind: EngineKind, address: &Address) -> io::Result<Self> {
         // A later process with the same ID has other containers.
         let random = RandomState::new().hash_one(0) as u32;
         let run = format!("{}-{}-{random:08x}", kind.name(), process::id());
-        let path = folder()?.join(&run);
-        let mut file = File::create_new(&path)?;
-        file.try_lock().map_err(io::Error::from)?;
+        let path = folder.join(&run);
+        let new = path.with_extension(NEW);
         let address = match address {
             Address::Socket(socket) => socket.to_string_lossy().into_owned(),
             Address::Service => String::new(),
         };
-        writeln!(file, "{run}\n{address}")?;
-        Ok(Self { path, run, _lock: file })
+        loop {
+            let mut file = File::create_new(&new)?;
+            file.lock()?;
+            writeln!(file, "{run}\n{address}")?;
+            match fs::rename(&new, &path) {
+                // Somebody cleaned up before it was locked.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                renamed => return renamed.map(|()| Self { path, run, _lock: file }),
+            }
+        }
     }
 
     /// Returns the label of its containers.
@@ -179,9 +192,9 @@ pub(crate) fn remove_run(path: &Path) -> io::Result<usize> {
     Ok(removed)
 }
 
-/// Returns the records of dead processes.
-fn stale() -> Vec<PathBuf> {
-    let folders = places().into_iter().filter(|folder| is_ours(folder));
+/// Returns the records of dead processes in these folders, the complete ones and the others.
+fn stale(folders: &[PathBuf]) -> (Vec<PathBuf>, Vec<PathBuf>) {
+    let folders = folders.iter().filter(|folder| is_ours(folder));
     let paths = folders.flat_map(fs::read_dir).flatten().flatten().map(|entry| entry.path());
     let is_stale = |path: &PathBuf| {
         path.is_file()
@@ -189,7 +202,7 @@ fn stale() -> Vec<PathBuf> {
     };
     let mut stale: Vec<_> = paths.filter(is_stale).collect();
     stale.sort();
-    stale
+    stale.into_iter().partition(|path| path.extension().is_none_or(|ending| ending != NEW))
 }
 
 /// Removed containers, and what could not be removed.
@@ -203,13 +216,24 @@ pub struct Cleaned {
 
 /// Returns the killed runs that may have containers left, by the label of these.
 pub fn leftovers() -> Vec<String> {
-    stale().iter().filter_map(|path| Some(Record::read(path).ok()?.run)).collect()
+    let (records, _) = stale(&places());
+    records.iter().filter_map(|path| Some(Record::read(path).ok()?.run)).collect()
 }
 
 /// Removes the containers of killed runs.
 pub fn clean() -> Cleaned {
+    clean_in(&places())
+}
+
+fn clean_in(folders: &[PathBuf]) -> Cleaned {
     let mut cleaned = Cleaned::default();
-    for path in stale() {
+    let (records, incomplete) = stale(folders);
+    // Their processes had no containers yet.
+    cleaned.kept.extend(incomplete.iter().filter_map(|path| {
+        let error = fs::remove_file(path).err().filter(|error| error.kind() != io::ErrorKind::NotFound)?;
+        Some(format!("{}: {error}", path.display()))
+    }));
+    for path in records {
         let run = Record::read(&path).map_or_else(|_| path.display().to_string(), |record| record.run);
         match remove_run(&path) {
             Ok(containers) => cleaned.runs.push((run, containers)),
@@ -220,4 +244,52 @@ pub fn clean() -> Cleaned {
         }
     }
     cleaned
+}
+
+#[cfg(test)]
+mod tests {
+    use rustix::fs::inotify::{self, CreateFlags, Reader, WatchFlags};
+
+    use super::*;
+
+    fn folder_of_records() -> tempfile::TempDir {
+        let private = std::os::unix::fs::PermissionsExt::from_mode(0o700);
+        tempfile::Builder::new().permissions(private).tempdir().unwrap()
+    }
+
+    #[test]
+    fn a_record_has_its_lock_and_its_content_before_its_name() {
+        let folder = folder_of_records();
+        let watch = inotify::init(CreateFlags::NONBLOCK).unwrap();
+        let seen = WatchFlags::CREATE | WatchFlags::MODIFY | WatchFlags::MOVED_TO;
+        inotify::add_watch(&watch, folder.path(), seen).unwrap();
+        let marker = Marker::create_in(folder.path(), EngineKind::Docker, &Address::Service).unwrap();
+        let (mut buffer, mut steps) = ([std::mem::MaybeUninit::uninit(); 4096], Vec::new());
+        let mut events = Reader::new(&watch, &mut buffer);
+        while let Ok(event) = events.next() {
+            if event.file_name().unwrap().to_str().unwrap() == marker.run {
+                steps.push(event.events().bits());
+            }
+        }
+        assert_eq!(steps, [inotify::ReadFlags::MOVED_TO.bits()]);
+        assert_eq!(Record::read(&marker.path).unwrap().run, marker.run);
+        let folders = [folder.path().to_owned()];
+        assert_eq!(stale(&folders), (vec![], vec![]));
+        let path = marker.path.clone();
+        drop(marker);
+        assert_eq!(stale(&folders), (vec![path], vec![]));
+    }
+
+    #[test]
+    fn records_that_were_not_completed_are_removed_unless_their_process_lives() {
+        let folder = folder_of_records();
+        let [dead, alive] = ["dead", "alive"].map(|name| folder.path().join(name).with_extension(NEW));
+        File::create(&dead).unwrap();
+        let lock = File::create(&alive).unwrap();
+        lock.lock().unwrap();
+        let folders = [folder.path().to_owned()];
+        assert_eq!(stale(&folders), (vec![], vec![dead.clone()]));
+        assert_eq!(clean_in(&folders), Cleaned::default());
+        assert_eq!((dead.exists(), alive.exists()), (false, true));
+    }
 }
