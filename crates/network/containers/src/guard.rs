@@ -11,6 +11,8 @@ use std::{
     time::Duration,
 };
 
+use cotorra_engine::Backoff;
+
 use crate::{
     address::Address,
     leftovers::{Marker, Record, remove_run, service_folder},
@@ -78,14 +80,27 @@ pub fn guard(record: &Path) -> io::Result<()> {
 }
 
 /// Serves podman until the run ends, and starts it again if it dies.
+#[allow(clippy::disallowed_types, reason = "a real process runs in real time")]
 fn serve(folder: &Path, ended: &mpsc::Receiver<()>) -> io::Result<()> {
-    let mut service = Service::start(folder)?;
-    while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(CHECK_INTERVAL) {
-        if service.has_ended() {
-            service = Service::start(folder)?;
+    let mut backoff = Backoff::default();
+    loop {
+        let mut service = Service::start(folder)?;
+        let started = std::time::Instant::now();
+        while !service.has_ended() {
+            if has_ended_within(ended, CHECK_INTERVAL) {
+                return Ok(());
+            }
+        }
+        backoff.ran(started.elapsed());
+        if has_ended_within(ended, backoff.delay()) {
+            return Ok(());
         }
     }
-    Ok(())
+}
+
+/// Waits for the end of the run. Returns whether it ended within a time.
+fn has_ended_within(ended: &mpsc::Receiver<()>, time: Duration) -> bool {
+    ended.recv_timeout(time) != Err(RecvTimeoutError::Timeout)
 }
 
 /// podman's service, which serves its interface at a socket. Dropping it ends it; containers go on.

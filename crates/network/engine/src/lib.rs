@@ -3,6 +3,7 @@
 //! Network Control decides what runs where. An engine starts and stops instances, and reports what became of them.
 #![forbid(unsafe_code)]
 
+mod backoff;
 mod cgroup;
 #[cfg(feature = "contract")]
 pub mod contract;
@@ -11,6 +12,7 @@ mod environment;
 mod memory;
 mod process;
 
+pub use backoff::Backoff;
 pub use cgroup::{CgroupError, Cgroups};
 pub use engine::{Engine, EngineEvent, InstanceId, Outcome};
 pub use environment::{program_of, program_of_others};

@@ -4,17 +4,10 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome};
+use cotorra_engine::{Backoff, Engine, EngineEvent, InstanceId, Outcome};
 use cotorra_graph::{
     Event, HardwareGraph, NodeId, Nodes, Placement, Program, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
 };
-
-/// Delay of the first restart of a VNF that died. Each further delay is twice as long.
-const FIRST_BACKOFF: Duration = Duration::from_millis(100);
-/// Longest delay of a restart.
-const LONGEST_BACKOFF: Duration = Duration::from_secs(5);
-/// Running time after which a VNF's next restart has the first delay again.
-const HEALTHY_AFTER: Duration = Duration::from_secs(10);
 
 /// Time from the last packets sent to an instance until it stops. It exceeds any robot's timeout for answers, 0.6 s for a
 /// TurtleBot 2.
@@ -110,7 +103,7 @@ struct Slot {
     is_leaving: bool,
     /// Time of its restart, after it died.
     restart_at: Option<Timestamp>,
-    backoff: Duration,
+    backoff: Backoff,
 }
 
 impl Slot {
@@ -123,7 +116,7 @@ impl Slot {
             is_placed: false,
             is_leaving: false,
             restart_at: None,
-            backoff: FIRST_BACKOFF,
+            backoff: Backoff::default(),
         }
     }
 
@@ -145,8 +138,7 @@ impl Slot {
     }
 
     fn restart(&mut self, now: Timestamp) {
-        self.restart_at = Some(now + self.backoff);
-        self.backoff = (self.backoff * 2).min(LONGEST_BACKOFF);
+        self.restart_at = Some(now + self.backoff.delay());
     }
 }
 
@@ -559,9 +551,7 @@ impl<E: Engine> Vim<E> {
             }
             Outcome::Died(detail) | Outcome::Failed(detail) if is(&slot.current) => {
                 let died = slot.current.take()?;
-                if now.since(died.since) >= HEALTHY_AFTER {
-                    slot.backoff = FIRST_BACKOFF;
-                }
+                slot.backoff.ran(now.since(died.since));
                 events.push(life(&died.node, VnfState::Died, Some(detail)));
                 // Restarts it unless a starting instance replaces it.
                 if slot.next.is_none() && !slot.is_leaving {
@@ -570,7 +560,7 @@ impl<E: Engine> Vim<E> {
             }
             Outcome::Died(detail) | Outcome::Failed(detail) => {
                 let failed = slot.next.take()?;
-                if slot.backoff == FIRST_BACKOFF {
+                if slot.backoff.is_first() {
                     tracing::warn!("VNF `{vnf}` does not start on `{}`: {detail}", failed.node);
                 }
                 events.push(life(&failed.node, VnfState::Failed, Some(detail)));

@@ -207,11 +207,11 @@ fn a_vnf_that_dies_restarts_with_growing_delays() {
     }
     assert_eq!(waits, [100, 200, 400, 800, 1600, 3200, 5000, 5000]);
     // A long run resets the delay.
-    now = now + HEALTHY_AFTER;
+    now = now + Backoff::HEALTHY_AFTER;
     let (instance, ..) = vim.engine.running().find(|(_, vnf, _)| vnf.as_str() == "moving").unwrap();
     vim.engine.kill(instance, "killed by the test");
     vim.poll(now);
-    assert_eq!(vim.next_deadline().unwrap().since(now), FIRST_BACKOFF);
+    assert_eq!(vim.next_deadline().unwrap().since(now), Backoff::FIRST);
 }
 
 /// Four servers with room for one instance each, and a VNF on `nodes`.
@@ -259,7 +259,7 @@ fn a_vnf_has_one_instance_per_node_which_restarts_there() {
     assert_eq!(kill_on(&mut vim, "b"), ["Died b"]);
     assert_eq!((serving(&vim).as_str(), vim.all_ready()), ("a", false));
     let due = vim.next_deadline().unwrap();
-    assert_eq!(due, Timestamp::ZERO + FIRST_BACKOFF);
+    assert_eq!(due, Timestamp::ZERO + Backoff::FIRST);
     vim.poll(due);
     assert_eq!(order(&vim.poll(due)), ["Started b", "placed b, a"]);
     assert_eq!(serving(&vim), "ba");
