@@ -1,6 +1,6 @@
 //! The engine's interface, as far as containers of VNFs need it: HTTP over a Unix socket, as Docker and podman serve it.
 
-use std::{collections::HashMap, path::Path, time::Duration};
+use std::{cell::Cell, collections::HashMap, path::Path, rc::Rc, time::Duration};
 
 use bollard::{
     API_DEFAULT_VERSION, Docker, body_full,
@@ -16,9 +16,13 @@ use futures_util::{Stream, TryStreamExt as _};
 
 use crate::spec::RUN;
 
-/// Longest time of a request, s. Those that wait for a container have none in practice.
-const TIMEOUT_S: u64 = 120;
-const FOR_EVER: Duration = Duration::from_secs(365 * 24 * 3600);
+/// Longest time of a request until its answer. 50 containers that start at the same time on two cores take 11 s, and podman
+/// waits 10 s for the end of a container that it removes. Output that is followed has no limit: a container may be quiet.
+pub(crate) const ANSWER: Duration = Duration::from_secs(20);
+/// Longest time of a pull without progress. Engines say nothing while they unpack a layer, which can have gigabytes.
+pub(crate) const PULL_PROGRESS: Duration = Duration::from_secs(300);
+/// Limit of the client, which cannot tell requests apart, s.
+const NO_LIMIT_S: u64 = 365 * 24 * 3600;
 /// Time from one attempt to connect to the next.
 const RETRY: Duration = Duration::from_millis(20);
 const LONGEST_RETRY: Duration = Duration::from_secs(1);
@@ -29,6 +33,9 @@ pub(crate) enum DaemonError {
     /// The engine does not answer.
     #[error("the engine does not answer: {0}")]
     Lost(String),
+    /// The engine accepts a request, and hangs.
+    #[error("the engine hangs: it did not answer within {} s", .0.as_secs())]
+    Silent(Duration),
     /// The engine rejects the request.
     #[error("{message}")]
     Rejected {
@@ -43,6 +50,11 @@ impl DaemonError {
     /// Whether the engine has no such container or image.
     pub(crate) fn is_missing(&self) -> bool {
         matches!(self, Self::Rejected { status: 404, .. })
+    }
+
+    /// Whether the engine may answer later.
+    pub(crate) fn is_away(&self) -> bool {
+        matches!(self, Self::Lost(_) | Self::Silent(_))
     }
 }
 
@@ -99,24 +111,38 @@ impl State {
 #[derive(Debug, Clone)]
 pub(crate) struct Daemon {
     docker: Docker,
-    /// Without a timeout, for requests that last as long as a container.
-    patient: Docker,
+    /// Whether it hung at the last request.
+    is_silent: Rc<Cell<bool>>,
 }
 
 impl Daemon {
     /// Connects to the engine at a socket.
     pub(crate) async fn connect(socket: &Path) -> Result<Self, DaemonError> {
         let path = socket.to_string_lossy();
-        let docker = Docker::connect_with_unix(&path, TIMEOUT_S, API_DEFAULT_VERSION)?;
+        let docker = Docker::connect_with_unix(&path, NO_LIMIT_S, API_DEFAULT_VERSION)?;
         // Engines reject versions that are newer than their own.
-        let docker = docker.negotiate_version().await?;
-        let patient = docker.clone().with_timeout(FOR_EVER);
-        Ok(Self { docker, patient })
+        let docker = within(ANSWER, docker.negotiate_version()).await?;
+        Ok(Self { docker, is_silent: Rc::default() })
+    }
+
+    /// Whether it hung at the last request.
+    pub(crate) fn is_silent(&self) -> bool {
+        self.is_silent.get()
+    }
+
+    /// Waits for an answer, within the limit.
+    pub(crate) async fn answer<T, E: Into<DaemonError>>(
+        &self,
+        request: impl Future<Output = Result<T, E>>,
+    ) -> Result<T, DaemonError> {
+        let answer = within(ANSWER, request).await;
+        self.is_silent.set(matches!(answer, Err(DaemonError::Silent(_))));
+        answer
     }
 
     /// Whether the engine has an image.
     pub(crate) async fn has_image(&self, reference: &str) -> Result<bool, DaemonError> {
-        match self.docker.inspect_image(reference).await.map_err(DaemonError::from) {
+        match self.answer(self.docker.inspect_image(reference)).await {
             Ok(_) => Ok(true),
             Err(error) if error.is_missing() => Ok(false),
             Err(error) => Err(error),
@@ -130,8 +156,8 @@ impl Daemon {
         // Without a tag, Docker pulls all tags.
         let options = CreateImageOptionsBuilder::default().from_image(reference);
         let options = if is_digest || has_tag { options } else { options.tag("latest") };
-        let steps = self.patient.create_image(Some(options.build()), None, None);
-        steps.try_for_each(|_| async { Ok(()) }).await?;
+        let mut steps = self.docker.create_image(Some(options.build()), None, None);
+        while within(PULL_PROGRESS, steps.try_next()).await?.is_some() {}
         Ok(())
     }
 
@@ -139,25 +165,23 @@ impl Daemon {
     pub(crate) async fn import(&self, name: &str, tag: &str, tar: Vec<u8>) -> Result<(), DaemonError> {
         let options = CreateImageOptionsBuilder::default().from_src("-").repo(name).tag(tag).build();
         let steps = self.docker.create_image(Some(options), Some(body_full(Bytes::from(tar))), None);
-        steps.try_for_each(|_| async { Ok(()) }).await?;
-        Ok(())
+        self.answer(steps.try_for_each(|_| async { Ok(()) })).await
     }
 
     /// Creates a container.
     pub(crate) async fn create(&self, name: &str, container: ContainerCreateBody) -> Result<(), DaemonError> {
         let options = CreateContainerOptionsBuilder::default().name(name).build();
-        self.docker.create_container(Some(options), container).await?;
-        Ok(())
+        self.answer(self.docker.create_container(Some(options), container)).await.map(drop)
     }
 
     /// Starts a container.
     pub(crate) async fn start(&self, name: &str) -> Result<(), DaemonError> {
-        Ok(self.docker.start_container(name, None).await?)
+        self.answer(self.docker.start_container(name, None)).await
     }
 
     /// Returns the state of a container.
     pub(crate) async fn state(&self, name: &str) -> Result<State, DaemonError> {
-        let found = self.docker.inspect_container(name, None).await?;
+        let found = self.answer(self.docker.inspect_container(name, None)).await?;
         Ok(found.state.map(State::of).unwrap_or_default())
     }
 
@@ -168,20 +192,20 @@ impl Daemon {
         follow: bool,
     ) -> impl Stream<Item = Result<Bytes, DaemonError>> + use<> {
         let options = LogsOptionsBuilder::default().follow(follow).stdout(true).stderr(true).build();
-        let output = self.patient.logs(name, Some(options));
+        let output = self.docker.logs(name, Some(options));
         output.map_ok(|part| part.into_bytes()).map_err(DaemonError::from)
     }
 
     /// Sends a signal to a container's first process.
     pub(crate) async fn signal(&self, name: &str, signal: &str) -> Result<(), DaemonError> {
         let options = KillContainerOptionsBuilder::default().signal(signal).build();
-        Ok(self.docker.kill_container(name, Some(options)).await?)
+        self.answer(self.docker.kill_container(name, Some(options))).await
     }
 
     /// Kills and removes a container. Does nothing if there is none.
     pub(crate) async fn remove(&self, name: &str) -> Result<(), DaemonError> {
         let options = RemoveContainerOptionsBuilder::default().force(true).v(true).build();
-        match self.docker.remove_container(name, Some(options)).await.map_err(DaemonError::from) {
+        match self.answer(self.docker.remove_container(name, Some(options))).await {
             Err(error) if error.is_missing() => Ok(()),
             done => done,
         }
@@ -191,9 +215,17 @@ impl Daemon {
     pub(crate) async fn containers_of(&self, run: &str) -> Result<Vec<String>, DaemonError> {
         let filters = HashMap::from([("label", vec![format!("{RUN}={run}")])]);
         let options = ListContainersOptionsBuilder::default().all(true).filters(&filters).build();
-        let found = self.docker.list_containers(Some(options)).await?;
+        let found = self.answer(self.docker.list_containers(Some(options))).await?;
         Ok(found.into_iter().filter_map(|container| container.id).collect())
     }
+}
+
+/// Waits for an answer within a time.
+async fn within<T, E: Into<DaemonError>>(
+    time: Duration,
+    request: impl Future<Output = Result<T, E>>,
+) -> Result<T, DaemonError> {
+    tokio::time::timeout(time, request).await.map_err(|_| DaemonError::Silent(time))?.map_err(E::into)
 }
 
 /// Delays of attempts: each twice as long as the one before.
@@ -213,3 +245,6 @@ impl Retries {
         self.0 = (self.0 * 2).min(LONGEST_RETRY);
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;

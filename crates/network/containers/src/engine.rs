@@ -21,7 +21,7 @@ use tokio::{
 
 use crate::{
     address::Address,
-    daemon::Daemon,
+    daemon::{ANSWER, Daemon, DaemonError},
     guard::Guard,
     holder::Holders,
     instance::Instance,
@@ -290,9 +290,13 @@ impl Tasks {
         while running.join_next().await.is_some() {}
         // Without an engine there was no container.
         let Some(daemon) = self.daemon.lock().await.take() else { return true };
-        let removed = leftovers::remove_all(&daemon, self.marker.run()).await;
+        let run = self.marker.run();
+        let removed = if daemon.is_silent() {
+            Err(DaemonError::Silent(ANSWER))
+        } else {
+            leftovers::remove_all(&daemon, run).await
+        };
         if let Err(error) = &removed {
-            let run = self.marker.run();
             tracing::warn!("containers of {run} may be left, which `cotorra clean` removes: {error}");
         }
         removed.is_ok()
@@ -352,3 +356,6 @@ impl Tasks {
         Ok(known.insert(daemon).clone())
     }
 }
+
+#[cfg(test)]
+mod tests;

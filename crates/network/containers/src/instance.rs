@@ -10,7 +10,7 @@ use std::{
 use bollard::models::ContainerCreateBody;
 use cotorra_engine::Outcome;
 use cotorra_graph::{ListenPort, Pull};
-use futures_util::StreamExt as _;
+use futures_util::TryStreamExt as _;
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
     fd::OwnedFd,
@@ -62,9 +62,11 @@ impl Instance {
             Err(error) => report(Outcome::Failed(error)),
         }
         let (mut retries, mut last_attempts) = (Retries::default(), 0);
-        while let Err(error) = daemon.remove(&self.name).await {
+        // The run must end, though the engine hangs.
+        while !(is_last.get() && daemon.is_silent()) {
+            let Err(error) = daemon.remove(&self.name).await else { return };
             last_attempts += u32::from(is_last.get());
-            if matches!(error, DaemonError::Rejected { .. }) || last_attempts == LAST_ATTEMPTS {
+            if !error.is_away() || last_attempts == LAST_ATTEMPTS {
                 return tracing::warn!("{} is left: {error}", self.name);
             }
             retries.wait().await;
@@ -132,8 +134,11 @@ impl Instance {
                 }
             }
         };
-        // The engine may be away.
-        let _ = output.finish().await;
+        // An engine that hangs would only take its time again.
+        if state.is_some() || !daemon.is_silent() {
+            // The engine may be away.
+            let _ = output.finish().await;
+        }
         if let Some((state, is_ready)) = state {
             let end = state.end(*memory_bytes);
             report(if is_ready {
@@ -175,7 +180,7 @@ async fn ended(daemon: &Daemon, name: &str) -> State {
             Ok(state) => process = state.process,
             // Somebody removed it.
             Err(error) if error.is_missing() => return State { exit_code: KILLED, ..State::default() },
-            Err(DaemonError::Lost(_)) if process.is_some_and(|process| !is_alive(process)) => {
+            Err(error) if error.is_away() && process.is_some_and(|process| !is_alive(process)) => {
                 return State { exit_code: KILLED, ..State::default() };
             }
             Err(_) => {}
@@ -222,6 +227,9 @@ async fn exit(process: u32) -> io::Result<()> {
 async fn terminate(daemon: &Daemon, name: &str, ended: &mut (impl Future<Output = State> + Unpin)) {
     // It may have ended by itself.
     let _ = daemon.signal(name, "SIGTERM").await;
+    if daemon.is_silent() {
+        return;
+    }
     if tokio::time::timeout(GRACE, &mut *ended).await.is_err() && daemon.signal(name, "SIGKILL").await.is_ok()
     {
         ended.await;
@@ -241,7 +249,7 @@ impl Output<'_> {
     /// Copies until the container ends. When the engine was away, this begins again after what is in the log already.
     async fn follow(&mut self) {
         let mut retries = Retries::default();
-        while let Err(DaemonError::Lost(_)) = self.copy(true).await {
+        while self.copy(true).await.is_err_and(|error| error.is_away()) {
             retries.wait().await;
         }
     }
@@ -254,14 +262,16 @@ impl Output<'_> {
     async fn copy(&mut self, follow: bool) -> Result<(), DaemonError> {
         let mut skipped = self.copied;
         let mut output = std::pin::pin!(self.daemon.output(self.name, follow));
-        while let Some(part) = output.next().await {
-            let part = part?;
+        loop {
+            let next = output.try_next();
+            let Some(part) = (if follow { next.await? } else { self.daemon.answer(next).await? }) else {
+                return Ok(());
+            };
             let old = usize::try_from(skipped).unwrap_or(usize::MAX).min(part.len());
             skipped -= old as u64;
             self.copied += (part.len() - old) as u64;
             // A full disk must not stop the VNF.
             let _ = self.log.write_all(&part[old..]);
         }
-        Ok(())
     }
 }

@@ -46,7 +46,7 @@ impl Marker {
         Self::create_in(&folder()?, kind, address)
     }
 
-    fn create_in(folder: &Path, kind: EngineKind, address: &Address) -> io::Result<Self> {
+    pub(crate) fn create_in(folder: &Path, kind: EngineKind, address: &Address) -> io::Result<Self> {
         // A later process with the same ID has other containers.
         let random = RandomState::new().hash_one(0) as u32;
         let run = format!("{}-{}-{random:08x}", kind.name(), process::id());
@@ -152,10 +152,10 @@ pub(crate) async fn connect(address: &Address, marker: &Marker) -> Result<Daemon
 async fn connect_to_service(socket: &Path) -> Result<Daemon, DaemonError> {
     let mut retries = Retries::default();
     for _ in 1..ATTEMPTS {
-        if let Ok(daemon) = Daemon::connect(socket).await {
-            return Ok(daemon);
+        match Daemon::connect(socket).await {
+            Err(DaemonError::Lost(_)) => retries.wait().await,
+            done => return done,
         }
-        retries.wait().await;
     }
     Daemon::connect(socket).await
 }

@@ -154,12 +154,12 @@ fn limits() -> Vec<ResourcesUlimits> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use cotorra_graph::{Image, Volume};
 
     use super::*;
 
-    fn vnf() -> Vnf {
+    pub(crate) fn vnf() -> Vnf {
         let image = Image {
             reference: "planner:1".to_owned(),
             volumes: vec![

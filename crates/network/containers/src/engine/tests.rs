@@ -1,0 +1,123 @@
+//! Instances of an engine in memory, in virtual time.
+
+use tempfile::TempDir;
+use tokio::{
+    sync::Notify,
+    task::{JoinHandle, spawn_local},
+    time::{Instant, sleep},
+};
+
+use super::*;
+use crate::{
+    daemon::tests::{Answer, at_once, serve, version},
+    spec::tests::vnf,
+};
+
+/// A node in the machine's network.
+#[derive(Default)]
+struct Here(Notify);
+
+impl Surroundings for Here {
+    fn network(&self, _node: &NodeId) -> Result<Network, String> {
+        Ok(Network::Machine)
+    }
+
+    fn wake(&self) {
+        self.0.notify_one();
+    }
+}
+
+struct Lab {
+    commands: mpsc::UnboundedSender<Command>,
+    serving: JoinHandle<bool>,
+    events: events::Receiver<EngineEvent>,
+    here: Arc<Here>,
+    /// Whether the engine hangs.
+    hangs: Rc<Cell<bool>>,
+    folder: TempDir,
+}
+
+impl Lab {
+    fn new() -> Self {
+        let (folder, hangs) = (TempDir::new().unwrap(), Rc::new(Cell::new(false)));
+        let does_hang = Rc::clone(&hangs);
+        let hung = move |request: &str| if does_hang.get() { Answer::new() } else { answer(request) };
+        let (kind, address) = (EngineKind::Podman, Address::Socket(serve(&folder, hung)));
+        let marker = Arc::new(Marker::create_in(folder.path(), kind, &address).unwrap());
+        let logs = folder.path().to_owned();
+        let settings = Settings { kind, address, folder: logs.clone(), logs, guard: None };
+        let (report, events) = events::channel();
+        let here = Arc::new(Here::default());
+        let surroundings: Arc<dyn Surroundings> = Arc::<Here>::clone(&here);
+        let (daemon, holders, is_last) = (Mutex::default(), Holders::default(), Cell::new(false));
+        let tasks = Rc::new(Tasks { settings, surroundings, marker, report, daemon, holders, is_last });
+        let (commands, inbox) = mpsc::unbounded_channel();
+        Self { commands, serving: spawn_local(tasks.serve(inbox)), events, here, hangs, folder }
+    }
+
+    fn start(&self, instance: u64, vnf: Vnf) {
+        let log = File::create(self.folder.path().join("log")).unwrap();
+        let node = vnf.node.first().clone();
+        let wanted = Wanted { vnf, replica: 0, node, network: Network::Machine, log };
+        let start = Command::Start(InstanceId(instance), Box::new(wanted), Arc::new(()));
+        self.commands.send(start).ok().unwrap();
+    }
+
+    async fn next(&self) -> (u64, Outcome) {
+        loop {
+            match self.events.try_recv() {
+                Ok(event) => return (event.instance.0, event.outcome),
+                Err(_) => self.here.0.notified().await,
+            }
+        }
+    }
+}
+
+/// Answers as an engine whose containers are this process.
+fn answer(request: &str) -> Answer {
+    let running = format!(r#"{{"State":{{"Running":true,"Pid":{}}}}}"#, std::process::id());
+    version(request).unwrap_or_else(|| match request {
+        _ if request.contains("/create") => at_once("201 Created", r#"{"Id":"1","Warnings":[]}"#),
+        _ if request.contains("/start") => at_once("204 No Content", ""),
+        _ if request.contains("/json") => at_once("200 OK", &running),
+        // Its output has not begun.
+        _ => Answer::new(),
+    })
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_run_ends_soon_though_its_engine_hangs() {
+    let test = async {
+        let lab = Lab::new();
+        lab.start(1, vnf());
+        assert_eq!(lab.next().await, (1, Outcome::Ready));
+        lab.hangs.set(true);
+        let began = Instant::now();
+        lab.start(2, vnf());
+        let why = "cannot start its container: the engine hangs: it did not answer within 20 s".to_owned();
+        assert_eq!(lab.next().await, (2, Outcome::Failed(why)));
+        assert_eq!(began.elapsed(), ANSWER);
+        // It is to be removed, again and again.
+        sleep(ANSWER * 10).await;
+        let began = Instant::now();
+        drop(lab.commands);
+        assert!(!lab.serving.await.unwrap(), "containers may be left");
+        assert!(began.elapsed() <= ANSWER, "{:?}", began.elapsed());
+    };
+    LocalSet::new().run_until(test).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_engine_that_no_longer_hangs_starts_instances() {
+    let test = async {
+        let lab = Lab::new();
+        lab.hangs.set(true);
+        lab.start(1, vnf());
+        let why = "the engine hangs: it did not answer within 20 s".to_owned();
+        assert_eq!(lab.next().await, (1, Outcome::Failed(why)));
+        lab.hangs.set(false);
+        lab.start(2, vnf());
+        assert_eq!(lab.next().await, (2, Outcome::Ready));
+    };
+    LocalSet::new().run_until(test).await;
+}
