@@ -25,6 +25,9 @@ pub struct Image {
     /// Ports at which it serves. An instance is ready once it listens at all of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub ports: Vec<ListenPort>,
+    /// Whether the engine's init process is the first one of a container. It passes signals on, and reaps processes.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub init: bool,
     /// Time from its start until it serves, in virtual time.
     #[serde(rename = "start_ms", with = "millis", default)]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]

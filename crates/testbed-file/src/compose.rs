@@ -69,8 +69,8 @@ record! {
         cap_add: Vec<Capability> = [],
         /// Whether it is started again when it ends, as cotorra does anyway.
         _restart as "restart": Option<Restart>,
-        /// Whether a small init process reaps the container's processes.
-        _init as "init": bool = false,
+        /// Whether the engine's init process is the container's first one.
+        init: bool = false,
         /// Its node, and its times in virtual time.
         x_cotorra as "x-cotorra": OursRecord = {},
     }
@@ -315,6 +315,7 @@ fn vnf(id: &VnfId, record: &ServiceRecord, folder: &Path, node: &NodeId, sink: &
         volumes: volumes.iter().map(|volume| volume.from(folder)).collect(),
         devices: record.devices.iter().map(|device| device.0.clone()).collect(),
         ports: record.ports.clone(),
+        init: record.init,
         start: record.x_cotorra.start_time,
         processing: record.x_cotorra.processing_delay,
     };
@@ -451,6 +452,7 @@ services:
                 ListenPort { port: 8080, transport: Transport::Tcp },
                 ListenPort { port: 9000, transport: Transport::Udp },
             ],
+            init: true,
             start: Duration::from_secs(2),
             processing: Duration::from_millis(5),
         };

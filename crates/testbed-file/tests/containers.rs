@@ -75,6 +75,7 @@ fn a_vnf_has_an_image_with_its_own_or_other_words() {
             ListenPort { port: 8080, transport: Transport::Tcp },
             ListenPort { port: 9000, transport: Transport::Udp },
         ],
+        init: false,
         start: Duration::from_secs(2),
         processing: Duration::from_millis(5),
     };

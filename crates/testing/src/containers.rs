@@ -23,6 +23,8 @@ pub const BUSYBOX: &str = "localhost/busybox:cotorra";
 /// podman's settings. Its defaults need version 2 of control groups, and systemd.
 const CONTAINERS_CONF: &str =
     "[engine]\nruntime = \"runc\"\ncgroup_manager = \"cgroupfs\"\nevents_logger = \"file\"\n";
+/// The init process of Docker's package, for podman, too.
+const INIT: &str = "docker-init";
 
 /// An engine that serves its interface at a socket. Dropping it ends it, with all containers.
 pub struct Containers {
@@ -48,7 +50,8 @@ impl Containers {
         }
         let engine = Self { kind, folder: tempfile::tempdir().unwrap(), daemon: Mutex::new(None) };
         let folder = engine.folder.path();
-        fs::write(folder.join("containers.conf"), CONTAINERS_CONF).unwrap();
+        let init = program(INIT).map(|path| format!("init_path = {path:?}\n")).unwrap_or_default();
+        fs::write(folder.join("containers.conf"), format!("{CONTAINERS_CONF}{init}")).unwrap();
         let storage = format!(
             "[storage]\ndriver = \"overlay\"\ngraphroot = \"{0}/storage\"\nrunroot = \"{0}/run\"\n",
             folder.display()

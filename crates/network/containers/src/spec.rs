@@ -84,6 +84,7 @@ impl Spec<'_> {
             nano_cpus: Some(((self.vnf.cpus * 1e9) as i64).max(LEAST_CPU_NS)),
             memory: i64::try_from(self.vnf.memory_bytes).ok(),
             memory_swap: i64::try_from(self.vnf.memory_bytes).ok(),
+            init: image.init.then_some(true),
             pids_limit: Some(PROCESSES),
             mounts: Some(volumes.chain(files).collect()),
             devices: Some(devices.collect()),

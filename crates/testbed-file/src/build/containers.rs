@@ -70,6 +70,7 @@ impl Builder<'_> {
             volumes: record.volumes.iter().flat_map(|all| &all.value).map(|v| v.value.clone()).collect(),
             devices: record.devices.iter().flat_map(|all| &all.value).map(|d| d.0.clone()).collect(),
             ports: record.ports.iter().flat_map(|all| &all.value).copied().collect(),
+            init: false,
             start,
             processing,
         }))

@@ -5,7 +5,7 @@ use cotorra_graph::{EngineKind, Image, NodeId, Program, Rights, Vnf};
 
 use crate::lab::Lab;
 
-fn vnf(lab: &Lab, script: &str) -> Vnf {
+pub(crate) fn vnf(lab: &Lab, script: &str) -> Vnf {
     let [node, _] = lab.nodes();
     Vnf {
         id: "service".parse().unwrap(),
@@ -21,7 +21,7 @@ fn vnf(lab: &Lab, script: &str) -> Vnf {
     }
 }
 
-fn next(lab: &Lab, engine: &mut impl Engine) -> EngineEvent {
+pub(crate) fn next(lab: &Lab, engine: &mut impl Engine) -> EngineEvent {
     loop {
         if let Some(event) = engine.poll() {
             return event;

@@ -3,4 +3,5 @@
 
 mod contract;
 mod daemon;
+mod init;
 mod lab;
