@@ -30,6 +30,8 @@ mod going_on;
 mod harness;
 mod history;
 mod history_server;
+#[cfg(all(feature = "agents", feature = "containers"))]
+mod images_at_agent;
 mod interruption;
 mod kill_cycles;
 mod lifecycle;
