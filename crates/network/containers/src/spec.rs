@@ -2,14 +2,13 @@
 
 use std::{
     collections::HashMap,
-    env,
     path::{Path, PathBuf},
 };
 
 use bollard::models::{
     ContainerCreateBody, DeviceMapping, HostConfig, HostConfigLogConfig, Mount, MountType, ResourcesUlimits,
 };
-use cotorra_engine::replica_name;
+use cotorra_engine::{Variable, replica_name};
 use cotorra_graph::{Granted, LinuxCapability, NodeId, Program, Rights, Vnf};
 use rustix::process::{Resource, getrlimit};
 
@@ -84,8 +83,8 @@ impl Spec<'_> {
             nano_cpus: Some(((self.vnf.cpus * 1e9) as i64).max(LEAST_CPU_NS)),
             memory: i64::try_from(self.vnf.memory_bytes).ok(),
             memory_swap: i64::try_from(self.vnf.memory_bytes).ok(),
-            init: image.init.then_some(true),
             pids_limit: Some(PROCESSES),
+            init: image.init.then_some(true),
             mounts: Some(volumes.chain(files).collect()),
             devices: Some(devices.collect()),
             cap_drop: Some(vec!["ALL".to_owned()]),
@@ -115,10 +114,8 @@ pub(crate) fn labels(run: &str, vnf: &str, node: &NodeId) -> HashMap<String, Str
 
 /// Returns the variables of a container: those that its VNF names, then cotorra's.
 fn environment(vnf: &Vnf, replica: u32, node: &NodeId, ours: Vec<(String, String)>) -> Vec<String> {
-    let named = vnf.env.iter().filter_map(|named| match named.split_once('=') {
-        Some(_) => Some(named.clone()),
-        None => env::var(named).ok().map(|value| format!("{named}={value}")),
-    });
+    let named = vnf.env.iter().map(|text| Variable::parse(text));
+    let named = named.filter_map(|variable| Some(format!("{}={}", variable.name, variable.value()?)));
     let always = [
         ("COTORRA_VNF", vnf.id.to_string()),
         ("COTORRA_NODE", node.to_string()),

@@ -29,6 +29,30 @@ const USUAL: &[&str] = &[
 const USUAL_BEGINNINGS: &[&str] =
     &["AMENT_", "COLCON_", "FASTDDS_", "FASTRTPS_", "LC_", "PYTHON", "RCL_", "RCUTILS_", "RMW_", "ROS_"];
 
+/// A variable that a testbed file names: `NAME` or `NAME=VALUE`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Variable<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// The value that the file gives it; without one, it has its value here.
+    pub given: Option<&'a str>,
+}
+
+impl<'a> Variable<'a> {
+    /// Returns the variable that a text names.
+    pub fn parse(text: &'a str) -> Self {
+        match text.split_once('=') {
+            Some((name, value)) => Self { name, given: Some(value) },
+            None => Self { name: text, given: None },
+        }
+    }
+
+    /// Returns its value, if it has one that is a text.
+    pub fn value(self) -> Option<String> {
+        self.given.map_or_else(|| env::var(self.name).ok(), |given| Some(given.to_owned()))
+    }
+}
+
 /// Creates a command whose environment has only the usual variables and `named` ones: `NAME` has its value here, and
 /// `NAME=VALUE` the one that it gives. Callers add others themselves.
 pub fn program_of_others(program: impl AsRef<OsStr>, named: &[String]) -> Command {
@@ -52,13 +76,13 @@ fn allowed(
     all: impl Iterator<Item = (OsString, OsString)>,
     named: &[String],
 ) -> impl Iterator<Item = (OsString, OsString)> {
-    let is_allowed = |name: &str| {
+    let named = || named.iter().map(|text| Variable::parse(text));
+    let is_allowed = move |name: &str| {
         USUAL.contains(&name)
             || USUAL_BEGINNINGS.iter().any(|beginning| name.starts_with(beginning))
-            || named.iter().any(|named| named == name)
+            || named().any(|variable| variable.name == name)
     };
-    let given = named.iter().filter_map(|variable| variable.split_once('='));
-    let given = given.map(|(name, value)| (OsString::from(name), OsString::from(value)));
+    let given = named().filter_map(|Variable { name, given }| Some((name.into(), given?.into())));
     // Those given come last, so that they take the place of ours.
     all.filter(move |(name, _)| name.to_str().is_some_and(is_allowed)).chain(given)
 }

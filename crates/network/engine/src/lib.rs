@@ -15,6 +15,6 @@ mod process;
 pub use backoff::Backoff;
 pub use cgroup::{CgroupError, Cgroups};
 pub use engine::{Engine, EngineEvent, InstanceId, Outcome};
-pub use environment::{program_of, program_of_others};
+pub use environment::{Variable, program_of, program_of_others};
 pub use memory::InMemoryEngine;
 pub use process::{Launcher, Process, ProcessEngine, READY, replica_name};
