@@ -6,7 +6,7 @@ use std::{
     fs::{File, OpenOptions},
     io::{self, Write as _},
     path::PathBuf,
-    process::Stdio,
+    process::{self, Stdio},
     rc::Rc,
     sync::{Arc, Weak, mpsc as events},
     thread,
@@ -26,6 +26,7 @@ use crate::{
     holder::Holders,
     instance::Instance,
     leftovers::{self, Marker},
+    ready,
     spec::{Network, RUN, Spec},
 };
 
@@ -322,6 +323,16 @@ impl Tasks {
 
     async fn prepare(&self, instance: InstanceId, wanted: Wanted) -> Result<(Daemon, Instance), String> {
         let Wanted { vnf, replica, node, network, log } = wanted;
+        let image = vnf.image.as_deref().ok_or("it has no image")?;
+        let (pull, mut ports) = (image.pull, image.ports.clone());
+        ports.extend(self.surroundings.ports(&vnf));
+        let is_taken = |port: &&ListenPort| ready::are_served(process::id(), std::slice::from_ref(port));
+        // That listener would be taken for the container's.
+        if network == Network::Machine
+            && let Some(port) = ports.iter().find(is_taken)
+        {
+            return Err(format!("another program of the machine listens at port {port}"));
+        }
         let daemon = self.daemon().await?;
         let run = self.marker.run();
         let (network, hostname) = match (network, self.settings.kind) {
@@ -333,9 +344,6 @@ impl Tasks {
             }
             (Network::Namespace(path), _) => (format!("ns:{}", path.display()), Some(node.to_string())),
         };
-        let image = vnf.image.as_deref().ok_or("it has no image")?;
-        let (pull, mut ports) = (image.pull, image.ports.clone());
-        ports.extend(self.surroundings.ports(&vnf));
         let environment = self.surroundings.environment(&vnf, replica, &node);
         let (files, folder) = (self.surroundings.files(&vnf), self.settings.folder.as_path());
         let spec =

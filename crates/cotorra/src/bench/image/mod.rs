@@ -288,11 +288,8 @@ fn request(args: &ImageArgs) -> Option<Request> {
 
 /// Lists the ports of a VNF.
 fn ports(vnf: &Vnf) -> String {
-    let name = |port: &ListenPort| match port.transport {
-        Transport::Tcp => format!("{}/tcp", port.port),
-        Transport::Udp => format!("{}/udp", port.port),
-    };
-    let ports = vnf.image.iter().flat_map(|image| &image.ports).map(name).collect::<Vec<_>>();
+    let ports =
+        vnf.image.iter().flat_map(|image| &image.ports).map(ListenPort::to_string).collect::<Vec<_>>();
     if ports.is_empty() { "its container".to_owned() } else { format!("a listener at {}", ports.join(", ")) }
 }
 

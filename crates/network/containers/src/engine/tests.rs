@@ -1,5 +1,8 @@
 //! Instances of an engine in memory, in virtual time.
 
+use std::{net::TcpListener, time::Duration};
+
+use cotorra_graph::{Image, Transport};
 use tempfile::TempDir;
 use tokio::{
     sync::Notify,
@@ -75,7 +78,7 @@ impl Lab {
 
 /// Answers as an engine whose containers are this process.
 fn answer(request: &str) -> Answer {
-    let running = format!(r#"{{"State":{{"Running":true,"Pid":{}}}}}"#, std::process::id());
+    let running = format!(r#"{{"State":{{"Running":true,"Pid":{}}}}}"#, process::id());
     version(request).unwrap_or_else(|| match request {
         _ if request.contains("/create") => at_once("201 Created", r#"{"Id":"1","Warnings":[]}"#),
         _ if request.contains("/start") => at_once("204 No Content", ""),
@@ -117,6 +120,26 @@ async fn an_engine_that_no_longer_hangs_starts_instances() {
         assert_eq!(lab.next().await, (1, Outcome::Failed(why)));
         lab.hangs.set(false);
         lab.start(2, vnf());
+        assert_eq!(lab.next().await, (2, Outcome::Ready));
+    };
+    LocalSet::new().run_until(test).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_image_does_not_start_while_another_program_has_its_port() {
+    let test = async {
+        let lab = Lab::new();
+        let other = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = ListenPort { port: other.local_addr().unwrap().port(), transport: Transport::Tcp };
+        let image = Image { ports: vec![port], ..Image::default() };
+        let vnf = Vnf { image: Some(Box::new(image)), ..vnf() };
+        lab.start(1, vnf.clone());
+        let taken = format!("another program of the machine listens at port {port}");
+        assert_eq!(lab.next().await, (1, Outcome::Failed(taken)));
+        drop(other);
+        lab.start(2, vnf);
+        sleep(Duration::from_secs(1)).await;
+        let _container = TcpListener::bind(("127.0.0.1", port.port)).unwrap();
         assert_eq!(lab.next().await, (2, Outcome::Ready));
     };
     LocalSet::new().run_until(test).await;
