@@ -11,6 +11,7 @@ use cotorra_graph::{
     AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, NodeId, Nodes, Placement,
     PluginId, RobotContext, ServiceTime, Stamped, Testbed, VirtualLinkMapping, VnfId,
 };
+use cotorra_measurements::{Figure, GraphState, Sample};
 
 /// The domains of a testbed, and the plug-ins that are bound to one.
 pub(crate) struct Domains {
@@ -166,6 +167,47 @@ impl DomainView {
             mapping
         };
         own.then(seen)
+    }
+
+    /// Returns the domain's part of the graph's state.
+    pub(crate) fn state(&self, state: GraphState) -> GraphState {
+        fn part<T>(all: Vec<Sample<T>>, seen: impl Fn(&T) -> Option<T>) -> Vec<Sample<T>> {
+            all.into_iter().filter_map(|one| Some(Sample { value: seen(&one.value)?, at: one.at })).collect()
+        }
+        let GraphState { at, robots, mut radio_units, mut links, placements, virtual_links, .. } = state;
+        let (mut sensors, mut machines) = (state.sensors, state.machines);
+        radio_units.retain(|one| self.owns(&one.value.radio_unit));
+        links.retain(|one| self.sees_link(&one.value.link));
+        sensors.retain(|one| self.owns(&one.value.robot));
+        machines.retain(|one| self.owns(&one.value.node));
+        GraphState {
+            at,
+            robots: part(robots, |robot| self.robot(robot)),
+            radio_units,
+            links,
+            placements: part(placements, |placement| self.placement(placement)),
+            virtual_links: part(virtual_links, |mapping| self.virtual_link(mapping)),
+            sensors,
+            machines,
+        }
+    }
+
+    /// Whether the domain sees a figure of the history. Figures of all robots together are the operator's, and so are times
+    /// on links, which may be another domain's.
+    pub(crate) fn sees_figure(&self, figure: &Figure) -> bool {
+        let owns = |robot: &Option<NodeId>| robot.as_ref().is_some_and(|robot| self.owns(robot));
+        match figure {
+            Figure::Link(link, ..) => self.sees_link(link),
+            Figure::Robot(node, _) | Figure::Load(node) | Figure::Machine(node, _) => self.owns(node),
+            Figure::Signal { robot, .. } | Figure::Sensor { robot, .. } => self.owns(robot),
+            Figure::ServiceTime { service, robot } => {
+                let own = self.testbed.services.iter().any(|one| service.as_ref() == Some(&one.id));
+                own || owns(robot)
+            }
+            Figure::HandoverGap { robot } => owns(robot),
+            Figure::TimePart { .. } => false,
+            Figure::Lateness(_) => true,
+        }
     }
 
     /// Returns a service time of one of the domain's robots. The time on links of others counts as unknown.

@@ -245,7 +245,7 @@ async fn check(
     let checked = tokio::task::spawn_blocking(move || checking.edited.check(&text));
     let Checked { testbed, overview, mistakes } =
         checked.await.map_err(|_| Failure::unavailable("the check failed"))?;
-    let body = testbed.as_ref().map(TestbedBody::from);
+    let body = testbed.as_ref().map(|testbed| TestbedBody::new(testbed, false));
     let map = testbed.as_ref().and_then(|testbed| testbed.map.as_ref()).map(MapBody::from);
     if let Some(testbed) = testbed {
         *shared.valid.lock() = Some(Arc::new(testbed));

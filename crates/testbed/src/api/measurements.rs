@@ -321,7 +321,7 @@ pub(super) struct Which {
 }
 
 /// Returns a figure over time in a bounded number of points. Each has count, minimum, maximum, mean, last and quantiles of
-/// its samples, and whether events were lost.
+/// its samples, and whether events were lost. With a domain's token: figures of its own robots, links and nodes.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements",
     params(Which),
     responses((status = 200, body = Curve))))]
@@ -330,7 +330,8 @@ pub(super) async fn series(
     Extension(caller): Extension<Caller>,
     Query(which): Query<Which>,
 ) -> Answer<Curve> {
-    caller.operator()?;
+    this_run(&caller, which.run)?;
+    caller.sees(&which.figure, |view| view.sees_figure(&which.figure))?;
     let mut request = CurveRequest::default();
     request.points = which.points.unwrap_or(request.points);
     if let Some(shares) = &which.quantiles {
@@ -421,7 +422,7 @@ pub(super) struct At {
     run: Option<RunId>,
 }
 
-/// Returns the whole graph at a time, with the last known state of every object.
+/// Returns the whole graph at a time, with the last known state of every object. With a domain's token: its part of it.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements",
     params(At),
     responses((status = 200, body = GraphState))))]
@@ -430,8 +431,15 @@ pub(super) async fn state(
     Extension(caller): Extension<Caller>,
     Query(at): Query<At>,
 ) -> Answer<GraphState> {
-    caller.operator()?;
+    this_run(&caller, at.run)?;
     let now = if at.run.is_some() { Timestamp::MAX } else { context.live.read(|now| now.at) };
     let when = at.at_ns.unwrap_or(now);
-    ask(context, at.run, move |history, run, present| history.state_at(run, when.min(present))).await
+    ask(context, at.run, move |history, run, present| {
+        let state = history.state_at(run, when.min(present))?;
+        Ok(match caller.view() {
+            Some(view) => view.state(state),
+            None => state,
+        })
+    })
+    .await
 }

@@ -25,7 +25,8 @@ pub(super) async fn testbed(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
 ) -> Json<TestbedBody> {
-    Json(TestbedBody::from(caller.view.as_ref().map_or(&*context.testbed, |view| view.testbed())))
+    let testbed = caller.view.as_ref().map_or(&*context.testbed, |view| view.testbed());
+    Json(TestbedBody::new(testbed, !context.replay))
 }
 
 /// Returns a node, its addresses and its namespace.

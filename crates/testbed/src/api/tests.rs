@@ -488,7 +488,11 @@ fn a_domains_token_opens_its_own_nodes_and_nothing_else() {
         (ONE, TWO, "network/nodes/left/machine"),
         (ONE, TWO, "robots/robot/sensors"),
         (ONE, TWO, "measurements/links/A-left"),
-        (OPERATOR, ONE, "measurements/state"),
+        (OPERATOR, ONE, "measurements/state?run=1"),
+        (ONE, TWO, "measurements/series?figure=service_time::robot"),
+        (ONE, TWO, "measurements/series?figure=x:robot"),
+        (ONE, TWO, "measurements/series?figure=delay:A-left:forward"),
+        (OPERATOR, ONE, "measurements/series?figure=service_time"),
         (OPERATOR, TWO, "measurements/runs"),
         (OPERATOR, TWO, "measurements/service-times?run=1"),
     ] {

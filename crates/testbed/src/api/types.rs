@@ -28,10 +28,12 @@ pub(super) struct TestbedBody {
     plugins: Vec<PluginSpec>,
     /// Version of cotorra.
     version: &'static str,
+    /// Whether it follows instructions. A replay and a view refuse them.
+    steerable: bool,
 }
 
-impl From<&Testbed> for TestbedBody {
-    fn from(testbed: &Testbed) -> Self {
+impl TestbedBody {
+    pub(super) fn new(testbed: &Testbed, steerable: bool) -> Self {
         Self {
             name: testbed.name.clone(),
             description: testbed.description.clone(),
@@ -40,6 +42,7 @@ impl From<&Testbed> for TestbedBody {
             walks: testbed.walks.clone(),
             plugins: testbed.plugins.clone(),
             version: env!("CARGO_PKG_VERSION"),
+            steerable,
         }
     }
 }

@@ -285,3 +285,46 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
     }
     assert!(one.sees_link(&id("A-B")) && one.sees_link(&id("r1~B")) && !one.sees_link(&id("B-s2")));
 }
+
+#[test]
+fn a_domain_sees_its_own_part_of_a_state_and_its_own_figures() {
+    fn at_zero<T>(value: T) -> Sample<T> {
+        Sample { at: Timestamp::ZERO, value }
+    }
+    let placement = |nodes: &[&str]| {
+        let node = Nodes::new(nodes.iter().map(|name| id(name)).collect()).unwrap();
+        at_zero(Placement { vnf: id("nav1"), node })
+    };
+    let state = GraphState {
+        at: Timestamp::ZERO,
+        robots: Vec::new(),
+        radio_units: Vec::new(),
+        links: Vec::new(),
+        placements: vec![placement(&["s1", "s2"])],
+        virtual_links: Vec::new(),
+        sensors: Vec::new(),
+        machines: ["s1", "s2"].map(machine).map(at_zero).to_vec(),
+    };
+    let [one, two] = views().map(|view| view.state(state.clone()));
+    assert_eq!(
+        (&one.placements[..], &two.placements[..]),
+        (&state.placements[..], &[placement(&["s2"])][..])
+    );
+    assert_eq!((&one.machines[..], &two.machines[..]), (&state.machines[..1], &state.machines[1..]));
+
+    for (figure, seen) in [
+        ("service_time:n1", [true, false]),
+        ("service_time::r1", [true, false]),
+        ("service_time", [false, false]),
+        ("delay:A-s1:backward", [true, false]),
+        ("delay:A-B", [true, true]),
+        ("x:r2", [false, true]),
+        ("signal:r1:B", [true, false]),
+        ("cpu:s2", [false, true]),
+        ("handover_gap", [false, false]),
+        ("time_part:A-s1", [false, false]),
+    ] {
+        let figure: Figure = figure.parse().unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(views().map(|view| view.sees_figure(&figure)), seen, "{figure}");
+    }
+}
