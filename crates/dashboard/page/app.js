@@ -1,5 +1,6 @@
 // The page: connects to the API, keeps the model, and draws once a frame what has changed.
 
+import { ActionPanel } from "./action_panel.js";
 import { Api, Refused, Unauthorized } from "./api.js";
 import { Charts, WORDS_EVERY_MS } from "./charts.js";
 import { byId, element, setText } from "./dom.js";
@@ -29,6 +30,7 @@ const MOST_WAITING = 50_000;
 
 const api = new Api();
 const axis = new TimeAxis();
+const actions = new ActionPanel((call) => api.send(call), (goal, picked) => views?.map.aim(goal, picked));
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
 /** @type {{ model: Model, map: MapView, topology: Topology, robots: RobotsTable, charts: Charts, timeline: Timeline } | null} */
@@ -87,6 +89,7 @@ function render() {
         setTimeout(() => {
             telling = false;
             views?.robots.draw(focus);
+            actions.draw(focus);
         }, WORDS_EVERY_MS);
     }
     views.charts.draw(colours, focus);
@@ -168,6 +171,7 @@ function show(model, grid) {
             changed();
         }),
     };
+    actions.show(model);
     document.title = `${model.testbed.name} · cotorra`;
     setText(byId("name"), model.testbed.name);
     byId("name").title = model.testbed.description;
@@ -350,7 +354,7 @@ function prepare() {
     }, "Live");
     byId("spans").replaceChildren(...buttons, hold);
     document.addEventListener("keydown", (event) => {
-        const isField = event.target instanceof HTMLElement && event.target.closest("button, input, dialog");
+        const isField = event.target instanceof HTMLElement && event.target.closest("button, input, select, dialog");
         if (event.key !== " " || isField) return;
         event.preventDefault();
         hold.click();

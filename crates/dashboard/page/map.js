@@ -25,6 +25,10 @@ export class MapView {
     #follow = false;
     #telling = false;
     #drawn = "";
+    /** A goal that somebody chooses. @type {{x: number, y: number} | null} */
+    #goal = null;
+    /** Gets the place of a click, if one is wanted. @type {((goal: {x: number, y: number}) => void) | null} */
+    #picked = null;
     /** The floor in the colours of a palette. @type {{ dark: boolean, picture: HTMLCanvasElement } | null} */
     #floor = null;
 
@@ -63,6 +67,18 @@ export class MapView {
     #setFollow(follow) {
         this.#follow = follow;
         this.following.setAttribute("aria-pressed", String(follow));
+        this.#drawn = "";
+        this.changed();
+    }
+
+    /**
+     * Shows a goal, and gives places of clicks to `picked` instead of selecting robots.
+     * @param {{x: number, y: number} | null} goal
+     * @param {((goal: {x: number, y: number}) => void) | null} picked
+     */
+    aim(goal, picked) {
+        [this.#goal, this.#picked] = [goal, picked];
+        this.canvas.base.toggleAttribute("data-aims", picked !== null);
         this.#drawn = "";
         this.changed();
     }
@@ -152,7 +168,11 @@ export class MapView {
 
     /** @param {{x: number, y: number}} at */
     #select(at) {
-        const { to } = this.#transform();
+        const { to, from } = this.#transform();
+        if (this.#picked) {
+            this.#picked(from(at.x, at.y));
+            return;
+        }
         for (const robot of this.model.robots.values()) {
             const pose = robot.context?.sensors.pose;
             if (!pose) continue;
@@ -176,6 +196,7 @@ export class MapView {
             scale,
             /** @type {(px: number, py: number) => [number, number]} */
             to: (px, py) => [width / 2 + (px - x) * scale, height / 2 - (py - y) * scale],
+            from: (/** @type {number} */ px, /** @type {number} */ py) => ({ x: x + (px - width / 2) / scale, y: y - (py - height / 2) / scale }),
         };
     }
 
@@ -205,6 +226,7 @@ export class MapView {
         for (const robot of this.model.robots.values()) this.#drawAttachment(on, to, robot, palette);
         this.#drawUnits(on, to, palette);
         for (const robot of this.model.robots.values()) this.#drawRobot(on, to, scale, robot, palette, robot.id === focus);
+        if (this.#goal) this.#drawGoal(on, ...to(this.#goal.x, this.#goal.y), palette);
         this.#drawScale(on, scale, palette);
         if (this.#telling) return;
         this.#telling = true;
@@ -383,6 +405,24 @@ export class MapView {
         on.stroke();
         on.restore();
         if (this.model.robots.size > 1 || focused) rimmed(on, robot.id, x, y - size - 8, palette.ink, palette.back);
+    }
+
+    /**
+     * @param {CanvasRenderingContext2D} on
+     * @param {number} x
+     * @param {number} y
+     * @param {Palette} palette
+     */
+    #drawGoal(on, x, y, palette) {
+        on.strokeStyle = palette.alert;
+        on.lineWidth = 2;
+        on.beginPath();
+        on.arc(x, y, 7, 0, 2 * Math.PI);
+        for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+            on.moveTo(x + 3 * dx, y + 3 * dy);
+            on.lineTo(x + 12 * dx, y + 12 * dy);
+        }
+        on.stroke();
     }
 
     /**

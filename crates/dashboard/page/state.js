@@ -1,6 +1,7 @@
 // What the page knows of a run: a state machine without a clock, a socket or an element. Events go in, and the model has the
 // last of everything, the figures over time, and what happened. All of it is bounded.
 
+import { figure } from "./format.js";
 import { Series } from "./series.js";
 
 /** @typedef {import("#api").components["schemas"]} Schemas */
@@ -109,6 +110,8 @@ export class Model {
         }
         /** The last context of each direction of a link, by `LINK:DIRECTION`. @type {Map<string, Schemas["LinkContext"]>} */
         this.links = new Map();
+        /** The last throughput test of each direction, with its end. @type {Map<string, { at: number, throughput_bps: number, offered_bps: number }>} */
+        this.tests = new Map();
         /** Nodes of VNFs. @type {Map<string, string[]>} */
         this.placements = new Map();
         /** @type {Map<string, Schemas["VirtualLinkMapping"]>} */
@@ -296,6 +299,7 @@ export class Model {
     #link(at, context) {
         const of = `${context.link}:${context.direction}`;
         this.links.set(of, context);
+        if (context.tested) this.tests.set(of, { at: at - context.tested.age_ms / 1e3, ...context.tested });
         // Without a packet there is no delay; the chart breaks the line when there is none for long.
         if (context.delay_ms !== null && context.delay_ms !== undefined) this.figure(`delay:${of}`).add(at, context.delay_ms);
         this.figure(`throughput:${of}`).add(at, context.throughput_bps);
@@ -402,6 +406,22 @@ export function describe(event) {
 }
 
 /**
+ * Returns the figures of a change in words.
+ * @param {Schemas["ConditionChange"]} change
+ */
+function changes({ delay_ms, loss, rate, delay_scale, drop_scale }) {
+    const scaled = (/** @type {string} */ name, /** @type {number | null | undefined} */ scale) => (scale === null || scale === undefined ? "" : `${name} ${scale}`);
+    const words = [
+        delay_ms === null || delay_ms === undefined ? "" : `delay ${delay_ms} ms`,
+        loss ? `loss ${"share" in loss ? figure(loss.share * 100, "%") : "none"}` : "",
+        rate ? `rate ${rate.kind === "fixed" ? figure(rate.rate_bps, "bit/s") : rate.kind}` : "",
+        scaled("ψ", delay_scale),
+        scaled("δ", drop_scale),
+    ].filter(Boolean);
+    return words.length > 0 ? `: ${words.join(", ")}` : "";
+}
+
+/**
  * Returns an instruction in words.
  * @param {Schemas["Instruction"]} given
  */
@@ -412,7 +432,7 @@ export function instruction(given) {
         case "move": return `move ${given.robot}`;
         case "navigate_to": return given.goal ? `send ${given.robot} to (${given.goal.x.toFixed(1)}, ${given.goal.y.toFixed(1)})` : `send ${given.robot} back to its walk`;
         case "limit_speed": return `limit ${given.robot} to ${given.speed_limit_mps ?? "no"} m/s`;
-        case "condition": return `change ${given.link}${given.direction ? ` ${given.direction}` : ""}`;
+        case "condition": return `change ${given.link}${given.direction ? ` ${given.direction}` : ""}${changes(given.change)}`;
         case "map": return `map ${given.from} → ${given.to} over ${given.links.join(", ") || "the shortest path"}`;
         case "test_throughput": return `test ${given.link} ${given.direction}`;
         case "note": return "note";

@@ -57,6 +57,8 @@ pub fn editor() -> Vec<File> {
 /// Returns a page with the modules that pages load.
 fn with_modules(page: &'static [u8]) -> Vec<File> {
     let modules = files![
+        "action_panel.js",
+        "actions.js",
         "api.js",
         "app.js",
         "canvas.js",

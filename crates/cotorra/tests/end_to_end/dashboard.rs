@@ -1,6 +1,8 @@
 //! The dashboard in a real browser: a run with real packets, finished and replayed runs, and pages of other sites.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
+mod actions;
+
 use std::{
     fs,
     io::{BufRead, BufReader, Read, Write},
@@ -74,6 +76,30 @@ fn assert_clean(browser: &Browser, address: &str) {
     assert_eq!(others, Vec::<String>::new());
 }
 
+/// Fails if something sticks out of the page on a screen.
+fn assert_fits(browser: &Browser) {
+    for width in [375, 768, 1440, 2560] {
+        browser.resize(width, 900);
+        browser.wait_for(&format!("innerWidth === {width}"));
+        let wide = browser
+            .evaluate("return document.documentElement.scrollWidth - document.documentElement.clientWidth;");
+        assert_eq!(wide, 0, "nothing sticks out at {width} pixels");
+    }
+}
+
+/// Fails if axe-core finds something serious in either theme.
+fn assert_accessible(browser: &Browser) {
+    let Some(axe) = axe() else { return };
+    browser.evaluate(&fs::read_to_string(axe).unwrap());
+    for theme in ["light", "dark"] {
+        browser.evaluate(&format!("document.documentElement.dataset.theme = '{theme}';"));
+        let serious = "const { violations } = await globalThis.axe.run();
+            const bad = violations.filter(({ impact }) => ['serious', 'critical'].includes(impact));
+            return bad.map(({ id, nodes }) => `${id}: ${nodes.map((node) => node.html).join(' ').slice(0, 400)}`);";
+        assert_eq!(browser.evaluate(serious), serde_json::json!([]), "{theme}");
+    }
+}
+
 #[test]
 fn a_run_is_shown_live_with_its_handovers() {
     let folder = tempfile::tempdir().unwrap();
@@ -132,6 +158,11 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
     browser.open(&shown.dashboard);
     browser.wait_for(&format!("{TIMELINE}.includes('robot: R3 → R2')"));
     browser.wait_for(&format!("{MAP}.includes(', R2')"));
+    assert_eq!(
+        browser.evaluate("return document.getElementById('act').hidden;"),
+        true,
+        "it cannot be steered"
+    );
     assert_eq!(browser.evaluate("return document.getElementById('clock').textContent;"), "1:40");
     let summary = fs::read_to_string(folder.join("summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
@@ -159,23 +190,8 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
     browser.evaluate("document.querySelector('#timeline-tools [data-group=handover]').click();");
     browser.wait_for(&format!("{TIMELINE}.includes('robot: R3 → R2')"));
 
-    for width in [375, 768, 1440, 2560] {
-        browser.resize(width, 900);
-        browser.wait_for(&format!("innerWidth === {width}"));
-        let wide = browser
-            .evaluate("return document.documentElement.scrollWidth - document.documentElement.clientWidth;");
-        assert_eq!(wide, 0, "nothing sticks out at {width} pixels");
-    }
-    if let Some(axe) = axe() {
-        browser.evaluate(&fs::read_to_string(axe).unwrap());
-        for theme in ["light", "dark"] {
-            browser.evaluate(&format!("document.documentElement.dataset.theme = '{theme}';"));
-            let serious = "const { violations } = await globalThis.axe.run();
-                const bad = violations.filter(({ impact }) => ['serious', 'critical'].includes(impact));
-                return bad.map(({ id, nodes }) => `${id}: ${nodes.map((node) => node.html).join(' ').slice(0, 400)}`);";
-            assert_eq!(browser.evaluate(serious), serde_json::json!([]), "{theme}");
-        }
-    }
+    assert_fits(&browser);
+    assert_accessible(&browser);
     assert_clean(&browser, &shown.dashboard);
 }
 

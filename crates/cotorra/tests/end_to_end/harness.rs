@@ -168,7 +168,16 @@ impl Run {
 
     /// Posts a body to a path of the API. Returns the status and the body of the response.
     pub fn post(&self, path: &str, body: &str) -> (u16, Value) {
+        self.post_as("", path, body)
+    }
+
+    /// Does the same as [`Self::post`] with a token.
+    pub fn post_as(&self, token: &str, path: &str, body: &str) -> (u16, Value) {
         let request = agent().post(format!("{}{path}", self.api)).header("Content-Type", "application/json");
+        let request = match token {
+            "" => request,
+            token => request.header("Authorization", format!("Bearer {token}")),
+        };
         let mut answer = request.send(body).unwrap();
         (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
     }

@@ -1,0 +1,336 @@
+// The panel with the actions: a form for each, the call that it makes, and what the run answers.
+
+import { call, curl, python, touches } from "./actions.js";
+import { byId, element, setText } from "./dom.js";
+import { figure } from "./format.js";
+import { instruction } from "./state.js";
+import { links } from "./topology.js";
+
+/** @typedef {import("./state.js").Model} Model */
+/** @typedef {import("./actions.js").Form} Form */
+/** @typedef {import("./actions.js").Call} Call */
+/** @typedef {{ x: number, y: number }} Place */
+/** @typedef {{ name: string, label: string, options: string[], words?: Record<string, string> }} Choice */
+/** @typedef {{ name: string, label: string, unit: string, required: boolean, value?: string }} Figure */
+/** @typedef {{ key: string, name: string, fields: (Choice | Figure)[], submits: [Form["action"], string][], hint: (form: FormData, model: Model) => string }} Kind */
+
+const WAYS = { forward: "→ from its first end", backward: "← to its first end" };
+
+/**
+ * Returns the kinds of actions that a testbed has objects for.
+ * @param {Model} model
+ * @returns {Kind[]}
+ */
+export function kinds(model) {
+    const { graph, services } = model.testbed;
+    const robot = { name: "robot", label: "Robot", options: [...model.robots.keys()] };
+    const vnfs = services.flatMap(({ vnfs }) => vnfs).filter(({ pinned_to }) => !pinned_to);
+    const hosts = graph.nodes.filter((node) => "capacity" in node && node.capacity.cpus > 0);
+    const flies = graph.nodes.some((node) => node.kind === "robot" && node.model === "quadrotor");
+    const metres = (/** @type {string} */ name, required = true) => ({ name, label: name, unit: "m", required });
+    /** @type {Kind[]} */
+    const all = [
+        {
+            key: "attach", name: "Attach", submits: [["attach", "Attach"]], hint: attachment,
+            fields: [robot, { name: "radio_unit", label: "Radio unit", options: model.units }],
+        },
+        {
+            key: "place", name: "Place", submits: [["place", "Place"]], hint: placement,
+            fields: [{ name: "vnf", label: "VNF", options: vnfs.map(({ id }) => id) }, { name: "node", label: "Node", options: hosts.map(({ id }) => id) }],
+        },
+        {
+            key: "send", name: "Send", submits: [["send", "Send"], ["return", "Back to its walk"]],
+            hint: () => "Click the map to choose the goal.", fields: [robot, metres("x"), metres("y"), ...(flies ? [metres("z", false)] : [])],
+        },
+        { key: "halt", name: "Halt", submits: [["halt", "Halt"], ["go", "Go on"]], hint: motion, fields: [robot] },
+        {
+            key: "condition", name: "Link", submits: [["condition", "Change"]], hint: conditions,
+            fields: [
+                { name: "link", label: "Link", options: links(model).map(({ id }) => id) },
+                { name: "direction", label: "Direction", options: ["", "forward", "backward"], words: { "": "both", ...WAYS } },
+                { name: "delay_ms", label: "Delay", unit: "ms", required: false },
+                { name: "loss_percent", label: "Loss", unit: "%", required: false },
+                { name: "rate_mbps", label: "Rate", unit: "Mbit/s", required: false },
+            ],
+        },
+        {
+            key: "test", name: "Test", submits: [["test", "Test throughput"]], hint: () => "Packets cross the link beside all others.",
+            fields: [
+                { name: "link", label: "Link", options: graph.links.map(({ id }) => id) },
+                { name: "direction", label: "Direction", options: ["forward", "backward"], words: WAYS },
+                { name: "seconds", label: "Duration", unit: "s", required: true, value: "1" },
+            ],
+        },
+    ];
+    return all.filter(({ fields }) => fields.every((field) => !("options" in field) || field.options.length > 0));
+}
+
+/** @type {Kind["hint"]} */
+function attachment(form, model) {
+    const found = model.robots.get(String(form.get("robot")))?.context?.attachments ?? [];
+    const to = found.find(({ attached }) => attached);
+    const heard = found.find(({ radio_unit }) => radio_unit === form.get("radio_unit"))?.signal_dbm;
+    const now = to ? `Attached to ${to.radio_unit}, ${figure(to.signal_dbm, "dBm")}.` : "Not attached.";
+    return to?.radio_unit === form.get("radio_unit") ? now : `${now} ${form.get("radio_unit")}: ${figure(heard, "dBm")}.`;
+}
+
+/** @type {Kind["hint"]} */
+function placement(form, model) {
+    const vnf = String(form.get("vnf"));
+    return `${vnf} is on ${model.placements.get(vnf)?.join(", ") ?? "no node yet"}.`;
+}
+
+/** @type {Kind["hint"]} */
+function motion(form, model) {
+    const velocity = model.robots.get(String(form.get("robot")))?.context?.sensors.velocity;
+    return velocity ? `It moves at ${figure(velocity.linear, "m/s")}.` : "";
+}
+
+/** @type {Kind["hint"]} */
+function conditions(form, model) {
+    const words = ["forward", "backward"].map((direction) => {
+        const now = model.links.get(`${form.get("link")}:${direction}`)?.effective;
+        if (!now) return "";
+        const { loss, rate } = now;
+        const share = loss && "share" in loss ? loss.share : 0;
+        const speed = rate?.kind === "fixed" ? figure(rate.rate_bps, "bit/s") : (rate?.kind ?? "unlimited");
+        return `${direction === "forward" ? "→" : "←"} ${figure(now.delay_ms, "ms")}, ${figure(share * 100, "%")} loss, rate ${speed}`;
+    });
+    return `${words.filter(Boolean).join("; ")}. An empty field leaves the present figure.`.replace(/^\. /, "");
+}
+
+export class ActionPanel {
+    /** @type {Model | null} */
+    #model = null;
+    /** @type {Kind[]} */
+    #kinds = [];
+    /** @type {Kind | null} */
+    #kind = null;
+    /** The button whose call is shown. @type {Form["action"]} */
+    #action = "attach";
+    #language = curl;
+    /** The last test that was started. @type {{ of: string, after: number } | null} */
+    #test = null;
+    /** The testbed that the forms are about. */
+    #known = "";
+    #focus = "";
+
+    /**
+     * @param {(of: Call) => Promise<unknown>} send
+     * @param {(goal: Place | null, picked: ((goal: Place) => void) | null) => void} aim
+     */
+    constructor(send, aim) {
+        this.send = send;
+        this.aim = aim;
+        this.panel = byId("actions");
+        this.opener = byId("act");
+        this.form = /** @type {HTMLFormElement} */ (byId("action-form"));
+        this.hint = element("p", { class: "hint" });
+        this.code = byId("call");
+        this.opener.addEventListener("click", () => this.#open(this.panel.hidden));
+        byId("actions-close").addEventListener("click", () => this.#open(false));
+        this.panel.addEventListener("keydown", (event) => {
+            if (event.key === "Escape") this.#open(false);
+        });
+        this.form.addEventListener("input", () => this.#changed());
+        this.form.addEventListener("submit", (event) => {
+            event.preventDefault();
+            this.#action = /** @type {Form["action"]} */ (event.submitter?.getAttribute("value") ?? this.#action);
+            this.#submit();
+        });
+        const languages = [["curl", curl], ["Python", python]].map(([name, language]) => element("button", {
+            type: "button", "aria-pressed": String(language === curl),
+            click: ({ currentTarget }) => {
+                for (const one of languages) one.setAttribute("aria-pressed", String(one === currentTarget));
+                this.#language = /** @type {typeof curl} */ (language);
+                this.#changed();
+            },
+        }, String(name)));
+        byId("languages").replaceChildren(...languages);
+        byId("copy").addEventListener("click", () => this.#copy());
+    }
+
+    /**
+     * Offers the actions of a run; none if it follows no instructions.
+     * @param {Model} model
+     */
+    show(model) {
+        this.#model = model;
+        this.opener.hidden = !model.testbed.steerable;
+        if (!model.testbed.steerable) this.#open(false);
+        const known = JSON.stringify([model.testbed.graph, model.testbed.services]);
+        if (known !== this.#known) {
+            this.#known = known;
+            this.#kinds = kinds(model);
+            this.#test = null;
+            const buttons = this.#kinds.map((kind) => element("button", { type: "button", value: kind.key, click: () => this.#choose(kind) }, kind.name));
+            byId("action-kinds").replaceChildren(...buttons);
+            this.#choose(this.#kinds[0] ?? null);
+        } else this.#changed();
+    }
+
+    /**
+     * Brings figures and the robot in the form up to date.
+     * @param {string | null} focus
+     */
+    draw(focus) {
+        if (this.panel.hidden || !this.#model) return;
+        if (focus && focus !== this.#focus) {
+            this.#focus = focus;
+            this.#chooseRobot();
+        }
+        if (this.#kind) setText(this.hint, this.#kind.hint(new FormData(this.form), this.#model));
+        const tested = this.#test && this.#model.tests.get(this.#test.of);
+        if (!this.#test || !tested || tested.at <= this.#test.after) return;
+        const { throughput_bps, offered_bps } = tested;
+        const all = throughput_bps >= offered_bps * 0.999 ? " It may carry more." : "";
+        this.#tell(`${this.#test.of.replace(":", " ")}: ${figure(throughput_bps, "bit/s")} of ${figure(offered_bps, "bit/s")} arrived.${all}`);
+        this.#test = null;
+    }
+
+    /** @param {boolean} open */
+    #open(open) {
+        const before = this.panel.hidden;
+        this.panel.hidden = !open;
+        this.opener.setAttribute("aria-expanded", String(open));
+        this.#aim();
+        if (open) {
+            this.draw(this.#focus);
+            /** @type {HTMLElement | null} */ (byId("action-kinds").querySelector("[aria-pressed=true]"))?.focus();
+        } else if (!before) this.opener.focus();
+    }
+
+    /** @param {Kind | null} kind */
+    #choose(kind) {
+        this.#kind = kind;
+        for (const button of byId("action-kinds").children) button.setAttribute("aria-pressed", String(button.getAttribute("value") === kind?.key));
+        this.form.replaceChildren();
+        this.#tell(kind ? "" : "Nothing here can be steered.");
+        if (!kind) return;
+        const fields = kind.fields.map((field) => element("label", {}, element("span", {}, field.label), control(field)));
+        const buttons = kind.submits.map(([action, name], i) => {
+            const show = () => {
+                this.#action = action;
+                this.#changed();
+            };
+            return element("button", {
+                type: "submit", value: action, class: i === 0 ? "primary" : null, formnovalidate: i > 0, focus: show, pointerenter: show,
+            }, name);
+        });
+        this.form.append(...fields, this.hint, element("div", { class: "buttons" }, ...buttons));
+        this.#action = kind.submits[0][0];
+        this.#chooseRobot();
+        this.draw(this.#focus);
+    }
+
+    #chooseRobot() {
+        const robot = this.#field("robot");
+        if (robot instanceof HTMLSelectElement && [...robot.options].some(({ value }) => value === this.#focus)) robot.value = this.#focus;
+        this.#changed();
+    }
+
+    /** @param {string} name */
+    #field(name) {
+        return this.form.elements.namedItem(name);
+    }
+
+    /** Shows the call of the form as it is now, and the goal on the map. */
+    #changed() {
+        const form = this.#read();
+        setText(this.code, form ? this.#language(call(form), location.origin) : "Fill in the form to see its call.");
+        this.#aim();
+    }
+
+    #aim() {
+        if (this.panel.hidden || this.#kind?.key !== "send") {
+            this.aim(null, null);
+            return;
+        }
+        const [x, y] = ["x", "y"].map((name) => /** @type {HTMLInputElement} */ (this.#field(name)));
+        const goal = x.value && y.value ? { x: Number(x.value), y: Number(y.value) } : null;
+        this.aim(goal, (picked) => {
+            [x.value, y.value] = [picked.x.toFixed(2), picked.y.toFixed(2)];
+            this.#action = "send";
+            this.#changed();
+        });
+    }
+
+    /** Returns the form; `null` while a field that it needs is empty. */
+    #read() {
+        const data = new FormData(this.form);
+        const fields = this.#kind?.fields ?? [];
+        const isFree = this.#action === "return";
+        const is = (/** @type {Choice | Figure} */ field) => isFree || "options" in field || !field.required || data.get(field.name);
+        if (fields.length === 0 || !fields.every(is)) return null;
+        const values = fields.map((field) => {
+            const text = String(data.get(field.name));
+            return [field.name, text === "" ? null : "options" in field ? text : Number(text)];
+        });
+        return /** @type {Form} */ ({ z: null, ...Object.fromEntries(values), action: this.#action });
+    }
+
+    async #submit() {
+        this.#changed();
+        const form = this.#read();
+        const model = this.#model;
+        if (!form || !model) return;
+        const real = touches(model.testbed, form);
+        if (real.length > 0 && !(await confirmed(real))) {
+            this.#tell("Nothing was done.");
+            return;
+        }
+        const given = call(form);
+        this.#test = null;
+        this.#tell("Asking …");
+        const after = model.now;
+        try {
+            await this.send(given);
+        } catch (error) {
+            this.#tell(`Refused: ${error instanceof Error ? error.message : error}`, true);
+            return;
+        }
+        if (form.action === "test") this.#test = { of: `${form.link}:${form.direction}`, after };
+        this.#tell(this.#test ? "Testing …" : `Done: ${instruction(given.body.instruction)}.`);
+    }
+
+    /**
+     * @param {string} text
+     * @param {boolean} [bad]
+     */
+    #tell(text, bad = false) {
+        setText(byId("action-done"), bad ? "" : text);
+        setText(byId("action-refused"), bad ? text : "");
+    }
+
+    async #copy() {
+        getSelection()?.selectAllChildren(this.code);
+        // Only secure origins have a clipboard; elsewhere the text is selected.
+        const copied = await navigator.clipboard?.writeText(this.code.textContent ?? "").then(() => true, () => false);
+        setText(byId("copy"), copied ? "Copied" : "Selected");
+        setTimeout(() => setText(byId("copy"), "Copy"), 2000);
+    }
+}
+
+/** @param {Choice | Figure} field */
+function control(field) {
+    if ("options" in field) {
+        const { name, options, words } = field;
+        return element("select", { name }, ...options.map((value) => element("option", { value }, words?.[value] ?? value)));
+    }
+    const { name, required, value, unit } = field;
+    const input = element("input", { name, type: "number", step: "any", required, value: value ?? null, autocomplete: "off" });
+    return element("span", { class: "figure" }, input, element("span", { class: "unit" }, unit));
+}
+
+/**
+ * Asks whether real things may be touched.
+ * @param {string[]} real
+ */
+async function confirmed(real) {
+    const dialog = /** @type {HTMLDialogElement} */ (byId("confirm"));
+    byId("confirm-what").replaceChildren(...real.map((words) => element("li", {}, words)));
+    dialog.returnValue = "";
+    dialog.showModal();
+    await new Promise((resolve) => dialog.addEventListener("close", resolve, { once: true }));
+    return dialog.returnValue === "yes";
+}

@@ -1,0 +1,161 @@
+// What the page can make a run do: from a filled-in form to a call of the API, and the same call as curl and Python.
+
+/** @typedef {import("#api").components["schemas"]} Schemas */
+/** @typedef {Schemas["Direction"]} Direction */
+/**
+ * @typedef {{ action: "attach", robot: string, radio_unit: string }
+ *     | { action: "place", vnf: string, node: string }
+ *     | { action: "send", robot: string, x: number, y: number, z: number | null }
+ *     | { action: "return" | "halt" | "go", robot: string }
+ *     | { action: "condition", link: string, direction: Direction | null, delay_ms: number | null, loss_percent: number | null, rate_mbps: number | null }
+ *     | { action: "test", link: string, direction: Direction, seconds: number }} Form
+ *   What somebody filled in. `null` is an empty field.
+ */
+/** @typedef {{ method: "POST", path: string, body: Schemas["InstructionBody"] }} Call */
+
+/** Recorded with each decision. */
+const REASON = "by hand";
+
+/**
+ * Returns the call that does what a form says.
+ * @param {Form} form
+ * @returns {Call}
+ */
+export function call(form) {
+    return { method: "POST", path: "/api/v1/instructions", body: { instruction: instruct(form), reason: REASON } };
+}
+
+/**
+ * @param {Form} form
+ * @returns {Schemas["Instruction"]}
+ */
+function instruct(form) {
+    switch (form.action) {
+        case "attach": return { instruction: "attach", robot: form.robot, radio_unit: form.radio_unit };
+        case "place": return { instruction: "place", vnf: form.vnf, node: form.node };
+        case "send": {
+            const { x, y, z } = form;
+            return { instruction: "navigate_to", robot: form.robot, goal: z === null ? { x, y } : { x, y, z } };
+        }
+        case "return": return { instruction: "navigate_to", robot: form.robot, goal: null };
+        case "halt": return { instruction: "halt", robot: form.robot };
+        case "go": return { instruction: "go", robot: form.robot };
+        case "condition": {
+            const { link, direction } = form;
+            const of = direction === null ? { link } : { link, direction };
+            return { instruction: "condition", ...of, change: change(form) };
+        }
+        case "test": {
+            const { link, direction, seconds } = form;
+            return { instruction: "test_throughput", link, direction, test: { duration_ms: round(seconds * 1000) } };
+        }
+    }
+}
+
+/**
+ * @param {{ delay_ms: number | null, loss_percent: number | null, rate_mbps: number | null }} form
+ * @returns {Schemas["ConditionChange"]}
+ */
+function change({ delay_ms, loss_percent, rate_mbps }) {
+    /** @type {Schemas["ConditionChange"]} */
+    const wanted = {};
+    if (delay_ms !== null) wanted.delay_ms = delay_ms;
+    if (loss_percent !== null) wanted.loss = loss_percent === 0 ? { kind: "none" } : { kind: "independent", share: round(loss_percent / 100) };
+    if (rate_mbps !== null) wanted.rate = { kind: "fixed", rate_bps: Math.round(rate_mbps * 1e6) };
+    return wanted;
+}
+
+/**
+ * Rounds away what binary fractions add, as in 0.7 / 100.
+ * @param {number} value
+ */
+const round = (value) => Number(value.toPrecision(12));
+
+/**
+ * Returns a call as a command for a shell. The token stays in the shell's environment.
+ * @param {Call} of
+ * @param {string} address
+ */
+export function curl({ path, body }, address) {
+    const quoted = (/** @type {string} */ text) => (/^[\w:/.-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
+    return [
+        `curl ${quoted(address + path)}`,
+        '-H "Authorization: Bearer $COTORRA_TOKEN"',
+        "-H 'Content-Type: application/json'",
+        `-d ${quoted(JSON.stringify(body, null, 2))}`,
+    ].join(" \\\n  ");
+}
+
+/**
+ * Returns a call as a program with clients/python/cotorra.py, which takes the token from COTORRA_TOKEN.
+ * @param {Call} of
+ * @param {string} address
+ */
+export function python({ body }, address) {
+    const { instruction, reason } = body;
+    const words = Object.entries(instruction).map(([name, value]) => `${name}=${literal(value)}`);
+    const given = [literal(reason), ...words].map((word) => `    ${word},`).join("\n");
+    return `from cotorra import Client\n\nClient(${literal(address)}).instruct(\n${given}\n)`;
+}
+
+/**
+ * Returns a value as Python writes it.
+ * @param {unknown} value
+ * @returns {string}
+ */
+function literal(value) {
+    if (value === null || value === undefined) return "None";
+    if (typeof value === "boolean") return value ? "True" : "False";
+    if (Array.isArray(value)) return `[${value.map(literal).join(", ")}]`;
+    if (typeof value === "object") return `{${Object.entries(value).map(([name, one]) => `${literal(name)}: ${literal(one)}`).join(", ")}}`;
+    // Python reads numbers and strings of JSON.
+    return JSON.stringify(value);
+}
+
+/**
+ * Returns the real interfaces, machines and robots that a form touches, in words. Halting needs no question.
+ * @param {Schemas["TestbedBody"]} testbed
+ * @param {Form} form
+ * @returns {string[]}
+ */
+export function touches({ graph }, form) {
+    const node = (/** @type {string} */ id) => graph.nodes.find((one) => one.id === id);
+    switch (form.action) {
+        case "condition":
+        case "test": {
+            const ends = graph.links.find(({ id }) => id === form.link)?.ends ?? [];
+            return ends.flatMap((end) => interfaceOf(node(end)) ?? []);
+        }
+        case "place": {
+            const to = node(form.node);
+            return to?.kind === "server" && to.real ? [`server ${to.id}, where agent ${to.real.agent} starts ${form.vnf}`] : [];
+        }
+        case "send":
+        case "return":
+        case "go": {
+            const robot = node(form.robot);
+            const driver = robot?.kind === "robot" ? robot.driver : undefined;
+            if (driver?.kind === "kobuki") return [`robot ${form.robot}, a TurtleBot 2 at ${driver.port}, which moves`];
+            const inRos = driver?.kind === "ros1" || driver?.kind === "ros2";
+            return inRos ? [`robot ${form.robot}, which is in ROS and may be a real one that moves`] : [];
+        }
+        default: return [];
+    }
+}
+
+/**
+ * Returns the real interface at a node, in words.
+ * @param {Schemas["Node"] | undefined} node
+ */
+function interfaceOf(node) {
+    const at = (/** @type {string} */ name, /** @type {string | null | undefined} */ place) => `interface ${name}${place ? ` in ${place}` : ""}`;
+    switch (node?.kind) {
+        case "machine": {
+            const { reached } = node;
+            return reached ? `${at(reached.interface, reached.via && `the machine of agent ${reached.via}`)}, to machine ${node.id}` : `machine ${node.id}`;
+        }
+        case "server": return node.real ? `${at(node.real.interface, node.real.netns && `namespace ${node.real.netns}`)}, to server ${node.id}` : null;
+        case "gateway": return `${at(node.interface, node.netns && `namespace ${node.netns}`)}, of gateway ${node.id}`;
+        default: return null;
+    }
+}

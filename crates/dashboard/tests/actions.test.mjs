@@ -1,0 +1,90 @@
+// Actions: what a form calls, how that looks as curl and Python, and which real things it touches.
+
+import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
+import { test } from "node:test";
+
+import { call, curl, python, touches } from "../page/actions.js";
+
+const instruction = (form) => call(form).body.instruction;
+const ADDRESS = "http://127.0.0.1:7700";
+
+test("each form gives the instruction that it names", () => {
+    const link = "a-b";
+    for (const [form, expected] of [
+        [{ action: "attach", robot: "r", radio_unit: "R1" }, { instruction: "attach", robot: "r", radio_unit: "R1" }],
+        [{ action: "place", vnf: "v", node: "fog" }, { instruction: "place", vnf: "v", node: "fog" }],
+        [{ action: "send", robot: "r", x: 1, y: -2.5, z: null }, { instruction: "navigate_to", robot: "r", goal: { x: 1, y: -2.5 } }],
+        [{ action: "send", robot: "r", x: 1, y: 2, z: 3 }, { instruction: "navigate_to", robot: "r", goal: { x: 1, y: 2, z: 3 } }],
+        [{ action: "return", robot: "r" }, { instruction: "navigate_to", robot: "r", goal: null }],
+        [{ action: "halt", robot: "r" }, { instruction: "halt", robot: "r" }],
+        [{ action: "go", robot: "r" }, { instruction: "go", robot: "r" }],
+        [{ action: "test", link, direction: "backward", seconds: 0.1 },
+            { instruction: "test_throughput", link, direction: "backward", test: { duration_ms: 100 } }],
+    ]) {
+        assert.deepEqual(instruction(form), expected);
+        assert.deepEqual({ ...call(form), body: null }, { method: "POST", path: "/api/v1/instructions", body: null });
+    }
+});
+
+test("an empty field leaves a condition as it is", () => {
+    const empty = { action: "condition", link: "l", direction: null, delay_ms: null, loss_percent: null, rate_mbps: null };
+    assert.deepEqual(instruction(empty), { instruction: "condition", link: "l", change: {} });
+    const all = { ...empty, direction: "forward", delay_ms: 0, loss_percent: 0.7, rate_mbps: 2.5 };
+    const change = { delay_ms: 0, loss: { kind: "independent", share: 0.007 }, rate: { kind: "fixed", rate_bps: 2_500_000 } };
+    assert.deepEqual(instruction(all), { instruction: "condition", link: "l", direction: "forward", change });
+    assert.deepEqual(instruction({ ...empty, loss_percent: 0 }).change, { loss: { kind: "none" } });
+});
+
+test("curl and Python make the same call, whatever names contain", () => {
+    const names = { radio_unit: "it's \"R$1\" \\ `x` ü😀\n" };
+    const of = call({ action: "attach", robot: "r", ...names });
+    const command = curl(of, ADDRESS).replace(/^curl/, "printf '%s\\n'");
+    const shell = spawnSync("sh", ["-c", command], { encoding: "utf8", env: { COTORRA_TOKEN: "of the environment" } });
+    const [url, , header, , type, , ...body] = shell.stdout.split("\n");
+    assert.deepEqual([url, header, type], [`${ADDRESS}/api/v1/instructions`, "Authorization: Bearer of the environment", "Content-Type: application/json"]);
+    assert.deepEqual(JSON.parse(body.join("\n")), of.body);
+
+    const program = `
+import json, sys, types
+class Client:
+    def __init__(self, api): self.api = api
+    def instruct(self, reason=None, **instruction): print(json.dumps([self.api, {"instruction": instruction, "reason": reason}]))
+sys.modules["cotorra"] = types.SimpleNamespace(Client=Client)
+`;
+    const forms = [
+        { action: "return", robot: "r" },
+        { action: "condition", link: "l", direction: null, delay_ms: 1.5, loss_percent: 1, rate_mbps: 2 },
+    ];
+    for (const each of [of, ...forms.map(call)]) {
+        const { stdout, stderr } = spawnSync("python3", ["-c", program + python(each, ADDRESS)], { encoding: "utf8" });
+        assert.deepEqual(stdout && JSON.parse(stdout), [ADDRESS, each.body], stderr);
+    }
+});
+
+test("real interfaces, servers and robots are named", () => {
+    const nodes = [
+        { kind: "switch", id: "lan" },
+        { kind: "robot", id: "r" },
+        { kind: "robot", id: "turtle", driver: { kind: "kobuki", port: "/dev/kobuki" } },
+        { kind: "robot", id: "ros", driver: { kind: "ros2" } },
+        { kind: "server", id: "emulated" },
+        { kind: "server", id: "fog", real: { agent: "fog1", interface: "eth1", address: "10.0.0.2" } },
+        { kind: "machine", id: "plc", reached: { interface: "eth2", via: "a1" } },
+        { kind: "gateway", id: "gate", interface: "eth3", netns: "plant" },
+    ];
+    const links = ["emulated", "fog", "plc", "gate"].map((id) => ({ id: `lan-${id}`, ends: ["lan", id] }));
+    const of = (form) => touches({ graph: { nodes, links } }, form);
+    const changed = (link) => of({ action: "condition", link, direction: null, delay_ms: 1, loss_percent: null, rate_mbps: null });
+    assert.deepEqual(changed("lan-emulated"), []);
+    assert.deepEqual(changed("r~R1"), []);
+    assert.deepEqual(changed("lan-fog"), ["interface eth1, to server fog"]);
+    assert.deepEqual(changed("lan-plc"), ["interface eth2 in the machine of agent a1, to machine plc"]);
+    assert.deepEqual(of({ action: "test", link: "lan-gate", direction: "forward", seconds: 1 }), ["interface eth3 in namespace plant, of gateway gate"]);
+    assert.deepEqual(of({ action: "place", vnf: "v", node: "fog" }), ["server fog, where agent fog1 starts v"]);
+    assert.deepEqual(of({ action: "place", vnf: "v", node: "emulated" }), []);
+    assert.match(of({ action: "send", robot: "turtle", x: 0, y: 0, z: null })[0], /\/dev\/kobuki/);
+    assert.match(of({ action: "go", robot: "ros" })[0], /ROS/);
+    assert.deepEqual(of({ action: "halt", robot: "turtle" }), [], "nobody has to confirm a halt");
+    assert.deepEqual(of({ action: "send", robot: "r", x: 0, y: 0, z: null }), []);
+});
