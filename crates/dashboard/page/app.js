@@ -6,6 +6,7 @@ import { Charts, WORDS_EVERY_MS } from "./charts.js";
 import { byId, element, setText } from "./dom.js";
 import { clock, figure } from "./format.js";
 import { MapView } from "./map.js";
+import { Moment } from "./moment.js";
 import { palette } from "./palette.js";
 import { read } from "./pgm.js";
 import { RobotsTable } from "./robots.js";
@@ -31,6 +32,16 @@ const MOST_WAITING = 50_000;
 const api = new Api();
 const axis = new TimeAxis();
 const actions = new ActionPanel((call) => api.send(call), (goal, picked) => views?.map.aim(goal, picked));
+const moment = new Moment((at_ns) => api.get("measurements/state", { at_ns }), (model, at) => {
+    if (!views) return;
+    for (const view of [views.map, views.topology, views.robots]) view.show(model);
+    views.charts.pin(at);
+    const { now } = views.model;
+    const { from, until } = axis.window(now);
+    if (at === null) axis.follow();
+    else if (at < from || at > until) axis.centre(at, now);
+    changed();
+});
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
 /** @type {{ model: Model, map: MapView, topology: Topology, robots: RobotsTable, charts: Charts, timeline: Timeline } | null} */
@@ -81,7 +92,7 @@ function render() {
     if (!views) return;
     const { model } = views;
     const colours = palette(isDark());
-    setText(byId("clock"), clock(axis.isLive ? model.now : axis.window(model.now).until));
+    setText(byId("clock"), clock(moment.at ?? (axis.isLive ? model.now : axis.window(model.now).until)));
     if (byId("topology").hidden) views.map.draw(colours, focus);
     else views.topology.draw(colours);
     if (!telling) {
@@ -90,6 +101,7 @@ function render() {
             telling = false;
             views?.robots.draw(focus);
             actions.draw(focus);
+            moment.draw();
         }, WORDS_EVERY_MS);
     }
     views.charts.draw(colours, focus);
@@ -172,6 +184,7 @@ function show(model, grid) {
         }),
     };
     actions.show(model);
+    moment.begin(model);
     document.title = `${model.testbed.name} · cotorra`;
     setText(byId("name"), model.testbed.name);
     byId("name").title = model.testbed.description;

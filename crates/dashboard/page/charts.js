@@ -94,6 +94,8 @@ export class Charts {
      */
     constructor(host, model, axis, changed) {
         host.replaceChildren();
+        /** @type {number | null} */
+        this.pinned = null;
         this.all = subjects(model).map((subject) => new Chart(host, subject, model, axis, changed, (at) => this.hover(at)));
     }
 
@@ -102,7 +104,16 @@ export class Charts {
      * @param {number | null} at
      */
     hover(at) {
-        for (const chart of this.all) chart.hover(at);
+        for (const chart of this.all) chart.hover(at ?? this.pinned);
+    }
+
+    /**
+     * Shows the values at a time while the pointer is elsewhere; `null` to show the last.
+     * @param {number | null} at
+     */
+    pin(at) {
+        this.pinned = at;
+        this.hover(null);
     }
 
     /**

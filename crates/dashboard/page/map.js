@@ -63,6 +63,15 @@ export class MapView {
         this.#listen(host);
     }
 
+    /**
+     * Shows a model of another time.
+     * @param {Model} model
+     */
+    show(model) {
+        this.model = model;
+        this.#drawn = "";
+    }
+
     /** @param {boolean} follow */
     #setFollow(follow) {
         this.#follow = follow;

@@ -35,6 +35,15 @@ export class RobotsTable {
         table.replaceChildren(element("thead", {}, head), body);
     }
 
+    /**
+     * Shows a model of another time.
+     * @param {Model} model
+     */
+    show(model) {
+        this.model = model;
+        this.#drawn = -1;
+    }
+
     /** @param {string | null} focus */
     draw(focus) {
         const { version } = this.model;

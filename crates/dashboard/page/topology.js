@@ -86,6 +86,15 @@ export class Topology {
     }
 
     /**
+     * Shows a model of another time.
+     * @param {Model} model
+     */
+    show(model) {
+        this.model = model;
+        this.#drawn = "";
+    }
+
+    /**
      * Draws the topology if something in it has changed.
      * @param {Palette} palette
      */

@@ -69,6 +69,7 @@ fn with_modules(page: &'static [u8]) -> Vec<File> {
         "format.js",
         "icon.svg",
         "map.js",
+        "moment.js",
         "palette.js",
         "pgm.js",
         "plot.js",

@@ -25,8 +25,10 @@ const MAP: &str = "document.querySelector('#map canvas').getAttribute('aria-labe
 /// The first chart in words.
 const CHART: &str = "document.querySelector('#charts canvas').getAttribute('aria-label')";
 const STATE: &str = "document.getElementById('connection').dataset.state";
-/// Enter, in WebDriver's keys.
+/// Enter, End and arrow left, in WebDriver's keys.
 const ENTER: &str = "\u{e007}";
+const END: &str = "\u{e010}";
+const LEFT: &str = "\u{e012}";
 
 /// A `cotorra replay` or `cotorra view`, killed on drop.
 struct Shown {
@@ -183,6 +185,26 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
     browser.wait_for(&format!("!{CHART}.startsWith({before})"));
     browser.evaluate("[...document.querySelectorAll('#spans button')].at(-1).click();");
     browser.wait_for(&format!("{CHART}.includes(' to 1:40')"));
+
+    // Dragging the slider shows the whole graph at another time, and the keyboard moves it on.
+    let past = "document.getElementById('past')";
+    assert_eq!(browser.evaluate(&format!("return {past}.hidden;")), true);
+    for at in [90, 70, 55, 40] {
+        let drag = "const slider = document.getElementById('moment'); slider.focus();";
+        browser.evaluate(&format!("{drag} slider.value = {at}; slider.dispatchEvent(new Event('input'));"));
+    }
+    let robots = "document.getElementById('robots').innerText";
+    browser.wait_for(&format!("{past}.innerText.includes('at 0:40.0') && {MAP}.includes(', R1')"));
+    browser.wait_for(&format!("{robots}.includes('R1') && !{robots}.includes('R2')"));
+    browser.evaluate("document.querySelector('#views button:last-child').click();");
+    let topology = "document.querySelector('#topology canvas').getAttribute('aria-label')";
+    browser.wait_for(&format!("/over robot~R1, R1-cloud/.test({topology})"));
+    browser.press(LEFT);
+    browser.wait_for(&format!("{past}.innerText.includes('at 0:39.5')"));
+    browser.press(END);
+    browser.wait_for(&format!("{past}.hidden && {robots}.includes('R2')"));
+    browser.wait_for(&format!("/over robot~R2, R2-/.test({topology})"));
+    browser.evaluate("document.querySelector('#views button').click();");
 
     // What was filtered out is gone, and comes back.
     browser.evaluate("document.querySelector('#timeline-tools [data-group=handover]').click();");
