@@ -102,8 +102,6 @@ function conditions(form, model) {
 export class ActionPanel {
     /** @type {Model | null} */
     #model = null;
-    /** @type {Kind[]} */
-    #kinds = [];
     /** @type {Kind | null} */
     #kind = null;
     /** The button whose call is shown. @type {Form["action"]} */
@@ -161,11 +159,11 @@ export class ActionPanel {
         const known = JSON.stringify([model.testbed.graph, model.testbed.services]);
         if (known !== this.#known) {
             this.#known = known;
-            this.#kinds = kinds(model);
             this.#test = null;
-            const buttons = this.#kinds.map((kind) => element("button", { type: "button", value: kind.key, click: () => this.#choose(kind) }, kind.name));
+            const all = kinds(model);
+            const buttons = all.map(({ key, name }) => element("button", { type: "button", value: key, click: () => this.#choose(key) }, name));
             byId("action-kinds").replaceChildren(...buttons);
-            this.#choose(this.#kinds[0] ?? null);
+            this.#choose(all[0]?.key);
         } else this.#changed();
     }
 
@@ -200,8 +198,12 @@ export class ActionPanel {
         } else if (!before) this.opener.focus();
     }
 
-    /** @param {Kind | null} kind */
-    #choose(kind) {
+    /**
+     * Shows the form of a kind, with the links that there are now.
+     * @param {string | undefined} key
+     */
+    #choose(key) {
+        const kind = (this.#model && kinds(this.#model).find((kind) => kind.key === key)) ?? null;
         this.#kind = kind;
         for (const button of byId("action-kinds").children) button.setAttribute("aria-pressed", String(button.getAttribute("value") === kind?.key));
         this.form.replaceChildren();
@@ -286,7 +288,8 @@ export class ActionPanel {
         try {
             await this.send(given);
         } catch (error) {
-            this.#tell(`Refused: ${error instanceof Error ? error.message : error}`, true);
+            // What `fetch` throws is no answer of the run's.
+            this.#tell(error instanceof TypeError ? "The run does not answer." : `Refused: ${error instanceof Error ? error.message : error}`, true);
             return;
         }
         if (form.action === "test") this.#test = { of: `${form.link}:${form.direction}`, after };
