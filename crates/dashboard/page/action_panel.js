@@ -168,6 +168,22 @@ export class ActionPanel {
     }
 
     /**
+     * Opens the form of a VNF or a link.
+     * @param {{ vnf: string } | { link: string }} what
+     */
+    choose(what) {
+        const [[name, value]] = Object.entries(what);
+        const key = name === "vnf" ? "place" : "condition";
+        const kind = this.#model?.testbed.steerable ? kinds(this.#model).find((kind) => kind.key === key) : undefined;
+        // A VNF that cannot move is not among the choices.
+        if (!kind?.fields.some((field) => field.name === name && "options" in field && field.options.includes(value))) return;
+        this.#choose(key);
+        /** @type {HTMLSelectElement} */ (this.#field(name)).value = value;
+        this.#open(true);
+        this.#changed();
+    }
+
+    /**
      * Brings figures and the robot in the form up to date.
      * @param {string | null} focus
      */

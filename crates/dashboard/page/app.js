@@ -174,7 +174,7 @@ function show(model, grid) {
     views = {
         model,
         map: new MapView(byId("map"), byId("map-tools"), model, grid, changed, setFocus),
-        topology: new Topology(byId("topology"), model, changed),
+        topology: new Topology(byId("topology"), model, changed, (what) => actions.choose(what)),
         robots: new RobotsTable(byId("robots"), model, setFocus),
         charts: new Charts(byId("charts"), model, axis, changed),
         timeline: new Timeline(byId("timeline"), byId("timeline-tools"), model, changed, (entry) => {

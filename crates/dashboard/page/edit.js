@@ -153,7 +153,7 @@ async function draw(testbed, map) {
     byId("topology").replaceChildren(onTopology);
     views = {
         map: new MapView(onMap, byId("map-tools"), model, grid, changed, () => {}),
-        topology: new Topology(onTopology, model, changed),
+        topology: new Topology(onTopology, model, changed, (what) => "vnf" in what && goTo(what.vnf)),
     };
     changed();
 }
@@ -164,6 +164,16 @@ function go(at) {
     field.setSelectionRange(at, at);
     const line = field.value.slice(0, at).split("\n").length;
     field.scrollTop = (line - 4) * lineHeight();
+}
+
+/**
+ * Goes to where a VNF is declared.
+ * @param {string} vnf
+ */
+function goTo(vnf) {
+    // Names of VNFs are letters, digits, `_`, `~` and `-`.
+    const found = new RegExp(`(^|[\\s{,])${vnf}:`, "m").exec(field.value);
+    if (found) go(found.index + found[1].length);
 }
 
 function lineHeight() {

@@ -14,6 +14,8 @@ const ROW = 14;
 const WIDTH = 104;
 const MARGIN = 12;
 const WORDS_EVERY_MS = 200;
+/** Distance to a link at which a click means it, pixels. */
+const NEAR = 8;
 /** Places for the figures of a link on it, as shares of its length, the best first. */
 const SHARES = [0.5, 0.42, 0.58, 0.34, 0.66, 0.28, 0.72];
 /** Columns of nodes, by kind. Servers stand in the order of their distance from the robots. */
@@ -66,22 +68,58 @@ export function carrying(model) {
     return new Set([...model.virtualLinks.values()].flatMap((mapping) => mapping.links));
 }
 
+/**
+ * Returns the VNF or the link at a place of the drawing; `null` for none.
+ * @param {Iterable<Box>} boxes
+ * @param {Link[]} links
+ * @param {number} x
+ * @param {number} y
+ * @returns {{ vnf: string } | { link: string } | null}
+ */
+export function found(boxes, links, x, y) {
+    /** @type {Map<string, Box>} */
+    const by = new Map();
+    for (const box of boxes) {
+        by.set(box.id, box);
+        const top = box.y - height(box) / 2;
+        if (Math.abs(x - box.x) > WIDTH / 2 || y < top || y > top + height(box)) continue;
+        const vnf = box.vnfs[Math.floor((y - top - 4) / ROW) - 1];
+        return vnf === undefined ? null : { vnf };
+    }
+    const distance = (/** @type {Link} */ { ends }) => {
+        const [from, to] = ends.map((end) => by.get(end));
+        if (!from || !to) return Infinity;
+        const [dx, dy] = [to.x - from.x, to.y - from.y];
+        const share = Math.min(1, Math.max(0, ((x - from.x) * dx + (y - from.y) * dy) / (dx * dx + dy * dy)));
+        return Math.hypot(x - from.x - share * dx, y - from.y - share * dy);
+    };
+    const [nearest] = links.map((link) => ({ id: link.id, away: distance(link) })).sort((one, other) => one.away - other.away);
+    return nearest && nearest.away <= NEAR ? { link: nearest.id } : null;
+}
+
 export class Topology {
     #drawn = "";
     #telling = false;
+    /** Nodes as they were drawn last. @type {Map<string, Box>} */
+    #boxes = new Map();
 
     /**
      * @param {HTMLElement} host
      * @param {Model} model
      * @param {() => void} changed
+     * @param {(what: { vnf: string } | { link: string }) => void} chosen
      */
-    constructor(host, model, changed) {
+    constructor(host, model, changed, chosen) {
         host.replaceChildren();
         this.model = model;
         this.columns = columns(model);
         this.canvas = new Canvas(host, "Topology", () => {
             this.#drawn = "";
             changed();
+        });
+        this.canvas.base.addEventListener("click", ({ offsetX, offsetY }) => {
+            const what = found(this.#boxes.values(), links(this.model), offsetX, offsetY);
+            if (what) chosen(what);
         });
     }
 
@@ -111,6 +149,7 @@ export class Topology {
         on.textAlign = "center";
         const vnfs = vnfsByNode(model);
         const boxes = this.#place(vnfs);
+        this.#boxes = boxes;
         const used = carrying(model);
         const all = links(model);
         for (const link of all) if (!used.has(link.id)) this.#drawLink(on, boxes, link, palette.axis, 1);

@@ -5,6 +5,7 @@ import { spawnSync } from "node:child_process";
 import { test } from "node:test";
 
 import { call, curl, python, touches } from "../page/actions.js";
+import { found } from "../page/topology.js";
 
 const instruction = (form) => call(form).body.instruction;
 const ADDRESS = "http://127.0.0.1:7700";
@@ -87,4 +88,17 @@ test("real interfaces, servers and robots are named", () => {
     assert.match(of({ action: "go", robot: "ros" })[0], /ROS/);
     assert.deepEqual(of({ action: "halt", robot: "turtle" }), [], "nobody has to confirm a halt");
     assert.deepEqual(of({ action: "send", robot: "r", x: 0, y: 0, z: null }), []);
+});
+
+test("a click on the topology means the VNF below it, or the link near it", () => {
+    const boxes = [
+        { id: "robot", x: 100, y: 100, vnfs: ["driver", "lidar"] },
+        { id: "edge", x: 400, y: 100, vnfs: [] },
+        { id: "fog", x: 400, y: 300, vnfs: ["brain"] },
+    ];
+    const links = [{ id: "robot-edge", ends: ["robot", "edge"] }, { id: "robot-fog", ends: ["robot", "fog"] }, { id: "gone", ends: ["robot", "none"] }];
+    const at = (x, y) => found(boxes, links, x, y);
+    assert.deepEqual([at(100, 80), at(100, 100), at(100, 114)], [null, { vnf: "driver" }, { vnf: "lidar" }]);
+    assert.deepEqual([at(400, 100), at(400, 306)], [null, { vnf: "brain" }]);
+    assert.deepEqual([at(250, 105), at(250, 198), at(250, 150)], [{ link: "robot-edge" }, { link: "robot-fog" }, null]);
 });

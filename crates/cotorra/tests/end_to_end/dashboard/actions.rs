@@ -243,6 +243,24 @@ fn every_action_is_done_from_the_page() {
     panel.press("return");
     browser.wait_for("document.getElementById('action-done').innerText.includes('back to its walk')");
 
+    // A click on a VNF in the topology opens its form.
+    panel.fill("halt", &json!({}));
+    browser.evaluate("document.querySelector('#views button:last-child').click();");
+    browser.wait_for(
+        "document.querySelector('#topology canvas').getAttribute('aria-label').includes('navigation')",
+    );
+    browser.wait_for(
+        "(() => {
+            const { left, top, width, height } = document.querySelector('#topology canvas').getBoundingClientRect();
+            for (let x = 0; x < width; x += 20) for (let y = 0; y < height; y += 5) {
+                const at = { clientX: left + x, clientY: top + y };
+                document.querySelector('#topology canvas').dispatchEvent(new MouseEvent('click', at));
+                if (document.getElementById('action-form').elements.vnf?.value === 'navigation') return true;
+            }
+        })()",
+    );
+    browser.evaluate("document.querySelector('#views button').click();");
+
     // What the testbed rejects, in its own words.
     let wrong = json!({ "instruction": { "instruction": "condition", "link": "lan-fog", "change": { "delay_ms": -1.0 } } });
     panel.fill("condition", &json!({ "link": "lan-fog", "delay_ms": "-1" }));
