@@ -1,10 +1,14 @@
 //! `cotorra view`: serves a finished run to the dashboard.
 
-use std::{net::SocketAddr, path::PathBuf, process::ExitCode};
+use std::{
+    net::SocketAddr,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use clap::Args;
 use cotorra_graph::Timestamp;
-use cotorra_measurements::{History, Run};
+use cotorra_measurements::{History, Run, RunId, export::Format};
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::replay::{Replay, ReplayError, ReplayOptions, Speed};
 use miette::IntoDiagnostic;
@@ -14,6 +18,7 @@ use crate::{
     browser::Opener,
     history::{HistoryPlace, Source},
     run, signals,
+    temporary::TemporaryFolder,
     testbed_file::{FileError, recorded},
 };
 
@@ -26,11 +31,15 @@ use crate::{
 Examples:
   cotorra view
   cotorra view --open
-  cotorra view runs/corridor-20260101-120000")]
+  cotorra view runs/corridor-20260101-120000
+  cotorra view latest --compare runs/corridor-20260101-120000     two runs on one time axis")]
 pub struct ViewArgs {
     /// The folder of a run, `latest`, or the number of a run in the history that --history names
     #[arg(default_value = "latest")]
     pub run: String,
+    /// Draw the figures of another run beside those of RUN, on one time axis; named as RUN
+    #[arg(long, value_name = "RUN")]
+    pub compare: Option<String>,
     /// Open the dashboard in the browser (by xdg-open)
     #[arg(long)]
     pub open: bool,
@@ -48,7 +57,17 @@ pub struct ViewArgs {
 /// Serves a run until Ctrl-C.
 pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
     let opener = Opener::prepare(args.open)?;
-    let source = Source::find(&args.run, &args.place)?;
+    let mut source = Source::find(&args.run, &args.place)?;
+    let interrupts = signals::listen()?;
+    let mut compared = None;
+    if let Some(other) = &args.compare {
+        let (other, folder) = (Source::find(other, &args.place)?, TemporaryFolder::new().into_diagnostic()?);
+        note!("Reading both runs");
+        let go_on = || interrupts.try_recv().is_err();
+        let (history, run, other) = joined(&source, &other, folder.path(), go_on)?;
+        (source.history, source.run) = (history, run);
+        compared = Some((folder, other));
+    }
     let base = source.base(args.base.as_deref());
     let testbed = recorded(&source.run.info.testbed, &args.run, &base, None).map_err(FileError::from)?;
     let end = end(&source.history, &source.run).map_err(ReplayError::from).into_diagnostic()?;
@@ -63,13 +82,31 @@ pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
         foxglove: None,
         to_plugins: false,
     };
-    let interrupts = signals::listen()?;
     let replay = Replay::new(testbed, source.history, source.run.id, options).into_diagnostic()?;
-    let address = format!("http://{}/", replay.api_address());
+    let query = compared.as_ref().map(|(_, run)| format!("?compare={run}")).unwrap_or_default();
+    let address = format!("http://{}/{query}", replay.api_address());
     note!("Dashboard on {address}, view of {}; Ctrl-C ends it", args.run);
     opener.open(&address);
     replay.hold(|_| interrupts.try_recv().is_err());
     Ok(ExitCode::SUCCESS)
+}
+
+/// Copies two runs into one history in a folder. Returns it, with the first run and the other's number.
+fn joined(
+    one: &Source,
+    other: &Source,
+    folder: &Path,
+    go_on: impl Fn() -> bool,
+) -> miette::Result<(History, Run, RunId)> {
+    let history = History::open(folder.join("history.sqlite")).into_diagnostic()?;
+    let copy = |name, source: &Source| {
+        let tables = folder.join(name);
+        source.history.export(source.run.id, Format::Csv, &tables, |_| go_on()).into_diagnostic()?;
+        history.import(&tables, |_| go_on()).map(|(run, _)| run).into_diagnostic()
+    };
+    let (first, other) = (copy("one", one)?, copy("other", other)?);
+    let run = history.run(first).into_diagnostic()?;
+    Ok((history, run, other))
 }
 
 /// Returns the end of a run; that of its last sample if it was killed.

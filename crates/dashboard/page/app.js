@@ -10,6 +10,7 @@ import { Moment } from "./moment.js";
 import { palette } from "./palette.js";
 import { read } from "./pgm.js";
 import { RobotsTable } from "./robots.js";
+import { ScanButton } from "./scan.js";
 import { HAPPENINGS, KINDS, Model } from "./state.js";
 import { TimeAxis } from "./time_axis.js";
 import { Timeline } from "./timeline.js";
@@ -149,7 +150,9 @@ async function load(signal) {
     const model = new Model(testbed);
     if (!focus || !model.robots.has(focus)) focus = [...model.robots.keys()][0] ?? null;
     await recount(model, signal);
+    const compared = Number(new URLSearchParams(location.search).get("compare"));
     if (state.at_ns > 0) await recall(model, state, signal);
+    if (compared > 0) await recallOther(model, state, compared, signal);
     model.begin(state);
     showVerdict(verdict);
     return { model, grid };
@@ -185,6 +188,8 @@ function show(model, grid) {
     };
     actions.show(model);
     moment.begin(model);
+    const { map } = views;
+    new ScanButton(byId("map-tools"), model, () => focus, (path) => api.bytes(path), (robot, points) => map.showScan(robot, points));
     document.title = `${model.testbed.name} · cotorra`;
     setText(byId("name"), model.testbed.name);
     byId("name").title = model.testbed.description;
@@ -221,19 +226,48 @@ async function recount(model, signal) {
 }
 
 /**
+ * Returns the figures that are read from the history.
+ * @param {Model} model
+ * @param {Schemas["GraphState"]} state
+ */
+function recalled(model, state) {
+    const services = model.testbed.services.map(({ id }) => `service_time:${id}`);
+    const signals = focus ? model.units.map((unit) => `signal:${focus}:${unit}`) : [];
+    const links = state.virtual_links.flatMap(({ links }) => links);
+    const delays = [...new Set(links)].flatMap((link) => [`delay:${link}:forward`, `delay:${link}:backward`]);
+    return [...services, ...delays, ...signals].slice(0, MOST_FIGURES);
+}
+
+/**
+ * @param {string} figure
+ * @param {number | undefined} run Another run of the same history.
+ * @param {AbortSignal} signal
+ * @returns {Promise<Schemas["Curve"]>}
+ */
+function readCurve(figure, run, signal) {
+    return api.get("measurements/series", { figure, points: POINTS, run }, signal);
+}
+
+/**
+ * Reads the figures of another run, to be drawn beside this one's.
+ * @param {Model} model
+ * @param {Schemas["GraphState"]} state
+ * @param {number} run
+ * @param {AbortSignal} signal
+ */
+async function recallOther(model, state, run, signal) {
+    for (const name of recalled(model, state)) model.recallOther(await readCurve(name, run, signal));
+}
+
+/**
  * Reads figures of the history: service times, delays, signals and places of robots.
  * @param {Model} model
  * @param {Schemas["GraphState"]} state
  * @param {AbortSignal} signal
  */
 async function recall(model, state, signal) {
-    const curve = (/** @type {string} */ name, points = POINTS) =>
-        /** @type {Promise<Schemas["Curve"]>} */ (api.get("measurements/series", { figure: name, points }, signal));
-    const services = model.testbed.services.map(({ id }) => `service_time:${id}`);
-    const signals = focus ? model.units.map((unit) => `signal:${focus}:${unit}`) : [];
-    const links = state.virtual_links.flatMap(({ links }) => links);
-    const delays = [...new Set(links)].flatMap((link) => [`delay:${link}:forward`, `delay:${link}:backward`]);
-    const names = [...services, ...delays, ...signals].slice(0, MOST_FIGURES);
+    const curve = (/** @type {string} */ name) => readCurve(name, undefined, signal);
+    const names = recalled(model, state);
     // A few at a time: browsers keep six connections to a server, and others want some.
     const queue = names.map((name) => async () => model.recall(await curve(name)));
     for (const robot of model.robots.keys()) {

@@ -4,6 +4,7 @@ import { Canvas, FONT, rimmed } from "./canvas.js";
 import { area, draw, Svg } from "./plot.js";
 import { DASHES } from "./palette.js";
 import { element, save, setText } from "./dom.js";
+import { other, PARTS } from "./state.js";
 import { clock, figure, percent } from "./format.js";
 
 /** @typedef {import("./state.js").Model} Model */
@@ -17,6 +18,7 @@ import { clock, figure, percent } from "./format.js";
  * @property {number | null} target
  * @property {boolean} fromZero
  * @property {number | null} longestGap
+ * @property {boolean} [isOptional] Whether the chart is there only once it has values.
  * @property {(focus: string | null) => { figure: string, name: string }[]} figures At most eight, in a stable order.
  */
 
@@ -47,6 +49,15 @@ export function subjects(model) {
         longestGap: 5,
         figures: () => services.slice(0, MOST_LINES).map((name) => ({ figure: `service_time:${name}`, name })),
     }));
+    if (model.testbed.services.length > 0) {
+        all.push({
+            title: "Split of service time", unit: "ms", target: null, fromZero: true, longestGap: 5, isOptional: true,
+            figures: (focus) => {
+                const its = model.testbed.services.find(({ robot }) => robot === focus) ?? model.testbed.services[0];
+                return PARTS.map((name) => ({ figure: `split:${its.id}:${name}`, name }));
+            },
+        });
+    }
     const links = { title: "Delay of links in use", unit: "ms", target: null, fromZero: true, longestGap: 3 };
     all.push({ ...links, figures: () => usedLinks(model).map((name) => ({ figure: `delay:${name}`, name: named(name) })) });
     if (model.units.length > 0 && model.robots.size > 0) {
@@ -58,15 +69,11 @@ export function subjects(model) {
             },
         });
     }
-    if (model.machines.size > 0) {
-        const machines = [...model.machines.keys()].slice(0, MOST_LINES);
-        const common = { target: null, fromZero: true, longestGap: 10 };
-        all.push({ ...common, title: "Busy CPUs", unit: "", figures: () => machines.map((name) => ({ figure: `cpu:${name}`, name })) });
-        all.push({
-            ...common, title: "Available memory", unit: "bytes",
-            figures: () => machines.map((name) => ({ figure: `available_memory:${name}`, name })),
-        });
-    }
+    const machines = (/** @type {string} */ kind) => () =>
+        [...model.machines.keys()].slice(0, MOST_LINES).map((name) => ({ figure: `${kind}:${name}`, name }));
+    const ofMachines = { target: null, fromZero: true, longestGap: 10, isOptional: true };
+    all.push({ ...ofMachines, title: "Busy CPUs", unit: "", figures: machines("cpu") });
+    all.push({ ...ofMachines, title: "Available memory", unit: "bytes", figures: machines("available_memory") });
     return all;
 }
 
@@ -162,8 +169,9 @@ class Chart {
         const buttons = saves.map(([name, click]) =>
             element("button", { type: "button", class: "quiet", "aria-label": `Save ${subject.title} as ${name}`, click: /** @type {EventListener} */ (click) }, String(name)));
         const place = element("div", { class: "canvas" });
-        host.append(element("figure", { class: "chart" },
-            element("figcaption", {}, element("h2", {}, title), this.legend, element("div", { class: "tools" }, ...buttons)), place));
+        this.figure = element("figure", { class: "chart", hidden: subject.isOptional ?? false },
+            element("figcaption", {}, element("h2", {}, title), this.legend, element("div", { class: "tools" }, ...buttons)), place);
+        host.append(this.figure);
         this.canvas = new Canvas(place, subject.title, () => {
             this.#drawn = "";
             changed();
@@ -245,13 +253,23 @@ class Chart {
     }
 
     /**
+     * Returns the figures of this run, each with that of the run that it is compared with.
+     * @param {string | null} focus
+     */
+    #figures(focus) {
+        const own = this.subject.figures(focus);
+        if (!this.model.isCompared) return own;
+        return own.slice(0, MOST_LINES / 2).flatMap(({ figure, name }) => [{ figure, name }, { figure: other(figure), name: `${name}, other run` }]);
+    }
+
+    /**
      * @param {string | null} focus
      * @returns {Plot}
      */
     #compose(focus) {
         const { model, subject } = this;
         const { from, until } = this.axis.window(model.now);
-        const figures = subject.figures(focus);
+        const figures = this.#figures(focus);
         const names = new Set(figures.map(({ name }) => name));
         for (const name of this.#colours.keys()) if (!names.has(name)) this.#colours.delete(name);
         const lines = figures.map(({ figure, name }) => ({ name, series: model.figure(figure), index: this.#colour(name) }));
@@ -272,6 +290,10 @@ class Chart {
      */
     draw(palette, focus) {
         const { version } = this.model;
+        if (this.subject.isOptional) {
+            const has = (/** @type {{ figure: string }} */ { figure }) => Number.isFinite(this.model.figure(figure).last);
+            this.figure.hidden = !this.subject.figures(focus).some(has);
+        }
         const { from, until } = this.axis.window(this.model.now);
         // A window in the past changes only by what the history brings.
         const figures = until < this.model.now - 1 ? 0 : version.figures + version.robots;

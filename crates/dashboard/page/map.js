@@ -25,6 +25,8 @@ export class MapView {
     #follow = false;
     #telling = false;
     #drawn = "";
+    /** @type {{ robot: string, points: {x: number, y: number}[] }} */
+    #scan = { robot: "", points: [] };
     /** A goal that somebody chooses. @type {{x: number, y: number} | null} */
     #goal = null;
     /** Gets the place of a click, if one is wanted. @type {((goal: {x: number, y: number}) => void) | null} */
@@ -43,6 +45,8 @@ export class MapView {
     constructor(host, tools, model, grid, changed, focused) {
         host.replaceChildren();
         this.model = model;
+        /** The model of the present, to which scans belong. */
+        this.live = model;
         this.grid = grid;
         this.changed = changed;
         this.focused = focused;
@@ -70,6 +74,17 @@ export class MapView {
     show(model) {
         this.model = model;
         this.#drawn = "";
+    }
+
+    /**
+     * Shows what a robot's lidar sees, in the robot's frame.
+     * @param {string} robot
+     * @param {{x: number, y: number}[]} points
+     */
+    showScan(robot, points) {
+        this.#scan = { robot, points };
+        this.#drawn = "";
+        this.changed();
     }
 
     /** @param {boolean} follow */
@@ -234,6 +249,7 @@ export class MapView {
         for (const robot of this.model.robots.values()) this.#drawTrail(on, to, robot);
         for (const robot of this.model.robots.values()) this.#drawAttachment(on, to, robot, palette);
         this.#drawUnits(on, to, palette);
+        this.#drawScan(on, to, palette);
         for (const robot of this.model.robots.values()) this.#drawRobot(on, to, scale, robot, palette, robot.id === focus);
         if (this.#goal) this.#drawGoal(on, ...to(this.#goal.x, this.#goal.y), palette);
         this.#drawScale(on, scale, palette);
@@ -309,6 +325,22 @@ export class MapView {
         }
         if (open) on.stroke();
         on.lineCap = "butt";
+    }
+
+    /**
+     * @param {CanvasRenderingContext2D} on
+     * @param {(x: number, y: number) => [number, number]} to
+     * @param {Palette} palette
+     */
+    #drawScan(on, to, palette) {
+        const pose = this.model.robots.get(this.#scan.robot)?.context?.sensors.pose;
+        if (!pose || this.model !== this.live) return;
+        const [cos, sin] = [Math.cos(pose.heading), Math.sin(pose.heading)];
+        on.fillStyle = palette.alert;
+        for (const { x, y } of this.#scan.points) {
+            const [px, py] = to(pose.x + x * cos - y * sin, pose.y + x * sin + y * cos);
+            on.fillRect(px - 1, py - 1, 2, 2);
+        }
     }
 
     /** @param {string} unit */
@@ -458,6 +490,8 @@ export class MapView {
             const pose = robot.context?.sensors.pose;
             return pose ? `${robot.id} at ${pose.x.toFixed(0)}, ${pose.y.toFixed(0)}, ${robot.unit ?? "no radio unit"}` : `${robot.id} not known yet`;
         });
+        const { robot: seeing, points } = this.#scan;
+        if (points.length > 0) words.push(`the lidar of ${seeing} sees ${points.length} points`);
         const label = `Map: ${words.join("; ") || "no robots"}`;
         if (this.canvas.base.getAttribute("aria-label") !== label) this.canvas.base.setAttribute("aria-label", label);
     }

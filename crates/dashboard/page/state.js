@@ -47,6 +47,29 @@ const TRAIL = 1500;
 /** Distance between two points of a trail, metres. */
 const TRAIL_STEP = 0.1;
 
+/**
+ * Returns the name of the same figure of the run that this one is compared with.
+ * @param {string} figure
+ */
+export const other = (figure) => `other:${figure}`;
+
+/** Parts that a service time is split into. */
+export const PARTS = Object.freeze(["air", "wires", "queues", "VNF", "hosts"]);
+
+/**
+ * Splits a service time into a few parts, in milliseconds, which add up to it. What no stamp covers counts to the hosts.
+ * @param {Schemas["TimeParts"]} parts
+ */
+export function split(parts) {
+    const split = { air: 0, wires: 0, queues: 0, VNF: parts.vnf_ms, hosts: parts.sender_ms + parts.receiver_ms + parts.unknown_time_ms };
+    for (const { link, queueing_ms, retries_ms, crossing_ms } of parts.links) {
+        split.queues += queueing_ms;
+        // The names of wireless links alone have a tilde.
+        split[link.includes("~") ? "air" : "wires"] += retries_ms + crossing_ms;
+    }
+    return split;
+}
+
 export class Robot {
     /** @param {string} id */
     constructor(id) {
@@ -120,6 +143,8 @@ export class Model {
         this.machines = new Map();
         /** Figures over time, by their names in the API. @type {Map<string, Series>} */
         this.series = new Map();
+        /** Whether figures of another run are known, too. */
+        this.isCompared = false;
         /** @type {Schemas["Lateness"] | null} */
         this.lateness = null;
         /** @type {Entry[]} */
@@ -161,6 +186,15 @@ export class Model {
         for (const { regions } of this.robots.values()) {
             if (regions.length === 1 && regions[0].until === null && this.entries.every(({ group }) => group !== "handover")) regions[0].from = 0;
         }
+    }
+
+    /**
+     * Takes over a figure of the run that this one is compared with.
+     * @param {Schemas["Curve"]} curve
+     */
+    recallOther(curve) {
+        this.isCompared = true;
+        this.recall({ ...curve, figure: other(curve.figure) });
     }
 
     /**
@@ -337,6 +371,9 @@ export class Model {
      */
     #sample(at, sample) {
         this.figure(`service_time:${sample.service}`).add(at, sample.service_time_ms ?? NaN);
+        if (sample.parts) {
+            for (const [part, ms] of Object.entries(split(sample.parts))) this.figure(`split:${sample.service}:${part}`).add(at, ms);
+        }
         this.version.figures += 1;
     }
 

@@ -75,6 +75,7 @@ fn with_modules(page: &'static [u8]) -> Vec<File> {
         "plot.js",
         "raster.js",
         "robots.js",
+        "scan.js",
         "series.js",
         "state.js",
         "style.css",

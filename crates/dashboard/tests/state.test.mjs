@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { describe, Model } from "../page/state.js";
+import { describe, Model, PARTS } from "../page/state.js";
 import { carrying, columns, figures, links, vnfsByNode } from "../page/topology.js";
 
 const testbed = () => ({
@@ -108,4 +108,15 @@ test("the topology follows placements, attachments and virtual links", () => {
     const link = { at_ns: 1e9, event: "link", link: "R1-fog", direction: "forward", delay_ms: 4.5, throughput_bps: 80_000 };
     model.take({ ...link, probed: { loss: 0.02, loss_age_ms: 1 } });
     assert.deepEqual(figures(model, "R1-fog"), { delay: "4.50 / – ms", rate: "80.0 kbit/s", loss: "2.0 % lost" });
+});
+
+test("the parts of a service time add up to it", () => {
+    const model = new Model(testbed());
+    const link = (name, back) => ({ link: name, direction: "forward", back, queueing_ms: 0.5, retries_ms: 0.25, crossing_ms: 2 });
+    const links = [link("robot~R1", false), link("R1-edge", false), link("R1-edge", true), link("robot~R1", true)];
+    const parts = { sender_ms: 0.125, vnf_ms: 1, receiver_ms: 0.0625, unknown_time_ms: 0.03125, links };
+    model.take({ ...sample(1, 12.21875), parts });
+    const values = PARTS.map((part) => model.figure(`split:navigation:${part}`).last);
+    assert.deepEqual(values, [4.5, 4.5, 2, 1, 0.21875]);
+    assert.equal(values.reduce((sum, value) => sum + value), 12.21875);
 });

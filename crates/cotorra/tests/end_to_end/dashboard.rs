@@ -107,10 +107,20 @@ fn a_run_is_shown_live_with_its_handovers() {
     let folder = tempfile::tempdir().unwrap();
     let file = corridor_ending_in("", folder.path());
     let Some(browser) = Browser::start(1440, 900) else { return };
-    let run = Run::start(&file, &[]);
+    let run = Run::start(&file, &["--set", "nodes.robot.sensors={ front: { kind: lidar } }"]);
     run.wait_for_service();
+    wait_until(|| run.get("/api/v1/robots/robot/sensors")[0]["last"].is_object());
     browser.open(&run.api);
     browser.wait_for(&format!("{STATE} === 'live'"));
+    let split =
+        "[...document.querySelectorAll('#charts figure:not([hidden])')].map((chart) => chart.innerText)";
+    browser.wait_for(&format!("{split}.some((text) => /Split of service time[^]*air[^]*VNF/.test(text))"));
+    let scan =
+        "[...document.querySelectorAll('#map-tools button')].find((one) => one.textContent === 'Scan')";
+    browser.evaluate(&format!("({scan}).click();"));
+    browser.wait_for(&format!("/the lidar of robot sees \\d+ points/.test({MAP})"));
+    browser.evaluate(&format!("({scan}).click();"));
+    browser.wait_for(&format!("!{MAP}.includes('lidar')"));
     browser.wait_for(&format!("/^Map: robot at -?\\d+, -?\\d+, R1/.test({MAP})"));
     browser.wait_for(&format!("/attached to R1: navigation [\\d.]+ ms/.test({CHART})"));
     browser.evaluate(
@@ -215,6 +225,23 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
     assert_fits(&browser);
     assert_accessible(&browser);
     assert_clean(&browser, &shown.dashboard);
+}
+
+#[test]
+fn two_runs_are_compared_on_one_time_axis() {
+    let (out, others) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (folder, other) = (recorded(&out), recorded(&others));
+    let Some(browser) = Browser::start(1440, 900) else { return };
+    let shown =
+        Shown::start(&["view", folder.to_str().unwrap(), "--compare", other.to_str().unwrap()], |_| {});
+    browser.open(&shown.dashboard);
+    browser.evaluate("document.querySelector('[data-span=all]').click();");
+    browser.wait_for(&format!("{CHART}.includes('0:00 to 1:40')"));
+    let value = |line: &str| browser.evaluate(&format!("return /{line} ([\\d.]+) ms/.exec({CHART})?.[1];"));
+    browser.wait_for(&format!("/navigation, other run [\\d.]+ ms/.test({CHART})"));
+    // The same seed leaves the same times.
+    assert_eq!(value("navigation"), value("navigation, other run"));
+    assert_clean(&browser, shown.dashboard.split('?').next().unwrap());
 }
 
 #[test]
