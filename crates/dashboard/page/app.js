@@ -3,6 +3,7 @@
 import { ActionPanel } from "./action_panel.js";
 import { Api, Refused, Unauthorized } from "./api.js";
 import { Charts, WORDS_EVERY_MS } from "./charts.js";
+import { Details } from "./detail.js";
 import { byId, element, setText } from "./dom.js";
 import { clock, figure } from "./format.js";
 import { MapView } from "./map.js";
@@ -45,11 +46,13 @@ const moment = new Moment((at_ns) => api.get("measurements/state", { at_ns }), (
 });
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
-/** @type {{ model: Model, map: MapView, topology: Topology, robots: RobotsTable, charts: Charts, timeline: Timeline } | null} */
+/** @type {{ model: Model, map: MapView, topology: Topology, robots: RobotsTable, charts: Charts, timeline: Timeline, details: Details } | null} */
 let views = null;
 /** @type {string | null} */
 let focus = null;
 let wanted = false;
+/** Version of the time axis whose stretch was looked at closely. */
+let looked = -1;
 let telling = false;
 
 /** Draws in the next frame, once. */
@@ -104,6 +107,10 @@ function render() {
             actions.draw(focus);
             moment.draw();
         }, WORDS_EVERY_MS);
+    }
+    if (looked !== axis.version) {
+        looked = axis.version;
+        views.details.want(views.charts.figures(focus), axis.window(model.now));
     }
     views.charts.draw(colours, focus);
     views.timeline.draw();
@@ -174,8 +181,14 @@ function showVerdict(verdict) {
  * @param {import("./map.js").Grid | null} grid
  */
 function show(model, grid) {
+    const closely = (/** @type {string} */ figure, /** @type {import("./detail.js").Stretch} */ { from, until }) => {
+        const [from_ns, until_ns] = [from, until].map((at) => Math.round(at * 1e9));
+        return /** @type {Promise<Schemas["Curve"]>} */ (api.get("measurements/series", { figure, points: POINTS, from_ns, until_ns }));
+    };
+    looked = -1;
     views = {
         model,
+        details: new Details(model, closely, changed),
         map: new MapView(byId("map"), byId("map-tools"), model, grid, changed, setFocus),
         topology: new Topology(byId("topology"), model, changed, (what) => actions.choose(what)),
         robots: new RobotsTable(byId("robots"), model, setFocus),

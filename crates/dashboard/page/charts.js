@@ -124,6 +124,14 @@ export class Charts {
     }
 
     /**
+     * Returns the names of all figures in charts.
+     * @param {string | null} focus
+     */
+    figures(focus) {
+        return this.all.flatMap((chart) => chart.subject.figures(focus).map(({ figure }) => figure));
+    }
+
+    /**
      * Draws what has changed.
      * @param {Palette} palette
      * @param {string | null} focus
@@ -272,7 +280,7 @@ class Chart {
         const figures = this.#figures(focus);
         const names = new Set(figures.map(({ name }) => name));
         for (const name of this.#colours.keys()) if (!names.has(name)) this.#colours.delete(name);
-        const lines = figures.map(({ figure, name }) => ({ name, series: model.figure(figure), index: this.#colour(name) }));
+        const lines = figures.map(({ figure, name }) => ({ name, series: model.closest(figure, from, until), index: this.#colour(name) }));
         const robot = model.robots.get(focus ?? [...model.robots.keys()][0] ?? "");
         const regions = (robot?.regions ?? []).filter((region) => (region.until ?? model.now) >= from && region.from <= until);
         const bands = regions.map((region) => ({
@@ -297,7 +305,7 @@ class Chart {
         const { from, until } = this.axis.window(this.model.now);
         // A window in the past changes only by what the history brings.
         const figures = until < this.model.now - 1 ? 0 : version.figures + version.robots;
-        const state = [from, until, figures, version.entries, palette.dark, focus, [...this.#hidden]].join();
+        const state = [from, until, figures, version.entries, this.model.detail?.from, this.model.detail?.until, palette.dark, focus, [...this.#hidden]].join();
         if (state === this.#drawn || this.canvas.width === 0) return;
         this.#drawn = state;
         this.#palette = palette;

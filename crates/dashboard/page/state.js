@@ -143,6 +143,8 @@ export class Model {
         this.machines = new Map();
         /** Figures over time, by their names in the API. @type {Map<string, Series>} */
         this.series = new Map();
+        /** A stretch that was read closely. @type {{ from: number, until: number, series: Map<string, Series> } | null} */
+        this.detail = null;
         /** Whether figures of another run are known, too. */
         this.isCompared = false;
         /** @type {Schemas["Lateness"] | null} */
@@ -186,6 +188,18 @@ export class Model {
         for (const { regions } of this.robots.values()) {
             if (regions.length === 1 && regions[0].until === null && this.entries.every(({ group }) => group !== "handover")) regions[0].from = 0;
         }
+    }
+
+    /**
+     * Returns a figure as closely as it is known in a stretch of time.
+     * @param {string} name
+     * @param {number} from
+     * @param {number} until
+     */
+    closest(name, from, until) {
+        const { detail } = this;
+        const isWithin = detail && detail.from <= from && detail.until >= until;
+        return (isWithin ? detail.series.get(name) : undefined) ?? this.figure(name);
     }
 
     /**
