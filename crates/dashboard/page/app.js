@@ -2,9 +2,9 @@
 
 import { ActionPanel } from "./action_panel.js";
 import { Api, Refused, Unauthorized } from "./api.js";
-import { Charts, WORDS_EVERY_MS } from "./charts.js";
+import { Charts } from "./charts.js";
 import { Details } from "./detail.js";
-import { byId, element, setText } from "./dom.js";
+import { byId, element, rarely, setText } from "./dom.js";
 import { clock, figure } from "./format.js";
 import { MapView } from "./map.js";
 import { Moment } from "./moment.js";
@@ -53,7 +53,6 @@ let focus = null;
 let wanted = false;
 /** Version of the time axis whose stretch was looked at closely. */
 let looked = -1;
-let telling = false;
 
 /** Draws in the next frame, once. */
 function changed() {
@@ -92,6 +91,12 @@ function isDark() {
     return document.documentElement.dataset.theme ? document.documentElement.dataset.theme === "dark" : dark.matches;
 }
 
+const tellSoon = rarely(() => {
+    views?.robots.draw(focus);
+    actions.draw(focus);
+    moment.draw();
+});
+
 function render() {
     if (!views) return;
     const { model } = views;
@@ -99,15 +104,7 @@ function render() {
     setText(byId("clock"), clock(moment.at ?? (axis.isLive ? model.now : axis.window(model.now).until)));
     if (byId("topology").hidden) views.map.draw(colours, focus);
     else views.topology.draw(colours);
-    if (!telling) {
-        telling = true;
-        setTimeout(() => {
-            telling = false;
-            views?.robots.draw(focus);
-            actions.draw(focus);
-            moment.draw();
-        }, WORDS_EVERY_MS);
-    }
+    tellSoon();
     if (looked !== axis.version) {
         looked = axis.version;
         views.details.want(views.charts.figures(focus), axis.window(model.now));

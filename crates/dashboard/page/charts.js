@@ -3,7 +3,7 @@
 import { Canvas, FONT, rimmed } from "./canvas.js";
 import { area, draw, Svg } from "./plot.js";
 import { DASHES } from "./palette.js";
-import { element, save, setText } from "./dom.js";
+import { element, rarely, save, setText } from "./dom.js";
 import { other, PARTS } from "./state.js";
 import { clock, figure, percent } from "./format.js";
 
@@ -25,8 +25,6 @@ import { clock, figure, percent } from "./format.js";
 /** Lines of a chart. There are as many colours. */
 const MOST_LINES = 8;
 const MOST_MARKS = 400;
-/** Pause between two changes of legends. */
-export const WORDS_EVERY_MS = 200;
 
 /**
  * Returns the charts of a testbed.
@@ -152,7 +150,7 @@ class Chart {
     #palette = null;
     /** @type {number | null} */
     #hovered = null;
-    #telling = false;
+    #tellSoon = rarely(() => this.#tell());
     /** Names of lines that are hidden. @type {Set<string>} */
     #hidden = new Set();
     /** Each line keeps its colour as long as it is there. @type {Map<string, number>} */
@@ -314,16 +312,6 @@ class Chart {
         this.#axes = draw(on, this.canvas.width, this.canvas.height, this.#plot, palette);
         if (this.#hovered !== null) this.hover(this.#hovered);
         else this.#tellSoon();
-    }
-
-    /** Nobody reads words that change with every frame. */
-    #tellSoon() {
-        if (this.#telling) return;
-        this.#telling = true;
-        setTimeout(() => {
-            this.#telling = false;
-            this.#tell();
-        }, WORDS_EVERY_MS);
     }
 
     /** Brings the legend up to date: each line with its colour and its value at the pointer, or its last. */

@@ -39,6 +39,25 @@ export function setText(of, text) {
     if (of.textContent !== text) of.textContent = text;
 }
 
+/** Pause between two changes of words, ms: nobody reads words that change with every frame. */
+const WORDS_EVERY = 200;
+
+/**
+ * Returns a function that calls another one, a little later and once for all calls until then.
+ * @param {() => void} tell
+ */
+export function rarely(tell) {
+    let waiting = false;
+    return () => {
+        if (waiting) return;
+        waiting = true;
+        setTimeout(() => {
+            waiting = false;
+            tell();
+        }, WORDS_EVERY);
+    };
+}
+
 /**
  * Saves bytes as a file of the user's.
  * @param {Blob} blob

@@ -2,7 +2,7 @@
 
 import { Canvas, FONT, rimmed } from "./canvas.js";
 import { BANDS, faded } from "./palette.js";
-import { element } from "./dom.js";
+import { element, rarely } from "./dom.js";
 
 /** @typedef {import("./state.js").Model} Model */
 /** @typedef {import("./state.js").Robot} Robot */
@@ -16,14 +16,12 @@ const LARGEST = 400;
 /** A covariance ellipse holds the robot in 95 of 100 cases: the quantile of χ² with two degrees of freedom. */
 const CHI_SQUARED = 5.991;
 const MARGIN = 24;
-/** Pause between two descriptions of the map. */
-const WORDS_EVERY_MS = 200;
 
 export class MapView {
     /** Centre of the view in metres, and pixels to the metre; `null` to show all. @type {{x: number, y: number, scale: number} | null} */
     #view = null;
     #follow = false;
-    #telling = false;
+    #tellSoon = rarely(() => this.#tell());
     #drawn = "";
     /** @type {{ robot: string, points: {x: number, y: number}[] }} */
     #scan = { robot: "", points: [] };
@@ -253,12 +251,7 @@ export class MapView {
         for (const robot of this.model.robots.values()) this.#drawRobot(on, to, scale, robot, palette, robot.id === focus);
         if (this.#goal) this.#drawGoal(on, ...to(this.#goal.x, this.#goal.y), palette);
         this.#drawScale(on, scale, palette);
-        if (this.#telling) return;
-        this.#telling = true;
-        setTimeout(() => {
-            this.#telling = false;
-            this.#tell();
-        }, WORDS_EVERY_MS);
+        this.#tellSoon();
     }
 
     /**

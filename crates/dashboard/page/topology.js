@@ -2,6 +2,7 @@
 // virtual links, with their delay and throughput.
 
 import { Canvas, FONT, rimmed } from "./canvas.js";
+import { rarely } from "./dom.js";
 import { BANDS, faded } from "./palette.js";
 import { figure } from "./format.js";
 
@@ -13,7 +14,6 @@ import { figure } from "./format.js";
 const ROW = 14;
 const WIDTH = 104;
 const MARGIN = 12;
-const WORDS_EVERY_MS = 200;
 /** Distance to a link at which a click means it, pixels. */
 const NEAR = 8;
 /** Places for the figures of a link on it, as shares of its length, the best first. */
@@ -99,7 +99,7 @@ export function found(boxes, links, x, y) {
 
 export class Topology {
     #drawn = "";
-    #telling = false;
+    #tellSoon = rarely(() => this.#tell());
     /** Nodes as they were drawn last. @type {Map<string, Box>} */
     #boxes = new Map();
 
@@ -159,12 +159,7 @@ export class Topology {
         /** @type {{x: number, y: number}[]} */
         const taken = [];
         for (const link of inUse) this.#describe(on, boxes, link, palette, taken);
-        if (this.#telling) return;
-        this.#telling = true;
-        setTimeout(() => {
-            this.#telling = false;
-            this.#tell(vnfs);
-        }, WORDS_EVERY_MS);
+        this.#tellSoon();
     }
 
     /**
@@ -260,9 +255,8 @@ export class Topology {
         if (loss) rimmed(on, loss, place.x, place.y + 19, palette.alert, palette.back);
     }
 
-    /** @param {Map<string, string[]>} vnfs */
-    #tell(vnfs) {
-        const placed = [...vnfs].map(([node, of]) => `${node}: ${of.join(", ")}`).join("; ");
+    #tell() {
+        const placed = [...vnfsByNode(this.model)].map(([node, of]) => `${node}: ${of.join(", ")}`).join("; ");
         const paths = [...this.model.virtualLinks.values()].map(({ from, to, links: over }) => `${from} to ${to} over ${over.join(", ")}`);
         const label = `Topology: ${placed || "no VNFs"}; ${paths.join("; ") || "no virtual links"}`;
         if (this.canvas.base.getAttribute("aria-label") !== label) this.canvas.base.setAttribute("aria-label", label);
