@@ -235,6 +235,7 @@ fn two_runs_are_compared_on_one_time_axis() {
     let shown =
         Shown::start(&["view", folder.to_str().unwrap(), "--compare", other.to_str().unwrap()], |_| {});
     browser.open(&shown.dashboard);
+    browser.wait_for("document.body.dataset.ready !== undefined");
     browser.evaluate("document.querySelector('[data-span=all]').click();");
     browser.wait_for(&format!("{CHART}.includes('0:00 to 1:40')"));
     let value = |line: &str| browser.evaluate(&format!("return /{line} ([\\d.]+) ms/.exec({CHART})?.[1];"));
