@@ -1,6 +1,6 @@
 //! A testbed file in an editor: the page, and the few paths that it needs. Nothing is written but by [`Edited::save`].
 
-use std::{io, net::SocketAddr, sync::Arc};
+use std::{convert::Infallible, io, net::SocketAddr, sync::Arc};
 
 use axum::{
     Json, Router,
@@ -13,7 +13,7 @@ use axum::{
 use cotorra_graph::Testbed;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
-use tokio::runtime::Runtime;
+use tokio::sync::oneshot;
 
 use super::{
     ApiError, Listener, Tokens,
@@ -75,7 +75,8 @@ pub struct Mistake {
 pub struct Editor {
     address: SocketAddr,
     token: Token,
-    runtime: Option<Runtime>,
+    /// Ends the thread that serves when it is dropped.
+    _stop: oneshot::Sender<Infallible>,
 }
 
 struct Shared {
@@ -138,27 +139,27 @@ impl Editor {
             .fallback(|| async { Failure::not_found("no such path") })
             .with_state(shared)
             .layer(middleware::from_fn(serve::attend));
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(ApiError::Start)?;
         let tcp = {
             let _entered = runtime.enter();
             tokio::net::TcpListener::from_std(listener.tcp).map_err(ApiError::Start)?
         };
-        runtime.spawn(serve::serve(tcp, app, Limits::of(OPEN_FILES), Patience::default()));
-        Ok(Self { address, token, runtime: Some(runtime) })
+        let (stop, stopped) = oneshot::channel();
+        let serving = async move {
+            tokio::select! {
+                () = serve::serve(tcp, app, Limits::of(OPEN_FILES), Patience::default()) => {}
+                _ = stopped => {}
+            }
+        };
+        let thread = std::thread::Builder::new().name("editor".to_owned());
+        thread.spawn(move || runtime.block_on(serving)).map_err(ApiError::Start)?;
+        Ok(Self { address, token, _stop: stop })
     }
 
     /// Returns the page's address. The token is behind `#`, which browsers send nowhere.
     pub fn url(&self) -> String {
         format!("http://{}/#{}", self.address, self.token.secret())
-    }
-}
-
-impl Drop for Editor {
-    fn drop(&mut self) {
-        if let Some(runtime) = self.runtime.take() {
-            runtime.shutdown_background();
-        }
     }
 }
 
