@@ -63,6 +63,7 @@ function events(step) {
 const empty = { items: [], next: null };
 const answers = {
     "/api/v1/testbed": testbed,
+    "/api/v1/measurements/verdict": null,
     "/api/v1/measurements/events": empty,
     "/api/v1/measurements/state": { at_ns: 0, robots: [], radio_units: [], links: [], placements: [], virtual_links: [] },
 };
@@ -109,7 +110,7 @@ const server = createServer(async (request, response) => {
         while (step < 1200) next();
         const timer = setInterval(next, 50);
         response.on("close", () => clearInterval(timer));
-    } else if (answers[path]) send("application/json", JSON.stringify(answers[path]));
+    } else if (path in answers) send("application/json", JSON.stringify(answers[path]));
     else if (path === "/" && options.plotly) send("text/html", plotly);
     else if (path === "/plotly.js") send("text/javascript", await readFile(options.plotly));
     else if (path === "/plotly-page.js") send("text/javascript", plotlyPage);
