@@ -26,7 +26,7 @@ const MAP: &str = "document.querySelector('#map canvas').getAttribute('aria-labe
 const CHART: &str = "document.querySelector('#charts canvas').getAttribute('aria-label')";
 const STATE: &str = "document.getElementById('connection').dataset.state";
 /// Enter, End and arrow left, in WebDriver's keys.
-const ENTER: &str = "\u{e007}";
+pub const ENTER: &str = "\u{e007}";
 const END: &str = "\u{e010}";
 const LEFT: &str = "\u{e012}";
 
@@ -70,7 +70,7 @@ fn recorded(out: &TempDir) -> PathBuf {
 }
 
 /// Fails if the browser complained, or asked another server than this one.
-fn assert_clean(browser: &Browser, address: &str) {
+pub fn assert_clean(browser: &Browser, address: &str) {
     assert_eq!(browser.complaints(), Vec::<String>::new());
     let others =
         |url: &String| !(url.starts_with(address) || url.starts_with("blob:") || url.starts_with("data:"));
@@ -79,7 +79,7 @@ fn assert_clean(browser: &Browser, address: &str) {
 }
 
 /// Fails if something sticks out of the page on a screen.
-fn assert_fits(browser: &Browser) {
+pub fn assert_fits(browser: &Browser) {
     for width in [375, 768, 1440, 2560] {
         browser.resize(width, 900);
         browser.wait_for(&format!("innerWidth === {width}"));
@@ -90,7 +90,7 @@ fn assert_fits(browser: &Browser) {
 }
 
 /// Fails if axe-core finds something serious in either theme.
-fn assert_accessible(browser: &Browser) {
+pub fn assert_accessible(browser: &Browser) {
     let Some(axe) = axe() else { return };
     browser.evaluate(&fs::read_to_string(axe).unwrap());
     for theme in ["light", "dark"] {

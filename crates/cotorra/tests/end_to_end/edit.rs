@@ -9,17 +9,19 @@ use std::{
     thread,
 };
 
-use cotorra_testing::{axe, browser::Browser};
+use cotorra_testing::browser::Browser;
 use tempfile::TempDir;
 
-use crate::harness::{agent, corridor_ending_in, cotorra, output, stderr};
+use crate::{
+    dashboard::{ENTER, assert_accessible, assert_clean, assert_fits},
+    harness::{agent, corridor_ending_in, cotorra, output, stderr},
+};
 
 const TEXT: &str = "document.getElementById('text')";
 const MISTAKES: &str = "document.getElementById('mistakes').innerText";
 const SAVED: &str = "document.getElementById('saved').innerText";
 const OVERVIEW: &str = "document.getElementById('overview').innerText";
 const CHOICES: &str = "document.getElementById('choices').innerText";
-const ENTER: &str = "\u{e007}";
 
 /// A `cotorra edit`, killed on drop.
 struct Editor {
@@ -120,23 +122,9 @@ fn a_file_is_completed_checked_drawn_and_saved_on_request() {
     browser.wait_for(&format!("{SAVED} === 'Saved'"));
     assert_eq!(fs::read_to_string(&file).unwrap(), before.replace("name: corridor", "name: hall"));
 
-    for width in [375, 768, 1440, 2560] {
-        browser.resize(width, 900);
-        browser.wait_for(&format!("innerWidth === {width}"));
-        let wide = browser
-            .evaluate("return document.documentElement.scrollWidth - document.documentElement.clientWidth;");
-        assert_eq!(wide, 0, "nothing sticks out at {width} pixels");
-    }
-    if let Some(axe) = axe() {
-        browser.evaluate(&fs::read_to_string(axe).unwrap());
-        let serious = "const { violations } = await globalThis.axe.run();
-            const bad = violations.filter(({ impact }) => ['serious', 'critical'].includes(impact));
-            return bad.map(({ id, nodes }) => `${id}: ${nodes.map((node) => node.html).join(' ').slice(0, 400)}`);";
-        assert_eq!(browser.evaluate(serious), serde_json::json!([]));
-    }
-    assert_eq!(browser.complaints(), Vec::<String>::new());
-    let others = browser.requests().into_iter().filter(|url| !url.starts_with(editor.address()));
-    assert_eq!(others.collect::<Vec<_>>(), Vec::<String>::new());
+    assert_fits(&browser);
+    assert_accessible(&browser);
+    assert_clean(&browser, editor.address());
 }
 
 #[test]
