@@ -26,8 +26,9 @@
  * @property {string[]} [required]
  */
 
-/** Lines of one file that are looked at; the server accepts no longer file. */
+/** A key of a mapping at the beginning of a line, with its colon. */
 const KEY = /^("[^"]*"|'[^']*'|[^\s"'#{}[\],&*!|>%@-][^:#{}[\],]*?)\s*:(?=\s|$)/;
+/** Most suggestions. */
 const MOST = 60;
 
 class Frame {

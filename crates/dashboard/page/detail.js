@@ -26,19 +26,6 @@ export function coarse(model, figures, { from, until }) {
     return figures.filter((name) => !/^(split|other):/.test(name) && isCoarse(name));
 }
 
-/**
- * Returns a curve of the history as a figure over time.
- * @param {Schemas["Curve"]} curve
- */
-export function series(curve) {
-    const read = new Series();
-    for (const point of curve.points) {
-        if ("count" in point) read.addStep(point.until_ns / 1e9, point.min, point.max, point.last);
-        else read.addStep(point.until_ns / 1e9, NaN, NaN, NaN);
-    }
-    return read;
-}
-
 export class Details {
     #timer = 0;
     /** @type {{ figures: string[], stretch: Stretch }} */
@@ -55,7 +42,11 @@ export class Details {
             const { figures, stretch } = this.#wanted;
             /** @type {Map<string, Series>} */
             const found = new Map();
-            for (const name of figures) found.set(name, series(await read(name, stretch)));
+            for (const name of figures) {
+                const series = new Series();
+                series.addCurve(await read(name, stretch));
+                found.set(name, series);
+            }
             return { ...stretch, series: found };
         };
         const loaded = (/** @type {NonNullable<Model["detail"]>} */ detail) => {

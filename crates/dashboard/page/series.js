@@ -50,6 +50,17 @@ export class Series {
         this.at = until;
     }
 
+    /**
+     * Adds what the history has of a figure.
+     * @param {import("#api").components["schemas"]["Curve"]} curve
+     */
+    addCurve(curve) {
+        for (const point of curve.points) {
+            if ("count" in point) this.addStep(point.until_ns / 1e9, point.min, point.max, point.last);
+            else this.addStep(point.until_ns / 1e9, NaN, NaN, NaN);
+        }
+    }
+
     /** The last value, or NaN. */
     get last() {
         if (this.length > 0) return this.values[this.length - 1];

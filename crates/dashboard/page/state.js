@@ -216,11 +216,7 @@ export class Model {
      * @param {Schemas["Curve"]} curve
      */
     recall(curve) {
-        const series = this.figure(curve.figure);
-        for (const point of curve.points) {
-            if ("count" in point) series.addStep(point.until_ns / 1e9, point.min, point.max, point.last);
-            else series.addStep(point.until_ns / 1e9, NaN, NaN, NaN);
-        }
+        this.figure(curve.figure).addCurve(curve);
         this.version.figures += 1;
     }
 

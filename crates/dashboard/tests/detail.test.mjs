@@ -1,7 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { coarse, Details, series } from "../page/detail.js";
+import { coarse, Details } from "../page/detail.js";
+import { Series } from "../page/series.js";
 import { Model } from "../page/state.js";
 
 const testbed = { name: "lab", description: "", graph: { domains: [], links: [], wireless: {}, nodes: [] }, services: [], walks: [], plugins: [] };
@@ -52,6 +53,7 @@ test("a stretch is read once, with a margin, and shown only where it is known", 
 });
 
 test("gaps of the history stay gaps", () => {
-    const read = series(curve("a", [point(1, 5), { from_ns: 1e9, until_ns: 2e9, lost: true }]));
+    const read = new Series();
+    read.addCurve(curve("a", [point(1, 5), { from_ns: 1e9, until_ns: 2e9, lost: true }]));
     assert.ok(Number.isNaN(read.last));
 });

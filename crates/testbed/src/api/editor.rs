@@ -26,7 +26,7 @@ use super::{
     types::{Failure, TestbedBody},
 };
 
-/// Places for connections of the page: a browser opens six, and several tabs may show it.
+/// Open files, of which connections get a share: a browser opens six, and several tabs may show the page.
 const OPEN_FILES: u64 = 512;
 
 /// The file that an [`Editor`] edits.
