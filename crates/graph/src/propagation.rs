@@ -22,6 +22,12 @@ impl WirelessNetwork {
         let frequency_mhz = self.standard.frequency_mhz(unit.channel);
         Dbm(unit.tx_power.0 - self.path_loss.loss_db(distance_m, frequency_mhz))
     }
+
+    /// Returns the distance in metres up to which the mean signal of a radio unit is `signal` at least; 0 if it is weaker
+    /// everywhere.
+    pub fn range_m(&self, unit: &RadioUnit, signal: Dbm) -> f64 {
+        self.path_loss.range_m(unit.tx_power.0 - signal.0, self.standard.frequency_mhz(unit.channel))
+    }
 }
 
 impl WifiStandard {
@@ -39,6 +45,8 @@ impl WifiStandard {
 impl PathLoss {
     /// Nearer than this, antennas are no longer points: distances are clamped to it, in metres.
     const NEAREST_M: f64 = 0.1;
+    /// The greatest range, in metres.
+    const FARTHEST_M: f64 = 1e7;
 
     /// Loss between isotropic antennas, in dB; a pure function, so that what is heard at a place depends on that place
     /// alone.
@@ -59,6 +67,26 @@ impl PathLoss {
                 falling_by(coefficient) + 20.0 * log_f + floor_loss_db - 28.0
             }
         }
+    }
+
+    /// Returns the distance in metres up to which the loss is `loss_db` at most, to a part in 10⁹; 0 if it is more
+    /// everywhere, and [`Self::FARTHEST_M`] at most.
+    fn range_m(self, loss_db: f64, frequency_mhz: u16) -> f64 {
+        let is_within = |distance_m: f64| self.loss_db(distance_m, frequency_mhz) <= loss_db;
+        if !is_within(Self::NEAREST_M) {
+            return 0.0;
+        }
+        // The loss rises with the distance, so that halving the interval finds the end.
+        let (mut near, mut far) = (Self::NEAREST_M, Self::FARTHEST_M);
+        while far - near > near * 1e-9 {
+            let middle = (near * far).sqrt();
+            if is_within(middle) {
+                near = middle;
+            } else {
+                far = middle;
+            }
+        }
+        far
     }
 }
 
@@ -100,6 +128,23 @@ mod tests {
         for (model, metres, mhz, expected) in golden {
             let loss = model.loss_db(metres, mhz);
             assert!((loss - expected).abs() < 0.01, "{model:?} at {metres} m: {loss:.3}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn at_its_range_a_loss_is_reached() {
+        for model in [
+            PathLoss::FreeSpace,
+            PathLoss::LogDistance { exponent: 1.8 },
+            PathLoss::ItuIndoor { coefficient: 30.0, floor_loss_db: 15.0 },
+        ] {
+            for loss_db in [45.0, 60.5, 93.0] {
+                let range = model.range_m(loss_db, 2437);
+                let is = model.loss_db(range, 2437);
+                assert!((is - loss_db).abs() < 1e-6, "{model:?}: {is} dB at {range} m, not {loss_db}");
+            }
+            assert_eq!(model.range_m(-10.0, 2437), 0.0);
+            assert!((model.range_m(1e6, 2437) / PathLoss::FARTHEST_M - 1.0).abs() < 1e-8);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi as _;
 
-use super::{capture, map, measurements, routes, sensors, stream};
+use super::{capture, coverage, map, measurements, routes, sensors, stream};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -28,6 +28,7 @@ use super::{capture, map, measurements, routes, sensors, stream};
         routes::test_throughput,
         capture::capture,
         routes::radio_units,
+        coverage::coverage,
         routes::placements,
         routes::virtual_links,
         routes::vnfs,

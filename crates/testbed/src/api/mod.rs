@@ -6,6 +6,7 @@ mod auth;
 mod capture;
 mod connections;
 mod context;
+mod coverage;
 #[cfg(feature = "openapi")]
 mod document;
 mod editor;
@@ -85,7 +86,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 33] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 34] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/map", get(map::map)),
@@ -100,6 +101,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 33] {
         ("/api/v1/network/links/{id}/throughput-test", post(routes::test_throughput)),
         ("/api/v1/network/captures/{id}", get(capture::capture)),
         ("/api/v1/network/radio-units", get(routes::radio_units)),
+        ("/api/v1/network/coverage", get(coverage::coverage)),
         ("/api/v1/network/placements", get(routes::placements)),
         ("/api/v1/network/virtual-links", get(routes::virtual_links)),
         ("/api/v1/vnfs", get(routes::vnfs).post(routes::add_vnf)),

@@ -549,6 +549,28 @@ fn a_domain_gives_instructions_to_its_own_nodes_and_under_its_own_name() {
 }
 
 #[test]
+fn coverage_is_in_circles_and_of_the_callers_own_radio_units() {
+    let served = Domains::serve();
+    let coverage = |token| {
+        let (status, body) = served.get(token, "/api/v1/network/coverage");
+        assert_eq!(status, 200, "{body}");
+        body.as_array().unwrap().clone()
+    };
+    let units = |of: &[Value]| of.iter().map(|unit| unit["radio_unit"].clone()).collect::<Vec<_>>();
+    let all = coverage(OPERATOR);
+    assert_eq!((units(&all), units(&coverage(ONE))), (vec!["A".into(), "B".into()], vec!["A".into()]));
+    let circles = all[0]["circles"].as_array().unwrap();
+    let of = |name: &str| circles.iter().map(|circle| circle[name].as_f64().unwrap()).collect::<Vec<_>>();
+    let (signals, radii) = (of("signal_dbm"), of("radius_m"));
+    assert!(radii.len() > 3 && radii.is_sorted() && radii[0] > 0.0, "{radii:?}");
+    assert!(signals.iter().rev().is_sorted(), "{signals:?}");
+    // From high above, the strongest signals are not on the floor.
+    let (_, above) = served.get(OPERATOR, "/api/v1/network/coverage?height_m=-100");
+    assert!(above[0]["circles"].as_array().unwrap().len() < circles.len(), "{above}");
+    assert_eq!(served.get(OPERATOR, "/api/v1/network/coverage?height_m=inf").0, 400);
+}
+
+#[test]
 fn vnfs_are_added_listed_and_removed() {
     let mut served = Domains::serve();
     let core = std::mem::replace(&mut served.core, mpsc::channel().1);
