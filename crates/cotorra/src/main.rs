@@ -41,6 +41,7 @@ mod run;
 mod running;
 mod service_table;
 mod signals;
+mod speed;
 mod stamp;
 mod stop;
 mod sweep;

@@ -5,7 +5,10 @@ use std::{net::SocketAddr, num::NonZero, path::PathBuf, process::ExitCode, time:
 use clap::Args;
 use cotorra_graph::{PluginId, Timestamp};
 use cotorra_plugin::runs::Runs;
-use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayOptions, Speed};
+use cotorra_testbed::{
+    Speed,
+    replay::{Played, Replay, ReplayEnd, ReplayOptions},
+};
 use indicatif::ProgressBar;
 use miette::IntoDiagnostic;
 
@@ -16,6 +19,7 @@ use crate::{
     output,
     run::{self, FOXGLOVE},
     signals,
+    speed::parse_speed,
     testbed_file::{FileError, recorded},
 };
 
@@ -41,7 +45,7 @@ pub struct ReplayArgs {
     pub run: String,
     /// Speed, as in 1x or 2.5x; or max
     #[arg(long, value_name = "SPEED", default_value = "1x", value_parser = parse_speed)]
-    pub speed: Pace,
+    pub speed: Speed,
     /// With --speed max: begin when this many plug-ins follow the stream of events, each under its name; default: 1, and 0
     /// with --bundled
     #[arg(long, value_name = "N")]
@@ -68,22 +72,6 @@ pub struct ReplayArgs {
     pub place: HistoryPlace,
 }
 
-/// Speed of a replay.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Pace {
-    Times(f64),
-    Max,
-}
-
-fn parse_speed(text: &str) -> Result<Pace, String> {
-    if text == "max" {
-        return Ok(Pace::Max);
-    }
-    let times = text.strip_suffix('x').and_then(|times| times.parse::<f64>().ok());
-    let times = times.filter(|times| (1e-3..=1e6).contains(times));
-    times.map(Pace::Times).ok_or_else(|| "write it like 1x, 2.5x or max".to_owned())
-}
-
 /// Plays a run to its end.
 pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let opener = Opener::prepare(args.open)?;
@@ -99,12 +87,10 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
         known: Some((Runs::of_user(), format!("replay of {}", args.run))),
         tokens: run::tokens()?,
         folder: source.folder.clone(),
-        speed: match args.speed {
-            Pace::Times(times) => Speed::Times(times),
-            Pace::Max => {
-                let by_itself = usize::from(args.bundled.is_none());
-                Speed::Max { followers: args.plugins.map_or(by_itself, NonZero::get) }
-            }
+        speed: Some(args.speed),
+        followers: match args.speed {
+            Speed::Times(_) => 0,
+            Speed::Max => args.plugins.map_or(usize::from(args.bundled.is_none()), NonZero::get),
         },
         from: args.span.from.map_or(Timestamp::ZERO, after_start),
         to: args.span.to.map(after_start),
@@ -145,18 +131,4 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     };
     note!("the replay is over: {reason}");
     Ok(code)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_speed_is_a_factor_or_max() {
-        assert_eq!(parse_speed("2.5x"), Ok(Pace::Times(2.5)));
-        assert_eq!(parse_speed("max"), Ok(Pace::Max));
-        for wrong in ["2", "0x", "-1x", "nanx", "infx", "fast"] {
-            assert!(parse_speed(wrong).is_err(), "{wrong}");
-        }
-    }
 }

@@ -10,7 +10,7 @@ use clap::Args;
 use cotorra_graph::Timestamp;
 use cotorra_measurements::{History, Run, RunId, export::Format};
 use cotorra_plugin::runs::Runs;
-use cotorra_testbed::replay::{Replay, ReplayError, ReplayOptions, Speed};
+use cotorra_testbed::replay::{Replay, ReplayError, ReplayOptions};
 use miette::IntoDiagnostic;
 
 use crate::{
@@ -76,7 +76,8 @@ pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
         known: Some((Runs::of_user(), format!("view of {}", args.run))),
         tokens: run::tokens()?,
         folder: source.folder.clone(),
-        speed: Speed::Times(1.0),
+        speed: None,
+        followers: 0,
         from: Timestamp::from_nanos(end.as_nanos().saturating_add(1)),
         to: None,
         foxglove: None,
@@ -87,7 +88,7 @@ pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
     let address = format!("http://{}/{query}", replay.api_address());
     note!("Dashboard on {address}, view of {}; Ctrl-C ends it", args.run);
     opener.open(&address);
-    replay.hold(|_| interrupts.try_recv().is_err());
+    replay.play(|_| interrupts.try_recv().is_err()).into_diagnostic()?;
     Ok(ExitCode::SUCCESS)
 }
 

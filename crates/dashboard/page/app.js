@@ -14,6 +14,7 @@ import { RobotsTable } from "./robots.js";
 import { ScanButton } from "./scan.js";
 import { HAPPENINGS, KINDS, Model } from "./state.js";
 import { TimeAxis } from "./time_axis.js";
+import { TimeControl } from "./time_control.js";
 import { Timeline } from "./timeline.js";
 import { Topology } from "./topology.js";
 
@@ -43,6 +44,9 @@ const moment = new Moment((at_ns) => api.get("measurements/state", { at_ns }), (
     if (at === null) axis.follow();
     else if (at < from || at > until) axis.centre(at, now);
     changed();
+});
+const time = new TimeControl(byId("time-control"), (change) => api.send({ method: "POST", path: "/api/v1/clock", body: change }), (error) => {
+    connection("live", error instanceof Refused ? `Refused: ${error.message}` : String(error));
 });
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
@@ -144,10 +148,11 @@ function setFocus(robot) {
  * @param {AbortSignal} signal
  */
 async function load(signal) {
-    const [testbed, grid, verdict] = await Promise.all([
+    const [testbed, grid, verdict, clock] = await Promise.all([
         /** @type {Promise<Schemas["TestbedBody"]>} */ (api.get("testbed", {}, signal)),
         readMap(signal),
         /** @type {Promise<Schemas["Fidelity"] | null>} */ (api.get("measurements/verdict", {}, signal)),
+        /** @type {Promise<Schemas["ClockBody"]>} */ (api.get("clock", {}, signal)),
     ]);
     /** @type {Schemas["GraphState"]} */
     const state = await api.get("measurements/state", {}, signal);
@@ -159,6 +164,7 @@ async function load(signal) {
     if (compared > 0) await recallOther(model, state, compared, signal);
     model.begin(state);
     showVerdict(verdict);
+    time.show(clock);
     return { model, grid };
 }
 

@@ -81,6 +81,7 @@ fn with_modules(page: &'static [u8]) -> Vec<File> {
         "state.js",
         "style.css",
         "time_axis.js",
+        "time_control.js",
         "timeline.js",
         "topology.js",
     ];

@@ -160,7 +160,11 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             #[cfg(feature = "agents")]
             Message::Machine { context, .. } => self.core.observe(context),
             Message::Border(tunnel) => self.core.hear(now, tunnel),
-            Message::Follow(_) | Message::Done { .. } | Message::Wake | Message::Stop => {}
+            Message::Follow(_)
+            | Message::Done { .. }
+            | Message::ControlTime { .. }
+            | Message::Wake
+            | Message::Stop => {}
         }
     }
 }

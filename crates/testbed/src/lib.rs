@@ -42,6 +42,7 @@ mod run;
 mod run_info;
 mod script;
 mod simulate;
+mod time_control;
 mod traffic;
 mod trips;
 mod whole;
@@ -78,5 +79,7 @@ pub use run::{Run, Stopper};
 pub use run_info::about;
 pub use script::{Rehearsal, ScriptError};
 pub use simulate::{
-    Altered, Fork, Simulation, Unrecorded, UnrecordedRun, is_same_subject, simulate, simulate_unrecorded,
+    Altered, Fork, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,
+    simulate_unrecorded, simulate_watched,
 };
+pub use time_control::Speed;

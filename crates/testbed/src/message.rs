@@ -7,7 +7,11 @@ use cotorra_ledger::tunnel::TunnelId;
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::Actions;
 
-use crate::{follower::Follower, plugins::host::Fault};
+use crate::{
+    follower::Follower,
+    plugins::host::Fault,
+    time_control::{TimeChange, TimeState},
+};
 
 /// A message to the core's thread.
 #[allow(clippy::large_enum_variant, reason = "messages are sent one at a time and matched at once")]
@@ -59,6 +63,12 @@ pub(crate) enum Message {
         mark: u64,
         /// Time at which it wants to be woken.
         wake_at: Option<Timestamp>,
+    },
+    /// Time has to stop, step, or pass at another speed. Not sent in real time.
+    ControlTime {
+        change: TimeChange,
+        /// Receives the state of time after it.
+        reply: Box<dyn FnOnce(TimeState) + Send>,
     },
     /// The core has to look for changes, as of a VNF's process.
     Wake,

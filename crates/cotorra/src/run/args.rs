@@ -4,7 +4,7 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use clap::Args;
 use cotorra_graph::IpNetwork;
-use cotorra_testbed::CapturePlan;
+use cotorra_testbed::{CapturePlan, Speed};
 use cotorra_testbed_file::Setting;
 
 use crate::{
@@ -12,6 +12,7 @@ use crate::{
     duration::parse_duration,
     figures::FigureArgs,
     history::{HISTORY_VARIABLE, Place},
+    speed::parse_speed,
 };
 
 /// Default address of a viewer's connection in Foxglove.
@@ -36,6 +37,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --until 60s --seed 7
   cotorra run testbeds/corridor.yaml --headless --out /tmp/runs
   cotorra run testbeds/corridor.yaml --simulate
+  cotorra run testbeds/corridor.yaml --simulate --speed 5x --open
   cotorra run testbeds/corridor.yaml --simulate --capture lan-cloud=cloud.pcapng
   cotorra run testbeds/corridor.yaml --record corridor.mcap
   cotorra run testbeds/corridor.yaml --foxglove
@@ -86,7 +88,7 @@ pub struct RunArgs {
     #[arg(long)]
     pub headless: bool,
     /// Open the dashboard in the browser (by xdg-open)
-    #[arg(long, conflicts_with = "simulate")]
+    #[arg(long)]
     pub open: bool,
     /// Address of the HTTP API and the dashboard
     ///
@@ -107,6 +109,12 @@ pub struct RunArgs {
     /// separate programs cannot take part.
     #[arg(long)]
     pub simulate: bool,
+    /// Serve virtual time to the dashboard and the API at a speed, as in 1x, 2.5x or max; with --open, the default is 1x
+    ///
+    /// The dashboard can stop time, take it on by steps, and change its speed. The results are the same, unless somebody
+    /// gives instructions.
+    #[arg(long, value_name = "SPEED", requires = "simulate", value_parser = parse_speed)]
+    pub speed: Option<Speed>,
     /// Capture the packets that cross a link, or the links of a node, into a new pcapng file, as in lan-cloud=cloud.pcapng
     ///
     /// Wireshark opens it. `cotorra capture` does the same with a run in real time. Can be given several times.
@@ -159,6 +167,13 @@ pub struct RunArgs {
     /// The log in the run's folder is always more detailed than standard error. COTORRA_LOG filters both.
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
+}
+
+impl RunArgs {
+    /// Returns the speed of virtual time if somebody watches it.
+    pub fn watched(&self) -> Option<Speed> {
+        self.speed.or(self.open.then_some(Speed::Times(1.0)))
+    }
 }
 
 /// Parses the name of a recording.

@@ -15,15 +15,15 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::DomainId;
+use cotorra_graph::{DomainId, Timestamp};
 use cotorra_netem::{Confirmed, HoldError};
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::{RecordingPlace, Wanted};
 #[cfg(feature = "agents")]
 use cotorra_testbed::AgentOptions;
 use cotorra_testbed::{
-    CannotGoOn, Finished, Options, Place, PreviousRun, RealLinkError, Run, RunError, Summary, Token, Tokens,
-    TokensError, interface_plans,
+    CannotGoOn, Finished, Options, Place, PreviousRun, RealLinkError, Run, RunError, Speed, Summary, Token,
+    Tokens, TokensError, Watched, interface_plans, simulate_watched,
 };
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
@@ -132,7 +132,10 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     // Only now, because a history may have threads, and the stage must be set by a process with a single one.
     options.after = previous(&args, &mut loaded)?;
     let finished = if args.simulate {
-        stage.simulate(&loaded, &options, "")?
+        match args.watched() {
+            None => stage.simulate(&loaded, &options, "")?,
+            Some(speed) => stage.simulate_and_show(&loaded, &options, speed, opener)?,
+        }
     } else {
         stage.emulate_and_show(&loaded, &args.file, options, |address| opener.open(address))?
     };
@@ -218,8 +221,39 @@ impl Stage {
 
     /// Runs a testbed in virtual time, to its end. `prefix` names the run in the progress line; it can be empty.
     pub fn simulate(&self, loaded: &Loaded, options: &Options, prefix: &str) -> miette::Result<Finished> {
+        self.show_virtual_time(prefix, |_, go_on| {
+            cotorra_testbed::simulate(loaded.testbed.clone(), &loaded.text, options, go_on)
+        })
+    }
+
+    /// Does the same as [`Self::simulate`], at a speed that the dashboard can change, and opens the dashboard.
+    fn simulate_and_show(
+        &self,
+        loaded: &Loaded,
+        options: &Options,
+        speed: Speed,
+        opener: Opener,
+    ) -> miette::Result<Finished> {
+        let mut opener = Some(opener);
+        self.show_virtual_time("", |spinner, go_on| {
+            let mut served = |address| {
+                let address = format!("http://{address}/");
+                spinner.suspend(|| note!("Dashboard on {address}"));
+                opener.take().into_iter().for_each(|opener| opener.open(&address));
+            };
+            let watched = Watched { speed, served: &mut served };
+            simulate_watched(loaded.testbed.clone(), &loaded.text, options, watched, go_on)
+        })
+    }
+
+    /// Shows the progress of a run in virtual time, which is given a function to call with the time.
+    fn show_virtual_time(
+        &self,
+        prefix: &str,
+        run: impl FnOnce(&ProgressBar, &mut dyn FnMut(Timestamp) -> bool) -> Result<Finished, RunError>,
+    ) -> miette::Result<Finished> {
         let spinner = self.terminal.add(ProgressBar::new_spinner().with_prefix(prefix.to_owned()));
-        let finished = cotorra_testbed::simulate(loaded.testbed.clone(), &loaded.text, options, |now| {
+        let finished = run(&spinner, &mut |now| {
             spinner.set_message(format!("{prefix}{:.0} s of virtual time", now.as_secs_f64()));
             spinner.tick();
             self.interrupts.try_recv().is_err()

@@ -39,6 +39,8 @@ pub(crate) struct Context {
     pub(crate) lockstep: Option<Lockstep>,
     /// Whether events come from a recording: the history then reaches beyond the present of the run.
     pub(crate) replay: bool,
+    /// Whether the pace of time can be changed.
+    pub(crate) paced: bool,
     /// The verdict on a recorded run, if its folder has one.
     pub(crate) verdict: Option<Fidelity>,
     /// Large data of sensors, if any sensor has such.

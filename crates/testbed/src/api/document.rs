@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi as _;
 
-use super::{capture, coverage, map, measurements, routes, sensors, stream};
+use super::{capture, clock, coverage, map, measurements, routes, sensors, stream};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -16,6 +16,8 @@ use super::{capture, coverage, map, measurements, routes, sensors, stream};
     ),
     paths(
         routes::testbed,
+        clock::clock,
+        clock::control,
         map::map,
         map::image,
         routes::node,

@@ -4,6 +4,7 @@
 mod applications;
 mod auth;
 mod capture;
+mod clock;
 mod connections;
 mod context;
 mod coverage;
@@ -20,7 +21,11 @@ mod stream;
 mod types;
 mod wais;
 
-use std::{io::ErrorKind, net::SocketAddr, sync::Arc};
+use std::{
+    io::ErrorKind,
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    sync::Arc,
+};
 
 use axum::{
     Router, middleware,
@@ -86,9 +91,10 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 34] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 35] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
+        ("/api/v1/clock", get(clock::clock).post(clock::control)),
         ("/api/v1/map", get(map::map)),
         ("/api/v1/map/image", get(map::image)),
         ("/api/v1/network/nodes/{id}", get(routes::node)),
@@ -141,6 +147,9 @@ pub(crate) struct Server {
     announced: Option<Announced>,
     _delivery: Delivery,
 }
+
+/// Address of the API where none is chosen.
+pub(crate) const DEFAULT_ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 7700);
 
 /// Connections that wait to be accepted. A client that finds no room retries a second later.
 const BACKLOG: i32 = 4096;

@@ -102,6 +102,7 @@ links: [{ ends: [left, ap] }]
         hosted: Arc::default(),
         lockstep: None,
         replay,
+        paced: false,
         verdict: None,
         keeper: Some(keeper.clone()),
         wais: WaisOptions::default(),
@@ -432,6 +433,7 @@ plugins:
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: None,
             replay: false,
+            paced: false,
             verdict: None,
             keeper: None,
             wais: WaisOptions::default(),
@@ -546,6 +548,33 @@ fn a_domain_gives_instructions_to_its_own_nodes_and_under_its_own_name() {
     });
     assert_eq!(served.ask(ONE, "POST /api/v1/instructions", &scan).0, 200);
     assert_eq!(answers.join().unwrap().as_str(), "one");
+}
+
+#[test]
+fn real_time_cannot_be_controlled() {
+    let served = Domains::serve();
+    let (status, clock) = served.get(ONE, "/api/v1/clock");
+    assert_eq!(
+        (status, &clock["controllable"], &clock["speed"]),
+        (200, &false.into(), &1.0.into()),
+        "{clock}"
+    );
+    let change = |token, body| served.ask(token, "POST /api/v1/clock", body).0;
+    assert_eq!(change(OPERATOR, r#"{"paused": true}"#), 409);
+    assert_eq!(change(ONE, r#"{"paused": true}"#), 403, "time is everyone's");
+    for invalid in [
+        r#"{"speed": 0}"#,
+        r#"{"speed": -1}"#,
+        r#"{"speed": 1e9}"#,
+        r#"{"step_ms": -1}"#,
+        r#"{"step_ms": 1e12}"#,
+        r#"{"step_ms": 1, "paused": false}"#,
+    ] {
+        assert_eq!(change(OPERATOR, invalid), 400, "{invalid}");
+    }
+    for unreadable in [r#"{"speed": "fast"}"#, r#"{"stop": true}"#] {
+        assert_eq!(change(OPERATOR, unreadable), 422, "{unreadable}");
+    }
 }
 
 #[test]

@@ -24,10 +24,13 @@ use crate::{
     clock::Clock,
     live::Live,
     message::Message,
+    time_control::TimeControl,
 };
 
 /// Interval at which an awaited program is checked for its end.
 const LOOK: Duration = Duration::from_millis(20);
+/// Longest wait for messages until the caller is asked whether to go on.
+const PAUSE: Duration = Duration::from_millis(50);
 /// Events that wait for a reader that time does not wait for. A reader that is further behind misses the oldest.
 const STREAM: usize = 4096;
 
@@ -50,8 +53,21 @@ pub(crate) trait Stage {
     /// Cuts a program off, and publishes the event.
     fn cut_off(&mut self, programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault);
 
+    /// Returns how time passes.
+    fn time_control(&mut self) -> &mut TimeControl;
+
     /// Whether to go on; called several times a second.
     fn goes_on(&mut self) -> bool;
+}
+
+/// What became of a wait for a time of the run.
+pub(crate) enum Waited {
+    /// The time has come.
+    Due,
+    /// It has not come. Messages may have changed what is next.
+    NotYet,
+    /// The run has to stop.
+    Stopped,
 }
 
 /// The API, its messages, and the programs that the testbed started.
@@ -135,6 +151,17 @@ impl ExternalPlugins {
         stage.goes_on()
     }
 
+    /// Waits until the run's time may be `next`, but not for long. Handles messages meanwhile.
+    pub(crate) fn wait_until(&mut self, next: Timestamp, stage: &mut impl Stage) -> Waited {
+        match stage.time_control().wait(next) {
+            Some(Duration::ZERO) => Waited::Due,
+            wait => {
+                let goes_on = self.listen(wait.unwrap_or(PAUSE).min(PAUSE), stage);
+                if goes_on { Waited::NotYet } else { Waited::Stopped }
+            }
+        }
+    }
+
     /// Waits until a program follows the events and has handled all of them, or is cut off.
     fn wait_for(&mut self, program: &PluginId, stage: &mut impl Stage) -> bool {
         let mut heard = (self.wall)();
@@ -180,6 +207,11 @@ impl ExternalPlugins {
                     reply(done);
                 }
                 Some(plugin)
+            }
+            Message::ControlTime { change, reply } => {
+                let now = stage.now();
+                reply(stage.time_control().change(change, now));
+                None
             }
             _ => None,
         }

@@ -27,11 +27,12 @@ use crate::{
     core_loop::{CoreLoop, EventSinks},
     live::Live,
     message::Message,
-    replay::{Played, Replay, ReplayEnd, ReplayOptions, Speed},
+    replay::{Played, Replay, ReplayEnd, ReplayOptions},
     report::Report,
     robots::simulated,
     script::Script,
     simulate::{Serving, Simulation, Stretch, VirtualEngine, VirtualNetwork},
+    time_control::Speed,
 };
 
 const TESTBED: &str = "name: hall
@@ -234,7 +235,8 @@ fn replay(run: &[Stamped], followers: usize, hangs: Arc<AtomicBool>) -> Replay {
         known: None,
         tokens: Default::default(),
         folder: None,
-        speed: Speed::Max { followers },
+        speed: Some(Speed::Max),
+        followers,
         from: Timestamp::ZERO,
         to: None,
         foxglove: None,

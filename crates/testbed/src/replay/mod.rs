@@ -3,7 +3,7 @@
 
 use std::{
     collections::{BTreeMap, VecDeque},
-    net::{Ipv4Addr, SocketAddr},
+    net::SocketAddr,
     ops::Bound,
     path::{Path, PathBuf},
     sync::Arc,
@@ -27,13 +27,14 @@ use crate::{
     live::Live,
     plugins::{
         Bundled, PluginError,
-        external::{ExternalPlugins, Stage},
+        external::{ExternalPlugins, Stage, Waited},
         host::{Controlled, Fault, PluginHost},
         lockstep::{Call, Guarded, Locals, Lockstep, PATIENCE, Returned},
         programs,
     },
     report::Fidelity,
     run_info::{about, epoch},
+    time_control::{Speed, TimeControl},
 };
 
 /// Interval between questions whether to go on.
@@ -41,18 +42,6 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Events per query of the history.
 const STEP: usize = 1000;
 const REFUSAL: &str = "this is a replay: what was recorded is played, and nothing can change it";
-
-/// Speed of a replay.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Speed {
-    /// Seconds of the run per second.
-    Times(f64),
-    /// As fast as the followers handle events, by the marks of virtual time.
-    Max {
-        /// Number of followers, each with a name, that must follow before the replay begins.
-        followers: usize,
-    },
-}
 
 /// Options of a replay.
 #[derive(Debug, Clone)]
@@ -65,7 +54,11 @@ pub struct ReplayOptions {
     pub tokens: Tokens,
     /// The run's folder with large data of its sensors; `None` if unknown.
     pub folder: Option<PathBuf>,
-    pub speed: Speed,
+    /// Speed at first; the API can change it. `None`: nothing is played, and the run is served as it was at the beginning.
+    /// With [`Speed::Max`], time waits for followers with a name, by the marks of virtual time.
+    pub speed: Option<Speed>,
+    /// Number of followers, each with a name, that must follow before the replay begins.
+    pub followers: usize,
     /// Beginning; the state before it is known from the start.
     pub from: Timestamp,
     /// End, exclusive.
@@ -102,6 +95,7 @@ pub enum ReplayEnd {
 pub struct Replay {
     programs: ExternalPlugins,
     audience: Guarded<Audience>,
+    wall: Clock,
     history: Arc<History>,
     run: RunId,
     options: ReplayOptions,
@@ -225,8 +219,7 @@ impl Replay {
         options: ReplayOptions,
         wall: Clock,
     ) -> Result<Self, ReplayError> {
-        let default = SocketAddr::from((Ipv4Addr::LOCALHOST, 7700));
-        let address = options.api.unwrap_or(default);
+        let address = options.api.unwrap_or(api::DEFAULT_ADDRESS);
         let listener = Listener::bind(address, options.api.is_none(), &options.tokens)?;
         let listener = match &options.known {
             Some((runs, what)) => listener.announced(Some(runs), &testbed.name, what),
@@ -241,7 +234,7 @@ impl Replay {
         }
         let watched = Recording::begin(&wanted, Path::new(""), &testbed, about(&info), Pace::Live)?;
         let tap = watched.as_ref().map(Recording::tap);
-        let waits = matches!(options.speed, Speed::Max { .. });
+        let waits = options.speed == Some(Speed::Max);
         let live = Live::default();
         let before = Timestamp::from_nanos(options.from.as_nanos().saturating_sub(1));
         if options.from > Timestamp::ZERO {
@@ -265,6 +258,7 @@ impl Replay {
             namespaces: Arc::new(BTreeMap::new()),
             lockstep: waits.then_some(Waiting { plugins: None, recorder: None }),
             replay: true,
+            paced: options.speed.is_some(),
             // A run that was killed has none.
             verdict: options.folder.as_deref().and_then(|folder| Fidelity::of_folder(folder).ok()),
             keeper: options.folder.as_ref().map(|folder| Keeper::of_folder(folder, Pace::Live)),
@@ -273,7 +267,8 @@ impl Replay {
             wiretap: None,
         };
         let programs = ExternalPlugins::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;
-        Ok(Self { programs, audience: Guarded::new(audience, wall), history, run, options, watched, tap })
+        let audience = Guarded::new(audience, Arc::clone(&wall));
+        Ok(Self { programs, audience, wall, history, run, options, watched, tap })
     }
 
     /// Adds a plug-in in process.
@@ -301,32 +296,20 @@ impl Replay {
         self.watched.as_ref().and_then(Recording::foxglove)
     }
 
-    /// Plays nothing: serves the run as it was at the beginning of the replay, until `report` returns false. It is called
-    /// several times a second.
-    pub fn hold(self, report: impl FnMut(Played<'_>) -> bool) {
-        let Self { mut programs, audience, watched: _watched, tap, .. } = self;
-        let mut playing = Playing { audience, tap, report, stopped: false };
-        while programs.listen(LOOK, &mut playing) {}
-    }
-
     /// Plays the run. `report` receives the progress, at least several times a second, and returns whether to go on.
     ///
     /// # Errors
     /// Errors of the history.
-    #[allow(clippy::disallowed_types, reason = "a replay at a speed follows real time")]
     pub fn play(self, report: impl FnMut(Played<'_>) -> bool) -> Result<ReplayEnd, ReplayError> {
-        let Self { mut programs, audience, history, run, options, watched: _watched, tap } = self;
-        let mut playing = Playing { audience, tap, report, stopped: false };
-        let awaited = match options.speed {
-            Speed::Max { followers } => followers,
-            Speed::Times(_) => 0,
-        };
-        while playing.host().followers() < awaited {
+        let Self { mut programs, audience, wall, history, run, options, watched: _watched, tap } = self;
+        let time = TimeControl::new(options.speed.unwrap_or(Speed::Max), options.from, wall);
+        let mut playing = Playing { audience, time, tap, report, stopped: false };
+        let awaited = options.followers;
+        while options.speed.is_none() || playing.host().followers() < awaited {
             if !programs.listen(LOOK, &mut playing) {
                 return Ok(ReplayEnd::Stopped);
             }
         }
-        let began = std::time::Instant::now();
         let end = options.to.map_or(Bound::Unbounded, Bound::Excluded);
         let mut request = PageRequest::first(STEP);
         let mut moment: VecDeque<Stamped> = VecDeque::new();
@@ -339,15 +322,10 @@ impl Replay {
                 // Plug-ins may want to be woken before.
                 let wake = playing.audience.next_wake().filter(|wake| *wake < at);
                 let next = wake.unwrap_or(at);
-                if let Speed::Times(speed) = options.speed {
-                    let due = began + next.since(options.from).div_f64(speed);
-                    while let Some(left) = due.checked_duration_since(std::time::Instant::now())
-                        && !left.is_zero()
-                    {
-                        if !programs.listen(left.min(LOOK), &mut playing) {
-                            return Ok(ReplayEnd::Stopped);
-                        }
-                    }
+                match programs.wait_until(next, &mut playing) {
+                    Waited::Due => {}
+                    Waited::NotYet => continue,
+                    Waited::Stopped => return Ok(ReplayEnd::Stopped),
                 }
                 playing.audience.now = next;
                 while let Some(event) = moment.pop_front_if(|event| event.at <= next) {
@@ -369,6 +347,7 @@ impl Replay {
 /// A replay in progress.
 struct Playing<T> {
     audience: Guarded<Audience>,
+    time: TimeControl,
     tap: Option<Tap>,
     report: T,
     /// Set once the caller returned false, because it may not do so again.
@@ -437,6 +416,10 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
         let audience = &mut *self.audience;
         audience.host.cut_off(audience.now, plugin, fault, &mut audience.record);
         self.tell_decisions();
+    }
+
+    fn time_control(&mut self) -> &mut TimeControl {
+        &mut self.time
     }
 
     fn goes_on(&mut self) -> bool {

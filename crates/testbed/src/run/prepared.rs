@@ -1,12 +1,9 @@
 //! The first phase of a run: everything that needs no network. It checks the testbed, makes plug-ins, reserves the API's
 //! address, and opens the folder, recording and history.
 
+use std::sync::Arc;
 #[cfg(feature = "agents")]
 use std::sync::mpsc::Sender;
-use std::{
-    net::{IpAddr, Ipv4Addr, SocketAddr},
-    sync::Arc,
-};
 
 use cotorra_graph::Testbed;
 use cotorra_measurements::{History, Recorder, RunId, RunInfo};
@@ -15,7 +12,7 @@ use cotorra_recording::{Pace, Recording};
 #[cfg(feature = "agents")]
 use crate::{agents::AgentEngine, clock::Clock, message::Message};
 use crate::{
-    api::Listener,
+    api::{self, Listener},
     confined::Confined,
     error::{RunError, system},
     keeping::Keeping,
@@ -30,9 +27,6 @@ use crate::{
     script::Script,
     whole,
 };
-
-/// Address of the API without `Options::api`.
-const DEFAULT_API: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 7700);
 
 /// A run that is checked and has its folder, but no network yet. Fields are dropped in order: the latest made first.
 pub(super) struct Prepared {
@@ -89,7 +83,8 @@ impl Prepared {
             plugins.resume(previous);
         }
         let any_port = options.api.is_none();
-        let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), any_port, &options.tokens)?;
+        let listener =
+            Listener::bind(options.api.unwrap_or(api::DEFAULT_ADDRESS), any_port, &options.tokens)?;
         let (folder, text) = whole::create(&options.folder, &testbed, seed, text)?;
         let info = run_info(&testbed, seed, &text);
         let confined = Confined::new(&testbed, &options, &folder)

@@ -54,6 +54,7 @@ impl ServicesUp {
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: None,
             replay: false,
+            paced: false,
             verdict: None,
             keeper: prepared.keeping.as_ref().map(Keeping::keeper),
             wais: api::WaisOptions {

@@ -28,7 +28,7 @@ use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 
 pub use self::{
     altered::{Altered, Fork, is_same_subject},
-    run::simulate,
+    run::{Watched, simulate, simulate_watched},
     unrecorded::{Unrecorded, UnrecordedRun, simulate_unrecorded},
 };
 use self::{

@@ -25,7 +25,7 @@ use crate::{
     options::Options,
     plugins::{
         self,
-        external::{ExternalPlugins, Stage},
+        external::{ExternalPlugins, Stage, Waited},
         host::{Fault, PluginHost},
         lockstep::{Guarded, PATIENCE},
         programs,
@@ -33,6 +33,7 @@ use crate::{
     recorded::Recorded,
     report::{End, Losses, Report},
     run_info::about,
+    time_control::{Speed, TimeControl},
     whole,
 };
 
@@ -53,13 +54,47 @@ pub fn simulate(
     options: &Options,
     go_on: impl FnMut(Timestamp) -> bool,
 ) -> Result<Finished, RunError> {
-    let (altered, observe) = (&Altered::default(), &mut |_: &Stamped| {});
-    let conduct = Conduct { patience: PATIENCE, wall: wall_clock(), altered, observe };
+    simulate_for(None, testbed, text, options, go_on)
+}
+
+/// A run in virtual time that people watch and steer by the API.
+pub struct Watched<'a> {
+    /// Speed at first.
+    pub speed: Speed,
+    /// Receives the API's address before the first step.
+    pub served: &'a mut dyn FnMut(SocketAddr),
+}
+
+/// Runs a testbed as [`simulate`] does, but at a speed that can be changed, and with the API, by default on 127.0.0.1:7700 or
+/// the next free port. Unless somebody gives instructions, the results are the same.
+///
+/// # Errors
+/// As of [`simulate`].
+pub fn simulate_watched(
+    testbed: Testbed,
+    text: &str,
+    options: &Options,
+    watched: Watched<'_>,
+    go_on: impl FnMut(Timestamp) -> bool,
+) -> Result<Finished, RunError> {
+    simulate_for(Some(watched), testbed, text, options, go_on)
+}
+
+fn simulate_for(
+    watched: Option<Watched<'_>>,
+    testbed: Testbed,
+    text: &str,
+    options: &Options,
+    go_on: impl FnMut(Timestamp) -> bool,
+) -> Result<Finished, RunError> {
+    let (altered, mut observe) = (Altered::default(), |_: &Stamped| {});
+    let (altered, observe) = (&altered, &mut observe);
+    let conduct = Conduct { patience: PATIENCE, wall: wall_clock(), altered, observe, watched };
     simulate_with(Arc::new(testbed), text, options, conduct, go_on).map(|(finished, _)| finished)
 }
 
 /// How a run is conducted.
-pub(super) struct Conduct<'a> {
+pub(super) struct Conduct<'a, 'w> {
     /// Longest wait for plug-ins.
     pub(super) patience: Duration,
     /// The clock that measures it.
@@ -68,6 +103,8 @@ pub(super) struct Conduct<'a> {
     pub(super) altered: &'a Altered,
     /// Called with each event.
     pub(super) observe: &'a mut dyn FnMut(&Stamped),
+    /// Who watches, if somebody does.
+    pub(super) watched: Option<Watched<'w>>,
 }
 
 /// Simulates, and also returns the outcome of a fork's alternative.
@@ -75,10 +112,10 @@ pub(super) fn simulate_with(
     testbed: Arc<Testbed>,
     text: &str,
     options: &Options,
-    conduct: Conduct<'_>,
+    conduct: Conduct<'_, '_>,
     go_on: impl FnMut(Timestamp) -> bool,
 ) -> Result<(Finished, Option<Result<(), InstructionError>>), RunError> {
-    let Conduct { patience, wall, altered, observe } = conduct;
+    let Conduct { patience, wall, altered, observe, watched } = conduct;
     let seed = options.seed.unwrap_or(testbed.seed);
     let until = options.until.map(|until| Timestamp::ZERO + until);
     if until.is_none() && testbed.walks.is_empty() {
@@ -108,11 +145,15 @@ pub(super) fn simulate_with(
     let recorder = history.paced_recorder(run)?;
     let report = Report::new(&testbed, seed).on_disk(folder.path())?;
     let records = Records { report, recorder: recorder.clone(), unwritten: 0, tap, keeper: keeper.clone() };
-    let mut recorded = RecordedSimulation { simulation, records, observe, go_on, stopped: false };
+    let speed = watched.as_ref().map_or(Speed::Max, |watched| watched.speed);
+    let time = TimeControl::new(speed, Timestamp::ZERO, Arc::clone(&wall));
+    let mut recorded = RecordedSimulation { simulation, records, time, observe, go_on, stopped: false };
     let mut external = None;
-    if programs(&testbed).next().is_some() {
+    if watched.is_some() || programs(&testbed).next().is_some() {
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-        let listener = Listener::bind(options.api.unwrap_or(any_port), false, &options.tokens)?;
+        let default = if watched.is_some() { api::DEFAULT_ADDRESS } else { any_port };
+        let listener =
+            Listener::bind(options.api.unwrap_or(default), options.api.is_none(), &options.tokens)?;
         let waited_for = Arc::new(programs(&testbed).cloned().collect());
         let context = |events, core| api::Context {
             testbed: Arc::clone(&testbed),
@@ -125,6 +166,7 @@ pub(super) fn simulate_with(
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: Some(Lockstep { plugins: Some(waited_for), recorder: Some(recorder) }),
             replay: false,
+            paced: true,
             verdict: None,
             keeper,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
@@ -136,6 +178,9 @@ pub(super) fn simulate_with(
         let programs =
             external.insert(ExternalPlugins::serve(listener, options.tokens.clone(), wall, context)?);
         programs.start(&testbed, &folder.logs(), recorded.simulation.host())?;
+        if let Some(watched) = watched {
+            (watched.served)(programs.api_address());
+        }
     }
     let end = loop {
         // Also before the first step: programs follow when it begins.
@@ -154,9 +199,20 @@ pub(super) fn simulate_with(
         if until.is_some_and(|until| recorded.simulation.now() >= until) {
             break End::Until;
         }
+        if let Some(programs) = &mut external
+            && recorded.time.is_limited()
+        {
+            let next = recorded.simulation.next_time();
+            match programs.wait_until(next, &mut recorded) {
+                Waited::Due => {}
+                Waited::NotYet => continue,
+                Waited::Stopped => break End::Stopped,
+            }
+        }
         // Programs receive events after each moment with events. The history is written after the same steps each time.
         let stretch = match HISTORY_PACE.saturating_sub(recorded.records.unwritten) {
             0 => Stretch::Step,
+            _ if recorded.time.is_limited() => Stretch::Step,
             _ if external.is_some() => Stretch::Events(1, until),
             room => Stretch::Events(room, until),
         };
@@ -193,6 +249,7 @@ pub(super) fn simulate_with(
 struct RecordedSimulation<'a, G> {
     simulation: Guarded<Simulation>,
     records: Records,
+    time: TimeControl,
     observe: &'a mut dyn FnMut(&Stamped),
     go_on: G,
     /// Set once `go_on` returned false, because it may not do so again.
@@ -246,6 +303,10 @@ impl<G: FnMut(Timestamp) -> bool> Stage for RecordedSimulation<'_, G> {
     fn cut_off(&mut self, programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault) {
         self.simulation.cut_off(plugin, fault);
         self.advance(Stretch::Settle, Some(programs));
+    }
+
+    fn time_control(&mut self) -> &mut TimeControl {
+        &mut self.time
     }
 
     fn goes_on(&mut self) -> bool {

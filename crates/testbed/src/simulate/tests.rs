@@ -654,7 +654,7 @@ fn run_with_program(command: &[&str], settings: serde_json::Value, patience: Dur
         ..Options::default()
     };
     let (altered, observe) = (&Altered::default(), &mut |_: &Stamped| {});
-    let conduct = run::Conduct { patience, wall: wall_clock(), altered, observe };
+    let conduct = run::Conduct { patience, wall: wall_clock(), altered, observe, watched: None };
     let (finished, _) = run::simulate_with(Arc::new(testbed), "", &options, conduct, |_| true).unwrap();
     let samples = std::fs::read_to_string(finished.folder.join("service_time.csv")).unwrap();
     (finished, samples)

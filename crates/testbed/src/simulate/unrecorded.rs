@@ -109,7 +109,7 @@ fn in_folder(
     let folder = Place::At(run.folder.to_owned());
     let options = Options { seed: Some(run.seed), until: run.until, folder, ..Options::default() };
     let (patience, wall, altered) = (PATIENCE, wall_clock(), run.altered);
-    let conduct = Conduct { patience, wall, altered, observe: &mut observe };
+    let conduct = Conduct { patience, wall, altered, observe: &mut observe, watched: None };
     let (finished, forked) = simulate_with(testbed, run.text, &options, conduct, |_| go_on())?;
     if finished.was_stopped() || finished.summary.plugin_faults.is_empty() {
         // The folder is not needed any more; failing to remove it does no harm.
