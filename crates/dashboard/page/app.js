@@ -3,6 +3,7 @@
 import { ActionPanel } from "./action_panel.js";
 import { Api, Refused, Unauthorized } from "./api.js";
 import { Charts } from "./charts.js";
+import { CoverageButton } from "./coverage.js";
 import { Details } from "./detail.js";
 import { byId, element, rarely, setText } from "./dom.js";
 import { clock, figure } from "./format.js";
@@ -205,6 +206,7 @@ function show(model, grid) {
     actions.show(model);
     moment.begin(model);
     const { map } = views;
+    new CoverageButton(byId("map-tools"), model, () => api.get("network/coverage"), (coverage, legend) => map.showCoverage(coverage, legend));
     new ScanButton(byId("map-tools"), model, () => focus, (path) => api.bytes(path), (robot, points) => map.showScan(robot, points));
     document.title = `${model.testbed.name} · cotorra`;
     setText(byId("name"), model.testbed.name);

@@ -1,6 +1,7 @@
-// The map: floor and walls, radio units, and robots with their pose, covariance, walk, trail and attachment.
+// The map: floor and walls, radio units with their coverage, and robots with their pose, covariance, walk, trail and attachment.
 
 import { Canvas, FONT, rimmed } from "./canvas.js";
+import { rings } from "./coverage.js";
 import { BANDS, faded } from "./palette.js";
 import { element, rarely } from "./dom.js";
 
@@ -9,6 +10,7 @@ import { element, rarely } from "./dom.js";
 /** @typedef {import("./palette.js").Palette} Palette */
 /** @typedef {import("#api").components["schemas"]["MapBody"]} Place */
 /** @typedef {{ place: Place, width: number, height: number, pixels: Uint8Array }} Grid */
+/** @typedef {import("./coverage.js").Coverage} Coverage */
 
 /** Pixels to the metre. */
 const SMALLEST = 0.5;
@@ -31,6 +33,10 @@ export class MapView {
     #picked = null;
     /** The floor in the colours of a palette. @type {{ dark: boolean, picture: HTMLCanvasElement } | null} */
     #floor = null;
+    /** @type {{ of: Coverage[], legend: string }} */
+    #coverage = { of: [], legend: "" };
+    /** The coverage as a picture, which is drawn anew only for another view. */
+    #rings = { view: "", picture: element("canvas") };
 
     /**
      * @param {HTMLElement} host
@@ -81,6 +87,18 @@ export class MapView {
      */
     showScan(robot, points) {
         this.#scan = { robot, points };
+        this.#drawn = "";
+        this.changed();
+    }
+
+    /**
+     * Shows the coverage of radio units, and says what it is.
+     * @param {Coverage[]} of
+     * @param {string} legend
+     */
+    showCoverage(of, legend) {
+        this.#coverage = { of, legend };
+        this.#rings.view = "";
         this.#drawn = "";
         this.changed();
     }
@@ -243,6 +261,7 @@ export class MapView {
         on.textBaseline = "middle";
         on.textAlign = "center";
         this.#drawFloor(on, to, scale, palette);
+        this.#drawCoverage(on, to, scale, palette);
         for (const walk of this.model.testbed.walks) this.#drawWalk(on, to, walk.waypoints, palette);
         for (const robot of this.model.robots.values()) this.#drawTrail(on, to, robot);
         for (const robot of this.model.robots.values()) this.#drawAttachment(on, to, robot, palette);
@@ -267,6 +286,66 @@ export class MapView {
         const [left, top] = to(origin.x, origin.y + height * cell);
         on.imageSmoothingEnabled = cell * scale < 4;
         on.drawImage(this.#floor.picture, left, top, width * cell * scale, height * cell * scale);
+    }
+
+    /**
+     * @param {CanvasRenderingContext2D} on
+     * @param {(x: number, y: number) => [number, number]} to
+     * @param {number} scale
+     * @param {Palette} palette
+     */
+    #drawCoverage(on, to, scale, palette) {
+        const { of, legend } = this.#coverage;
+        const { base, density, width, height } = this.canvas;
+        if (of.length > 0) {
+            const { picture } = this.#rings;
+            const view = [...to(0, 0), scale, width, height, density, palette.dark].join();
+            if (view !== this.#rings.view) {
+                this.#rings.view = view;
+                // A new size clears it.
+                [picture.width, picture.height] = [base.width, base.height];
+                const layer = picture.getContext("2d");
+                layer?.scale(density, density);
+                if (layer) this.#drawRings(layer, to, scale, palette);
+            }
+            on.drawImage(picture, 0, 0, width, height);
+        }
+        if (!legend) return;
+        on.textAlign = "left";
+        rimmed(on, legend, 12, 14, palette.faint, palette.back);
+        on.textAlign = "center";
+    }
+
+    /**
+     * @param {CanvasRenderingContext2D} on
+     * @param {(x: number, y: number) => [number, number]} to
+     * @param {number} scale
+     * @param {Palette} palette
+     */
+    #drawRings(on, to, scale, palette) {
+        const place = (/** @type {string} */ unit) => {
+            const at = this.model.nodes.get(unit)?.position;
+            if (!at) return null;
+            const [x, y] = to(at.x, at.y);
+            return { x, y };
+        };
+        const all = rings(this.#coverage.of, place, scale, this.canvas);
+        on.lineWidth = 1;
+        for (const { unit, x, y, radius } of all) {
+            const colour = this.#colour(unit);
+            on.beginPath();
+            on.arc(x, y, radius, 0, 2 * Math.PI);
+            on.fillStyle = faded(colour, 0.06);
+            on.fill();
+            on.strokeStyle = faded(colour, 0.9);
+            on.stroke();
+        }
+        on.font = FONT;
+        on.textBaseline = "middle";
+        on.textAlign = "center";
+        for (const { signal, label } of all) {
+            if (label) rimmed(on, signal.toFixed(0).replace("-", "−"), label.x, label.y, palette.faint, palette.back);
+        }
     }
 
     /**
@@ -485,6 +564,7 @@ export class MapView {
         });
         const { robot: seeing, points } = this.#scan;
         if (points.length > 0) words.push(`the lidar of ${seeing} sees ${points.length} points`);
+        if (this.#coverage.of.length > 0) words.push(`coverage of ${this.#coverage.of.map(({ radio_unit }) => radio_unit).join(", ")}`);
         const label = `Map: ${words.join("; ") || "no robots"}`;
         if (this.canvas.base.getAttribute("aria-label") !== label) this.canvas.base.setAttribute("aria-label", label);
     }

@@ -64,6 +64,7 @@ fn with_modules(page: &'static [u8]) -> Vec<File> {
         "canvas.js",
         "charts.js",
         "complete.js",
+        "coverage.js",
         "detail.js",
         "dom.js",
         "edit.js",
