@@ -67,6 +67,15 @@ export function subjects(model) {
             },
         });
     }
+    if (model.robots.size > 0) {
+        all.push({
+            title: "Localization error", unit: "m", target: null, fromZero: true, longestGap: 30, isOptional: true,
+            figures: (focus) => {
+                const robot = focus ?? [...model.robots.keys()][0];
+                return [{ figure: `localization_error:${robot}`, name: robot }];
+            },
+        });
+    }
     const machines = (/** @type {string} */ kind) => () =>
         [...model.machines.keys()].slice(0, MOST_LINES).map((name) => ({ figure: `${kind}:${name}`, name }));
     const ofMachines = { target: null, fromZero: true, longestGap: 10, isOptional: true };

@@ -7,6 +7,8 @@ import { Series } from "./series.js";
 /** @typedef {import("#api").components["schemas"]} Schemas */
 /** @typedef {Schemas["Stamped"]} Stamped */
 /** @typedef {Schemas["Service"]} Service */
+/** @typedef {Schemas["RobotContext"] & { localization_error_m?: number | null }} RobotContext */
+/** @typedef {Schemas["LinkContext"] & { queued_packets?: number | null }} LinkContext */
 /** @typedef {{ id: string, kind: string, position?: {x: number, y: number} | null }} PlacedNode */
 /** @typedef {{ from: number, until: number | null, unit: string }} Region */
 /**
@@ -74,7 +76,7 @@ export class Robot {
     /** @param {string} id */
     constructor(id) {
         this.id = id;
-        /** κ, as of the last event. @type {Schemas["RobotContext"] | null} */
+        /** κ, as of the last event. @type {RobotContext | null} */
         this.context = null;
         this.at = -Infinity;
         /** Where it was attached, in order. @type {Region[]} */
@@ -131,7 +133,7 @@ export class Model {
         for (const node of testbed.graph.nodes) {
             if (node.kind === "robot") this.robots.set(node.id, new Robot(node.id));
         }
-        /** The last context of each direction of a link, by `LINK:DIRECTION`. @type {Map<string, Schemas["LinkContext"]>} */
+        /** The last context of each direction of a link, by `LINK:DIRECTION`. @type {Map<string, LinkContext>} */
         this.links = new Map();
         /** The last throughput test of each direction, with its end. @type {Map<string, { at: number, throughput_bps: number, offered_bps: number }>} */
         this.tests = new Map();
@@ -317,7 +319,7 @@ export class Model {
 
     /**
      * @param {number} at
-     * @param {Schemas["RobotContext"]} context
+     * @param {RobotContext} context
      */
     #robot(at, context) {
         const robot = this.robots.get(context.robot);
@@ -333,12 +335,14 @@ export class Model {
                 this.figure(`signal:${context.robot}:${radio_unit}`).add(at, signal_dbm);
             }
         }
+        const error = context.localization_error_m;
+        if (error !== null && error !== undefined) this.figure(`localization_error:${context.robot}`).add(at, error);
         this.version.robots += 1;
     }
 
     /**
      * @param {number} at
-     * @param {Schemas["LinkContext"]} context
+     * @param {LinkContext} context
      */
     #link(at, context) {
         const of = `${context.link}:${context.direction}`;

@@ -1,5 +1,5 @@
 // The topology: nodes in columns from robots to servers, links between them, VNFs on the nodes, and the links that carry
-// virtual links, with their delay and throughput.
+// virtual links, with their delay, throughput, loss and queue.
 
 import { Canvas, FONT, rimmed } from "./canvas.js";
 import { rarely } from "./dom.js";
@@ -10,6 +10,7 @@ import { figure } from "./format.js";
 /** @typedef {import("./palette.js").Palette} Palette */
 /** @typedef {{ id: string, x: number, y: number, vnfs: string[] }} Box */
 /** @typedef {{ id: string, ends: [string, string] }} Link */
+/** @typedef {{ x: number, y: number, high: number }} Taken The middle of a link's figures, and their height, pixels. */
 
 const ROW = 14;
 const WIDTH = 104;
@@ -156,7 +157,7 @@ export class Topology {
         const inUse = all.filter(({ id }) => used.has(id));
         for (const link of inUse) this.#drawLink(on, boxes, link, palette.series[0], 2.5);
         for (const box of boxes.values()) this.#drawNode(on, box, palette);
-        /** @type {{x: number, y: number}[]} */
+        /** @type {Taken[]} */
         const taken = [];
         for (const link of inUse) this.#describe(on, boxes, link, palette, taken);
         this.#tellSoon();
@@ -238,21 +239,28 @@ export class Topology {
      * @param {Map<string, Box>} boxes
      * @param {Link} link
      * @param {Palette} palette
-     * @param {{x: number, y: number}[]} taken Places of the figures so far; gets this one's.
+     * @param {Taken[]} taken Places of the figures so far; gets this one's.
      */
     #describe(on, boxes, { id, ends }, palette, taken) {
         const [from, to] = [boxes.get(ends[0]), boxes.get(ends[1])];
         if (!from || !to) return;
-        const at = (/** @type {number} */ share) => ({ x: from.x + (to.x - from.x) * share, y: from.y + (to.y - from.y) * share });
-        const isFree = (/** @type {{x: number, y: number}} */ { x, y }) =>
-            taken.every((other) => Math.abs(other.x - x) > 80 || Math.abs(other.y - y) > 28) &&
+        const { delay, rate, loss, queue } = figures(this.model, id);
+        const high = loss || queue ? 41 : 28;
+        const at = (/** @type {number} */ share) => ({ x: from.x + (to.x - from.x) * share, y: from.y + (to.y - from.y) * share, high });
+        const isFree = (/** @type {Taken} */ { x, y }) =>
+            taken.every((other) => Math.abs(other.x - x) > 80 || Math.abs(other.y - y) > Math.max(high, other.high)) &&
             [...boxes.values()].every((box) => Math.abs(box.x - x) > WIDTH / 2 + 36 || Math.abs(box.y - y) > height(box) / 2 + 14);
         const place = SHARES.map(at).find(isFree) ?? at(0.5);
         taken.push(place);
-        const { delay, rate, loss } = figures(this.model, id);
         rimmed(on, delay, place.x, place.y - 7, palette.ink, palette.back);
         rimmed(on, rate, place.x, place.y + 6, palette.faint, palette.back);
-        if (loss) rimmed(on, loss, place.x, place.y + 19, palette.alert, palette.back);
+        if (!loss && !queue) return;
+        // Beside each other, each in its colour.
+        const gap = loss && queue ? 8 : 0;
+        const [ofLoss, ofQueue] = [loss, queue].map((text) => on.measureText(text).width);
+        const left = place.x - (ofLoss + gap + ofQueue) / 2;
+        rimmed(on, loss, left + ofLoss / 2, place.y + 19, palette.alert, palette.back);
+        rimmed(on, queue, left + ofLoss + gap + ofQueue / 2, place.y + 19, palette.ink, palette.back);
     }
 
     #tell() {
@@ -270,7 +278,7 @@ export class Topology {
 const height = ({ vnfs }) => ROW * (1 + vnfs.length) + 8;
 
 /**
- * Returns the figures of a link in words: d there and back, λ of both directions, and what is lost.
+ * Returns the figures of a link in words: d there and back, λ of both directions, what is lost, and the longer queue.
  * @param {Model} model
  * @param {string} link
  */
@@ -279,10 +287,12 @@ export function figures(model, link) {
     const delay = (/** @type {typeof there} */ of) => figure(of?.delay_ms ?? of?.probed?.delay_ms);
     const rate = (there?.throughput_bps ?? 0) + (back?.throughput_bps ?? 0);
     const loss = Math.max(there?.probed?.loss ?? 0, back?.probed?.loss ?? 0);
+    const queued = Math.max(there?.queued_packets ?? 0, back?.queued_packets ?? 0);
     return {
         delay: `${delay(there)} / ${delay(back)} ms`,
         rate: figure(rate, "bit/s"),
         loss: loss > 0 ? `${(100 * loss).toFixed(1)} % lost` : "",
+        queue: queued > 0 ? `${queued} queued` : "",
     };
 }
 

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { subjects } from "../page/charts.js";
 import { describe, Model, PARTS } from "../page/state.js";
 import { carrying, columns, figures, links, vnfsByNode } from "../page/topology.js";
 
@@ -107,7 +108,37 @@ test("the topology follows placements, attachments and virtual links", () => {
     assert.deepEqual([...carrying(model)], ["robot~R1", "R1-fog"]);
     const link = { at_ns: 1e9, event: "link", link: "R1-fog", direction: "forward", delay_ms: 4.5, throughput_bps: 80_000 };
     model.take({ ...link, probed: { loss: 0.02, loss_age_ms: 1 } });
-    assert.deepEqual(figures(model, "R1-fog"), { delay: "4.50 / – ms", rate: "80.0 kbit/s", loss: "2.0 % lost" });
+    assert.deepEqual(figures(model, "R1-fog"), { delay: "4.50 / – ms", rate: "80.0 kbit/s", loss: "2.0 % lost", queue: "" });
+});
+
+test("the longer queue of a link is shown while packets wait", () => {
+    const model = new Model(testbed());
+    const link = (direction, queued) => model.take({ at_ns: 1e9, event: "link", link: "R1-fog", direction, throughput_bps: 0, ...queued });
+    const queue = () => figures(model, "R1-fog").queue;
+    assert.equal(queue(), "");
+    link("forward", {});
+    link("backward", { queued_packets: null });
+    assert.equal(queue(), "");
+    link("forward", { queued_packets: 0 });
+    assert.equal(queue(), "");
+    link("backward", { queued_packets: 12 });
+    assert.equal(queue(), "12 queued");
+});
+
+test("the localization error of the chosen robot has a chart", () => {
+    const lab = testbed();
+    lab.graph.nodes.push({ id: "other", kind: "robot", position: { x: 0, y: 1 } });
+    const model = new Model(lab);
+    const { figures: of, unit, isOptional } = subjects(model).find(({ title }) => title === "Localization error");
+    assert.deepEqual([unit, isOptional], ["m", true]);
+    const shown = (focus) => of(focus).map(({ figure }) => model.figure(figure).last);
+    model.take(robot(1, 0, "R1"));
+    model.take({ ...robot(2, 0, "R1"), localization_error_m: null });
+    assert.deepEqual(shown("robot"), [NaN], "an unknown error is no value");
+    model.take({ ...robot(3, 0, "R1"), localization_error_m: 0.25 });
+    model.take({ ...robot(3, 0, "R1"), robot: "other", localization_error_m: 0.5 });
+    assert.deepEqual([shown("robot"), shown("other"), shown(null)], [[0.25], [0.5], [0.25]]);
+    assert.ok(subjects(new Model({ ...lab, graph: { ...lab.graph, nodes: [] } })).every(({ title }) => title !== "Localization error"));
 });
 
 test("the parts of a service time add up to it", () => {
