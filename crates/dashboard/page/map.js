@@ -263,7 +263,7 @@ export class MapView {
         this.#drawFloor(on, to, scale, palette);
         this.#drawCoverage(on, to, scale, palette);
         for (const walk of this.model.testbed.walks) this.#drawWalk(on, to, walk.waypoints, palette);
-        for (const robot of this.model.robots.values()) this.#drawTrail(on, to, robot);
+        for (const robot of this.model.robots.values()) this.#drawTrail(on, to, robot, palette);
         for (const robot of this.model.robots.values()) this.#drawAttachment(on, to, robot, palette);
         this.#drawUnits(on, to, palette);
         this.#drawScan(on, to, palette);
@@ -335,9 +335,9 @@ export class MapView {
             const colour = this.#colour(unit);
             on.beginPath();
             on.arc(x, y, radius, 0, 2 * Math.PI);
-            on.fillStyle = faded(colour, 0.06);
+            on.fillStyle = faded(colour, 0.035);
             on.fill();
-            on.strokeStyle = faded(colour, 0.9);
+            on.strokeStyle = faded(colour, 0.8);
             on.stroke();
         }
         on.font = FONT;
@@ -368,10 +368,17 @@ export class MapView {
      * @param {CanvasRenderingContext2D} on
      * @param {(x: number, y: number) => [number, number]} to
      * @param {Robot} robot
+     * @param {Palette} palette
      */
-    #drawTrail(on, to, robot) {
-        on.lineWidth = 3.5;
+    #drawTrail(on, to, robot, palette) {
         on.lineJoin = on.lineCap = "round";
+        // A rim, so that yellow can be seen on a light floor.
+        on.lineWidth = 5.5;
+        on.strokeStyle = palette.wall;
+        on.beginPath();
+        for (const { x, y } of robot.trail) on.lineTo(...to(x, y));
+        on.stroke();
+        on.lineWidth = 3.5;
         let region = 0;
         let open = false;
         const colour = (/** @type {string} */ unit) => this.#colour(unit);

@@ -19,6 +19,8 @@ const MARGIN = 12;
 const NEAR = 8;
 /** Places for the figures of a link on it, as shares of its length, the best first. */
 const SHARES = [0.5, 0.42, 0.58, 0.34, 0.66, 0.28, 0.72];
+/** Places of a column of nodes, as shares of its room above and below the middle, the best first. */
+const SHIFTS = [0, -0.25, 0.25, -0.5, 0.5, -0.75, 0.75, -1, 1];
 /** Columns of nodes, by kind. Servers stand in the order of their distance from the robots. */
 const COLUMNS = ["robot", "radio_unit", "switch", "server", "gateway", "machine"];
 const TIERS = ["fog", "edge", "cloud"];
@@ -51,14 +53,19 @@ export function vnfsByNode(model) {
 }
 
 /**
+ * @param {Model} model
+ * @returns {Link[]}
+ */
+const wired = (model) => model.testbed.graph.links.map(({ id, ends }) => /** @type {Link} */ ({ id, ends }));
+
+/**
  * Returns the links: wired ones, and those of robots to their radio units.
  * @param {Model} model
  * @returns {Link[]}
  */
 export function links(model) {
-    const wired = model.testbed.graph.links.map(({ id, ends }) => /** @type {Link} */ ({ id, ends }));
     const wireless = [...model.robots.values()].filter((robot) => robot.unit !== null);
-    return [...wired, ...wireless.map(({ id, unit }) => /** @type {Link} */ ({ id: `${id}~${unit}`, ends: [id, unit] }))];
+    return [...wired(model), ...wireless.map(({ id, unit }) => /** @type {Link} */ ({ id: `${id}~${unit}`, ends: [id, unit] }))];
 }
 
 /**
@@ -67,6 +74,52 @@ export function links(model) {
  */
 export function carrying(model) {
     return new Set([...model.virtualLinks.values()].flatMap((mapping) => mapping.links));
+}
+
+/**
+ * Returns the nodes with their places. A column stands where the fewest links pass behind its nodes, so that none seems to lead
+ * to a node that it only passes.
+ * @param {string[][]} columns
+ * @param {Map<string, string[]>} vnfs VNFs of each node.
+ * @param {Link[]} links
+ * @param {{ width: number, height: number }} size
+ */
+export function places(columns, vnfs, links, { width, height: high }) {
+    /** @type {Map<string, Box>} */
+    const boxes = new Map();
+    const inner = width - 2 * MARGIN - WIDTH;
+    columns.forEach((nodes, column) => {
+        const x = MARGIN + WIDTH / 2 + (columns.length > 1 ? (inner * column) / (columns.length - 1) : inner / 2);
+        nodes.forEach((id, row) => boxes.set(id, { id, x, y: (high * (row + 0.5)) / nodes.length, vnfs: vnfs.get(id) ?? [] }));
+    });
+    for (const nodes of columns) {
+        const its = nodes.flatMap((id) => boxes.get(id) ?? []);
+        const room = Math.min(...its.map((box) => (high / nodes.length - height(box)) / 2 - MARGIN));
+        const crossed = (/** @type {number} */ shift) => its.reduce((sum, box) => sum + crossings({ ...box, y: box.y + shift * room }, boxes, links), 0);
+        const counted = SHIFTS.map((shift) => ({ shift, count: room > 0 || shift === 0 ? crossed(shift) : Infinity }));
+        const best = counted.reduce((least, one) => (one.count < least.count ? one : least));
+        for (const box of its) box.y += best.shift * room;
+    }
+    return boxes;
+}
+
+/**
+ * Returns how many links pass behind a node.
+ * @param {Box} box
+ * @param {Map<string, Box>} boxes
+ * @param {Link[]} links
+ */
+function crossings(box, boxes, links) {
+    let count = 0;
+    for (const { ends } of links) {
+        if (ends.includes(box.id)) continue;
+        const [one, other] = [boxes.get(ends[0]), boxes.get(ends[1])];
+        if (!one || !other || Math.min(one.x, other.x) >= box.x || Math.max(one.x, other.x) <= box.x) continue;
+        const slope = (other.y - one.y) / (other.x - one.x);
+        const away = Math.abs(one.y + slope * (box.x - one.x) - box.y);
+        if (away < height(box) / 2 + Math.abs(slope) * (WIDTH / 2)) count += 1;
+    }
+    return count;
 }
 
 /**
@@ -103,6 +156,8 @@ export class Topology {
     #tellSoon = rarely(() => this.#tell());
     /** Nodes as they were drawn last. @type {Map<string, Box>} */
     #boxes = new Map();
+    /** What their places follow from. */
+    #placed = "";
 
     /**
      * @param {HTMLElement} host
@@ -150,7 +205,6 @@ export class Topology {
         on.textAlign = "center";
         const vnfs = vnfsByNode(model);
         const boxes = this.#place(vnfs);
-        this.#boxes = boxes;
         const used = carrying(model);
         const all = links(model);
         for (const link of all) if (!used.has(link.id)) this.#drawLink(on, boxes, link, palette.axis, 1);
@@ -164,21 +218,17 @@ export class Topology {
     }
 
     /**
-     * Returns the place of each node: its middle.
+     * Returns the nodes with their places.
      * @param {Map<string, string[]>} vnfs
      */
     #place(vnfs) {
         const { width, height } = this.canvas;
-        /** @type {Map<string, Box>} */
-        const boxes = new Map();
-        const inner = width - 2 * MARGIN - WIDTH;
-        this.columns.forEach((nodes, column) => {
-            const x = MARGIN + WIDTH / 2 + (this.columns.length > 1 ? (inner * column) / (this.columns.length - 1) : inner / 2);
-            nodes.forEach((id, row) => {
-                boxes.set(id, { id, x, y: (height * (row + 0.5)) / nodes.length, vnfs: vnfs.get(id) ?? [] });
-            });
-        });
-        return boxes;
+        const of = JSON.stringify([width, height, [...vnfs]]);
+        if (of !== this.#placed) {
+            this.#placed = of;
+            this.#boxes = places(this.columns, vnfs, wired(this.model), { width, height });
+        }
+        return this.#boxes;
     }
 
     /**

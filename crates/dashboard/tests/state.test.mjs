@@ -5,7 +5,7 @@ import { test } from "node:test";
 
 import { subjects } from "../page/charts.js";
 import { describe, Model, PARTS } from "../page/state.js";
-import { carrying, columns, figures, links, vnfsByNode } from "../page/topology.js";
+import { carrying, columns, figures, links, places, vnfsByNode } from "../page/topology.js";
 
 const testbed = () => ({
     name: "lab",
@@ -109,6 +109,19 @@ test("the topology follows placements, attachments and virtual links", () => {
     const link = { at_ns: 1e9, event: "link", link: "R1-fog", direction: "forward", delay_ms: 4.5, throughput_bps: 80_000 };
     model.take({ ...link, probed: { loss: 0.02, loss_age_ms: 1 } });
     assert.deepEqual(figures(model, "R1-fog"), { delay: "4.50 / – ms", rate: "80.0 kbit/s", loss: "2.0 % lost", queue: "" });
+});
+
+test("no link passes behind a node, where the column has room", () => {
+    const all = [["R1", "R2", "R3"], ["lan"], ["fog", "cloud"]];
+    const straight = all[0].flatMap((unit) => all[2].map((server) => ({ id: `${unit}-${server}`, ends: [unit, server] })));
+    const size = { width: 600, height: 400 };
+    const of = (links) => places(all, new Map(), links, size);
+    assert.equal(of([{ id: "lan-fog", ends: ["lan", "fog"] }]).get("lan").y, 200, "without such links it stands in the middle");
+    const found = of(straight);
+    const { y } = found.get("lan");
+    assert.ok(y > 11 && y < 389, "its box is whole");
+    for (const { ends } of straight) assert.ok(Math.abs(ends.reduce((sum, end) => sum + found.get(end).y, 0) / 2 - y) > 11, ends.join());
+    assert.deepEqual(all[0].map((unit) => Math.round(found.get(unit).y)), [67, 200, 333], "the other columns stay");
 });
 
 test("the longer queue of a link is shown while packets wait", () => {
