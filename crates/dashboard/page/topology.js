@@ -19,6 +19,8 @@ const MARGIN = 12;
 const NEAR = 8;
 /** Places for the figures of a link on it, as shares of its length, the best first. */
 const SHARES = [0.5, 0.42, 0.58, 0.34, 0.66, 0.28, 0.72];
+/** Places beside those, pixels. */
+const BESIDE = [0, -20, 20];
 /** Places of a column of nodes, as shares of its room above and below the middle, the best first. */
 const SHIFTS = [0, -0.25, 0.25, -0.5, 0.5, -0.75, 0.75, -1, 1];
 /** Columns of nodes, by kind. Servers stand in the order of their distance from the robots. */
@@ -296,11 +298,11 @@ export class Topology {
         if (!from || !to) return;
         const { delay, rate, loss, queue } = figures(this.model, id);
         const high = loss || queue ? 41 : 28;
-        const at = (/** @type {number} */ share) => ({ x: from.x + (to.x - from.x) * share, y: from.y + (to.y - from.y) * share, high });
+        const at = (/** @type {number} */ share, beside = 0) => ({ x: from.x + (to.x - from.x) * share + beside, y: from.y + (to.y - from.y) * share, high });
         const isFree = (/** @type {Taken} */ { x, y }) =>
             taken.every((other) => Math.abs(other.x - x) > 80 || Math.abs(other.y - y) > Math.max(high, other.high)) &&
-            [...boxes.values()].every((box) => Math.abs(box.x - x) > WIDTH / 2 + 36 || Math.abs(box.y - y) > height(box) / 2 + 14);
-        const place = SHARES.map(at).find(isFree) ?? at(0.5);
+            [...boxes.values()].every((box) => Math.abs(box.x - x) > WIDTH / 2 + 44 || Math.abs(box.y - y) > height(box) / 2 + 14);
+        const place = BESIDE.flatMap((beside) => SHARES.map((share) => at(share, beside))).find(isFree) ?? at(0.5);
         taken.push(place);
         rimmed(on, delay, place.x, place.y - 7, palette.ink, palette.back);
         rimmed(on, rate, place.x, place.y + 6, palette.faint, palette.back);
