@@ -297,6 +297,10 @@ pub struct LinkContext {
     pub delay: Option<Duration>,
     /// λ: what crossed over the last second, bit/s.
     pub throughput_bps: f64,
+    /// The most packets that waited in the queue of this direction at a time over the last second; `None` where the queue
+    /// cannot be seen.
+    #[serde(default)]
+    pub queued_packets: Option<u64>,
     /// Results of probes; `None` for a link that is not probed, or not yet.
     #[serde(default)]
     pub probed: Option<Probed>,

@@ -59,6 +59,7 @@ fn link(n: u64) -> Stamped {
         direction: if place % 2 == 0 { Direction::Forward } else { Direction::Backward },
         delay: Some(Duration::from_nanos(1_000_000 + n % 1000)),
         throughput_bps: n as f64 * 1.1,
+        queued_packets: Some(n % 7),
         probed: Some(Probed {
             delay: Some(Duration::from_nanos(10_000_000 + n % 977)),
             jitter: Some(Duration::from_nanos(n % 977)),
@@ -187,8 +188,9 @@ fn through_a_recorder_of(history: &History, samples: u64, sample: impl Fn(u64) -
 
 const COLUMNS: &str = "run, at_ns, seq, link, direction, delay_ms, throughput_bps, delay_scale, drop_scale, asked, \
      effective, packets, bytes, lost, overflowed, duplicated, corrupted, probed_delay_ms, probed_jitter_ms, \
-     probed_delay_age_ms, probed_loss, probed_loss_age_ms, tested_throughput_bps, tested_offered_bps, tested_age_ms";
-const WIDTH: usize = 25;
+     probed_delay_age_ms, probed_loss, probed_loss_age_ms, tested_throughput_bps, tested_offered_bps, tested_age_ms, \
+     queued_packets";
+const WIDTH: usize = 26;
 
 fn sqlite() {
     // The engine's limit: the same columns of the same table, bound by hand, in equally large transactions.
@@ -232,7 +234,8 @@ fn sqlite() {
                         240_000_000,
                         rusqlite::types::Null,
                         rusqlite::types::Null,
-                        rusqlite::types::Null
+                        rusqlite::types::Null,
+                        n % 7
                     ])
                     .unwrap();
             }
@@ -308,6 +311,7 @@ fn mariadb() {
                         NULL,
                         NULL,
                         NULL,
+                        Int(n % 7),
                     ]);
                 }
                 transaction.exec_drop(&statement, mysql::Params::Positional(values)).unwrap();

@@ -25,7 +25,7 @@ const MOST: usize = 20_000;
 /// Returns the places, in [`table`], of the columns that a kind's chunks hold.
 const fn places(kind: Kind) -> &'static [usize] {
     match kind {
-        Kind::Link => &[2, 3, 4, 5, 14, 15, 17],
+        Kind::Link => &[2, 3, 4, 5, 14, 15, 17, 22],
         Kind::Robot => &[2, 3, 4, 28, 29, 31, 33, 39],
         Kind::Radio => &[2],
         Kind::Machine => &[2, 3, 7],
@@ -187,7 +187,7 @@ impl Chunk {
             }
         }
         let late = early(kind)..width;
-        // Links that are not probed have no late columns.
+        // Links that nothing is known of have no late columns.
         let known =
             figures.chunks(width.max(1)).any(|row| row[late.clone()].iter().any(|figure| !figure.is_nan()));
         if known {
@@ -252,6 +252,9 @@ pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> 
                 return Ok(false);
             }
             bytes.skip((place - early) * count)?;
+            if bytes.0.is_empty() {
+                return Ok(false);
+            }
             read_column(&mut bytes, &times, is_duration, each)?;
         }
         Part::Children { columns, of: wanted } => {
@@ -301,10 +304,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn packed_figures_are_read_back(samples in vec((any::<i64>(), any::<[u64; 7]>()), 0..50)) {
+        fn packed_figures_are_read_back(samples in vec((any::<i64>(), any::<[u64; 8]>()), 0..50)) {
             let mut chunk = Chunk::default();
             for (t, bits) in &samples {
-                let mut row = vec![Value::Null; 22];
+                let mut row = vec![Value::Null; 23];
                 for (column, (place, bits)) in places(Kind::Link).iter().zip(bits).enumerate() {
                     row[*place] = Value::Real(figure(column, *bits));
                 }
@@ -364,6 +367,7 @@ mod tests {
         assert_eq!(place(Kind::Link, "drop_scale"), Some(3));
         assert_eq!(place(Kind::Link, "probed_delay_ms"), Some(4));
         assert_eq!(place(Kind::Link, "probed_loss"), Some(6));
+        assert_eq!(place(Kind::Link, "queued_packets"), Some(7));
         assert_eq!(place(Kind::Robot, "heading"), Some(2));
         assert_eq!(place(Kind::Robot, "linear"), Some(3));
         assert_eq!(place(Kind::Robot, "nearest_obstacle_m"), Some(5));
@@ -378,14 +382,23 @@ mod tests {
         let mut found = Vec::new();
         assert!(read(&older, column(Kind::Link, "drop_scale").unwrap(), |t, x| found.push((t, x))).unwrap());
         assert_eq!(found, [(1, 0.0)]);
-        assert!(!read(&older, column(Kind::Link, "probed_loss").unwrap(), |_, _| panic!("nothing")).unwrap());
+        let nothing = |chunk: &[u8], name| {
+            !read(chunk, column(Kind::Link, name).unwrap(), |_, _| panic!("nothing")).unwrap()
+        };
+        assert!(nothing(&older, "probed_loss") && nothing(&older, "queued_packets"));
+        // With the three columns of probes.
+        let older = [&older[..], &[0; 3]].concat();
+        found.clear();
+        assert!(read(&older, column(Kind::Link, "probed_loss").unwrap(), |t, x| found.push((t, x))).unwrap());
+        assert_eq!(found, [(1, 0.0)]);
+        assert!(nothing(&older, "queued_packets"));
     }
 
     #[test]
     fn a_steady_link_takes_few_bytes() {
         let mut chunk = Chunk::default();
         for n in 0..50_i64 {
-            let mut row = vec![Value::Null; 22];
+            let mut row = vec![Value::Null; 23];
             let figures = [
                 Value::Real((10_000_000 + n * 137) as f64 / NS_IN_MS),
                 Value::Real(1e6),

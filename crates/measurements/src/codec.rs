@@ -65,6 +65,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
                 "packets", "bytes", "lost", "overflowed", "duplicated", "corrupted",
                 "probed_delay_ms", "probed_jitter_ms", "probed_delay_age_ms", "probed_loss", "probed_loss_age_ms",
                 "tested_throughput_bps", "tested_offered_bps", "tested_age_ms",
+                "queued_packets",
             ],
             series: &["link", "direction"],
             children: None,

@@ -46,6 +46,8 @@ quantities! {
         Delay = "delay", "ms", "delay_ms";
         /// λ, bit/s.
         Throughput = "throughput", "bit/s", "throughput_bps";
+        /// The most packets that waited at a time over the last second.
+        Queue = "queue", "packets", "queued_packets";
         /// ψ.
         DelayScale = "delay_scale", "", "delay_scale";
         /// δ.
@@ -105,7 +107,7 @@ quantities! {
     }
 }
 
-/// A figure. As text, its name and its subject, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
+/// A figure. As text, its name and its subject, with colons between: `delay:LINK:DIRECTION`, `throughput:…`, `queue:…`,
 /// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if the direction is left out); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`,
 /// `vertical:…`, `angular:…`, `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (all robots or
 /// services if they are left out); `time_part:LINK:SERVICE:ROBOT` (likewise;
@@ -243,6 +245,9 @@ impl Figure {
                 match quantity {
                     LinkQuantity::Delay => context.delay.map(millis::of).into_iter().for_each(each),
                     LinkQuantity::Throughput => each(context.throughput_bps),
+                    LinkQuantity::Queue => {
+                        context.queued_packets.into_iter().for_each(|packets| each(packets as f64));
+                    }
                     LinkQuantity::DelayScale => each(context.scale.delay_scale),
                     LinkQuantity::DropScale => each(context.scale.drop_scale),
                     LinkQuantity::ProbedDelay => {
@@ -368,7 +373,7 @@ fn write_samples(
 /// A text that is not a figure.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is not a figure: give delay, throughput, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
+    "`{0}` is not a figure: give delay, throughput, queue, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
      with :LINK or :LINK:DIRECTION; x, y, z, heading, linear, vertical, angular or nearest_obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
      or :SERVICE:ROBOT if you like; time_part with :LINK, :sender, :vnf, \
      :receiver or :unknown, and more as of service_time; handover_gap, with :ROBOT if you like; sensor:ROBOT:SENSOR:COMPONENT; \
@@ -469,6 +474,10 @@ mod tests {
     fn short_forms_are_read_and_others_rejected() {
         let link = LinkId::new("r1~ap1").unwrap();
         assert_eq!("delay:r1~ap1".parse(), Ok(Figure::Link(link, Direction::Forward, LinkQuantity::Delay)));
+        let link = LinkId::new("a-b").unwrap();
+        let queue = Figure::Link(link, Direction::Backward, LinkQuantity::Queue);
+        assert_eq!(queue.unit(), "packets");
+        assert_eq!("queue:a-b:backward".parse(), Ok(queue));
         assert_eq!("service_time".parse(), Ok(Figure::ServiceTime { service: None, robot: None }));
         for text in [
             "",

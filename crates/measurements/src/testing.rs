@@ -200,6 +200,8 @@ prop_compose! {
         (link, direction) in (link(), direction()),
         delay in of(duration()),
         throughput_bps in real(),
+        // No figure of a longer queue is exact.
+        queued_packets in of(0..1_u64 << 53),
         (asked, effective) in (similar_conditions(), similar_conditions()),
         (delay_scale, drop_scale) in (real(), real()),
         counters in counters(),
@@ -207,7 +209,9 @@ prop_compose! {
         tested in of(tested()),
     ) -> LinkContext {
         let scale = Scale { delay_scale, drop_scale };
-        LinkContext { link, direction, delay, throughput_bps, probed, tested, asked, scale, effective, counters }
+        LinkContext {
+            link, direction, delay, throughput_bps, queued_packets, probed, tested, asked, scale, effective, counters,
+        }
     }
 }
 

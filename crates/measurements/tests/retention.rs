@@ -41,6 +41,7 @@ fn link(name: &str, n: u64) -> Stamped {
         // Some samples have no delay.
         delay: (!n.is_multiple_of(7)).then(|| Duration::from_micros(1000 + n * 37 % 501)),
         throughput_bps: n as f64,
+        queued_packets: Some(n % 11),
         probed: None,
         tested: None,
         asked: Conditions::default(),
@@ -136,7 +137,7 @@ fn engines() -> Vec<(History, String, Option<Arc<MariaDb>>, tempfile::TempDir)> 
     all
 }
 
-const FIGURES: [&str; 8] = [
+const FIGURES: [&str; 9] = [
     "delay:a-b",
     "throughput:b-c",
     "x:robot",
@@ -145,6 +146,7 @@ const FIGURES: [&str; 8] = [
     "sensor:robot:pack:charge",
     "cpu:edge",
     "available_memory:edge",
+    "queue:a-b",
 ];
 
 fn curve(history: &History, run: RunId, figure: &str, points: usize) -> Vec<Values> {

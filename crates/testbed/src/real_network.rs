@@ -207,8 +207,11 @@ impl Network for RealNetwork {
     }
 
     /// The kernel counts packets that bypass the fabric, and carries probes. The delay of other packets is not measured
-    /// then, and is left out.
-    fn complete(&self, now: Timestamp, contexts: Vec<LinkContext>) -> Vec<LinkContext> {
+    /// then, and is left out. So are queues, of which the fabric has only its own empty ones.
+    fn complete(&self, now: Timestamp, mut contexts: Vec<LinkContext>) -> Vec<LinkContext> {
+        for context in contexts.iter_mut().filter(|context| self.carrier(&context.link).is_some()) {
+            context.queued_packets = None;
+        }
         let mut contexts = match &self.real {
             Some(real) => real.complete(now, contexts),
             None => contexts,

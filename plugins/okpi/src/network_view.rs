@@ -489,6 +489,7 @@ walks:
                 direction: Direction::Forward,
                 delay: None,
                 throughput_bps: 0.0,
+                queued_packets: None,
                 probed: None,
                 tested: None,
                 asked: effective.clone(),

@@ -63,8 +63,20 @@ fn describe(state: &GraphState) -> String {
     }
     section("Radio units", units, state.radio_units.len());
 
-    let mut links = Table::new("<<>>><>>><");
-    links.row(["link", "direction", "at, s", "d, ms", "Mbit/s", "probes", "ψ", "δ", "lost", "does"]);
+    let mut links = Table::new("<<>>>><>>><");
+    links.row([
+        "link",
+        "direction",
+        "at, s",
+        "d, ms",
+        "Mbit/s",
+        "queued",
+        "probes",
+        "ψ",
+        "δ",
+        "lost",
+        "does",
+    ]);
     state.links.iter().take(ROWS).for_each(|sample| links.row(link(sample)));
     section("Links", links, state.links.len());
 
@@ -137,7 +149,7 @@ fn machine(Sample { at, value }: &Sample<MachineContext>) -> [String; 9] {
     ]
 }
 
-fn link(Sample { at, value }: &Sample<LinkContext>) -> [String; 10] {
+fn link(Sample { at, value }: &Sample<LinkContext>) -> [String; 11] {
     let direction = format!("{:?}", value.direction).to_lowercase();
     [
         value.link.to_string(),
@@ -145,6 +157,7 @@ fn link(Sample { at, value }: &Sample<LinkContext>) -> [String; 10] {
         seconds(*at),
         value.delay.map_or("-".to_owned(), |delay| format!("{:.3}", delay.as_secs_f64() * 1e3)),
         format!("{:.3}", value.throughput_bps / 1e6),
+        value.queued_packets.map_or("-".to_owned(), |packets| packets.to_string()),
         value.probed.as_ref().map(probed).unwrap_or_default(),
         value.scale.delay_scale.to_string(),
         value.scale.drop_scale.to_string(),

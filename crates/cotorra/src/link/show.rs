@@ -12,11 +12,11 @@ use crate::{
 /// Age from which results of probes are shown with it.
 const OLD: Duration = Duration::from_secs(10);
 
-/// Lists both directions of links, and below them the results of their last tests.
+/// Lists both directions of links, and below them their queues and the results of their last tests.
 pub fn table(links: &[LinkContext]) -> String {
     let mut table = Table::new("<<>>>><");
     table.row(["link", "", "d, ms", "λ, Mbit/s", "probed, ms", "lost", "conditions"]);
-    let mut tests = String::new();
+    let (mut queues, mut tests) = (String::new(), String::new());
     for context in links {
         let arrow = arrow(context.direction);
         let probed = context.probed.as_ref();
@@ -29,6 +29,13 @@ pub fn table(links: &[LinkContext]) -> String {
             probed.and_then(loss).unwrap_or("-".to_owned()),
             conditions(&context.effective) + &scale(context.scale),
         ]);
+        if let Some(packets @ 1..) = context.queued_packets {
+            let s = if packets == 1 { "" } else { "s" };
+            queues += &format!(
+                "{} {arrow} had up to {packets} packet{s} in its queue over the last second\n",
+                context.link
+            );
+        }
         if let Some(tested) = &context.tested {
             tests += &format!(
                 "{} {arrow} carried {:.3} of {:.3} Mbit/s in a test {}\n",
@@ -39,7 +46,7 @@ pub fn table(links: &[LinkContext]) -> String {
             );
         }
     }
-    table.render("") + &tests
+    table.render("") + &queues + &tests
 }
 
 /// Returns the sign of a direction, from the left end of a link's name to the right one or back.
@@ -93,6 +100,7 @@ mod tests {
             direction,
             delay: Some(ms(13.621)),
             throughput_bps: 12_345_678.0,
+            queued_packets: Some(0),
             probed: Some(probed),
             tested: None,
             asked: Conditions::default(),
@@ -118,6 +126,17 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part} is not in\n{text}");
         }
+    }
+
+    #[test]
+    fn queues_in_which_packets_waited_are_named() {
+        let queued = |packets| {
+            let context = LinkContext { queued_packets: packets, ..context(Direction::Backward) };
+            table(&[context]).lines().skip(2).map(str::to_owned).collect::<Vec<_>>()
+        };
+        assert!([None, Some(0)].into_iter().all(|packets| queued(packets).is_empty()));
+        assert_eq!(queued(Some(1)), ["robot~R1 ← had up to 1 packet in its queue over the last second"]);
+        assert_eq!(queued(Some(42)), ["robot~R1 ← had up to 42 packets in its queue over the last second"]);
     }
 
     #[test]

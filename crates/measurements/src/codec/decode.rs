@@ -258,6 +258,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             },
             probed: row.probed()?,
             tested: row.tested()?,
+            queued_packets: row.0.integer()?.map(i64::cast_unsigned),
         }),
         Kind::Placement => {
             let (vnf, first) = (row.name()?, row.name()?);

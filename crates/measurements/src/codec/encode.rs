@@ -138,7 +138,8 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .optional(probed.map(|probed| probed.loss_age), Fields::duration)
                 .optional(tested.map(|tested| tested.throughput_bps), Fields::real)
                 .optional(tested.map(|tested| tested.offered_bps), Fields::real)
-                .optional(tested.map(|tested| tested.age), Fields::duration);
+                .optional(tested.map(|tested| tested.age), Fields::duration)
+                .optional(context.queued_packets, Fields::unsigned);
         }
         Event::Placement(placement) => {
             row.name(placement.vnf.as_str()).name(placement.node.first().as_str());

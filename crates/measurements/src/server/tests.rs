@@ -173,7 +173,7 @@ fn a_server_that_is_down_is_named_without_types_of_the_driver() {
     assert!(!message.contains(['{', '}']), "{message}");
 }
 
-/// Covers newer versions, and those from before the first release, which went up to 5.
+/// Covers newer versions.
 #[test]
 fn unknown_schemas_are_rejected_and_left_alone() {
     let Some(server) = MariaDb::shared() else { return };

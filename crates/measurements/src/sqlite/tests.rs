@@ -111,7 +111,7 @@ fn other_files_are_rejected_and_left_alone() {
     assert!(matches!(refusal(&folder.path().join("no/such/folder")), Error::Open { .. }));
 }
 
-/// Covers newer versions, and those from before the first release, which went up to 5.
+/// Covers newer versions.
 #[test]
 fn unknown_schemas_are_rejected_and_left_alone() {
     let (_folder, path) = folder();
@@ -251,6 +251,7 @@ fn rows_that_were_rolled_back_are_written_again() {
                 direction: Direction::Forward,
                 delay: None,
                 throughput_bps: 0.0,
+                queued_packets: Some(3),
                 probed: None,
                 tested: None,
                 asked: Conditions::default(),

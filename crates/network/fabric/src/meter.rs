@@ -1,5 +1,5 @@
-//! Measures one direction of a link, wired or wireless: packets and bytes since the run began, delay and throughput over
-//! the last second.
+//! Measures one direction of a link, wired or wireless: packets and bytes since the run began; delay, throughput and the
+//! longest queue over the last second.
 
 use std::time::Duration;
 
@@ -25,6 +25,8 @@ struct Slice {
     packets: u64,
     bytes: u64,
     delay_ns: u64,
+    /// The most packets that waited at a time.
+    queued: u64,
 }
 
 impl Meter {
@@ -33,14 +35,16 @@ impl Meter {
         let packets = u64::from(packets);
         self.counters.packets += packets;
         self.counters.bytes += bytes;
-        let number = left.as_nanos() / SLICE_NS;
-        let slice = &mut self.slices[(number % SLICES as u64) as usize];
-        if slice.number != number {
-            *slice = Slice { number, ..Slice::default() };
-        }
+        let slice = self.slice(left);
         slice.packets += packets;
         slice.bytes += bytes;
         slice.delay_ns += left.as_nanos().saturating_sub(entered.as_nanos()) * packets;
+    }
+
+    /// Records that so many packets waited in the queue until `now`.
+    pub(crate) fn queued(&mut self, now: Timestamp, packets: u64) {
+        let slice = self.slice(now);
+        slice.queued = slice.queued.max(packets);
     }
 
     /// Returns d, the mean time that packets took over the last second; `None` if none crossed.
@@ -56,6 +60,21 @@ impl Meter {
         // The current slice is not over, and a run may be younger than a second.
         let covered = now.as_nanos().min((SLICES as u64 - 1) * SLICE_NS + now.as_nanos() % SLICE_NS);
         bytes as f64 * 8e9 / covered.max(SLICE_NS) as f64
+    }
+
+    /// Returns the most packets that waited at a time over the last second. `waiting` of them wait now.
+    pub(crate) fn most_queued(&self, now: Timestamp, waiting: u64) -> u64 {
+        self.last_second(now).fold(waiting, |most, s| most.max(s.queued))
+    }
+
+    /// Returns the slice of a time, emptied if it was that of an earlier second.
+    fn slice(&mut self, at: Timestamp) -> &mut Slice {
+        let number = at.as_nanos() / SLICE_NS;
+        let slice = &mut self.slices[(number % SLICES as u64) as usize];
+        if slice.number != number {
+            *slice = Slice { number, ..Slice::default() };
+        }
+        slice
     }
 
     fn last_second(&self, now: Timestamp) -> impl Iterator<Item = &Slice> {
@@ -85,6 +104,21 @@ mod tests {
         assert!((meter.throughput_bps(now) / 1e6 - 1.0).abs() < 0.01, "{}", meter.throughput_bps(now));
         assert_eq!((meter.counters.packets, meter.counters.bytes), (3000, 375_000));
         assert_eq!((meter.delay(at(4100)), meter.throughput_bps(at(4100))), (None, 0.0));
+    }
+
+    #[test]
+    fn the_longest_queue_is_that_of_the_last_second_or_of_now() {
+        let mut meter = Meter::default();
+        assert_eq!(meter.most_queued(at(0), 0), 0);
+        [(100, 5), (120, 3), (600, 4)].into_iter().for_each(|(ms, packets)| meter.queued(at(ms), packets));
+        assert_eq!((meter.most_queued(at(700), 2), meter.most_queued(at(700), 6)), (5, 6));
+        assert_eq!(meter.most_queued(at(1200), 0), 4);
+        // The slice of another second is not taken for this one.
+        meter.queued(at(1100), 1);
+        assert_eq!(meter.most_queued(at(1700), 0), 1);
+        // A queue that stands still.
+        assert_eq!(meter.most_queued(at(9000), 2), 2);
+        assert_eq!((meter.delay(at(600)), meter.counters.packets), (None, 0));
     }
 
     #[test]

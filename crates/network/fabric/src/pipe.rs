@@ -139,13 +139,14 @@ impl Pipe {
         Balance { under_way, ..self.meter.counters.into() }
     }
 
-    /// Returns d, λ, conditions and counters of this direction of the link.
+    /// Returns d, λ, the longest queue, conditions and counters of this direction of the link.
     pub(crate) fn context(&self, now: Timestamp, link: LinkId, direction: Direction) -> LinkContext {
         LinkContext {
             link,
             direction,
             delay: self.meter.delay(now),
             throughput_bps: self.meter.throughput_bps(now),
+            queued_packets: Some(self.meter.most_queued(now, self.queued_packets)),
             probed: None,
             tested: None,
             asked: self.settings.asked().clone(),
@@ -270,6 +271,8 @@ impl Pipe {
     fn send_queued(&mut self, now: Timestamp, pool: &mut Pool) {
         while !self.transmitter.is_busy() {
             let Some(mut packet) = self.queue.pop_front() else { return };
+            // A queue was longest just before a packet left it.
+            self.meter.queued(now, self.queued_packets);
             self.queued_packets -= u64::from(packet.frame.wire_packets());
             self.queued_bytes -= packet.frame.wire_bytes();
             packet.began = now;

@@ -258,6 +258,7 @@ impl Encoder {
             direction: direction.to_owned(),
             delay_ms: context.delay.map_or(f64::NAN, millis::of),
             throughput_bps: context.throughput_bps,
+            queued_packets: context.queued_packets.map_or(f64::NAN, |packets| packets as f64),
             probed_delay_ms: probed.and_then(|probed| probed.delay).map_or(f64::NAN, millis::of),
             probed_jitter_ms: probed.and_then(|probed| probed.jitter).map_or(f64::NAN, millis::of),
             probed_delay_age_ms: probed.and_then(|probed| probed.delay_age).map_or(f64::NAN, millis::of),

@@ -126,6 +126,8 @@ message! {
         delay_ms: f64,
         /// λ: throughput of the last second, bit/s.
         throughput_bps: f64,
+        /// The most packets that waited in its queue at a time over the last second; NaN where the queue cannot be seen.
+        queued_packets: f64,
         /// Mean delay of its probes. Like jitter and age, NaN if none returned.
         probed_delay_ms: f64,
         /// Mean difference between the delays of consecutive probes.

@@ -126,6 +126,7 @@ fn events() -> Vec<Event> {
             direction: Direction::Backward,
             delay: Some(Duration::from_micros(4250)),
             throughput_bps: 1e6,
+            queued_packets: Some(17),
             probed: None,
             tested: None,
             asked: Conditions { delay: Duration::from_millis(4), ..Conditions::default() },
@@ -266,6 +267,7 @@ fn two_independent_readers_agree_on_the_events() {
     assert_eq!((&radio["channel"], &radio["stations"][0]["uplink_bps"]), (&json!(11), &json!(58.5e6)));
     let link = one("/network/R_1_edge/backward");
     assert_eq!((&link["delay_ms"], &link["effective_delay_ms"]), (&json!(4.25), &json!(8.0)));
+    assert_eq!(link["queued_packets"], 17.0);
     assert_eq!((&link["packets"], &link["corrupted"]), (&json!(1u64 << 40), &json!(6)));
     assert_eq!((&link["delay_scale"], &link["drop_scale"]), (&json!(2.0), &json!(1.5)));
     assert_eq!(one("/placement")["node"], "edge");

@@ -298,8 +298,8 @@ pub(super) async fn gaps(
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Which {
-    /// The figure and its object: `delay:LINK:DIRECTION`, `throughput:…`, `delay_scale:…` or `drop_scale:…` (forward
-    /// without a direction); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…` or
+    /// The figure and its object: `delay:LINK:DIRECTION`, `throughput:…`, `queue:…`, `delay_scale:…` or `drop_scale:…`
+    /// (forward without a direction); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…` or
     /// `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or
     /// `handover_gap:ROBOT` (of all without an object); `time_part:LINK:SERVICE:ROBOT` (also of `sender`, `vnf`,
     /// `receiver` or `unknown`); `sensor:ROBOT:SENSOR:COMPONENT`; `cpu:NODE`, `load_average:…` or `available_memory:…` of a

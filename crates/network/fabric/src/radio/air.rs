@@ -27,8 +27,15 @@ impl Radio {
         if let Err(frame) = self.medium.push(flow, waiting, limit) {
             self.lane(path).meter().counters.overflowed += u64::from(!is_probe);
             self.lost.push(frame);
-        } else if let Some(unit) = on {
+            return;
+        }
+        if let Some(unit) = on {
             self.serve(self.medium.channel(unit), now);
+        }
+        // A frame that went on the air at once did not wait.
+        let waiting = self.medium.queued(path.robot)[path.direction as usize];
+        if waiting > 0 {
+            self.lane(path).meter().queued(now, waiting);
         }
     }
 
@@ -64,6 +71,10 @@ impl Radio {
         let unit = self.robots[robot].station.on_channel().expect("each sender in turns is on the channel");
         let contended = contended(self.networks[self.units[unit].network].phy);
         let path = Path { robot, unit, direction };
+        if waiting.since < now {
+            let waited = self.medium.queued(robot)[direction as usize] + 1;
+            self.lane(path).meter().queued(now, waited);
+        }
         let reception = self.reception(path);
         let exchange = self.lane(path).exchange(&reception, waiting.frame.bytes().len(), contended);
         self.fly(now, path, waiting, &exchange);

@@ -127,10 +127,12 @@ impl WirelessLink {
         self.receptions = Some((place, receptions));
     }
 
+    /// Returns the context of one direction, in which so many frames wait now.
     pub(super) fn context(
         &self,
         now: Timestamp,
         direction: Direction,
+        waiting: u64,
         probed: Option<Probed>,
     ) -> LinkContext {
         let Lane { settings, meter, .. } = &self.lanes[direction as usize];
@@ -139,6 +141,7 @@ impl WirelessLink {
             direction,
             delay: meter.delay(now),
             throughput_bps: meter.throughput_bps(now),
+            queued_packets: Some(meter.most_queued(now, waiting)),
             probed,
             tested: None,
             asked: settings.asked().clone(),

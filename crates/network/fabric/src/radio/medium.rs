@@ -168,6 +168,12 @@ impl Medium {
         queues.flat_map(|queue| &queue.frames).filter(|waiting| !waiting.is_probe).count() as u64
     }
 
+    /// Returns the number of frames that wait from a station, and for it.
+    pub(super) fn queued(&self, station: StationIndex) -> [u64; 2] {
+        let Peer { up, down, .. } = &self.peers[station];
+        [up, down].map(|queue| queue.frames.len() as u64)
+    }
+
     /// Queues a frame.
     ///
     /// # Errors

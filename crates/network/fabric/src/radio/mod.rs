@@ -557,9 +557,17 @@ impl Radio {
         probed: impl Fn(StationIndex, RadioUnitIndex) -> Option<[Probed; 2]>,
     ) -> Vec<LinkContext> {
         let both = |(pair, link): (usize, &WirelessLink)| {
-            let probed = probed(pair / self.units.len(), pair % self.units.len());
-            [Direction::Forward, Direction::Backward]
-                .map(|direction| link.context(now, direction, probed.map(|both| both[direction as usize])))
+            let (robot, unit) = (pair / self.units.len(), pair % self.units.len());
+            let probed = probed(robot, unit);
+            // Frames wait on the link on which they count.
+            let waiting = match self.robots[robot].home {
+                Some(home) if home == unit => self.medium.queued(robot),
+                _ => [0; 2],
+            };
+            [Direction::Forward, Direction::Backward].map(|direction| {
+                let way = direction as usize;
+                link.context(now, direction, waiting[way], probed.map(|both| both[way]))
+            })
         };
         let links = self.links.iter().enumerate().filter_map(|(pair, link)| Some((pair, link.as_deref()?)));
         links.flat_map(both).collect()

@@ -210,6 +210,28 @@ fn consecutive_frames_wait_for_the_air() {
 }
 
 #[test]
+fn contexts_have_the_longest_queue_of_the_last_second() {
+    let mut world = corridor(network(), Roaming::Instructed);
+    let link = LinkId::wireless(&id("r"), &id("R1"));
+    let queued = |world: &World, now| -> Vec<_> {
+        let contexts = world.radio.link_contexts(at(now), |_, _| None).into_iter();
+        contexts.filter(|context| context.link == link).map(|context| context.queued_packets).collect()
+    };
+    world.up(at(10), "r", 500);
+    assert_eq!(queued(&world, 10), [Some(0), Some(0)], "it is on the air");
+    (0..2).for_each(|_| world.up(at(10), "r", 500));
+    assert_eq!(queued(&world, 10), [Some(2), Some(0)]);
+    world.run(at(100));
+    assert_eq!(world.arrived.len(), 3);
+    assert_eq!(queued(&world, 900), [Some(2), Some(0)]);
+    assert_eq!(queued(&world, 1200), [Some(0), Some(0)]);
+    // Frames wait while the station scans.
+    world.radio.scan(at(1200), &id("r")).unwrap();
+    (0..4).for_each(|_| world.down(at(1200), "R1", "r", 500));
+    assert_eq!(queued(&world, 1210), [Some(0), Some(4)]);
+}
+
+#[test]
 fn the_standard_limits_the_rate_without_a_cap() {
     let mut world = corridor(WirelessNetwork { rate: None, ..network() }, Roaming::Instructed);
     (0..900).for_each(|_| world.up(at(10), "r", 1514));

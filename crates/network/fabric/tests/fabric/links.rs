@@ -270,6 +270,25 @@ fn contexts_report_requested_and_effective_conditions_and_measurements() {
 }
 
 #[test]
+fn contexts_have_the_longest_queue_of_the_last_second() {
+    let mut fabric = pair(slow(), 1);
+    (0..10).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
+    // The frame in transmission does not wait.
+    assert_eq!(context(&mut fabric, ms(0.0), "a-b").queued_packets, Some(9));
+    assert_eq!(run(&mut fabric, ms(0.0), ms(100.0)).len(), 10);
+    assert_eq!(context(&mut fabric, ms(900.0), "a-b").queued_packets, Some(9));
+    assert_eq!(fabric.link_contexts(ms(900.0))[1].queued_packets, Some(0));
+    assert_eq!(context(&mut fabric, ms(1100.0), "a-b").queued_packets, Some(0));
+
+    // A frame each second, of which none is new.
+    let mut fabric = pair(Conditions { rate: rate(0.008), ..Conditions::default() }, 1);
+    (0..6).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
+    let queued = [500.0, 1500.0, 2500.0, 4500.0, 7000.0]
+        .map(|now| context(&mut fabric, ms(now), "a-b").queued_packets.unwrap());
+    assert_eq!(queued, [5, 5, 4, 2, 0]);
+}
+
+#[test]
 fn links_begin_with_the_scales_of_the_graph() {
     let mut graph = Network::new().servers(&["a", "b"]).link("a", "b", delay(10)).graph();
     graph.links[0].scales[0] = Scale { delay_scale: 3.0, drop_scale: 1.0 };
