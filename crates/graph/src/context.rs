@@ -151,6 +151,10 @@ pub struct RobotContext {
     /// The speed, m/s, that an instruction limits it to; left out where none does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed_limit_mps: Option<f64>,
+    /// Distance between the pose that localization believes and the true one, metres; only where a VNF localizes the robot
+    /// and the truth is known, as of a simulated robot. For evaluation: no robot knows it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub localization_error_m: Option<f64>,
 }
 
 /// Packets that came to a robot as answers and that it did not follow, counted since the run began.

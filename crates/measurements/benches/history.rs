@@ -98,6 +98,7 @@ fn robot(n: u64) -> Stamped {
         waypoint: 3,
         health: Vec::new(),
         speed_limit_mps: None,
+        localization_error_m: None,
     };
     Stamped { at: Timestamp::from_nanos(tick * TICK), event: Event::Robot(context) }
 }

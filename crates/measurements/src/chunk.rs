@@ -26,7 +26,7 @@ const MOST: usize = 20_000;
 const fn places(kind: Kind) -> &'static [usize] {
     match kind {
         Kind::Link => &[2, 3, 4, 5, 14, 15, 17, 22],
-        Kind::Robot => &[2, 3, 4, 28, 29, 31, 33, 39],
+        Kind::Robot => &[2, 3, 4, 28, 29, 31, 33, 39, 41],
         Kind::Radio => &[2],
         Kind::Machine => &[2, 3, 7],
         _ => &[],
@@ -37,6 +37,7 @@ const fn places(kind: Kind) -> &'static [usize] {
 const fn early(kind: Kind) -> usize {
     match kind {
         Kind::Link => 4,
+        Kind::Robot => 8,
         _ => places(kind).len(),
     }
 }
@@ -51,7 +52,7 @@ pub(crate) const fn has_chunks(kind: Kind) -> bool {
 pub(crate) enum Part {
     /// A column, by its place.
     Column { place: usize, is_duration: bool },
-    /// A column that follows `early` others and the figures of child rows, of which its kind has none.
+    /// A column that follows `early` others and the figures of child rows.
     LateColumn { early: usize, place: usize, is_duration: bool },
     /// The figures of child rows with the id `of`, after the columns.
     Children { columns: usize, of: i64 },
@@ -60,7 +61,7 @@ pub(crate) enum Part {
 impl Part {
     /// Returns the part with the figures of a kind's child rows that have this id.
     pub fn children(kind: Kind, of: i64) -> Self {
-        Self::Children { columns: places(kind).len(), of }
+        Self::Children { columns: early(kind), of }
     }
 
     /// Returns the place of the column among all that chunks of its kind hold.
@@ -187,7 +188,7 @@ impl Chunk {
             }
         }
         let late = early(kind)..width;
-        // Links that nothing is known of have no late columns.
+        // Series of which nothing is known that came later have no late columns.
         let known =
             figures.chunks(width.max(1)).any(|row| row[late.clone()].iter().any(|figure| !figure.is_nan()));
         if known {
@@ -245,8 +246,14 @@ pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> 
         }
         Part::LateColumn { early, place, is_duration } => {
             bytes.skip(early * count)?;
-            if bytes.plain_integer()? != 0 {
-                return Err(ReadError::Unreadable("a chunk has child rows where there are none".to_owned()));
+            if bytes.0.is_empty() {
+                return Ok(false);
+            }
+            for _ in 0..bytes.plain_integer()? {
+                let _of = bytes.plain_integer()?;
+                // With or without a place for each.
+                let its = usize::try_from(bytes.plain_integer()?);
+                bytes.skip(its.map_or(count, |its| its.saturating_mul(2)))?;
             }
             if bytes.0.is_empty() {
                 return Ok(false);
@@ -371,6 +378,7 @@ mod tests {
         assert_eq!(place(Kind::Robot, "heading"), Some(2));
         assert_eq!(place(Kind::Robot, "linear"), Some(3));
         assert_eq!(place(Kind::Robot, "nearest_obstacle_m"), Some(5));
+        assert_eq!(place(Kind::Robot, "localization_error_m"), Some(8));
         assert_eq!(place(Kind::Radio, "load"), Some(0));
         assert_eq!(place(Kind::Link, "packets"), None);
     }
@@ -392,6 +400,35 @@ mod tests {
         assert!(read(&older, column(Kind::Link, "probed_loss").unwrap(), |t, x| found.push((t, x))).unwrap());
         assert_eq!(found, [(1, 0.0)]);
         assert!(nothing(&older, "queued_packets"));
+    }
+
+    #[test]
+    fn late_columns_follow_child_rows() {
+        let read_back = |error: &Value<'static>, part| {
+            let mut chunk = Chunk::default();
+            for t in 0..3 {
+                let mut row = vec![Value::Null; table(Kind::Robot).columns.len()];
+                *row.last_mut().unwrap() = error.clone();
+                chunk.push(Kind::Robot, t, &row);
+                // One radio unit is heard each time, and another once.
+                chunk.push_child(1, -50.0);
+                if t == 1 {
+                    chunk.push_child(2, -70.0);
+                }
+            }
+            let mut found = Vec::new();
+            let bytes = chunk.finish(Kind::Robot).unwrap();
+            let has_part = read(&bytes, part, |t, x| found.push((t, x))).unwrap();
+            (has_part, found)
+        };
+        let part = column(Kind::Robot, "localization_error_m").unwrap();
+        let known = Value::Real(0.25);
+        assert_eq!(read_back(&known, part), (true, vec![(0, 0.25), (1, 0.25), (2, 0.25)]));
+        assert_eq!(read_back(&known, Part::children(Kind::Robot, 2)), (true, vec![(1, -70.0)]));
+        assert_eq!(read_back(&Value::Null, part), (false, Vec::new()));
+        // A chunk from before robots had child rows in theirs: one sample at 1 ns, and eight columns.
+        let older = [2, 2, 0, 0, 0, 0, 0, 0, 0, 0];
+        assert!(!read(&older, part, |_, _| panic!("nothing")).unwrap());
     }
 
     #[test]

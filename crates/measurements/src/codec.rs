@@ -48,7 +48,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
                 "odometry_source",
                 "linear", "angular", "bumper", "nearest_obstacle_m", "health",
                 "z", "roll", "pitch", "odometry_z", "odometry_roll", "odometry_pitch", "vertical",
-                "speed_limit_mps",
+                "speed_limit_mps", "localization_error_m",
             ],
             series: &["robot"],
             children: Some(("attachment", &["radio_unit", "attached", "signal_dbm"])),

@@ -80,6 +80,8 @@ quantities! {
         Angular = "angular", "rad/s", "angular";
         /// Distance of the nearest obstacle, m.
         NearestObstacle = "nearest_obstacle", "m", "nearest_obstacle_m";
+        /// Distance between the pose of localization and the true one, m.
+        LocalizationError = "localization_error", "m", "localization_error_m";
     }
 }
 
@@ -109,7 +111,7 @@ quantities! {
 
 /// A figure. As text, its name and its subject, with colons between: `delay:LINK:DIRECTION`, `throughput:…`, `queue:…`,
 /// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if the direction is left out); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`,
-/// `vertical:…`, `angular:…`, `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (all robots or
+/// `vertical:…`, `angular:…`, `nearest_obstacle:…`, `localization_error:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (all robots or
 /// services if they are left out); `time_part:LINK:SERVICE:ROBOT` (likewise;
 /// also of `sender`, `vnf`, `receiver`, `unknown`); `handover_gap:ROBOT` (likewise);
 /// `sensor:ROBOT:SENSOR:COMPONENT`; `cpu:NODE`, `load_average:…`, `available_memory:…`; `lateness_p50`, `lateness_p99`, `lateness_max`.
@@ -270,6 +272,9 @@ impl Figure {
                     RobotQuantity::Vertical => each(sensors.velocity.vertical),
                     RobotQuantity::Angular => each(sensors.velocity.angular),
                     RobotQuantity::NearestObstacle => sensors.nearest_obstacle_m.into_iter().for_each(each),
+                    RobotQuantity::LocalizationError => {
+                        context.localization_error_m.into_iter().for_each(each);
+                    }
                 }
             }
             (Self::Signal { robot, radio_unit }, Event::Robot(context)) if context.robot == *robot => {
@@ -374,7 +379,7 @@ fn write_samples(
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is not a figure: give delay, throughput, queue, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
-     with :LINK or :LINK:DIRECTION; x, y, z, heading, linear, vertical, angular or nearest_obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
+     with :LINK or :LINK:DIRECTION; x, y, z, heading, linear, vertical, angular, nearest_obstacle or localization_error with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
      or :SERVICE:ROBOT if you like; time_part with :LINK, :sender, :vnf, \
      :receiver or :unknown, and more as of service_time; handover_gap, with :ROBOT if you like; sensor:ROBOT:SENSOR:COMPONENT; \
      cpu, load_average or available_memory with :NODE; lateness_p50, lateness_p99 or lateness_max"
@@ -478,6 +483,9 @@ mod tests {
         let queue = Figure::Link(link, Direction::Backward, LinkQuantity::Queue);
         assert_eq!(queue.unit(), "packets");
         assert_eq!("queue:a-b:backward".parse(), Ok(queue));
+        let robot = NodeId::new("r1").unwrap();
+        let error = Figure::Robot(robot, RobotQuantity::LocalizationError);
+        assert_eq!("localization_error:r1".parse(), Ok(error));
         assert_eq!("service_time".parse(), Ok(Figure::ServiceTime { service: None, robot: None }));
         for text in [
             "",

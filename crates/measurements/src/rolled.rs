@@ -169,7 +169,7 @@ mod tests {
             for (t, figures) in &steps {
                 let mut step = Step::default();
                 for (place, figure) in figures {
-                    let mut row = vec![Value::Null; 40];
+                    let mut row = vec![Value::Null; 42];
                     row[2] = Value::Real(*figure);
                     let name = ["a", "b"];
                     let children = match place {

@@ -114,10 +114,10 @@ prop_compose! {
         nearest_obstacle_m in of(real()),
         waypoint: u32,
         health in subsequence(RobotFault::ALL.to_vec(), 0..=RobotFault::ALL.len()),
-        speed_limit_mps in of(finite()),
+        (speed_limit_mps, localization_error_m) in (of(finite()), of(finite())),
     ) -> RobotContext {
         let sensors = SensorData { pose, odometry, velocity, bumper, nearest_obstacle_m };
-        RobotContext { robot, attachments, sensors, waypoint, health, speed_limit_mps }
+        RobotContext { robot, attachments, sensors, waypoint, health, speed_limit_mps, localization_error_m }
     }
 }
 

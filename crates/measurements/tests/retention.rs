@@ -72,6 +72,8 @@ fn robot(n: u64) -> Stamped {
         waypoint: 0,
         health: Default::default(),
         speed_limit_mps: None,
+        // Some samples have none.
+        localization_error_m: (!n.is_multiple_of(5)).then_some(n as f64 * 0.25),
     };
     Stamped { at: at(n), event: Event::Robot(context) }
 }
@@ -137,7 +139,7 @@ fn engines() -> Vec<(History, String, Option<Arc<MariaDb>>, tempfile::TempDir)> 
     all
 }
 
-const FIGURES: [&str; 9] = [
+const FIGURES: [&str; 10] = [
     "delay:a-b",
     "throughput:b-c",
     "x:robot",
@@ -147,6 +149,7 @@ const FIGURES: [&str; 9] = [
     "cpu:edge",
     "available_memory:edge",
     "queue:a-b",
+    "localization_error:robot",
 ];
 
 fn curve(history: &History, run: RunId, figure: &str, points: usize) -> Vec<Values> {

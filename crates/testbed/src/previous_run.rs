@@ -285,6 +285,7 @@ mod tests {
                 waypoint,
                 health: Vec::new(),
                 speed_limit_mps: None,
+                localization_error_m: None,
             };
             Stamped { at: Timestamp::ZERO + Duration::from_secs(at_s), event: Event::Robot(context) }
         };

@@ -83,5 +83,6 @@ pub fn context(pose: Pose, waypoint: u32) -> Event {
         waypoint,
         health: Vec::new(),
         speed_limit_mps: None,
+        localization_error_m: None,
     })
 }

@@ -119,6 +119,7 @@ fn context(packet: &PositionPacket) -> RobotContext {
         waypoint: packet.waypoint,
         health: Vec::new(),
         speed_limit_mps: None,
+        localization_error_m: None,
     }
 }
 

@@ -533,6 +533,7 @@ walks:
             waypoint: 0,
             health: Vec::new(),
             speed_limit_mps: None,
+            localization_error_m: None,
         });
         let lost = Event::Detached { robot: robot.clone(), from: other.clone() };
         for end in [handed_over("r", "R"), lost, refused(attach("r", "R")), there] {

@@ -67,6 +67,7 @@ fn limited(speed_limit_mps: Option<f64>) -> Event {
         waypoint: 0,
         health: Vec::new(),
         speed_limit_mps,
+        localization_error_m: None,
     })
 }
 

@@ -199,6 +199,7 @@ links:
             waypoint: 0,
             health: Vec::new(),
             speed_limit_mps: None,
+            localization_error_m: None,
         })
     }
 

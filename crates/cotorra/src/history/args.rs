@@ -228,11 +228,11 @@ pub struct StateArgs {
 /// Each point summarises the samples of an interval; the plot shows their range. `!` marks gaps, in which events were lost.
 ///
 /// Figures are delay (ms), throughput (bit/s), queue (packets), delay_scale and drop_scale of a link; x, y, z (m), heading
-/// (rad), linear and vertical (m/s), angular (rad/s) and nearest_obstacle (m) of a robot; load of a radio unit; cpu,
-/// load_average and available_memory (bytes) of a machine; time_part (ms) of a link, `sender`, `vnf`, `receiver` or
-/// `unknown`, the time of each sample there; service_time and handover_gap (ms) of `service` or of a
-/// robot; lateness_p50, lateness_p99 and lateness_max (µs) of `service`, and signal of ROBOT:RADIO_UNIT (dBm). The service
-/// times of all robots come with a table of each robot and service, and whether it kept its target.
+/// (rad), linear and vertical (m/s), angular (rad/s), nearest_obstacle and localization_error (m) of a robot; load of a
+/// radio unit; cpu, load_average and available_memory (bytes) of a machine; time_part (ms) of a link, `sender`, `vnf`,
+/// `receiver` or `unknown`, the time of each sample there; service_time and handover_gap (ms) of `service` or of a robot;
+/// lateness_p50, lateness_p99 and lateness_max (µs) of `service`, and signal of ROBOT:RADIO_UNIT (dBm). The service times
+/// of all robots come with a table of each robot and service, and whether it kept its target.
 #[derive(Debug, Args)]
 pub struct SeriesArgs {
     /// The run

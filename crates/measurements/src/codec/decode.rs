@@ -218,7 +218,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             row.height(&mut sensors.pose)?;
             row.height(&mut sensors.odometry)?;
             sensors.velocity.vertical = row.real()?;
-            let speed_limit_mps = row.0.real()?;
+            let (speed_limit_mps, localization_error_m) = (row.0.real()?, row.0.real()?);
             let attachments = children(source, |mut row| {
                 Ok(Attachment {
                     radio_unit: row.name()?,
@@ -226,7 +226,15 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                     signal: row.0.real()?.map(Dbm),
                 })
             })?;
-            Event::Robot(RobotContext { robot, attachments, sensors, waypoint, health, speed_limit_mps })
+            Event::Robot(RobotContext {
+                robot,
+                attachments,
+                sensors,
+                waypoint,
+                health,
+                speed_limit_mps,
+                localization_error_m,
+            })
         }
         Kind::Radio => {
             let (radio_unit, channel, load) = (row.name()?, row.small()?, row.real()?);

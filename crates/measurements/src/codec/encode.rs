@@ -96,7 +96,8 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .height(&sensors.pose)
                 .height(&sensors.odometry)
                 .real(sensors.velocity.vertical)
-                .optional(context.speed_limit_mps, Fields::real);
+                .optional(context.speed_limit_mps, Fields::real)
+                .optional(context.localization_error_m, Fields::real);
             for attachment in &context.attachments {
                 children
                     .name(attachment.radio_unit.as_str())

@@ -79,6 +79,7 @@ pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f
                 waypoint: 0,
                 health: Vec::new(),
                 speed_limit_mps: None,
+                localization_error_m: None,
             },
         )
     });

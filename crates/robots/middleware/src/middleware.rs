@@ -409,7 +409,7 @@ impl RobotMiddleware {
             if context_due {
                 managed.driver.advance(now);
                 managed.report_health(now, &mut self.events);
-                managed.observe(now);
+                let localization_error_m = managed.observe(now);
                 let context = RobotContext {
                     robot: robot.clone(),
                     attachments: managed.attachments.clone(),
@@ -417,6 +417,7 @@ impl RobotMiddleware {
                     waypoint: managed.service.as_ref().map_or(0, ServiceEndpoint::waypoint),
                     health: managed.health.clone(),
                     speed_limit_mps: managed.speed_limit,
+                    localization_error_m,
                 };
                 self.events.push_back(Stamped { at: now, event: Event::Robot(context) });
                 let rejected = managed.rejected.report(now).map(Event::AnswersRejected);
@@ -741,16 +742,17 @@ impl Managed {
         self.localization.as_ref()?.endpoint.next_deadline(self.is_quiet())
     }
 
-    /// Feeds odometry and scan to localization, and compares its pose with the truth.
-    fn observe(&mut self, now: Timestamp) {
-        let Some(Localized { endpoint, errors }) = &mut self.localization else { return };
+    /// Feeds odometry and scan to localization, and compares its pose with the truth. Returns the distance of the two, if a
+    /// VNF localizes the robot and the truth is known.
+    fn observe(&mut self, now: Timestamp) -> Option<f64> {
+        let Localized { endpoint, errors } = self.localization.as_mut()?;
         let odometry = self.driver.sensors().odometry;
         // Data of a robot with a fault is not trusted.
         let scan = self.driver.scan().filter(|_| self.driver.health().is_empty());
         endpoint.observe(now, &odometry, scan);
-        if let Some(truth) = self.driver.truth() {
-            errors.push(&believed(&endpoint.pose(&odometry)), planar(&truth));
-        }
+        let (believed, truth) = (believed(&endpoint.pose(&odometry)), planar(&self.driver.truth()?));
+        errors.push(&believed, truth);
+        Some(believed.pose.distance(truth))
     }
 
     /// Commands the driver within the robot's speed limit. Reports once when commands begin to exceed the robot's limits.

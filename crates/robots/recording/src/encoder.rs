@@ -176,6 +176,7 @@ impl Encoder {
             nearest_obstacle_m: sensors.nearest_obstacle_m.unwrap_or(f64::NAN),
             health: context.health.iter().map(ToString::to_string).collect(),
             speed_limit_mps: context.speed_limit_mps.unwrap_or(f64::NAN),
+            localization_error_m: context.localization_error_m.unwrap_or(f64::NAN),
         };
         out(self.channels.encode(&format!("/{topic}/context"), Qos::Default, at, &message));
         let label = self.label(robot, context);

@@ -37,6 +37,9 @@ message! {
         health: Vec<String>,
         /// Speed limit by an instruction, m/s; NaN if there is none.
         speed_limit_mps: f64,
+        /// Distance between the pose of localization and the true one, metres; NaN where nobody localizes it or nobody knows
+        /// the truth.
+        localization_error_m: f64,
     }
 }
 

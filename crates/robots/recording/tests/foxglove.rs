@@ -45,6 +45,7 @@ fn moved(second: u64) -> Arc<Stamped> {
         waypoint: 0,
         health: Vec::new(),
         speed_limit_mps: None,
+        localization_error_m: None,
     };
     Arc::new(Stamped { at: Timestamp::from_nanos(second * 1_000_000_000), event: Event::Robot(context) })
 }

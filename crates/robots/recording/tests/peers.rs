@@ -109,6 +109,7 @@ fn events() -> Vec<Event> {
             waypoint: 3,
             health: vec![RobotFault::TimeJump],
             speed_limit_mps: Some(0.25),
+            localization_error_m: Some(0.125),
         }),
         Event::Radio(RadioContext {
             radio_unit: node("R-1"),
@@ -257,6 +258,7 @@ fn two_independent_readers_agree_on_the_events() {
         (&json!(3), &json!(true), &json!("nan"))
     );
     assert_eq!(context["health"], json!(["its time jumps"]));
+    assert_eq!(context["localization_error_m"], 0.125);
     let service = one("/tb2/service_time");
     assert_eq!((&service["service_time_ms"], &service["sequence"]), (&json!(11.25), &json!(42)));
     assert_eq!(service["header"]["stamp"], json!({"sec": 2, "nanosec": 500_000_001}));

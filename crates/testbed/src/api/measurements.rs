@@ -299,11 +299,11 @@ pub(super) async fn gaps(
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Which {
     /// The figure and its object: `delay:LINK:DIRECTION`, `throughput:…`, `queue:…`, `delay_scale:…` or `drop_scale:…`
-    /// (forward without a direction); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…` or
-    /// `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or
-    /// `handover_gap:ROBOT` (of all without an object); `time_part:LINK:SERVICE:ROBOT` (also of `sender`, `vnf`,
-    /// `receiver` or `unknown`); `sensor:ROBOT:SENSOR:COMPONENT`; `cpu:NODE`, `load_average:…` or `available_memory:…` of a
-    /// machine; `lateness_p50`, `lateness_p99` or `lateness_max`.
+    /// (forward without a direction); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…`,
+    /// `nearest_obstacle:…` or `localization_error:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`;
+    /// `service_time:SERVICE:ROBOT` or `handover_gap:ROBOT` (of all without an object); `time_part:LINK:SERVICE:ROBOT`
+    /// (also of `sender`, `vnf`, `receiver` or `unknown`); `sensor:ROBOT:SENSOR:COMPONENT`; `cpu:NODE`,
+    /// `load_average:…` or `available_memory:…` of a machine; `lateness_p50`, `lateness_p99` or `lateness_max`.
     #[cfg_attr(feature = "openapi", param(value_type = String))]
     figure: Figure,
     /// Beginning, nanoseconds since the run began.

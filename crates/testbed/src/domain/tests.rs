@@ -194,6 +194,7 @@ fn a_robots_context_has_the_other_domains_radio_units_that_it_hears() {
         waypoint: 0,
         health: Vec::new(),
         speed_limit_mps: None,
+        localization_error_m: None,
     };
     let [one, two] = seen_by_domains(Event::Robot(context(vec![
         attachment("A", true, Some(-50.0)),

@@ -163,6 +163,7 @@ fn context(linear: f64, angular: f64) -> Event {
         waypoint: 0,
         health: Vec::new(),
         speed_limit_mps: None,
+        localization_error_m: None,
     })
 }
 

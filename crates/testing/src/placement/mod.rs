@@ -47,6 +47,7 @@ pub fn context((x, y): (f64, f64), attached: &str) -> Event {
         waypoint: 0,
         health: Vec::new(),
         speed_limit_mps: None,
+        localization_error_m: None,
     })
 }
 

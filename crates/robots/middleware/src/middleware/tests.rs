@@ -604,7 +604,7 @@ fn localized_robot_reports_its_estimate_and_the_radio_uses_its_true_position() {
     // The order of services does not matter.
     testbed.services.insert(0, localization);
     let mut middleware = simulated(&testbed, 1);
-    let (mut scans, mut measured) = (Vec::new(), Vec::new());
+    let (mut scans, mut measured, mut farthest) = (Vec::new(), Vec::new(), 0.0_f64);
     for now in (0..8000).step_by(50) {
         middleware.advance(at(now));
         while let Some(datagram) = middleware.poll_transmit(at(now)) {
@@ -618,8 +618,23 @@ fn localized_robot_reports_its_estimate_and_the_radio_uses_its_true_position() {
             assert_eq!(middleware.poll_transmit(at(now)), None, "a position packet is under way");
             middleware.receive(at(now), &id("robot1"), SERVER, &answer);
         }
-        measured.extend(service_times(&events(&mut middleware)).into_iter().cloned());
+        let told = events(&mut middleware);
+        measured.extend(service_times(&told).into_iter().cloned());
+        for stamped in &told {
+            let Event::Robot(context) = &stamped.event else { continue };
+            if context.robot == id("robot1") {
+                let truth = middleware.driver(&context.robot).unwrap().truth().unwrap();
+                let pose = context.sensors.pose;
+                let distance = (pose.x - truth.x).hypot(pose.y - truth.y);
+                let error = context.localization_error_m.unwrap();
+                assert!((error - distance).abs() < 1e-9, "{error} instead of {distance}");
+                farthest = farthest.max(error);
+            } else {
+                assert_eq!(context.localization_error_m, None, "no VNF localizes it");
+            }
+        }
     }
+    assert!(farthest > 0.0);
     let (unanswered, answered): (Vec<_>, Vec<_>) = measured.iter().partition(|time| time.took.is_none());
     assert!(answered.len() > 30 && answered.iter().all(|time| time.service.as_str() == "navigation"));
     // Nobody answers scans. Those of the last three seconds are under way.
@@ -639,4 +654,5 @@ fn localized_robot_reports_its_estimate_and_the_radio_uses_its_true_position() {
     let errors: Vec<_> =
         middleware.localization_errors().map(|(robot, errors)| (robot.clone(), errors.len())).collect();
     assert_eq!(errors, [(id("robot1"), 80)]);
+    assert_eq!(middleware.localization_errors().next().unwrap().1.farthest(), farthest);
 }
