@@ -1,17 +1,17 @@
 // The panel with the actions: a form for each, the call that it makes, and what the run answers.
 
-import { call, curl, python, touches } from "./actions.js";
+import { call, curl, paths, python, touches } from "./actions.js";
 import { byId, element, setText } from "./dom.js";
 import { figure } from "./format.js";
 import { instruction } from "./state.js";
-import { links } from "./topology.js";
+import { links, vnfsByNode } from "./topology.js";
 
 /** @typedef {import("./state.js").Model} Model */
 /** @typedef {import("./actions.js").Form} Form */
 /** @typedef {import("./actions.js").Call} Call */
 /** @typedef {{ x: number, y: number }} Place */
 /** @typedef {{ name: string, label: string, options: string[], words?: Record<string, string> }} Choice */
-/** @typedef {{ name: string, label: string, unit: string, required: boolean, value?: string }} Figure */
+/** @typedef {{ name: string, label: string, unit: string, required: boolean, value?: string, isRare?: true }} Figure */
 /** @typedef {{ key: string, name: string, fields: (Choice | Figure)[], submits: [Form["action"], string][], hint: (form: FormData, model: Model) => string }} Kind */
 
 const WAYS = { forward: "→ from its first end", backward: "← to its first end" };
@@ -28,10 +28,11 @@ export function kinds(model) {
     const hosts = graph.nodes.filter((node) => "capacity" in node && node.capacity.cpus > 0);
     const flies = graph.nodes.some((node) => node.kind === "robot" && node.model === "quadrotor");
     const metres = (/** @type {string} */ name, required = true) => ({ name, label: name, unit: "m", required });
+    const offered = Object.fromEntries(paths(model, links(model)).map((path) => [JSON.stringify(path), route(path)]));
     /** @type {Kind[]} */
     const all = [
         {
-            key: "attach", name: "Attach", submits: [["attach", "Attach"]], hint: attachment,
+            key: "attach", name: "Attach", submits: [["attach", "Attach"], ["scan", "Scan"]], hint: attachment,
             fields: [robot, { name: "radio_unit", label: "Radio unit", options: model.units }],
         },
         {
@@ -42,7 +43,10 @@ export function kinds(model) {
             key: "send", name: "Send", submits: [["send", "Send"], ["return", "Back to its walk"]],
             hint: () => "Click the map to choose the goal.", fields: [robot, metres("x"), metres("y"), ...(flies ? [metres("z", false)] : [])],
         },
-        { key: "halt", name: "Halt", submits: [["halt", "Halt"], ["go", "Go on"]], hint: motion, fields: [robot] },
+        {
+            key: "halt", name: "Halt", submits: [["halt", "Halt"], ["go", "Go on"], ["limit", "Limit speed"]], hint: motion,
+            fields: [robot, { name: "speed_limit_mps", label: "Speed limit", unit: "m/s", required: false }],
+        },
         {
             key: "condition", name: "Link", submits: [["condition", "Change"]], hint: conditions,
             fields: [
@@ -51,7 +55,14 @@ export function kinds(model) {
                 { name: "delay_ms", label: "Delay", unit: "ms", required: false },
                 { name: "loss_percent", label: "Loss", unit: "%", required: false },
                 { name: "rate_mbps", label: "Rate", unit: "Mbit/s", required: false },
+                { name: "jitter_ms", label: "Jitter", unit: "ms", required: false, isRare: true },
+                { name: "delay_scale", label: "Delay times ψ", unit: "", required: false, isRare: true },
+                { name: "drop_scale", label: "Rate over δ", unit: "", required: false, isRare: true },
             ],
+        },
+        {
+            key: "map", name: "Path", submits: [["map", "Map"]], hint: mapping,
+            fields: [{ name: "path", label: "Path", options: Object.keys(offered), words: offered }],
         },
         {
             key: "test", name: "Test", submits: [["test", "Test throughput"]], hint: () => "Packets cross the link beside all others.",
@@ -82,8 +93,27 @@ function placement(form, model) {
 
 /** @type {Kind["hint"]} */
 function motion(form, model) {
-    const velocity = model.robots.get(String(form.get("robot")))?.context?.sensors.velocity;
-    return velocity ? `It moves at ${figure(velocity.linear, "m/s")}.` : "";
+    const context = model.robots.get(String(form.get("robot")))?.context;
+    if (!context) return "";
+    const limit = context.speed_limit_mps;
+    const limited = limit === null || limit === undefined ? "" : `, limited to ${figure(limit, "m/s")}`;
+    return `It moves at ${figure(context.sensors.velocity.linear, "m/s")}${limited}. An empty field lifts the limit.`;
+}
+
+/**
+ * Returns a path in words.
+ * @param {import("./actions.js").Path} path
+ */
+const route = ({ from, to, links: over }) => `${from} → ${to}: ${over.join(", ") || "the shortest"}`;
+
+/** @type {Kind["hint"]} */
+function mapping(form, model) {
+    const path = form.get("path");
+    if (!path) return "";
+    const { from, to } = JSON.parse(String(path));
+    const isOn = (/** @type {string} */ vnf, /** @type {string} */ node) => vnfsByNode(model).get(node)?.includes(vnf);
+    const now = [...model.virtualLinks.values()].find((one) => isOn(one.from, from) && isOn(one.to, to));
+    return now ? `Now over ${now.links.join(", ")} (${now.path ?? "shortest"}). The way back keeps its path.` : "The way back keeps its path.";
 }
 
 /** @type {Kind["hint"]} */
@@ -91,10 +121,10 @@ function conditions(form, model) {
     const words = ["forward", "backward"].map((direction) => {
         const now = model.links.get(`${form.get("link")}:${direction}`)?.effective;
         if (!now) return "";
-        const { loss, rate } = now;
+        const { loss, rate, jitter } = now;
         const share = loss && "share" in loss ? loss.share : 0;
         const speed = rate?.kind === "fixed" ? figure(rate.rate_bps, "bit/s") : (rate?.kind ?? "unlimited");
-        return `${direction === "forward" ? "→" : "←"} ${figure(now.delay_ms, "ms")}, ${figure(share * 100, "%")} loss, rate ${speed}`;
+        return `${direction === "forward" ? "→" : "←"} ${figure(now.delay_ms, "ms")}${jitter ? ` ± ${figure(jitter.deviation_ms)}` : ""}, ${figure(share * 100, "%")} loss, rate ${speed}`;
     });
     return `${words.filter(Boolean).join("; ")}. An empty field leaves the present figure.`.replace(/^\. /, "");
 }
@@ -225,7 +255,8 @@ export class ActionPanel {
         this.form.replaceChildren();
         this.#tell(kind ? "" : "Nothing here can be steered.");
         if (!kind) return;
-        const fields = kind.fields.map((field) => element("label", {}, element("span", {}, field.label), control(field)));
+        const fields = (/** @type {boolean} */ isRare) => kind.fields.filter((field) => "isRare" in field === isRare)
+            .map((field) => element("label", {}, element("span", {}, field.label), control(field)));
         const buttons = kind.submits.map(([action, name], i) => {
             const show = () => {
                 this.#action = action;
@@ -235,7 +266,9 @@ export class ActionPanel {
                 type: "submit", value: action, class: i === 0 ? "primary" : null, formnovalidate: i > 0, focus: show, pointerenter: show,
             }, name);
         });
-        this.form.append(...fields, this.hint, element("div", { class: "buttons" }, ...buttons));
+        const rare = fields(true);
+        const more = rare.length > 0 ? [element("details", {}, element("summary", {}, "More"), ...rare)] : [];
+        this.form.append(...fields(false), ...more, this.hint, element("div", { class: "buttons" }, ...buttons));
         this.#action = kind.submits[0][0];
         this.#chooseRobot();
         this.draw(this.#focus);

@@ -6,12 +6,26 @@
  * @typedef {{ action: "attach", robot: string, radio_unit: string }
  *     | { action: "place", vnf: string, node: string }
  *     | { action: "send", robot: string, x: number, y: number, z: number | null }
- *     | { action: "return" | "halt" | "go", robot: string }
- *     | { action: "condition", link: string, direction: Direction | null, delay_ms: number | null, loss_percent: number | null, rate_mbps: number | null }
+ *     | { action: "return" | "halt" | "go" | "scan", robot: string }
+ *     | { action: "limit", robot: string, speed_limit_mps: number | null }
+ *     | { action: "map", path: string }
+ *     | { action: "condition", link: string, direction: Direction | null } & Change
  *     | { action: "test", link: string, direction: Direction, seconds: number }} Form
  *   What somebody filled in. `null` is an empty field.
  */
+/**
+ * @typedef {{ delay_ms: number | null, loss_percent: number | null, rate_mbps: number | null, jitter_ms: number | null,
+ *     delay_scale: number | null, drop_scale: number | null }} Change
+ */
+/** @typedef {{ from: string, to: string, links: string[] }} Path Links from one node to another; none for the shortest path. */
 /** @typedef {{ method: "POST", path: string, body: Schemas["InstructionBody"] }} Call */
+
+/** Paths that are offered, in all. */
+const MOST_PATHS = 100;
+/** Routes that are offered between two nodes. */
+const MOST_ROUTES = 6;
+/** Steps of the search for them. */
+const MOST_STEPS = 500;
 
 /** Recorded with each decision. */
 const REASON = "by hand";
@@ -40,6 +54,9 @@ function instruct(form) {
         case "return": return { instruction: "navigate_to", robot: form.robot, goal: null };
         case "halt": return { instruction: "halt", robot: form.robot };
         case "go": return { instruction: "go", robot: form.robot };
+        case "scan": return { instruction: "scan", robot: form.robot };
+        case "limit": return { instruction: "limit_speed", robot: form.robot, speed_limit_mps: form.speed_limit_mps };
+        case "map": return { instruction: "map", .../** @type {Path} */ (JSON.parse(form.path)) };
         case "condition": {
             const { link, direction } = form;
             const of = direction === null ? { link } : { link, direction };
@@ -53,15 +70,18 @@ function instruct(form) {
 }
 
 /**
- * @param {{ delay_ms: number | null, loss_percent: number | null, rate_mbps: number | null }} form
+ * @param {Change} form
  * @returns {Schemas["ConditionChange"]}
  */
-function change({ delay_ms, loss_percent, rate_mbps }) {
+function change({ delay_ms, loss_percent, rate_mbps, jitter_ms, delay_scale, drop_scale }) {
     /** @type {Schemas["ConditionChange"]} */
     const wanted = {};
     if (delay_ms !== null) wanted.delay_ms = delay_ms;
     if (loss_percent !== null) wanted.loss = loss_percent === 0 ? { kind: "none" } : { kind: "independent", share: round(loss_percent / 100) };
     if (rate_mbps !== null) wanted.rate = { kind: "fixed", rate_bps: Math.round(rate_mbps * 1e6) };
+    if (jitter_ms !== null) wanted.jitter = { deviation_ms: jitter_ms };
+    if (delay_scale !== null) wanted.delay_scale = delay_scale;
+    if (drop_scale !== null) wanted.drop_scale = drop_scale;
     return wanted;
 }
 
@@ -113,6 +133,60 @@ function literal(value) {
 }
 
 /**
+ * Returns the paths that packets between two VNFs of a service can take, in either direction: for each pair of nodes the
+ * shortest, which follows the delays, and then those with the fewest links.
+ * @param {import("./state.js").Model} model
+ * @param {{ id: string, ends: [string, string] }[]} links Links that there are now.
+ * @returns {Path[]}
+ */
+export function paths(model, links) {
+    const vnfs = new Map(model.testbed.services.flatMap(({ vnfs }) => vnfs).map((vnf) => [vnf.id, vnf]));
+    const nodesOf = (/** @type {string} */ id) => model.placements.get(id) ?? [vnfs.get(id)?.node ?? []].flat();
+    /** @type {Map<string, [string, string]>} */
+    const pairs = new Map();
+    for (const { from, to } of model.testbed.services.flatMap(({ virtual_links }) => virtual_links)) {
+        for (const one of nodesOf(from)) for (const other of nodesOf(to)) {
+            if (one === other) continue;
+            for (const pair of /** @type {[string, string][]} */ ([[one, other], [other, one]])) pairs.set(pair.join(" "), pair);
+        }
+    }
+    /** @type {Map<string, { id: string, next: string }[]>} */
+    const beside = new Map();
+    for (const { id, ends: [one, other] } of links) {
+        for (const [at, next] of [[one, other], [other, one]]) beside.set(at, [...(beside.get(at) ?? []), { id, next }]);
+    }
+    const forwards = (/** @type {string} */ id) => ["radio_unit", "switch"].includes(model.nodes.get(id)?.kind ?? "");
+    /** @type {Path[]} */
+    const all = [];
+    for (const [from, to] of pairs.values()) {
+        all.push({ from, to, links: [] }, ...routes(beside, forwards, from, to).map((links) => ({ from, to, links })));
+        if (all.length >= MOST_PATHS) break;
+    }
+    return all.slice(0, MOST_PATHS);
+}
+
+/**
+ * Returns the routes with the fewest links from one node to another, without a node twice, over nodes that forward packets.
+ * @param {Map<string, { id: string, next: string }[]>} beside Links of each node.
+ * @param {(node: string) => boolean} forwards
+ * @param {string} from
+ * @param {string} to
+ */
+function routes(beside, forwards, from, to) {
+    /** @type {string[][]} */
+    const found = [];
+    const open = [{ nodes: [from], over: /** @type {string[]} */ ([]) }];
+    for (let i = 0; i < open.length && i < MOST_STEPS && found.length < MOST_ROUTES; i++) {
+        const { nodes, over } = open[i];
+        for (const { id, next } of beside.get(nodes[nodes.length - 1]) ?? []) {
+            if (next === to) found.push([...over, id]);
+            else if (!nodes.includes(next) && forwards(next)) open.push({ nodes: [...nodes, next], over: [...over, id] });
+        }
+    }
+    return found.slice(0, MOST_ROUTES);
+}
+
+/**
  * Returns the real interfaces, machines and robots that a form touches, in words. Halting needs no question.
  * @param {Schemas["TestbedBody"]} testbed
  * @param {Form} form
@@ -132,7 +206,10 @@ export function touches({ graph }, form) {
         }
         case "send":
         case "return":
-        case "go": {
+        case "go":
+        case "limit": {
+            // The limit 0 stops a robot at once; a higher one may let it go.
+            if (form.action === "limit" && form.speed_limit_mps === 0) return [];
             const robot = node(form.robot);
             const driver = robot?.kind === "robot" ? robot.driver : undefined;
             if (driver?.kind === "kobuki") return [`robot ${form.robot}, a TurtleBot 2 at ${driver.port}, which moves`];

@@ -460,10 +460,11 @@ export function describe(event) {
  * Returns the figures of a change in words.
  * @param {Schemas["ConditionChange"]} change
  */
-function changes({ delay_ms, loss, rate, delay_scale, drop_scale }) {
+function changes({ delay_ms, jitter, loss, rate, delay_scale, drop_scale }) {
     const scaled = (/** @type {string} */ name, /** @type {number | null | undefined} */ scale) => (scale === null || scale === undefined ? "" : `${name} ${scale}`);
     const words = [
         delay_ms === null || delay_ms === undefined ? "" : `delay ${delay_ms} ms`,
+        jitter ? `jitter ${jitter.deviation_ms} ms` : "",
         loss ? `loss ${"share" in loss ? figure(loss.share * 100, "%") : "none"}` : "",
         rate ? `rate ${rate.kind === "fixed" ? figure(rate.rate_bps, "bit/s") : rate.kind}` : "",
         scaled("ψ", delay_scale),
@@ -482,7 +483,10 @@ export function instruction(given) {
         case "place": return `place ${given.vnf} on ${[given.node].flat().join(", ")}`;
         case "move": return `move ${given.robot}`;
         case "navigate_to": return given.goal ? `send ${given.robot} to (${given.goal.x.toFixed(1)}, ${given.goal.y.toFixed(1)})` : `send ${given.robot} back to its walk`;
-        case "limit_speed": return `limit ${given.robot} to ${given.speed_limit_mps ?? "no"} m/s`;
+        case "limit_speed": {
+            const { robot, speed_limit_mps: limit } = given;
+            return limit === null || limit === undefined ? `lift the speed limit of ${robot}` : `limit ${robot} to ${limit} m/s`;
+        }
         case "condition": return `change ${given.link}${given.direction ? ` ${given.direction}` : ""}${changes(given.change)}`;
         case "map": return `map ${given.from} → ${given.to} over ${given.links.join(", ") || "the shortest path"}`;
         case "test_throughput": return `test ${given.link} ${given.direction}`;
