@@ -10,7 +10,7 @@ import { links, vnfsByNode } from "./topology.js";
 /** @typedef {import("./actions.js").Form} Form */
 /** @typedef {import("./actions.js").Call} Call */
 /** @typedef {{ x: number, y: number }} Place */
-/** @typedef {{ name: string, label: string, options: string[], words?: Record<string, string> }} Choice */
+/** @typedef {{ name: string, label: string, options: string[], words?: Record<string, string>, isLong?: true }} Choice */
 /** @typedef {{ name: string, label: string, unit: string, required: boolean, value?: string, isRare?: true }} Figure */
 /** @typedef {{ key: string, name: string, fields: (Choice | Figure)[], submits: [Form["action"], string][], hint: (form: FormData, model: Model) => string }} Kind */
 
@@ -56,13 +56,13 @@ export function kinds(model) {
                 { name: "loss_percent", label: "Loss", unit: "%", required: false },
                 { name: "rate_mbps", label: "Rate", unit: "Mbit/s", required: false },
                 { name: "jitter_ms", label: "Jitter", unit: "ms", required: false, isRare: true },
-                { name: "delay_scale", label: "Delay times ψ", unit: "", required: false, isRare: true },
-                { name: "drop_scale", label: "Rate over δ", unit: "", required: false, isRare: true },
+                { name: "delay_scale", label: "Delay × ψ", unit: "", required: false, isRare: true },
+                { name: "drop_scale", label: "Rate ÷ δ", unit: "", required: false, isRare: true },
             ],
         },
         {
             key: "map", name: "Path", submits: [["map", "Map"]], hint: mapping,
-            fields: [{ name: "path", label: "Path", options: Object.keys(offered), words: offered }],
+            fields: [{ name: "path", label: "Path", options: Object.keys(offered), words: offered, isLong: true }],
         },
         {
             key: "test", name: "Test", submits: [["test", "Test throughput"]], hint: () => "Packets cross the link beside all others.",
@@ -256,7 +256,7 @@ export class ActionPanel {
         this.#tell(kind ? "" : "Nothing here can be steered.");
         if (!kind) return;
         const fields = (/** @type {boolean} */ isRare) => kind.fields.filter((field) => "isRare" in field === isRare)
-            .map((field) => element("label", {}, element("span", {}, field.label), control(field)));
+            .map((field) => element("label", { class: "isLong" in field && "long" }, element("span", {}, field.label), control(field)));
         const buttons = kind.submits.map(([action, name], i) => {
             const show = () => {
                 this.#action = action;

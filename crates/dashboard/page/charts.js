@@ -185,7 +185,7 @@ class Chart {
             element("button", { type: "button", class: "quiet", "aria-label": `Save ${subject.title} as ${name}`, click: /** @type {EventListener} */ (click) }, String(name)));
         const place = element("div", { class: "canvas" });
         this.figure = element("figure", { class: "chart", hidden: subject.isOptional ?? false },
-            element("figcaption", {}, element("h2", {}, title), this.legend, element("div", { class: "tools" }, ...buttons)), place);
+            element("figcaption", {}, element("h2", {}, title), element("div", { class: "tools" }, ...buttons), this.legend), place);
         host.append(this.figure);
         this.canvas = new Canvas(place, subject.title, () => {
             this.#drawn = "";

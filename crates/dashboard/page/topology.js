@@ -8,19 +8,22 @@ import { figure } from "./format.js";
 
 /** @typedef {import("./state.js").Model} Model */
 /** @typedef {import("./palette.js").Palette} Palette */
-/** @typedef {{ id: string, x: number, y: number, vnfs: string[] }} Box */
+/** @typedef {{ id: string, x: number, y: number, wide: number, vnfs: string[] }} Box */
 /** @typedef {{ id: string, ends: [string, string] }} Link */
 /** @typedef {{ x: number, y: number, high: number }} Taken The middle of a link's figures, and their height, pixels. */
 
 const ROW = 14;
-const WIDTH = 104;
+/** Width of a node, at most and at least, and the distance between two columns, at least, pixels. */
+const WIDEST = 104;
+const NARROWEST = 52;
+const GAP = 16;
 const MARGIN = 12;
 /** Distance to a link at which a click means it, pixels. */
 const NEAR = 8;
 /** Places for the figures of a link on it, as shares of its length, the best first. */
 const SHARES = [0.5, 0.42, 0.58, 0.34, 0.66, 0.28, 0.72];
 /** Places beside those, pixels. */
-const BESIDE = [0, -20, 20];
+const BESIDE = [[0, 0], [-20, 0], [20, 0], [0, -36], [0, 36]];
 /** Places of a column of nodes, as shares of its room above and below the middle, the best first. */
 const SHIFTS = [0, -0.25, 0.25, -0.5, 0.5, -0.75, 0.75, -1, 1];
 /** Columns of nodes, by kind. Servers stand in the order of their distance from the robots. */
@@ -89,10 +92,11 @@ export function carrying(model) {
 export function places(columns, vnfs, links, { width, height: high }) {
     /** @type {Map<string, Box>} */
     const boxes = new Map();
-    const inner = width - 2 * MARGIN - WIDTH;
+    const wide = Math.max(NARROWEST, Math.min(WIDEST, (width - 2 * MARGIN - GAP * (columns.length - 1)) / columns.length));
+    const inner = width - 2 * MARGIN - wide;
     columns.forEach((nodes, column) => {
-        const x = MARGIN + WIDTH / 2 + (columns.length > 1 ? (inner * column) / (columns.length - 1) : inner / 2);
-        nodes.forEach((id, row) => boxes.set(id, { id, x, y: (high * (row + 0.5)) / nodes.length, vnfs: vnfs.get(id) ?? [] }));
+        const x = MARGIN + wide / 2 + (columns.length > 1 ? (inner * column) / (columns.length - 1) : inner / 2);
+        nodes.forEach((id, row) => boxes.set(id, { id, x, y: (high * (row + 0.5)) / nodes.length, wide, vnfs: vnfs.get(id) ?? [] }));
     });
     for (const nodes of columns) {
         const its = nodes.flatMap((id) => boxes.get(id) ?? []);
@@ -119,7 +123,7 @@ function crossings(box, boxes, links) {
         if (!one || !other || Math.min(one.x, other.x) >= box.x || Math.max(one.x, other.x) <= box.x) continue;
         const slope = (other.y - one.y) / (other.x - one.x);
         const away = Math.abs(one.y + slope * (box.x - one.x) - box.y);
-        if (away < height(box) / 2 + Math.abs(slope) * (WIDTH / 2)) count += 1;
+        if (away < height(box) / 2 + Math.abs(slope) * (box.wide / 2)) count += 1;
     }
     return count;
 }
@@ -138,7 +142,7 @@ export function found(boxes, links, x, y) {
     for (const box of boxes) {
         by.set(box.id, box);
         const top = box.y - height(box) / 2;
-        if (Math.abs(x - box.x) > WIDTH / 2 || y < top || y > top + height(box)) continue;
+        if (Math.abs(x - box.x) > box.wide / 2 || y < top || y > top + height(box)) continue;
         const vnf = box.vnfs[Math.floor((y - top - 4) / ROW) - 1];
         return vnf === undefined ? null : { vnf };
     }
@@ -257,15 +261,15 @@ export class Topology {
      * @param {Palette} palette
      */
     #drawNode(on, box, palette) {
-        const { id, x, y, vnfs } = box;
+        const { id, x, y, wide, vnfs } = box;
         const high = height(box);
         const unit = this.model.units.indexOf(id);
-        const [left, top] = [x - WIDTH / 2, y - high / 2];
+        const [left, top] = [x - wide / 2, y - high / 2];
         on.fillStyle = palette.back;
         on.strokeStyle = vnfs.length > 0 ? palette.ink : palette.axis;
         on.lineWidth = 1;
         on.beginPath();
-        on.roundRect(left, top, WIDTH, high, 4);
+        on.roundRect(left, top, wide, high, 4);
         on.fill();
         on.stroke();
         if (unit >= 0) {
@@ -274,14 +278,14 @@ export class Topology {
         }
         on.fillStyle = palette.ink;
         on.font = `bold ${FONT}`;
-        on.fillText(short(id), x, top + 4 + ROW / 2, WIDTH - 16);
+        on.fillText(short(id), x, top + 4 + ROW / 2, wide - 12);
         on.font = FONT;
         vnfs.forEach((vnf, i) => {
             const middle = top + 4 + ROW * (i + 1.5);
             on.fillStyle = faded(palette.series[2], 0.2);
-            on.fillRect(left + 8, middle - ROW / 2 + 1, WIDTH - 16, ROW - 2);
+            on.fillRect(left + 8, middle - ROW / 2 + 1, wide - 16, ROW - 2);
             on.fillStyle = palette.ink;
-            on.fillText(short(vnf), x, middle, WIDTH - 20);
+            on.fillText(short(vnf), x, middle, wide - 18);
         });
     }
 
@@ -298,10 +302,10 @@ export class Topology {
         if (!from || !to) return;
         const { delay, rate, loss, queue } = figures(this.model, id);
         const high = loss || queue ? 41 : 28;
-        const at = (/** @type {number} */ share, beside = 0) => ({ x: from.x + (to.x - from.x) * share + beside, y: from.y + (to.y - from.y) * share, high });
+        const at = (/** @type {number} */ share, [dx, dy] = BESIDE[0]) => ({ x: from.x + (to.x - from.x) * share + dx, y: from.y + (to.y - from.y) * share + dy, high });
         const isFree = (/** @type {Taken} */ { x, y }) =>
             taken.every((other) => Math.abs(other.x - x) > 80 || Math.abs(other.y - y) > Math.max(high, other.high)) &&
-            [...boxes.values()].every((box) => Math.abs(box.x - x) > WIDTH / 2 + 44 || Math.abs(box.y - y) > height(box) / 2 + 14);
+            [...boxes.values()].every((box) => Math.abs(box.x - x) > box.wide / 2 + 44 || Math.abs(box.y - y) > height(box) / 2 + 14);
         const place = BESIDE.flatMap((beside) => SHARES.map((share) => at(share, beside))).find(isFree) ?? at(0.5);
         taken.push(place);
         rimmed(on, delay, place.x, place.y - 7, palette.ink, palette.back);

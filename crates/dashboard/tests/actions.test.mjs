@@ -126,9 +126,9 @@ test("the paths between two nodes are those that forward packets, in both direct
 
 test("a click on the topology means the VNF below it, or the link near it", () => {
     const boxes = [
-        { id: "robot", x: 100, y: 100, vnfs: ["driver", "lidar"] },
-        { id: "edge", x: 400, y: 100, vnfs: [] },
-        { id: "fog", x: 400, y: 300, vnfs: ["brain"] },
+        { id: "robot", x: 100, y: 100, wide: 104, vnfs: ["driver", "lidar"] },
+        { id: "edge", x: 400, y: 100, wide: 104, vnfs: [] },
+        { id: "fog", x: 400, y: 300, wide: 104, vnfs: ["brain"] },
     ];
     const links = [{ id: "robot-edge", ends: ["robot", "edge"] }, { id: "robot-fog", ends: ["robot", "fog"] }, { id: "gone", ends: ["robot", "none"] }];
     const at = (x, y) => found(boxes, links, x, y);
