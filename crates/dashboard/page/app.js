@@ -253,8 +253,7 @@ function recalled(model, state) {
     const signals = focus ? model.units.map((unit) => `signal:${focus}:${unit}`) : [];
     const links = state.virtual_links.flatMap(({ links }) => links);
     const delays = [...new Set(links)].flatMap((link) => [`delay:${link}:forward`, `delay:${link}:backward`]);
-    const robots = /** @type {import("./state.js").RobotContext[]} */ (state.robots);
-    const isLocated = robots.some(({ robot, localization_error_m }) => robot === focus && typeof localization_error_m === "number");
+    const isLocated = state.robots.some(({ robot, localization_error_m }) => robot === focus && typeof localization_error_m === "number");
     return [...services, ...(isLocated ? [`localization_error:${focus}`] : []), ...delays, ...signals].slice(0, MOST_FIGURES);
 }
 

@@ -3,10 +3,7 @@
 import { element } from "./dom.js";
 import { Refused } from "./api.js";
 
-/**
- * @typedef {{ radio_unit: string, circles: { signal_dbm: number, radius_m: number }[] }} Coverage
- *   Circles of a radio unit, the strongest signal first.
- */
+/** @typedef {import("#api").components["schemas"]["CoverageBody"]} Coverage */
 /** @typedef {{ x: number, y: number }} Point */
 /**
  * @typedef {object} Ring A circle in a view, in pixels.

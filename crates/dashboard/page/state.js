@@ -7,8 +7,6 @@ import { Series } from "./series.js";
 /** @typedef {import("#api").components["schemas"]} Schemas */
 /** @typedef {Schemas["Stamped"]} Stamped */
 /** @typedef {Schemas["Service"]} Service */
-/** @typedef {Schemas["RobotContext"] & { localization_error_m?: number | null }} RobotContext */
-/** @typedef {Schemas["LinkContext"] & { queued_packets?: number | null }} LinkContext */
 /** @typedef {{ id: string, kind: string, position?: {x: number, y: number} | null }} PlacedNode */
 /** @typedef {{ from: number, until: number | null, unit: string }} Region */
 /**
@@ -76,7 +74,7 @@ export class Robot {
     /** @param {string} id */
     constructor(id) {
         this.id = id;
-        /** κ, as of the last event. @type {RobotContext | null} */
+        /** κ, as of the last event. @type {Schemas["RobotContext"] | null} */
         this.context = null;
         this.at = -Infinity;
         /** Where it was attached, in order. @type {Region[]} */
@@ -133,7 +131,7 @@ export class Model {
         for (const node of testbed.graph.nodes) {
             if (node.kind === "robot") this.robots.set(node.id, new Robot(node.id));
         }
-        /** The last context of each direction of a link, by `LINK:DIRECTION`. @type {Map<string, LinkContext>} */
+        /** The last context of each direction of a link, by `LINK:DIRECTION`. @type {Map<string, Schemas["LinkContext"]>} */
         this.links = new Map();
         /** The last throughput test of each direction, with its end. @type {Map<string, { at: number, throughput_bps: number, offered_bps: number }>} */
         this.tests = new Map();
@@ -319,7 +317,7 @@ export class Model {
 
     /**
      * @param {number} at
-     * @param {RobotContext} context
+     * @param {Schemas["RobotContext"]} context
      */
     #robot(at, context) {
         const robot = this.robots.get(context.robot);
@@ -342,7 +340,7 @@ export class Model {
 
     /**
      * @param {number} at
-     * @param {LinkContext} context
+     * @param {Schemas["LinkContext"]} context
      */
     #link(at, context) {
         const of = `${context.link}:${context.direction}`;
