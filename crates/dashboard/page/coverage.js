@@ -26,7 +26,8 @@ const DIRECTIONS = [0, 4, 8, 12, 2, 6, 10, 14, 1, 3, 5, 7, 9, 11, 13, 15].map((s
 export const LEGEND = "Coverage in dBm: mean signal, without walls";
 
 /**
- * Returns the rings that a view shows or lies in, the widest first, with places for their labels.
+ * Returns the rings that a view shows, the widest first, with places for their labels. A label stands where no other radio unit
+ * is stronger.
  * @param {Coverage[]} coverage
  * @param {(unit: string) => Point | null} place Where a radio unit is in the view; `null` if it has no place.
  * @param {number} scale Pixels to the metre.
@@ -34,23 +35,28 @@ export const LEGEND = "Coverage in dBm: mean signal, without walls";
  * @returns {Ring[]}
  */
 export function rings(coverage, place, scale, { width, height }) {
-    const middles = coverage.map(({ radio_unit }) => place(radio_unit));
-    const all = coverage.flatMap(({ radio_unit, circles }, i) => {
-        const at = middles[i];
-        if (!at) return [];
-        const away = Math.hypot(Math.max(-at.x, 0, at.x - width), Math.max(-at.y, 0, at.y - height));
-        const within = circles.map(({ signal_dbm, radius_m }) => ({ unit: radio_unit, signal: signal_dbm, ...at, radius: radius_m * scale }));
-        return within.filter(({ radius }) => radius > away);
+    const units = coverage.flatMap(({ radio_unit, circles }) => {
+        const at = place(radio_unit);
+        return at ? [{ unit: radio_unit, at, circles: circles.map(({ signal_dbm, radius_m }) => ({ signal: signal_dbm, radius: radius_m * scale })) }] : [];
+    });
+    const all = units.flatMap(({ unit, at, circles }) => {
+        const nearest = Math.hypot(Math.max(-at.x, 0, at.x - width), Math.max(-at.y, 0, at.y - height));
+        const farthest = Math.hypot(Math.max(at.x, width - at.x), Math.max(at.y, height - at.y));
+        return circles.filter(({ radius }) => radius > nearest && radius < farthest).map((circle) => ({ unit, ...at, ...circle }));
     });
     /** @type {Point[]} */
     const taken = [];
     const isFree = (/** @type {Point} */ { x, y }) =>
         x > WIDTH / 2 && x < width - WIDTH / 2 && y > 2 * HEIGHT && y < height - HEIGHT &&
         taken.every((other) => Math.abs(other.x - x) > WIDTH || Math.abs(other.y - y) > HEIGHT) &&
-        middles.every((middle) => !middle || Math.hypot(middle.x - x, middle.y - y) > CLEAR);
+        units.every(({ at }) => Math.hypot(at.x - x, at.y - y) > CLEAR);
     const labelled = all.map((ring) => {
+        const isStrongest = (/** @type {Point} */ { x, y }) => units.every(({ unit, at, circles }) => {
+            const other = circles.findLast(({ signal }) => signal >= ring.signal);
+            return unit === ring.unit || !other || Math.hypot(at.x - x, at.y - y) >= other.radius;
+        });
         const places = DIRECTIONS.map((angle) => ({ x: ring.x + ring.radius * Math.cos(angle), y: ring.y - ring.radius * Math.sin(angle) }));
-        const label = places.find(isFree) ?? null;
+        const label = places.find((at) => isFree(at) && isStrongest(at)) ?? null;
         if (label) taken.push(label);
         return { ...ring, label };
     });

@@ -335,7 +335,7 @@ export class MapView {
             const colour = this.#colour(unit);
             on.beginPath();
             on.arc(x, y, radius, 0, 2 * Math.PI);
-            on.fillStyle = faded(colour, 0.035);
+            on.fillStyle = faded(colour, 0.06);
             on.fill();
             on.strokeStyle = faded(colour, 0.8);
             on.stroke();

@@ -19,10 +19,14 @@ test("rings are as wide as their radius, and the widest are drawn first", () => 
 test("rings that the view does not reach are left out", () => {
     assert.deepEqual(shown({ R1: { x: -100, y: 200 } }, 6).map(({ signal }) => signal), [-70]);
     assert.deepEqual(shown({ R1: { x: -300, y: 200 } }, 6), []);
-    // A view in the middle of the widest circle is covered, though its ring is elsewhere.
-    const [widest] = shown({ R1: { x: 200, y: 200 } }, 60);
-    assert.deepEqual([widest.radius, widest.label], [1800, null]);
+    assert.deepEqual(shown({ R1: { x: 200, y: 200 } }, 60).map(({ signal }) => signal), [-50], "the view lies within the others");
     assert.deepEqual(shown({ R1: null }, 6), [], "a radio unit without a place");
+});
+
+test("labels stand where no other radio unit is stronger", () => {
+    const all = shown({ R1: { x: 150, y: 200 }, R2: { x: 250, y: 200 } }, 6);
+    const label = (unit, signal) => all.find((ring) => ring.unit === unit && ring.signal === signal).label;
+    assert.deepEqual([label("R1", -60).y, label("R2", -60).x], [140, 310], "not to the right of R1, where R2 is");
 });
 
 test("labels stand in the view, and never on each other", () => {
