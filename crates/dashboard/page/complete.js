@@ -11,6 +11,7 @@
  * @property {string} typed What was typed of it.
  */
 /** @typedef {{ label: string, insert: string, detail: string }} Suggestion */
+/** @typedef {{ name: string, kind: string }} Name A name that the file gives: the kind of a node, `VNF`, `network` or `domain`. */
 /**
  * @typedef {object} Schema A part of a JSON Schema.
  * @property {string} [description]
@@ -279,12 +280,64 @@ function sentence(description) {
 }
 
 /**
+ * Returns the names that a file gives, by its indentation, also while it is not valid.
+ * @param {string} text
+ * @returns {Name[]}
+ */
+export function declared(text) {
+    /** @type {Name[]} */
+    const names = [];
+    /** @type {{ indent: number, key: string }[]} */
+    let above = [];
+    for (const line of text.split("\n")) {
+        const content = line.trimStart();
+        const key = KEY.exec(content);
+        if (!key) continue;
+        const indent = line.length - content.length;
+        above = [...above.filter((one) => one.indent < indent), { indent, key: bare(key[1]) }];
+        const [top, name, part, inner] = above.map((one) => one.key);
+        const value = content.slice(key[0].length).replace(/(^|\s)#.*$/, "");
+        const last = names.at(-1);
+        if (top === "nodes" && above.length === 2) names.push({ name, kind: /\bkind:\s*(\w+)/.exec(value)?.[1] ?? "node" });
+        else if (top === "nodes" && above.length === 3 && part === "kind" && last) last.kind = bare(value);
+        else if (top === "services" && above.length === 4 && part === "vnfs") names.push({ name: inner, kind: "VNF" });
+        else if (top === "wireless" && above.length === 2) names.push({ name, kind: "network" });
+        else if (top === "domains" && above.length === 1) for (const [domain] of value.matchAll(/[\w~-]+/g)) names.push({ name: domain, kind: "domain" });
+    }
+    return names;
+}
+
+/** Kinds of nodes that carry VNFs. */
+const HOSTS = ["server", "robot", "radio_unit"];
+/** Kinds of names that keys refer to. */
+const REFERENCES = new Map(Object.entries({
+    ends: [...HOSTS, "switch", "gateway", "machine", "node"],
+    node: HOSTS, pinned_to: HOSTS, robot: ["robot"], via: ["machine"], domain: ["domain"], network: ["network"], from: ["VNF"], to: ["VNF"],
+}));
+
+/**
+ * Returns the kinds of names that can stand at a place.
+ * @param {Place} place
+ */
+function references({ path, isKey }) {
+    const keys = path.flatMap(({ step }) => (typeof step === "string" ? [step] : []));
+    const key = keys.at(-1) ?? "";
+    // The name of a walk is that of its robot, and the only key that refers to something.
+    if (isKey && typeof path.at(-1)?.step === "string") return keys.length === 1 && key === "walks" ? ["robot"] : [];
+    if (key === "from" && keys.at(-2) === "flow") return HOSTS;
+    // Domains and networks of ROS are others.
+    if (keys.includes("driver") || keys.includes("offer")) return [];
+    return REFERENCES.get(key) ?? [];
+}
+
+/**
  * Returns what can stand at a place, the likeliest first.
  * @param {Schema} schema
  * @param {Place} place
+ * @param {Name[]} [names] Those that the file gives.
  * @returns {Suggestion[]}
  */
-export function suggest(schema, place) {
+export function suggest(schema, place, names = []) {
     const here = follow(schema, place.path);
     /** @type {Map<string, Suggestion>} */
     const found = new Map();
@@ -292,6 +345,9 @@ export function suggest(schema, place) {
     const add = (/** @type {string} */ label, /** @type {string} */ insert, /** @type {string} */ detail) => {
         if (label.toLowerCase().startsWith(typed) && !found.has(label)) found.set(label, { label, insert, detail });
     };
+    const kinds = references(place);
+    const suffix = place.isKey && typeof place.path.at(-1)?.step === "string" ? ": " : "";
+    for (const { name, kind } of names) if (kinds.includes(kind) && !place.keys.has(name)) add(name, name + suffix, kind);
     if (place.isKey) {
         for (const one of fitting(here, place.keys)) {
             const names = Object.keys(one.properties ?? {}).filter((name) => !place.keys.has(name));

@@ -1,7 +1,7 @@
 // The editor of a testbed file: checks the text as it is typed, completes it, and draws the testbed. Only Save writes.
 
 import { Refused, Api } from "./api.js";
-import { locate, suggest } from "./complete.js";
+import { declared, locate, suggest } from "./complete.js";
 import { byId, element, setText } from "./dom.js";
 import { MapView } from "./map.js";
 import { palette } from "./palette.js";
@@ -194,7 +194,7 @@ const completions = {
         const before = field.value.slice(0, field.selectionStart);
         const place = field.selectionStart === field.selectionEnd ? locate(before) : null;
         // While typing, they appear from the first letter on.
-        this.list = place && (asked || place.typed !== "") ? suggest(file.schema, place) : [];
+        this.list = place && (asked || place.typed !== "") ? suggest(file.schema, place, declared(field.value)) : [];
         if (!place || this.list.length === 0) return this.close();
         [this.chosen, this.typed] = [0, place.typed.length];
         const items = this.list.map(({ label, detail }, i) => element("li", {

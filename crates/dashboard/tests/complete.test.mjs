@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { locate, suggest } from "../page/complete.js";
+import { declared, locate, suggest } from "../page/complete.js";
 
 const duration = { type: "string", examples: ["5 ms"], description: "Time. More words." };
 const node = {
@@ -55,6 +55,44 @@ test("lists in lines and in brackets, at any indentation", () => {
     assert.deepEqual(labels("links:\n- { ends: [a,\n    b],\n    up: |"), ["true", "false"]);
     assert.deepEqual(labels("links: # wires\n  - ends: [a, b] # one\n  - d|"), ["delay"]);
     assert.deepEqual(labels("links:\n- ends: [a, b]\nn|"), ["name", "nodes"]);
+});
+
+test("names of the file are completed where they are meant", () => {
+    const file = `domains: [one, two-b] # three
+wireless: { lab: { delay: 1 ms } }
+wireless:
+  hall:
+    delay: 1 ms
+nodes:
+  # ghost: { kind: robot }
+  tb: { kind: robot, cpus: 2 } # kind: switch
+  drone:
+    cpus: 1
+    kind: robot
+  lan: { kind: switch }
+  fog: { kind: server }
+services:
+  navigation:
+    robot: tb
+    vnfs:
+      driver: { program: robot_driver }
+      brain: { program: navigation }
+`;
+    const names = declared(file);
+    assert.deepEqual(names.map(({ name, kind }) => `${name} ${kind}`), [
+        "one domain", "two-b domain", "hall network", "tb robot", "drone robot", "lan switch", "fog server", "driver VNF", "brain VNF",
+    ]);
+    const at = (text) => suggest({}, locate(text), names).map(({ insert }) => insert);
+    assert.deepEqual(at("links:\n  - { ends: [tb, "), ["tb", "drone", "lan", "fog"]);
+    assert.deepEqual(at("links:\n  - { ends: [tb, [f"), ["fog"]);
+    assert.deepEqual(at("links:\n  - ends:\n    - l"), ["lan"]);
+    assert.deepEqual(at("services:\n  s:\n    robot: "), ["tb", "drone"]);
+    assert.deepEqual(at("services:\n  s:\n    vnfs:\n      v: { pinned_to: "), ["tb", "drone", "fog"]);
+    assert.deepEqual(at("services:\n  s:\n    virtual_links:\n      - { from: driver, to: b"), ["brain"]);
+    assert.deepEqual(at("services:\n  s:\n    kpis:\n      flow: { from: "), ["tb", "drone", "fog"]);
+    assert.deepEqual(at("walks:\n  tb: {}\n  "), ["drone: "]);
+    assert.deepEqual(at("nodes:\n  tb: { domain: t"), ["two-b"]);
+    for (const other of ["nodes:\n  ", "nodes:\n  robot: { ", "nodes:\n  tb: { driver: { domain: ", "walks:\n  tb: { ", "name: "]) assert.deepEqual(at(other), [], other);
 });
 
 test("nothing in comments, and names that the file invents are free", () => {
