@@ -218,6 +218,25 @@ fn every_action_is_done_from_the_page() {
     wait_until(|| speed(&run) == 0.0);
     panel.press("go");
     wait_until(|| speed(&run) > 0.1);
+    let limit = |mps: &str| json!({ "robot": "robot", "speed_limit_mps": mps });
+    let limited = || get(&run, "/api/v1/robots/robot")["speed_limit_mps"].take();
+    panel.act("halt", &limit("0.1"), "limit", "Done: limit robot to 0.1 m/s");
+    wait_until(|| limited() == 0.1);
+    panel.act("halt", &limit(""), "limit", "Done: lift the speed limit of robot");
+    wait_until(|| limited().is_null());
+
+    // What is rarely changed of a link, and the path over it in the topology as it is now.
+    let rare = json!({ "link": "lan-fog", "direction": "forward", "jitter_ms": "1", "delay_scale": "2" });
+    panel.act("condition", &rare, "condition", "Done: change lan-fog forward: jitter 1 ms, ψ 2");
+    wait_until(|| link(&run, "lan-fog", "forward")["scale"]["delay_scale"] == 2.0);
+    assert_eq!(link(&run, "lan-fog", "forward")["asked"]["jitter"]["deviation_ms"], 1.0);
+    let path = json!({ "path": r#"{"from":"robot","to":"fog","links":["robot~far","lan-far","lan-fog"]}"# });
+    panel.act("map", &path, "map", "Done: map robot → fog over robot~far, lan-far, lan-fog");
+    wait_until(|| {
+        let mappings = get(&run, "/api/v1/network/virtual-links");
+        mappings.as_array().unwrap().iter().any(|one| one["to"] == "navigation" && one["path"] == "mapped")
+    });
+    panel.act("attach", &json!({ "robot": "robot" }), "scan", "Done: scan robot");
 
     // A goal by a click on the map.
     panel.fill("send", &json!({ "robot": "robot" }));
