@@ -1,19 +1,23 @@
 // How long a frame of the charts takes on the page's main thread: 10 robots that send 20 service times a second each, in a
 // headless browser without a GPU.
 //
-//   node crates/dashboard/benches/frames.mjs [--seconds 20] [--robots 10] [--plotly plotly.min.js]
+//   node crates/dashboard/benches/frames.mjs [--seconds 20] [--robots 10] [--plotly plotly.min.js] [--profile FILE]
 //
 // With --plotly, the same lines are drawn by Plotly.js instead of by the dashboard. `cargo add plotly` brings its file, in
-// resource/ of the crate. Needs chromedriver and chromium.
+// resource/ of the crate. --profile writes what the main thread did, as FILE.cpuprofile for the browser's developer tools.
+// Needs chromedriver and chromium.
 
-import { spawn } from "node:child_process";
-import { readFile } from "node:fs/promises";
+import { readFile, writeFile } from "node:fs/promises";
 import { createServer } from "node:http";
-import { createInterface } from "node:readline";
 import { parseArgs } from "node:util";
 
+import { atEnd, benchmark, Browser, sleep } from "./browser.mjs";
+
 const { values: options } = parseArgs({
-    options: { seconds: { type: "string", default: "20" }, robots: { type: "string", default: "10" }, plotly: { type: "string" } },
+    options: {
+        seconds: { type: "string", default: "20" }, robots: { type: "string", default: "10" }, plotly: { type: "string" },
+        profile: { type: "string" },
+    },
 });
 const seconds = Number(options.seconds);
 const robots = Array.from({ length: Number(options.robots) }, (_, i) => `robot-${i}`);
@@ -123,43 +127,31 @@ const server = createServer(async (request, response) => {
         else response.writeHead(404, { "Content-Type": "application/json" }).end("{}");
     }
 });
-await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
-const address = `http://127.0.0.1:${server.address().port}/`;
 
-const driver = spawn("chromedriver", ["--port=0"], { stdio: ["ignore", "pipe", "ignore"] });
-let port;
-for await (const line of createInterface({ input: driver.stdout })) {
-    port = /successfully on port (\d+)/.exec(line)?.[1];
-    if (port) break;
+async function measure() {
+    await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
+    atEnd(() => {
+        server.close();
+        server.closeAllConnections();
+    });
+    const browser = await Browser.start();
+    await browser.open(`http://127.0.0.1:${server.address().port}/`);
+    const frames = () => browser.evaluate("return cotorraFrames.count ?? cotorraFrames.times.length");
+    await sleep(5000);
+    if (options.profile) {
+        await browser.command("Profiler.enable");
+        await browser.command("Profiler.start");
+    }
+    const [before, first] = [await browser.metrics(), await frames()];
+    await sleep(seconds * 1000);
+    const [after, last] = [await browser.metrics(), await frames()];
+    if (options.profile) await writeFile(`${options.profile}.cpuprofile`, JSON.stringify((await browser.command("Profiler.stop")).profile));
+    const [median, p95] = await browser.evaluate("return [cotorraFrames.quantile(0.5), cotorraFrames.quantile(0.95)]");
+    const busy = after.TaskDuration - before.TaskDuration;
+    console.log(`${options.plotly ? "Plotly.js" : "the dashboard"}: ${((last - first) / seconds).toFixed(1)} frames a second, ` +
+        `${median.toFixed(1)} ms median, ${p95.toFixed(1)} ms p95; main thread busy ` +
+        `${(100 * busy / (after.Timestamp - before.Timestamp)).toFixed(0)} % of the time, ` +
+        `${(1e3 * busy / (last - first)).toFixed(1)} ms a frame in all; ${(after.JSHeapUsedSize / 1e6).toFixed(1)} MB of heap`);
 }
-let session = `http://127.0.0.1:${port}/session`;
-const post = async (path, body) => {
-    const answer = await (await fetch(session + path, { method: "POST", body: JSON.stringify(body) })).json();
-    if (answer.value?.error) throw new Error(answer.value.message);
-    return answer.value;
-};
-const args = ["--headless=new", "--disable-gpu", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1440,900"];
-const started = await post("", { capabilities: { alwaysMatch: { "goog:chromeOptions": { binary: "/usr/bin/chromium", args } } } });
-session += `/${started.sessionId}`;
-const evaluate = (script) => post("/execute/sync", { script, args: [] });
-const metrics = async () => {
-    const { metrics } = await post("/goog/cdp/execute", { cmd: "Performance.getMetrics", params: {} });
-    return Object.fromEntries(metrics.map(({ name, value }) => [name, value]));
-};
-await post("/goog/cdp/execute", { cmd: "Performance.enable", params: {} });
-await post("/url", { url: address });
-const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
-await sleep(5000);
-const [before, first] = [await metrics(), await evaluate("return cotorraFrames.count ?? cotorraFrames.times.length")];
-await sleep(seconds * 1000);
-const [after, last] = [await metrics(), await evaluate("return cotorraFrames.count ?? cotorraFrames.times.length")];
-const [median, p95] = [await evaluate("return cotorraFrames.quantile(0.5)"), await evaluate("return cotorraFrames.quantile(0.95)")];
-const share = (after.TaskDuration - before.TaskDuration) / (after.Timestamp - before.Timestamp);
-console.log(`${options.plotly ? "Plotly.js" : "the dashboard"}: ${((last - first) / seconds).toFixed(1)} frames a second, ` +
-    `${median.toFixed(1)} ms median, ${p95.toFixed(1)} ms p95; main thread busy ${(100 * share).toFixed(0)} % of the time, ` +
-    `${(1e3 * (after.TaskDuration - before.TaskDuration) / (last - first)).toFixed(1)} ms a frame in all; ` +
-    `${(after.JSHeapUsedSize / 1e6).toFixed(1)} MB of heap`);
-await fetch(session, { method: "DELETE" });
-driver.kill();
-server.close();
-server.closeAllConnections();
+
+await benchmark(measure);
