@@ -6,6 +6,7 @@ import { DASHES, faded } from "./palette.js";
 import { clock, figure, ticks, timeTicks } from "./format.js";
 import { FONT } from "./canvas.js";
 import { Raster } from "./raster.js";
+import { Reduction } from "./series.js";
 
 /** @typedef {import("./series.js").Series} Series */
 /** @typedef {import("./palette.js").Palette} Palette */
@@ -46,50 +47,28 @@ export function area(width, height) {
 }
 
 /**
- * Reduces a line to points in each column of pixels. Calls `point(x, value)` in order; a value of NaN is a gap.
+ * Reduces the lines of a plot to points in columns of pixels. The result holds until the next call.
  * @param {Plot} plot
- * @param {Line} line
- * @param {number} left
- * @param {number} right
- * @param {(x: number, value: number) => void} point
+ * @param {number} width Columns.
  */
-export function reduce(plot, line, left, right, point) {
-    const scale = (right - left) / (plot.until - plot.from);
-    const longest = plot.longestGap ?? Infinity;
-    let [column, x, low, high, last, before] = [NaN, NaN, NaN, NaN, NaN, NaN];
-    const flush = () => {
-        if (Number.isNaN(low)) return;
-        if (low !== high) {
-            point(x, low);
-            point(x, high);
-        }
-        point(x, last);
-    };
-    line.series.scan(plot.from, plot.until, (at, least, most, value) => {
-        const place = left + (at - plot.from) * scale;
-        const isGap = Number.isNaN(value) || at - before > longest;
-        if (Math.floor(place) !== column || isGap) {
-            flush();
-            if (isGap) point(place, NaN);
-            [column, x, low, high] = [Math.floor(place), place, NaN, NaN];
-        }
-        if (!Number.isNaN(value)) {
-            low = low <= least ? low : least;
-            high = high >= most ? high : most;
-            last = value;
-        }
-        before = at;
+export function reduce(plot, width) {
+    while (reductions.length < plot.lines.length) reductions.push(new Reduction());
+    return plot.lines.map(({ series }, i) => {
+        series.reduce(plot.from, plot.until, width, plot.longestGap ?? Infinity, reductions[i]);
+        return reductions[i];
     });
-    flush();
 }
+
+/** @type {Reduction[]} */
+const reductions = [];
 
 /**
  * Returns the range of the axis. A few values far above all others do not decide it: they are clipped, and marked.
  * @param {Plot} plot
- * @param {number} columns
+ * @param {Reduction[]} lines
  */
-export function range(plot, columns) {
-    const { lowest, highest, usual } = extremes(plot, columns);
+export function range(plot, lines) {
+    const { lowest, highest, usual } = extremes(lines);
     let [low, high] = [lowest, highest];
     const floor = plot.target ?? 0;
     if (plot.fromZero) {
@@ -110,32 +89,18 @@ export function range(plot, columns) {
 
 /**
  * Returns the lowest and the highest value of all lines, and the one that a share of all columns keep, to 1/256 of the range.
- * @param {Plot} plot
- * @param {number} columns
+ * @param {Reduction[]} lines
  */
-function extremes(plot, columns) {
-    const width = Math.max(1, Math.ceil(columns));
-    const highs = new Float64Array(width * plot.lines.length).fill(NaN);
-    const scale = width / (plot.until - plot.from);
-    let [lowest, highest] = [Infinity, -Infinity];
-    plot.lines.forEach(({ series }, line) => {
-        series.scan(plot.from, plot.until, (at, low, high) => {
-            const column = Math.floor((at - plot.from) * scale);
-            if (column < 0 || column > width || Number.isNaN(high)) return;
-            const i = line * width + Math.min(column, width - 1);
-            if (!(highs[i] >= high)) highs[i] = high;
-            if (low < lowest) lowest = low;
-            if (high > highest) highest = high;
-        });
-    });
+function extremes(lines) {
+    const lowest = Math.min(...lines.map((line) => line.lowest));
+    const highest = Math.max(...lines.map((line) => line.highest));
     if (!(highest >= lowest)) return { lowest: 0, highest: 1, usual: 1 };
     const bins = new Uint32Array(BINS);
     const binScale = BINS / (highest - lowest || 1);
     let count = 0;
-    for (const high of highs) {
-        if (Number.isNaN(high)) continue;
-        bins[Math.min(BINS - 1, Math.floor((high - lowest) * binScale))] += 1;
-        count += 1;
+    for (const { highs, columns } of lines) {
+        for (let i = 0; i < columns; i++) bins[Math.min(BINS - 1, Math.floor((highs[i] - lowest) * binScale))] += 1;
+        count += columns;
     }
     let [bin, seen] = [0, 0];
     while (bin < BINS - 1 && (seen += bins[bin]) < count * MOST) bin += 1;
@@ -154,7 +119,9 @@ const BINS = 256;
  */
 export function draw(on, width, height, plot, palette) {
     const { left, right, top, bottom } = area(width, height);
-    const { low, high } = range(plot, right - left);
+    const density = on instanceof Svg ? 1 : on.getTransform().a;
+    const lines = reduce(plot, Math.ceil((right - left) * density));
+    const { low, high } = range(plot, lines);
     const xOf = (/** @type {number} */ at) => left + ((at - plot.from) / (plot.until - plot.from)) * (right - left);
     const yOf = (/** @type {number} */ value) => bottom - ((value - low) / (high - low)) * (bottom - top);
     on.font = FONT;
@@ -205,8 +172,8 @@ export function draw(on, width, height, plot, palette) {
     }
 
     const clipped = on instanceof Svg || !raster
-        ? strokeLines(on, plot, palette, { left, right, top, bottom, high }, yOf)
-        : rasterLines(on, raster, plot, palette, { left, right, top, bottom, high }, yOf);
+        ? strokeLines(on, plot, lines, palette, { left, right, top, bottom, low, high, density })
+        : rasterLines(on, raster, plot, lines, palette, { left, right, top, bottom, low, high, density });
     for (const { x, index } of clipped) {
         on.fillStyle = palette.series[index];
         on.beginPath();
@@ -229,18 +196,18 @@ export function draw(on, width, height, plot, palette) {
     return { low, high, left, right, top, bottom };
 }
 
-/** @typedef {{ left: number, right: number, top: number, bottom: number, high: number }} Frame */
+/** @typedef {{ left: number, right: number, top: number, bottom: number, low: number, high: number, density: number }} Frame */
 /** @typedef {{ x: number, index: number }[]} Clipped Places of values above the axis. */
 
 /**
  * Draws the lines as paths.
  * @param {Surface} on
  * @param {Plot} plot
+ * @param {Reduction[]} lines
  * @param {Palette} palette
  * @param {Frame} frame
- * @param {(value: number) => number} yOf
  */
-function strokeLines(on, plot, palette, { left, right, top, bottom, high }, yOf) {
+function strokeLines(on, plot, lines, palette, { left, right, top, bottom, low, high, density }) {
     /** @type {Clipped} */
     const clipped = [];
     on.save();
@@ -249,22 +216,25 @@ function strokeLines(on, plot, palette, { left, right, top, bottom, high }, yOf)
     on.clip();
     on.lineJoin = "round";
     on.lineWidth = 1.5;
-    for (const line of plot.lines) {
-        const index = line.index % palette.series.length;
+    const scale = (bottom - top) / (high - low);
+    for (const [at, { xs, values, length }] of lines.entries()) {
+        const index = plot.lines[at].index % palette.series.length;
         on.strokeStyle = palette.series[index];
         on.setLineDash(DASHES[index]);
         on.beginPath();
         let drawn = false;
-        reduce(plot, line, left, right, (x, value) => {
+        for (let i = 0; i < length; i++) {
+            const [x, value] = [left + xs[i] / density, values[i]];
             if (Number.isNaN(value)) {
                 drawn = false;
-                return;
+                continue;
             }
+            const y = bottom - (value - low) * scale;
             if (value > high && x >= left && x <= right) clipped.push({ x, index });
-            if (!drawn) on.moveTo(x - 0.7, yOf(value));
-            on.lineTo(x, yOf(value));
+            if (!drawn) on.moveTo(x - 0.7, y);
+            on.lineTo(x, y);
             drawn = true;
-        });
+        }
         on.stroke();
     }
     on.setLineDash([]);
@@ -277,24 +247,26 @@ function strokeLines(on, plot, palette, { left, right, top, bottom, high }, yOf)
  * @param {CanvasRenderingContext2D} on
  * @param {Raster} raster
  * @param {Plot} plot
+ * @param {Reduction[]} lines
  * @param {Palette} palette
  * @param {Frame} frame
- * @param {(value: number) => number} yOf
  */
-function rasterLines(on, raster, plot, palette, { left, right, top, bottom, high }, yOf) {
+function rasterLines(on, raster, plot, lines, palette, { left, right, top, bottom, low, high, density }) {
     /** @type {Clipped} */
     const clipped = [];
-    const density = on.getTransform().a;
     const [width, height] = [Math.ceil((right - left) * density), Math.ceil((bottom - top) * density)];
     raster.begin(width, height);
-    for (const line of plot.lines) {
-        const index = line.index % palette.series.length;
-        raster.line((point) => {
-            reduce(plot, line, 0, width, (x, value) => {
-                if (value > high && x >= 0 && x <= width) clipped.push({ x: left + x / density, index });
-                point(x, (yOf(value) - top) * density);
-            });
-        }, palette.series[index], DASHES[index], density);
+    const scale = ((bottom - top) * density) / (high - low);
+    for (const [at, points] of lines.entries()) {
+        const { xs, values, length } = points;
+        const index = plot.lines[at].index % palette.series.length;
+        for (let i = 0; i < length; i++) {
+            const value = values[i];
+            if (value > high && xs[i] >= 0 && xs[i] <= width) clipped.push({ x: left + xs[i] / density, index });
+            // From here on, they are rows of pixels.
+            values[i] = (high - value) * scale;
+        }
+        raster.line(points, palette.series[index], DASHES[index], density);
     }
     raster.copy(on, left, top, width / density, height / density);
     return clipped;

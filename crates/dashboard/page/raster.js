@@ -1,6 +1,13 @@
 // Lines of figures as pixels. A browser without a GPU strokes jagged lines on the page's main thread, which takes most of a
 // frame. A figure over time is simpler: in each column of pixels it covers one stretch from top to bottom.
 
+/**
+ * @typedef {object} Points Points of a line in pixels, from left to right.
+ * @property {Float64Array} xs
+ * @property {Float64Array} values Their rows from the top; NaN is a gap.
+ * @property {number} length
+ */
+
 /** Half the width of a line, in pixels of CSS. */
 const HALF = 0.75;
 
@@ -29,17 +36,16 @@ export class Raster {
 
     /**
      * Draws a line.
-     * @param {(point: (x: number, y: number) => void) => void} each Calls `point` for the points from left to right. A `y` of
-     *   NaN is a gap.
+     * @param {Points} points
      * @param {string} colour As `#rrggbb`.
      * @param {number[]} dash Lengths of dashes and gaps in pixels.
      * @param {number} density
      */
-    line(each, colour, dash, density) {
+    line(points, colour, dash, density) {
         const image = this.#image;
         if (!image) return;
         const [tops, bottoms] = [this.#tops, this.#bottoms];
-        spans(each, tops, bottoms);
+        spans(points, tops, bottoms);
         const { width, height } = image;
         const pixels = this.#pixels;
         const number = parseInt(colour.slice(1), 16);
@@ -90,36 +96,40 @@ function isDash(at, dash, density) {
 
 /**
  * Finds what a line covers in each column: from `tops` to `bottoms`, or nothing where the top is below the bottom.
- * @param {(point: (x: number, y: number) => void) => void} each
+ * @param {Points} points
  * @param {Float32Array} tops
  * @param {Float32Array} bottoms
  */
-export function spans(each, tops, bottoms) {
+export function spans({ xs, values, length }, tops, bottoms) {
     tops.fill(Infinity);
     bottoms.fill(-Infinity);
     const width = tops.length;
-    const cover = (/** @type {number} */ column, /** @type {number} */ y) => {
-        if (column < 0 || column >= width) return;
-        if (y < tops[column]) tops[column] = y;
-        if (y > bottoms[column]) bottoms[column] = y;
-    };
     let [beforeX, beforeY] = [NaN, NaN];
-    each((x, y) => {
-        if (Number.isNaN(y)) {
-            [beforeX, beforeY] = [NaN, NaN];
-            return;
-        }
+    for (let i = 0; i < length; i++) {
+        const [x, y] = [xs[i], values[i]];
         const column = Math.floor(x);
-        if (!Number.isNaN(beforeY)) {
+        if (!Number.isNaN(beforeY) && !Number.isNaN(y)) {
             // Where the line crosses from a column to the next, both have the place.
             const slope = (y - beforeY) / (x - beforeX);
             for (let edge = Math.max(0, Math.floor(beforeX) + 1); edge <= Math.min(column, width); edge++) {
                 const at = beforeY + slope * (edge - beforeX);
-                cover(edge - 1, at);
-                cover(edge, at);
+                cover(tops, bottoms, edge - 1, at);
+                cover(tops, bottoms, edge, at);
             }
         }
-        cover(column, y);
+        if (!Number.isNaN(y)) cover(tops, bottoms, column, y);
         [beforeX, beforeY] = [x, y];
-    });
+    }
+}
+
+/**
+ * @param {Float32Array} tops
+ * @param {Float32Array} bottoms
+ * @param {number} column
+ * @param {number} y
+ */
+function cover(tops, bottoms, column, y) {
+    if (column < 0 || column >= tops.length) return;
+    if (y < tops[column]) tops[column] = y;
+    if (y > bottoms[column]) bottoms[column] = y;
 }

@@ -87,6 +87,27 @@ export class Series {
     }
 
     /**
+     * Reduces what lies in a window to points in columns of pixels, with one neighbour on either side.
+     * @param {number} from
+     * @param {number} until
+     * @param {number} width Columns.
+     * @param {number} longestGap Seconds without a sample above which the line is broken.
+     * @param {Reduction} into
+     */
+    reduce(from, until, width, longestGap, into) {
+        const place = (/** @type {Float64Array} */ ats, /** @type {number} */ length) =>
+            [Math.max(0, after(ats, length, from) - 1), Math.min(length, after(ats, length, until) + 1)];
+        into.begin(from, until, width, longestGap);
+        const [[step, endStep], [sample, endSample]] = [place(this.ends, this.steps), place(this.times, this.length)];
+        into.add({ ats: this.ends, lows: this.lows, highs: this.highs, lasts: this.lasts }, step, endStep);
+        if (this.steps === 0 || this.ends[this.steps - 1] <= until) {
+            const { times, values } = this;
+            into.add({ ats: times, lows: values, highs: values, lasts: values }, sample, endSample);
+        }
+        into.end();
+    }
+
+    /**
      * Returns the value at a time, i.e. of the last sample until then, and its own time.
      * @param {number} at
      */
@@ -158,6 +179,112 @@ export class Series {
             this.lasts[i] = Number.isNaN(this.lasts[other]) ? this.lasts[one] : this.lasts[other];
         }
         this.step *= 2;
+    }
+}
+
+/**
+ * A line as a few points in each column of pixels, however many samples there are. Its arrays stay for the next line: this is
+ * most of a frame, so nothing is allocated and no function is called for a sample.
+ */
+export class Reduction {
+    /** Places of the points, in columns from the left. */
+    xs = new Float64Array(0);
+    /** Values of the points; NaN is a gap. */
+    values = new Float64Array(0);
+    length = 0;
+    /** The highest value of each column within the window. */
+    highs = new Float64Array(0);
+    columns = 0;
+    /** Extremes of all columns within the window. */
+    lowest = Infinity;
+    highest = -Infinity;
+    #from = 0;
+    #scale = 0;
+    #width = 0;
+    #longestGap = 0;
+    /** The column of the last samples, and the place of the first of them. */
+    #column = NaN;
+    #x = NaN;
+    /** Extremes and last value of that column; NaN if it has none. */
+    #low = NaN;
+    #high = NaN;
+    #last = NaN;
+    /** Time of the last sample. */
+    #before = NaN;
+    /** Whether the line is broken behind the last sample. */
+    #isBroken = false;
+
+    /**
+     * @param {number} from
+     * @param {number} until
+     * @param {number} width
+     * @param {number} longestGap
+     */
+    begin(from, until, width, longestGap) {
+        // A gap and three points in each column, and in those of the neighbours.
+        const most = 4 * (Math.ceil(width) + 5);
+        if (this.xs.length < most) [this.xs, this.values, this.highs] = [new Float64Array(most), new Float64Array(most), new Float64Array(most)];
+        [this.#from, this.#scale, this.#width, this.#longestGap] = [from, width / (until - from), width, longestGap];
+        [this.length, this.columns, this.lowest, this.highest] = [0, 0, Infinity, -Infinity];
+        [this.#column, this.#low, this.#before, this.#isBroken] = [NaN, NaN, NaN, false];
+    }
+
+    /**
+     * Adds samples in order, or steps with their extremes.
+     * @param {{ ats: Float64Array, lows: Float64Array, highs: Float64Array, lasts: Float64Array }} of
+     * @param {number} begin
+     * @param {number} end
+     */
+    add({ ats, lows, highs, lasts }, begin, end) {
+        const [from, scale, longestGap] = [this.#from, this.#scale, this.#longestGap];
+        let [column, low, high, last, before, isBroken] = [this.#column, this.#low, this.#high, this.#last, this.#before, this.#isBroken];
+        for (let i = begin; i < end; i++) {
+            const at = ats[i];
+            const value = lasts[i];
+            const place = (at - from) * scale;
+            if (Math.floor(place) !== column) {
+                [this.#low, this.#high, this.#last] = [low, high, last];
+                this.end();
+                [column, low, high] = [Math.floor(place), NaN, NaN];
+                this.#x = place;
+            }
+            if (Number.isNaN(value) || at - before > longestGap) isBroken = true;
+            before = at;
+            if (Number.isNaN(value)) continue;
+            // Values of one column are together, whatever is between them.
+            if (isBroken && Number.isNaN(low)) this.#push(place, NaN);
+            isBroken = false;
+            low = low <= lows[i] ? low : lows[i];
+            high = high >= highs[i] ? high : highs[i];
+            last = value;
+        }
+        [this.#column, this.#low, this.#high, this.#last, this.#before, this.#isBroken] = [column, low, high, last, before, isBroken];
+    }
+
+    /** Turns the column of the last samples into points. */
+    end() {
+        const [x, low, high] = [this.#x, this.#low, this.#high];
+        if (Number.isNaN(low)) return;
+        if (low !== high) {
+            this.#push(x, low);
+            this.#push(x, high);
+        }
+        this.#push(x, this.#last);
+        this.#low = NaN;
+        if (x < 0 || x > this.#width) return;
+        this.highs[this.columns++] = high;
+        if (low < this.lowest) this.lowest = low;
+        if (high > this.highest) this.highest = high;
+    }
+
+    /**
+     * @param {number} x
+     * @param {number} value
+     */
+    #push(x, value) {
+        this.xs[this.length] = x;
+        this.values[this.length] = value;
+        this.length += 1;
     }
 }
 
