@@ -22,6 +22,8 @@ import { clock, figure, percent } from "./format.js";
  * @property {(focus: string | null) => { figure: string, name: string }[]} figures At most eight, in a stable order.
  */
 
+/** Until when a chart shows what waits for its turn, ms, if no frame comes before. */
+const LATEST = 100;
 /** Lines of a chart. There are as many colours. */
 const MOST_LINES = 8;
 const MOST_MARKS = 400;
@@ -100,6 +102,9 @@ function usedLinks(model) {
 const named = (link) => link.replace(":forward", " →").replace(":backward", " ←");
 
 export class Charts {
+    #turn = 0;
+    #timer = 0;
+
     /**
      * @param {HTMLElement} host
      * @param {Model} model
@@ -108,6 +113,7 @@ export class Charts {
      */
     constructor(host, model, axis, changed) {
         host.replaceChildren();
+        this.changed = changed;
         /** @type {number | null} */
         this.pinned = null;
         this.all = subjects(model).map((subject) => new Chart(host, subject, model, axis, changed, (at) => this.hover(at)));
@@ -139,18 +145,23 @@ export class Charts {
     }
 
     /**
-     * Draws what has changed.
+     * Draws what has changed. New samples alone are drawn in turn, half of the charts in a frame.
      * @param {Palette} palette
      * @param {string | null} focus
      */
     draw(palette, focus) {
-        for (const chart of this.all) chart.draw(palette, focus);
+        this.#turn += 1;
+        const drawn = this.all.map((chart, i) => chart.draw(palette, focus, (this.#turn + i) % 2 === 0));
+        clearTimeout(this.#timer);
+        if (drawn.includes(false)) this.#timer = setTimeout(this.changed, LATEST);
     }
 }
 
 class Chart {
     /** What was drawn last, so that nothing is drawn twice. */
     #drawn = "";
+    /** The samples that were drawn last. */
+    #samples = "";
     /** @type {ReturnType<typeof draw> | null} */
     #axes = null;
     /** @type {Plot | null} */
@@ -300,27 +311,33 @@ class Chart {
     }
 
     /**
+     * Draws the chart if something in it has changed. Returns whether it shows everything.
      * @param {Palette} palette
      * @param {string | null} focus
+     * @param {boolean} isTurn Whether new samples are drawn.
      */
-    draw(palette, focus) {
+    draw(palette, focus, isTurn) {
         const { version } = this.model;
         if (this.subject.isOptional) {
             const has = (/** @type {{ figure: string }} */ { figure }) => Number.isFinite(this.model.figure(figure).last);
             this.figure.hidden = !this.subject.figures(focus).some(has);
         }
-        const { from, until } = this.axis.window(this.model.now);
+        if (this.canvas.width === 0) return true;
+        const { until } = this.axis.window(this.model.now);
         // A window in the past changes only by what the history brings.
-        const figures = until < this.model.now - 1 ? 0 : version.figures + version.robots;
-        const state = [from, until, figures, version.entries, this.model.detail?.from, this.model.detail?.until, palette.dark, focus, [...this.#hidden]].join();
-        if (state === this.#drawn || this.canvas.width === 0) return;
-        this.#drawn = state;
+        const samples = until < this.model.now - 1 ? "" : [until, version.figures, version.robots].join();
+        const { detail } = this.model;
+        const state = [this.axis.version, version.entries, detail?.from, detail?.until, palette.dark, focus, [...this.#hidden]].join();
+        if (state === this.#drawn && samples === this.#samples) return true;
+        if (state === this.#drawn && !isTurn) return false;
+        [this.#drawn, this.#samples] = [state, samples];
         this.#palette = palette;
         this.#plot = this.#compose(focus);
         const on = this.canvas.clear(this.canvas.base);
         this.#axes = draw(on, this.canvas.width, this.canvas.height, this.#plot, palette);
         if (this.#hovered !== null) this.hover(this.#hovered);
         else this.#tellSoon();
+        return true;
     }
 
     /** Brings the legend up to date: each line with its colour and its value at the pointer, or its last. */
