@@ -104,6 +104,19 @@ export class Robot {
     }
 
     /**
+     * Attaches it to a radio unit, or to none, without waiting for its next report.
+     * @param {number} at
+     * @param {string | null} unit
+     */
+    handOver(at, unit) {
+        this.attach(at, unit);
+        if (!this.context || at < this.at) return;
+        const attachments = this.context.attachments.map((one) => ({ ...one, attached: one.radio_unit === unit }));
+        if (unit !== null && !attachments.some(({ attached }) => attached)) attachments.push({ radio_unit: unit, attached: true });
+        this.context = { ...this.context, attachments };
+    }
+
+    /**
      * @param {number} at
      * @param {number} x
      * @param {number} y
@@ -293,12 +306,10 @@ export class Model {
                 this.#place(event);
                 break;
             }
-            case "handover": {
-                this.robots.get(event.robot)?.attach(at, event.to);
-                break;
-            }
+            case "handover":
             case "detached": {
-                this.robots.get(event.robot)?.attach(at, null);
+                this.robots.get(event.robot)?.handOver(at, event.event === "handover" ? event.to : null);
+                this.version.robots += 1;
                 break;
             }
             case "vnf": {

@@ -42,6 +42,19 @@ test("a handover ends a region and begins the next at its own time", () => {
     assert.equal(model.robots.get("robot").unit, "R2");
 });
 
+test("a handover attaches a robot before its next report, and no older one does", () => {
+    const model = new Model(testbed());
+    const unit = () => model.robots.get("robot").unit;
+    model.take(robot(1, 0, "R1"));
+    model.take(handover(1.5, "R1", "R2"));
+    assert.equal(unit(), "R2");
+    model.take({ at_ns: 1.6e9, event: "detached", robot: "robot" });
+    assert.equal(unit(), null);
+    model.take(robot(2, 1, "R2"));
+    model.take(handover(1.9, "R2", "R1"));
+    assert.equal(unit(), "R2");
+});
+
 test("regions of the history begin with the run, and the stream continues them", () => {
     const model = new Model(testbed());
     model.recount(handover(10, "R1", "R2"));
