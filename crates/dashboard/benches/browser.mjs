@@ -125,10 +125,25 @@ export class Browser {
         return call("POST", `${this.#session}/url`, { url });
     }
 
-    /** Opens another window, and directs calls there. */
-    async openWindow() {
-        const { handle } = await call("POST", `${this.#session}/window/new`, { type: "window" });
-        await call("POST", `${this.#session}/window`, { handle });
+    /** Opens another window, which can be selected. Unlike a tab, it stays visible. */
+    openWindow() {
+        return call("POST", `${this.#session}/window/new`, { type: "window" });
+    }
+
+    /**
+     * Returns the names of all windows.
+     * @returns {Promise<string[]>}
+     */
+    windows() {
+        return call("GET", `${this.#session}/window/handles`);
+    }
+
+    /**
+     * Directs calls to a window.
+     * @param {string} handle
+     */
+    select(handle) {
+        return call("POST", `${this.#session}/window`, { handle });
     }
 
     /**
