@@ -18,6 +18,8 @@ const LARGEST = 400;
 /** A covariance ellipse holds the robot in 95 of 100 cases: the quantile of χ² with two degrees of freedom. */
 const CHI_SQUARED = 5.991;
 const MARGIN = 24;
+/** Pause between two pictures of the ground in the same view, ms. */
+const GROUND_EVERY = 1000;
 
 export class MapView {
     /** Centre of the view in metres, and pixels to the metre; `null` to show all. @type {{x: number, y: number, scale: number} | null} */
@@ -35,6 +37,11 @@ export class MapView {
     #floor = null;
     /** @type {{ of: Coverage[], legend: string }} */
     #coverage = { of: [], legend: "" };
+    /**
+     * Floor, coverage, walks and trails as a picture, and what it shows: time until which it has the trails, and when it was
+     * drawn. Without a GPU, they take most of a frame.
+     */
+    #ground = { view: "", until: -Infinity, at: -Infinity, picture: element("canvas") };
     /** The coverage as a picture, which is drawn anew only for another view. */
     #rings = { view: "", picture: element("canvas") };
 
@@ -77,6 +84,7 @@ export class MapView {
      */
     show(model) {
         this.model = model;
+        this.#ground.view = "";
         this.#drawn = "";
     }
 
@@ -98,7 +106,7 @@ export class MapView {
      */
     showCoverage(of, legend) {
         this.#coverage = { of, legend };
-        this.#rings.view = "";
+        this.#rings.view = this.#ground.view = "";
         this.#drawn = "";
         this.changed();
     }
@@ -257,13 +265,8 @@ export class MapView {
         this.#drawn = state;
         const on = this.canvas.clear(this.canvas.base);
         const { scale, to } = this.#transform();
-        on.font = FONT;
-        on.textBaseline = "middle";
-        on.textAlign = "center";
-        this.#drawFloor(on, to, scale, palette);
-        this.#drawCoverage(on, to, scale, palette);
-        for (const walk of this.model.testbed.walks) this.#drawWalk(on, to, walk.waypoints, palette);
-        for (const robot of this.model.robots.values()) this.#drawTrail(on, to, robot, palette);
+        this.#drawGround(on, to, scale, palette);
+        begin(on);
         for (const robot of this.model.robots.values()) this.#drawAttachment(on, to, robot, palette);
         this.#drawUnits(on, to, palette);
         this.#drawScan(on, to, palette);
@@ -271,6 +274,36 @@ export class MapView {
         if (this.#goal) this.#drawGoal(on, ...to(this.#goal.x, this.#goal.y), palette);
         this.#drawScale(on, scale, palette);
         this.#tellSoon();
+    }
+
+    /**
+     * Draws what lies on the ground: as a picture, and what robots went since.
+     * @param {CanvasRenderingContext2D} on
+     * @param {(x: number, y: number) => [number, number]} to
+     * @param {number} scale
+     * @param {Palette} palette
+     */
+    #drawGround(on, to, scale, palette) {
+        const ground = this.#ground;
+        const { base, density, width, height } = this.canvas;
+        const view = [...to(0, 0), scale, width, height, density, palette.dark].join();
+        const now = performance.now();
+        if (view !== ground.view || now - ground.at > GROUND_EVERY) {
+            const { picture } = ground;
+            // A size clears it.
+            [picture.width, picture.height] = [base.width, base.height];
+            const layer = picture.getContext("2d");
+            if (!layer) return;
+            layer.scale(density, density);
+            begin(layer);
+            this.#drawFloor(layer, to, scale, palette);
+            this.#drawCoverage(layer, to, scale, palette);
+            for (const walk of this.model.testbed.walks) this.#drawWalk(layer, to, walk.waypoints, palette);
+            for (const robot of this.model.robots.values()) this.#drawTrail(layer, to, robot, palette, -Infinity);
+            [ground.view, ground.until, ground.at] = [view, this.model.now, now];
+        }
+        on.drawImage(ground.picture, 0, 0, width, height);
+        for (const robot of this.model.robots.values()) this.#drawTrail(on, to, robot, palette, ground.until);
     }
 
     /**
@@ -365,27 +398,33 @@ export class MapView {
     }
 
     /**
+     * Draws where a robot went after a time.
      * @param {CanvasRenderingContext2D} on
      * @param {(x: number, y: number) => [number, number]} to
      * @param {Robot} robot
      * @param {Palette} palette
+     * @param {number} since
      */
-    #drawTrail(on, to, robot, palette) {
-        on.lineJoin = on.lineCap = "round";
-        // A rim, so that yellow can be seen on a light floor.
+    #drawTrail(on, to, robot, palette, since) {
+        const next = robot.trail.findLastIndex(({ at }) => at <= since) + 1;
+        const trail = robot.trail.slice(Math.max(0, next - 1));
+        if (trail.length < 2) return;
+        on.lineJoin = "round";
+        // A rim, so that yellow can be seen on a light floor. It begins flat, to leave what is there as it is.
         on.lineWidth = 5.5;
         on.strokeStyle = palette.wall;
         on.beginPath();
-        for (const { x, y } of robot.trail) on.lineTo(...to(x, y));
+        for (const { x, y } of trail) on.lineTo(...to(x, y));
         on.stroke();
         on.lineWidth = 3.5;
+        on.lineCap = "round";
         let region = 0;
         let open = false;
         const colour = (/** @type {string} */ unit) => this.#colour(unit);
         let [beforeX, beforeY] = [NaN, NaN];
-        for (const [i, { x, y, at }] of robot.trail.entries()) {
+        for (const [i, { x, y, at }] of trail.entries()) {
             const [px, py] = to(x, y);
-            const isEnd = i === robot.trail.length - 1 || (robot.regions[region]?.until ?? Infinity) < at;
+            const isEnd = i === trail.length - 1 || (robot.regions[region]?.until ?? Infinity) < at;
             if (!isEnd && Math.abs(px - beforeX) + Math.abs(py - beforeY) < 3) continue;
             [beforeX, beforeY] = [px, py];
             while (region < robot.regions.length && (robot.regions[region].until ?? Infinity) < at) {
@@ -617,6 +656,16 @@ export function extent(model, grid) {
 }
 
 const UNKNOWN = 205;
+
+/**
+ * Begins a drawing, with texts centred.
+ * @param {CanvasRenderingContext2D} on
+ */
+function begin(on) {
+    on.font = FONT;
+    on.textBaseline = "middle";
+    on.textAlign = "center";
+}
 
 /**
  * Returns the floor as a picture: walls and free floor in the palette's colours, the rest transparent.
