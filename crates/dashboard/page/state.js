@@ -359,7 +359,6 @@ export class Model {
         if (context.tested) this.tests.set(of, { at: at - context.tested.age_ms / 1e3, ...context.tested });
         // Without a packet there is no delay; the chart breaks the line when there is none for long.
         if (context.delay_ms !== null && context.delay_ms !== undefined) this.figure(`delay:${of}`).add(at, context.delay_ms);
-        this.figure(`throughput:${of}`).add(at, context.throughput_bps);
         this.version.network += 1;
         this.version.figures += 1;
     }
