@@ -272,7 +272,8 @@ async function memory() {
         await sleep(began + at * 1000 - Date.now());
         await browser.command("HeapProfiler.collectGarbage");
         const [{ usedSize, backingStorageSize }, { Nodes, JSEventListeners }] = [await browser.command("Runtime.getHeapUsage"), await browser.metrics()];
-        samples.push({ at, megabytes: (usedSize + (backingStorageSize ?? 0)) / 1e6, nodes: Nodes, listeners: JSEventListeners });
+        const [heap, arrays] = [usedSize / 1e6, (backingStorageSize ?? 0) / 1e6];
+        samples.push({ at, heap, arrays, megabytes: heap + arrays, nodes: Nodes, listeners: JSEventListeners });
     }
     const clock = await browser.evaluate("return document.getElementById('clock').textContent");
     await server.stop();
@@ -283,7 +284,8 @@ async function memory() {
     console.log(`memory in a replay at 10x, up to ${clock}: ${first.megabytes.toFixed(2)} MB after ${first.at} s, ` +
         `${last.megabytes.toFixed(2)} MB after ${last.at} s, ${most.toFixed(2)} MB at most; ` +
         `${(slope(settled) * 60_000).toFixed(0)} kB a minute after the first; goal: flat`);
-    console.log(`  ${first.nodes} to ${last.nodes} nodes, ${first.listeners} to ${last.listeners} listeners`);
+    console.log(`  ${first.nodes} to ${last.nodes} nodes, ${first.listeners} to ${last.listeners} listeners; ` +
+        `heap + arrays in MB: ${samples.map(({ heap, arrays }) => `${heap.toFixed(2)} + ${arrays.toFixed(2)}`).join(", ")}`);
 }
 
 /**
@@ -317,13 +319,15 @@ async function pages() {
         const server = new Server(["run", testbed, "--headless", "--api", "127.0.0.1:0", "--until", `${seconds(60)}s`, "--out", folder]);
         const address = await server.address();
         if (isWatched) {
-            await each(() => browser.open(address));
-            await each(() => browser.wait("document.body.dataset.ready !== undefined"));
-            await sleep(seconds(60) * 500);
-            await each(async () => void frames.push(await browser.evaluate("return cotorraFrames.count / (performance.now() / 1000)")));
+            const opened = each(() => browser.open(address)).then(() => each(() => browser.wait("document.body.dataset.ready !== undefined")));
+            const inTime = await Promise.race([opened.then(() => true), server.ended.then(() => false)]);
+            if (!inTime) throw new Error(`the run ended before ${PAGES} pages were open; give it more --seconds`);
         }
         await server.finish();
-        if (isWatched) await each(() => browser.open("about:blank"));
+        if (isWatched) {
+            await each(async () => void frames.push((await browser.evaluate("return cotorraFrames.count")) / seconds(60)));
+            await each(() => browser.open("about:blank"));
+        }
         const [run] = await readdir(folder);
         return JSON.parse(await readFile(join(folder, run, "summary.json"), "utf8")).fidelity.lateness_us.p99;
     };
