@@ -3,7 +3,7 @@
 
 import { spawn } from "node:child_process";
 import { mkdtemp, rm } from "node:fs/promises";
-import { tmpdir } from "node:os";
+import { setPriority, tmpdir } from "node:os";
 import { join } from "node:path";
 import { createInterface } from "node:readline";
 
@@ -90,8 +90,11 @@ export class Browser {
         this.#session = session;
     }
 
-    /** Starts a browser with one empty window. */
-    static async start() {
+    /**
+     * Starts a browser with one empty window.
+     * @param {number} [nice] Of all its processes: 19 leaves the CPUs to others.
+     */
+    static async start(nice = 0) {
         const folder = await temporaryFolder();
         // In a group of its own, so that Ctrl-C leaves the order of ending to us, and nothing of it stays.
         const driver = spawn("chromedriver", ["--port=0"], { stdio: ["ignore", "pipe", "ignore"], detached: true, env: { ...process.env, TMPDIR: folder } });
@@ -99,6 +102,7 @@ export class Browser {
             driver.once("spawn", resolve);
             driver.once("error", () => reject(new Error("cannot start chromedriver: install chromium and chromedriver")));
         });
+        if (driver.pid !== undefined) setPriority(driver.pid, nice);
         const ended = new Promise((resolve) => driver.once("exit", resolve));
         atEnd(async () => {
             if (driver.pid !== undefined && driver.exitCode === null) process.kill(-driver.pid, "SIGKILL");

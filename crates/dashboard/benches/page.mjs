@@ -24,6 +24,8 @@ Options:
   --run DIR        open, memory: a recorded run, instead of an hour that is simulated first
   --times N        handover: handovers, 40; open: openings, 10; pages: pairs of runs, 5
   --seconds N      memory: length of the replay, 350; pages: length of a run, 60
+  --nice N         pages: niceness of the browser, 0. With 19 it takes the CPUs that nobody else wants, so that what is left
+                   is what the run does for the pages: as if they were open on another machine
   --help
 
 Needs chromium and chromedriver.`;
@@ -36,7 +38,8 @@ const { values: options, positionals } = parseArgs({
     allowPositionals: true,
     options: {
         cotorra: { type: "string", default: fileURLToPath(new URL("target/release/cotorra", root)) },
-        run: { type: "string" }, times: { type: "string" }, seconds: { type: "string" }, help: { type: "boolean" },
+        run: { type: "string" }, times: { type: "string" }, seconds: { type: "string" }, nice: { type: "string", default: "0" },
+        help: { type: "boolean" },
     },
 });
 const times = (/** @type {number} */ usual) => Number(options.times ?? usual);
@@ -302,7 +305,7 @@ const PAGES = 10;
 
 /** Measures how much open pages change the emulator's lateness. */
 async function pages() {
-    const browser = await Browser.start();
+    const browser = await Browser.start(Number(options.nice));
     for (let i = 1; i < PAGES; i++) await browser.openWindow();
     const windows = await browser.windows();
     const each = async (/** @type {() => Promise<void>} */ visit) => {
