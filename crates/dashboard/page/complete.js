@@ -361,5 +361,6 @@ export function suggest(schema, place, names = []) {
             if (typeof value !== "object") add(String(value), String(value), sentence(one.description));
         }
     }
-    return [...found.values()].filter(({ label }) => label !== place.typed).slice(0, MOST);
+    const isAsTyped = (/** @type {Suggestion} */ { label }) => Number(label.startsWith(place.typed));
+    return [...found.values()].filter(({ label }) => label !== place.typed).sort((one, other) => isAsTyped(other) - isAsTyped(one)).slice(0, MOST);
 }

@@ -92,6 +92,8 @@ services:
     assert.deepEqual(at("services:\n  s:\n    kpis:\n      flow: { from: "), ["tb", "drone", "fog"]);
     assert.deepEqual(at("walks:\n  tb: {}\n  "), ["drone: "]);
     assert.deepEqual(at("nodes:\n  tb: { domain: t"), ["two-b"]);
+    const cased = suggest({}, locate("links:\n  - { ends: [R"), declared("nodes:\n  robot: { kind: robot }\n  R1: { kind: radio_unit }"));
+    assert.deepEqual(cased.map(({ label }) => label), ["R1", "robot"], "those in the typed case come first");
     for (const other of ["nodes:\n  ", "nodes:\n  robot: { ", "nodes:\n  tb: { driver: { domain: ", "walks:\n  tb: { ", "name: "]) assert.deepEqual(at(other), [], other);
 });
 
