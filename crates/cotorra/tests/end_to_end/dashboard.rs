@@ -217,7 +217,8 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
     browser.wait_for(&format!("/over robot~R2, R2-/.test({topology})"));
     browser.evaluate("document.querySelector('#views button').click();");
 
-    let coverage = "[...document.querySelectorAll('#map-tools button')].find((one) => one.textContent === 'Coverage')";
+    let coverage =
+        "[...document.querySelectorAll('#map-tools button')].find((one) => one.textContent === 'Coverage')";
     for shows in [true, false] {
         browser.evaluate(&format!("({coverage}).click();"));
         browser.wait_for(&format!("{MAP}.includes('coverage of R1, R2, R3, R4, R5, R6') === {shows}"));

@@ -29,8 +29,8 @@ const LONGEST_STEP_MS: f64 = 86_400_000.0;
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct ClockBody {
     /// Time of the run.
-    #[serde(rename = "now_ns")]
-    now: Timestamp,
+    #[serde(rename = "at_ns")]
+    at: Timestamp,
     /// Whether time can be stopped, stepped, and sped up: in virtual time and in a replay, not in real time.
     controllable: bool,
     /// Whether time is stopped.
@@ -45,7 +45,7 @@ impl From<TimeState> for ClockBody {
             Speed::Times(times) => SpeedBody::Times(times),
             Speed::Max => SpeedBody::Max(AsFastAsPossible::Max),
         };
-        Self { now, controllable: true, paused, speed }
+        Self { at: now, controllable: true, paused, speed }
     }
 }
 
@@ -108,7 +108,7 @@ pub(super) async fn clock(State(context): State<Context>) -> Answer<ClockBody> {
         return change(&context, TimeChange::default()).await;
     }
     let speed = SpeedBody::Times(1.0);
-    Ok(Json(ClockBody { now: context.now(), controllable: false, paused: context.replay, speed }))
+    Ok(Json(ClockBody { at: context.now(), controllable: false, paused: context.replay, speed }))
 }
 
 /// Stops time, lets it pass again, takes it on by a step, or changes its speed. In virtual time, nothing but the real time

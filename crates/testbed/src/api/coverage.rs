@@ -21,9 +21,9 @@ const STRONGEST: Dbm = Dbm(-40.0);
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Floor {
-    /// Height, metres; 0 by default.
+    /// Its height, metres; 0 by default.
     #[serde(default)]
-    height_m: f64,
+    z: f64,
 }
 
 /// Mean signal around a radio unit: by path loss alone, without walls, shadowing and fading.
@@ -52,19 +52,19 @@ pub(super) struct CircleBody {
 pub(super) async fn coverage(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
-    Query(Floor { height_m }): Query<Floor>,
+    Query(Floor { z }): Query<Floor>,
 ) -> Answer<Vec<CoverageBody>> {
-    if !height_m.is_finite() {
-        return Err(Failure::bad_request("`height_m` is a number"));
+    if !z.is_finite() {
+        return Err(Failure::bad_request("`z` is a number"));
     }
     let testbed = caller.view.as_ref().map_or(&*context.testbed, |view| view.testbed());
     let graph = &testbed.graph;
-    Ok(Json(graph.radio_units().filter_map(|(node, unit)| around(graph, node, unit, height_m)).collect()))
+    Ok(Json(graph.radio_units().filter_map(|(node, unit)| around(graph, node, unit, z)).collect()))
 }
 
-fn around(graph: &HardwareGraph, node: &Node, unit: &RadioUnit, height_m: f64) -> Option<CoverageBody> {
+fn around(graph: &HardwareGraph, node: &Node, unit: &RadioUnit, z: f64) -> Option<CoverageBody> {
     let (network, position) = (graph.wireless.get(&unit.network)?, node.position?);
-    let above = position.z - height_m;
+    let above = position.z - z;
     let circle = |signal: Dbm| {
         let range = network.range_m(unit, signal);
         let radius_m = (range * range - above * above).max(0.0).sqrt();

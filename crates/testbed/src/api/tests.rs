@@ -594,9 +594,9 @@ fn coverage_is_in_circles_and_of_the_callers_own_radio_units() {
     assert!(radii.len() > 3 && radii.is_sorted() && radii[0] > 0.0, "{radii:?}");
     assert!(signals.iter().rev().is_sorted(), "{signals:?}");
     // From high above, the strongest signals are not on the floor.
-    let (_, above) = served.get(OPERATOR, "/api/v1/network/coverage?height_m=-100");
+    let (_, above) = served.get(OPERATOR, "/api/v1/network/coverage?z=-100");
     assert!(above[0]["circles"].as_array().unwrap().len() < circles.len(), "{above}");
-    assert_eq!(served.get(OPERATOR, "/api/v1/network/coverage?height_m=inf").0, 400);
+    assert_eq!(served.get(OPERATOR, "/api/v1/network/coverage?z=inf").0, 400);
 }
 
 #[test]

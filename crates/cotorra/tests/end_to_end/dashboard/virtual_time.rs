@@ -38,7 +38,7 @@ fn virtual_time_is_watched_stopped_and_stepped_and_gives_the_same_results() {
     browser.wait_for("document.querySelector('#time-control button').textContent === 'Go on'");
     let stopped = clock(&shown);
     assert_eq!((&stopped["paused"], &stopped["speed"]), (&true.into(), &1.0.into()));
-    let at = |clock: &Value| clock["now_ns"].as_u64().unwrap();
+    let at = |clock: &Value| clock["at_ns"].as_u64().unwrap();
     button("Step");
     wait_until(|| at(&clock(&shown)) > at(&stopped));
     // Time has got no further than a step when the next one is wanted.
