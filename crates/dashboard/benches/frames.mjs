@@ -151,7 +151,8 @@ async function measure() {
     console.log(`${options.plotly ? "Plotly.js" : "the dashboard"}: ${((last - first) / seconds).toFixed(1)} frames a second, ` +
         `${median.toFixed(1)} ms median, ${p95.toFixed(1)} ms p95; main thread busy ` +
         `${(100 * busy / (after.Timestamp - before.Timestamp)).toFixed(0)} % of the time, ` +
-        `${(1e3 * busy / (last - first)).toFixed(1)} ms a frame in all; ${(after.JSHeapUsedSize / 1e6).toFixed(1)} MB of heap`);
+        `${(1e3 * busy / (last - first)).toFixed(1)} ms a frame in all, ` +
+        `${(1e3 * (after.ThreadTime - before.ThreadTime) / (last - first)).toFixed(1)} ms of CPU; ${(after.JSHeapUsedSize / 1e6).toFixed(1)} MB of heap`);
 }
 
 await benchmark(measure);
