@@ -146,10 +146,10 @@ async function measure() {
     await sleep(seconds * 1000);
     const [after, last] = [await browser.metrics(), await frames()];
     if (options.profile) await writeFile(`${options.profile}.cpuprofile`, JSON.stringify((await browser.command("Profiler.stop")).profile));
-    const [median, p95] = await browser.evaluate("return [cotorraFrames.quantile(0.5), cotorraFrames.quantile(0.95)]");
+    const [median, p95, p99] = await browser.evaluate("return [0.5, 0.95, 0.99].map((share) => cotorraFrames.quantile(share))");
     const busy = after.TaskDuration - before.TaskDuration;
     console.log(`${options.plotly ? "Plotly.js" : "the dashboard"}: ${((last - first) / seconds).toFixed(1)} frames a second, ` +
-        `${median.toFixed(1)} ms median, ${p95.toFixed(1)} ms p95; main thread busy ` +
+        `${median.toFixed(1)} ms median, ${p95.toFixed(1)} ms p95, ${p99.toFixed(1)} ms p99; main thread busy ` +
         `${(100 * busy / (after.Timestamp - before.Timestamp)).toFixed(0)} % of the time, ` +
         `${(1e3 * busy / (last - first)).toFixed(1)} ms a frame in all, ` +
         `${(1e3 * (after.ThreadTime - before.ThreadTime) / (last - first)).toFixed(1)} ms of CPU; ${(after.JSHeapUsedSize / 1e6).toFixed(1)} MB of heap`);

@@ -19,7 +19,7 @@ const LARGEST = 400;
 const CHI_SQUARED = 5.991;
 const MARGIN = 24;
 /** Pause between two pictures of the ground in the same view, ms. */
-const GROUND_EVERY = 1000;
+const GROUND_EVERY = 3000;
 
 export class MapView {
     /** Centre of the view in metres, and pixels to the metre; `null` to show all. @type {{x: number, y: number, scale: number} | null} */
