@@ -33,6 +33,7 @@ mod service;
 mod testbed;
 mod time_parts;
 mod units;
+mod walls;
 
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
