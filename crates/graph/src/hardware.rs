@@ -16,6 +16,7 @@ use crate::{
     real::{Gateway, Machine, RealServer},
     sensor::Sensor,
     units::{BitRate, Dbm, Position, millis},
+    walls::Walls,
 };
 
 /// The hardware graph. Made by the crate `testbed-file`, which checks what this type takes for granted: names are
@@ -371,6 +372,9 @@ pub struct WirelessNetwork {
     pub mobility_domain: u16,
     /// Loss of signal over distance.
     pub path_loss: PathLoss,
+    /// Attenuation by the walls of the map. Without it, they take nothing away.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub walls: Option<Walls>,
     /// Variation of the signal around the path loss.
     pub shadowing: Shadowing,
     /// Noise floor of a receiver, thermal noise over 20 MHz and noise figure together.

@@ -80,3 +80,4 @@ pub use testbed::{
 };
 pub use time_parts::{LinkTime, TimeParts};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
+pub use walls::Walls;

@@ -1,5 +1,5 @@
 //! Frequencies of channels, path loss over distance, and the mean signal at a place. The radio model and coverage decisions
-//! share them.
+//! share them, and the loss by [walls](crate::Walls).
 
 use crate::{
     hardware::{HardwareGraph, Node, NodeKind, PathLoss, RadioUnit, WifiStandard, WirelessNetwork},
@@ -7,26 +7,33 @@ use crate::{
 };
 
 impl HardwareGraph {
-    /// Returns the mean signal of a radio unit at a place: without shadowing, fading and walls. `None` if the node is no
-    /// radio unit, or has no position.
+    /// Returns the mean signal of a radio unit at a place: without shadowing and fading, and behind walls if its network has
+    /// any. `None` if the node is no radio unit, or has no position.
     pub fn mean_signal(&self, radio_unit: &Node, place: Position) -> Option<Dbm> {
         let NodeKind::RadioUnit(unit) = &radio_unit.kind else { return None };
-        let network = self.wireless.get(&unit.network)?;
-        Some(network.mean_signal(unit, radio_unit.position?.distance(place)))
+        let (network, at) = (self.wireless.get(&unit.network)?, radio_unit.position?);
+        let unobstructed = network.mean_signal(unit, at.distance(place));
+        Some(Dbm(unobstructed.0 - network.wall_loss_db(at, place)))
     }
 }
 
 impl WirelessNetwork {
-    /// Returns the mean signal of a radio unit of this network at a distance in metres: transmitted power less path loss.
+    /// Returns the mean signal of a radio unit of this network at a distance in metres with no walls between: transmitted
+    /// power less path loss.
     pub fn mean_signal(&self, unit: &RadioUnit, distance_m: f64) -> Dbm {
         let frequency_mhz = self.standard.frequency_mhz(unit.channel);
         Dbm(unit.tx_power.0 - self.path_loss.loss_db(distance_m, frequency_mhz))
     }
 
-    /// Returns the distance in metres up to which the mean signal of a radio unit is `signal` at least; 0 if it is weaker
-    /// everywhere.
+    /// Returns the distance in metres up to which the mean signal of a radio unit is `signal` at least with no walls between;
+    /// 0 if it is weaker everywhere.
     pub fn range_m(&self, unit: &RadioUnit, signal: Dbm) -> f64 {
         self.path_loss.range_m(unit.tx_power.0 - signal.0, self.standard.frequency_mhz(unit.channel))
+    }
+
+    /// Returns the loss by walls between two antennas, in dB: 0 without [`Self::walls`].
+    pub fn wall_loss_db(&self, a: Position, b: Position) -> f64 {
+        self.walls.as_ref().map_or(0.0, |walls| walls.loss_between(a, b))
     }
 }
 

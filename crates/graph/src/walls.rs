@@ -1,9 +1,39 @@
-//! Walls of the map between two places.
+//! Walls of the map between two places, and how much they take of a signal. The radio model and coverage decisions share
+//! them.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
 
 use crate::{
     map::{Cell, OccupancyGrid},
     units::Position,
 };
+
+/// Attenuation by the walls of the map: the sum of equal losses in the multi-wall model (COST 231, final report, 4.7.2),
+/// whose other terms are the path loss and a constant, which is zero here.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Walls {
+    /// Loss of each wall that the straight line between two antennas crosses, dB.
+    #[serde(rename = "wall_loss_db")]
+    pub loss_db: f64,
+    /// Loss of all walls between two antennas together, at most, dB; without it there is no bound.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_most_db: Option<f64>,
+    /// The map. It is no part of the graph in JSON, for its size: a graph that was read from there has no walls.
+    #[serde(skip)]
+    pub map: Option<Arc<OccupancyGrid>>,
+}
+
+impl Walls {
+    /// Returns the loss by walls between two places, in dB; the same in both directions.
+    pub fn loss_between(&self, a: Position, b: Position) -> f64 {
+        let Some(map) = &self.map else { return 0.0 };
+        let loss = map.walls_between(a, b) as f64 * self.loss_db;
+        self.at_most_db.map_or(loss, |most| loss.min(most))
+    }
+}
 
 impl OccupancyGrid {
     /// Counts the walls that the straight line between two places crosses on the floor, whatever their heights. The number
@@ -231,6 +261,16 @@ mod tests {
             let walls = map.walls_between(Position::new(-x, x), Position::new(x, -x));
             assert!(walls <= 16, "{walls}");
         }
+    }
+
+    #[test]
+    fn losses_add_up_to_the_bound() {
+        let (from, to) = (at((0.5, 3.5)), at((8.5, 4.5)));
+        let map = Some(Arc::new(drawn(&ROOMS)));
+        let walls = Walls { loss_db: 3.4, at_most_db: None, map };
+        assert_eq!(walls.loss_between(from, to), 6.8);
+        assert_eq!(Walls { at_most_db: Some(5.0), ..walls.clone() }.loss_between(from, to), 5.0);
+        assert_eq!(Walls { map: None, ..walls }.loss_between(from, to), 0.0);
     }
 
     prop_compose! {

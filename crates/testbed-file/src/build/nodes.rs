@@ -57,6 +57,7 @@ impl Builder<'_> {
                     floor_loss_db: model.floor_loss.0,
                 },
             },
+            walls: None,
             shadowing: Shadowing {
                 deviation_db: record.shadowing.deviation.0,
                 correlation_m: correlation.value.0,

@@ -1,6 +1,6 @@
 //! Signals at both ends of a robot's link to a radio unit, and the radio units that a robot has heard.
 
-use cotorra_graph::{Dbm, LinkId, WirelessNetwork};
+use cotorra_graph::{Dbm, LinkId};
 
 use super::{
     Network, Radio, RadioUnitIndex, RobotRadio, StationIndex, phy::Reception, shadowing::ShadowingField,
@@ -8,16 +8,17 @@ use super::{
 use crate::random::stream;
 
 impl Radio {
-    /// Returns the received power at the radio unit and at the robot: transmitted power less path loss and shadowing, which
-    /// are equal in both directions.
+    /// Returns the received power at the radio unit and at the robot: transmitted power less the losses by distance, walls
+    /// and shadowing, which are equal in both directions.
     pub(super) fn signals(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Dbm; 2] {
         let (r, u) = (&self.robots[robot], &self.units[unit]);
-        let WirelessNetwork { path_loss, shadowing, .. } = self.networks[r.network].spec;
+        let spec = &self.networks[r.network].spec;
         let field = self.fields[self.pair(robot, unit)].get_or_init(|| {
             let label = format!("shadowing {}", LinkId::wireless(&r.id, &u.id));
-            ShadowingField::new(shadowing, stream(self.seed, &label))
+            ShadowingField::new(spec.shadowing, stream(self.seed, &label))
         });
-        let loss = path_loss.loss_db(r.position.distance(u.position), u.frequency_mhz) + field.at(r.position);
+        let path_loss = spec.path_loss.loss_db(r.position.distance(u.position), u.frequency_mhz);
+        let loss = path_loss + field.at(r.position) + spec.wall_loss_db(r.position, u.position);
         [Dbm(r.tx_power.0 - loss), Dbm(u.tx_power.0 - loss)]
     }
 

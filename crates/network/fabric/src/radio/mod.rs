@@ -1,7 +1,7 @@
 //! The wireless part of the fabric: positions of robots, the signals that they receive, their attachments to radio units,
 //! and their frames on the air. The time is an argument of every call; all randomness comes from the seed.
 //!
-//! - Path loss and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
+//! - Path loss, walls and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
 //! - [`medium`] shares each channel's airtime; [`link`] adds the conditions of emulation.
 //! - [`hearing`] finds the radio units within a robot's reach; [`air`] carries frames.
 //! - [`access`] switches vAPs on and off and admits robots; [`station`] is the state machine of an attachment; [`roaming`]

@@ -254,6 +254,7 @@ mod tests {
             fast_transition,
             mobility_domain: 1,
             path_loss: PathLoss::FreeSpace,
+            walls: None,
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 1.0 },
             noise_floor: Dbm(-95.0),
             hysteresis_db: 0.0,

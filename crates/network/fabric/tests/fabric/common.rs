@@ -23,6 +23,7 @@ impl Network {
             fast_transition: true,
             mobility_domain: 1,
             path_loss: PathLoss::LogDistance { exponent: 3.0 },
+            walls: None,
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
             noise_floor: Dbm(-95.0),
             hysteresis_db: 4.0,

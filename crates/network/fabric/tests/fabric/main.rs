@@ -10,4 +10,5 @@ mod links;
 mod offloads;
 mod paths;
 mod taps;
+mod walls;
 mod wireless;
