@@ -18,6 +18,7 @@ mod services;
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
     path::Path,
+    sync::Arc,
 };
 
 use cotorra_graph::{
@@ -53,8 +54,10 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         sink,
     };
     let map = builder.map();
+    let has_walls = record.wireless.0.iter().any(|(_, network)| network.walls.is_some());
+    let floor = if has_walls { map.clone().flatten().map(Arc::new) } else { None };
     let wireless: Option<BTreeMap<_, _>> = each(&record.wireless.0, |(ssid, network)| {
-        Some((ssid.value.clone(), builder.wireless(ssid, network)?))
+        Some((ssid.value.clone(), builder.wireless(ssid, network, floor.as_ref())?))
     });
     let nodes = builder.nodes();
     let links = builder.links();

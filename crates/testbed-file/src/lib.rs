@@ -14,6 +14,7 @@ pub mod map_server;
 mod records;
 mod setting;
 mod vnf_keys;
+mod walls;
 mod yaml;
 
 use std::{io, path::Path};

@@ -11,6 +11,7 @@ use cotorra_graph::{
 
 use crate::{
     image::{Device, Reference},
+    walls::WallLoss,
     yaml::{
         Angle, Bytes, Decibels, Frequency, Metres, Span, Speed,
         decode::{Amount, Either, Spanned, Table, choice, record, tagged},
@@ -185,6 +186,9 @@ record! {
         mobility_domain: u16 = 1,
         /// Path loss over distance.
         path_loss: PathLossRecord = { "model": "log_distance", "exponent": 3.0 },
+        /// Attenuation by the walls of the map: the loss of each that the line between two antennas crosses, or a mapping.
+        /// Without it, walls take nothing away: docs/radio.md.
+        walls: Option<Spanned<Either<WallLoss, WallsRecord>>>,
         /// Variation of the signal around the path loss.
         shadowing: ShadowingRecord = {},
         /// Noise floor of a receiver: thermal noise over 20 MHz (-101 dBm) and a noise figure of 6 dB.
@@ -229,6 +233,16 @@ record! {
         coefficient: Amount = 30.0,
         /// L_f: loss through floors between.
         floor_loss: Decibels = "0 dB",
+    }
+}
+
+record! {
+    /// Attenuation by walls, with a bound.
+    WallsRecord {
+        /// Loss of each wall that the line between two antennas crosses.
+        each: Spanned<WallLoss>,
+        /// Loss of all of them together, at most.
+        at_most: Option<Spanned<Decibels>>,
     }
 }
 

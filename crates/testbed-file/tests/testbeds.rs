@@ -157,3 +157,38 @@ fn graphs_survive_json() {
     let json = serde_json::to_string(&graph).unwrap();
     assert_eq!(serde_json::from_str::<cotorra_graph::HardwareGraph>(&json).unwrap(), graph);
 }
+
+#[test]
+fn walls_attenuate_on_the_map_of_the_testbed() {
+    let settings = ["wireless.corridor.walls.each=brick", "wireless.corridor.walls.at_most=9 dB"]
+        .map(|setting| setting.parse().unwrap());
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+    let walled = cotorra_testbed_file::load_with(path, &settings).unwrap_or_else(|wrong| panic!("{wrong}"));
+    let (open, map) = (shipped("corridor.yaml"), walled.map.as_ref().unwrap());
+    let network = &walled.graph.wireless["corridor"];
+    let walls = network.walls.as_ref().unwrap();
+    assert_eq!((walls.loss_db, walls.at_most_db, walls.map.as_deref()), (3.7, Some(9.0), Some(map)));
+    let mut most = 0;
+    for ((unit, _), at) in walled
+        .graph
+        .radio_units()
+        .flat_map(|unit| walled.walks[0].waypoints.iter().map(move |at| (unit, *at)))
+    {
+        let [with, without] = [&walled, &open].map(|testbed| testbed.graph.mean_signal(unit, at).unwrap().0);
+        let crossed = map.walls_between(unit.position.unwrap(), at);
+        most = most.max(crossed);
+        assert!((without - with - f64::min(crossed as f64 * 3.7, 9.0)).abs() < 1e-9, "{} at {at}", unit.id);
+    }
+    assert!(most > 1, "the corridor has corners");
+    // Without settings there is none, and JSON has no key for it.
+    assert_eq!(open.graph.wireless["corridor"].walls, None);
+    assert!(!serde_json::to_string(&open.graph).unwrap().contains("walls"));
+    let json = serde_json::to_value(&walled.graph).unwrap();
+    assert_eq!(
+        json["wireless"]["corridor"]["walls"],
+        serde_json::json!({ "wall_loss_db": 3.7, "at_most_db": 9.0 })
+    );
+    let read: cotorra_graph::HardwareGraph = serde_json::from_value(json).unwrap();
+    let read = read.wireless["corridor"].walls.clone().unwrap();
+    assert_eq!((read.loss_db, read.at_most_db, read.map), (3.7, Some(9.0), None));
+}

@@ -1,9 +1,11 @@
 //! Nodes, and the wireless networks that connect them.
 
+use std::sync::Arc;
+
 use cotorra_graph::{
     AgentId, Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind,
-    PathLoss, Position, Probability, RadioUnit, Reached, RealServer, Robot, Server, Shadowing,
-    WirelessNetwork,
+    OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached, RealServer, Robot, Server, Shadowing,
+    Walls, WifiStandard, WirelessNetwork,
 };
 
 use super::{
@@ -12,19 +14,25 @@ use super::{
 };
 use crate::{
     records::{
-        GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, ServerRecord, WalkRecord, WirelessRecord,
+        GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, ServerRecord, WalkRecord, WallsRecord,
+        WirelessRecord,
     },
+    walls::WallLoss,
     yaml::{
         Bytes, Sink,
-        decode::{Amount, Spanned, words},
+        decode::{Amount, Either, Spanned, words},
     },
 };
+
+/// Loss of one wall, at most, dB. A shielded room has as much.
+const MOST_OF_A_WALL_DB: f64 = 100.0;
 
 impl Builder<'_> {
     pub(super) fn wireless(
         &mut self,
         ssid: &Spanned<String>,
         record: &WirelessRecord,
+        map: Option<&Arc<OccupancyGrid>>,
     ) -> Option<WirelessNetwork> {
         if ssid.value.len() > 32 {
             self.sink
@@ -40,6 +48,10 @@ impl Builder<'_> {
         let loss = match &record.loss {
             None => Loss::None,
             Some(loss) => self.loss(loss)?,
+        };
+        let walls = match &record.walls {
+            None => None,
+            Some(walls) => Some(self.walls(walls, record.standard, map)?),
         };
         let handover = &record.handover;
         Some(WirelessNetwork {
@@ -57,7 +69,7 @@ impl Builder<'_> {
                     floor_loss_db: model.floor_loss.0,
                 },
             },
-            walls: None,
+            walls,
             shadowing: Shadowing {
                 deviation_db: record.shadowing.deviation.0,
                 correlation_m: correlation.value.0,
@@ -74,6 +86,36 @@ impl Builder<'_> {
             },
             gap: record.gap,
         })
+    }
+
+    fn walls(
+        &mut self,
+        record: &Spanned<Either<WallLoss, WallsRecord>>,
+        standard: WifiStandard,
+        map: Option<&Arc<OccupancyGrid>>,
+    ) -> Option<Walls> {
+        let (each, place, at_most) = match &record.value {
+            Either::Short(each) => (each, &record.span, None),
+            Either::Long(long) => (&long.each.value, &long.each.span, long.at_most.as_ref()),
+        };
+        let loss_db = each.db(standard);
+        if loss_db > MOST_OF_A_WALL_DB {
+            self.sink.error(place, format!("a wall that takes {loss_db} dB away")).help(format!(
+                "write at most {MOST_OF_A_WALL_DB} dB, as a shielded room has; a brick wall has about 4 dB"
+            ));
+        }
+        if let Some(most) = at_most.filter(|most| most.value.0 < loss_db) {
+            self.sink
+                .error(&most.span, format!("less than the {loss_db} dB of one wall"))
+                .help(format!("write {loss_db} dB or more, or leave `at_most` out"));
+        }
+        // A map that cannot be read is reported there.
+        if self.record.map.is_none() {
+            self.sink
+                .error(&record.span, "walls in a testbed without a map")
+                .help("add `map: …` with a ROS map_server file, whose occupied cells are the walls");
+        }
+        Some(Walls { loss_db, at_most_db: at_most.map(|most| most.value.0), map: Some(map?.clone()) })
     }
 
     pub(super) fn nodes(&mut self) -> Option<Vec<Node>> {
