@@ -82,8 +82,7 @@ fn draw(testbed: &Testbed) -> FloorMap {
         let Position { x, y, .. } = node.position.unwrap_or_default();
         Spot { name: node.id.to_string(), x, y }
     };
-    let mut notes = vec!["The mean by path loss alone: walls, shadowing and fading are left out.".to_owned()];
-    notes.push(height.note);
+    let mut notes = vec![mean_of(graph).to_owned(), height.note];
     notes.extend(left_out(shown.len(), subjects.len(), "panels"));
     notes.extend(left_out(testbed.walks.len().min(MAX_SERIES), testbed.walks.len(), "walks"));
     FloorMap {
@@ -96,6 +95,20 @@ fn draw(testbed: &Testbed) -> FloorMap {
         spots: units.iter().map(spot).collect(),
         paths: testbed.walks.iter().take(MAX_SERIES).map(|walk| path(walk, extent)).collect(),
         notes,
+    }
+}
+
+/// Describes the mean signal.
+fn mean_of(graph: &HardwareGraph) -> &'static str {
+    let has_walls = |(_, unit): (&Node, &RadioUnit)| {
+        graph.wireless.get(&unit.network).is_some_and(|network| network.walls.is_some())
+    };
+    if graph.radio_units().all(has_walls) {
+        "The mean by path loss and walls: shadowing and fading are left out."
+    } else if graph.radio_units().any(has_walls) {
+        "The mean by path loss, and by walls if a network has any: shadowing and fading are left out."
+    } else {
+        "The mean by path loss alone: walls, shadowing and fading are left out."
     }
 }
 
@@ -229,6 +242,8 @@ impl Height {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::check::tests::testbed;
 
@@ -274,6 +289,25 @@ mod tests {
         assert_eq!(up.metres, 2.0);
         assert!(up.note.ends_with("they are at 0 to 6 m."), "{}", up.note);
         assert_eq!(height("[[0, 0, 1], [0, 0, 9]]").metres, 1.0);
+    }
+
+    #[test]
+    fn walls_are_drawn_in_the_signal_and_told() {
+        let (mut testbed, open) =
+            (testbed(TWO, "[[0, 0, 1], [30, 0, 1]]"), testbed(TWO, "[[0, 0, 1], [30, 0, 1]]"));
+        // One column of occupied cells, from 10 m to 11 m, across the whole picture.
+        let cells = vec![cotorra_graph::Cell::Occupied; 40];
+        let map =
+            cotorra_graph::OccupancyGrid::new(1, 40, 1.0, Position::new(10.0, -20.0), cells).map(Arc::new);
+        let lab = testbed.graph.wireless.get_mut("lab").unwrap();
+        lab.walls = Some(cotorra_graph::Walls { loss_db: 5.0, at_most_db: None, map });
+        let (walled, open) = (draw(&testbed), draw(&open));
+        let losses: Vec<_> =
+            open.panels[1].values.iter().zip(&walled.panels[1].values).map(|(a, b)| a - b).collect();
+        let first_row = &losses[..walled.panels[1].columns];
+        assert!(first_row[0].abs() < 1e-9 && (first_row[first_row.len() - 1] - 5.0).abs() < 1e-9);
+        assert_eq!(walled.notes[0], "The mean by path loss and walls: shadowing and fading are left out.");
+        assert_eq!(open.notes[0], "The mean by path loss alone: walls, shadowing and fading are left out.");
     }
 
     #[test]
