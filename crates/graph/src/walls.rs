@@ -21,7 +21,8 @@ pub struct Walls {
     /// Loss of all walls between two antennas together, at most, dB; without it there is no bound.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_most_db: Option<f64>,
-    /// The map. It is no part of the graph in JSON, for its size: a graph that was read from there has no walls.
+    /// The map. It is no part of the graph in JSON, for its size: walls that were read from there take nothing away until
+    /// they have one.
     #[serde(skip)]
     pub map: Option<Arc<OccupancyGrid>>,
 }

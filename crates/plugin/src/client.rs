@@ -5,6 +5,7 @@
 
 mod events;
 mod local;
+mod map;
 mod run;
 
 use std::{io::Read, path::PathBuf, time::Duration};
@@ -263,13 +264,14 @@ impl Client {
     }
 
     /// The testbed, without its map, its emulation, the settings of its WAIS, its history's retention and its border, which
-    /// the API does not give.
+    /// the API does not give with it. Walls of its wireless networks have the map.
     ///
     /// # Errors
     /// [`ClientError`].
     pub fn testbed(&self) -> Result<Testbed, ClientError> {
-        let TestbedBody { name, description, graph, services, walks, plugins, seed } =
+        let TestbedBody { name, description, mut graph, services, walks, plugins, seed } =
             self.get("testbed", &[])?;
+        self.complete_walls(&mut graph)?;
         let wais = WaisSettings::default();
         let (emulation, probes, retention) = (Emulation::default(), None, Default::default());
         let map = None;

@@ -5,7 +5,7 @@ use std::{
     thread,
 };
 
-use cotorra_graph::{Event, Velocity};
+use cotorra_graph::{Event, Position, Velocity};
 use serde_json::{Value, json};
 
 use super::*;
@@ -21,7 +21,7 @@ struct Request {
 }
 
 /// A peer that answers the n-th connection with the n-th of these, closes it, and tells what it was asked.
-fn server(answers: Vec<String>) -> (Client, mpsc::Receiver<Request>) {
+fn server<A: AsRef<[u8]> + Send + 'static>(answers: Vec<A>) -> (Client, mpsc::Receiver<Request>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let client = Client::new(&format!("http://{}/", listener.local_addr().unwrap())).unwrap();
     let (tell, asked) = mpsc::channel();
@@ -41,7 +41,7 @@ fn server(answers: Vec<String>) -> (Client, mpsc::Receiver<Request>) {
             let mut body = vec![0; length.unwrap_or(0)];
             lines.read_exact(&mut body).unwrap();
             let _ = tell.send(Request { line: first, headers, body: String::from_utf8(body).unwrap() });
-            stream.write_all(answer.as_bytes()).unwrap();
+            stream.write_all(answer.as_ref()).unwrap();
         }
     });
     (client, asked)
@@ -77,6 +77,50 @@ fn testbed() -> Value {
         "name": "lab", "services": [], "walks": [], "version": "0.1.0",
         "graph": { "domains": [], "nodes": [], "links": [], "wireless": {} },
     })
+}
+
+/// A testbed with walls of 3 dB in its network.
+fn walled() -> Value {
+    let mut testbed = testbed();
+    testbed["graph"]["wireless"]["lab"] = json!({
+        "standard": "n", "delay_ms": 1.0, "fast_transition": true, "path_loss": { "model": "free_space" },
+        "walls": { "wall_loss_db": 3.0 }, "shadowing": { "deviation_db": 0.0, "correlation_m": 5.0 },
+        "noise_floor_dbm": -95.0, "hysteresis_db": 4.0, "time_to_trigger_ms": 100.0, "gap": "hold",
+        "handover": {
+            "scan_ms": 1.0, "authenticate_ms": 1.0, "reassociate_ms": 1.0, "handshake_ms": 1.0, "variation": 0.0,
+        },
+    });
+    testbed
+}
+
+fn picture(pixels: &[u8]) -> Vec<u8> {
+    let body = [b"P5\n3 2\n255\n", pixels].concat();
+    let head = format!("HTTP/1.1 200 OK\r\ncontent-length: {}\r\nconnection: close\r\n\r\n", body.len());
+    [head.as_bytes(), &body].concat()
+}
+
+#[test]
+fn walls_of_a_testbed_have_its_map() {
+    let map = ok(&json!({ "width": 3, "height": 2, "resolution_m": 0.5, "origin": { "x": 1.0, "y": 2.0 } }));
+    let answers = |pixels| vec![ok(&walled()).into_bytes(), map.clone().into_bytes(), picture(pixels)];
+    let (client, asked) = server(answers(&[254, 0, 205, 254, 254, 0]));
+    let graph = client.testbed().unwrap().graph;
+    let lines: Vec<_> = asked.iter().take(3).map(|request| request.line).collect();
+    assert_eq!(lines, ["GET /api/v1/testbed", "GET /api/v1/map", "GET /api/v1/map/image"]);
+    use cotorra_graph::Cell::{Free, Occupied, Unknown};
+    let lower_left = Position::new(1.0, 2.0);
+    let cells = vec![Free, Free, Occupied, Free, Occupied, Unknown];
+    let walls = graph.wireless["lab"].walls.as_ref().unwrap();
+    assert_eq!(
+        walls.map.as_deref(),
+        cotorra_graph::OccupancyGrid::new(3, 2, 0.5, lower_left, cells).as_ref()
+    );
+    let [upper, lower] = [2.75, 2.25].map(|y| [1.25, 2.75].map(|x| Position::new(x, y)));
+    assert_eq!([upper, lower].map(|[from, to]| graph.wireless["lab"].wall_loss_db(from, to)), [3.0, 3.0]);
+    // A picture of another size.
+    let (client, _asked) = server(answers(&[254, 0, 205]));
+    let wrong = client.testbed().unwrap_err().to_string();
+    assert!(wrong.contains("/map/image") && wrong.contains("not a PGM picture of 3 by 2 cells"), "{wrong}");
 }
 
 #[test]
