@@ -16,6 +16,13 @@ pub enum Speed {
     Max,
 }
 
+impl Speed {
+    /// Returns the speed of so many seconds of the run per second; `None` below 0.001 and above 1000000.
+    pub fn times(times: f64) -> Option<Self> {
+        (1e-3..=1e6).contains(&times).then_some(Self::Times(times))
+    }
+}
+
 /// A change of how time passes. What is `None` stays as it is.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct TimeChange {

@@ -10,7 +10,7 @@ use super::{
     types::{Failure, Query},
 };
 
-/// Signals in whole dB between which there are circles.
+/// Difference between the signals of two circles, dB.
 const STEP_DB: f64 = 10.0;
 /// Strongest signal of a circle.
 const STRONGEST: Dbm = Dbm(-40.0);
