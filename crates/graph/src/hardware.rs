@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     conditions::{Conditions, Loss, Scale},
+    contention::{Edca, Interferer},
     driver::Driver,
     id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
@@ -390,6 +391,12 @@ pub struct WirelessNetwork {
     pub handover: HandoverTimes,
     /// Treatment of frames for a station that is off its channel.
     pub gap: GapPolicy,
+    /// Contention for the channel. Without it, senders take turns and never collide.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub access: Option<Edca>,
+    /// What else sends on its channels. Only where stations contend.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub interference: Vec<Interferer>,
 }
 
 /// Physical layers whose rates are modelled.

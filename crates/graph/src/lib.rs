@@ -8,6 +8,7 @@ mod active;
 mod border;
 mod conditions;
 mod container;
+mod contention;
 mod context;
 mod driver;
 mod event;
@@ -43,6 +44,7 @@ pub use conditions::{
     Trace,
 };
 pub use container::{Containers, EngineKind, Image, ListenPort, Pull, Transport, Volume};
+pub use contention::{Edca, Interferer, InterfererKind, Presence};
 pub use context::{
     AnswersRejected, Attachment, Handover, InstancePath, Lateness, LinkContext, LinkCounters, PathKind,
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,

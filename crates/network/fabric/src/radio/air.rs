@@ -24,7 +24,13 @@ impl Radio {
             Direction::Backward => Flow::Down(path.robot),
         };
         let waiting = Waiting { frame, since: now, source: None, is_probe };
-        if let Err(frame) = self.medium.push(flow, waiting, limit) {
+        let pushed = match &mut self.edca {
+            Some(edca) if self.networks[self.robots[path.robot].network].contends() => {
+                edca.push(now, flow, waiting, limit)
+            }
+            _ => self.medium.push(flow, waiting, limit),
+        };
+        if let Err(frame) = pushed {
             self.lane(path).meter().counters.overflowed += u64::from(!is_probe);
             self.lost.push(frame);
             return;
@@ -33,7 +39,7 @@ impl Radio {
             self.serve(self.medium.channel(unit), now);
         }
         // A frame that went on the air at once did not wait.
-        let waiting = self.medium.queued(path.robot)[path.direction as usize];
+        let waiting = self.queued(path.robot)[path.direction as usize];
         if waiting > 0 {
             self.lane(path).meter().queued(now, waiting);
         }
@@ -44,8 +50,12 @@ impl Radio {
         self.lost.push(frame);
     }
 
-    /// Puts the next frame on the air, if the channel is idle and a frame waits.
+    /// Puts the next frame on the air, if the channel is idle and a frame waits. With contention, that waits for the backoff.
     pub(super) fn serve(&mut self, channel: usize, now: Timestamp) {
+        if self.contends(channel) {
+            let wakes = self.edca().wakes(channel);
+            return self.timers.set(channel, wakes);
+        }
         if let Some((flow, waiting)) = self.medium.next(channel, now) {
             let idle = self.medium.idle_for(channel, now);
             let waited = waiting.since < now;
@@ -107,7 +117,7 @@ impl Radio {
     }
 
     /// Returns the reception on a path at the robot's present place.
-    fn reception(&mut self, path: Path) -> Reception {
+    pub(super) fn reception(&mut self, path: Path) -> Reception {
         let place = self.robots[path.robot].position;
         if let Some(reception) = self.link(path.robot, path.unit).reception(path.direction, place) {
             return reception;
@@ -118,7 +128,7 @@ impl Radio {
     }
 
     /// Puts a frame on the air at `now`, and in flight if the receiver gets it.
-    fn fly(&mut self, now: Timestamp, path: Path, waiting: Waiting, exchange: &Exchange) {
+    pub(super) fn fly(&mut self, now: Timestamp, path: Path, waiting: Waiting, exchange: &Exchange) {
         let Waiting { mut frame, since, is_probe, .. } = waiting;
         let Some(landing) = self.lane(path).land(now, exchange, &mut frame, !is_probe) else {
             return self.lost.push(frame);

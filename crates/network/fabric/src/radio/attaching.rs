@@ -14,6 +14,7 @@ impl Radio {
         while let Some((at, owner)) = self.timers.next().filter(|(at, _)| *at <= now) {
             self.timers.set(owner, None);
             match owner.checked_sub(self.channels) {
+                None if self.contends(owner) => self.contend(owner, at),
                 None => self.serve(owner, at),
                 Some(robot) if self.robots[robot].station.is_away() => self.end_phase(robot, at),
                 Some(robot) => self.beacon(robot, at),
@@ -59,17 +60,17 @@ impl Radio {
         purpose: Purpose,
     ) -> Result<(), station::Busy> {
         self.robots[robot].station.scan(now, purpose)?;
-        self.leave(robot);
+        self.leave(robot, now);
         Ok(())
     }
 
     /// Records that a station has left its channel. Queued frames stay or are lost, by the network's [`GapPolicy`].
-    pub(super) fn leave(&mut self, robot: StationIndex) {
-        self.medium.leave(robot);
+    pub(super) fn leave(&mut self, robot: StationIndex, now: Timestamp) {
+        self.leave_channel(robot, now);
         self.timers.set(self.channels + robot, self.robots[robot].station.deadline());
         let Some(unit) = self.robots[robot].home else { return };
         if self.gap_policy(robot) == GapPolicy::Drop {
-            let [up, down] = self.medium.clear(robot);
+            let [up, down] = self.take_queued(robot);
             let lost = up.into_iter().map(|waiting| (Direction::Forward, waiting));
             for (direction, waiting) in lost.chain(down.into_iter().map(|w| (Direction::Backward, w))) {
                 self.lose(Path { robot, unit, direction }, waiting.frame, waiting.is_probe);
@@ -109,7 +110,7 @@ impl Radio {
                 // The vAP was removed in the meantime.
                 return self.lose_unit(robot, unit, now);
             }
-            self.medium.enter(robot, unit);
+            self.enter_channel(robot, unit, now);
             self.serve(self.medium.channel(unit), now);
         }
     }

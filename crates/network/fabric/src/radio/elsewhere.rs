@@ -22,8 +22,8 @@ impl Radio {
         if self.robots[index].station.is_away() {
             return Err(FabricError::Busy(robot.clone()));
         }
-        self.medium.leave(index);
-        let queued = self.medium.clear(index);
+        self.leave_channel(index, now);
+        let queued = self.take_queued(index);
         if let Some(unit) = self.robots[index].home.take() {
             for (direction, queue) in [Direction::Forward, Direction::Backward].into_iter().zip(queued) {
                 for waiting in queue {

@@ -182,6 +182,11 @@ impl Lane {
         exchange
     }
 
+    /// Whether one attempt to send a frame succeeds.
+    pub(super) fn receives(&mut self, reception: &Reception, mode: usize, bytes: usize) -> bool {
+        unit(&mut self.rng) >= reception.error_rate(mode, bytes)
+    }
+
     /// Whether a group frame, which is sent once, arrives.
     pub(super) fn receives_group(&mut self, reception: &Reception, bytes: usize) -> bool {
         unit(&mut self.rng) >= reception.group_error_rate(bytes)

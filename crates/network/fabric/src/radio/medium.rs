@@ -27,25 +27,47 @@ pub(super) struct Queue {
 }
 
 impl Queue {
-    fn fits(&self, frame: &Frame, limit: QueueLimit) -> bool {
+    pub(super) fn fits(&self, frame: &Frame, limit: QueueLimit) -> bool {
         match limit {
             QueueLimit::Packets(limit) => self.frames.len() < limit as usize,
             QueueLimit::Bytes(limit) => self.bytes + frame.wire_bytes() <= limit,
         }
     }
 
-    fn push(&mut self, waiting: Waiting) {
+    pub(super) fn push(&mut self, waiting: Waiting) {
         self.bytes += waiting.frame.wire_bytes();
         self.frames.push_back(waiting);
     }
 
-    fn pop(&mut self) -> Option<Waiting> {
+    /// Puts a frame before all others, whatever the limit.
+    pub(super) fn push_front(&mut self, waiting: Waiting) {
+        self.bytes += waiting.frame.wire_bytes();
+        self.frames.push_front(waiting);
+    }
+
+    pub(super) fn front(&self) -> Option<&Waiting> {
+        self.frames.front()
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Waiting> {
+        self.frames.iter()
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
+    pub(super) fn pop(&mut self) -> Option<Waiting> {
         let waiting = self.frames.pop_front()?;
         self.bytes -= waiting.frame.wire_bytes();
         Some(waiting)
     }
 
-    fn take(&mut self) -> VecDeque<Waiting> {
+    pub(super) fn take(&mut self) -> VecDeque<Waiting> {
         self.bytes = 0;
         std::mem::take(&mut self.frames)
     }
@@ -283,28 +305,19 @@ impl Medium {
     }
 }
 
-#[cfg(test)]
-impl Medium {
-    /// Returns the number of waiting frames.
-    pub(super) fn waiting(&self) -> u64 {
-        let peers = self.peers.iter().map(|p| p.up.frames.len() + p.down.frames.len());
-        (peers.sum::<usize>() + self.units.iter().map(|u| u.group.frames.len()).sum::<usize>()) as u64
-    }
-}
-
 /// Slices of the last second.
 const SLICES: u64 = 20;
 const SLICE_NS: u64 = 1_000_000_000 / SLICES;
 
 /// Busy time of a channel, by slices.
 #[derive(Debug, Default)]
-struct BusyTime {
+pub(super) struct BusyTime {
     /// Number of the slice since the run began, and busy nanoseconds of frames that began in it.
     slices: [(u64, u64); SLICES as usize],
 }
 
 impl BusyTime {
-    fn add(&mut self, now: Timestamp, airtime: Duration) {
+    pub(super) fn add(&mut self, now: Timestamp, airtime: Duration) {
         let number = now.as_nanos() / SLICE_NS;
         let slice = &mut self.slices[(number % SLICES) as usize];
         if slice.0 != number {
@@ -314,7 +327,7 @@ impl BusyTime {
     }
 
     /// Returns the busy share of the last second. `ahead` has been added already but is still to come.
-    fn share(&self, now: Timestamp, ahead: Duration) -> f64 {
+    pub(super) fn share(&self, now: Timestamp, ahead: Duration) -> f64 {
         let number = now.as_nanos() / SLICE_NS;
         let recent = self.slices.iter().filter(|(n, _)| *n <= number && number - n < SLICES);
         let busy = recent.map(|(_, busy)| busy).sum::<u64>().saturating_sub(ahead.as_nanos() as u64);

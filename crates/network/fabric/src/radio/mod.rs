@@ -2,7 +2,7 @@
 //! and their frames on the air. The time is an argument of every call; all randomness comes from the seed.
 //!
 //! - Path loss, walls and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
-//! - [`medium`] shares each channel's airtime; [`link`] adds the conditions of emulation.
+//! - [`medium`] shares each channel's airtime by turns, [`edca`] by contention; [`channel`] chooses; [`link`] adds the conditions of emulation.
 //! - [`hearing`] finds the radio units within a robot's reach; [`air`] carries frames.
 //! - [`access`] switches vAPs on and off and admits robots; [`station`] is the state machine of an attachment; [`roaming`]
 //!   decides from beacons; [`attaching`] carries out handovers; [`elsewhere`] has the robots that are with other cores.
@@ -10,6 +10,8 @@
 mod access;
 mod air;
 mod attaching;
+mod channel;
+mod edca;
 mod elsewhere;
 mod hearing;
 mod link;
@@ -25,7 +27,7 @@ mod tests;
 use std::{
     cell::OnceCell,
     cmp::Reverse,
-    collections::{BTreeMap, BinaryHeap, VecDeque},
+    collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque},
     time::Duration,
 };
 
@@ -39,6 +41,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 pub use self::phy::sensitivity;
 
 use self::{
+    edca::{Edca, Emitter, Interference},
     link::WirelessLink,
     medium::{Flow, Medium, Waiting},
     phy::Phy,
@@ -92,9 +95,13 @@ pub(crate) struct Radio {
     links: Vec<Option<Box<WirelessLink>>>,
     fields: Vec<OnceCell<ShadowingField>>,
     medium: Medium,
+    /// The channels with contention, if a network has any.
+    edca: Option<Edca>,
     /// Timers of the channels, then those of the robots.
     timers: Timers,
     channels: usize,
+    /// Channels with contention.
+    contention: BTreeSet<usize>,
     in_flight: BinaryHeap<Reverse<InFlight>>,
     sent: u64,
     events: VecDeque<Stamped>,
@@ -252,6 +259,23 @@ impl Radio {
         channels.sort_unstable();
         channels.dedup();
         let channel = |unit: &Unit| channels.partition_point(|f| *f < unit.frequency_mhz);
+        let edca = networks.iter().any(Network::contends).then(|| {
+            let mut interference = Vec::new();
+            for (index, network) in networks.iter().enumerate() {
+                for source in &network.spec.interference {
+                    let frequency_mhz = network.spec.standard.frequency_mhz(source.channel);
+                    if let Ok(channel) = channels.binary_search(&frequency_mhz) {
+                        let place = [index, channel];
+                        let sifs = network.phy.sifs();
+                        interference.push(Interference::new(source, place, frequency_mhz, sifs, seed));
+                    }
+                }
+            }
+            let units = units.iter().map(|unit| (channel(unit), networks[unit.network].phy.sifs()));
+            let stations = robots.iter().map(|robot| networks[robot.network].phy.sifs());
+            Edca::new(seed, units, stations, interference)
+        });
+        let contention = units.iter().filter(|unit| networks[unit.network].contends()).map(channel).collect();
         let pairs = robots.len() * units.len();
         let mut radio = Self {
             seed,
@@ -263,9 +287,11 @@ impl Radio {
             medium: Medium::new(units.iter().map(channel), robots.len()),
             timers: Timers::new(channels.len() + robots.len()),
             channels: channels.len(),
+            contention,
             networks,
             robots,
             units,
+            edca,
             in_flight: BinaryHeap::new(),
             sent: 0,
             events: VecDeque::new(),
@@ -277,7 +303,7 @@ impl Radio {
             if let Some(unit) = radio.strongest(robot) {
                 radio.robots[robot].station.begin_attached(unit);
                 radio.associate(robot, unit);
-                radio.medium.enter(robot, unit);
+                radio.enter_channel(robot, unit, Timestamp::ZERO);
             }
         }
         Ok(radio)
@@ -355,7 +381,14 @@ impl Radio {
             return self.lost.push(frame);
         }
         let waiting = Waiting { frame, since: now, source, is_probe: false };
-        match self.medium.push(Flow::Group(unit), waiting, QueueLimit::default()) {
+        let (flow, limit) = (Flow::Group(unit), QueueLimit::default());
+        let pushed = match &mut self.edca {
+            Some(edca) if self.networks[self.units[unit].network].contends() => {
+                edca.push(now, flow, waiting, limit)
+            }
+            _ => self.medium.push(flow, waiting, limit),
+        };
+        match pushed {
             Ok(()) => self.serve(self.medium.channel(unit), now),
             Err(frame) => {
                 for path in self.group(unit, source).collect::<Vec<_>>() {
@@ -493,7 +526,7 @@ impl Radio {
                 // Its frames wait for the radio unit that it comes to.
                 self.robots[index].home = Some(to);
             }
-            self.leave(index);
+            self.leave(index, now);
         }
         Ok(())
     }
@@ -528,7 +561,7 @@ impl Radio {
         let context = |(index, unit): (usize, &Unit)| RadioContext {
             radio_unit: unit.id.clone(),
             channel: unit.channel_number,
-            load: self.medium.load(self.medium.channel(index), now),
+            load: self.load(self.medium.channel(index), now),
             stations: unit.stations.iter().map(|robot| self.station_context(*robot, index)).collect(),
         };
         self.units.iter().enumerate().map(context).collect()
@@ -545,7 +578,8 @@ impl Radio {
         let mut balance = Balance { stranded: self.without_carrier, ..Balance::default() };
         self.links.iter().flatten().for_each(|link| balance += link.balance());
         let flying = self.in_flight.iter().filter(|Reverse(flying)| !flying.is_probe).count() as u64;
-        balance.under_way = self.medium.unicast_waiting() + flying;
+        let contending = self.edca.as_ref().map_or(0, Edca::unicast_waiting);
+        balance.under_way = self.medium.unicast_waiting() + contending + flying;
         balance
     }
 
@@ -561,7 +595,7 @@ impl Radio {
             let probed = probed(robot, unit);
             // Frames wait on the link on which they count.
             let waiting = match self.robots[robot].home {
-                Some(home) if home == unit => self.medium.queued(robot),
+                Some(home) if home == unit => self.queued(robot),
                 _ => [0; 2],
             };
             [Direction::Forward, Direction::Backward].map(|direction| {
@@ -680,7 +714,22 @@ impl Radio {
     }
 }
 
+impl Path {
+    /// Returns who receives its frames.
+    fn receiver(self) -> Emitter {
+        match self.direction {
+            Direction::Forward => Emitter::Unit(self.unit),
+            Direction::Backward => Emitter::Robot(self.robot),
+        }
+    }
+}
+
 impl Network {
+    /// Whether its stations contend for the channel; otherwise they take turns.
+    fn contends(&self) -> bool {
+        self.spec.access.is_some()
+    }
+
     fn new(ssid: &str, spec: &WirelessNetwork) -> Result<Self, FabricError> {
         let phy = Phy::of(spec.standard);
         Ok(Self {

@@ -55,6 +55,8 @@ const SERVICE_AND_TAIL: u32 = 16 + 6;
 const LEGACY_PREAMBLE_US: u64 = 20;
 /// An acknowledgement's MPDU, bytes (9.3.1.4).
 const ACK_BYTES: u32 = 14;
+/// A compressed block acknowledgement, bytes (9.3.1.8.2).
+const BLOCK_ACK_BYTES: u32 = 32;
 /// Bytes that an Ethernet frame gains on the air: a data frame's MAC header (24) and FCS (4), LLC and SNAP (8) and CCMP
 /// (16), less the Ethernet header (14) (9.3.2.1, 12.5.3).
 const MAC_OVERHEAD: u32 = 24 + 4 + 8 + 16 - 14;
@@ -65,6 +67,8 @@ const AMPDU_DELIMITER: u32 = 4;
 
 /// Slot time of all modelled layers; in 802.11g the short one (17.4.4, 18.5.4, 19.4.4, 21.4.4).
 const SLOT_US: u64 = 9;
+/// The same as a duration.
+pub(super) const SLOT: Duration = Duration::from_micros(SLOT_US);
 /// Smallest contention window (same clauses).
 const CW_MIN: u32 = 15;
 /// Largest contention window (same clauses).
@@ -86,6 +90,8 @@ pub(super) struct Phy {
     /// Silence at the end of an OFDM frame at 2.4 GHz (18.3.2.4).
     extension_us: u64,
     overhead_bytes: u32,
+    /// Longest A-MPDU, bytes (9.4.2.55.3, 9.4.2.157.2); `None` without aggregation.
+    longest_aggregate: Option<u64>,
 }
 
 /// 802.11a and g (17.3.2.2, Table 17-4).
@@ -114,11 +120,23 @@ const VHT: &[Mode] = &[
 ];
 
 /// 802.11a (clause 17).
-static A: Phy =
-    Phy { modes: OFDM, sifs_us: 16, preamble_us: 20, extension_us: 0, overhead_bytes: MAC_OVERHEAD };
+static A: Phy = Phy {
+    modes: OFDM,
+    sifs_us: 16,
+    preamble_us: 20,
+    extension_us: 0,
+    overhead_bytes: MAC_OVERHEAD,
+    longest_aggregate: None,
+};
 /// 802.11g (clause 18).
-static G: Phy =
-    Phy { modes: OFDM, sifs_us: 10, preamble_us: 20, extension_us: 6, overhead_bytes: MAC_OVERHEAD };
+static G: Phy = Phy {
+    modes: OFDM,
+    sifs_us: 10,
+    preamble_us: 20,
+    extension_us: 6,
+    overhead_bytes: MAC_OVERHEAD,
+    longest_aggregate: None,
+};
 /// 802.11n (clause 19): HT-SIG, HT-STF and HT-LTF follow the legacy preamble.
 static N: Phy = Phy {
     modes: VHT.split_at(8).0,
@@ -126,6 +144,7 @@ static N: Phy = Phy {
     preamble_us: LEGACY_PREAMBLE_US + 8 + 4 + 4,
     extension_us: 6,
     overhead_bytes: MAC_OVERHEAD + QOS_CONTROL,
+    longest_aggregate: Some(65_535),
 };
 /// 802.11ac (clause 21): VHT-SIG-A, VHT-STF, VHT-LTF and VHT-SIG-B follow the legacy preamble.
 static AC: Phy = Phy {
@@ -134,6 +153,7 @@ static AC: Phy = Phy {
     preamble_us: LEGACY_PREAMBLE_US + 8 + 4 + 4 + 4,
     extension_us: 0,
     overhead_bytes: MAC_OVERHEAD + QOS_CONTROL + AMPDU_DELIMITER,
+    longest_aggregate: Some(1_048_575),
 };
 
 impl Phy {
@@ -162,15 +182,59 @@ impl Phy {
         self.preamble_us + SYMBOL_US * u64::from(bits.div_ceil(mode.bits_per_symbol)) + self.extension_us
     }
 
-    /// Returns the TXTIME of an acknowledgement, µs. Its rate is 6, 12 or 24 Mbit/s: the highest mandatory rate that the
-    /// data's modulation allows (10.6.6.5).
+    /// Returns the airtime of a frame's data, without what goes before and after.
+    pub(super) fn data_airtime(&self, mode: usize, frame_bytes: usize) -> Duration {
+        Duration::from_micros(self.frame_us(&self.modes[mode], frame_bytes))
+    }
+
+    /// Returns the airtime of an A-MPDU whose subframes have so many bytes together.
+    pub(super) fn aggregate_airtime(&self, mode: usize, psdu_bytes: u64) -> Duration {
+        let bits = u64::from(SERVICE_AND_TAIL) + 8 * psdu_bytes;
+        let symbols = bits.div_ceil(u64::from(self.modes[mode].bits_per_symbol));
+        Duration::from_micros(self.preamble_us + SYMBOL_US * symbols + self.extension_us)
+    }
+
+    /// Returns the bytes of a frame in an A-MPDU: its delimiter, itself, and the padding to a multiple of four (9.7.1).
+    pub(super) fn subframe_bytes(&self, frame_bytes: usize) -> u64 {
+        let bytes = frame_bytes as u64 + u64::from(AMPDU_DELIMITER + MAC_OVERHEAD + QOS_CONTROL);
+        bytes.next_multiple_of(4)
+    }
+
+    /// Returns the most bytes of an A-MPDU that takes no longer than `limit`; `None` without aggregation.
+    pub(super) fn aggregate_within(&self, mode: usize, limit: Duration) -> Option<u64> {
+        let us = (limit.as_micros() as u64).saturating_sub(self.preamble_us + self.extension_us);
+        let bits = us / SYMBOL_US * u64::from(self.modes[mode].bits_per_symbol);
+        Some((bits.saturating_sub(u64::from(SERVICE_AND_TAIL)) / 8).min(self.longest_aggregate?))
+    }
+
+    pub(super) fn sifs(&self) -> Duration {
+        Duration::from_micros(self.sifs_us)
+    }
+
+    /// Returns the airtime of an acknowledgement of a frame.
+    pub(super) fn ack_airtime(&self, mode: usize) -> Duration {
+        Duration::from_micros(self.answer_us(&self.modes[mode], ACK_BYTES))
+    }
+
+    /// Returns the airtime of a block acknowledgement of an A-MPDU.
+    pub(super) fn block_ack_airtime(&self, mode: usize) -> Duration {
+        Duration::from_micros(self.answer_us(&self.modes[mode], BLOCK_ACK_BYTES))
+    }
+
+    /// Returns the TXTIME of an acknowledgement, µs.
     fn ack_us(&self, mode: &Mode) -> u64 {
+        self.answer_us(mode, ACK_BYTES)
+    }
+
+    /// Returns the TXTIME of a control frame that answers data, µs. Its rate is 6, 12 or 24 Mbit/s: the highest mandatory rate that the
+    /// data's modulation allows (10.6.6.5).
+    fn answer_us(&self, mode: &Mode, bytes: u32) -> u64 {
         let bits_per_symbol: u32 = match mode.constellation {
             Constellation::Bpsk => 24,
             Constellation::Qpsk => 48,
             Constellation::Qam16 | Constellation::Qam64 | Constellation::Qam256 => 96,
         };
-        let bits = SERVICE_AND_TAIL + 8 * ACK_BYTES;
+        let bits = SERVICE_AND_TAIL + 8 * bytes;
         LEGACY_PREAMBLE_US + SYMBOL_US * u64::from(bits.div_ceil(bits_per_symbol)) + self.extension_us
     }
 
@@ -233,13 +297,13 @@ impl Reception {
     }
 
     /// Returns the probability that one attempt loses a frame.
-    fn error_rate(&self, mode: usize, frame_bytes: usize) -> f64 {
+    pub(super) fn error_rate(&self, mode: usize, frame_bytes: usize) -> f64 {
         let bits = 8.0 * f64::from(self.phy.psdu_bytes(frame_bytes));
         -(bits * self.ln_bit_success[mode]).exp_m1()
     }
 
     /// Returns the mode with the highest expected goodput for a frame of this length (ideal rate selection).
-    fn best(&self, frame_bytes: usize) -> usize {
+    pub(super) fn best(&self, frame_bytes: usize) -> usize {
         let mean_backoff_us = SLOT_US as f64 * f64::from(CW_MIN) / 2.0;
         let mut best = (0, 0.0);
         for (i, mode) in self.phy.modes.iter().enumerate().rev() {

@@ -255,6 +255,8 @@ mod tests {
             mobility_domain: 1,
             path_loss: PathLoss::FreeSpace,
             walls: None,
+            access: None,
+            interference: Vec::new(),
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 1.0 },
             noise_floor: Dbm(-95.0),
             hysteresis_db: 0.0,

@@ -1,8 +1,10 @@
 //! Tests of the radio as the fabric uses it: frames in, frames and events out, in virtual time.
 
+mod contention;
+
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, Driver, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss, Node,
-    NodeKind, PathLoss, Probability, RadioUnit, Rate, Robot, RobotModel, Server, Shadowing, Tier,
+    BitRate, Capacity, Conditions, Driver, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss,
+    Node, NodeKind, PathLoss, Probability, RadioUnit, Rate, Robot, RobotModel, Server, Shadowing, Tier,
     WifiStandard,
 };
 use proptest::prelude::*;
@@ -37,6 +39,8 @@ fn network() -> WirelessNetwork {
         mobility_domain: 1,
         path_loss: PathLoss::LogDistance { exponent: 3.0 },
         walls: None,
+        access: None,
+        interference: Vec::new(),
         shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
         noise_floor: Dbm(-95.0),
         hysteresis_db: 4.0,
@@ -725,6 +729,7 @@ proptest! {
         seed: u64,
         gap in prop_oneof![Just(GapPolicy::Hold), Just(GapPolicy::Drop)],
         deviation_db in 0.0..8.0f64,
+        access in prop::option::of(any::<bool>().prop_map(|aggregation| Edca { aggregation })),
         operations in (0..2u32).prop_flat_map(|groups| {
             prop::collection::vec((0..40u64, operation(groups)), 0..250)
         }),
@@ -737,7 +742,7 @@ proptest! {
         let nodes = (0..3).map(|i| robot(robots[i], 10.0 * i as f64, roaming[i]))
             .chain((0..3).map(|i| unit(units[i], 30.0 * i as f64, if i == 2 { 11 } else { 1 })))
             .collect();
-        let mut world = World::seeded(WirelessNetwork { gap, shadowing, handover, ..network() }, nodes, seed);
+        let mut world = World::seeded(WirelessNetwork { gap, shadowing, handover, access, ..network() }, nodes, seed);
         let groups = operations.iter().any(|(_, o)| matches!(o, Operation::Group(..)));
         let mut now = Timestamp::ZERO;
         for (wait, operation) in operations {
@@ -777,7 +782,7 @@ proptest! {
         prop_assert_eq!(world.radio.in_flight.len(), 0);
         // The number of copies of a group frame depends on the stations when it is sent.
         if !groups {
-            let ended = counters.packets + counters.lost + counters.overflowed + world.radio.medium.waiting();
+            let ended = counters.packets + counters.lost + counters.overflowed + world.radio.balance().under_way;
             prop_assert_eq!(world.pushed + counters.duplicated, ended);
             let mut packets = world.radio.balance();
             (packets.sent, packets.delivered) = (world.pushed, world.arrived.len() as u64);

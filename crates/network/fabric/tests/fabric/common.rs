@@ -24,6 +24,8 @@ impl Network {
             mobility_domain: 1,
             path_loss: PathLoss::LogDistance { exponent: 3.0 },
             walls: None,
+            access: None,
+            interference: Vec::new(),
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
             noise_floor: Dbm(-95.0),
             hysteresis_db: 4.0,

@@ -1,0 +1,420 @@
+//! Medium access as real stations have it: enhanced distributed channel access (EDCA, IEEE 802.11-2020, 10.23.2). Each
+//! station senses the channel for itself, so that stations that do not hear each other send at the same time, and those whose
+//! backoffs end together collide.
+//!
+//! - [`backoff`] is the contention of one access category; [`category`] has their parameters.
+//! - [`stream`] has the frames of one category for one receiver, with retries, aggregation and the receiver's order.
+//! - [`emitter`] is what is known of whoever sends; [`interference`] is what other networks and other devices send.
+//! - [`transmission`] puts frames on the air and decides who gets them.
+
+mod backoff;
+mod category;
+mod emitter;
+mod interference;
+mod stream;
+mod transmission;
+
+use std::{collections::VecDeque, time::Duration};
+
+use cotorra_graph::{Direction, QueueLimit, Timestamp};
+
+pub(super) use self::interference::Interference;
+
+use self::{
+    backoff::Backoff,
+    category::{CATEGORIES, Category},
+    stream::{Settled, Stream},
+    transmission::{OnAir, Sender},
+};
+use super::{
+    Path,
+    medium::{BusyTime, Flow, Waiting},
+};
+use crate::{
+    frame::Frame,
+    port::{RadioUnitIndex, StationIndex},
+    random::stream,
+};
+
+/// Whatever sends on a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Emitter {
+    Robot(StationIndex),
+    Unit(RadioUnitIndex),
+    Interference(usize),
+}
+
+/// A station or a radio unit, with its four contentions.
+#[derive(Debug)]
+struct Node {
+    contentions: [Contention; 4],
+    /// An exchange that goes on after SIFS, within its transmission opportunity.
+    burst: Option<Burst>,
+}
+
+#[derive(Debug)]
+struct Contention {
+    backoff: Backoff,
+    /// Whether a frame is to be sent.
+    ready: bool,
+}
+
+/// The rest of a transmission opportunity.
+#[derive(Debug, Clone, Copy)]
+struct Burst {
+    category: usize,
+    /// Start of the next exchange.
+    next: Timestamp,
+    until: Timestamp,
+}
+
+impl Node {
+    /// Returns when a category sends, if nobody else sends before; `None` if it has nothing to send.
+    fn access(&self, category: usize) -> Option<Timestamp> {
+        let contention = &self.contentions[category];
+        match self.burst {
+            _ if !contention.ready => None,
+            Some(burst) if burst.category == category => Some(burst.next),
+            _ => Some(contention.backoff.access()),
+        }
+    }
+
+    fn next_access(&self) -> Option<Timestamp> {
+        (0..CATEGORIES.len()).filter_map(|category| self.access(category)).min()
+    }
+
+    fn pause(&mut self, now: Timestamp, until: Timestamp) {
+        self.contentions.iter_mut().for_each(|contention| contention.backoff.pause(now, until));
+    }
+}
+
+/// A channel on which stations contend.
+#[derive(Debug, Default)]
+struct Channel {
+    /// Who contends on it now.
+    members: Vec<Emitter>,
+    on_air: Vec<OnAir>,
+    /// End of all transmissions so far.
+    busy_until: Timestamp,
+    busy: BusyTime,
+}
+
+#[derive(Debug)]
+struct Peer {
+    node: Node,
+    /// Radio unit on whose channel the station is now.
+    on: Option<RadioUnitIndex>,
+    /// The radio unit on whose channel it was last.
+    with: RadioUnitIndex,
+    /// By direction and category.
+    streams: [[Stream; 4]; 2],
+}
+
+#[derive(Debug)]
+struct Unit {
+    node: Node,
+    channel: usize,
+    /// Stations that are with it on its channel.
+    present: Vec<StationIndex>,
+    group: [Stream; 4],
+    /// Flows of each category in turn: the last served is behind all others.
+    turns: [VecDeque<Flow>; 4],
+}
+
+/// All channels with contention, and the frames that wait for them. Robots and radio units have the numbers of the radio's;
+/// those of networks without contention stay unused.
+#[derive(Debug)]
+pub(super) struct Edca {
+    channels: Vec<Channel>,
+    peers: Vec<Peer>,
+    units: Vec<Unit>,
+    interference: Vec<Interference>,
+}
+
+impl Edca {
+    /// Creates the channels of radio units, each with its channel and SIFS, and stations with their network's SIFS.
+    pub(super) fn new(
+        seed: u64,
+        units: impl Iterator<Item = (usize, Duration)>,
+        stations: impl Iterator<Item = Duration>,
+        interference: Vec<Interference>,
+    ) -> Self {
+        let node = |label: &str, sifs: Duration, parameters: fn(Category) -> backoff::Parameters| Node {
+            contentions: CATEGORIES.map(|category| {
+                let rng = stream(seed, &format!("backoff {label} {category:?}"));
+                Contention { backoff: Backoff::new(parameters(category), sifs, rng), ready: false }
+            }),
+            burst: None,
+        };
+        let units: Vec<_> = units
+            .enumerate()
+            .map(|(index, (channel, sifs))| Unit {
+                node: node(&format!("unit {index}"), sifs, Category::of_access_point),
+                channel,
+                present: Vec::new(),
+                group: Default::default(),
+                turns: std::array::from_fn(|_| VecDeque::from([Flow::Group(index)])),
+            })
+            .collect();
+        let peer = |(index, sifs)| Peer {
+            node: node(&format!("station {index}"), sifs, Category::of_station),
+            on: None,
+            with: 0,
+            streams: Default::default(),
+        };
+        let most = units.iter().map(|unit| unit.channel + 1).max().unwrap_or(0);
+        let mut channels: Vec<Channel> = (0..most).map(|_| Channel::default()).collect();
+        for (index, unit) in units.iter().enumerate() {
+            channels[unit.channel].members.push(Emitter::Unit(index));
+        }
+        for (index, source) in interference.iter().enumerate() {
+            if let Some(channel) = channels.get_mut(source.channel()) {
+                channel.members.push(Emitter::Interference(index));
+            }
+        }
+        Self { channels, peers: stations.enumerate().map(peer).collect(), units, interference }
+    }
+
+    /// Puts a station on a radio unit's channel. Its waiting frames can be sent now.
+    pub(super) fn enter(&mut self, now: Timestamp, station: StationIndex, unit: RadioUnitIndex) {
+        debug_assert!(self.peers[station].on.is_none());
+        (self.peers[station].on, self.peers[station].with) = (Some(unit), unit);
+        let Unit { channel, present, turns, .. } = &mut self.units[unit];
+        present.push(station);
+        turns.iter_mut().for_each(|turns| turns.push_back(Flow::Down(station)));
+        let channel = &mut self.channels[*channel];
+        channel.members.push(Emitter::Robot(station));
+        // It listens first. What is on the air takes milliseconds at most.
+        self.peers[station].node.pause(now, channel.busy_until.max(now));
+        self.refresh(now, Emitter::Robot(station));
+        self.refresh(now, Emitter::Unit(unit));
+    }
+
+    /// Takes a station off its channel. Returns the frames that either end has sent and the other one got, or never will,
+    /// by direction. The others wait.
+    pub(super) fn leave(&mut self, now: Timestamp, station: StationIndex) -> [Vec<Settled>; 2] {
+        let Some(unit) = self.peers[station].on.take() else { return Default::default() };
+        let Unit { channel, present, turns, .. } = &mut self.units[unit];
+        present.retain(|other| *other != station);
+        turns.iter_mut().for_each(|turns| turns.retain(|other| *other != Flow::Down(station)));
+        self.channels[*channel].members.retain(|member| *member != Emitter::Robot(station));
+        self.peers[station].node.burst = None;
+        let both = &mut self.peers[station].streams;
+        let settled = both.each_mut().map(|streams| streams.iter_mut().flat_map(Stream::part).collect());
+        self.refresh(now, Emitter::Robot(station));
+        self.refresh(now, Emitter::Unit(unit));
+        settled
+    }
+
+    /// Takes the frames that wait from and for a station off the channel.
+    pub(super) fn clear(&mut self, station: StationIndex) -> [VecDeque<Waiting>; 2] {
+        let both = &mut self.peers[station].streams;
+        both.each_mut().map(|streams| streams.iter_mut().flat_map(Stream::clear).collect())
+    }
+
+    /// Queues a frame, by its category.
+    ///
+    /// # Errors
+    /// The frame, if the queue is full.
+    pub(super) fn push(
+        &mut self,
+        now: Timestamp,
+        flow: Flow,
+        waiting: Waiting,
+        limit: QueueLimit,
+    ) -> Result<(), Frame> {
+        let category = Category::of(waiting.frame.bytes()) as usize;
+        self.stream(flow, category).push(waiting, limit)?;
+        let sender = match flow {
+            Flow::Up(station) => Some(Emitter::Robot(station)),
+            Flow::Down(station) => self.peers[station].on.map(Emitter::Unit),
+            Flow::Group(unit) => Some(Emitter::Unit(unit)),
+        };
+        if let Some(sender) = sender {
+            self.refresh(now, sender);
+        }
+        Ok(())
+    }
+
+    /// Returns when something happens on a channel.
+    pub(super) fn wakes(&self, channel: usize) -> Option<Timestamp> {
+        let Channel { members, on_air, .. } = &self.channels[channel];
+        let sends = members.iter().filter_map(|member| match member {
+            Emitter::Robot(station) => self.peers[*station].node.next_access(),
+            Emitter::Unit(unit) => self.units[*unit].node.next_access(),
+            Emitter::Interference(source) => Some(self.interference[*source].deadline()),
+        });
+        sends.chain(on_air.iter().map(|on_air| on_air.data_ends)).min()
+    }
+
+    /// Returns the number of frames that wait from a station, and for it.
+    pub(super) fn queued(&self, station: StationIndex) -> [u64; 2] {
+        self.peers[station].streams.each_ref().map(|all| all.iter().map(|stream| stream.len() as u64).sum())
+    }
+
+    /// Returns the number of waiting unicast frames, without those that only measure.
+    pub(super) fn unicast_waiting(&self) -> u64 {
+        let streams = self.peers.iter().flat_map(|peer| peer.streams.iter().flatten());
+        streams.flat_map(Stream::frames).filter(|waiting| !waiting.is_probe).count() as u64
+    }
+
+    /// Returns the share of the last second in which anything was on the air of a channel.
+    pub(super) fn load(&self, channel: usize, now: Timestamp) -> f64 {
+        let Channel { busy, busy_until, .. } = &self.channels[channel];
+        busy.share(now, busy_until.since(now))
+    }
+
+    fn stream(&mut self, flow: Flow, category: usize) -> &mut Stream {
+        match flow {
+            Flow::Up(station) => &mut self.peers[station].streams[Direction::Forward as usize][category],
+            Flow::Down(station) => &mut self.peers[station].streams[Direction::Backward as usize][category],
+            Flow::Group(unit) => &mut self.units[unit].group[category],
+        }
+    }
+
+    /// Finds out which categories of a sender have frames to send, after some came. Those that had none begin to contend.
+    fn refresh(&mut self, now: Timestamp, sender: Emitter) {
+        for category in 0..CATEGORIES.len() {
+            let ready = self.next_flow(sender, category).is_some();
+            let Some(node) = self.node(sender) else { return };
+            let contention = &mut node.contentions[category];
+            if ready && !contention.ready {
+                contention.backoff.wake(now);
+            }
+            contention.ready = ready;
+        }
+    }
+
+    /// Returns whose backoffs are over, with what they send. Where more than one category of a sender is due, the most urgent
+    /// sends, and the others back off as after a collision (10.23.2.4).
+    fn senders(&mut self, channel: usize, now: Timestamp) -> Vec<Sender> {
+        let mut senders = Vec::new();
+        for emitter in self.members(channel) {
+            if let Emitter::Interference(source) = emitter {
+                let airtime = self.interference[source].sends(now);
+                senders.extend(airtime.map(|airtime| Sender::Interference { emitter, airtime }));
+                continue;
+            }
+            let mut sends = false;
+            for category in 0..CATEGORIES.len() {
+                let flow = self.next_flow(emitter, category);
+                let Some(node) = self.node(emitter) else { continue };
+                if node.access(category).is_none_or(|access| access > now) {
+                    continue;
+                }
+                if std::mem::replace(&mut sends, true) {
+                    node.contentions[category].backoff.double();
+                } else {
+                    senders.extend(flow.map(|flow| Sender::Station { emitter, category, flow }));
+                }
+            }
+        }
+        senders
+    }
+
+    /// Returns who contends on a channel now.
+    fn members(&self, channel: usize) -> Vec<Emitter> {
+        self.channels[channel].members.clone()
+    }
+
+    /// Returns the path of a unicast flow, by the last radio unit of its station; `None` for group frames.
+    fn path(&self, flow: Flow) -> Option<Path> {
+        let (robot, direction) = match flow {
+            Flow::Up(robot) => (robot, Direction::Forward),
+            Flow::Down(robot) => (robot, Direction::Backward),
+            Flow::Group(_) => return None,
+        };
+        Some(Path { robot, unit: self.peers[robot].with, direction })
+    }
+
+    /// Stops the backoffs of one that senses a transmission.
+    fn pause(&mut self, listener: Emitter, now: Timestamp, until: Timestamp) {
+        match listener {
+            Emitter::Robot(station) => self.peers[station].node.pause(now, until),
+            Emitter::Unit(unit) => self.units[unit].node.pause(now, until),
+            Emitter::Interference(source) => self.interference[source].pause(now, until),
+        }
+    }
+
+    /// Begins a transmission opportunity, or the next exchange of one. Returns its end.
+    fn begin_opportunity(&mut self, now: Timestamp, emitter: Emitter, category: usize) -> Timestamp {
+        let Some(node) = self.node(emitter) else { return now };
+        let begun = node.burst.take().map(|burst| burst.until);
+        begun.unwrap_or(now + node.contentions[category].backoff.txop())
+    }
+
+    /// Lets an emitter go on after SIFS, if it has more frames.
+    fn continue_opportunity(&mut self, emitter: Emitter, category: usize, [next, until]: [Timestamp; 2]) {
+        if let Some(node) = self.node(emitter) {
+            node.burst = node.contentions[category].ready.then_some(Burst { category, next, until });
+        }
+    }
+
+    /// Begins the backoff after an exchange. `done` says whether its frames were acknowledged or given up.
+    fn end_exchange(&mut self, emitter: Emitter, category: usize, done: bool) {
+        if let Some(node) = self.node(emitter) {
+            let backoff = &mut node.contentions[category].backoff;
+            if done { backoff.reset() } else { backoff.double() }
+        }
+        self.see_frames(emitter);
+    }
+
+    fn end_interference(&mut self, emitter: Emitter, undisturbed: bool) {
+        if let Emitter::Interference(source) = emitter {
+            self.interference[source].sent(undisturbed);
+        }
+    }
+
+    /// Puts a flow behind all others of its radio unit.
+    fn take_turn(&mut self, emitter: Emitter, category: usize, flow: Flow) {
+        if let Emitter::Unit(unit) = emitter {
+            let turns = &mut self.units[unit].turns[category];
+            if let Some(at) = turns.iter().position(|other| *other == flow)
+                && let Some(flow) = turns.remove(at)
+            {
+                turns.push_back(flow);
+            }
+        }
+    }
+
+    /// Finds out which categories of a sender have frames to send, after it sent some.
+    fn see_frames(&mut self, sender: Emitter) {
+        for category in 0..CATEGORIES.len() {
+            let ready = self.next_flow(sender, category).is_some();
+            if let Some(node) = self.node(sender) {
+                node.contentions[category].ready = ready;
+            }
+        }
+    }
+
+    /// Returns the flow whose turn it is.
+    fn next_flow(&self, sender: Emitter, category: usize) -> Option<Flow> {
+        let is_ready = |station: StationIndex, direction: Direction| {
+            self.peers[station].streams[direction as usize][category].is_ready()
+        };
+        match sender {
+            Emitter::Robot(station) => {
+                let sends = self.peers[station].on.is_some() && is_ready(station, Direction::Forward);
+                sends.then_some(Flow::Up(station))
+            }
+            Emitter::Unit(unit) => {
+                let Unit { turns, group, .. } = &self.units[unit];
+                let is_ready = |flow: &&Flow| match **flow {
+                    Flow::Down(station) => is_ready(station, Direction::Backward),
+                    Flow::Group(_) => group[category].is_ready(),
+                    Flow::Up(_) => false,
+                };
+                turns[category].iter().find(is_ready).copied()
+            }
+            Emitter::Interference(_) => None,
+        }
+    }
+
+    fn node(&mut self, emitter: Emitter) -> Option<&mut Node> {
+        match emitter {
+            Emitter::Robot(station) => Some(&mut self.peers[station].node),
+            Emitter::Unit(unit) => Some(&mut self.units[unit].node),
+            Emitter::Interference(_) => None,
+        }
+    }
+}

@@ -1,0 +1,294 @@
+//! Puts frames on the air of a channel with contention, and decides who receives them.
+
+use std::time::Duration;
+
+use cotorra_graph::{Dbm, Timestamp};
+
+use super::{
+    Edca, Emitter,
+    stream::{Batch, Settled},
+};
+use crate::{
+    port::RadioUnitIndex,
+    radio::{
+        Path, Radio,
+        medium::{Flow, Waiting},
+        phy::{Exchange, Reception},
+    },
+};
+
+/// Power from which a channel is busy whatever is on it: 20 dB above the least sensitivity (IEEE 802.11-2020, 17.3.10.6).
+const ENERGY_DETECTION: Dbm = Dbm(-62.0);
+/// A frame by itself.
+const SINGLE: Batch = Batch { frames: 1, cost: 0 };
+/// Frames of an A-MPDU, at most (IEEE 802.11-2020, 10.12.2).
+const AGGREGATED_FRAMES: usize = 64;
+/// Airtime of an A-MPDU, at most, as Linux's drivers limit it.
+const LONGEST_AGGREGATE: Duration = Duration::from_millis(4);
+
+/// A transmission, from its start to the end of its acknowledgement.
+#[derive(Debug)]
+pub(super) struct OnAir {
+    emitter: Emitter,
+    start: Timestamp,
+    pub(super) data_ends: Timestamp,
+    /// End of the acknowledgement, or of the time in which it would have come.
+    ends: Timestamp,
+    /// Others whose data overlapped with this data.
+    overlaps: Vec<Emitter>,
+    /// `None` for interference.
+    content: Option<Content>,
+}
+
+/// Frames of a transmission.
+#[derive(Debug)]
+struct Content {
+    flow: Flow,
+    category: usize,
+    /// Changes of the flow's receiver before it.
+    epoch: u32,
+    mode: usize,
+    /// End of the transmission opportunity.
+    until: Timestamp,
+}
+
+/// A sender whose backoff is over.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Sender {
+    Station { emitter: Emitter, category: usize, flow: Flow },
+    Interference { emitter: Emitter, airtime: Duration },
+}
+
+impl Edca {
+    /// Removes a transmission whose data ended by `now`, in the order of their ends.
+    fn take_ended(&mut self, channel: usize, now: Timestamp) -> Option<OnAir> {
+        let on_air = &mut self.channels[channel].on_air;
+        let first = (0..on_air.len()).min_by_key(|at| on_air[*at].data_ends)?;
+        (on_air[first].data_ends <= now).then(|| on_air.remove(first))
+    }
+
+    /// Puts a transmission on the air. It disturbs those that are there, and they disturb it.
+    fn put_on_air(&mut self, channel: usize, mut new: OnAir) {
+        let channel = &mut self.channels[channel];
+        for other in channel.on_air.iter_mut().filter(|other| other.data_ends > new.start) {
+            other.overlaps.push(new.emitter);
+            new.overlaps.push(other.emitter);
+        }
+        let counted = new.start.max(channel.busy_until);
+        channel.busy.add(new.start, new.ends.since(counted));
+        channel.busy_until = channel.busy_until.max(new.ends);
+        channel.on_air.push(new);
+    }
+}
+
+impl Radio {
+    /// Does what is due on a channel with contention: ends transmissions, and begins those whose backoff is over.
+    pub(in crate::radio) fn contend(&mut self, channel: usize, now: Timestamp) {
+        while let Some(ended) = self.edca().take_ended(channel, now) {
+            self.end_transmission(channel, &ended);
+        }
+        let senders = self.edca().senders(channel, now);
+        let beginning: Vec<_> = senders.into_iter().map(|sender| self.compose(now, sender)).collect();
+        for new in beginning {
+            self.pause_listeners(channel, new.emitter, [new.start, new.ends]);
+            self.edca().put_on_air(channel, new);
+        }
+        let wakes = self.edca().wakes(channel);
+        self.timers.set(channel, wakes);
+    }
+
+    pub(in crate::radio) fn edca(&mut self) -> &mut Edca {
+        self.edca.as_mut().expect("a network with contention")
+    }
+
+    /// Makes a transmission of what a sender sends next.
+    fn compose(&mut self, now: Timestamp, sender: Sender) -> OnAir {
+        let (emitter, category, flow) = match sender {
+            Sender::Interference { emitter, airtime } => {
+                let ends = now + airtime;
+                return OnAir {
+                    emitter,
+                    start: now,
+                    data_ends: ends,
+                    ends,
+                    overlaps: Vec::new(),
+                    content: None,
+                };
+            }
+            Sender::Station { emitter, category, flow } => (emitter, category, flow),
+        };
+        let phy = self.phy_of(emitter);
+        let path = self.edca().path(flow);
+        let next_bytes = self.edca().stream(flow, category).next_bytes().unwrap_or_default();
+        let mode = path.map_or(0, |path| self.reception(path).best(next_bytes));
+        let batch = match phy.aggregate_within(mode, LONGEST_AGGREGATE) {
+            Some(bytes) if path.is_some() && self.aggregates(emitter) => {
+                Batch { frames: AGGREGATED_FRAMES, cost: bytes }
+            }
+            _ => SINGLE,
+        };
+        let edca = self.edca();
+        let lengths = edca.stream(flow, category).send(batch, |bytes| phy.subframe_bytes(bytes));
+        let content = Content {
+            flow,
+            category,
+            epoch: edca.stream(flow, category).epoch(),
+            mode,
+            until: edca.begin_opportunity(now, emitter, category),
+        };
+        edca.see_frames(emitter);
+        let (airtime, answer) = match lengths[..] {
+            [bytes] => (phy.data_airtime(mode, bytes), phy.ack_airtime(mode)),
+            _ => {
+                let bytes = lengths.iter().map(|bytes| phy.subframe_bytes(*bytes)).sum();
+                (phy.aggregate_airtime(mode, bytes), phy.block_ack_airtime(mode))
+            }
+        };
+        let (data_ends, ends) = match path {
+            None => (now + airtime, now + airtime),
+            Some(path) => {
+                let lane = self.lane(path);
+                let least = lengths.iter().map(|bytes| lane.least_airtime(*bytes)).sum();
+                let data_ends = now + airtime.max(least);
+                (data_ends, data_ends + phy.sifs() + answer)
+            }
+        };
+        OnAir { emitter, start: now, data_ends, ends, overlaps: Vec::new(), content: Some(content) }
+    }
+
+    /// Decides who received a transmission, and what its sender does next.
+    fn end_transmission(&mut self, channel: usize, ended: &OnAir) {
+        match &ended.content {
+            None => self.edca().end_interference(ended.emitter, ended.overlaps.is_empty()),
+            Some(content) => match self.edca().path(content.flow) {
+                None => self.end_group(ended, content),
+                Some(path) => self.end_unicast(channel, ended, content, path),
+            },
+        }
+    }
+
+    fn end_unicast(&mut self, channel: usize, ended: &OnAir, content: &Content, path: Path) {
+        let &Content { flow, category, epoch, mode, until } = content;
+        let now = ended.data_ends;
+        if self.edca().stream(flow, category).epoch() != epoch {
+            // The station has left its channel.
+            return self.edca().end_exchange(ended.emitter, category, false);
+        }
+        let reception = self.reception_among(path, &ended.overlaps);
+        let mut edca = self.edca.take().expect("a network with contention");
+        let lane = self.lane(path);
+        let outcome = edca.stream(flow, category).conclude([ended.start, now], |bytes| {
+            reception.is_some_and(|reception| lane.receives(&reception, mode, bytes))
+        });
+        let settled: Vec<_> = std::iter::from_fn(|| edca.stream(flow, category).settle()).collect();
+        self.edca = Some(edca);
+        self.settle(now, path, settled);
+        let done = outcome.received > 0 || outcome.given_up > 0;
+        self.edca().end_exchange(ended.emitter, category, done);
+        if done {
+            self.edca().take_turn(ended.emitter, category, flow);
+        }
+        if outcome.received > 0 {
+            let receiver = path.receiver();
+            self.pause_listeners(channel, receiver, [now, ended.ends]);
+            let next = ended.ends + self.phy_of(ended.emitter).sifs();
+            if next + ended.ends.since(ended.start) <= until {
+                self.edca().continue_opportunity(ended.emitter, category, [next, until]);
+            }
+        }
+    }
+
+    /// Ends a group frame, which nobody acknowledges.
+    fn end_group(&mut self, ended: &OnAir, content: &Content) {
+        let &Content { flow, category, .. } = content;
+        let now = ended.data_ends;
+        let stream = self.edca().stream(flow, category);
+        stream.conclude([ended.start, now], |_| true);
+        let sent = stream.settle();
+        self.edca().end_exchange(ended.emitter, category, true);
+        self.edca().take_turn(ended.emitter, category, flow);
+        let (Some(Settled { waiting, began, first, .. }), Flow::Group(unit)) = (sent, flow) else { return };
+        let Waiting { frame, since, source, is_probe } = waiting;
+        for path in self.group(unit, source).collect::<Vec<_>>() {
+            let present = self.robots[path.robot].station.on_channel() == Some(unit);
+            let reception = self.reception_among(path, &ended.overlaps).filter(|_| present);
+            let bytes = frame.bytes().len();
+            let received =
+                reception.is_some_and(|reception| self.lane(path).receives_group(&reception, bytes));
+            let copy = Waiting { frame: frame.clone(), since, source, is_probe };
+            self.fly(began, path, copy, &Exchange { first, retries: Duration::ZERO, received });
+        }
+        self.lost.push(frame);
+    }
+
+    /// Passes on the frames that were received, and counts those that were given up.
+    pub(in crate::radio) fn settle(&mut self, now: Timestamp, path: Path, settled: Vec<Settled>) {
+        for Settled { waiting, began, first, received } in settled {
+            let retries = now.since(began + first);
+            self.fly(began, path, waiting, &Exchange { first, retries, received });
+        }
+    }
+
+    /// Returns the reception on a path while others send: their power adds to the noise (capture: the stronger frame is
+    /// decoded, whichever began first). `None` if the receiver itself sends.
+    fn reception_among(&mut self, path: Path, others: &[Emitter]) -> Option<Reception> {
+        let receiver = path.receiver();
+        if others.is_empty() {
+            return Some(self.reception(path));
+        }
+        if others.contains(&receiver) {
+            return None;
+        }
+        let signal = self.signals(path.robot, path.unit)[path.direction as usize];
+        let network = &self.networks[self.units[path.unit].network];
+        let disturbing: f64 = others.iter().map(|other| milliwatts(self.power(*other, receiver))).sum();
+        let noise_db = 10.0 * (milliwatts(network.spec.noise_floor) + disturbing).log10();
+        Some(Reception::new(network.phy, signal.0 - noise_db))
+    }
+
+    /// Stops the backoffs of an emitter, and of everyone on the channel who hears it.
+    fn pause_listeners(&mut self, channel: usize, emitter: Emitter, [now, until]: [Timestamp; 2]) {
+        for listener in self.edca().members(channel) {
+            if listener == emitter || self.senses(listener, emitter) {
+                self.edca().pause(listener, now, until);
+            }
+        }
+    }
+
+    /// Whether the channel is busy for one while another sends.
+    fn senses(&self, listener: Emitter, emitter: Emitter) -> bool {
+        let weakest = if self.is_wifi(emitter) {
+            self.networks[self.network_of(listener)].sensitivity
+        } else {
+            ENERGY_DETECTION
+        };
+        self.power(emitter, listener) >= weakest
+    }
+
+    /// Returns the received power of an emitter at another one. Between a robot and a radio unit of its network, shadowing
+    /// counts.
+    fn power(&self, from: Emitter, to: Emitter) -> Dbm {
+        match (from, to) {
+            (Emitter::Robot(robot), Emitter::Unit(unit)) if self.is_one_network(robot, unit) => {
+                self.signals(robot, unit)[0]
+            }
+            (Emitter::Unit(unit), Emitter::Robot(robot)) if self.is_one_network(robot, unit) => {
+                self.signals(robot, unit)[1]
+            }
+            _ => {
+                let spec = &self.networks[self.network_of(from)].spec;
+                let ((tx_power, a), (_, b)) = (self.antenna(from), self.antenna(to));
+                let path_loss = spec.path_loss.loss_db(a.distance(b), self.frequency_mhz(from));
+                Dbm(tx_power.0 - path_loss - spec.wall_loss_db(a, b))
+            }
+        }
+    }
+
+    fn is_one_network(&self, robot: usize, unit: RadioUnitIndex) -> bool {
+        self.robots[robot].network == self.units[unit].network
+    }
+}
+
+fn milliwatts(power: Dbm) -> f64 {
+    10f64.powf(power.0 / 10.0)
+}

@@ -1,0 +1,229 @@
+//! Channels on which stations contend: throughput, collisions, hidden nodes, capture, aggregation and interference.
+
+use cotorra_graph::{Interferer, InterfererKind, Presence};
+
+use super::*;
+
+/// A network whose stations contend one frame at a time, with 802.11a's rates and frames limited by the air alone.
+fn contending() -> WirelessNetwork {
+    WirelessNetwork {
+        standard: WifiStandard::A,
+        delay: Duration::ZERO,
+        rate: None,
+        access: Some(Edca { aggregation: false }),
+        ..network()
+    }
+}
+
+/// Stations at these places, all with a radio unit at 0.
+fn stations(network: WirelessNetwork, places: &[f64]) -> World {
+    let mut nodes = vec![unit("R", 0.0, 36)];
+    nodes.extend(places.iter().enumerate().map(|(i, x)| robot(&format!("r{i}"), *x, Roaming::Instructed)));
+    World::new(network, nodes)
+}
+
+/// Fills the queues of all stations, and returns the frames that arrived by a time.
+fn saturate(world: &mut World, senders: usize, bytes: usize, until: Timestamp) -> u64 {
+    for sender in 0..senders {
+        (0..1000).for_each(|_| world.up(Timestamp::ZERO, &format!("r{sender}"), bytes));
+    }
+    world.run(until);
+    world.arrived.iter().filter(|(due, ..)| *due <= until).count() as u64
+}
+
+/// Frames per second of `senders` that all hear each other, by Bianchi, Performance analysis of the IEEE 802.11 distributed
+/// coordination function, IEEE JSAC 18(3), 2000: a window of 16 slots that doubles six times, frames that hold the channel for
+/// `busy_us` and AIFS of 43 µs.
+fn bianchi(senders: i32, busy_us: f64) -> f64 {
+    let tau =
+        |p: f64| 2.0 * (1.0 - 2.0 * p) / ((1.0 - 2.0 * p) * 17.0 + p * 16.0 * (1.0 - (2.0 * p).powi(6)));
+    let (mut low, mut high) = (0.0, 0.999_999);
+    for _ in 0..100 {
+        let p: f64 = 0.5 * (low + high);
+        if 1.0 - (1.0 - tau(p)).powi(senders - 1) > p { low = p } else { high = p }
+    }
+    let tau = tau(low);
+    let idle = (1.0 - tau).powi(senders);
+    let one = f64::from(senders) * tau * (1.0 - tau).powi(senders - 1);
+    one / (idle * 9e-6 + (1.0 - idle) * (busy_us + 43.0) * 1e-6)
+}
+
+#[test]
+fn saturation_throughput_is_that_of_bianchi_within_2_percent() {
+    for senders in [1, 2, 5, 10, 20] {
+        // As many places at one distance as there are robots, so that nobody captures the radio unit.
+        let places: Vec<_> = (0..senders).map(|i| if i % 2 == 0 { 5.0 } else { -5.0 }).collect();
+        let mut world = stations(contending(), &places);
+        let seconds = f64::min(0.3 * f64::from(senders), 2.0);
+        let until = Timestamp::from_nanos((seconds * 1e9) as u64);
+        let measured = saturate(&mut world, senders as usize, 1000, until) as f64 / seconds;
+        // 1038 bytes at 54 Mbit/s: 20 µs and 39 symbols; SIFS and an acknowledgement at 24 Mbit/s.
+        let model = bianchi(senders, 20.0 + 4.0 * 39.0 + 16.0 + 28.0);
+        assert!(
+            (measured / model - 1.0).abs() < 0.02,
+            "{senders} senders: {measured:.0}/s, not {model:.0}/s"
+        );
+    }
+}
+
+#[test]
+fn a_frame_on_an_idle_channel_goes_at_the_next_slot_boundary() {
+    let mut world = stations(contending(), &[5.0]);
+    world.up(at(10), "r0", 1000);
+    world.run(at(20));
+    // Boundaries are at 43 µs and each 9 µs from then on; a frame takes 20 µs and 39 symbols.
+    assert_eq!(world.arrivals_us(), [10_006.0 + 176.0]);
+}
+
+#[test]
+fn frames_that_end_their_backoff_together_collide_and_are_sent_again() {
+    let mut world = stations(contending(), &[5.0, -5.0]);
+    world.up(at(10), "r0", 1000);
+    world.up(at(10), "r1", 1000);
+    world.run(at(20));
+    let arrivals = world.arrivals_us();
+    assert_eq!(arrivals.len(), 2);
+    // Both began at once, and waited for an acknowledgement and AIFS before they tried again.
+    assert!(arrivals[0] >= 10_006.0 + 176.0 + 44.0 + 43.0 + 176.0, "{arrivals:?}");
+}
+
+#[test]
+fn the_stronger_of_two_frames_is_captured() {
+    let mut world = stations(contending(), &[2.0, -40.0]);
+    world.up(at(10), "r0", 1000);
+    world.up(at(10), "r1", 1000);
+    world.run(at(20));
+    assert_eq!(world.numbers(), [0, 1]);
+    assert_eq!(world.arrivals_us()[0], 10_006.0 + 176.0, "the near one is not disturbed");
+}
+
+#[test]
+fn hidden_nodes_lose_throughput_and_frames() {
+    // Log-distance with n = 3: at 20 dBm, stations hear each other up to about 140 m.
+    let both = |places: [f64; 2]| {
+        let mut world = stations(contending(), &places);
+        let frames = saturate(&mut world, 2, 1000, at(400));
+        (frames as f64, world.counters(at(400)).lost)
+    };
+    let ((visible, no_losses), (hidden, losses)) = (both([80.0, 80.0]), both([80.0, -80.0]));
+    assert_eq!(no_losses, 0);
+    assert!(hidden < 0.7 * visible && losses > 0, "{hidden} of {visible}, {losses} lost");
+}
+
+#[test]
+fn aggregation_raises_the_throughput_to_what_its_overhead_allows() {
+    let ht = |aggregation| WirelessNetwork {
+        standard: WifiStandard::N,
+        access: Some(Edca { aggregation }),
+        ..contending()
+    };
+    let rate = |aggregation, until: u64| {
+        let mut world = stations(ht(aggregation), &[5.0]);
+        let frames = saturate(&mut world, 1, 1514, at(until));
+        frames as f64 * 1514.0 * 8.0 / (until as f64 * 1e3)
+    };
+    let [single, aggregated] = [(false, 300), (true, 200)].map(|(on, until)| rate(on, until));
+    // At 65 Mbit/s, a subframe has 1556 bytes. 20 of them take 36 + 4·958 + 6 µs within 4 ms. With SIFS, a block
+    // acknowledgement of 38 µs, AIFS and 7.5 slots on average, that is 4.0 ms.
+    let model = 20.0 * 1514.0 * 8.0 / (36.0 + 4.0 * 958.0 + 6.0 + 10.0 + 38.0 + 37.0 + 67.5);
+    assert!((aggregated / model - 1.0).abs() < 0.02, "{aggregated:.1} Mbit/s, not {model:.1}");
+    // A frame by itself takes 36 + 4·48 + 6 µs, and an acknowledgement 34 µs.
+    let model = 1514.0 * 8.0 / (36.0 + 4.0 * 48.0 + 6.0 + 10.0 + 34.0 + 37.0 + 67.5);
+    assert!((single / model - 1.0).abs() < 0.02, "{single:.1} Mbit/s, not {model:.1}");
+}
+
+#[test]
+fn urgent_frames_overtake_others() {
+    let mut world = stations(contending(), &[5.0, -5.0]);
+    for _ in 0..50 {
+        world.up(at(10), "r0", 1000);
+        world.up(at(10), "r1", 1000);
+    }
+    let mut voice = vec![0; 1000];
+    voice[12..16].copy_from_slice(&[0x08, 0x00, 0x45, 46 << 2]);
+    world.radio.push_up(at(12), world.ports["r0"], Frame::new(voice));
+    world.run(at(100));
+    let place = world.arrived.iter().position(|(_, _, frame)| frame.bytes()[15] == 46 << 2).unwrap();
+    let before = world.arrived[..place].iter().filter(|(due, ..)| *due > at(12)).count();
+    assert!(before <= 3, "{before} frames went first");
+}
+
+fn interferer(kind: InterfererKind, x: f64) -> Interferer {
+    Interferer {
+        name: "neighbour".into(),
+        channel: 36,
+        position: Position::new(x, 0.0),
+        tx_power: Dbm(20.0),
+        kind,
+        presence: None,
+    }
+}
+
+/// Returns the delays of single frames that are sent every 10 ms, in µs, with the channel's load.
+fn delays(interference: Vec<Interferer>) -> (Vec<u64>, f64) {
+    let mut world = stations(WirelessNetwork { interference, ..contending() }, &[5.0]);
+    (0..1000).for_each(|i| world.up(at(10 * i), "r0", 1000));
+    world.run(at(10_000));
+    let load = world.radio.contexts(at(10_000))[0].load;
+    let mut delays: Vec<_> = world
+        .arrived
+        .iter()
+        .map(|(due, _, frame)| {
+            let number = u64::from_be_bytes(frame.bytes()[14..22].try_into().unwrap());
+            due.since(at(10 * number)).as_micros() as u64
+        })
+        .collect();
+    delays.sort_unstable();
+    (delays, load)
+}
+
+#[test]
+fn another_network_takes_its_share_and_delays_frames() {
+    let kind = InterfererKind::Network { load: Probability::new(0.3).unwrap(), airtime: ms(2) };
+    let (delays, load) = delays(vec![interferer(kind, 10.0)]);
+    assert_eq!(delays.len(), 1000);
+    assert!((load - 0.3).abs() < 0.1, "{load}");
+    let undisturbed = delays.iter().filter(|delay| **delay <= 185).count();
+    assert!((600..800).contains(&undisturbed), "{undisturbed} of 1000 frames found the channel idle");
+    assert!(delays[990] > 1500, "the last percent waits for a frame of 2 ms: {}", delays[990]);
+}
+
+#[test]
+fn a_device_that_does_not_listen_destroys_frames() {
+    // Too weak to be sensed, and strong enough to disturb. A frame of 176 µs meets a pulse of 3 ms in 10.3 ms by 31 %.
+    let kind = InterfererKind::Device { on: ms(3), off: Duration::from_micros(7300) };
+    let weak = Interferer { tx_power: Dbm(0.0), ..interferer(kind, -3.0) };
+    let (delays, _) = delays(vec![weak]);
+    let disturbed = delays.iter().filter(|delay| **delay > 185).count() + 1000 - delays.len();
+    assert!((280..350).contains(&disturbed), "{disturbed}");
+}
+
+#[test]
+fn interference_comes_and_goes() {
+    let kind = InterfererKind::Network { load: Probability::new(0.9).unwrap(), airtime: ms(2) };
+    let presence = Some(Presence { on: ms(500), off: ms(1500) });
+    let (delays, _) = delays(vec![Interferer { presence, ..interferer(kind, 10.0) }]);
+    let undisturbed = delays.iter().filter(|delay| **delay <= 185).count();
+    assert!((600..950).contains(&undisturbed), "{undisturbed}");
+}
+
+#[test]
+fn held_frames_follow_a_contending_station_in_order() {
+    for aggregation in [false, true] {
+        let network =
+            WirelessNetwork { standard: WifiStandard::N, access: Some(Edca { aggregation }), ..contending() };
+        let mut world = corridor(network, Roaming::Instructed);
+        (0..300).for_each(|_| world.up(at(10), "r", 1000));
+        (0..300).for_each(|_| world.down(at(10), "R1", "r", 1000));
+        world.run(at(20));
+        let before = world.arrived.len();
+        assert!((1..500).contains(&before), "{before}");
+        world.radio.attach(at(20), &id("r"), &id("R2")).unwrap();
+        world.run(at(1000));
+        let numbers = world.numbers();
+        let [up, down]: [Vec<u64>; 2] =
+            [0..300, 300..600].map(|range| numbers.iter().copied().filter(|n| range.contains(n)).collect());
+        assert_eq!(up, (0..300).collect::<Vec<_>>());
+        assert_eq!(down, (300..600).collect::<Vec<_>>());
+    }
+}
