@@ -2,7 +2,8 @@
 //! and their frames on the air. The time is an argument of every call; all randomness comes from the seed.
 //!
 //! - Path loss, walls and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
-//! - [`medium`] shares each channel's airtime by turns, [`edca`] by contention; [`channel`] chooses; [`link`] adds the conditions of emulation.
+//! - [`medium`] shares each channel's airtime by turns, [`edca`] by contention; [`channel`] chooses. [`rate_control`] picks
+//!   the rate of a frame, by [`minstrel`] as Linux does; [`link`] adds the conditions of emulation.
 //! - [`hearing`] finds the radio units within a robot's reach; [`air`] carries frames.
 //! - [`access`] switches vAPs on and off and admits robots; [`station`] is the state machine of an attachment; [`roaming`]
 //!   decides from beacons; [`attaching`] carries out handovers; [`elsewhere`] has the robots that are with other cores.
@@ -16,7 +17,9 @@ mod elsewhere;
 mod hearing;
 mod link;
 mod medium;
+mod minstrel;
 mod phy;
+mod rate_control;
 mod roaming;
 mod shadowing;
 mod station;

@@ -42,10 +42,15 @@ impl Mode {
     pub(super) fn mbps(&self) -> f64 {
         f64::from(self.bits_per_symbol) / 4.0
     }
+
+    /// Returns the data bits in one symbol of 4 µs.
+    pub(super) fn bits_per_symbol(&self) -> u32 {
+        self.bits_per_symbol
+    }
 }
 
 /// Most modes of a standard.
-const MAX_MODES: usize = 9;
+pub(super) const MAX_MODES: usize = 9;
 
 /// Duration of a data symbol with the long guard interval.
 const SYMBOL_US: u64 = 4;
@@ -166,6 +171,16 @@ impl Phy {
         }
     }
 
+    /// Returns the modes, from the slowest to the fastest.
+    pub(super) fn modes(&self) -> &'static [Mode] {
+        self.modes
+    }
+
+    /// Whether frames may be aggregated: those of HT and VHT, whose preamble is longer (9.7.1).
+    pub(super) fn aggregates(&self) -> bool {
+        self.preamble_us > LEGACY_PREAMBLE_US
+    }
+
     /// Returns the fastest PHY rate, which limits the medium.
     pub(super) fn top_rate(&self) -> BitRate {
         let bits_per_second = u64::from(self.modes[self.modes.len() - 1].bits_per_symbol) * 250_000;
@@ -250,7 +265,7 @@ impl Phy {
 
     /// Returns the time of an attempt without backoff, µs: DIFS, frame, SIFS and acknowledgement. A failed attempt takes as
     /// long, because the sender waits for SIFS, a slot and the start of an acknowledgement.
-    fn attempt_us(&self, mode: &Mode, frame_bytes: usize) -> u64 {
+    pub(super) fn attempt_us(&self, mode: &Mode, frame_bytes: usize) -> u64 {
         self.difs_us() + self.frame_us(mode, frame_bytes) + self.sifs_us + self.ack_us(mode)
     }
 
