@@ -12,6 +12,19 @@ use crate::units::{Dbm, Position, Probability, millis};
 pub struct Edca {
     /// Whether frames for one receiver are sent together as A-MPDU, and acknowledged together. 802.11n and ac can.
     pub aggregation: bool,
+    /// How stations choose their rates.
+    pub rate_control: RateControl,
+}
+
+/// How stations choose their rates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum RateControl {
+    /// By the present signal: the rate with the highest expected goodput.
+    Ideal,
+    /// By acknowledgements, as Linux does (Minstrel-HT).
+    Minstrel,
 }
 
 /// Something else that sends on a channel.

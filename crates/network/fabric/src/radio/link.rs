@@ -4,12 +4,15 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkCounters, LinkId, Medium, Position,
-    Probed, Rate, Scale, Timestamp, WirelessNetwork,
+    BitRate, ConditionChange, Conditions, Direction, Edca, LinkContext, LinkCounters, LinkId, Medium,
+    Position, Probed, Rate, Scale, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::phy::{Exchange, Phy, Reception};
+use super::{
+    phy::{Exchange, Phy, Reception},
+    rate_control::RateControl,
+};
 use crate::{
     balance::Balance,
     frame::Frame,
@@ -45,6 +48,7 @@ pub(super) struct Lane {
     impairments: Impairments,
     rng: Xoshiro256PlusPlus,
     meter: Meter,
+    rates: RateControl,
     /// Arrival of the last frame that kept its order.
     last_due: Timestamp,
 }
@@ -83,7 +87,13 @@ impl Flight {
 }
 
 impl WirelessLink {
-    pub(super) fn new(id: LinkId, settings: &Settings, seed: u64) -> Self {
+    pub(super) fn new(id: LinkId, settings: &Settings, access: Option<&Edca>, seed: u64) -> Self {
+        let rates = |direction: &str| match access.map(|access| access.rate_control) {
+            None | Some(cotorra_graph::RateControl::Ideal) => RateControl::Ideal,
+            Some(cotorra_graph::RateControl::Minstrel) => {
+                RateControl::minstrel(stream(seed, &format!("rates {id} {direction}")))
+            }
+        };
         let lane = |direction: &str| Lane {
             settings: settings.clone(),
             impairments: Impairments::new(
@@ -92,6 +102,7 @@ impl WirelessLink {
             ),
             rng: stream(seed, &format!("air {id} {direction}")),
             meter: Meter::default(),
+            rates: rates(direction),
             last_due: Timestamp::ZERO,
         };
         Self { lanes: [lane("forward"), lane("backward")], id, receptions: None }
@@ -111,6 +122,16 @@ impl WirelessLink {
 
     pub(super) fn lane(&mut self, direction: Direction) -> &mut Lane {
         &mut self.lanes[direction as usize]
+    }
+
+    /// Returns the rate of full frames, Mbit/s.
+    pub(super) fn mbps(&self, direction: Direction, reception: &Reception) -> f64 {
+        self.lanes[direction as usize].rates.mbps(reception)
+    }
+
+    /// Forgets what the rate control has learned.
+    pub(super) fn restart_rates(&mut self) {
+        self.lanes.iter_mut().for_each(|lane| lane.rates.restart());
     }
 
     pub(super) fn settings(&self, direction: Direction) -> &Settings {
@@ -180,6 +201,15 @@ impl Lane {
         let mut exchange = reception.exchange(bytes, contended, || unit(&mut self.rng));
         exchange.first = exchange.first.max(self.least_airtime(bytes));
         exchange
+    }
+
+    pub(super) fn rates(&mut self) -> &mut RateControl {
+        &mut self.rates
+    }
+
+    /// Whether an RTS is received.
+    pub(super) fn receives_rts(&mut self, reception: &Reception) -> bool {
+        unit(&mut self.rng) >= reception.rts_error_rate()
     }
 
     /// Whether one attempt to send a frame succeeds.

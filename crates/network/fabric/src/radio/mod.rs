@@ -47,7 +47,7 @@ use self::{
     edca::{Edca, Emitter, Interference},
     link::WirelessLink,
     medium::{Flow, Medium, Waiting},
-    phy::Phy,
+    phy::{Phy, Reception},
     roaming::{Beacons, Thresholds},
     shadowing::ShadowingField,
     station::{Purpose, Station},
@@ -572,7 +572,12 @@ impl Radio {
 
     fn station_context(&self, robot: StationIndex, unit: RadioUnitIndex) -> StationContext {
         let [signal, _] = self.signals(robot, unit);
-        let [uplink_bps, downlink_bps] = self.receptions(robot, unit).map(|r| r.mbps() * 1e6);
+        let link = self.links[self.pair(robot, unit)].as_deref();
+        let [up, down] = self.receptions(robot, unit);
+        let bps = |direction, reception: &Reception| {
+            1e6 * link.map_or_else(|| reception.mbps(), |link| link.mbps(direction, reception))
+        };
+        let [uplink_bps, downlink_bps] = [bps(Direction::Forward, &up), bps(Direction::Backward, &down)];
         StationContext { robot: self.robots[robot].id.clone(), signal, downlink_bps, uplink_bps }
     }
 
@@ -704,7 +709,8 @@ impl Radio {
         self.links[pair].get_or_insert_with(|| {
             let RobotRadio { id, network, .. } = &self.robots[robot];
             let id = LinkId::wireless(id, &self.units[unit].id);
-            Box::new(WirelessLink::new(id, &self.networks[*network].settings, self.seed))
+            let Network { settings, spec, .. } = &self.networks[*network];
+            Box::new(WirelessLink::new(id, settings, spec.access.as_ref(), self.seed))
         })
     }
 

@@ -60,6 +60,9 @@ const SERVICE_AND_TAIL: u32 = 16 + 6;
 const LEGACY_PREAMBLE_US: u64 = 20;
 /// An acknowledgement's MPDU, bytes (9.3.1.4).
 const ACK_BYTES: u32 = 14;
+/// RTS and CTS, bytes (9.3.1.2, 9.3.1.3).
+const RTS_BYTES: u32 = 20;
+const CTS_BYTES: u32 = 14;
 /// A compressed block acknowledgement, bytes (9.3.1.8.2).
 const BLOCK_ACK_BYTES: u32 = 32;
 /// Bytes that an Ethernet frame gains on the air: a data frame's MAC header (24) and FCS (4), LLC and SNAP (8) and CCMP
@@ -79,7 +82,7 @@ const CW_MIN: u32 = 15;
 /// Largest contention window (same clauses).
 const CW_MAX: u32 = 1023;
 /// Default of dot11ShortRetryLimit (10.3.4.4).
-const ATTEMPTS: u32 = 7;
+pub(super) const ATTEMPTS: u32 = 7;
 
 /// Length of a full Ethernet frame, for figures that are not about one frame.
 pub(super) const REFERENCE_BYTES: usize = 1514;
@@ -176,9 +179,9 @@ impl Phy {
         self.modes
     }
 
-    /// Whether frames may be aggregated: those of HT and VHT, whose preamble is longer (9.7.1).
+    /// Whether frames may be aggregated.
     pub(super) fn aggregates(&self) -> bool {
-        self.preamble_us > LEGACY_PREAMBLE_US
+        self.longest_aggregate.is_some()
     }
 
     /// Returns the fastest PHY rate, which limits the medium.
@@ -236,12 +239,17 @@ impl Phy {
         Duration::from_micros(self.answer_us(&self.modes[mode], BLOCK_ACK_BYTES))
     }
 
+    /// Returns the airtimes of RTS and CTS, at the lowest basic rate.
+    pub(super) fn rts_cts_airtimes(&self) -> [Duration; 2] {
+        [RTS_BYTES, CTS_BYTES].map(|bytes| Duration::from_micros(self.answer_us(&self.modes[0], bytes)))
+    }
+
     /// Returns the TXTIME of an acknowledgement, µs.
     fn ack_us(&self, mode: &Mode) -> u64 {
         self.answer_us(mode, ACK_BYTES)
     }
 
-    /// Returns the TXTIME of a control frame that answers data, µs. Its rate is 6, 12 or 24 Mbit/s: the highest mandatory rate that the
+    /// Returns the TXTIME of a control frame that precedes or answers data, µs. Its rate is 6, 12 or 24 Mbit/s: the highest mandatory rate that the
     /// data's modulation allows (10.6.6.5).
     fn answer_us(&self, mode: &Mode, bytes: u32) -> u64 {
         let bits_per_symbol: u32 = match mode.constellation {
@@ -337,7 +345,18 @@ impl Reception {
 
     /// Returns the PHY rate for full frames, Mbit/s.
     pub(super) fn mbps(&self) -> f64 {
-        self.phy.modes[self.best(REFERENCE_BYTES)].mbps()
+        self.mbps_of(self.best(REFERENCE_BYTES))
+    }
+
+    /// Returns the PHY rate of a mode, Mbit/s.
+    pub(super) fn mbps_of(&self, mode: usize) -> f64 {
+        self.phy.modes[mode].mbps()
+    }
+
+    /// Returns the probability that an RTS is lost. It goes at the lowest basic rate.
+    pub(super) fn rts_error_rate(&self) -> f64 {
+        let bits = 8.0 * f64::from(RTS_BYTES);
+        -(bits * self.ln_bit_success[0]).exp_m1()
     }
 
     /// Sends a frame and waits for its acknowledgement, up to seven times with a doubling contention window (10.3.3,

@@ -9,8 +9,6 @@ use crate::{
     radio::medium::{Queue, Waiting},
 };
 
-/// Attempts to send a frame: the default of dot11ShortRetryLimit (IEEE 802.11-2020, 10.3.4.4).
-const ATTEMPTS: u32 = 7;
 /// Frames from the first unsettled one on that may be on their way: the window of a compressed block acknowledgement
 /// (9.3.1.8.2).
 const WINDOW: usize = 64;
@@ -46,8 +44,9 @@ pub(in crate::radio) struct Settled {
 /// The outcome of an attempt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Outcome {
-    pub(super) received: usize,
-    pub(super) given_up: usize,
+    pub(super) sent: u32,
+    pub(super) received: u32,
+    pub(super) given_up: u32,
 }
 
 /// Frames that are sent together.
@@ -142,21 +141,24 @@ impl Stream {
     }
 
     /// Ends the attempt on the air, which took from `start` to `end`. `receives` decides for each frame in turn, by its length.
+    /// A frame is given up after `most` attempts.
     pub(super) fn conclude(
         &mut self,
         [start, end]: [Timestamp; 2],
+        most: u32,
         mut receives: impl FnMut(usize) -> bool,
     ) -> Outcome {
-        let mut outcome = Outcome { received: 0, given_up: 0 };
+        let mut outcome = Outcome { sent: 0, received: 0, given_up: 0 };
         for sent in self.window.iter_mut().filter(|sent| sent.state == State::OnAir) {
             if sent.attempts == 0 {
                 (sent.began, sent.first) = (start, end.since(start));
             }
             sent.attempts += 1;
+            outcome.sent += 1;
             sent.state = if receives(sent.waiting.frame.bytes().len()) {
                 outcome.received += 1;
                 State::Received
-            } else if sent.attempts == ATTEMPTS {
+            } else if sent.attempts >= most {
                 outcome.given_up += 1;
                 State::GivenUp
             } else {
@@ -231,7 +233,7 @@ mod tests {
     fn attempt(stream: &mut Stream, batch: Batch, arrive: &[usize]) -> Vec<(u8, bool)> {
         stream.send(batch, |_| 1);
         let mut place = 0;
-        stream.conclude([at(0), at(10)], |_| {
+        stream.conclude([at(0), at(10)], 7, |_| {
             place += 1;
             arrive.contains(&(place - 1))
         });
@@ -277,7 +279,7 @@ mod tests {
         let mut stream = stream(4);
         stream.send(Batch { frames: 3, ..ALL }, |_| 1);
         let mut place = 0;
-        stream.conclude([at(0), at(10)], |_| {
+        stream.conclude([at(0), at(10)], 7, |_| {
             place += 1;
             place == 2
         });
@@ -297,7 +299,7 @@ mod tests {
             let mut all = Vec::new();
             for _ in 0..1000 {
                 stream.send(Batch { frames: batch, ..ALL }, |_| 1);
-                stream.conclude([at(0), at(10)], |_| !losses.next().unwrap());
+                stream.conclude([at(0), at(10)], 7, |_| !losses.next().unwrap());
                 all.extend(settled(&mut stream).into_iter().map(|(number, _)| number));
             }
             prop_assert_eq!(all, (0..frames).collect::<Vec<_>>());

@@ -14,11 +14,14 @@ use crate::{
         Path, Radio,
         medium::{Flow, Waiting},
         phy::{Exchange, Reception},
+        rate_control::Attempt,
     },
 };
 
 /// Power from which a channel is busy whatever is on it: 20 dB above the least sensitivity (IEEE 802.11-2020, 17.3.10.6).
 const ENERGY_DETECTION: Dbm = Dbm(-62.0);
+/// How a group frame is sent: once, at the lowest basic rate.
+const GROUP: Attempt = Attempt { mode: 0, rts: false, alone: true, most: 1 };
 /// A frame by itself.
 const SINGLE: Batch = Batch { frames: 1, cost: 0 };
 /// Frames of an A-MPDU, at most (IEEE 802.11-2020, 10.12.2).
@@ -47,9 +50,19 @@ struct Content {
     category: usize,
     /// Changes of the flow's receiver before it.
     epoch: u32,
-    mode: usize,
+    attempt: Attempt,
     /// End of the transmission opportunity.
     until: Timestamp,
+    /// What follows if this is an RTS.
+    protects: Option<Protected>,
+}
+
+/// Data that an RTS announces.
+#[derive(Debug, Clone, Copy)]
+struct Protected {
+    start: Timestamp,
+    data_ends: Timestamp,
+    ends: Timestamp,
 }
 
 /// A sender whose backoff is over.
@@ -70,7 +83,8 @@ impl Edca {
     /// Puts a transmission on the air. It disturbs those that are there, and they disturb it.
     fn put_on_air(&mut self, channel: usize, mut new: OnAir) {
         let channel = &mut self.channels[channel];
-        for other in channel.on_air.iter_mut().filter(|other| other.data_ends > new.start) {
+        let at_once = |other: &&mut OnAir| other.data_ends > new.start && other.start < new.data_ends;
+        for other in channel.on_air.iter_mut().filter(at_once) {
             other.overlaps.push(new.emitter);
             new.overlaps.push(other.emitter);
         }
@@ -85,7 +99,7 @@ impl Radio {
     /// Does what is due on a channel with contention: ends transmissions, and begins those whose backoff is over.
     pub(in crate::radio) fn contend(&mut self, channel: usize, now: Timestamp) {
         while let Some(ended) = self.edca().take_ended(channel, now) {
-            self.end_transmission(channel, &ended);
+            self.end_transmission(channel, ended);
         }
         let senders = self.edca().senders(channel, now);
         let beginning: Vec<_> = senders.into_iter().map(|sender| self.compose(now, sender)).collect();
@@ -120,21 +134,26 @@ impl Radio {
         let phy = self.phy_of(emitter);
         let path = self.edca().path(flow);
         let next_bytes = self.edca().stream(flow, category).next_bytes().unwrap_or_default();
-        let mode = path.map_or(0, |path| self.reception(path).best(next_bytes));
+        let attempt = path.map_or(GROUP, |path| {
+            let reception = self.reception(path);
+            self.lane(path).rates().attempt(now, phy, &reception, next_bytes)
+        });
+        let mode = attempt.mode;
         let batch = match phy.aggregate_within(mode, LONGEST_AGGREGATE) {
-            Some(bytes) if path.is_some() && self.aggregates(emitter) => {
+            Some(bytes) if !attempt.alone && self.aggregates(emitter) => {
                 Batch { frames: AGGREGATED_FRAMES, cost: bytes }
             }
             _ => SINGLE,
         };
         let edca = self.edca();
         let lengths = edca.stream(flow, category).send(batch, |bytes| phy.subframe_bytes(bytes));
-        let content = Content {
+        let mut content = Content {
             flow,
             category,
             epoch: edca.stream(flow, category).epoch(),
-            mode,
+            attempt,
             until: edca.begin_opportunity(now, emitter, category),
+            protects: None,
         };
         edca.see_frames(emitter);
         let (airtime, answer) = match lengths[..] {
@@ -144,31 +163,61 @@ impl Radio {
                 (phy.aggregate_airtime(mode, bytes), phy.block_ack_airtime(mode))
             }
         };
-        let (data_ends, ends) = match path {
-            None => (now + airtime, now + airtime),
-            Some(path) => {
-                let lane = self.lane(path);
-                let least = lengths.iter().map(|bytes| lane.least_airtime(*bytes)).sum();
-                let data_ends = now + airtime.max(least);
-                (data_ends, data_ends + phy.sifs() + answer)
-            }
+        let on_air = |data_ends, ends, content| OnAir {
+            emitter,
+            start: now,
+            data_ends,
+            ends,
+            overlaps: Vec::new(),
+            content: Some(content),
         };
-        OnAir { emitter, start: now, data_ends, ends, overlaps: Vec::new(), content: Some(content) }
+        let Some(path) = path else { return on_air(now + airtime, now + airtime, content) };
+        let lane = self.lane(path);
+        let least = lengths.iter().map(|bytes| lane.least_airtime(*bytes)).sum();
+        let (airtime, answer) = (airtime.max(least), phy.sifs() + answer);
+        if !attempt.rts {
+            return on_air(now + airtime, now + airtime + answer, content);
+        }
+        let [rts, cts] = phy.rts_cts_airtimes();
+        let start = now + rts + phy.sifs() + cts + phy.sifs();
+        let data_ends = start + airtime;
+        content.protects = Some(Protected { start, data_ends, ends: data_ends + answer });
+        on_air(now + rts, now + rts + phy.sifs() + cts, content)
     }
 
     /// Decides who received a transmission, and what its sender does next.
-    fn end_transmission(&mut self, channel: usize, ended: &OnAir) {
-        match &ended.content {
-            None => self.edca().end_interference(ended.emitter, ended.overlaps.is_empty()),
-            Some(content) => match self.edca().path(content.flow) {
-                None => self.end_group(ended, content),
-                Some(path) => self.end_unicast(channel, ended, content, path),
-            },
+    fn end_transmission(&mut self, channel: usize, ended: OnAir) {
+        let Some(content) = &ended.content else {
+            return self.edca().end_interference(ended.emitter, ended.overlaps.is_empty());
+        };
+        match (self.edca().path(content.flow), content.protects) {
+            (None, _) => self.end_group(&ended, content),
+            (Some(path), Some(protected)) if self.clears(&ended, path) => {
+                self.begin_protected(channel, ended, path, protected);
+            }
+            (Some(path), _) => self.end_unicast(channel, &ended, content, path),
         }
     }
 
+    /// Whether the receiver answers an RTS.
+    fn clears(&mut self, rts: &OnAir, path: Path) -> bool {
+        let reception = self.reception_among(path, &rts.overlaps);
+        reception.is_some_and(|reception| self.lane(path).receives_rts(&reception))
+    }
+
+    /// Sends the data after RTS and CTS. Everyone who hears either end waits.
+    fn begin_protected(&mut self, channel: usize, rts: OnAir, path: Path, protected: Protected) {
+        let Protected { start, data_ends, ends } = protected;
+        for end in [rts.emitter, path.receiver()] {
+            self.pause_listeners(channel, end, [rts.data_ends, ends]);
+        }
+        let content = rts.content.map(|content| Content { protects: None, ..content });
+        let data = OnAir { start, data_ends, ends, overlaps: Vec::new(), content, ..rts };
+        self.edca().put_on_air(channel, data);
+    }
+
     fn end_unicast(&mut self, channel: usize, ended: &OnAir, content: &Content, path: Path) {
-        let &Content { flow, category, epoch, mode, until } = content;
+        let &Content { flow, category, epoch, attempt, until, protects } = content;
         let now = ended.data_ends;
         if self.edca().stream(flow, category).epoch() != epoch {
             // The station has left its channel.
@@ -177,9 +226,12 @@ impl Radio {
         let reception = self.reception_among(path, &ended.overlaps);
         let mut edca = self.edca.take().expect("a network with contention");
         let lane = self.lane(path);
-        let outcome = edca.stream(flow, category).conclude([ended.start, now], |bytes| {
-            reception.is_some_and(|reception| lane.receives(&reception, mode, bytes))
+        // Without CTS, the data is not sent.
+        let reception = reception.filter(|_| protects.is_none());
+        let outcome = edca.stream(flow, category).conclude([ended.start, now], attempt.most, |bytes| {
+            reception.is_some_and(|reception| lane.receives(&reception, attempt.mode, bytes))
         });
+        lane.rates().record(now, outcome.sent, outcome.received);
         let settled: Vec<_> = std::iter::from_fn(|| edca.stream(flow, category).settle()).collect();
         self.edca = Some(edca);
         self.settle(now, path, settled);
@@ -203,7 +255,7 @@ impl Radio {
         let &Content { flow, category, .. } = content;
         let now = ended.data_ends;
         let stream = self.edca().stream(flow, category);
-        stream.conclude([ended.start, now], |_| true);
+        stream.conclude([ended.start, now], 1, |_| true);
         let sent = stream.settle();
         self.edca().end_exchange(ended.emitter, category, true);
         self.edca().take_turn(ended.emitter, category, flow);

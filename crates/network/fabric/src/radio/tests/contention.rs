@@ -1,6 +1,6 @@
 //! Channels on which stations contend: throughput, collisions, hidden nodes, capture, aggregation and interference.
 
-use cotorra_graph::{Interferer, InterfererKind, Presence};
+use cotorra_graph::{Interferer, InterfererKind, Presence, RateControl};
 
 use super::*;
 
@@ -10,7 +10,7 @@ fn contending() -> WirelessNetwork {
         standard: WifiStandard::A,
         delay: Duration::ZERO,
         rate: None,
-        access: Some(Edca { aggregation: false }),
+        access: Some(Edca { aggregation: false, rate_control: RateControl::Ideal }),
         ..network()
     }
 }
@@ -114,7 +114,7 @@ fn hidden_nodes_lose_throughput_and_frames() {
 fn aggregation_raises_the_throughput_to_what_its_overhead_allows() {
     let ht = |aggregation| WirelessNetwork {
         standard: WifiStandard::N,
-        access: Some(Edca { aggregation }),
+        access: Some(Edca { aggregation, rate_control: RateControl::Ideal }),
         ..contending()
     };
     let rate = |aggregation, until: u64| {
@@ -210,8 +210,11 @@ fn interference_comes_and_goes() {
 #[test]
 fn held_frames_follow_a_contending_station_in_order() {
     for aggregation in [false, true] {
-        let network =
-            WirelessNetwork { standard: WifiStandard::N, access: Some(Edca { aggregation }), ..contending() };
+        let network = WirelessNetwork {
+            standard: WifiStandard::N,
+            access: Some(Edca { aggregation, rate_control: RateControl::Ideal }),
+            ..contending()
+        };
         let mut world = corridor(network, Roaming::Instructed);
         (0..300).for_each(|_| world.up(at(10), "r", 1000));
         (0..300).for_each(|_| world.down(at(10), "R1", "r", 1000));
@@ -225,5 +228,29 @@ fn held_frames_follow_a_contending_station_in_order() {
             [0..300, 300..600].map(|range| numbers.iter().copied().filter(|n| range.contains(n)).collect());
         assert_eq!(up, (0..300).collect::<Vec<_>>());
         assert_eq!(down, (300..600).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn the_rate_control_of_linux_comes_near_to_the_ideal_rate() {
+    let arrived = |rate_control, x: f64| {
+        let network = WirelessNetwork {
+            standard: WifiStandard::N,
+            access: Some(Edca { aggregation: true, rate_control }),
+            ..contending()
+        };
+        let mut world = stations(network, &[x]);
+        for i in 0..40 {
+            (0..100).for_each(|_| world.up(at(50 * i), "r0", 1514));
+            world.run(at(50 * i + 49));
+        }
+        let last = world.arrived.iter().filter(|(due, ..)| *due > at(1000)).count() as f64;
+        (last, world.counters(at(2000)).lost)
+    };
+    for x in [5.0, 30.0, 60.0] {
+        let ((learned, lost), (ideal, _)) =
+            (arrived(RateControl::Minstrel, x), arrived(RateControl::Ideal, x));
+        assert!(learned > 0.9 * ideal, "{learned} and {ideal} frames at {x} m");
+        assert!(lost <= 5, "{lost} frames lost at {x} m");
     }
 }
