@@ -1,6 +1,7 @@
 //! Builds a testbed from its records: names become references, figures become conditions. Mistakes within one record
 //! are reported here, those between records in [`super::check`].
 
+mod access;
 mod border;
 mod builder;
 mod compose;
@@ -60,6 +61,9 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         Some((ssid.value.clone(), builder.wireless(ssid, network, floor.as_ref())?))
     });
     let nodes = builder.nodes();
+    if let (Some(wireless), Some(nodes)) = (&wireless, &nodes) {
+        builder.check_shared_channels(wireless, nodes);
+    }
     let links = builder.links();
     let services: Option<Vec<_>> = each(&record.services.0, |(id, service)| builder.service(id, service));
     let containers = builder.containers();

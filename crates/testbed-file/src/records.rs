@@ -5,8 +5,8 @@ use std::{net::Ipv4Addr, time::Duration};
 use cotorra_graph::{
     AgentId, BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, GapPolicy, IpNetwork,
     JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, PluginId, Position, Probability, Pull,
-    QueueLimit, Rate, Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume,
-    WifiStandard,
+    QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier,
+    VnfId, Volume, WifiStandard,
 };
 
 use crate::{
@@ -201,6 +201,81 @@ record! {
         handover: HandoverRecord = {},
         /// Treatment of frames for a station that is off its channel.
         gap: GapPolicy = "hold",
+        /// How senders share a channel: `turns`, `edca`, or a mapping with the settings of EDCA: docs/radio.md.
+        access: Spanned<Either<AccessWord, AccessRecord>> = "turns",
+        /// What else sends on its channels, by name. It needs EDCA.
+        interference: Table<String, InterferenceRecord> = {},
+    }
+}
+
+/// Ways to share a channel whose settings are left as they are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum AccessWord {
+    Turns,
+    Edca,
+}
+
+record! {
+    /// Settings of EDCA (IEEE 802.11-2020, 10.23.2).
+    AccessRecord {
+        /// How stations choose their rates.
+        rate_control: RateControl = "minstrel",
+        /// Whether frames for one receiver are sent together (A-MPDU). Without it: where the standard can, `n` and `ac`.
+        aggregation: Option<Spanned<bool>>,
+    }
+}
+
+tagged! {
+    /// Something else that sends on a channel.
+    InterferenceRecord by kind {
+        "network" => Network(OtherNetworkRecord),
+        "device" => Device(DeviceRecord),
+    }
+}
+
+record! {
+    /// Another Wi-Fi network, which contends for the channel with frames that come at random.
+    OtherNetworkRecord {
+        /// Share of the time that its frames would take on a channel of their own.
+        load: Spanned<Probability>,
+        /// Time of one frame with its acknowledgement.
+        airtime: Spanned<Duration> = "2 ms",
+        ..emitter: EmitterRecord,
+    }
+}
+
+record! {
+    /// A device that sends in a fixed cycle without listening, such as a microwave oven.
+    DeviceRecord {
+        /// Time for which it sends.
+        on: Spanned<Duration>,
+        /// Time until it sends again.
+        off: Spanned<Duration>,
+        ..emitter: EmitterRecord,
+    }
+}
+
+record! {
+    /// Where and when something else sends.
+    EmitterRecord {
+        /// Channel number: that of a radio unit of the network.
+        channel: Spanned<u8>,
+        /// Position of its antenna.
+        position: Position,
+        /// Transmission power.
+        tx_power: Dbm = "15 dBm",
+        /// When it is there. Without it: always.
+        presence: Option<PresenceRecord>,
+    }
+}
+
+record! {
+    /// Mean times for which it is there and away, exponentially distributed.
+    PresenceRecord {
+        /// Mean time for which it is there.
+        on: Spanned<Duration>,
+        /// Mean time for which it is away.
+        off: Spanned<Duration>,
     }
 }
 
@@ -1096,6 +1171,14 @@ choice!(ProbesWord, "setting of probes", {
 choice!(GapPolicy, "gap policy", {
     "hold" => Self::Hold, "both sides buffer, and send afterwards";
     "drop" => Self::Drop, "they are lost";
+});
+choice!(AccessWord, "way to share a channel", {
+    "turns" => Self::Turns, "senders take turns, and nothing collides";
+    "edca" => Self::Edca, "stations contend as real ones do";
+});
+choice!(RateControl, "rate control", {
+    "minstrel" => Self::Minstrel, "by acknowledgements, as Linux does (Minstrel-HT)";
+    "ideal" => Self::Ideal, "by the present signal, as if the sender knew it";
 });
 choice!(RobotModel, "robot model", {
     "turtlebot2" => Self::Turtlebot2, "TurtleBot 2: Kobuki base with an RPLIDAR A2";

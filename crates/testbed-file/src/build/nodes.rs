@@ -85,8 +85,8 @@ impl Builder<'_> {
                 variation: handover.variation.get(),
             },
             gap: record.gap,
-            access: None,
-            interference: Vec::new(),
+            access: self.access(record),
+            interference: self.interference(ssid, record)?,
         })
     }
 

@@ -107,6 +107,7 @@ fn hidden_nodes_lose_throughput_and_frames() {
     };
     let ((visible, no_losses), (hidden, losses)) = (both([80.0, 80.0]), both([80.0, -80.0]));
     assert_eq!(no_losses, 0);
+    println!("{visible} frames where stations hear each other, {hidden} where not");
     assert!(hidden < 0.7 * visible && losses > 0, "{hidden} of {visible}, {losses} lost");
 }
 
@@ -129,6 +130,7 @@ fn aggregation_raises_the_throughput_to_what_its_overhead_allows() {
     assert!((aggregated / model - 1.0).abs() < 0.02, "{aggregated:.1} Mbit/s, not {model:.1}");
     // A frame by itself takes 36 + 4·48 + 6 µs, and an acknowledgement 34 µs.
     let model = 1514.0 * 8.0 / (36.0 + 4.0 * 48.0 + 6.0 + 10.0 + 34.0 + 37.0 + 67.5);
+    println!("one frame at a time {single:.1} Mbit/s, aggregated {aggregated:.1} Mbit/s");
     assert!((single / model - 1.0).abs() < 0.02, "{single:.1} Mbit/s, not {model:.1}");
 }
 
@@ -241,7 +243,7 @@ fn the_rate_control_of_linux_comes_near_to_the_ideal_rate() {
         };
         let mut world = stations(network, &[x]);
         for i in 0..40 {
-            (0..100).for_each(|_| world.up(at(50 * i), "r0", 1514));
+            (0..250).for_each(|_| world.up(at(50 * i), "r0", 1514));
             world.run(at(50 * i + 49));
         }
         let last = world.arrived.iter().filter(|(due, ..)| *due > at(1000)).count() as f64;
@@ -250,7 +252,8 @@ fn the_rate_control_of_linux_comes_near_to_the_ideal_rate() {
     for x in [5.0, 30.0, 60.0] {
         let ((learned, lost), (ideal, _)) =
             (arrived(RateControl::Minstrel, x), arrived(RateControl::Ideal, x));
+        println!("{x} m: {learned} frames by Minstrel-HT, {ideal} by the ideal rate");
         assert!(learned > 0.9 * ideal, "{learned} and {ideal} frames at {x} m");
-        assert!(lost <= 5, "{lost} frames lost at {x} m");
+        assert!(lost <= 20, "{lost} frames lost at {x} m");
     }
 }

@@ -1,0 +1,169 @@
+//! How the senders of a wireless network share its channels, and what disturbs them.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use cotorra_graph::{
+    Edca, Interferer, InterfererKind, Node, NodeKind, Presence, Probability, RateControl, WifiStandard,
+    WirelessNetwork,
+};
+
+use super::builder::{Builder, each};
+use crate::{
+    records::{
+        AccessWord, DeviceRecord, EmitterRecord, InterferenceRecord, NodeRecord, OtherNetworkRecord,
+        PresenceRecord, WirelessRecord,
+    },
+    yaml::decode::{Either, Spanned},
+};
+
+/// Times of frames and pulses. Shorter ones would cost a run its speed.
+const AIRTIMES: [Duration; 2] = [Duration::from_micros(100), Duration::from_secs(1)];
+
+impl Builder<'_> {
+    pub(super) fn access(&mut self, record: &WirelessRecord) -> Option<Edca> {
+        let can_aggregate = matches!(record.standard, WifiStandard::N | WifiStandard::Ac);
+        match &record.access.value {
+            Either::Short(AccessWord::Turns) => None,
+            Either::Short(AccessWord::Edca) => {
+                Some(Edca { aggregation: can_aggregate, rate_control: RateControl::Minstrel })
+            }
+            Either::Long(settings) => {
+                if let Some(aggregation) =
+                    settings.aggregation.as_ref().filter(|on| on.value && !can_aggregate)
+                {
+                    self.sink
+                        .error(&aggregation.span, "802.11a and g do not aggregate frames")
+                        .help("leave `aggregation` out, or write `standard: n` or `ac`");
+                }
+                let aggregation = settings.aggregation.as_ref().map_or(can_aggregate, |on| on.value);
+                Some(Edca { aggregation, rate_control: settings.rate_control })
+            }
+        }
+    }
+
+    pub(super) fn interference(
+        &mut self,
+        ssid: &Spanned<String>,
+        record: &WirelessRecord,
+    ) -> Option<Vec<Interferer>> {
+        let first = record.interference.0.first();
+        if let (Some((name, _)), Either::Short(AccessWord::Turns)) = (first, &record.access.value) {
+            self.sink
+                .error(&name.span, "interference in a network whose senders take turns")
+                .help("add `access: edca` to the network, so that its stations sense the channel");
+        }
+        each(&record.interference.0, |(name, record)| {
+            let (emitter, kind) = match record {
+                InterferenceRecord::Network(network) => (&network.emitter, self.other_network(network)?),
+                InterferenceRecord::Device(device) => (&device.emitter, self.device(device)?),
+            };
+            self.check_channel(ssid, emitter);
+            let presence = match &emitter.presence {
+                None => None,
+                Some(PresenceRecord { on, off }) => {
+                    Some(Presence { on: self.some_time(on)?, off: self.some_time(off)? })
+                }
+            };
+            Some(Interferer {
+                name: name.value.clone(),
+                channel: emitter.channel.value,
+                position: emitter.position,
+                tx_power: emitter.tx_power,
+                kind,
+                presence,
+            })
+        })
+    }
+
+    fn other_network(&mut self, record: &OtherNetworkRecord) -> Option<InterfererKind> {
+        if record.load.value == Probability::ZERO {
+            self.sink.error(&record.load.span, "a network that sends nothing").help("write a load above 0 %");
+            return None;
+        }
+        let airtime = self.airtime(&record.airtime)?;
+        Some(InterfererKind::Network { load: record.load.value, airtime })
+    }
+
+    fn device(&mut self, record: &DeviceRecord) -> Option<InterfererKind> {
+        Some(InterfererKind::Device { on: self.airtime(&record.on)?, off: self.airtime(&record.off)? })
+    }
+
+    fn airtime(&mut self, time: &Spanned<Duration>) -> Option<Duration> {
+        let [least, most] = AIRTIMES;
+        if !(least..=most).contains(&time.value) {
+            self.sink
+                .error(&time.span, format!("a transmission or pause of {:?}", time.value))
+                .help(format!("write a time from {least:?} to {most:?}"));
+            return None;
+        }
+        Some(time.value)
+    }
+
+    fn some_time(&mut self, time: &Spanned<Duration>) -> Option<Duration> {
+        let least = AIRTIMES[0];
+        if time.value < least {
+            self.sink
+                .error(&time.span, format!("a mean presence or absence of {:?}", time.value))
+                .help(format!("write {least:?} or more; leave `presence` out for what is always there"));
+            return None;
+        }
+        Some(time.value)
+    }
+
+    /// Checks that a radio unit of the network is on the channel of an interferer.
+    fn check_channel(&mut self, ssid: &Spanned<String>, emitter: &EmitterRecord) {
+        let channel = &emitter.channel;
+        let mut channels: Vec<_> = self
+            .record
+            .nodes
+            .0
+            .iter()
+            .filter_map(|(_, node)| match node {
+                NodeRecord::RadioUnit(unit) => {
+                    let is_here = unit.network.as_ref().is_none_or(|network| network.value == ssid.value);
+                    is_here.then_some(unit.channel.value)
+                }
+                _ => None,
+            })
+            .collect();
+        if channels.contains(&channel.value) {
+            return;
+        }
+        channels.sort_unstable();
+        channels.dedup();
+        let there: Vec<_> = channels.iter().map(u8::to_string).collect();
+        let help = match &there[..] {
+            [] => "add radio units to the network".to_owned(),
+            _ => format!("write a channel that it uses: {}", there.join(", ")),
+        };
+        let message = format!("no radio unit of `{}` is on channel {}", ssid.value, channel.value);
+        self.sink.error(&channel.span, message).help(help);
+    }
+
+    /// Checks that the networks on one channel share it in the same way.
+    pub(super) fn check_shared_channels(
+        &mut self,
+        wireless: &BTreeMap<String, WirelessNetwork>,
+        nodes: &[Node],
+    ) {
+        let mut contention_by_channel = BTreeMap::new();
+        for node in nodes {
+            let NodeKind::RadioUnit(unit) = &node.kind else { continue };
+            let Some(network) = wireless.get(&unit.network) else { continue };
+            let contends = network.access.is_some();
+            let frequency_mhz = network.standard.frequency_mhz(unit.channel);
+            let (before, other) =
+                *contention_by_channel.entry(frequency_mhz).or_insert((contends, unit.network.as_str()));
+            if before != contends {
+                let record = self.record.wireless.0.iter().find(|(ssid, _)| ssid.value == unit.network);
+                let Some((ssid, _)) = record else { continue };
+                let message = format!(
+                    "`{}` and `{other}` are on channel {}, and only one of them contends for it",
+                    unit.network, unit.channel
+                );
+                self.sink.error(&ssid.span, message).help("give both the same `access`");
+                return;
+            }
+        }
+    }
+}
