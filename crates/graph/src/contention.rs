@@ -14,6 +14,21 @@ pub struct Edca {
     pub aggregation: bool,
     /// How stations choose their rates.
     pub rate_control: RateControl,
+    /// How stations sleep. Without it, they never do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub power_save: Option<PowerSave>,
+}
+
+/// Sleep between beacons (IEEE 802.11-2020, 11.2.3), as Linux's stations do it by default.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct PowerSave {
+    /// Time without frames after which a station sleeps.
+    #[serde(rename = "idle_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub idle: Duration,
+    /// Beacons from one to the next after which a radio unit sends group frames, if any of its stations sleeps.
+    pub dtim_period: u8,
 }
 
 /// How stations choose their rates.

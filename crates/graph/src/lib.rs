@@ -44,7 +44,7 @@ pub use conditions::{
     Trace,
 };
 pub use container::{Containers, EngineKind, Image, ListenPort, Pull, Transport, Volume};
-pub use contention::{Edca, Interferer, InterfererKind, Presence, RateControl};
+pub use contention::{Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl};
 pub use context::{
     AnswersRejected, Attachment, Handover, InstancePath, Lateness, LinkContext, LinkCounters, PathKind,
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,

@@ -222,6 +222,18 @@ record! {
         rate_control: RateControl = "minstrel",
         /// Whether frames for one receiver are sent together (A-MPDU). Without it: where the standard can, `n` and `ac`.
         aggregation: Option<Spanned<bool>>,
+        /// How stations sleep between beacons. Without it, they never do.
+        power_save: Option<PowerSaveRecord>,
+    }
+}
+
+record! {
+    /// Sleep of stations between beacons, as Linux does it.
+    PowerSaveRecord {
+        /// Time without frames after which a station sleeps.
+        idle: Spanned<Duration> = "100 ms",
+        /// Beacons from one to the next after which group frames go to stations that sleep.
+        dtim_period: Spanned<u8> = 2,
     }
 }
 

@@ -3,15 +3,15 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
-    Edca, Interferer, InterfererKind, Node, NodeKind, Presence, Probability, RateControl, WifiStandard,
-    WirelessNetwork,
+    Edca, Interferer, InterfererKind, Node, NodeKind, PowerSave, Presence, Probability, RateControl,
+    WifiStandard, WirelessNetwork,
 };
 
 use super::builder::{Builder, each};
 use crate::{
     records::{
         AccessWord, DeviceRecord, EmitterRecord, InterferenceRecord, NodeRecord, OtherNetworkRecord,
-        PresenceRecord, WirelessRecord,
+        PowerSaveRecord, PresenceRecord, WirelessRecord,
     },
     yaml::decode::{Either, Spanned},
 };
@@ -24,9 +24,11 @@ impl Builder<'_> {
         let can_aggregate = matches!(record.standard, WifiStandard::N | WifiStandard::Ac);
         match &record.access.value {
             Either::Short(AccessWord::Turns) => None,
-            Either::Short(AccessWord::Edca) => {
-                Some(Edca { aggregation: can_aggregate, rate_control: RateControl::Minstrel })
-            }
+            Either::Short(AccessWord::Edca) => Some(Edca {
+                aggregation: can_aggregate,
+                rate_control: RateControl::Minstrel,
+                power_save: None,
+            }),
             Either::Long(settings) => {
                 if let Some(aggregation) =
                     settings.aggregation.as_ref().filter(|on| on.value && !can_aggregate)
@@ -36,9 +38,30 @@ impl Builder<'_> {
                         .help("leave `aggregation` out, or write `standard: n` or `ac`");
                 }
                 let aggregation = settings.aggregation.as_ref().map_or(can_aggregate, |on| on.value);
-                Some(Edca { aggregation, rate_control: settings.rate_control })
+                let power_save = match &settings.power_save {
+                    None => None,
+                    Some(record) => Some(self.power_save(record)?),
+                };
+                Some(Edca { aggregation, rate_control: settings.rate_control, power_save })
             }
         }
+    }
+
+    fn power_save(&mut self, record: &PowerSaveRecord) -> Option<PowerSave> {
+        if record.dtim_period.value == 0 {
+            self.sink
+                .error(&record.dtim_period.span, "a DTIM period of 0 beacons")
+                .help("write 1 or more; 2 is the default of hostapd");
+            return None;
+        }
+        let idle = record.idle.value;
+        if idle < AIRTIMES[0] {
+            self.sink
+                .error(&record.idle.span, format!("stations that sleep after {idle:?}"))
+                .help("write `100 ms`, as Linux does; leave `power_save` out for stations that never sleep");
+            return None;
+        }
+        Some(PowerSave { idle, dtim_period: record.dtim_period.value })
     }
 
     pub(super) fn interference(

@@ -275,7 +275,10 @@ impl Radio {
                 }
             }
             let units = units.iter().map(|unit| (channel(unit), networks[unit.network].phy.sifs()));
-            let stations = robots.iter().map(|robot| networks[robot.network].phy.sifs());
+            let stations = robots.iter().map(|robot| {
+                let Network { phy, spec, .. } = &networks[robot.network];
+                (phy.sifs(), spec.access.and_then(|access| access.power_save))
+            });
             Edca::new(seed, units, stations, interference)
         });
         let contention = units.iter().filter(|unit| networks[unit.network].contends()).map(channel).collect();

@@ -18,6 +18,11 @@ pub(super) fn next_beacon(now: Timestamp) -> Timestamp {
     Timestamp::from_nanos((now.as_nanos() / interval + 1).saturating_mul(interval))
 }
 
+/// Returns the number of the last beacon.
+pub(super) fn beacon_number(now: Timestamp) -> u64 {
+    now.as_nanos() / BEACON_INTERVAL.as_nanos() as u64
+}
+
 /// Thresholds by which a station changes its radio unit: the entering condition of 3GPP's event A3 (TS 36.331, 5.5.4.4),
 /// which Wi-Fi stations resemble.
 #[derive(Debug, Clone, Copy)]

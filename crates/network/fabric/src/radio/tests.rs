@@ -4,8 +4,8 @@ mod contention;
 
 use cotorra_graph::{
     BitRate, Capacity, Conditions, Driver, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss,
-    Node, NodeKind, PathLoss, Probability, RadioUnit, Rate, RateControl, Robot, RobotModel, Server,
-    Shadowing, Tier, WifiStandard,
+    Node, NodeKind, PathLoss, PowerSave, Probability, RadioUnit, Rate, RateControl, Robot, RobotModel,
+    Server, Shadowing, Tier, WifiStandard,
 };
 use proptest::prelude::*;
 
@@ -729,9 +729,10 @@ proptest! {
         seed: u64,
         gap in prop_oneof![Just(GapPolicy::Hold), Just(GapPolicy::Drop)],
         deviation_db in 0.0..8.0f64,
-        access in prop::option::of(any::<[bool; 2]>().prop_map(|[aggregation, learns]| {
+        access in prop::option::of(any::<[bool; 3]>().prop_map(|[aggregation, learns, sleeps]| {
             let rate_control = if learns { RateControl::Minstrel } else { RateControl::Ideal };
-            Edca { aggregation, rate_control }
+            let power_save = sleeps.then_some(PowerSave { idle: ms(20), dtim_period: 3 });
+            Edca { aggregation, rate_control, power_save }
         })),
         operations in (0..2u32).prop_flat_map(|groups| {
             prop::collection::vec((0..40u64, operation(groups)), 0..250)

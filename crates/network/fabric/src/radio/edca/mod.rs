@@ -5,24 +5,27 @@
 //! - [`backoff`] is the contention of one access category; [`category`] has their parameters.
 //! - [`stream`] has the frames of one category for one receiver, with retries, aggregation and the receiver's order.
 //! - [`emitter`] is what is known of whoever sends; [`interference`] is what other networks and other devices send.
+//! - [`power_save`] lets stations sleep between beacons.
 //! - [`transmission`] puts frames on the air and decides who gets them.
 
 mod backoff;
 mod category;
 mod emitter;
 mod interference;
+mod power_save;
 mod stream;
 mod transmission;
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_graph::{Direction, QueueLimit, Timestamp};
+use cotorra_graph::{Direction, PowerSave, QueueLimit, Timestamp};
 
 pub(super) use self::interference::Interference;
 
 use self::{
     backoff::Backoff,
     category::{CATEGORIES, Category},
+    power_save::Sleep,
     stream::{Settled, Stream},
     transmission::{OnAir, Sender},
 };
@@ -108,6 +111,8 @@ struct Peer {
     with: RadioUnitIndex,
     /// By direction and category.
     streams: [[Stream; 4]; 2],
+    /// `None` if it never sleeps.
+    sleep: Option<Sleep>,
 }
 
 #[derive(Debug)]
@@ -119,6 +124,10 @@ struct Unit {
     group: [Stream; 4],
     /// Flows of each category in turn: the last served is behind all others.
     turns: [VecDeque<Flow>; 4],
+    /// Its next beacon, if it keeps frames for stations that sleep.
+    beacon: Option<Timestamp>,
+    /// Whether group frames are sent, after a DTIM, though stations sleep.
+    delivers_groups: bool,
 }
 
 /// All channels with contention, and the frames that wait for them. Robots and radio units have the numbers of the radio's;
@@ -132,11 +141,12 @@ pub(super) struct Edca {
 }
 
 impl Edca {
-    /// Creates the channels of radio units, each with its channel and SIFS, and stations with their network's SIFS.
+    /// Creates the channels of radio units, each with its channel and SIFS, and stations with their network's SIFS and
+    /// sleep.
     pub(super) fn new(
         seed: u64,
         units: impl Iterator<Item = (usize, Duration)>,
-        stations: impl Iterator<Item = Duration>,
+        stations: impl Iterator<Item = (Duration, Option<PowerSave>)>,
         interference: Vec<Interference>,
     ) -> Self {
         let node = |label: &str, sifs: Duration, parameters: fn(Category) -> backoff::Parameters| Node {
@@ -154,13 +164,16 @@ impl Edca {
                 present: Vec::new(),
                 group: Default::default(),
                 turns: std::array::from_fn(|_| VecDeque::from([Flow::Group(index)])),
+                beacon: None,
+                delivers_groups: false,
             })
             .collect();
-        let peer = |(index, sifs)| Peer {
+        let peer = |(index, (sifs, power_save)): (usize, (Duration, Option<PowerSave>))| Peer {
             node: node(&format!("station {index}"), sifs, Category::of_station),
             on: None,
             with: 0,
             streams: Default::default(),
+            sleep: power_save.map(Sleep::new),
         };
         let most = units.iter().map(|unit| unit.channel + 1).max().unwrap_or(0);
         let mut channels: Vec<Channel> = (0..most).map(|_| Channel::default()).collect();
@@ -241,7 +254,10 @@ impl Edca {
         let Channel { members, on_air, .. } = &self.channels[channel];
         let sends = members.iter().filter_map(|member| match member {
             Emitter::Robot(station) => self.peers[*station].node.next_access(),
-            Emitter::Unit(unit) => self.units[*unit].node.next_access(),
+            Emitter::Unit(unit) => {
+                let Unit { node, beacon, .. } = &self.units[*unit];
+                node.next_access().into_iter().chain(*beacon).min()
+            }
             Emitter::Interference(source) => Some(self.interference[*source].deadline()),
         });
         sends.chain(on_air.iter().map(|on_air| on_air.data_ends)).min()
@@ -275,13 +291,16 @@ impl Edca {
     /// Finds out which categories of a sender have frames to send, after some came. Those that had none begin to contend.
     fn refresh(&mut self, now: Timestamp, sender: Emitter) {
         for category in 0..CATEGORIES.len() {
-            let ready = self.next_flow(sender, category).is_some();
+            let ready = self.next_flow(now, sender, category).is_some();
             let Some(node) = self.node(sender) else { return };
             let contention = &mut node.contentions[category];
             if ready && !contention.ready {
                 contention.backoff.wake(now);
             }
             contention.ready = ready;
+        }
+        if let Emitter::Unit(unit) = sender {
+            self.announce(now, unit);
         }
     }
 
@@ -297,15 +316,19 @@ impl Edca {
             }
             let mut sends = false;
             for category in 0..CATEGORIES.len() {
-                let flow = self.next_flow(emitter, category);
+                let flow = self.next_flow(now, emitter, category);
                 let Some(node) = self.node(emitter) else { continue };
                 if node.access(category).is_none_or(|access| access > now) {
                     continue;
                 }
-                if std::mem::replace(&mut sends, true) {
-                    node.contentions[category].backoff.double();
-                } else {
-                    senders.extend(flow.map(|flow| Sender::Station { emitter, category, flow }));
+                match flow {
+                    // Its receivers have fallen asleep.
+                    None => self.see_frames(now, emitter),
+                    Some(_) if sends => node.contentions[category].backoff.double(),
+                    Some(flow) => {
+                        sends = true;
+                        senders.push(Sender::Station { emitter, category, flow });
+                    }
                 }
             }
         }
@@ -351,12 +374,12 @@ impl Edca {
     }
 
     /// Begins the backoff after an exchange. `done` says whether its frames were acknowledged or given up.
-    fn end_exchange(&mut self, emitter: Emitter, category: usize, done: bool) {
+    fn end_exchange(&mut self, now: Timestamp, emitter: Emitter, category: usize, done: bool) {
         if let Some(node) = self.node(emitter) {
             let backoff = &mut node.contentions[category].backoff;
             if done { backoff.reset() } else { backoff.double() }
         }
-        self.see_frames(emitter);
+        self.see_frames(now, emitter);
     }
 
     fn end_interference(&mut self, emitter: Emitter, undisturbed: bool) {
@@ -374,21 +397,25 @@ impl Edca {
             {
                 turns.push_back(flow);
             }
+            self.end_delivery(unit);
         }
     }
 
     /// Finds out which categories of a sender have frames to send, after it sent some.
-    fn see_frames(&mut self, sender: Emitter) {
+    fn see_frames(&mut self, now: Timestamp, sender: Emitter) {
         for category in 0..CATEGORIES.len() {
-            let ready = self.next_flow(sender, category).is_some();
+            let ready = self.next_flow(now, sender, category).is_some();
             if let Some(node) = self.node(sender) {
                 node.contentions[category].ready = ready;
             }
         }
+        if let Emitter::Unit(unit) = sender {
+            self.announce(now, unit);
+        }
     }
 
     /// Returns the flow whose turn it is.
-    fn next_flow(&self, sender: Emitter, category: usize) -> Option<Flow> {
+    fn next_flow(&self, now: Timestamp, sender: Emitter, category: usize) -> Option<Flow> {
         let is_ready = |station: StationIndex, direction: Direction| {
             self.peers[station].streams[direction as usize][category].is_ready()
         };
@@ -404,7 +431,7 @@ impl Edca {
                     Flow::Group(_) => group[category].is_ready(),
                     Flow::Up(_) => false,
                 };
-                turns[category].iter().find(is_ready).copied()
+                turns[category].iter().filter(is_ready).find(|flow| self.is_awake(now, **flow)).copied()
             }
             Emitter::Interference(_) => None,
         }

@@ -101,6 +101,7 @@ impl Radio {
         while let Some(ended) = self.edca().take_ended(channel, now) {
             self.end_transmission(channel, ended);
         }
+        self.edca().send_beacons(channel, now);
         let senders = self.edca().senders(channel, now);
         let beginning: Vec<_> = senders.into_iter().map(|sender| self.compose(now, sender)).collect();
         for new in beginning {
@@ -155,7 +156,7 @@ impl Radio {
             until: edca.begin_opportunity(now, emitter, category),
             protects: None,
         };
-        edca.see_frames(emitter);
+        edca.see_frames(now, emitter);
         let (airtime, answer) = match lengths[..] {
             [bytes] => (phy.data_airtime(mode, bytes), phy.ack_airtime(mode)),
             _ => {
@@ -221,7 +222,7 @@ impl Radio {
         let now = ended.data_ends;
         if self.edca().stream(flow, category).epoch() != epoch {
             // The station has left its channel.
-            return self.edca().end_exchange(ended.emitter, category, false);
+            return self.edca().end_exchange(now, ended.emitter, category, false);
         }
         let reception = self.reception_among(path, &ended.overlaps);
         let mut edca = self.edca.take().expect("a network with contention");
@@ -236,9 +237,12 @@ impl Radio {
         self.edca = Some(edca);
         self.settle(now, path, settled);
         let done = outcome.received > 0 || outcome.given_up > 0;
-        self.edca().end_exchange(ended.emitter, category, done);
+        self.edca().end_exchange(now, ended.emitter, category, done);
         if done {
             self.edca().take_turn(ended.emitter, category, flow);
+        }
+        if outcome.received > 0 || matches!(flow, Flow::Up(_)) {
+            self.edca().stay_awake(now, path.robot);
         }
         if outcome.received > 0 {
             let receiver = path.receiver();
@@ -257,7 +261,7 @@ impl Radio {
         let stream = self.edca().stream(flow, category);
         stream.conclude([ended.start, now], 1, |_| true);
         let sent = stream.settle();
-        self.edca().end_exchange(ended.emitter, category, true);
+        self.edca().end_exchange(now, ended.emitter, category, true);
         self.edca().take_turn(ended.emitter, category, flow);
         let (Some(Settled { waiting, began, first, .. }), Flow::Group(unit)) = (sent, flow) else { return };
         let Waiting { frame, since, source, is_probe } = waiting;

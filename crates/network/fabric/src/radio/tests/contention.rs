@@ -1,6 +1,6 @@
 //! Channels on which stations contend: throughput, collisions, hidden nodes, capture, aggregation and interference.
 
-use cotorra_graph::{Interferer, InterfererKind, Presence, RateControl};
+use cotorra_graph::{Interferer, InterfererKind, PowerSave, Presence, RateControl};
 
 use super::*;
 
@@ -10,7 +10,7 @@ fn contending() -> WirelessNetwork {
         standard: WifiStandard::A,
         delay: Duration::ZERO,
         rate: None,
-        access: Some(Edca { aggregation: false, rate_control: RateControl::Ideal }),
+        access: Some(Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }),
         ..network()
     }
 }
@@ -115,7 +115,7 @@ fn hidden_nodes_lose_throughput_and_frames() {
 fn aggregation_raises_the_throughput_to_what_its_overhead_allows() {
     let ht = |aggregation| WirelessNetwork {
         standard: WifiStandard::N,
-        access: Some(Edca { aggregation, rate_control: RateControl::Ideal }),
+        access: Some(Edca { aggregation, rate_control: RateControl::Ideal, power_save: None }),
         ..contending()
     };
     let rate = |aggregation, until: u64| {
@@ -214,7 +214,7 @@ fn held_frames_follow_a_contending_station_in_order() {
     for aggregation in [false, true] {
         let network = WirelessNetwork {
             standard: WifiStandard::N,
-            access: Some(Edca { aggregation, rate_control: RateControl::Ideal }),
+            access: Some(Edca { aggregation, rate_control: RateControl::Ideal, power_save: None }),
             ..contending()
         };
         let mut world = corridor(network, Roaming::Instructed);
@@ -238,7 +238,7 @@ fn the_rate_control_of_linux_comes_near_to_the_ideal_rate() {
     let arrived = |rate_control, x: f64| {
         let network = WirelessNetwork {
             standard: WifiStandard::N,
-            access: Some(Edca { aggregation: true, rate_control }),
+            access: Some(Edca { aggregation: true, rate_control, power_save: None }),
             ..contending()
         };
         let mut world = stations(network, &[x]);
@@ -255,5 +255,67 @@ fn the_rate_control_of_linux_comes_near_to_the_ideal_rate() {
         println!("{x} m: {learned} frames by Minstrel-HT, {ideal} by the ideal rate");
         assert!(learned > 0.9 * ideal, "{learned} and {ideal} frames at {x} m");
         assert!(lost <= 20, "{lost} frames lost at {x} m");
+    }
+}
+
+/// Sends frames down to a station that sleeps after 100 ms, one each 250 ms. Returns their delays, µs.
+fn delays_to_sleeper(world: &mut World) -> Vec<u64> {
+    (0..40).for_each(|i| world.down(at(250 * i), "R", "r0", 500));
+    world.run(at(10_500));
+    let delay = |(due, _, frame): &(Timestamp, PortId, Frame)| {
+        let number = u64::from_be_bytes(frame.bytes()[14..22].try_into().unwrap());
+        due.since(at(250 * number)).as_micros() as u64
+    };
+    world.arrived.iter().map(delay).collect()
+}
+
+fn sleeping() -> WirelessNetwork {
+    let power_save = Some(PowerSave { idle: ms(100), dtim_period: 2 });
+    let access = Edca { aggregation: false, rate_control: RateControl::Ideal, power_save };
+    WirelessNetwork { access: Some(access), ..contending() }
+}
+
+#[test]
+fn frames_for_a_station_that_sleeps_wait_for_a_beacon() {
+    let delays = delays_to_sleeper(&mut stations(sleeping(), &[5.0]));
+    assert_eq!(delays.len(), 40);
+    // The first comes while it is awake. Frames and beacons have no common period: the waits spread evenly.
+    assert!(delays[0] < 1000, "{delays:?}");
+    let waits = &delays[1..];
+    assert!(waits.iter().all(|wait| *wait < 102_400 + 1000), "{waits:?}");
+    let mean = waits.iter().sum::<u64>() as f64 / waits.len() as f64;
+    assert!((40_000.0..62_000.0).contains(&mean), "{mean}");
+}
+
+#[test]
+fn a_station_that_sends_is_awake() {
+    let mut world = stations(sleeping(), &[5.0]);
+    for i in 0..100 {
+        world.up(at(50 * i), "r0", 500);
+        world.down(at(50 * i + 30), "R", "r0", 500);
+    }
+    world.run(at(6000));
+    let worst = |parity: u64, offset: u64| {
+        let of = |frame: &Frame| u64::from_be_bytes(frame.bytes()[14..22].try_into().unwrap());
+        let frames = world.arrived.iter().filter(|(_, _, frame)| of(frame) % 2 == parity);
+        frames.map(|(due, _, frame)| due.since(at(50 * (of(frame) / 2) + offset)).as_micros()).max()
+    };
+    assert!(worst(0, 0) < Some(1000));
+    assert!(worst(1, 30) < Some(1000));
+}
+
+#[test]
+fn group_frames_wait_for_a_dtim_if_a_station_sleeps() {
+    let mut world = stations(sleeping(), &[5.0, -5.0]);
+    for i in 0..20 {
+        let frame = world.frame(500);
+        world.radio.push_group(at(1000 + 300 * i), world.ports["R"], world.ports["r0"], frame);
+    }
+    world.run(at(10_000));
+    assert_eq!(world.arrived.len(), 20);
+    for (due, ..) in &world.arrived {
+        // Every second beacon, each 204.8 ms.
+        let after = due.as_nanos() % 204_800_000;
+        assert!(after < 2_000_000, "{due}");
     }
 }
