@@ -234,7 +234,7 @@ impl RobotModel {
 }
 
 /// Roaming policy: the component that decides when a robot changes its radio unit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Roaming {
@@ -244,6 +244,37 @@ pub enum Roaming {
     /// only when it lost its radio unit.
     #[default]
     Instructed,
+    /// The station decides as wpa_supplicant does, by background scans. It loses beacons at random, and probes its radio
+    /// unit before it gives it up, as Linux does.
+    Supplicant(BackgroundScan),
+}
+
+/// Background scans of wpa_supplicant: the parameters of its module bgscan `simple`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct BackgroundScan {
+    /// Signal of the own radio unit below which the short interval holds.
+    #[serde(rename = "threshold_dbm")]
+    pub threshold: Dbm,
+    /// From scan to scan below the threshold; 1 s or more.
+    #[serde(rename = "short_interval_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub short_interval: Duration,
+    /// From scan to scan otherwise, and after many scans below the threshold; not below the short interval.
+    #[serde(rename = "long_interval_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub long_interval: Duration,
+}
+
+impl Default for BackgroundScan {
+    /// `bgscan="simple:30:-65:300"`: NetworkManager's setting for networks of several radio units.
+    fn default() -> Self {
+        Self {
+            threshold: Dbm(-65.0),
+            short_interval: Duration::from_secs(30),
+            long_interval: Duration::from_secs(300),
+        }
+    }
 }
 
 /// A radio unit's hardware.

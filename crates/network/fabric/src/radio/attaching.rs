@@ -3,9 +3,10 @@
 use cotorra_graph::{Direction, Event, GapPolicy, Handover, Timestamp};
 
 use super::{
-    Path, Radio, RadioUnitIndex, SEARCH_INTERVAL, StationIndex,
+    Path, Radio, RadioUnitIndex, RobotRadio, SEARCH_INTERVAL, StationIndex,
     roaming::{Verdict, next_beacon},
     station::{self, Joined, Purpose, Step},
+    supplicant::{Decision, Supplicant},
 };
 
 impl Radio {
@@ -17,16 +18,34 @@ impl Radio {
                 None if self.contends(owner) => self.contend(owner, at),
                 None => self.serve(owner, at),
                 Some(robot) if self.robots[robot].station.is_away() => self.end_phase(robot, at),
+                Some(robot) if self.next_scan(robot).is_some_and(|due| due <= at) => {
+                    self.scan_in_background(robot, at);
+                }
                 Some(robot) => self.beacon(robot, at),
             }
         }
     }
 
-    /// Sets the timer for the next beacon of a station's radio unit, or for the next search if it has none.
+    /// Sets the timer for the next beacon of a station's radio unit or its next background scan, or for the next search if
+    /// it has no radio unit.
     pub(super) fn watch(&mut self, robot: StationIndex, now: Timestamp) {
         let lost = self.robots[robot].station.attached().is_none();
         let next = if lost { now + SEARCH_INTERVAL } else { next_beacon(now) };
+        let next = self.next_scan(robot).map_or(next, |scan| scan.min(next));
         self.timers.set(self.channels + robot, Some(next));
+    }
+
+    /// Returns when the supplicant of an attached station scans next, if there is one.
+    fn next_scan(&self, robot: StationIndex) -> Option<Timestamp> {
+        let RobotRadio { station, policy, .. } = &self.robots[robot];
+        station.attached().and(policy.supplicant()).map(Supplicant::deadline)
+    }
+
+    fn scan_in_background(&mut self, robot: StationIndex, now: Timestamp) {
+        if let Some(supplicant) = self.robots[robot].policy.supplicant_mut() {
+            supplicant.scans(now);
+        }
+        self.begin_scan(robot, now, Purpose::Roam).expect("a station with a background scan due is not away");
     }
 
     fn beacon(&mut self, robot: StationIndex, now: Timestamp) {
@@ -34,8 +53,8 @@ impl Radio {
         let Some(unit) = self.robots[robot].station.attached() else {
             return self.begin_scan(robot, now, Purpose::Roam).expect("a station on no channel is not away");
         };
-        let thresholds = self.robots[robot].thresholds;
-        let own = self.hears(robot, unit);
+        let thresholds = self.robots[robot].policy.thresholds();
+        let own = self.receive_beacon(robot, unit);
         if thresholds.is_some() {
             self.listen(robot);
         }
@@ -43,11 +62,20 @@ impl Radio {
         let others = self.joinable(robot).filter(|(other, _)| *other != unit);
         let verdict = beacons.weigh(now, own, others, thresholds);
         self.robots[robot].beacons = beacons;
+        let supplicant = self.robots[robot].policy.supplicant_mut();
+        let is_watchful = supplicant.is_some();
+        if let (Some(supplicant), Some(own)) = (supplicant, own) {
+            supplicant.beacon(now, own);
+        }
         match verdict {
-            Verdict::Stay => {}
-            Verdict::Watch => self.watch(robot, now),
+            Verdict::Stay if !is_watchful => {}
+            Verdict::Stay | Verdict::Watch => self.watch(robot, now),
             Verdict::Roam => {
                 self.begin_scan(robot, now, Purpose::Roam).expect("a station that hears beacons is not away");
+            }
+            Verdict::Lost if self.answers_probe(robot, unit) => {
+                self.robots[robot].beacons.reset();
+                self.watch(robot, now);
             }
             Verdict::Lost => self.lose_unit(robot, unit, now),
         }
@@ -79,15 +107,15 @@ impl Radio {
     }
 
     fn end_phase(&mut self, robot: StationIndex, now: Timestamp) {
-        let strongest = if self.robots[robot].station.is_scanning() {
+        let chosen = if self.robots[robot].station.is_scanning() {
             self.listen(robot);
-            self.strongest(robot)
+            self.choose(robot, now)
         } else {
             None
         };
         let station = &self.robots[robot].station;
         let is_one_domain = self.is_one_mobility_domain(robot, station.underway_to());
-        match self.robots[robot].station.expire(strongest, is_one_domain) {
+        match self.robots[robot].station.expire(chosen, is_one_domain) {
             Step::Underway => {}
             Step::Scanned => {
                 let robot = self.robots[robot].id.clone();
@@ -101,8 +129,10 @@ impl Radio {
         }
         let on = station.on_channel();
         self.robots[robot].beacons.reset();
-        // A better radio unit may be near, or the own one lost. A standing robot without one need not search again.
-        if on.is_some() || self.robots[robot].moved {
+        // A better radio unit may be near, or the own one lost. A standing robot without one need not search again,
+        // but a supplicant never stops.
+        let RobotRadio { moved, policy, .. } = &self.robots[robot];
+        if on.is_some() || *moved || policy.supplicant().is_some() {
             self.watch(robot, now);
         }
         if let Some(unit) = on {
@@ -112,6 +142,19 @@ impl Radio {
             }
             self.enter_channel(robot, unit, now);
             self.serve(self.medium.channel(unit), now);
+        }
+    }
+
+    /// Returns the radio unit that a robot chooses after a scan.
+    fn choose(&mut self, robot: StationIndex, now: Timestamp) -> Option<RadioUnitIndex> {
+        let RobotRadio { station, policy, .. } = &self.robots[robot];
+        let Some(own) = station.attached().filter(|_| policy.supplicant().is_some()) else {
+            return self.strongest(robot);
+        };
+        let heard: Vec<_> = self.joinable(robot).collect();
+        match self.robots[robot].policy.supplicant_mut()?.scanned(now, own, heard) {
+            Decision::Stay => None,
+            Decision::Roam(unit) => Some(unit),
         }
     }
 
@@ -130,7 +173,7 @@ impl Radio {
             self.units[from].stations.retain(|r| *r != robot);
         }
         self.robots[robot].elsewhere = None;
-        self.associate(robot, to);
+        self.associate(now, robot, to);
         let event = Event::Handover(Handover {
             robot: self.robots[robot].id.clone(),
             from: from.map(|unit| self.units[unit].id.clone()),
@@ -142,7 +185,11 @@ impl Radio {
     }
 
     /// Records that a robot is attached to a radio unit.
-    pub(super) fn associate(&mut self, robot: StationIndex, unit: RadioUnitIndex) {
+    pub(super) fn associate(&mut self, now: Timestamp, robot: StationIndex, unit: RadioUnitIndex) {
+        if self.robots[robot].policy.supplicant().is_some() {
+            let [_, signal] = self.signals(robot, unit);
+            self.robots[robot].policy.supplicant_mut().expect("it has one").attached(now, signal);
+        }
         let stations = &mut self.units[unit].stations;
         let place = stations.partition_point(|r| *r < robot);
         stations.insert(place, robot);

@@ -6,11 +6,13 @@
 //!   the rate of a frame, by [`minstrel`] as Linux does; [`link`] adds the conditions of emulation.
 //! - [`hearing`] finds the radio units within a robot's reach; [`air`] carries frames.
 //! - [`access`] switches vAPs on and off and admits robots; [`station`] is the state machine of an attachment; [`roaming`]
-//!   decides from beacons; [`attaching`] carries out handovers; [`elsewhere`] has the robots that are with other cores.
+//!   decides from [`beacons`], [`supplicant`] as wpa_supplicant; [`attaching`] carries out handovers; [`elsewhere`] has
+//!   the robots that are with other cores.
 
 mod access;
 mod air;
 mod attaching;
+mod beacons;
 mod channel;
 mod edca;
 mod elsewhere;
@@ -23,6 +25,7 @@ mod rate_control;
 mod roaming;
 mod shadowing;
 mod station;
+mod supplicant;
 
 #[cfg(test)]
 mod tests;
@@ -36,7 +39,7 @@ use std::{
 
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy, HardwareGraph,
-    LinkContext, LinkCounters, LinkId, NodeId, Position, Probed, QueueLimit, RadioContext, Roaming, Stamped,
+    LinkContext, LinkCounters, LinkId, NodeId, Position, Probed, QueueLimit, RadioContext, Stamped,
     StationContext, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -48,7 +51,7 @@ use self::{
     link::WirelessLink,
     medium::{Flow, Medium, Waiting},
     phy::{Phy, Reception},
-    roaming::{Beacons, Thresholds},
+    roaming::{Beacons, Policy},
     shadowing::ShadowingField,
     station::{Purpose, Station},
 };
@@ -159,8 +162,7 @@ struct RobotRadio {
     network: usize,
     position: Position,
     tx_power: Dbm,
-    /// Thresholds for changing its radio unit by itself, if it does.
-    thresholds: Option<Thresholds>,
+    policy: Policy,
     station: Station,
     beacons: Beacons,
     /// Whether it has moved since its last beacon.
@@ -239,8 +241,6 @@ impl Radio {
             let Network { spec, units, .. } = &networks[network];
             let port = ports[&node.id];
             by_port[port.0] = Some(Role::Robot(robots.len()));
-            let by_signal =
-                Thresholds { hysteresis_db: spec.hysteresis_db, time_to_trigger: spec.time_to_trigger };
             robots.push(RobotRadio {
                 port,
                 domain: node.domain.clone(),
@@ -248,7 +248,7 @@ impl Radio {
                 network,
                 position: node.position.unwrap_or_default(),
                 tx_power: robot.tx_power,
-                thresholds: (robot.roaming == Roaming::Signal).then_some(by_signal),
+                policy: Policy::new(robot.roaming, spec, seed, &node.id),
                 station: Station::new(spec, stream(seed, &format!("station {}", node.id))),
                 beacons: Beacons::default(),
                 moved: false,
@@ -308,8 +308,11 @@ impl Radio {
             radio.listen(robot);
             if let Some(unit) = radio.strongest(robot) {
                 radio.robots[robot].station.begin_attached(unit);
-                radio.associate(robot, unit);
+                radio.associate(Timestamp::ZERO, robot, unit);
                 radio.enter_channel(robot, unit, Timestamp::ZERO);
+            }
+            if radio.robots[robot].policy.supplicant().is_some() {
+                radio.watch(robot, Timestamp::ZERO);
             }
         }
         Ok(radio)
@@ -485,7 +488,8 @@ impl Radio {
         Ok(())
     }
 
-    /// Makes a robot's radio leave its channel and scan all others. A robot without a radio unit joins the strongest.
+    /// Makes a robot's radio leave its channel and scan all others. A robot without a radio unit joins the strongest. One
+    /// with a supplicant joins what its supplicant decides for.
     ///
     /// # Errors
     /// [`FabricError::UnknownRobot`]; [`FabricError::Busy`] while it scans or changes its radio unit.
@@ -495,8 +499,9 @@ impl Radio {
         if self.robots[index].elsewhere.is_some() {
             return Err(FabricError::Elsewhere(robot.clone()));
         }
-        let lost = self.robots[index].station.attached().is_none();
-        let purpose = if lost { Purpose::Roam } else { Purpose::Look };
+        let RobotRadio { station, policy, .. } = &self.robots[index];
+        let decides = station.attached().is_none() || policy.supplicant().is_some();
+        let purpose = if decides { Purpose::Roam } else { Purpose::Look };
         self.begin_scan(index, now, purpose).map_err(|_| FabricError::Busy(robot.clone()))
     }
 

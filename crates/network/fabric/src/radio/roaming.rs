@@ -3,9 +3,11 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{Dbm, Timestamp};
+use cotorra_graph::{Dbm, NodeId, Roaming, Timestamp, WirelessNetwork};
+use rand_xoshiro::Xoshiro256PlusPlus;
 
-use crate::port::RadioUnitIndex;
+use super::supplicant::Supplicant;
+use crate::{port::RadioUnitIndex, random::stream};
 
 /// Beacon interval: 100 time units of 1.024 ms (IEEE 802.11-2020, 9.4.1.3), the default of most radio units.
 pub(super) const BEACON_INTERVAL: Duration = Duration::from_micros(102_400);
@@ -21,6 +23,56 @@ pub(super) fn next_beacon(now: Timestamp) -> Timestamp {
 /// Returns the number of the last beacon.
 pub(super) fn beacon_number(now: Timestamp) -> u64 {
     now.as_nanos() / BEACON_INTERVAL.as_nanos() as u64
+}
+
+/// The component that decides when a station changes its radio unit, and what it keeps for that.
+#[derive(Debug)]
+pub(super) enum Policy {
+    Instructed,
+    Signal(Thresholds),
+    /// The numbers decide which beacons are lost.
+    Supplicant(Supplicant, Xoshiro256PlusPlus),
+}
+
+impl Policy {
+    /// Creates the policy of a robot in a network.
+    pub(super) fn new(roaming: Roaming, network: &WirelessNetwork, seed: u64, robot: &NodeId) -> Self {
+        match roaming {
+            Roaming::Instructed => Self::Instructed,
+            Roaming::Signal => Self::Signal(Thresholds {
+                hysteresis_db: network.hysteresis_db,
+                time_to_trigger: network.time_to_trigger,
+            }),
+            Roaming::Supplicant(scans) => Self::Supplicant(
+                Supplicant::new(scans, network.standard, network.noise_floor),
+                stream(seed, &format!("beacons {robot}")),
+            ),
+        }
+    }
+
+    /// Returns the thresholds, if the station decides by signal.
+    pub(super) fn thresholds(&self) -> Option<Thresholds> {
+        match self {
+            Self::Signal(thresholds) => Some(*thresholds),
+            Self::Instructed | Self::Supplicant(..) => None,
+        }
+    }
+
+    /// Returns the supplicant, if there is one.
+    pub(super) fn supplicant(&self) -> Option<&Supplicant> {
+        match self {
+            Self::Supplicant(supplicant, _) => Some(supplicant),
+            Self::Instructed | Self::Signal(_) => None,
+        }
+    }
+
+    /// Returns the supplicant, if there is one.
+    pub(super) fn supplicant_mut(&mut self) -> Option<&mut Supplicant> {
+        match self {
+            Self::Supplicant(supplicant, _) => Some(supplicant),
+            Self::Instructed | Self::Signal(_) => None,
+        }
+    }
 }
 
 /// Thresholds by which a station changes its radio unit: the entering condition of 3GPP's event A3 (TS 36.331, 5.5.4.4),

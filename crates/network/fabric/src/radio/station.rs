@@ -14,7 +14,7 @@ use crate::random::unit;
 pub(super) enum Purpose {
     /// To update the signals.
     Look,
-    /// To attach to the strongest radio unit, if it is another one.
+    /// To attach to the radio unit that the station chooses then, if it is another one.
     Roam,
     /// To attach to a radio unit, as requested during the scan.
     Attach(RadioUnitIndex),
@@ -173,16 +173,16 @@ impl Station {
         }
     }
 
-    /// Ends the current phase. `strongest` is the result of a scan. `is_one_domain` says whether there is a former radio unit,
+    /// Ends the current phase. `chosen` is the result of a scan. `is_one_domain` says whether there is a former radio unit,
     /// here or at another core, and whether it is in one mobility domain with the next.
-    pub(super) fn expire(&mut self, strongest: Option<RadioUnitIndex>, is_one_domain: bool) -> Step {
+    pub(super) fn expire(&mut self, chosen: Option<RadioUnitIndex>, is_one_domain: bool) -> Step {
         let Some(Absence { since, phase, ends }) = self.absence.take() else { return Step::Underway };
         match phase {
             Phase::Scan(purpose) => {
                 let to = match purpose {
                     Purpose::Look => None,
                     Purpose::Attach(to) => Some(to),
-                    Purpose::Roam => strongest,
+                    Purpose::Roam => chosen,
                 };
                 if let Some(to) = to.filter(|to| self.attached != Some(*to)) {
                     self.begin(since, ends, Phase::Authenticate(to));

@@ -1,11 +1,12 @@
 //! Tests of the radio as the fabric uses it: frames in, frames and events out, in virtual time.
 
 mod contention;
+mod supplicant;
 
 use cotorra_graph::{
     BitRate, Capacity, Conditions, Driver, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss,
-    Node, NodeKind, PathLoss, PowerSave, Probability, RadioUnit, Rate, RateControl, Robot, RobotModel,
-    Server, Shadowing, Tier, WifiStandard,
+    Node, NodeKind, PathLoss, PowerSave, Probability, RadioUnit, Rate, RateControl, Roaming, Robot,
+    RobotModel, Server, Shadowing, Tier, WifiStandard,
 };
 use proptest::prelude::*;
 
@@ -742,7 +743,7 @@ proptest! {
         let handover = HandoverTimes { variation: 0.5, ..network().handover };
         let robots = ["a", "b", "c"];
         let units = ["R1", "R2", "R3"];
-        let roaming = [Roaming::Signal, Roaming::Signal, Roaming::Instructed];
+        let roaming = [Roaming::Signal, supplicant::every(1), Roaming::Instructed];
         let nodes = (0..3).map(|i| robot(robots[i], 10.0 * i as f64, roaming[i]))
             .chain((0..3).map(|i| unit(units[i], 30.0 * i as f64, if i == 2 { 11 } else { 1 })))
             .collect();
