@@ -3,10 +3,10 @@
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, GapPolicy, IpNetwork,
-    JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, PluginId, Position, Probability, Pull,
-    QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier,
-    VnfId, Volume, WifiStandard,
+    AgentId, BackgroundScan, BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, GapPolicy,
+    IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, PluginId, Position,
+    Probability, Pull, QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel, RosNetwork, SensorId,
+    ServiceId, Tier, VnfId, Volume, WifiStandard,
 };
 
 use crate::{
@@ -442,8 +442,8 @@ record! {
         network: Option<Spanned<String>>,
         /// Transmission power of its radio.
         tx_power: Dbm = "15 dBm",
-        /// Roaming policy: the component that decides when it changes its radio unit.
-        roaming: Roaming = "instructed",
+        /// Roaming policy: the component that decides when it changes its radio unit. A word, or a mapping.
+        roaming: Either<Roaming, RoamingRecord> = "instructed",
         /// Driver: the simulation, a robot that is reached over ROS, or a TurtleBot 2 at serial ports. A word, or a mapping.
         driver: Spanned<Either<DriverWord, DriverRecord>> = "simulated",
         /// The agent on whose machine the serial ports of its driver are. Without one: they are this machine's. Virtual time
@@ -458,6 +458,25 @@ record! {
         /// Memory for VNFs.
         memory: Bytes = "8 GB",
         ..whole: WholeRecord,
+    }
+}
+
+tagged! {
+    /// A roaming policy with parameters.
+    RoamingRecord by policy {
+        "supplicant" => Supplicant(SupplicantRecord),
+    }
+}
+
+record! {
+    /// Background scans of wpa_supplicant, as its `bgscan="simple:30:-65:300"` sets them.
+    SupplicantRecord {
+        /// Signal of the robot's radio unit below which it scans at the short interval.
+        threshold: Dbm = "-65 dBm",
+        /// From scan to scan below the threshold.
+        short_interval: Spanned<Duration> = "30 s",
+        /// From scan to scan otherwise.
+        long_interval: Spanned<Duration> = "300 s",
     }
 }
 
@@ -1199,6 +1218,7 @@ choice!(RobotModel, "robot model", {
 choice!(Roaming, "roaming policy", {
     "instructed" => Self::Instructed, "plug-ins decide; alone it only joins the strongest";
     "signal" => Self::Signal, "its station decides, by signal with hysteresis and time-to-trigger";
+    "supplicant" => Self::Supplicant(BackgroundScan::default()), "its station decides as wpa_supplicant, by background scans";
 });
 choice!(DriverWord, "driver", {
     "simulated" => Self::Simulated, "cotorra simulates it";

@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use cotorra_graph::{LinkId, NodeId, Position, Program, Rate, Testbed};
+use cotorra_graph::{BackgroundScan, Dbm, LinkId, NodeId, Position, Program, Rate, Roaming, Testbed};
 
 fn shipped(name: &str) -> Testbed {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testbeds").join(name);
@@ -156,6 +156,34 @@ fn graphs_survive_json() {
     let graph = shipped("corridor.yaml").graph;
     let json = serde_json::to_string(&graph).unwrap();
     assert_eq!(serde_json::from_str::<cotorra_graph::HardwareGraph>(&json).unwrap(), graph);
+}
+
+#[test]
+fn robots_roam_by_the_policy_of_the_file() {
+    let roaming = |policy: &str| {
+        let setting = format!("nodes.robot.roaming={policy}").parse().unwrap();
+        let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+        let testbed =
+            cotorra_testbed_file::load_with(path, &[setting]).unwrap_or_else(|wrong| panic!("{wrong}"));
+        let roaming = testbed.graph.robots().next().unwrap().1.roaming;
+        let json = serde_json::to_value(roaming).unwrap();
+        assert_eq!(serde_json::from_value::<Roaming>(json.clone()).unwrap(), roaming);
+        (roaming, json)
+    };
+    assert_eq!(roaming("signal"), (Roaming::Signal, serde_json::json!("signal")));
+    assert_eq!(roaming("instructed"), (Roaming::Instructed, serde_json::json!("instructed")));
+    let supplicant = Roaming::Supplicant(BackgroundScan::default());
+    assert_eq!(roaming("supplicant").0, supplicant);
+    assert_eq!(roaming("{ policy: supplicant }").0, supplicant);
+    let changed =
+        roaming("{ policy: supplicant, threshold: -70 dBm, short_interval: 10 s, long_interval: 1 min }");
+    let (short_interval, long_interval) = (Duration::from_secs(10), Duration::from_secs(60));
+    let expected = BackgroundScan { threshold: Dbm(-70.0), short_interval, long_interval };
+    assert_eq!(changed.0, Roaming::Supplicant(expected));
+    let json = serde_json::json!({ "supplicant": {
+        "threshold_dbm": -70.0, "short_interval_ms": 10_000.0, "long_interval_ms": 60_000.0,
+    } });
+    assert_eq!(changed.1, json);
 }
 
 #[test]

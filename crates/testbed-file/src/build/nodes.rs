@@ -1,11 +1,11 @@
 //! Nodes, and the wireless networks that connect them.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AgentId, Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node, NodeId, NodeKind,
-    OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached, RealServer, Robot, Server, Shadowing,
-    Walls, WifiStandard, WirelessNetwork,
+    AgentId, BackgroundScan, Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node,
+    NodeId, NodeKind, OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached, RealServer,
+    Roaming, Robot, Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
 };
 
 use super::{
@@ -14,8 +14,8 @@ use super::{
 };
 use crate::{
     records::{
-        GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, ServerRecord, WalkRecord, WallsRecord,
-        WirelessRecord,
+        GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, RoamingRecord, ServerRecord,
+        SupplicantRecord, WalkRecord, WallsRecord, WirelessRecord,
     },
     walls::WallLoss,
     yaml::{
@@ -26,6 +26,8 @@ use crate::{
 
 /// Loss of one wall, at most, dB. A shielded room has as much.
 const MOST_OF_A_WALL_DB: f64 = 100.0;
+/// Shortest time between background scans: the unit of wpa_supplicant's intervals.
+const SHORTEST_SCAN_INTERVAL: Duration = Duration::from_secs(1);
 
 impl Builder<'_> {
     pub(super) fn wireless(
@@ -158,7 +160,7 @@ impl Builder<'_> {
                     network: network?,
                     tx_power: r.tx_power,
                     heading: r.heading.map_or_else(|| walk.map_or(0.0, |(_, w)| facing(w)), |a| a.0),
-                    roaming: r.roaming,
+                    roaming: self.roaming(&r.roaming),
                     sensors: sensors::sensors(r, driver.as_ref(), self.sink),
                     driver: driver?,
                 };
@@ -191,6 +193,27 @@ impl Builder<'_> {
             NodeRecord::Machine(m) => (m.position, NodeKind::Machine(self.machine(m)?)),
         };
         Some(Node { id: id.value.clone(), domain: domain?, position, kind })
+    }
+
+    fn roaming(&mut self, record: &Either<Roaming, RoamingRecord>) -> Roaming {
+        let SupplicantRecord { threshold, short_interval, long_interval } = match record {
+            Either::Short(roaming) => return *roaming,
+            Either::Long(RoamingRecord::Supplicant(record)) => record,
+        };
+        if short_interval.value < SHORTEST_SCAN_INTERVAL {
+            self.sink
+                .error(&short_interval.span, "less than a second from scan to scan")
+                .help("write `1 s` or more, as wpa_supplicant's whole seconds; its default is `30 s`");
+        } else if long_interval.value < short_interval.value {
+            self.sink
+                .error(&long_interval.span, "the long interval is shorter than the short one")
+                .help("it holds where the signal is good: write at least the short interval");
+        }
+        Roaming::Supplicant(BackgroundScan {
+            threshold: *threshold,
+            short_interval: short_interval.value,
+            long_interval: long_interval.value,
+        })
     }
 
     fn machine(&mut self, record: &MachineRecord) -> Option<Machine> {
