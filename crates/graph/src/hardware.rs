@@ -485,6 +485,9 @@ pub struct HandoverTimes {
     #[serde(rename = "scan_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub scan: Duration,
+    /// Visits into which an attached station divides a scan. Without them, it is away for all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub visits: Option<ScanVisits>,
     /// Authentication.
     #[serde(rename = "authenticate_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
@@ -499,6 +502,24 @@ pub struct HandoverTimes {
     pub handshake: Duration,
     /// Each phase varies by up to this share, uniformly; 0 to 1.
     pub variation: f64,
+}
+
+/// Visits of other channels, between which a station that scans is back on its own, as in Linux's software scan.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ScanVisits {
+    /// Time on each channel; above 0.
+    #[serde(rename = "dwell_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub dwell: Duration,
+    /// The station visits further channels while it is away no longer than this and has no frame to send.
+    #[serde(rename = "away_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub away: Duration,
+    /// Time back on its channel.
+    #[serde(rename = "back_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub back: Duration,
 }
 
 /// Treatment of frames for or from a station that is off its channel or between two radio units.

@@ -60,8 +60,8 @@ pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
     BackgroundScan, Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Node,
-    NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard,
-    WirelessNetwork,
+    NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, ScanVisits, Server, Shadowing, Tier,
+    WifiStandard, WirelessNetwork,
 };
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,

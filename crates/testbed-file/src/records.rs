@@ -346,8 +346,8 @@ record! {
 record! {
     /// Durations of a handover's phases.
     HandoverRecord {
-        /// Scanning all channels, off one's own.
-        scan: Duration = "100 ms",
+        /// Scanning all channels, off one's own. A time, or a mapping.
+        scan: Either<Duration, ScanRecord> = "100 ms",
         /// Authentication.
         authenticate: Duration = "15 ms",
         /// Reassociation.
@@ -356,6 +356,20 @@ record! {
         handshake: Duration = "60 ms",
         /// Each phase varies by up to this share, uniformly.
         variation: Probability = "30 %",
+    }
+}
+
+record! {
+    /// A scan of one channel after another, as Linux's software scan: an attached station is back on its channel in between.
+    ScanRecord {
+        /// Number of channels.
+        channels: Spanned<u8>,
+        /// Time on each channel.
+        dwell: Spanned<Duration> = "60 ms",
+        /// Longest time away from its channel, if no frame waits to be sent. If one does, it comes back from each channel.
+        away: Spanned<Duration> = "125 ms",
+        /// Time back on its channel.
+        back: Duration = "200 ms",
     }
 }
 

@@ -1,8 +1,8 @@
 //! Settings from outside a testbed file, and the errors of wrong ones.
 
-use std::path::Path;
+use std::{path::Path, time::Duration};
 
-use cotorra_graph::Testbed;
+use cotorra_graph::{ScanVisits, Testbed};
 use cotorra_testbed_file::Setting;
 
 const FILE: &str = "\
@@ -58,8 +58,26 @@ fn links_are_set_by_name_or_pattern() {
 fn keys_that_the_file_leaves_out_can_be_set() {
     let testbed =
         with(&["wireless.lab.handover.scan=250 ms", "walks.robot.and_back=true", "seed=9"]).unwrap();
-    assert_eq!(testbed.graph.wireless["lab"].handover.scan.as_millis(), 250);
+    let handover = testbed.graph.wireless["lab"].handover;
+    assert_eq!((handover.scan.as_millis(), handover.visits), (250, None));
     assert_eq!((testbed.walks[0].waypoints.len(), testbed.seed), (3, 9));
+}
+
+#[test]
+fn a_scan_can_have_visits() {
+    let handover = |scan: &str| {
+        let setting = format!("wireless.lab.handover.scan={scan}");
+        with(&[&setting]).unwrap().graph.wireless["lab"].handover
+    };
+    let ms = Duration::from_millis;
+    let linux = handover("{ channels: 13 }");
+    let visits = ScanVisits { dwell: ms(60), away: ms(125), back: ms(200) };
+    assert_eq!((linux.scan, linux.visits), (ms(780), Some(visits)));
+    let other = handover("{ channels: 5, dwell: 111 ms, away: 111 ms, back: 100 ms }");
+    let visits = ScanVisits { dwell: ms(111), away: ms(111), back: ms(100) };
+    assert_eq!((other.scan, other.visits), (ms(555), Some(visits)));
+    // Without visits, JSON is as it was.
+    assert!(!serde_json::to_string(&handover("100 ms")).unwrap().contains("visits"));
 }
 
 #[test]

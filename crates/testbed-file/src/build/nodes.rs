@@ -5,7 +5,7 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     AgentId, BackgroundScan, Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node,
     NodeId, NodeKind, OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached, RealServer,
-    Roaming, Robot, Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
+    Roaming, Robot, ScanVisits, Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
 };
 
 use super::{
@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     records::{
-        GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, RoamingRecord, ServerRecord,
+        GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, RoamingRecord, ScanRecord, ServerRecord,
         SupplicantRecord, WalkRecord, WallsRecord, WirelessRecord,
     },
     walls::WallLoss,
@@ -56,6 +56,7 @@ impl Builder<'_> {
             Some(walls) => Some(self.walls(walls, record.standard, map)?),
         };
         let handover = &record.handover;
+        let (scan, visits) = self.scan(&handover.scan);
         Some(WirelessNetwork {
             standard: record.standard,
             delay: record.delay,
@@ -80,7 +81,8 @@ impl Builder<'_> {
             hysteresis_db: record.hysteresis.0,
             time_to_trigger: record.time_to_trigger,
             handover: HandoverTimes {
-                scan: handover.scan,
+                scan,
+                visits,
                 authenticate: handover.authenticate,
                 reassociate: handover.reassociate,
                 handshake: handover.handshake,
@@ -90,6 +92,30 @@ impl Builder<'_> {
             access: self.access(record),
             interference: self.interference(ssid, record)?,
         })
+    }
+
+    /// Returns the duration of a scan, and its visits of other channels.
+    fn scan(&mut self, record: &Either<Duration, ScanRecord>) -> (Duration, Option<ScanVisits>) {
+        let ScanRecord { channels, dwell, away, back } = match record {
+            Either::Short(whole) => return (*whole, None),
+            Either::Long(record) => record,
+        };
+        if channels.value == 0 {
+            self.sink
+                .error(&channels.span, "a scan of no channels")
+                .help("write how many there are, such as `13` at 2.4 GHz");
+        }
+        if dwell.value.is_zero() {
+            self.sink
+                .error(&dwell.span, "a scan that stays on no channel")
+                .help("write a time above zero; Linux takes `60 ms`, or `111 ms` where it may only listen");
+        } else if away.value < dwell.value {
+            self.sink
+                .error(&away.span, "a shorter absence than one channel takes")
+                .help("write at least the `dwell`; Linux has `125 ms`");
+        }
+        let visits = ScanVisits { dwell: dwell.value, away: away.value, back: *back };
+        (dwell.value * u32::from(channels.value), Some(visits))
     }
 
     fn walls(

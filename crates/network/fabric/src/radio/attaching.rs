@@ -17,7 +17,7 @@ impl Radio {
             match owner.checked_sub(self.channels) {
                 None if self.contends(owner) => self.contend(owner, at),
                 None => self.serve(owner, at),
-                Some(robot) if self.robots[robot].station.is_away() => self.end_phase(robot, at),
+                Some(robot) if self.robots[robot].station.is_busy() => self.end_phase(robot, at),
                 Some(robot) if self.next_scan(robot).is_some_and(|due| due <= at) => {
                     self.scan_in_background(robot, at);
                 }
@@ -107,7 +107,8 @@ impl Radio {
     }
 
     fn end_phase(&mut self, robot: StationIndex, now: Timestamp) {
-        let chosen = if self.robots[robot].station.is_scanning() {
+        let before = self.robots[robot].station.on_channel();
+        let chosen = if self.robots[robot].station.completes_scan() {
             self.listen(robot);
             self.choose(robot, now)
         } else {
@@ -115,7 +116,8 @@ impl Radio {
         };
         let station = &self.robots[robot].station;
         let is_one_domain = self.is_one_mobility_domain(robot, station.underway_to());
-        match self.robots[robot].station.expire(chosen, is_one_domain) {
+        let frames_wait = self.queued(robot)[Direction::Forward as usize] > 0;
+        match self.robots[robot].station.expire(chosen, is_one_domain, frames_wait) {
             Step::Underway => {}
             Step::Scanned => {
                 let robot = self.robots[robot].id.clone();
@@ -123,17 +125,21 @@ impl Radio {
             }
             Step::Attached(joined) => self.join(robot, now, joined),
         }
-        let station = &self.robots[robot].station;
-        if station.is_away() {
-            return self.timers.set(self.channels + robot, station.deadline());
-        }
+        let RobotRadio { station, moved, policy, .. } = &self.robots[robot];
         let on = station.on_channel();
-        self.robots[robot].beacons.reset();
-        // A better radio unit may be near, or the own one lost. A standing robot without one need not search again,
-        // but a supplicant never stops.
-        let RobotRadio { moved, policy, .. } = &self.robots[robot];
-        if on.is_some() || *moved || policy.supplicant().is_some() {
-            self.watch(robot, now);
+        if before.is_some() && on.is_none() {
+            return self.leave(robot, now);
+        }
+        if station.is_busy() {
+            self.timers.set(self.channels + robot, station.deadline());
+        } else {
+            // A better radio unit may be near, or the own one lost. A standing robot without one need not search again,
+            // but a supplicant never stops.
+            let watches = on.is_some() || *moved || policy.supplicant().is_some();
+            self.robots[robot].beacons.reset();
+            if watches {
+                self.watch(robot, now);
+            }
         }
         if let Some(unit) = on {
             if self.units[unit].serves.is_none() {

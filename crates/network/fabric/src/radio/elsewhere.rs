@@ -19,7 +19,7 @@ impl Radio {
     ) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.robot(robot)?;
-        if self.robots[index].station.is_away() {
+        if self.robots[index].station.is_busy() {
             return Err(FabricError::Busy(robot.clone()));
         }
         self.leave_channel(index, now);
@@ -49,7 +49,7 @@ impl Radio {
         self.advance(now);
         let index = self.robot(robot)?;
         let radio = &mut self.robots[index];
-        if radio.station.is_away() || radio.elsewhere.take().is_none() {
+        if radio.station.is_busy() || radio.elsewhere.take().is_none() {
             return Err(FabricError::NotElsewhere(robot.clone()));
         }
         self.begin_scan(index, now, Purpose::Roam).map_err(|_| FabricError::Busy(robot.clone()))

@@ -482,7 +482,7 @@ impl Radio {
         }
         robot.position = to;
         let watching = std::mem::replace(&mut robot.moved, true);
-        if !watching && !robot.station.is_away() && robot.elsewhere.is_none() {
+        if !watching && !robot.station.is_busy() && robot.elsewhere.is_none() {
             self.watch(index, now);
         }
         Ok(())
@@ -530,9 +530,9 @@ impl Radio {
             }
         }
         let station = &mut self.robots[index].station;
-        let was_away = station.is_away();
+        let was_busy = station.is_busy();
         station.attach(now, to).map_err(|_| FabricError::Busy(robot.clone()))?;
-        if !was_away && station.is_away() {
+        if !was_busy && station.is_busy() {
             if self.robots[index].elsewhere.is_some() {
                 // Its frames wait for the radio unit that it comes to.
                 self.robots[index].home = Some(to);

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{HandoverTimes, Timestamp, WirelessNetwork};
+use cotorra_graph::{HandoverTimes, ScanVisits, Timestamp, WirelessNetwork};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::port::RadioUnitIndex;
@@ -20,19 +20,29 @@ pub(super) enum Purpose {
     Attach(RadioUnitIndex),
 }
 
-/// The activity of a station off its channel.
+/// The activity of a busy station.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
-    Scan(Purpose),
-    Authenticate(RadioUnitIndex),
-    Reassociate(RadioUnitIndex),
-    Handshake(RadioUnitIndex),
+    /// On other channels, and then this much more of the scan.
+    Scan(Purpose, Duration),
+    /// Back on its channel, and then this much more of the scan.
+    Pause(Purpose, Duration),
+    HandOver(Stage, RadioUnitIndex),
 }
 
-/// An absence from the channel.
+/// A stage of a handover.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    Authenticate,
+    Reassociate,
+    Handshake,
+}
+
+/// A phase under way.
 #[derive(Debug, Clone, Copy)]
-struct Absence {
-    since: Timestamp,
+struct Activity {
+    /// When the station left its channel.
+    left: Timestamp,
     phase: Phase,
     ends: Timestamp,
 }
@@ -40,7 +50,7 @@ struct Absence {
 /// The result of a finished phase.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Step {
-    /// The next phase has begun.
+    /// The next phase has begun, perhaps back on the channel.
     Underway,
     /// All channels were scanned. The station is back, or goes on to attach.
     Scanned,
@@ -73,7 +83,7 @@ pub(super) enum Busy {
 #[derive(Debug)]
 pub(super) struct Station {
     attached: Option<RadioUnitIndex>,
-    absence: Option<Absence>,
+    activity: Option<Activity>,
     times: HandoverTimes,
     fast_transition: bool,
     rng: Xoshiro256PlusPlus,
@@ -84,7 +94,7 @@ impl Station {
     pub(super) fn new(network: &WirelessNetwork, rng: Xoshiro256PlusPlus) -> Self {
         Self {
             attached: None,
-            absence: None,
+            activity: None,
             times: network.handover,
             fast_transition: network.fast_transition,
             rng,
@@ -103,31 +113,33 @@ impl Station {
 
     /// Returns the radio unit that it can exchange frames with now.
     pub(super) fn on_channel(&self) -> Option<RadioUnitIndex> {
-        if self.absence.is_none() { self.attached } else { None }
+        match self.activity {
+            None | Some(Activity { phase: Phase::Pause(..), .. }) => self.attached,
+            Some(_) => None,
+        }
     }
 
-    /// Whether it scans or hands over.
-    pub(super) fn is_away(&self) -> bool {
-        self.absence.is_some()
+    /// Whether it scans or hands over. A station that scans may be back on its channel for a while.
+    pub(super) fn is_busy(&self) -> bool {
+        self.activity.is_some()
     }
 
-    /// Whether it scans.
-    pub(super) fn is_scanning(&self) -> bool {
-        self.absence.is_some_and(|a| matches!(a.phase, Phase::Scan(_)))
+    /// Whether it has scanned all channels at the end of the current phase.
+    pub(super) fn completes_scan(&self) -> bool {
+        self.activity.is_some_and(|a| matches!(a.phase, Phase::Scan(_, Duration::ZERO)))
     }
 
     /// Returns when [`Self::expire`] is due.
     pub(super) fn deadline(&self) -> Option<Timestamp> {
-        self.absence.map(|a| a.ends)
+        self.activity.map(|a| a.ends)
     }
 
     fn busy(&self) -> Option<Busy> {
-        self.absence.map(|a| match a.phase {
-            Phase::Scan(Purpose::Look | Purpose::Roam) => Busy::Scanning,
-            Phase::Scan(Purpose::Attach(to))
-            | Phase::Authenticate(to)
-            | Phase::Reassociate(to)
-            | Phase::Handshake(to) => Busy::HandingOver(to),
+        self.activity.map(|a| match a.phase {
+            Phase::Scan(Purpose::Attach(to), _)
+            | Phase::Pause(Purpose::Attach(to), _)
+            | Phase::HandOver(_, to) => Busy::HandingOver(to),
+            Phase::Scan(..) | Phase::Pause(..) => Busy::Scanning,
         })
     }
 
@@ -136,7 +148,8 @@ impl Station {
         if let Some(busy) = self.busy() {
             return Err(busy);
         }
-        self.begin(now, now, Phase::Scan(purpose));
+        let whole = self.vary(self.times.scan);
+        self.visit(now, now, purpose, whole);
         Ok(())
     }
 
@@ -147,22 +160,27 @@ impl Station {
             Some(Busy::HandingOver(underway)) if underway == to => Ok(()),
             Some(busy @ Busy::HandingOver(_)) => Err(busy),
             Some(Busy::Scanning) => {
-                let absence = self.absence.as_mut().expect("a station that scans is absent");
-                let purpose = if self.attached == Some(to) { Purpose::Look } else { Purpose::Attach(to) };
-                absence.phase = Phase::Scan(purpose);
+                let next = if self.attached == Some(to) { Purpose::Look } else { Purpose::Attach(to) };
+                if let Some(Activity { phase: Phase::Scan(purpose, _) | Phase::Pause(purpose, _), .. }) =
+                    &mut self.activity
+                {
+                    *purpose = next;
+                }
                 Ok(())
             }
             None if self.attached == Some(to) => Ok(()),
             None => {
-                self.begin(now, now, Phase::Authenticate(to));
+                self.begin(now, now, Stage::Authenticate, to);
                 Ok(())
             }
         }
     }
 
-    /// Detaches from its radio unit and returns it. Off the channel, a station does not notice the loss.
+    /// Detaches from its radio unit and returns it, and ends a scan. Off the channel, a station does not notice the loss.
     pub(super) fn detach(&mut self) -> Option<RadioUnitIndex> {
-        if self.is_away() { None } else { self.attached.take() }
+        self.on_channel()?;
+        self.activity = None;
+        self.attached.take()
     }
 
     /// Returns the radio unit that it is being handed over to.
@@ -174,33 +192,53 @@ impl Station {
     }
 
     /// Ends the current phase. `chosen` is the result of a scan. `is_one_domain` says whether there is a former radio unit,
-    /// here or at another core, and whether it is in one mobility domain with the next.
-    pub(super) fn expire(&mut self, chosen: Option<RadioUnitIndex>, is_one_domain: bool) -> Step {
-        let Some(Absence { since, phase, ends }) = self.absence.take() else { return Step::Underway };
+    /// here or at another core, and whether it is in one mobility domain with the next. `frames_wait` says whether the
+    /// station has any to send.
+    pub(super) fn expire(
+        &mut self,
+        chosen: Option<RadioUnitIndex>,
+        is_one_domain: bool,
+        frames_wait: bool,
+    ) -> Step {
+        let Some(Activity { left, phase, ends }) = self.activity.take() else { return Step::Underway };
         match phase {
-            Phase::Scan(purpose) => {
+            Phase::Scan(purpose, Duration::ZERO) => {
                 let to = match purpose {
                     Purpose::Look => None,
                     Purpose::Attach(to) => Some(to),
                     Purpose::Roam => chosen,
                 };
                 if let Some(to) = to.filter(|to| self.attached != Some(*to)) {
-                    self.begin(since, ends, Phase::Authenticate(to));
+                    self.begin(left, ends, Stage::Authenticate, to);
                 }
                 Step::Scanned
             }
-            Phase::Authenticate(to) => {
-                self.begin(since, ends, Phase::Reassociate(to));
+            Phase::Scan(purpose, rest) => {
+                match self.visits().filter(|v| frames_wait || ends.since(left) + v.dwell.min(rest) > v.away) {
+                    Some(ScanVisits { back, .. }) => {
+                        let phase = Phase::Pause(purpose, rest);
+                        self.activity = Some(Activity { left, phase, ends: ends + back });
+                    }
+                    None => self.visit(left, ends, purpose, rest),
+                }
                 Step::Underway
             }
-            Phase::Reassociate(to) if !self.is_fast(is_one_domain) => {
-                self.begin(since, ends, Phase::Handshake(to));
+            Phase::Pause(purpose, rest) => {
+                self.visit(ends, ends, purpose, rest);
                 Step::Underway
             }
-            Phase::Reassociate(to) | Phase::Handshake(to) => {
+            Phase::HandOver(Stage::Authenticate, to) => {
+                self.begin(left, ends, Stage::Reassociate, to);
+                Step::Underway
+            }
+            Phase::HandOver(Stage::Reassociate, to) if !self.is_fast(is_one_domain) => {
+                self.begin(left, ends, Stage::Handshake, to);
+                Step::Underway
+            }
+            Phase::HandOver(Stage::Reassociate | Stage::Handshake, to) => {
                 let fast = self.is_fast(is_one_domain);
                 let from = self.attached.replace(to);
-                Step::Attached(Joined { from, to, fast, gap: ends.since(since) })
+                Step::Attached(Joined { from, to, fast, gap: ends.since(left) })
             }
         }
     }
@@ -209,15 +247,26 @@ impl Station {
         self.fast_transition && is_one_domain
     }
 
-    fn begin(&mut self, since: Timestamp, now: Timestamp, phase: Phase) {
-        let mean = match phase {
-            Phase::Scan(_) => self.times.scan,
-            Phase::Authenticate(_) => self.times.authenticate,
-            Phase::Reassociate(_) => self.times.reassociate,
-            Phase::Handshake(_) => self.times.handshake,
+    /// Goes to the next channel of a scan, or to all of the rest.
+    fn visit(&mut self, left: Timestamp, now: Timestamp, purpose: Purpose, rest: Duration) {
+        let dwell = self.visits().map_or(rest, |visits| visits.dwell.min(rest));
+        let phase = Phase::Scan(purpose, rest - dwell);
+        self.activity = Some(Activity { left, phase, ends: now + dwell });
+    }
+
+    /// Returns the visits of its scans. A station without a radio unit has no channel to be back on.
+    fn visits(&self) -> Option<ScanVisits> {
+        self.times.visits.filter(|_| self.attached.is_some())
+    }
+
+    fn begin(&mut self, left: Timestamp, now: Timestamp, stage: Stage, to: RadioUnitIndex) {
+        let mean = match stage {
+            Stage::Authenticate => self.times.authenticate,
+            Stage::Reassociate => self.times.reassociate,
+            Stage::Handshake => self.times.handshake,
         };
         let ends = now + self.vary(mean);
-        self.absence = Some(Absence { since, phase, ends });
+        self.activity = Some(Activity { left, phase: Phase::HandOver(stage, to), ends });
     }
 
     fn vary(&mut self, mean: Duration) -> Duration {
@@ -263,6 +312,7 @@ mod tests {
             time_to_trigger: Duration::ZERO,
             handover: HandoverTimes {
                 scan: ms(100),
+                visits: None,
                 authenticate: ms(10),
                 reassociate: ms(20),
                 handshake: ms(40),
@@ -285,7 +335,7 @@ mod tests {
         while let Some(deadline) = station.deadline() {
             now = deadline;
             let is_one_domain = station.attached().is_some();
-            steps.push(station.expire(strongest, is_one_domain));
+            steps.push(station.expire(strongest, is_one_domain, false));
         }
         (steps, now.since(from))
     }
@@ -314,14 +364,14 @@ mod tests {
         let mut station = station(true, 0.0);
         station.attach(at(0), 1).unwrap();
         assert_eq!(station.underway_to(), Some(1));
-        while station.is_away() {
-            station.expire(None, false);
+        while station.is_busy() {
+            station.expire(None, false, false);
         }
         assert_eq!((station.attached(), station.underway_to()), (Some(1), None));
         station.attach(at(100), 0).unwrap();
         let mut last = Step::Underway;
-        while station.is_away() {
-            last = station.expire(None, false);
+        while station.is_busy() {
+            last = station.expire(None, false, false);
         }
         assert_eq!(last, Step::Attached(Joined { from: Some(1), to: 0, fast: false, gap: ms(70) }));
     }
@@ -358,11 +408,77 @@ mod tests {
         assert_eq!(run(&mut station, at(0), None), (steps, ms(130)));
     }
 
+    /// A station whose scans of 100 ms visit channels for 30 ms each, two at a time.
+    fn visitor() -> Station {
+        let mut station = station(true, 0.0);
+        station.times.visits = Some(ScanVisits { dwell: ms(30), away: ms(75), back: ms(200) });
+        station
+    }
+
+    /// Ends all phases at their deadlines. Returns the times, ms, and whether the station is on its channel from then on.
+    fn presence(station: &mut Station, frames_wait: bool) -> Vec<(u64, bool)> {
+        let mut presence = Vec::new();
+        while let Some(deadline) = station.deadline() {
+            station.expire(None, true, frames_wait);
+            presence.push((deadline.as_nanos() / 1_000_000, station.on_channel().is_some()));
+        }
+        presence
+    }
+
+    #[test]
+    fn a_scan_with_visits_comes_back_before_it_is_away_too_long() {
+        let mut station = visitor();
+        station.scan(at(0), Purpose::Look).unwrap();
+        let expected = [(30, false), (60, true), (260, false), (290, false), (300, true)];
+        assert_eq!(presence(&mut station, false), expected);
+    }
+
+    #[test]
+    fn a_station_with_frames_to_send_comes_back_from_each_channel() {
+        let mut station = visitor();
+        station.scan(at(0), Purpose::Look).unwrap();
+        let expected =
+            [(30, true), (230, false), (260, true), (460, false), (490, true), (690, false), (700, true)];
+        assert_eq!(presence(&mut station, true), expected);
+    }
+
+    #[test]
+    fn a_station_without_a_radio_unit_scans_without_a_break() {
+        let mut station = visitor();
+        station.detach();
+        station.scan(at(0), Purpose::Look).unwrap();
+        assert_eq!(presence(&mut station, true), [(100, false)]);
+    }
+
+    #[test]
+    fn a_station_between_visits_is_still_scanning() {
+        let mut station = visitor();
+        station.scan(at(0), Purpose::Look).unwrap();
+        station.expire(None, true, true);
+        assert_eq!((station.on_channel(), station.deadline()), (Some(0), Some(at(230))));
+        assert_eq!(station.scan(at(40), Purpose::Look), Err(Busy::Scanning));
+        // A handover follows the scan. Its gap begins when the station leaves its channel for the last time.
+        station.attach(at(50), 1).unwrap();
+        assert_eq!(station.attach(at(60), 2), Err(Busy::HandingOver(1)));
+        let joined = Joined { from: Some(0), to: 1, fast: true, gap: ms(70 + 30) };
+        assert_eq!(run(&mut station, at(50), None).0.last(), Some(&Step::Attached(joined)));
+    }
+
+    #[test]
+    fn a_lost_radio_unit_ends_a_scan_between_visits() {
+        let mut station = visitor();
+        station.scan(at(0), Purpose::Look).unwrap();
+        assert_eq!(station.detach(), None, "it is not noticed on another channel");
+        station.expire(None, true, true);
+        assert_eq!(station.detach(), Some(0));
+        assert!(!station.is_busy());
+    }
+
     #[test]
     fn a_busy_station_rejects_other_activities() {
         let mut station = station(true, 0.0);
         station.attach(at(0), 0).unwrap();
-        assert!(!station.is_away(), "it is there already");
+        assert!(!station.is_busy(), "it is there already");
         station.attach(at(0), 1).unwrap();
         assert_eq!(station.attach(at(1), 1), Ok(()), "it is on its way");
         assert_eq!(station.attach(at(1), 2), Err(Busy::HandingOver(1)));

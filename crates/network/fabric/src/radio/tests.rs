@@ -6,7 +6,7 @@ mod supplicant;
 use cotorra_graph::{
     BitRate, Capacity, Conditions, Driver, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss,
     Node, NodeKind, PathLoss, PowerSave, Probability, RadioUnit, Rate, RateControl, Roaming, Robot,
-    RobotModel, Server, Shadowing, Tier, WifiStandard,
+    RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard,
 };
 use proptest::prelude::*;
 
@@ -48,6 +48,7 @@ fn network() -> WirelessNetwork {
         time_to_trigger: ms(500),
         handover: HandoverTimes {
             scan: ms(100),
+            visits: None,
             authenticate: ms(10),
             reassociate: ms(20),
             handshake: ms(40),
@@ -383,6 +384,49 @@ fn the_drop_policy_loses_queued_frames_and_those_of_the_gap() {
     assert_eq!(world.numbers(), [0, 6]);
     let counters = world.counters(at(1000));
     assert_eq!((counters.packets, counters.lost), (2, 5));
+}
+
+#[test]
+fn a_scan_with_visits_makes_many_short_gaps() {
+    let visits = Some(ScanVisits { dwell: ms(60), away: ms(125), back: ms(200) });
+    let longest_wait = |visits| {
+        let handover = HandoverTimes { scan: ms(780), visits, ..network().handover };
+        let mut world = corridor(WirelessNetwork { handover, ..network() }, Roaming::Instructed);
+        world.radio.scan(at(0), &id("r")).unwrap();
+        for i in 0..400 {
+            world.up(at(i * 10), "r", 60);
+            world.down(at(i * 10), "R1", "r", 60);
+            world.run(at(i * 10));
+        }
+        world.run(at(5000));
+        assert_eq!(world.arrived.len(), 800);
+        let scanned = world.events();
+        assert_eq!(scanned.len(), 1, "{scanned:?}");
+        let number = |frame: &Frame| u64::from_be_bytes(frame.bytes()[14..22].try_into().unwrap());
+        let waits = world.arrived.iter().map(|(due, _, frame)| due.since(at(number(frame) / 2 * 10)));
+        (scanned[0].at, waits.max().unwrap().as_millis())
+    };
+    assert_eq!(longest_wait(None), (at(780), 781));
+    // 13 visits and 12 returns. Frames wait for one visit.
+    let (scanned, wait) = longest_wait(visits);
+    assert_eq!(scanned, at(13 * 60 + 12 * 200));
+    assert!((60..65).contains(&wait), "{wait} ms");
+}
+
+#[test]
+fn a_radio_unit_that_is_switched_off_between_visits_is_lost() {
+    let visits = Some(ScanVisits { dwell: ms(60), away: ms(60), back: ms(200) });
+    let handover = HandoverTimes { scan: ms(780), visits, ..network().handover };
+    let mut world = corridor(WirelessNetwork { handover, ..network() }, Roaming::Instructed);
+    world.radio.scan(at(0), &id("r")).unwrap();
+    world.run(at(100));
+    world.radio.switch_off(at(100), &id("R1")).unwrap();
+    world.run(at(1000));
+    // The next scan is without returns.
+    assert_eq!(world.attached("r"), Some(world.port("R2")));
+    assert!(
+        matches!(&world.events()[..], [Stamped { at: lost, event: Event::Detached { .. } }, ..] if *lost == at(100))
+    );
 }
 
 #[test]
@@ -735,12 +779,14 @@ proptest! {
             let power_save = sleeps.then_some(PowerSave { idle: ms(20), dtim_period: 3 });
             Edca { aggregation, rate_control, power_save }
         })),
+        visited: bool,
         operations in (0..2u32).prop_flat_map(|groups| {
             prop::collection::vec((0..40u64, operation(groups)), 0..250)
         }),
     ) {
         let shadowing = Shadowing { deviation_db, correlation_m: 5.0 };
-        let handover = HandoverTimes { variation: 0.5, ..network().handover };
+        let visits = visited.then_some(ScanVisits { dwell: ms(20), away: ms(40), back: ms(50) });
+        let handover = HandoverTimes { variation: 0.5, visits, ..network().handover };
         let robots = ["a", "b", "c"];
         let units = ["R1", "R2", "R3"];
         let roaming = [Roaming::Signal, supplicant::every(1), Roaming::Instructed];

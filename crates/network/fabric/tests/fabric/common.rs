@@ -32,6 +32,7 @@ impl Network {
             time_to_trigger: Duration::from_millis(500),
             handover: HandoverTimes {
                 scan: Duration::from_millis(100),
+                visits: None,
                 authenticate: Duration::from_millis(10),
                 reassociate: Duration::from_millis(20),
                 handshake: Duration::from_millis(40),
