@@ -32,6 +32,15 @@ pub struct Axis {
     pub(crate) to: f64,
     /// Ticks with their labels; none for round numbers.
     ticks: Vec<(f64, String)>,
+    scale: Scale,
+}
+
+/// How values lie along an axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Scale {
+    Linear,
+    /// Equal ratios are equally long.
+    Logarithmic,
 }
 
 impl Default for Axis {
@@ -52,12 +61,23 @@ impl Axis {
         // Rounding errors do not add a step.
         let from = (low / step + 1e-9).floor() * step;
         let to = (high / step - 1e-9).ceil() * step;
-        Self { label: label.to_owned(), from, to, ticks: Vec::new() }
+        Self { label: label.to_owned(), from, to, ticks: Vec::new(), scale: Scale::Linear }
     }
 
     /// Creates an axis with exactly these ends.
     pub(crate) fn between(label: &str, from: f64, to: f64) -> Self {
-        Self { label: label.to_owned(), from, to, ticks: Vec::new() }
+        Self { label: label.to_owned(), from, to, ticks: Vec::new(), scale: Scale::Linear }
+    }
+
+    /// Creates a logarithmic axis from a positive value to a higher one. Its ends are 1, 2 or 5 times a power of ten, the
+    /// nearest that have both between them. Values that are not positive lie far below it.
+    pub fn logarithmic(label: &str, low: f64, high: f64) -> Self {
+        let is_positive = |value: f64| value.is_finite() && value > 0.0;
+        let low = if is_positive(low) { low } else { 1.0 };
+        let from = 1.0 / round_step(1.0 / low);
+        let to = round_step(if is_positive(high) { high.max(low) } else { low });
+        let to = if to > from { to } else { from * 10.0 };
+        Self { label: label.to_owned(), from, to, ticks: Vec::new(), scale: Scale::Logarithmic }
     }
 
     /// Creates an axis with these values: numbers at their places, or names at 1, 2, 3 and so on.
@@ -67,7 +87,7 @@ impl Axis {
             (places().fold(f64::INFINITY, f64::min), places().fold(f64::NEG_INFINITY, f64::max));
         // A single value stands in the middle.
         let (from, to) = if high > low { (low, high) } else { (low - 1.0, low + 1.0) };
-        Self { label: label.to_owned(), from, to, ticks: values.to_vec() }
+        Self { label: label.to_owned(), from, to, ticks: values.to_vec(), scale: Scale::Linear }
     }
 
     /// Returns an axis with the ends of both.
@@ -77,11 +97,21 @@ impl Axis {
 
     /// Returns the share of the axis below a value.
     pub(crate) fn share(&self, value: f64) -> f64 {
-        (value - self.from) / (self.to - self.from)
+        match self.scale {
+            Scale::Linear => (value - self.from) / (self.to - self.from),
+            Scale::Logarithmic => {
+                let value = if value > 0.0 { value } else { f64::MIN_POSITIVE };
+                (value / self.from).ln() / (self.to / self.from).ln()
+            }
+        }
     }
 
     /// Returns the ticks and labels of a vertical axis of this height.
     pub(crate) fn up(&self, height: f64) -> Vec<(f64, String)> {
+        if self.scale == Scale::Logarithmic {
+            let apart = |pair: &[(f64, String)]| (self.share(pair[1].0) - self.share(pair[0].0)) * height;
+            return self.powers(|ticks| ticks.windows(2).all(|pair| apart(pair) > LABEL * 1.2));
+        }
         let most = (height / (LABEL * 1.9)).clamp(2.0, 7.0);
         let ticks = self.round_ticks(most);
         // An axis that does not end at round numbers can have a single one of them.
@@ -97,6 +127,9 @@ impl Axis {
     fn along(&self, width: f64) -> Vec<(f64, String)> {
         if !self.ticks.is_empty() {
             return self.ticks.clone();
+        }
+        if self.scale == Scale::Logarithmic {
+            return self.powers(|ticks| self.have_room(ticks, width));
         }
         let fewer = (2..=8).rev().map(|most| self.round_ticks(f64::from(most)));
         fewer.into_iter().find(|ticks| self.have_room(ticks, width)).unwrap_or_default()
@@ -114,6 +147,28 @@ impl Axis {
                 let apart = (self.share(pair[1].0) - self.share(pair[0].0)) * width;
                 apart >= wide(&pair[0].1) + wide(&pair[1].1) + BETWEEN
             })
+    }
+
+    /// Returns the most ticks of a logarithmic axis that fit: 1, 2 and 5 times each power of ten, or every power, or every
+    /// second power, and so on.
+    fn powers(&self, fit: impl Fn(&[(f64, String)]) -> bool) -> Vec<(f64, String)> {
+        let (first, last) =
+            ((self.from.log10() - 1e-9).floor() as i32, (self.to.log10() + 1e-9).floor() as i32);
+        let within = |at: f64| (self.from * (1.0 - 1e-9)..=self.to * (1.0 + 1e-9)).contains(&at);
+        let ticks = |every: usize, factors: &[f64]| -> Vec<(f64, String)> {
+            let powers = (first..=last).rev().step_by(every);
+            let all = powers.flat_map(|power| factors.iter().rev().map(move |factor| (power, *factor)));
+            let tick = |(power, factor): (i32, f64)| {
+                let (at, decimals) = (factor * 10_f64.powi(power), usize::try_from(-power).unwrap_or(0));
+                within(at).then(|| (at, format!("{at:.decimals$}")))
+            };
+            let mut ticks: Vec<_> = all.filter_map(tick).collect();
+            ticks.reverse();
+            ticks
+        };
+        let mut sparser =
+            std::iter::once(ticks(1, &[1.0, 2.0, 5.0])).chain((1..8).map(|every| ticks(every, &[1.0])));
+        sparser.find(|ticks| fit(ticks)).unwrap_or_default()
     }
 
     /// Returns multiples of a round step within the axis: at most `most` steps.
@@ -251,6 +306,32 @@ mod tests {
         let large = Axis::around("", 0.0, 123_456_789.0);
         assert!(large.have_room(&large.along(100.0), 100.0));
         assert!(large.up(60.0).len() >= 3);
+    }
+
+    #[test]
+    fn a_logarithmic_axis_gives_equal_ratios_equal_lengths() {
+        let axis = Axis::logarithmic("", 9.1, 131.0);
+        assert!((axis.from - 5.0).abs() < 1e-9 && (axis.to - 200.0).abs() < 1e-9, "{axis:?}");
+        let step = axis.share(20.0) - axis.share(10.0);
+        assert!((axis.share(100.0) - axis.share(50.0) - step).abs() < 1e-12);
+        assert!((axis.share(5.0), axis.share(200.0)) == (0.0, 1.0));
+        assert!(axis.share(0.0) < -10.0 && axis.share(0.0).is_finite());
+        let same = Axis::logarithmic("", 10.0, 10.0);
+        assert!(same.to > same.from, "{same:?}");
+        let none = Axis::logarithmic("", 0.0, f64::NAN);
+        assert!(none.from > 0.0 && none.to > none.from, "{none:?}");
+    }
+
+    #[test]
+    fn a_logarithmic_axis_names_as_many_round_numbers_as_have_room() {
+        let labels =
+            |ticks: Vec<(f64, String)>| ticks.into_iter().map(|(_, label)| label).collect::<Vec<_>>();
+        let times = Axis::logarithmic("", 5.0, 200.0);
+        assert_eq!(labels(times.along(200.0)), ["5", "10", "20", "50", "100", "200"]);
+        assert_eq!(labels(times.along(50.0)), ["10", "100"]);
+        let shares = Axis::logarithmic("", 0.01, 100.0);
+        assert_eq!(labels(shares.up(60.0)), ["0.01", "0.1", "1", "10", "100"]);
+        assert_eq!(labels(shares.up(25.0)), ["0.01", "1", "100"]);
     }
 
     #[test]

@@ -7,7 +7,9 @@ use crate::{
     geometry::{Point, Rect},
     legend::{Entry, LEVEL_DASHES, Legend, Look},
     scene::{Anchor, Scene, WIDTH},
-    style::{ALERT, BANDS, BLACK, BOLD, DASHES, FINE, GREY, LABEL, LIGHT, PALE, SERIES, SMALL, TITLE, mark},
+    style::{
+        ALERT, BANDS, BLACK, BOLD, DASHES, FINE, GREY, LABEL, LIGHT, PALE, SERIES, SMALL, TITLE, WIDE, mark,
+    },
 };
 
 /// Maximum number of panels. A note says how many more there are.
@@ -52,7 +54,10 @@ pub struct Panel {
     pub x: Axis,
     pub y: Axis,
     pub bands: Vec<Band>,
+    /// A value of the vertical axis, as a line across the panel.
     pub level: Option<Level>,
+    /// A value of the horizontal axis, as a line up the panel.
+    pub upright: Option<Level>,
     pub series: Vec<Series>,
     /// Where values are missing on the horizontal axis, and their name in the legend.
     pub missing: (String, Vec<f64>),
@@ -67,7 +72,7 @@ pub struct Band {
     pub name: String,
 }
 
-/// A dashed line across the panel.
+/// A value with a name, drawn as a dashed line.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Level {
     pub at: f64,
@@ -75,21 +80,27 @@ pub struct Level {
 }
 
 /// Values of one thing.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Series {
     /// Name in the legend; empty for no entry.
     pub name: String,
     pub kind: SeriesKind,
+    /// Which of the [`MAX_SERIES`] colours, dashes and markers it has; by default, its place in the panel. The same thing
+    /// looks the same in several panels with the same number.
+    pub look: Option<usize>,
     /// Lines, between which values are missing.
     pub parts: Vec<Vec<Sample>>,
 }
 
 /// The look of a series.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SeriesKind {
+    /// A wide, pale line for many values behind others.
+    Faint,
     /// A thin line for many values.
     Dense,
     /// A line with dashes.
+    #[default]
     Line,
     /// A line in an area from the lowest to the highest values.
     Range,
@@ -231,14 +242,18 @@ impl<'a> Place<'a> {
     fn entries(&self, names: &[String]) -> Vec<Entry> {
         let panel = self.panel;
         let series = panel.series.iter().take(MAX_SERIES).enumerate().map(|(i, series)| {
+            let number = series.look.unwrap_or(i);
             let look = match series.kind {
-                SeriesKind::Dense | SeriesKind::Line => Look::Line(i),
-                SeriesKind::Range => Look::Range(i),
-                SeriesKind::Marked => Look::Marked(i),
+                SeriesKind::Faint => Look::Faint(number),
+                SeriesKind::Dense => Look::Dense(number),
+                SeriesKind::Line => Look::Line(number),
+                SeriesKind::Range => Look::Range(number),
+                SeriesKind::Marked => Look::Marked(number),
             };
             Entry { name: series.name.clone(), look }
         });
-        let level = panel.level.iter().map(|level| Entry { name: level.name.clone(), look: Look::Level });
+        let levels = panel.level.iter().chain(&panel.upright);
+        let level = levels.map(|level| Entry { name: level.name.clone(), look: Look::Level });
         let missing = (!panel.missing.1.is_empty())
             .then(|| Entry { name: panel.missing.0.clone(), look: Look::Missing });
         // Bands whose name has no room in the strip.
@@ -297,6 +312,12 @@ impl<'a> Place<'a> {
             let y = self.y(level.at);
             scene.line(vec![(plot.left, y), (plot.right, y)], ALERT, FINE * 1.4, LEVEL_DASHES);
         }
+        if let Some(upright) =
+            panel.upright.as_ref().filter(|upright| (panel.x.from..=panel.x.to).contains(&upright.at))
+        {
+            let x = self.x(upright.at);
+            scene.line(vec![(x, plot.bottom), (x, plot.top)], ALERT, FINE * 1.4, LEVEL_DASHES);
+        }
         let shown = panel.series.len().min(MAX_SERIES);
         for (i, series) in panel.series.iter().take(shown).enumerate() {
             self.draw_series(scene, i, series, shown);
@@ -311,21 +332,24 @@ impl<'a> Place<'a> {
     }
 
     fn draw_series(&self, scene: &mut Scene, place: usize, series: &Series, shown: usize) {
-        let (colour, dashes) = (SERIES[place % SERIES.len()], DASHES[place % DASHES.len()]);
+        let number = series.look.unwrap_or(place);
+        let (colour, dashes) = (SERIES[number % SERIES.len()], DASHES[number % DASHES.len()]);
         let aside = self.dodge(place, shown);
         for part in &series.parts {
             let samples: Vec<_> = part.iter().filter(|sample| sample.is_finite()).collect();
             let at = |sample: &Sample, value: f64| (self.x(sample.x) + aside, self.y(value));
             let mut line: Vec<Point> = samples.iter().map(|sample| at(sample, sample.y)).collect();
             match series.kind {
-                SeriesKind::Dense | SeriesKind::Line => {
+                SeriesKind::Faint | SeriesKind::Dense | SeriesKind::Line => {
                     // A single value is a short line.
                     if let [(x, y)] = line[..] {
                         line = vec![(x - FINE / 2.0, y), (x + FINE / 2.0, y)];
                     }
-                    let (width, dashes) =
-                        if series.kind == SeriesKind::Dense { (FINE, &[][..]) } else { (BOLD, dashes) };
-                    self.clipped(scene, &line, colour, width, dashes);
+                    match series.kind {
+                        SeriesKind::Faint => self.clipped(scene, &line, colour.lighter(LIGHT), WIDE, &[]),
+                        SeriesKind::Dense => self.clipped(scene, &line, colour, FINE, &[]),
+                        _ => self.clipped(scene, &line, colour, BOLD, dashes),
+                    }
                 }
                 SeriesKind::Range => {
                     let edge = |of: fn((f64, f64)) -> f64| -> Vec<Point> {
@@ -347,7 +371,7 @@ impl<'a> Place<'a> {
                                 self.clipped(scene, &[(x - WHISKER, y), (x + WHISKER, y)], colour, FINE, &[]);
                             }
                         }
-                        mark(scene, at(sample, sample.y), place);
+                        mark(scene, at(sample, sample.y), number);
                     }
                 }
             }
@@ -385,184 +409,4 @@ impl<'a> Place<'a> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{
-        format::Format,
-        scene::{Item, Line},
-    };
-
-    fn sample(x: f64, y: f64) -> Sample {
-        Sample { x, y, range: None }
-    }
-
-    fn series(name: &str, kind: SeriesKind, points: &[(f64, f64)]) -> Series {
-        let parts = vec![points.iter().map(|(x, y)| sample(*x, *y)).collect()];
-        Series { name: name.to_owned(), kind, parts }
-    }
-
-    /// A panel with everything: long bands, short bands, spikes above the axis, a target and missing values.
-    fn panel(title: &str) -> Panel {
-        let band = |from, to, name: &str| Band { from, to, name: name.to_owned() };
-        let spikes: Vec<_> =
-            (0..400).map(|i| (f64::from(i), if i % 40 == 0 { 90.0 } else { 11.0 })).collect();
-        Panel {
-            title: title.to_owned(),
-            x: Axis::around("time (s)", 0.0, 400.0),
-            y: Axis::around("service time (ms)", 0.0, 38.0),
-            bands: vec![
-                band(0.0, 150.0, "R1"),
-                band(150.0, 152.0, "a-unit-in-the-yard"),
-                band(152.0, 400.0, ""),
-            ],
-            level: Some(Level { at: 15.0, name: "target 15 ms".to_owned() }),
-            series: vec![series("service time", SeriesKind::Dense, &spikes)],
-            missing: ("no answer".to_owned(), vec![10.0, 10.1, 200.0]),
-        }
-    }
-
-    fn lines(scene: &Scene, colour: Colour) -> Vec<&Line> {
-        let lines = scene.items.iter().filter_map(|item| match item {
-            Item::Line(line) if line.colour == colour => Some(line),
-            _ => None,
-        });
-        lines.collect()
-    }
-
-    fn texts(scene: &Scene) -> Vec<&str> {
-        let texts = scene.items.iter().filter_map(|item| match item {
-            Item::Text(text) => Some(text.text.as_str()),
-            _ => None,
-        });
-        texts.collect()
-    }
-
-    #[test]
-    fn no_text_collides_with_another_or_with_a_line() {
-        for count in [1, 2, 3, 12, 13] {
-            let panels = (0..count).map(|i| panel(&format!("robot-{i}: navigation"))).collect();
-            let title = "corridor: service time and attachment ".repeat(count);
-            let scene = Figure { title, panels, data: "service_time.csv".to_owned() }.draw();
-            assert_eq!(scene.collisions(), Vec::<String>::new(), "{count}");
-        }
-    }
-
-    #[test]
-    fn panels_are_bounded_and_a_note_counts_the_rest() {
-        let panels = (0..30).map(|i| panel(&format!("robot-{i}"))).collect();
-        let scene = Figure { panels, data: "service_time.csv".to_owned(), ..Figure::default() }.draw();
-        let texts = texts(&scene);
-        assert!(texts.contains(&"robot-11") && !texts.contains(&"robot-12"), "{texts:?}");
-        assert!(texts.contains(&"12 of 30 panels; service_time.csv has all"), "{texts:?}");
-    }
-
-    #[test]
-    fn letters_are_legible_in_a_column_of_a_paper() {
-        let scene =
-            Figure { title: "run".to_owned(), panels: vec![panel("robot")], ..Figure::default() }.draw();
-        for item in &scene.items {
-            let Item::Text(text) = item else { continue };
-            assert!(text.size >= 6.5, "{text:?}");
-        }
-        assert!((WIDTH / 72.0 * 2.54 - 8.5).abs() < 0.01);
-    }
-
-    #[test]
-    fn names_of_bands_are_in_the_strip_or_else_in_the_legend() {
-        let scene = Figure { panels: vec![panel("robot")], ..Figure::default() }.draw();
-        let texts = texts(&scene);
-        let count = |name| texts.iter().filter(|text| **text == name).count();
-        assert_eq!((count("R1"), count("a-unit-in-the-yard"), count("no answer")), (1, 1, 1), "{texts:?}");
-        let mut roomy = panel("robot");
-        roomy.bands.truncate(1);
-        let scene = Figure { panels: vec![roomy], ..Figure::default() }.draw();
-        assert!(!self::texts(&scene).contains(&"a-unit-in-the-yard"));
-    }
-
-    #[test]
-    fn spikes_end_at_the_top_of_the_plot() {
-        let scene = Figure { panels: vec![panel("robot")], ..Figure::default() }.draw();
-        let data: Vec<_> = lines(&scene, SERIES[0]).into_iter().filter(|line| line.width == FINE).collect();
-        assert!(data.len() > 5, "spikes leave the plot: {}", data.len());
-        let ys = || data.iter().flat_map(|line| &line.points).map(|point| point.1);
-        let (top, bottom) = (ys().fold(f64::INFINITY, f64::min), ys().fold(0.0, f64::max));
-        assert!(bottom - top <= 96.0 && top > 20.0, "{top} {bottom}");
-    }
-
-    #[test]
-    fn series_on_the_same_values_are_all_visible() {
-        let points = [(1.0, 20.0), (2.0, 20.0), (3.0, 20.0)];
-        for count in 2..=MAX_SERIES {
-            let series = (0..count).map(|i| series(&format!("s{i}"), SeriesKind::Marked, &points)).collect();
-            let values = [1, 2, 3].map(|i| (f64::from(i), i.to_string()));
-            let panel = Panel {
-                x: Axis::values("delay scale", &values),
-                y: Axis::around("ms", 0.0, 25.0),
-                series,
-                ..Panel::default()
-            };
-            let scene = Figure { panels: vec![panel], ..Figure::default() }.draw();
-            assert_eq!(scene.collisions(), Vec::<String>::new());
-            let mut markers: Vec<Rect> = Vec::new();
-            for colour in SERIES.iter().take(count) {
-                let its = lines(&scene, *colour);
-                let joined = its.iter().filter(|line| line.width == BOLD && line.points.len() == 3);
-                assert_eq!(joined.count(), 1);
-                // The first outline of a marker is the legend's.
-                for line in its.iter().filter(|line| line.width == 0.7).skip(1) {
-                    let of = |of: fn(&Point) -> f64, fold: fn(f64, f64) -> f64, from| {
-                        line.points.iter().map(of).fold(from, fold)
-                    };
-                    markers.push(Rect {
-                        left: of(|p| p.0, f64::min, f64::INFINITY),
-                        right: of(|p| p.0, f64::max, 0.0),
-                        top: of(|p| p.1, f64::min, f64::INFINITY),
-                        bottom: of(|p| p.1, f64::max, 0.0),
-                    });
-                }
-            }
-            assert_eq!(markers.len(), 3 * count);
-            markers.sort_by(|a, b| a.left.total_cmp(&b.left));
-            // Each marker shows at least a part as wide as an outline.
-            assert!(markers.windows(2).all(|pair| pair[1].left - pair[0].left > 0.7), "{count}: {markers:?}");
-        }
-    }
-
-    #[test]
-    fn further_series_are_counted_in_a_note() {
-        let series = (0..11).map(|i| series(&format!("s{i}"), SeriesKind::Marked, &[(1.0, 1.0)])).collect();
-        let panel = Panel {
-            y: Axis::around("ms", 0.0, 1.0),
-            x: Axis::around("n", 0.0, 2.0),
-            series,
-            ..Panel::default()
-        };
-        let scene = Figure { panels: vec![panel], data: "cells.csv".to_owned(), ..Figure::default() }.draw();
-        assert!(texts(&scene).contains(&"8 of 11 lines; cells.csv has all"), "{:?}", texts(&scene));
-    }
-
-    #[test]
-    fn values_that_are_no_numbers_are_left_out() {
-        let points = [(0.0, 1.0), (1.0, f64::NAN), (2.0, f64::INFINITY), (3.0, 2.0)];
-        let kinds = [SeriesKind::Dense, SeriesKind::Line, SeriesKind::Range, SeriesKind::Marked];
-        let panel = Panel {
-            x: Axis::around("s", 0.0, f64::NAN),
-            y: Axis::around("ms", 0.0, 3.0),
-            series: kinds.map(|kind| series("", kind, &points)).into(),
-            ..Panel::default()
-        };
-        let scene = Figure { panels: vec![panel, Panel::default()], ..Figure::default() }.draw();
-        let svg = String::from_utf8(scene.render(Format::Svg)).unwrap();
-        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
-    }
-
-    #[test]
-    fn the_same_figure_has_the_same_bytes_in_every_format() {
-        let draw =
-            || Figure { title: "run".to_owned(), panels: vec![panel("robot")], ..Figure::default() }.draw();
-        for format in Format::ALL {
-            let bytes = draw().render(format);
-            assert!(bytes == draw().render(format) && bytes.len() > 1000, "{format}");
-        }
-    }
-}
+mod tests;

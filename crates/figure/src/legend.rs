@@ -5,7 +5,7 @@ use crate::{
     colour::Colour,
     font,
     scene::{Anchor, Scene, WIDTH},
-    style::{ALERT, AXIS, BLACK, BOLD, DASHES, FINE, SERIES, SMALL, THIN, mark},
+    style::{ALERT, AXIS, BLACK, BOLD, DASHES, FINE, LIGHT, SERIES, SMALL, THIN, WIDE, mark},
 };
 
 /// Width of a sample, points.
@@ -19,7 +19,11 @@ const SIDE: f64 = 4.0;
 /// The look of an entry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Look {
-    /// A thin line in the colour of a series.
+    /// A wide, pale line in the colour of a series.
+    Faint(usize),
+    /// A line in the colour of a series.
+    Dense(usize),
+    /// A line with dashes of a series.
     Line(usize),
     /// A line with dashes and markers of a series.
     Marked(usize),
@@ -98,6 +102,10 @@ fn draw_sample(scene: &mut Scene, x: f64, y: f64, look: Look) {
         |half: f64| vec![(x, y - half), (x + SAMPLE, y - half), (x + SAMPLE, y + half), (x, y + half)];
     let middle = (x + SAMPLE / 2.0, y);
     match look {
+        Look::Faint(series) => {
+            scene.line(ends, SERIES[series % SERIES.len()].lighter(LIGHT), WIDE, &[]);
+        }
+        Look::Dense(series) => scene.line(ends, SERIES[series % SERIES.len()], BOLD, &[]),
         Look::Line(series) => {
             scene.line(ends, SERIES[series % SERIES.len()], BOLD, DASHES[series % DASHES.len()])
         }

@@ -40,6 +40,7 @@ pub fn draw(run: &str, curve: &Curve) -> Figure {
         series: vec![Series {
             name: "lowest to highest".to_owned(),
             kind: SeriesKind::Range,
+            look: None,
             parts: parts.filter(|part| !part.is_empty()).collect(),
         }],
         missing: ("events lost".to_owned(), gaps),

@@ -82,5 +82,5 @@ fn drawn(series: &Series<'_>, factor: f64, figures: Figures) -> Drawn {
         let range = low.zip(high).map(|(low, high)| (low.max(0.0) * factor, high * factor));
         Some(Sample { x: *at, y: mean * factor, range })
     });
-    Drawn { name: series.name.clone(), kind: SeriesKind::Marked, parts: vec![samples.collect()] }
+    Drawn { name: series.name.clone(), kind: SeriesKind::Marked, look: None, parts: vec![samples.collect()] }
 }

@@ -100,9 +100,11 @@ fn panel(
         y: Axis::around("service time (ms)", 0.0, top),
         bands: bands.collect(),
         level: target.map(|at| Level { at, name: format!("target {at} ms") }),
+        upright: None,
         series: vec![Series {
             name: String::new(),
             kind: SeriesKind::Dense,
+            look: None,
             parts: parts(&its.samples, end),
         }],
         missing: ("no answer".to_owned(), missing.collect()),
