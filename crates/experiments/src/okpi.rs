@@ -1,15 +1,34 @@
 //! The COTORRA letter's first validation (arXiv 2101.07676). A robot walks the corridor and back twice. With the state of
 //! the art, navigation stays in the cloud and the robot roams by periodic probing; the second walk is orchestrated by OKpi.
-//! Both are compared by the service times of the first service, which is navigation.
+//! Both are compared by the service times of the first service, which is navigation, and with a walk that was measured.
 
-use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
+mod bootstrap;
+mod decided;
+mod distribution;
+mod drawn;
+mod measured;
+mod needs;
+mod published;
+#[cfg(test)]
+mod tests;
+mod times;
 
-use cotorra_figure::{Figure, Format, Panel, Sample, Series, SeriesKind};
-use cotorra_graph::{
-    HardwareGraph, Instruction, NodeId, Position, Program, Service, ServiceId, ServiceTime, Testbed, millis,
-};
-use cotorra_testbed::{DataTable, FolderError, Quantiles, Report, panels, service_time_ms, write_file};
+use std::{fmt::Write as _, path::Path};
+
+use cotorra_figure::Format;
+use cotorra_graph::{NodeId, Position, Service, ServiceTime, Testbed, millis};
+use cotorra_testbed::{DataTable, FolderError, Quantiles, Report, service_time_ms, write_file};
 use serde::Serialize;
+
+use self::{
+    decided::{Decided, Legs},
+    published::PUBLISHED,
+};
+pub use self::{
+    distribution::{Distribution, Interval, Intervals, Sampling, Span, WalkDistribution},
+    measured::{MAX_ROWS, Measured, MeasuredError},
+    needs::{Unfit, check},
+};
 
 /// One of the compared approaches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,99 +44,32 @@ pub const CONTENDERS: [Contender; 2] =
     [Contender { name: "SoA", plugin: "probing" }, Contender { name: "OKpi", plugin: "okpi" }];
 
 /// Files that [`Comparison::write`] makes.
-pub const FILES: [&str; 6] =
-    ["comparison.svg", "comparison.md", "comparison.json", "samples.csv", "comparison.tex", "medians.csv"];
+pub const FILES: [&str; 7] = [
+    "comparison.svg",
+    "comparison.md",
+    "comparison.json",
+    "samples.csv",
+    "comparison.tex",
+    "medians.csv",
+    "distributions.csv",
+];
 
-/// A part of the walk, and its published medians, ms.
-struct Published {
-    name: &'static str,
-    segment: Segment,
-    leg: Leg,
-    theory: f64,
-    okpi: f64,
-    soa: f64,
+/// The walks of a comparison.
+#[derive(Debug, Clone, Copy)]
+pub struct Walks<'a> {
+    pub testbed: &'a Testbed,
+    /// The walk with the state of the art.
+    pub soa: &'a Report,
+    /// The walk with OKpi.
+    pub okpi: &'a Report,
+    /// A measured walk to compare both with.
+    pub measured: Option<&'a Measured>,
+    /// Seed of the intervals around a measured walk's figures.
+    pub seed: u64,
 }
-
-const PUBLISHED: [Published; 5] = {
-    use {Leg::*, Segment::*};
-    [
-        Published { name: "R1/R3 out", segment: A, leg: Out, theory: 11.0, okpi: 11.34, soa: 11.80 },
-        Published { name: "R2/R4 out", segment: B, leg: Out, theory: 10.0, okpi: 10.39, soa: 20.35 },
-        Published { name: "R5/R6", segment: C, leg: Out, theory: 11.0, okpi: 10.77, soa: 28.91 },
-        Published { name: "R2/R4 back", segment: B, leg: Back, theory: 10.0, okpi: 10.27, soa: 20.32 },
-        Published { name: "R1/R3 back", segment: A, leg: Back, theory: 11.0, okpi: 11.37, soa: 11.46 },
-    ]
-};
-
-/// A published change of radio unit and server. `metres` is the coordinate along `axis` at which it happened.
-struct PublishedChange {
-    leg: Leg,
-    axis: Axis,
-    metres: f64,
-    radio_unit: &'static str,
-    server: &'static str,
-}
-
-const PUBLISHED_CHANGES: [PublishedChange; 6] = {
-    use {Axis::*, Leg::*};
-    [
-        PublishedChange { leg: Out, axis: Y, metres: -24.6, radio_unit: "R3", server: "cloud" },
-        PublishedChange { leg: Out, axis: Y, metres: -10.9, radio_unit: "R2", server: "edge" },
-        PublishedChange { leg: Out, axis: X, metres: 15.8, radio_unit: "R5", server: "fog" },
-        PublishedChange { leg: Back, axis: X, metres: 17.8, radio_unit: "R2", server: "edge" },
-        PublishedChange { leg: Back, axis: Y, metres: -12.5, radio_unit: "R3", server: "cloud" },
-        PublishedChange { leg: Back, axis: Y, metres: -26.1, radio_unit: "R1", server: "cloud" },
-    ]
-};
 
 /// A sample within this time of a completed handover belongs to the handover, seconds.
 const AROUND_HANDOVER_S: f64 = 1.0;
-/// Instructions within this time are one decision, seconds: locations are not more frequent.
-const ONE_DECISION_S: f64 = 0.2;
-/// Interval between points of OKpi-t in the figure, seconds.
-const POINT_EVERY_S: f64 = 2.0;
-
-/// The corridor's segments, each with its radio units.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Segment {
-    A,
-    B,
-    C,
-}
-
-impl Segment {
-    fn of(radio_unit: &NodeId) -> Option<Self> {
-        match radio_unit.as_str() {
-            "R1" | "R3" => Some(Self::A),
-            "R2" | "R4" => Some(Self::B),
-            "R5" | "R6" => Some(Self::C),
-            _ => None,
-        }
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-enum Leg {
-    Out,
-    Back,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-enum Axis {
-    X,
-    Y,
-}
-
-impl Axis {
-    fn of(self, position: Position) -> f64 {
-        match self {
-            Self::X => position.x,
-            Self::Y => position.y,
-        }
-    }
-}
 
 /// A comparison of the two walks with each other and with the published ones.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -128,6 +80,8 @@ pub struct Comparison {
     pub changes: Vec<Change>,
     /// Shares of samples above the target. Samples without an answer count as above it.
     pub above_target: Vec<AboveTarget>,
+    /// Distributions of service times, of both samplings, and of the measured walk and its halves if there is one.
+    pub distributions: Vec<WalkDistribution>,
     pub target_ms: Option<f64>,
 }
 
@@ -175,8 +129,9 @@ pub struct AboveTarget {
 }
 
 impl Comparison {
-    /// Compares two walks on a testbed.
-    pub fn of(testbed: &Testbed, soa: &Report, okpi: &Report) -> Self {
+    /// Compares the walks.
+    pub fn of(walks: &Walks<'_>) -> Self {
+        let Walks { testbed, soa, okpi, .. } = *walks;
         let decided = Decided::by(testbed, okpi);
         let theory = decided.theory(testbed);
         let at_samples: Vec<_> = samples(testbed, okpi)
@@ -211,18 +166,19 @@ impl Comparison {
             parts: parts.collect(),
             changes: decided.changes(&okpi_legs),
             above_target: [above(first, soa), above(second, okpi)].into_iter().flatten().collect(),
+            distributions: distribution::all(walks),
             target_ms,
         }
     }
 
-    /// Returns the tables of medians, changes and shares, in Markdown. `how` says how the walks were run.
+    /// Returns the tables of medians, changes, shares and distributions, in Markdown. `how` says how the walks were run.
     pub fn to_markdown(&self, how: &str) -> String {
-        let tables = self.tables().map(|table| table.to_markdown()).join("\n");
+        let tables = self.tables().iter().map(DataTable::to_markdown).collect::<Vec<_>>().join("\n");
         format!("Median service time, ms ({how}; published figures: arXiv 2101.07676)\n\n{tables}")
     }
 
-    /// Returns the tables of medians, changes and shares, rounded for readers.
-    fn tables(&self) -> [DataTable; 3] {
+    /// Returns the tables of medians, changes, shares and distributions, rounded for readers.
+    fn tables(&self) -> Vec<DataTable> {
         let ms = |value: Option<f64>| value.map_or("-".to_owned(), |ms| format!("{ms:.2}"));
         let heads = ["part of the walk", "theory", "published", "OKpi", "published", "SoA", "published"];
         let mut medians = DataTable::new(heads).right_after(1);
@@ -256,7 +212,7 @@ impl Comparison {
             let shown = [percent(of_all), percent(away_from_handovers), samples.to_string()];
             shares.row([contender.to_owned()].into_iter().chain(shown));
         }
-        [medians, changes, shares]
+        [medians, changes, shares].into_iter().chain(distribution::tables(&self.distributions)).collect()
     }
 
     /// Returns the medians of each part with all digits.
@@ -285,26 +241,25 @@ impl Comparison {
         table
     }
 
-    /// Writes [`FILES`]: the figure in the published layout, the tables, and the samples behind both.
+    /// Writes [`FILES`]: the figure, the tables, and the samples behind both.
     ///
     /// # Errors
     /// [`FolderError`].
-    pub fn write(
-        &self,
-        folder: &Path,
-        how: &str,
-        testbed: &Testbed,
-        soa: &Report,
-        okpi: &Report,
-    ) -> Result<(), FolderError> {
+    pub fn write(&self, folder: &Path, how: &str, walks: &Walks<'_>) -> Result<(), FolderError> {
+        let Walks { testbed, soa, okpi, .. } = *walks;
         let decided = Decided::by(testbed, okpi);
         let theory = decided.theory(testbed);
         let at = |seconds: f64| decided.at(seconds).and_then(|state| theory.get(state).copied());
-        let [_, tables, data, samples, for_papers, medians] = FILES;
-        self.write_figure(folder, testbed, soa, okpi, Format::Svg)?;
+        let [_, tables, data, samples, for_papers, medians, distributions] = FILES;
+        self.write_figure(folder, walks, Format::Svg)?;
         write_file(folder, tables, self.to_markdown(how))?;
-        write_file(folder, for_papers, self.tables().map(|table| table.to_latex()).join("\n"))?;
+        write_file(
+            folder,
+            for_papers,
+            self.tables().iter().map(DataTable::to_latex).collect::<Vec<_>>().join("\n"),
+        )?;
         write_file(folder, medians, self.medians().to_csv())?;
+        write_file(folder, distributions, distribution::data(&self.distributions).to_csv())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");
         write_file(folder, data, &(json + "\n"))?;
         let mut csv = String::from("contender,emitted_ns,service_time_ms,theory_ms,attachment,server\n");
@@ -331,54 +286,14 @@ impl Comparison {
 }
 
 impl Comparison {
-    /// Writes the figure in the published layout, `comparison`, in a format.
+    /// Writes the figure, `comparison`, in a format: the published layout, and the distributions below.
     ///
     /// # Errors
     /// [`FolderError`].
-    pub fn write_figure(
-        &self,
-        folder: &Path,
-        testbed: &Testbed,
-        soa: &Report,
-        okpi: &Report,
-        format: Format,
-    ) -> Result<(), FolderError> {
-        let figure = figure(testbed, soa, okpi);
+    pub fn write_figure(&self, folder: &Path, walks: &Walks<'_>, format: Format) -> Result<(), FolderError> {
+        let figure = drawn::figure(walks);
         write_file(folder, &format!("comparison.{format}"), figure.draw().render(format))
     }
-}
-
-/// Returns the figure: the measured service times of both walks, and the sum of the known link delays for OKpi's decisions.
-fn figure(testbed: &Testbed, soa: &Report, okpi: &Report) -> Figure {
-    let decided = Decided::by(testbed, okpi);
-    let theory = decided.theory(testbed);
-    let at = |seconds: f64| decided.at(seconds).and_then(|state| theory.get(state).copied());
-    let end = samples(testbed, okpi).map(|sample| sample.emitted.as_secs_f64()).fold(0.0, f64::max);
-    let seconds = (0..).map(|i| f64::from(i) * POINT_EVERY_S).take_while(|seconds| *seconds <= end);
-    let points = seconds.filter_map(|x| Some(Sample { x, y: at(x)?, range: None })).collect();
-    let names = ["State of the art: cloud, probing", "OKpi"];
-    let mut all: Vec<Panel> = Vec::new();
-    for ((title, report), line) in names.into_iter().zip([soa, okpi]).zip(["SoA", "OKpi-e"]) {
-        let is_compared = |id: &ServiceId| compared(testbed).is_some_and(|service| service.id == *id);
-        for mut panel in panels(report, is_compared) {
-            let subject = std::mem::take(&mut panel.title);
-            panel.title = if subject.is_empty() { title.to_owned() } else { format!("{title}, {subject}") };
-            panel.series.iter_mut().for_each(|series| series.name = line.to_owned());
-            all.push(panel);
-        }
-    }
-    let theory = Series { name: "OKpi-t".to_owned(), kind: SeriesKind::Line, parts: vec![points] };
-    if let Some(first) = all.iter_mut().find(|panel| panel.title.starts_with(names[1])) {
-        first.series.push(theory);
-    }
-    // All panels have the same scales, so that they can be compared.
-    let whole = all.iter().cloned().reduce(|a, b| Panel { x: a.x.joined(&b.x), y: a.y.joined(&b.y), ..a });
-    if let Some(Panel { x, y, .. }) = whole {
-        for panel in &mut all {
-            (panel.x, panel.y) = (x.clone(), y.clone());
-        }
-    }
-    Figure { panels: all, data: FILES[3].to_owned(), ..Figure::default() }
 }
 
 fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
@@ -425,114 +340,4 @@ fn above_target(
         away_from_handovers: of(&|sample| above(sample) && !near(sample)),
         samples: all,
     })
-}
-
-/// The time at which a walk turned: its first sample in segment C.
-#[derive(Debug)]
-struct Legs {
-    turned_s: f64,
-}
-
-impl Legs {
-    fn of(testbed: &Testbed, report: &Report) -> Self {
-        let in_c =
-            |sample: &ServiceTime| sample.attachment.as_ref().and_then(Segment::of) == Some(Segment::C);
-        let times = samples(testbed, report).filter(in_c).map(|sample| sample.emitted.as_secs_f64());
-        Self { turned_s: times.fold(f64::INFINITY, f64::min) }
-    }
-
-    fn at(&self, seconds: f64) -> Leg {
-        if seconds < self.turned_s { Leg::Out } else { Leg::Back }
-    }
-
-    fn is_in(&self, sample: &ServiceTime, part: &Published) -> bool {
-        let segment = sample.attachment.as_ref().and_then(Segment::of);
-        // Segment C is walked out and back in one part.
-        let leg = part.segment == Segment::C || self.at(sample.emitted.as_secs_f64()) == part.leg;
-        segment == Some(part.segment) && leg
-    }
-}
-
-/// A radio unit and a server.
-type State = (NodeId, NodeId);
-
-/// The decisions for the robot, over time.
-#[derive(Debug)]
-struct Decided {
-    robot: Option<NodeId>,
-    /// The beginning of each state in seconds, the robot's position then, and the state.
-    states: Vec<(f64, Option<Position>, State)>,
-}
-
-impl Decided {
-    /// Follows the decisions for the compared service's robot, from its state at the first sample.
-    fn by(testbed: &Testbed, report: &Report) -> Self {
-        let service = compared(testbed);
-        let navigation = service.and_then(|s| s.vnfs.iter().find(|vnf| vnf.program == Program::Navigation));
-        let (Some(service), Some(navigation)) = (service, navigation) else {
-            return Self { robot: None, states: Vec::new() };
-        };
-        let first = samples(testbed, report).find_map(|sample| sample.attachment.clone());
-        let mut state = first.map(|unit| (unit, navigation.node.first().clone()));
-        let mut states: Vec<_> = state.iter().map(|state| (0.0, None, state.clone())).collect();
-        for decision in report.decisions() {
-            let Some((unit, server)) = &mut state else { break };
-            match &decision.instruction {
-                Instruction::Attach { robot, radio_unit } if *robot == service.robot => {
-                    *unit = radio_unit.clone()
-                }
-                Instruction::Place { vnf, node } if *vnf == navigation.id => *server = node.first().clone(),
-                _ => continue,
-            }
-            let (at, state) = (decision.at.as_secs_f64(), (unit.clone(), server.clone()));
-            match states.last_mut() {
-                // One decision for a new radio unit and a new server has two instructions.
-                Some(last) if at - last.0 <= ONE_DECISION_S => last.2 = state,
-                Some(last) if last.2 == state => {}
-                _ => states.push((at, decision.position, state)),
-            }
-        }
-        Self { robot: Some(service.robot.clone()), states }
-    }
-
-    fn at(&self, seconds: f64) -> Option<&State> {
-        let next = self.states.partition_point(|(from, ..)| *from <= seconds);
-        self.states.get(next.checked_sub(1)?).map(|(.., state)| state)
-    }
-
-    /// Returns the sum of the known link delays in each state, there and back, ms.
-    fn theory(&self, testbed: &Testbed) -> BTreeMap<State, f64> {
-        let Some(robot) = &self.robot else { return BTreeMap::new() };
-        let with_theory = |(.., state): &(f64, Option<Position>, State)| {
-            let taken = round_trip(&testbed.graph, robot, state)?;
-            Some((state.clone(), taken.as_secs_f64() * 1e3))
-        };
-        self.states.iter().filter_map(with_theory).collect()
-    }
-
-    fn changes(&self, legs: &Legs) -> Vec<Change> {
-        let change = |(at_s, position, (unit, server)): &(f64, Option<Position>, State)| {
-            let published = PUBLISHED_CHANGES.iter().find(|published| {
-                published.radio_unit == unit.as_str()
-                    && published.server == server.as_str()
-                    && (published.leg == legs.at(*at_s) || published.radio_unit == "R5")
-            });
-            let off = published.zip(*position);
-            Change {
-                at_s: *at_s,
-                position: *position,
-                radio_unit: unit.clone(),
-                server: server.clone(),
-                off_published_m: off.map(|(published, at)| (published.axis.of(at) - published.metres).abs()),
-            }
-        };
-        self.states.iter().skip(1).map(change).collect()
-    }
-}
-
-fn round_trip(graph: &HardwareGraph, robot: &NodeId, (unit, server): &State) -> Option<Duration> {
-    let attached = |of: &NodeId| (of == robot).then_some(unit);
-    let there = graph.route(robot, server, attached)?;
-    let back = graph.route(server, robot, attached)?;
-    Some(there.delay + back.delay)
 }

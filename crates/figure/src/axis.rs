@@ -21,6 +21,8 @@ const BEYOND: f64 = 12.0;
 const TURNED_ROOM: f64 = 60.0;
 /// Ends of an axis are multiples of a round step, of which it has at most so many.
 const FINE_STEPS: f64 = 40.0;
+/// Ends of a logarithmic axis, within a power of ten.
+const ROUND: [f64; 6] = [1.0, 1.5, 2.0, 3.0, 5.0, 7.0];
 /// Height of a line of labels, points.
 pub(crate) const ROW: f64 = 9.0;
 
@@ -69,13 +71,18 @@ impl Axis {
         Self { label: label.to_owned(), from, to, ticks: Vec::new(), scale: Scale::Linear }
     }
 
-    /// Creates a logarithmic axis from a positive value to a higher one. Its ends are 1, 2 or 5 times a power of ten, the
-    /// nearest that have both between them. Values that are not positive lie far below it.
+    /// Creates a logarithmic axis from a positive value to a higher one. Its ends are round numbers near both. Values that are not positive lie far below it.
     pub fn logarithmic(label: &str, low: f64, high: f64) -> Self {
         let is_positive = |value: f64| value.is_finite() && value > 0.0;
         let low = if is_positive(low) { low } else { 1.0 };
-        let from = 1.0 / round_step(1.0 / low);
-        let to = round_step(if is_positive(high) { high.max(low) } else { low });
+        let high = if is_positive(high) { high.max(low) } else { low };
+        let power = |value: f64| 10_f64.powf(value.log10().floor());
+        // Rounding errors do not add a step.
+        let below =
+            ROUND.iter().rev().map(|factor| factor * power(low)).find(|end| *end <= low * (1.0 + 1e-9));
+        let above = ROUND.iter().map(|factor| factor * power(high)).find(|end| *end >= high * (1.0 - 1e-9));
+        let from = below.unwrap_or_else(|| power(low));
+        let to = above.unwrap_or_else(|| 10.0 * power(high));
         let to = if to > from { to } else { from * 10.0 };
         Self { label: label.to_owned(), from, to, ticks: Vec::new(), scale: Scale::Logarithmic }
     }
@@ -310,8 +317,13 @@ mod tests {
 
     #[test]
     fn a_logarithmic_axis_gives_equal_ratios_equal_lengths() {
-        let axis = Axis::logarithmic("", 9.1, 131.0);
-        assert!((axis.from - 5.0).abs() < 1e-9 && (axis.to - 200.0).abs() < 1e-9, "{axis:?}");
+        for (low, high, from, to) in
+            [(9.1, 131.0, 7.0, 150.0), (0.012, 100.0, 0.01, 100.0), (5.0, 71.0, 5.0, 100.0)]
+        {
+            let axis = Axis::logarithmic("", low, high);
+            assert!((axis.from / from - 1.0).abs() < 1e-9 && (axis.to / to - 1.0).abs() < 1e-9, "{axis:?}");
+        }
+        let axis = Axis::logarithmic("", 5.0, 200.0);
         let step = axis.share(20.0) - axis.share(10.0);
         assert!((axis.share(100.0) - axis.share(50.0) - step).abs() < 1e-12);
         assert!((axis.share(5.0), axis.share(200.0)) == (0.0, 1.0));

@@ -82,7 +82,7 @@ pub(crate) const SMALL: f64 = 6.5;
 pub(crate) const THIN: f64 = 0.4;
 pub(crate) const FINE: f64 = 0.6;
 pub(crate) const BOLD: f64 = 1.1;
-pub(crate) const WIDE: f64 = 1.8;
+pub(crate) const WIDE: f64 = 1.4;
 
 /// Radius of a marker, points.
 pub(crate) const MARKER: f64 = 2.2;

@@ -3,7 +3,7 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::{Args, Subcommand};
-use cotorra_experiments::federation::Account;
+use cotorra_experiments::{federation::Account, okpi::Contender};
 use cotorra_graph::DomainId;
 use cotorra_testbed_file::Setting;
 
@@ -63,6 +63,7 @@ Examples:
   cotorra experiment okpi --emulate            with real packets, in about 15 minutes
   cotorra experiment okpi --figure pdf,png
   cotorra experiment okpi --set plugins.okpi.settings.gamma=10
+  cotorra experiment okpi --measured OKpi=walk.csv    beside a walk that was measured with OKpi
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
 pub struct OkpiArgs {
@@ -72,9 +73,20 @@ pub struct OkpiArgs {
     /// Run in virtual time, which is the default
     #[arg(long)]
     pub simulate: bool,
-    /// The testbed file; its radio units must have the names in the letter. Where the default does not exist, it is bundled
+    /// The testbed file: a robot with `roaming: instructed` that walks, and its navigation; where the default does not
+    /// exist, it is bundled
+    ///
+    /// The first service is compared. A plug-in `probing` or `okpi` that the file does not list has its default settings.
+    /// Medians beside the published ones need the letter's names of radio units, R1 to R6.
     #[arg(long, value_name = "FILE", default_value = CORRIDOR)]
     pub testbed: PathBuf,
+    /// Compare with a measured walk: a line with seconds, a comma and milliseconds for each sample
+    ///
+    /// The walk is drawn into the figure: with SoA= or OKpi= beside that walk, otherwise beside both. A table has its shares
+    /// above 15 and 40 ms, p95 and p99 with 95 % intervals beside the simulated ones, of the whole walk and of both halves.
+    /// A sample without an answer has no milliseconds. The first line can be a head.
+    #[arg(long, value_name = "[CONTENDER=]FILE", value_parser = parse_measured)]
+    pub measured: Option<MeasuredFile>,
     /// Seed of everything random; default: the file's
     #[arg(long, value_name = "N", value_parser = parse_seed)]
     pub seed: Option<u64>,
@@ -90,6 +102,24 @@ pub struct OkpiArgs {
     pub history: Option<Place>,
     #[command(flatten)]
     pub walks: WalkArgs,
+}
+
+/// The file of a measured walk.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MeasuredFile {
+    /// The contender that it is drawn beside. Without one, it is drawn beside both.
+    pub contender: Option<Contender>,
+    /// The file.
+    pub path: PathBuf,
+}
+
+fn parse_measured(text: &str) -> Result<MeasuredFile, String> {
+    let named = text.split_once('=').and_then(|(name, path)| Some((Contender::named(name)?, path)));
+    let (contender, path) = named.map_or((None, text), |(contender, path)| (Some(contender), path));
+    match path {
+        "" => Err("write a file, as in walk.csv or OKpi=walk.csv".to_owned()),
+        path => Ok(MeasuredFile { contender, path: PathBuf::from(path) }),
+    }
 }
 
 /// Hand a robot that leaves its domain's coverage over to another domain's virtual access point
@@ -205,4 +235,21 @@ fn parse_period(text: &str) -> Result<Duration, String> {
     seconds
         .map(Duration::from_secs_f64)
         .ok_or_else(|| "write seconds from 0.1 to 600, as in 0.5,1,5".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_measured_walk_is_of_a_contender_or_of_none() {
+        let parsed = |text: &str| {
+            let MeasuredFile { contender, path } = parse_measured(text).unwrap();
+            (contender.map(|contender| contender.name), path.display().to_string())
+        };
+        assert_eq!(parsed("okpi=walk.csv"), (Some("OKpi"), "walk.csv".to_owned()));
+        assert_eq!(parsed("SoA=a=b.csv"), (Some("SoA"), "a=b.csv".to_owned()));
+        assert_eq!(parsed("a=b.csv"), (None, "a=b.csv".to_owned()));
+        assert!(parse_measured("SoA=").unwrap_err().contains("OKpi=walk.csv"));
+    }
 }

@@ -1,14 +1,19 @@
 //! `cotorra experiment okpi`: OKpi and the state of the art on the published walk.
 
-use std::process::ExitCode;
+use std::{path::PathBuf, process::ExitCode};
 
-use cotorra_experiments::okpi::{CONTENDERS, Comparison, FILES};
+use cotorra_experiments::okpi::{
+    CONTENDERS, Comparison, FILES, Measured, MeasuredError, Unfit, Walks, check,
+};
 use cotorra_measurements::Location;
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{Finished, FolderError, Options, Place};
 use cotorra_testbed_file::Setting;
 
-use super::{args::OkpiArgs, folder::withdraw};
+use super::{
+    args::{MeasuredFile, OkpiArgs},
+    folder::withdraw,
+};
 use crate::{
     history, output,
     run::{self, Stage},
@@ -20,6 +25,10 @@ use crate::{
 enum Error {
     #[error(transparent)]
     Folder(#[from] FolderError),
+    #[error("{file}: {unfit}", file = file.display())]
+    Unfit { file: PathBuf, unfit: Unfit },
+    #[error("{file}: {reason}", file = file.display())]
+    Measured { file: PathBuf, reason: MeasuredError },
     #[error("stopped during the walk of {contender}, which is in {folder}")]
     #[diagnostic(help("a comparison needs both walks: run the experiment again"))]
     Stopped { contender: &'static str, folder: String },
@@ -32,8 +41,13 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         let plugin = Setting::new("plugin", contender.plugin).expect("plug-ins have names");
         let settings: Vec<_> = args.walks.settings.iter().cloned().chain([plugin]).collect();
         let loaded = testbed_file::load(&args.testbed, &settings)?;
+        check(&loaded.testbed).map_err(|unfit| Error::Unfit { file: args.testbed.clone(), unfit })?;
         variants.push((contender, loaded));
     }
+    let measured = args.measured.as_ref().map(|MeasuredFile { contender, path }| {
+        Measured::read(path, *contender).map_err(|reason| Error::Measured { file: path.clone(), reason })
+    });
+    let measured = measured.transpose()?;
     let history = history::location(args.history.as_ref())?;
     let how = if args.emulate { "emulated with real packets" } else { "in virtual time" };
     if args.walks.dry_run {
@@ -70,12 +84,18 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         walks.push(finished);
     }
     let [soa, okpi] = &walks[..] else { unreachable!("there are two contenders") };
-    let testbed = &variants[0].1.testbed;
+    let walked = Walks {
+        testbed: &variants[0].1.testbed,
+        soa: &soa.report,
+        okpi: &okpi.report,
+        measured: measured.as_ref(),
+        seed: soa.summary.seed,
+    };
     let how = format!("{how}, seed {}", soa.summary.seed);
-    let comparison = Comparison::of(testbed, &soa.report, &okpi.report);
-    comparison.write(&folder, &how, testbed, &soa.report, &okpi.report).map_err(Error::from)?;
+    let comparison = Comparison::of(&walked);
+    comparison.write(&folder, &how, &walked).map_err(Error::from)?;
     for format in args.walks.figure.further() {
-        let written = comparison.write_figure(&folder, testbed, &soa.report, &okpi.report, format);
+        let written = comparison.write_figure(&folder, &walked, format);
         written.map_err(Error::from)?;
     }
     let further = args.walks.figure.files("comparison");

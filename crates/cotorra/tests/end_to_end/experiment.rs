@@ -29,7 +29,7 @@ fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
     assert!(read("samples.csv").lines().count() > 16_000);
     let (tex, medians) = (read("comparison.tex"), read("medians.csv"));
     assert!(
-        tex.matches("\\begin{tabular}").count() == 3 && tex.contains("\nR1/R3 out & 11.00 & 11 &"),
+        tex.matches("\\begin{tabular}").count() == 4 && tex.contains("\nR1/R3 out & 11.00 & 11 &"),
         "{tex}"
     );
     assert!(medians.starts_with("part,theory_ms,") && medians.lines().count() == 6, "{medians}");

@@ -1,0 +1,254 @@
+//! Distributions of service times: by contender and sampling, and of a measured walk beside them.
+
+use cotorra_testbed::{DataTable, Quantiles};
+use serde::Serialize;
+
+use super::{
+    CONTENDERS, Walks,
+    bootstrap::intervals,
+    times::{self, Timed, halves, one_a_second},
+};
+
+/// Service times whose shares above are compared, ms: the published target, and the top of the published figure.
+const ABOVE_MS: [f64; 2] = [15.0, 40.0];
+
+/// Figures of the distribution of a walk's service times.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Distribution {
+    /// Number of samples, also of those without an answer.
+    pub samples: usize,
+    /// Median of the answered samples, ms.
+    pub p50_ms: f64,
+    /// 95th percentile of the answered samples, ms.
+    pub p95_ms: f64,
+    /// 99th percentile of the answered samples, ms.
+    pub p99_ms: f64,
+    /// Share of samples above 15 ms, the published target. Samples without an answer count as above it.
+    pub above_15_ms: f64,
+    /// Share of samples above 40 ms, the top of the published figure, or without an answer.
+    pub above_40_ms: f64,
+}
+
+impl Distribution {
+    /// Returns the figures of these samples; `None` without answered samples.
+    pub(super) fn of(samples: &[Timed]) -> Option<Self> {
+        let quantiles = Quantiles::of(samples.iter().filter_map(|timed| timed.ms).collect())?;
+        let share = |limit_ms| {
+            let above = samples.iter().filter(|timed| timed.is_above(limit_ms)).count();
+            above as f64 / samples.len() as f64
+        };
+        let [above_15_ms, above_40_ms] = ABOVE_MS.map(share);
+        let Quantiles { p50, p95, p99, .. } = quantiles;
+        let samples = samples.len();
+        Some(Self { samples, p50_ms: p50, p95_ms: p95, p99_ms: p99, above_15_ms, above_40_ms })
+    }
+}
+
+/// An interval around a figure.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Interval {
+    pub low: f64,
+    pub high: f64,
+}
+
+/// 95 % intervals around a measured walk's figures, by the moving block bootstrap.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Intervals {
+    pub p95_ms: Interval,
+    pub p99_ms: Interval,
+    pub above_15_ms: Interval,
+    pub above_40_ms: Interval,
+}
+
+/// Which samples of a walk are counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sampling {
+    /// All of them.
+    All,
+    /// The first of each second, as published.
+    OneASecond,
+}
+
+impl Sampling {
+    /// Returns its name in tables.
+    fn name(self) -> &'static str {
+        match self {
+            Self::All => "all",
+            Self::OneASecond => "one a second",
+        }
+    }
+}
+
+/// A walk, or one of its halves in time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Span {
+    Whole,
+    FirstHalf,
+    SecondHalf,
+}
+
+impl Span {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Whole => "whole walk",
+            Self::FirstHalf => "first half",
+            Self::SecondHalf => "second half",
+        }
+    }
+
+    fn of(self, walk: &[Timed]) -> &[Timed] {
+        let [first, second] = halves(walk);
+        match self {
+            Self::Whole => walk,
+            Self::FirstHalf => first,
+            Self::SecondHalf => second,
+        }
+    }
+}
+
+/// The distribution of one walk's samples.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WalkDistribution {
+    pub span: Span,
+    /// The contender, or `measured`.
+    pub walk: &'static str,
+    pub sampling: Sampling,
+    #[serde(flatten)]
+    pub distribution: Distribution,
+    /// Only of a measured walk.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub intervals: Option<Intervals>,
+}
+
+/// Name of a measured walk.
+const MEASURED: &str = "measured";
+
+/// Returns the distributions of both contenders and samplings. With a measured walk, also its own, and those of the halves of
+/// all.
+pub(super) fn all(walks: &Walks<'_>) -> Vec<WalkDistribution> {
+    let simulated: Vec<_> = CONTENDERS.iter().zip(times::of(walks)).collect();
+    let mut found = Vec::new();
+    let mut push = |span: Span, walk, sampling, samples: &[Timed], intervals| {
+        let of = Distribution::of(span.of(samples));
+        found.extend(of.map(|distribution| WalkDistribution {
+            span,
+            walk,
+            sampling,
+            distribution,
+            intervals,
+        }));
+    };
+    for (contender, samples) in &simulated {
+        push(Span::Whole, contender.name, Sampling::All, samples, None);
+        push(Span::Whole, contender.name, Sampling::OneASecond, &one_a_second(samples), None);
+    }
+    let Some(measured) = walks.measured else { return found };
+    for span in [Span::Whole, Span::FirstHalf, Span::SecondHalf] {
+        let intervals = intervals(span.of(measured.samples()), walks.seed);
+        push(span, MEASURED, Sampling::All, measured.samples(), intervals);
+        for (contender, samples) in simulated.iter().filter(|_| span != Span::Whole) {
+            push(span, contender.name, Sampling::OneASecond, &one_a_second(samples), None);
+        }
+    }
+    found
+}
+
+/// Returns the tables for readers: the contenders, and the measured walk and its halves with the contenders beside.
+pub(super) fn tables(all: &[WalkDistribution]) -> Vec<DataTable> {
+    let mut simulated = DataTable::new([
+        "service times",
+        "sampling",
+        "p50, ms",
+        "p95, ms",
+        "p99, ms",
+        "above 15 ms",
+        "above 40 ms",
+        "samples",
+    ])
+    .right_after(2);
+    let ms = |ms: f64| format!("{ms:.2}");
+    let percent = |share: f64| format!("{:.2} %", share * 100.0);
+    for of in all.iter().filter(|of| of.span == Span::Whole && of.walk != MEASURED) {
+        let Distribution { samples, p50_ms, p95_ms, p99_ms, above_15_ms, above_40_ms } = of.distribution;
+        let figures = [ms(p50_ms), ms(p95_ms), ms(p99_ms), percent(above_15_ms), percent(above_40_ms)];
+        let names = [of.walk.to_owned(), of.sampling.name().to_owned()];
+        simulated.row(names.into_iter().chain(figures).chain([samples.to_string()]));
+    }
+    let mut tables = vec![simulated];
+    if !all.iter().any(|of| of.walk == MEASURED) {
+        return tables;
+    }
+    let heads = ["part", "walk", "p95, ms", "p99, ms", "above 15 ms", "above 40 ms", "samples"];
+    let mut compared = DataTable::new(heads).right_after(2);
+    for span in [Span::Whole, Span::FirstHalf, Span::SecondHalf] {
+        let is_beside = |of: &&WalkDistribution| of.walk == MEASURED || of.sampling == Sampling::OneASecond;
+        let of_span = || all.iter().filter(|of| of.span == span).filter(is_beside);
+        // The measured walk first, then what is compared with it.
+        let (measured, others): (Vec<_>, Vec<_>) = of_span().partition(|of| of.walk == MEASURED);
+        for of in measured.into_iter().chain(others) {
+            let Distribution { samples, p95_ms, p99_ms, above_15_ms, above_40_ms, .. } = of.distribution;
+            let around = |show: &dyn Fn(f64) -> String, figure: f64, interval: fn(&Intervals) -> Interval| {
+                let ends = of.intervals.as_ref().map(interval);
+                let ends = ends.map(|Interval { low, high }| format!(" ({} to {})", show(low), show(high)));
+                show(figure) + &ends.unwrap_or_default()
+            };
+            compared.row([
+                span.name().to_owned(),
+                of.walk.to_owned(),
+                around(&ms, p95_ms, |its| its.p95_ms),
+                around(&ms, p99_ms, |its| its.p99_ms),
+                around(&percent, above_15_ms, |its| its.above_15_ms),
+                around(&percent, above_40_ms, |its| its.above_40_ms),
+                samples.to_string(),
+            ]);
+        }
+    }
+    tables.push(compared);
+    tables
+}
+
+/// Returns all distributions with all digits.
+pub(super) fn data(all: &[WalkDistribution]) -> DataTable {
+    let figures = ["p95_ms", "p99_ms", "above_15_ms", "above_40_ms"];
+    let ends = figures.iter().flat_map(|figure| [format!("{figure}_low"), format!("{figure}_high")]);
+    let heads = ["part", "walk", "sampling", "samples", "p50_ms"].into_iter().chain(figures);
+    let mut table = DataTable::new(heads.map(str::to_owned).chain(ends));
+    for of in all {
+        let Distribution { samples, p50_ms, p95_ms, p99_ms, above_15_ms, above_40_ms } = of.distribution;
+        let names = [of.span.name(), of.walk, of.sampling.name()].map(str::to_owned);
+        let figures = [p50_ms, p95_ms, p99_ms, above_15_ms, above_40_ms].map(|figure| figure.to_string());
+        let ends = of.intervals.map(|its| [its.p95_ms, its.p99_ms, its.above_15_ms, its.above_40_ms]);
+        let ends = match ends {
+            Some(ends) => {
+                ends.iter().flat_map(|end| [end.low, end.high]).map(|end| end.to_string()).collect()
+            }
+            None => vec![String::new(); 8],
+        };
+        table.row(names.into_iter().chain([samples.to_string()]).chain(figures).chain(ends));
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_without_an_answer_are_above_any_time_but_in_no_quantile() {
+        let samples = [Some(10.0), Some(20.0), Some(50.0), None];
+        let timed: Vec<_> = samples.into_iter().map(|ms| Timed { at_s: 0.0, ms }).collect();
+        let of = Distribution::of(&timed).unwrap();
+        assert_eq!((of.samples, of.p50_ms, of.above_15_ms, of.above_40_ms), (4, 20.0, 0.75, 0.5));
+        assert_eq!(Distribution::of(&timed[3..]), None);
+        assert_eq!(Distribution::of(&[]), None);
+    }
+
+    #[test]
+    fn a_sample_at_the_limit_is_not_above_it() {
+        let timed = [Timed { at_s: 0.0, ms: Some(15.0) }, Timed { at_s: 1.0, ms: Some(40.0) }];
+        let of = Distribution::of(&timed).unwrap();
+        assert_eq!((of.above_15_ms, of.above_40_ms), (0.5, 0.0));
+    }
+}
