@@ -262,7 +262,7 @@ impl FloorMap {
         let spots: Vec<Point> = self.spots.iter().map(|spot| at((spot.x, spot.y))).collect();
         draw_paths(scene, place, &paths);
         let markers = markers(&paths, &spots);
-        markers.into_iter().for_each(|(path, at)| mark(scene, at, path));
+        markers.iter().for_each(|(path, at)| mark(scene, *at, *path));
         let (about, others): (Vec<usize>, Vec<usize>) =
             (0..spots.len()).partition(|i| panel.about.contains(i));
         for spot in others {
@@ -273,7 +273,9 @@ impl FloorMap {
         }
         if about.len() > 1 {
             let named: Vec<_> = about.iter().map(|i| (spots[*i], self.spots[*i].name.as_str())).collect();
-            names::draw(scene, plot, &named, &paths, &walls);
+            // A marker is a line of one point: names leave room where lines begin.
+            let lines: Vec<_> = paths.into_iter().chain(markers.iter().map(|(_, at)| vec![*at])).collect();
+            names::draw(scene, plot, &named, &lines, &walls);
         }
     }
 
@@ -448,6 +450,17 @@ mod tests {
             "a path without length has one place"
         );
         assert_eq!(markers(&paths[..2], &[(0.0, 0.0)]), [(0, (6.0, 0.0)), (1, (10.0, 5.0))]);
+    }
+
+    #[test]
+    fn names_leave_room_for_markers_that_stand_aside() {
+        for (magnitude, ratio, spots, paths) in
+            [(5.883290311038901, 3.8121447080986095, 5, 8), (3.78827655776718, 2.860284950158455, 7, 4)]
+        {
+            let width = 10_f64.powf(magnitude);
+            let scene = floor(width, width / ratio, spots, paths).draw();
+            assert_eq!(scene.collisions(), Vec::<String>::new());
+        }
     }
 
     #[test]
