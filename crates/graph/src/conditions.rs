@@ -4,7 +4,10 @@ use std::{sync::Arc, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
-use crate::units::{BitRate, Probability, millis};
+use crate::{
+    queue::{QueueDiscipline, QueueLimit},
+    units::{BitRate, Probability, millis},
+};
 
 /// Conditions of one direction of a link.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -32,9 +35,12 @@ pub struct Conditions {
     /// Serialisation rate.
     #[serde(default)]
     pub rate: Rate,
-    /// Length of the drop-tail queue.
+    /// Limit of the queue.
     #[serde(default)]
     pub queue: QueueLimit,
+    /// Discipline of the queue.
+    #[serde(default, skip_serializing_if = "QueueDiscipline::is_drop_tail")]
+    pub queue_discipline: QueueDiscipline,
 }
 
 impl Conditions {
@@ -234,24 +240,6 @@ impl From<Trace> for Vec<u64> {
     }
 }
 
-/// Length of a link's drop-tail queue, without the packet in transmission.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[serde(rename_all = "snake_case")]
-pub enum QueueLimit {
-    /// Limit in packets, as they are on the wire.
-    Packets(u32),
-    /// Limit in bytes, counted as [`Rate`] counts them.
-    Bytes(u64),
-}
-
-impl Default for QueueLimit {
-    /// 1000 packets, Linux's default `txqueuelen`.
-    fn default() -> Self {
-        Self::Packets(1000)
-    }
-}
-
 /// Scaling of a link by emulation: delay ψ·d, throughput λ/δ.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -297,6 +285,9 @@ pub struct ConditionChange {
     /// Queue limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub queue: Option<QueueLimit>,
+    /// Queue discipline.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub queue_discipline: Option<QueueDiscipline>,
     /// ψ.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub delay_scale: Option<f64>,

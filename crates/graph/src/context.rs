@@ -336,6 +336,7 @@ impl LinkContext {
             reordering: Some(asked.reordering),
             rate: Some(asked.rate),
             queue: Some(asked.queue),
+            queue_discipline: Some(asked.queue_discipline),
             delay_scale: Some(self.scale.delay_scale),
             drop_scale: Some(self.scale.drop_scale),
         }
@@ -352,7 +353,7 @@ pub struct LinkCounters {
     pub bytes: u64,
     /// Packets lost by the loss model, or by the radio after its last retry.
     pub lost: u64,
-    /// Packets dropped at the tail of the queue.
+    /// Packets dropped by the queue: because it was full, or by its discipline.
     pub overflowed: u64,
     /// Packets that arrived twice.
     pub duplicated: u64,

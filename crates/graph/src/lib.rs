@@ -24,6 +24,7 @@ mod nodes;
 #[cfg(feature = "openapi")]
 pub mod openapi;
 mod propagation;
+mod queue;
 mod real;
 mod ros1_environment;
 mod routing;
@@ -40,8 +41,7 @@ pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
 pub use border::Border;
 pub use conditions::{
-    ConditionChange, Conditions, InvalidTrace, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale,
-    Trace,
+    ConditionChange, Conditions, InvalidTrace, Jitter, JitterDistribution, Loss, Rate, Scale, Trace,
 };
 pub use container::{Containers, EngineKind, Image, ListenPort, Pull, Transport, Volume};
 pub use contention::{Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl};
@@ -73,6 +73,7 @@ pub use machine_context::{
 pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use nodes::{InvalidNodes, Nodes};
+pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
 pub use real::{Gateway, Machine, Reached, RealLink, RealPort, RealServer};
 pub use routing::{Arrival, Edge, Route, Topology};
 pub use schedule::{Scheduled, Script, When};

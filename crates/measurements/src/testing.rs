@@ -5,13 +5,14 @@ mod machine;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, DataFormat,
-    Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, Image, InstancePath, Instruction,
-    Jitter, JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters, LinkId, LinkTime, ListenPort,
-    Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed,
-    Program, QueueLimit, RadioContext, Rate, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId,
-    SensorReading, ServiceId, ServiceTime, Stamped, StationContext, Tested, ThroughputTest, TimeParts,
-    Timestamp, Trace, Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
+    AccessPoint, AnswersRejected, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions,
+    DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Handover, Image,
+    InstancePath, Instruction, Jitter, JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters,
+    LinkId, LinkTime, ListenPort, Loss, NodeId, Nodes, PathKind, Pie, Placement, PluginId, Pose, PoseSource,
+    Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext, Rate, Red,
+    RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId,
+    ServiceTime, Stamped, StationContext, Tested, ThroughputTest, TimeParts, Timestamp, Trace, Transport,
+    Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -164,6 +165,32 @@ fn queue() -> impl Strategy<Value = QueueLimit> {
     prop_oneof![any::<u32>().prop_map(QueueLimit::Packets), any::<u64>().prop_map(QueueLimit::Bytes)]
 }
 
+fn codel() -> impl Strategy<Value = Codel> {
+    (duration(), duration(), any::<bool>()).prop_map(|(target, interval, ecn)| Codel {
+        target,
+        interval,
+        ecn,
+    })
+}
+
+fn discipline() -> impl Strategy<Value = QueueDiscipline> {
+    let fq = (codel(), any::<u32>(), any::<u32>()).prop_map(|(codel, flows, quantum)| {
+        let Codel { target, interval, ecn } = codel;
+        QueueDiscipline::FqCodel(FqCodel { target, interval, flows, quantum, ecn })
+    });
+    let pie = (duration(), duration(), duration(), any::<bool>())
+        .prop_map(|(target, update, burst, ecn)| QueueDiscipline::Pie(Pie { target, update, burst, ecn }));
+    let thresholds = prop_oneof![
+        any::<(u32, u32)>().prop_map(|(min, max)| RedThresholds::Packets { min, max }),
+        any::<(u64, u64)>().prop_map(|(min, max)| RedThresholds::Bytes { min, max }),
+    ];
+    let red =
+        (thresholds, share(), share(), any::<bool>()).prop_map(|(thresholds, probability, weight, ecn)| {
+            QueueDiscipline::Red(Red { thresholds, probability, weight, ecn })
+        });
+    prop_oneof![Just(QueueDiscipline::DropTail), codel().prop_map(QueueDiscipline::Codel), fq, pie, red]
+}
+
 prop_compose! {
     fn conditions()(
         delay in duration(),
@@ -171,9 +198,9 @@ prop_compose! {
         loss in loss(real()),
         (duplication, corruption, reordering) in (share(), share(), share()),
         rate in rate(),
-        queue in queue(),
+        (queue, queue_discipline) in (queue(), discipline()),
     ) -> Conditions {
-        Conditions { delay, jitter, loss, duplication, corruption, reordering, rate, queue }
+        Conditions { delay, jitter, loss, duplication, corruption, reordering, rate, queue, queue_discipline }
     }
 }
 
@@ -282,10 +309,11 @@ prop_compose! {
         jitter in of(jitter(hours())),
         loss in of(loss(finite())),
         (duplication, corruption, reordering) in (of(share()), of(share()), of(share())),
-        (rate, queue) in (of(rate()), of(queue())),
+        (rate, queue, queue_discipline) in (of(rate()), of(queue()), of(discipline())),
     ) -> ConditionChange {
         ConditionChange {
-            delay_ms, jitter, loss, duplication, corruption, reordering, rate, queue, delay_scale, drop_scale,
+            delay_ms, jitter, loss, duplication, corruption, reordering, rate, queue, queue_discipline, delay_scale,
+            drop_scale,
         }
     }
 }

@@ -500,5 +500,6 @@ pub(crate) fn decode_conditions(source: &mut dyn Source) -> Result<Conditions> {
         (None, Some(bytes)) => QueueLimit::Bytes(bytes.cast_unsigned()),
         (None, None) => return Err(unreadable("a queue has no limit")),
     };
-    Ok(Conditions { delay, jitter, loss, duplication, corruption, reordering, rate, queue })
+    let queue_discipline = row.0.text()?.as_deref().map(json).transpose()?.unwrap_or_default();
+    Ok(Conditions { delay, jitter, loss, duplication, corruption, reordering, rate, queue, queue_discipline })
 }

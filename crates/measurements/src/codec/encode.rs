@@ -466,4 +466,8 @@ pub(crate) fn encode_conditions<'a>(conditions: &'a Conditions, row: &mut Fields
             row.unsigned(bytes);
         }
     }
+    let discipline = Some(&conditions.queue_discipline).filter(|discipline| !discipline.is_drop_tail());
+    row.optional(discipline, |row, discipline| {
+        row.text(serde_json::to_string(discipline).expect("figures and words are JSON"))
+    });
 }

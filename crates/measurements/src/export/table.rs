@@ -65,7 +65,7 @@ const TEXTS: &[&str] = &[
     "robot", "radio_unit", "link", "vnf", "node", "from_vnf", "to_vnf", "service", "attachment", "server",
     "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
     "reason", "refused", "message", "health", "sensor", "component", "path", "others", "format",
-    "jitter_distribution", "loss", "trace_ms", "part", "interface", "wifi",
+    "jitter_distribution", "loss", "trace_ms", "queue_discipline", "part", "interface", "wifi",
 ];
 #[rustfmt::skip]
 const REALS: &[&str] = &[

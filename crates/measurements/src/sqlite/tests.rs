@@ -456,6 +456,37 @@ fn histories_without_machines_are_read_and_then_take_them() {
 }
 
 #[test]
+fn queues_of_histories_without_disciplines_are_drop_tail() {
+    let (_folder, path) = folder();
+    let mut connection = Connection::open(&path).unwrap();
+    prepare(&mut connection, &"a history".into(), &MIGRATIONS[..5]).unwrap();
+    connection
+        .execute_batch(
+            "INSERT INTO run VALUES (1, 'old', 1, 0, 'name: old', NULL, 1);
+             INSERT INTO name VALUES (1, 'a-b');
+             INSERT INTO conditions
+             VALUES (1, 5.0, NULL, NULL, 'none', NULL, NULL, 0.0, 0.0, 0.0, NULL, NULL, 9, NULL);
+             INSERT INTO link (run, at_ns, seq, link, direction, throughput_bps, delay_scale, drop_scale, asked, effective,
+                               packets, bytes, lost, overflowed, duplicated, corrupted)
+             VALUES (1, 5, 0, 1, 0, 0.0, 1.0, 1.0, 1, 1, 0, 0, 0, 0, 0, 0);",
+        )
+        .unwrap();
+    drop(connection);
+    let history = History::open(&path).unwrap();
+    assert_eq!(version_of(&path), MIGRATIONS.len() as u32);
+    let run = history.runs(None, 1).unwrap()[0].id;
+    let expected = Conditions {
+        delay: Duration::from_millis(5),
+        queue: cotorra_graph::QueueLimit::Packets(9),
+        ..Conditions::default()
+    };
+    match &everything(&history, run)[..] {
+        [Stamped { event: Event::Link(context), .. }] => assert_eq!(context.asked, expected),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
 fn machines_of_histories_without_times_of_readings_have_none() {
     let (_folder, path) = folder();
     let mut connection = Connection::open(&path).unwrap();
