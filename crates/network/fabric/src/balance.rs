@@ -14,7 +14,7 @@ pub struct Balance {
     pub delivered: u64,
     /// Packets that links lost.
     pub lost: u64,
-    /// Packets that full queues dropped.
+    /// Packets that queues dropped.
     pub overflowed: u64,
     /// Packets without a path, or from a sender without a carrier.
     pub stranded: u64,

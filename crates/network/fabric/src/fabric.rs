@@ -164,8 +164,8 @@ impl Fabric {
                 let settings = Settings::new(conditions.clone(), scale, link.medium())
                     .map_err(|error| GraphError::Conditions { link: link.id.to_string(), error })?;
                 routes.connect(from, to, settings.effective().delay);
-                let rng = stream(seed, &format!("link {} {direction}", link.id));
-                pipes.push(Pipe::new(settings, rng));
+                let rng = |part: &str| stream(seed, &format!("{part} {} {direction}", link.id));
+                pipes.push(Pipe::new(settings, rng("link"), rng("queue")));
             }
         }
         let port = |node: &Node| Port {
@@ -278,7 +278,7 @@ impl Fabric {
 
     /// Changes the conditions of a link, in one direction or both. Packets in flight stay in flight and in order. A lower
     /// delay brings them forward; a higher one leaves them. A new rate applies to the rest of the frame that is being sent.
-    /// A shorter queue keeps its packets.
+    /// A shorter queue keeps its packets, and so does one with another discipline, which begins anew.
     ///
     /// # Errors
     /// [`FabricError`] for an unknown link or impossible conditions. Nothing has changed then.

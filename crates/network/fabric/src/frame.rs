@@ -151,6 +151,11 @@ impl Frame {
         &self.bytes
     }
 
+    /// Returns the frame's bytes for a change that keeps its length and its transport checksum.
+    pub(crate) fn bytes_mut(&mut self) -> &mut [u8] {
+        &mut self.bytes
+    }
+
     /// Returns the length in bytes. On the wire it can be more; see [`Frame::wire_bytes`].
     #[expect(clippy::len_without_is_empty, reason = "an Ethernet frame has a header, it is never empty")]
     pub fn len(&self) -> usize {

@@ -10,7 +10,8 @@
 //!   [`HostAddress`](cotorra_graph::HostAddress); the fabric learns other addresses from the frames that they send.
 //!   Broadcast, multicast and frames to unknown addresses reach every other host once, along a spanning tree. Robots and
 //!   servers never forward.
-//! - **Wired links.** Each direction is a drop-tail queue, a transmitter (fixed rate or Mahimahi trace) and a line.
+//! - **Wired links.** Each direction is a queue (drop tail, CoDel, FQ-CoDel, PIE or RED), a transmitter (fixed rate or
+//!   Mahimahi trace) and a line.
 //!   Packets that leave the transmitter meet loss, corruption, duplication, and delay with jitter that keeps order.
 //!   Links [change](Fabric::change) in place.
 //! - **The air.** A robot's frames cross the air to and from the radio unit that it is attached to. Airtime, retries and
@@ -24,8 +25,8 @@
 //!   no trace.
 //! - **Taps.** [Readers](Fabric::tap) see the packets that cross the links they name. Without any, this costs nothing.
 //! - **Offloads.** A super-packet stays whole where no link on its way needs single packets; all counters count its
-//!   packets. Random impairments, rates below 1 Gbit/s, traces and the air cut it. A checksum left to do stays so, unless
-//!   the packet is corrupted.
+//!   packets. Random impairments, rates below 1 Gbit/s, traces, queues that are not drop tail, and the air cut it. A
+//!   checksum left to do stays so, unless the packet is corrupted.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
@@ -42,6 +43,7 @@ mod meter;
 mod pipe;
 mod pool;
 mod port;
+mod queue;
 mod radio;
 mod random;
 mod routes;

@@ -1,9 +1,9 @@
-//! One direction of a wired link: a drop-tail queue, a transmitter, and a line with the packets in flight. Due times are
+//! One direction of a wired link: a queue, a transmitter, and a line with the packets in flight. Due times are
 //! worked out in the packets' own time, so that a late poll delays only the delivery itself.
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_graph::{Conditions, Direction, LinkContext, LinkCounters, LinkId, QueueLimit, Rate, Timestamp};
+use cotorra_graph::{Conditions, Direction, LinkContext, LinkCounters, LinkId, Rate, Timestamp};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::{
@@ -13,6 +13,7 @@ use crate::{
     lateness::Histogram,
     meter::Meter,
     pool::Pool,
+    queue::Queue,
     routes::Target,
     settings::{Settings, is_impaired, needs_packets},
     transmitter::Transmitter,
@@ -73,9 +74,7 @@ pub(crate) struct Pipe {
     settings: Settings,
     impairments: Impairments,
     transmitter: Transmitter<Packet>,
-    queue: VecDeque<Packet>,
-    queued_packets: u64,
-    queued_bytes: u64,
+    queue: Queue<Packet>,
     /// In order of `due`.
     line: VecDeque<InFlight>,
     /// Whether packets pass at once and unchanged while the line is empty.
@@ -89,15 +88,13 @@ pub(crate) struct Pipe {
 }
 
 impl Pipe {
-    /// Creates an empty pipe that draws its random numbers from `rng`.
-    pub(crate) fn new(settings: Settings, rng: Xoshiro256PlusPlus) -> Self {
+    /// Creates an empty pipe that draws the random numbers of its impairments and of its queue from a stream each.
+    pub(crate) fn new(settings: Settings, rng: Xoshiro256PlusPlus, queue_rng: Xoshiro256PlusPlus) -> Self {
         let conditions = settings.effective();
         Self {
             impairments: Impairments::new(conditions, rng),
             transmitter: Transmitter::new(&conditions.rate, Timestamp::ZERO),
-            queue: VecDeque::new(),
-            queued_packets: 0,
-            queued_bytes: 0,
+            queue: Queue::new(Timestamp::ZERO, conditions, queue_rng),
             line: VecDeque::new(),
             clear: is_clear(conditions),
             needs_packets: needs_packets(conditions),
@@ -128,7 +125,7 @@ impl Pipe {
     pub(crate) fn in_flight(&self) -> u64 {
         let sending = self.transmitter.sending().map_or(0, |p| u64::from(p.frame.wire_packets()));
         let line: u64 = self.line.iter().map(|f| u64::from(f.packet.frame.wire_packets())).sum();
-        self.queued_packets + sending + line
+        self.queue.packets() + sending + line
     }
 
     /// Returns the outcome of all packets that entered it, without those that only measure.
@@ -146,7 +143,7 @@ impl Pipe {
             direction,
             delay: self.meter.delay(now),
             throughput_bps: self.meter.throughput_bps(now),
-            queued_packets: Some(self.meter.most_queued(now, self.queued_packets)),
+            queued_packets: Some(self.meter.most_queued(now, self.queue.packets())),
             probed: None,
             tested: None,
             asked: self.settings.asked().clone(),
@@ -164,7 +161,7 @@ impl Pipe {
             return Some(packet);
         }
         (packet.entered, packet.began) = (now, now);
-        let whole = !self.needs_packets && (!self.transmitter.is_busy() || self.fits(&packet.frame));
+        let whole = !self.needs_packets && (!self.transmitter.is_busy() || self.queue.fits(&packet));
         if whole {
             self.enter(now, packet, pool);
         } else {
@@ -216,10 +213,11 @@ impl Pipe {
         self.needs_packets = needs_packets(conditions);
         self.impaired = is_impaired(conditions);
         if self.needs_packets {
-            for packet in std::mem::take(&mut self.queue) {
-                self.for_each_packet(packet, pool, |pipe, packet, _| pipe.queue.push_back(packet));
+            for packet in self.queue.drain() {
+                self.for_each_packet(packet, pool, |pipe, packet, _| pipe.queue.insert(packet));
             }
         }
+        self.queue.change(now, self.settings.effective());
         if shorter {
             self.pull_forward(now);
         }
@@ -234,29 +232,15 @@ impl Pipe {
         }
     }
 
-    fn fits(&self, frame: &Frame) -> bool {
-        match self.settings.effective().queue {
-            QueueLimit::Packets(limit) => {
-                self.queued_packets + u64::from(frame.wire_packets()) <= u64::from(limit)
-            }
-            QueueLimit::Bytes(limit) => self.queued_bytes + frame.wire_bytes() <= limit,
-        }
-    }
-
     fn enter(&mut self, now: Timestamp, packet: Packet, pool: &mut Pool) {
-        if !self.transmitter.is_busy() {
+        let Self { queue, meter, .. } = self;
+        let mut drop = |packet| drop_packet(meter, packet, pool);
+        if self.transmitter.is_busy() {
+            queue.push(now, packet, &mut drop);
+        } else if let Some(packet) = queue.pass(now, packet, &mut drop) {
             self.transmitter.wake(now);
             let bits = packet.frame.wire_bytes() * 8;
             self.send(now, packet, bits, pool);
-        } else if self.fits(&packet.frame) {
-            self.queued_packets += u64::from(packet.frame.wire_packets());
-            self.queued_bytes += packet.frame.wire_bytes();
-            self.queue.push_back(packet);
-        } else {
-            if packet.counts() {
-                self.meter.counters.overflowed += u64::from(packet.frame.wire_packets());
-            }
-            pool.put(packet.frame.into_bytes());
         }
     }
 
@@ -270,11 +254,14 @@ impl Pipe {
     /// Starts to send the next packet of the queue, or all of them if that takes no time.
     fn send_queued(&mut self, now: Timestamp, pool: &mut Pool) {
         while !self.transmitter.is_busy() {
-            let Some(mut packet) = self.queue.pop_front() else { return };
             // A queue was longest just before a packet left it.
-            self.meter.queued(now, self.queued_packets);
-            self.queued_packets -= u64::from(packet.frame.wire_packets());
-            self.queued_bytes -= packet.frame.wire_bytes();
+            let waiting = self.queue.packets();
+            if waiting > 0 {
+                self.meter.queued(now, waiting);
+            }
+            let Self { queue, meter, .. } = self;
+            let mut drop = |packet| drop_packet(meter, packet, pool);
+            let Some(mut packet) = queue.pop(now, &mut drop) else { return };
             packet.began = now;
             let bits = packet.frame.wire_bytes() * 8;
             self.send(now, packet, bits, pool);
@@ -358,6 +345,14 @@ impl Pipe {
             before = due;
         }
     }
+}
+
+/// Counts a packet that the queue dropped, and frees its buffer.
+fn drop_packet(meter: &mut Meter, packet: Packet, pool: &mut Pool) {
+    if packet.counts() {
+        meter.counters.overflowed += u64::from(packet.frame.wire_packets());
+    }
+    pool.put(packet.frame.into_bytes());
 }
 
 /// Whether a link with these conditions passes packets at once and unchanged.

@@ -4,8 +4,8 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, Jitter, LinkId, Loss, Medium, NodeId, NotOffered, Probability,
-    QueueLimit, Rate, Scale, Trace,
+    BitRate, ConditionChange, Conditions, InvalidDiscipline, Jitter, LinkId, Loss, Medium, NodeId,
+    NotOffered, Probability, QueueLimit, Rate, Scale, Trace,
 };
 
 /// An error of a call to the fabric. Nothing has changed then.
@@ -126,6 +126,9 @@ pub enum FabricError {
     /// A queue limit of 0.
     #[error("a queue limit of 0 cannot be: give 1 or more packets or bytes")]
     Queue,
+    /// An impossible parameter of a queue discipline.
+    #[error("a queue discipline cannot be: {0}")]
+    QueueDiscipline(#[from] InvalidDiscipline),
     /// A throughput test that is too short to measure, or disturbs for too long.
     #[error("a throughput test of {0:?} cannot be: it lasts from 10 ms to 10 s")]
     TestDuration(Duration),
@@ -183,6 +186,7 @@ impl Settings {
         asked.reordering = change.reordering.unwrap_or(asked.reordering);
         asked.rate = change.rate.clone().unwrap_or(asked.rate);
         asked.queue = change.queue.unwrap_or(asked.queue);
+        asked.queue_discipline = change.queue_discipline.unwrap_or(asked.queue_discipline);
         let scale = Scale {
             delay_scale: change.delay_scale.unwrap_or(self.scale.delay_scale),
             drop_scale: change.drop_scale.unwrap_or(self.scale.drop_scale),
@@ -262,6 +266,7 @@ fn effective(asked: &Conditions, scale: Scale, medium: Medium) -> Result<Conditi
     if matches!(asked.queue, QueueLimit::Packets(0) | QueueLimit::Bytes(0)) {
         return Err(FabricError::Queue);
     }
+    asked.queue_discipline.check()?;
     let rate = scaled_rate(&asked.rate, drop_scale, medium.rate)?;
     Ok(Conditions { delay, jitter, rate, ..asked.clone() })
 }
@@ -338,8 +343,8 @@ fn thinned(trace: &Arc<Trace>, drop_scale: f64) -> Result<Arc<Trace>, FabricErro
     Ok(Arc::new(kept))
 }
 
-/// Whether a link needs single packets: it has a random impairment, or a rate at which a super-packet would occupy it for
-/// long.
+/// Whether a link needs single packets: it has a random impairment, a queue that decides on each packet, or a rate at which
+/// a super-packet would occupy it for long.
 pub(crate) fn needs_packets(conditions: &Conditions) -> bool {
     /// At 1 Gbit/s a super-packet of 64 KiB takes half a millisecond.
     const COARSE: u64 = 1_000_000_000;
@@ -348,7 +353,9 @@ pub(crate) fn needs_packets(conditions: &Conditions) -> bool {
         Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second() < COARSE,
         Rate::Trace { .. } => true,
     };
-    slow || is_impaired(conditions)
+    // Without a rate, no packet waits.
+    let decides = !conditions.queue_discipline.is_drop_tail() && conditions.rate != Rate::Unlimited;
+    slow || decides || is_impaired(conditions)
 }
 
 /// Whether a link has random impairments.

@@ -35,7 +35,7 @@ pub struct Passage<'a> {
     pub delivered: Timestamp,
     /// Packets that this direction has lost since the run began.
     pub lost: u64,
-    /// Packets that this direction has dropped at the tail of its queue since the run began.
+    /// Packets that the queue of this direction has dropped since the run began.
     pub overflowed: u64,
     /// Bytes and offload. A super-packet that crossed as a whole is shown as a whole.
     pub frame: &'a Frame,

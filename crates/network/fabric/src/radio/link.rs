@@ -176,10 +176,13 @@ impl WirelessLink {
 impl Lane {
     /// Returns the settings after a change.
     pub(super) fn changed(&self, change: &ConditionChange) -> Result<Settings, FabricError> {
-        match change.rate {
-            Some(Rate::Trace { .. }) => Err(FabricError::NotOnWireless("trace")),
-            _ => self.settings.changed(change),
+        if matches!(change.rate, Some(Rate::Trace { .. })) {
+            return Err(FabricError::NotOnWireless("trace"));
         }
+        if change.queue_discipline.is_some_and(|discipline| !discipline.is_drop_tail()) {
+            return Err(FabricError::NotOnWireless("queue discipline"));
+        }
+        self.settings.changed(change)
     }
 
     /// Changes the settings for frames sent from now on.

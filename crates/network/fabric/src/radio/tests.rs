@@ -5,8 +5,8 @@ mod supplicant;
 
 use cotorra_graph::{
     BitRate, Capacity, Conditions, Driver, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss,
-    Node, NodeKind, PathLoss, PowerSave, Probability, RadioUnit, Rate, RateControl, Roaming, Robot,
-    RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard,
+    Node, NodeKind, PathLoss, PowerSave, Probability, QueueDiscipline, RadioUnit, Rate, RateControl, Roaming,
+    Robot, RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard,
 };
 use proptest::prelude::*;
 
@@ -314,6 +314,13 @@ fn impossible_calls_are_rejected_with_a_reason() {
     let link = LinkId::wireless(&id("r"), &id("R1"));
     let error = world.radio.change(at(200), &link, None, &change).unwrap_err();
     assert!(matches!(error, FabricError::NotOnWireless(_)));
+    let codel = QueueDiscipline::Codel(Default::default());
+    for (discipline, expected) in
+        [(codel, Err(FabricError::NotOnWireless("queue discipline"))), (QueueDiscipline::DropTail, Ok(()))]
+    {
+        let change = ConditionChange { queue_discipline: Some(discipline), ..ConditionChange::default() };
+        assert_eq!(world.radio.change(at(200), &link, None, &change), expected);
+    }
     let unknown = LinkId::new("r-R1").unwrap();
     let error = world.radio.change(at(200), &unknown, None, &change).unwrap_err();
     assert_eq!(error, FabricError::UnknownLink(unknown));

@@ -2,8 +2,8 @@
 
 use cotorra_fabric::{Fabric, Frame};
 use cotorra_graph::{
-    ConditionChange, Conditions, Direction, Jitter, JitterDistribution, LinkId, Loss, Probability,
-    QueueLimit, Rate, Timestamp, Trace,
+    Codel, ConditionChange, Conditions, Direction, FqCodel, Jitter, JitterDistribution, LinkId, Loss, Pie,
+    Probability, QueueDiscipline, QueueLimit, Rate, Red, Timestamp, Trace,
 };
 use proptest::prelude::*;
 
@@ -41,6 +41,13 @@ fn change(reordering: bool) -> impl Strategy<Value = ConditionChange> {
     let rates = prop_oneof![Just(Rate::Unlimited), (0.1..20_000.0f64).prop_map(rate), trace];
     let queue =
         prop_oneof![(1u32..50).prop_map(QueueLimit::Packets), (1u64..50_000).prop_map(QueueLimit::Bytes)];
+    let disciplines = prop_oneof![
+        Just(QueueDiscipline::DropTail),
+        Just(QueueDiscipline::Codel(Codel::default())),
+        Just(QueueDiscipline::FqCodel(FqCodel::default())),
+        Just(QueueDiscipline::Pie(Pie::default())),
+        Just(QueueDiscipline::Red(Red::default())),
+    ];
     let of = prop::option::of::<BoxedStrategy<_>>;
     (
         prop::option::of(0.0..50.0f64),
@@ -50,24 +57,38 @@ fn change(reordering: bool) -> impl Strategy<Value = ConditionChange> {
         of(probability().boxed()),
         of(probability().boxed()),
         prop::option::of(rates),
-        prop::option::of(queue),
+        (prop::option::of(queue), prop::option::of(disciplines)),
         prop::option::of(0.0..3.0f64),
         prop::option::of(1.0..9.0f64),
     )
-        .prop_map(move |(delay_ms, jitter, loss, p, q, r, rate, queue, delay_scale, drop_scale)| {
-            ConditionChange {
+        .prop_map(
+            move |(
                 delay_ms,
                 jitter,
                 loss,
-                duplication: p,
-                corruption: q,
-                reordering: r.filter(|_| reordering),
+                p,
+                q,
+                r,
                 rate,
-                queue,
+                (queue, queue_discipline),
                 delay_scale,
                 drop_scale,
-            }
-        })
+            )| {
+                ConditionChange {
+                    delay_ms,
+                    jitter,
+                    loss,
+                    duplication: p,
+                    corruption: q,
+                    reordering: r.filter(|_| reordering),
+                    rate,
+                    queue,
+                    queue_discipline,
+                    delay_scale,
+                    drop_scale,
+                }
+            },
+        )
 }
 
 fn steps(reordering: bool) -> impl Strategy<Value = Vec<Step>> {

@@ -9,6 +9,7 @@ mod invariants;
 mod links;
 mod offloads;
 mod paths;
+mod queues;
 mod taps;
 mod walls;
 mod wireless;

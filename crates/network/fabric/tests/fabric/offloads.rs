@@ -2,7 +2,7 @@
 //! headers do no harm.
 
 use cotorra_fabric::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
-use cotorra_graph::{Conditions, Loss, Probability, QueueLimit, Rate, Timestamp};
+use cotorra_graph::{Conditions, Loss, Probability, QueueDiscipline, QueueLimit, Rate, Timestamp};
 use proptest::prelude::*;
 
 use crate::common::{A, B, Network, context, delay, ms, pair, rate, run};
@@ -235,6 +235,16 @@ fn super_packets_are_cut_for_links_that_need_packets() {
         let c = context(&mut fabric, ms(100.0), "a-b").counters;
         assert_eq!(c.packets + c.lost, 60 + c.duplicated);
         assert_eq!(out.len() as u64, c.packets);
+    }
+}
+
+#[test]
+fn super_packets_are_cut_for_queues_that_decide_on_packets() {
+    let queue_discipline = QueueDiscipline::Codel(Default::default());
+    for (rate, packets) in [(rate(1000.0), 60), (Rate::Unlimited, 1)] {
+        let mut fabric = pair(Conditions { rate, queue_discipline, ..Conditions::default() }, 1);
+        fabric.push(ms(0.0), A, super_packet(SegmentationKind::Tcp4, false, 60_000));
+        assert_eq!(run(&mut fabric, ms(0.0), ms(100.0)).len(), packets);
     }
 }
 

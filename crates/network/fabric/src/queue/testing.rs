@@ -1,0 +1,44 @@
+//! Packets of tests.
+
+use cotorra_graph::Timestamp;
+
+use super::Queued;
+
+/// A packet of a flow, with its number in it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct TestPacket {
+    pub flow: u64,
+    pub number: u32,
+    pub bytes: u64,
+    pub entered: Timestamp,
+    pub is_capable: bool,
+    pub is_marked: bool,
+}
+
+impl Queued for TestPacket {
+    fn entered(&self) -> Timestamp {
+        self.entered
+    }
+    fn packets(&self) -> u32 {
+        1
+    }
+    fn bytes(&self) -> u64 {
+        self.bytes
+    }
+    fn flow(&self) -> u64 {
+        self.flow
+    }
+    fn mark(&mut self) -> bool {
+        self.is_marked |= self.is_capable;
+        self.is_capable
+    }
+}
+
+/// Returns a packet of 1000 bytes of flow 0.
+pub(super) fn packet(number: u32, entered: Timestamp) -> TestPacket {
+    TestPacket { flow: 0, number, bytes: 1000, entered, is_capable: false, is_marked: false }
+}
+
+pub(super) fn ms(ms: f64) -> Timestamp {
+    Timestamp::from_nanos((ms * 1e6).round() as u64)
+}
