@@ -13,6 +13,9 @@ pub enum ConditionsError {
     /// A rate from a packet-delivery trace: NetEm has fixed rates only.
     #[error("NetEm plays no packet-delivery traces: give a fixed rate, or let the fabric emulate")]
     Trace,
+    /// A queue that is not drop tail.
+    #[error("NetEm's queue drops at its tail only: leave the discipline out, or let the fabric emulate")]
+    QueueDiscipline,
     /// Bursty loss for which no Gilbert-Elliott model exists.
     #[error("a share of {rate} cannot be lost in bursts of {mean_burst} packets")]
     Burst {
@@ -42,6 +45,9 @@ impl TryFrom<&Conditions> for Netem {
             Rate::Fixed { bits_per_second } => Some(bits_per_second),
             Rate::Trace { .. } => return Err(ConditionsError::Trace),
         };
+        if !conditions.queue_discipline.is_drop_tail() {
+            return Err(ConditionsError::QueueDiscipline);
+        }
         let netem = Self {
             delay: conditions.delay,
             jitter: conditions.jitter.map(|jitter| Jitter {
@@ -67,7 +73,7 @@ impl TryFrom<&Conditions> for Netem {
 mod tests {
     use std::time::Duration;
 
-    use cotorra_graph::{BitRate, Probability, Trace};
+    use cotorra_graph::{BitRate, Codel, Probability, QueueDiscipline, Trace};
 
     use super::*;
 
@@ -87,6 +93,10 @@ mod tests {
         assert!((netem.loss.share() - 0.1).abs() < 1e-9);
         assert_eq!((netem.delay, netem.rate), (conditions.delay, Some(bits_per_second)));
         let trace = Rate::Trace { trace: Trace::parse("1").unwrap().into() };
-        assert_eq!(Netem::try_from(&Conditions { rate: trace, ..conditions }), Err(ConditionsError::Trace));
+        let traced = Conditions { rate: trace, ..conditions.clone() };
+        assert_eq!(Netem::try_from(&traced), Err(ConditionsError::Trace));
+        let queue_discipline = QueueDiscipline::Codel(Codel::default());
+        let codel = Conditions { queue_discipline, ..conditions };
+        assert_eq!(Netem::try_from(&codel), Err(ConditionsError::QueueDiscipline));
     }
 }
