@@ -11,6 +11,7 @@ mod kobuki;
 mod links;
 mod nodes;
 mod plugins;
+mod queues;
 mod ros;
 mod script;
 mod sensors;

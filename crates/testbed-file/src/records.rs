@@ -875,12 +875,100 @@ record! {
         rate: Option<Spanned<Rate>>,
         /// Path of a packet-delivery trace in Mahimahi's format, from this file's folder. Takes the place of a rate.
         trace: Option<Spanned<String>>,
-        /// Length of the drop-tail queue, in packets or bytes. Without it: 1000 packets.
-        queue: Option<QueueLimit>,
+        /// Limit of the queue, in packets or bytes, or a mapping with its discipline too. Without it: 1000 packets that
+        /// leave in their order, while those that find the queue full are dropped.
+        queue: Option<Either<QueueLimit, QueueRecord>>,
         /// ψ: emulation multiplies the delay by it. Without it: 1. It is no part of what the link itself gives.
         delay_scale: Option<Amount>,
         /// δ: emulation divides the throughput by it. Without it: 1. It is no part of what the link itself gives.
         drop_scale: Option<Spanned<Amount>>,
+    }
+}
+
+tagged! {
+    /// A queue and its discipline: docs/queues.md.
+    QueueRecord by discipline {
+        "drop_tail" => DropTail(DropTailRecord),
+        "codel" => Codel(CodelRecord),
+        "fq_codel" => FqCodel(FqCodelRecord),
+        "pie" => Pie(PieRecord),
+        "red" => Red(RedRecord),
+    }
+}
+
+record! {
+    /// First in, first out. Packets that find the queue full are dropped.
+    DropTailRecord {
+        /// Limit of the queue. Without it: 1000 packets.
+        limit: Option<QueueLimit>,
+    }
+}
+
+record! {
+    /// CoDel (RFC 8289): drops by the time that packets waited.
+    CodelRecord {
+        /// Limit of the queue. Without it: 1000 packets.
+        limit: Option<QueueLimit>,
+        ..control: CodelControlRecord,
+    }
+}
+
+record! {
+    /// CoDel's control law.
+    CodelControlRecord {
+        /// Acceptable time in the queue.
+        target: Spanned<Duration> = "5 ms",
+        /// Time above the target before the first drop: the longest usual round-trip time.
+        interval: Spanned<Duration> = "100 ms",
+        /// Mark ECN-capable packets instead of dropping them.
+        ecn: bool = false,
+    }
+}
+
+record! {
+    /// FQ-CoDel (RFC 8290): a queue with CoDel for each flow, in turns.
+    FqCodelRecord {
+        /// Limit of all queues together. Without it: 1000 packets.
+        limit: Option<QueueLimit>,
+        /// Queues that flows are hashed to.
+        flows: Spanned<u32> = 1024,
+        /// Bytes that a flow may send before the next one's turn.
+        quantum: Spanned<Bytes> = "1514 B",
+        ..control: CodelControlRecord,
+    }
+}
+
+record! {
+    /// PIE (RFC 8033): drops with a probability that rises with the delay of the queue.
+    PieRecord {
+        /// Limit of the queue. Without it: 1000 packets.
+        limit: Option<QueueLimit>,
+        /// Time in the queue that it aims at.
+        target: Spanned<Duration> = "15 ms",
+        /// Time from one update of the drop probability to the next.
+        update: Spanned<Duration> = "15 ms",
+        /// Length of a burst that passes without drops.
+        burst: Spanned<Duration> = "150 ms",
+        /// Mark ECN-capable packets instead of dropping them, while the drop probability is below 10 %.
+        ecn: bool = false,
+    }
+}
+
+record! {
+    /// RED (Floyd and Jacobson, 1993) in its gentle mode: drops with a probability that rises with the average queue.
+    RedRecord {
+        /// Limit of the queue. Without it: 1000 packets.
+        limit: Option<QueueLimit>,
+        /// Average queue up to which nothing is dropped.
+        min: Spanned<QueueLimit> = "5 packets",
+        /// Average queue at which packets are dropped with `probability`. At twice as much, all are.
+        max: Spanned<QueueLimit> = "15 packets",
+        /// Probability at `max`.
+        probability: Spanned<Probability> = "2 %",
+        /// Weight of the newest length in the average.
+        weight: Spanned<Probability> = "0.2 %",
+        /// Mark ECN-capable packets instead of dropping them, while the average is below `max`.
+        ecn: bool = false,
     }
 }
 

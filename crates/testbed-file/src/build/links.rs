@@ -120,6 +120,7 @@ impl Builder<'_> {
             None => Loss::None,
             Some(loss) => self.loss(loss)?,
         };
+        let (queue, queue_discipline) = self.queue(pick!(queue))?;
         // A rate and a trace are two answers to one question: a direction's own stands in for either of the link's.
         let from = own.filter(|own| own.rate.is_some() || own.trace.is_some()).unwrap_or(base);
         Some(Conditions {
@@ -130,7 +131,8 @@ impl Builder<'_> {
             corruption: pick!(corruption).copied().unwrap_or_default(),
             reordering: reordering.map(|share| share.value).unwrap_or_default(),
             rate: self.rate(from, link.medium)?,
-            queue: pick!(queue).copied().unwrap_or_default(),
+            queue: queue.unwrap_or_default(),
+            queue_discipline: queue_discipline.unwrap_or_default(),
         })
     }
 

@@ -124,6 +124,7 @@ fn change(
         None => Some(None),
         Some(loss) => builder.loss(loss).map(Some),
     };
+    let (queue, queue_discipline) = builder.queue(record.queue.as_ref())?;
     let change = ConditionChange {
         delay_ms: record.delay.map(|delay| delay.as_secs_f64() * 1e3),
         jitter: record.jitter.as_ref().map(|jitter| match jitter {
@@ -137,7 +138,8 @@ fn change(
         corruption: record.corruption,
         reordering: record.reordering.as_ref().map(|share| share.value),
         rate: rate?,
-        queue: record.queue,
+        queue,
+        queue_discipline,
         delay_scale: record.delay_scale.map(|scale| scale.0),
         drop_scale: record.drop_scale.as_ref().map(|scale| scale.value.0),
     };

@@ -155,13 +155,20 @@ fn links(record: &TestbedRecord, graph: &HardwareGraph, carriers: &Carriers<'_>,
                 "leave out one `via`: one of them has the interface",
             ),
             (Some(_), None) | (None, Some(_)) => {
-                if !is_trace(&link.forward.rate) && !is_trace(&link.backward.rate) {
+                let directions = [&link.forward, &link.backward];
+                if directions.iter().any(|conditions| is_trace(&conditions.rate)) {
+                    (
+                        "leads over a real interface, where NetEm plays no packet-delivery traces",
+                        "give it a `rate` in place of the `trace`",
+                    )
+                } else if directions.iter().any(|conditions| !conditions.queue_discipline.is_drop_tail()) {
+                    (
+                        "leads over a real interface, where NetEm's queue drops at its tail only",
+                        "give its `queue` only a limit, such as `queue: 100 packets`",
+                    )
+                } else {
                     continue;
                 }
-                (
-                    "leads over a real interface, where NetEm plays no packet-delivery traces",
-                    "give it a `rate` in place of the `trace`",
-                )
             }
             (None, None) if [a, b].into_iter().any(is_via) => (
                 "does not lead to a machine from the one that its `via` names",
