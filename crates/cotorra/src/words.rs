@@ -85,6 +85,9 @@ pub fn conditions(conditions: &Conditions) -> String {
         QueueLimit::Packets(packets) => parts.push(format!("queue {packets} packets")),
         QueueLimit::Bytes(bytes) => parts.push(format!("queue {bytes} B")),
     }
+    if !conditions.queue_discipline.is_drop_tail() {
+        parts.push(conditions.queue_discipline.name().to_owned());
+    }
     parts.join(", ")
 }
 

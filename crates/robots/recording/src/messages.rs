@@ -161,7 +161,7 @@ message! {
         bytes: u64,
         /// Packets lost by the loss model, or by the radio after its last retry.
         lost: u64,
-        /// Packets dropped at the tail of the queue.
+        /// Packets dropped by the queue: because it was full, or by its discipline.
         overflowed: u64,
         /// Packets that arrived twice.
         duplicated: u64,
