@@ -1,0 +1,37 @@
+//! Errors of a calibration.
+
+/// Reason why measurements were not read or not fitted.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CalibrateError {
+    /// A line cannot be read.
+    #[error("line {line}: {reason}")]
+    Line {
+        /// Number of the line, from 1.
+        line: usize,
+        /// What is wrong, and what to write.
+        reason: String,
+    },
+    /// The text has no measurements, or too many.
+    #[error("{0}")]
+    Unreadable(String),
+    /// The measurements do not say enough.
+    #[error("{0}")]
+    TooLittle(String),
+    /// The testbed has no such radio unit or link, or one that cannot be fitted.
+    #[error("{0}")]
+    Unsuited(String),
+}
+
+impl CalibrateError {
+    pub(crate) fn line(line: usize, reason: impl Into<String>) -> Self {
+        Self::Line { line, reason: reason.into() }
+    }
+
+    pub(crate) fn too_little(reason: impl Into<String>) -> Self {
+        Self::TooLittle(reason.into())
+    }
+
+    pub(crate) fn unsuited(reason: impl Into<String>) -> Self {
+        Self::Unsuited(reason.into())
+    }
+}

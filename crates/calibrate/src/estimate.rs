@@ -1,0 +1,77 @@
+//! Estimates with intervals.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// A fitted value with its 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Best value.
+    pub value: f64,
+    /// Lower end of the interval.
+    pub low: f64,
+    /// Upper end of the interval.
+    pub high: f64,
+}
+
+impl Estimate {
+    /// Share of the probability that is below the interval, and above it.
+    const TAIL: f64 = 0.025;
+
+    /// Takes the interval between the 2.5 % and the 97.5 % quantile of draws, around a value.
+    pub(crate) fn around(value: f64, draws: &mut [f64]) -> Self {
+        draws.sort_unstable_by(f64::total_cmp);
+        Self { value, low: quantile(draws, Self::TAIL), high: quantile(draws, 1.0 - Self::TAIL) }
+    }
+
+    /// Takes the median and the interval of draws.
+    pub(crate) fn of(draws: &mut [f64]) -> Self {
+        let around = Self::around(0.0, draws);
+        Self { value: quantile(draws, 0.5), ..around }
+    }
+
+    /// Whether the interval holds a value.
+    pub fn covers(&self, value: f64) -> bool {
+        (self.low..=self.high).contains(&value)
+    }
+
+    /// Returns the estimate in another unit.
+    pub(crate) fn scaled(self, by: f64) -> Self {
+        Self { value: self.value * by, low: self.low * by, high: self.high * by }
+    }
+}
+
+impl fmt::Display for Estimate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let digits = f.precision().unwrap_or(2);
+        write!(f, "{:.digits$} ({:.digits$} to {:.digits$})", self.value, self.low, self.high)
+    }
+}
+
+/// Returns a quantile of sorted values, between ranks (Hyndman and Fan 1996, type 7); NaN without values.
+pub(crate) fn quantile(sorted: &[f64], level: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let rank = level.clamp(0.0, 1.0) * last as f64;
+    let (below, above) = (sorted[rank.floor() as usize], sorted[rank.ceil() as usize]);
+    // Equal values may be infinite.
+    if below == above { below } else { below + (above - below) * rank.fract() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_lie_between_ranks() {
+        let sorted = [1.0, 2.0, 4.0];
+        assert_eq!([0.0, 0.25, 0.5, 1.0].map(|level| quantile(&sorted, level)), [1.0, 1.5, 2.0, 4.0]);
+        assert!(quantile(&[], 0.5).is_nan());
+    }
+
+    #[test]
+    fn an_interval_leaves_out_the_outer_five_percent() {
+        let mut draws: Vec<f64> = (0..=1000).rev().map(f64::from).collect();
+        assert_eq!(Estimate::of(&mut draws), Estimate { value: 500.0, low: 25.0, high: 975.0 });
+    }
+}

@@ -1,0 +1,31 @@
+//! Fits a testbed to measurements of a real site: the radio to a signal survey, and links to round trips.
+//!
+//! Texts go in, and estimates with 95 % intervals come out, with the settings that put them into a testbed file. It opens no
+//! files and measures nothing itself. All randomness comes from a seed, so that a calibration can be repeated.
+//!
+//! [`fit_survey`] fits path loss, walls and shadowing of a wireless network. [`Calibration::new`] fits all measurements, and
+//! compares each link on a part of its round trips that was not fitted. Measurements that do not determine a value give a wide
+//! interval or a [`CalibrateError`].
+#![forbid(unsafe_code)]
+
+mod bootstrap;
+mod csv;
+mod draws;
+mod error;
+mod estimate;
+mod jitter;
+mod loss;
+mod path;
+mod round_trips;
+mod survey;
+
+pub use self::{
+    csv::MAX_LINES,
+    draws::Draws,
+    error::CalibrateError,
+    estimate::Estimate,
+    loss::LossFit,
+    path::{LEAST_ARRIVED, PathFit},
+    round_trips::{RoundTrips, parse_round_trips},
+    survey::{MAX_READINGS, Reading, SurveyFit, fit_survey, parse_survey},
+};

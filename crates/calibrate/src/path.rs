@@ -1,0 +1,183 @@
+//! Delay, jitter, loss and duplication of a path, fitted to round trips.
+
+use cotorra_graph::JitterDistribution;
+use serde::Serialize;
+
+use crate::{
+    bootstrap::{Ranked, Resampler},
+    draws::Draws,
+    error::CalibrateError,
+    estimate::Estimate,
+    jitter::{self, LEVELS, Located, levels, match_quantiles, normal_quantile, standard_quantile},
+    loss::{self, LossFit},
+    round_trips::RoundTrips,
+};
+
+/// Fewest round trips of a fit, and of a test.
+pub const LEAST_ARRIVED: usize = 100;
+/// Resamples of a bootstrap.
+pub(crate) const RESAMPLES: usize = 500;
+/// A round trip that is this rare is the shortest one.
+const SHORTEST: f64 = 0.001;
+/// Distinct times below which rounding hides the distribution.
+const COARSE: usize = 20;
+/// Normal deviate of a two-sided interval of 95 %.
+const TWO_SIDED: f64 = 1.959_964;
+
+/// A path, fitted to round trips.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PathFit {
+    /// Number of packets.
+    pub packets: usize,
+    /// Mean round trip, ms.
+    pub mean_ms: Estimate,
+    /// Deviation of round trips, ms: half the width of a uniform distribution, the standard deviation of others.
+    pub deviation_ms: Estimate,
+    /// Distribution whose quantiles are nearest to those measured.
+    pub distribution: JitterDistribution,
+    /// Distance of each distribution to the measured quantiles, ms: root of the mean square.
+    pub distances_ms: Vec<(JitterDistribution, f64)>,
+    /// Correlation of round trips with those of the next packet. A testbed's jitter has none.
+    pub correlation: Estimate,
+    /// Mean length of a block of the bootstrap, in packets.
+    pub block_length: f64,
+    /// Losses, of both directions together.
+    pub loss: LossFit,
+    /// Share of packets that arrive twice.
+    pub duplication: Estimate,
+    /// What to know about the fit.
+    pub notes: Vec<String>,
+}
+
+impl PathFit {
+    /// Returns a quantile of the fitted round trips, ms.
+    pub(crate) fn quantile_ms(&self, level: f64) -> f64 {
+        (self.mean_ms.value + self.deviation_ms.value * standard_quantile(self.distribution, level)).max(0.0)
+    }
+
+    /// Returns the shortest round trip, ms, which jitter adds to.
+    pub(crate) fn shortest_ms(&self) -> f64 {
+        self.quantile_ms(SHORTEST)
+    }
+}
+
+/// Fits a path. The seed's draws decide resamples.
+///
+/// # Errors
+/// [`CalibrateError::TooLittle`] if too few packets arrived.
+pub(crate) fn fit(trips: &RoundTrips, draws: &mut Draws) -> Result<PathFit, CalibrateError> {
+    let arrived = trips.arrived();
+    check_number(trips, "fit")?;
+    let mut ranked = Ranked::new(&arrived);
+    (0..arrived.len()).for_each(|i| ranked.add(i));
+    let distinct = ranked.counted().count();
+    let observed = ranked.quantiles(levels());
+    let matched = jitter::ALL.map(|distribution| (distribution, match_quantiles(distribution, &observed)));
+    let nearest = matched.iter().min_by(|(_, a), (_, b)| a.distance.total_cmp(&b.distance));
+    let (distribution, found) = *nearest.unwrap_or(&matched[0]);
+    let resampler = Resampler::new(&arrived);
+    let located: Vec<Located> = (0..RESAMPLES)
+        .map(|_| {
+            ranked.clear();
+            resampler.resample(draws, |i| ranked.add(i));
+            match_quantiles(distribution, &ranked.quantiles::<LEVELS>(levels()))
+        })
+        .collect();
+    let of = |value: f64, of: fn(&Located) -> f64| {
+        Estimate::around(value, &mut located.iter().map(of).collect::<Vec<_>>())
+    };
+    let lost: Vec<bool> = trips.times_ms.iter().map(Option::is_none).collect();
+    let fitted = PathFit {
+        packets: trips.times_ms.len(),
+        mean_ms: of(found.mean, |located| located.mean),
+        deviation_ms: of(found.deviation, |located| located.deviation),
+        distribution,
+        distances_ms: matched.iter().map(|(distribution, found)| (*distribution, found.distance)).collect(),
+        correlation: correlation(&trips.times_ms),
+        block_length: resampler.length(),
+        loss: loss::fit(&lost, draws),
+        duplication: share(trips.duplicates, arrived.len(), draws),
+        notes: Vec::new(),
+    };
+    let notes = notes(&fitted, trips, distinct);
+    Ok(PathFit { notes, ..fitted })
+}
+
+/// Rejects a part with too few packets.
+pub(crate) fn check_number(trips: &RoundTrips, to: &str) -> Result<(), CalibrateError> {
+    let (sent, arrived) = (trips.times_ms.len(), trips.times_ms.iter().flatten().count());
+    match arrived {
+        0 => Err(CalibrateError::too_little(format!("all {sent} packets of the part to {to} were lost"))),
+        _ if arrived < LEAST_ARRIVED => Err(CalibrateError::too_little(format!(
+            "{arrived} of {sent} packets arrived in the part to {to}: it needs {LEAST_ARRIVED} or more"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+fn notes(fitted: &PathFit, trips: &RoundTrips, distinct: usize) -> Vec<String> {
+    let mut notes = Vec::new();
+    if distinct < COARSE && fitted.deviation_ms.value > 0.0 {
+        notes.push(format!(
+            "only {distinct} different times were measured: rounding hides the distribution of the jitter"
+        ));
+    }
+    if fitted.correlation.low > 0.0 || fitted.correlation.high < 0.0 {
+        notes.push(format!(
+            "a round trip is correlated with the next one ({:.2}); a testbed's jitter is independent, and so changes faster",
+            fitted.correlation.value
+        ));
+    }
+    let deviation_s = fitted.deviation_ms.value / 1e3;
+    if trips.interval.is_some_and(|interval| interval.as_secs_f64() < 4.0 * deviation_s) {
+        notes.push("packets followed each other within their jitter: keeping their order adds delay".to_owned());
+    }
+    if trips.late > 0 {
+        notes.push(format!("{} packets were overtaken, which is not fitted", trips.late));
+    }
+    let least = fitted.mean_ms.value
+        + fitted.deviation_ms.value * standard_quantile(fitted.distribution, SHORTEST);
+    if least < 0.0 {
+        notes.push("some round trips of the fitted distribution are below zero, and become zero".to_owned());
+    }
+    notes
+}
+
+/// Returns a share with Jeffreys' interval.
+fn share(number: usize, of: usize, draws: &mut Draws) -> Estimate {
+    let mut drawn: Vec<f64> =
+        (0..RESAMPLES).map(|_| draws.beta(number as f64 + 0.5, (of - number) as f64 + 0.5)).collect();
+    let mut share = Estimate::around(number as f64 / of as f64, &mut drawn);
+    if number == 0 {
+        share.low = 0.0;
+    }
+    share
+}
+
+/// Returns the correlation of packets that follow each other, by normal scores of their ranks (van der Waerden 1952), so that
+/// it does not depend on the distribution.
+///
+/// The interval is that of an autoregression of first order: the variance is (1 - ρ²)/n (Bartlett 1946), and the bias
+/// -(1 + 3ρ)/n is taken off (Kendall 1954).
+fn correlation(times_ms: &[Option<f64>]) -> Estimate {
+    let arrived: Vec<f64> = times_ms.iter().flatten().copied().collect();
+    let mut sorted = arrived;
+    sorted.sort_unstable_by(f64::total_cmp);
+    let n = sorted.len() as f64;
+    let score = |time: f64| {
+        // The middle of equal ones.
+        let (below, up_to) = (sorted.partition_point(|t| *t < time), sorted.partition_point(|t| *t <= time));
+        normal_quantile((below + up_to) as f64 / (2.0 * n))
+    };
+    let scores: Vec<Option<f64>> = times_ms.iter().map(|time| time.map(score)).collect();
+    let pairs: Vec<(f64, f64)> = scores.windows(2).filter_map(|pair| pair[0].zip(pair[1])).collect();
+    let variance = scores.iter().flatten().map(|s| s * s).sum::<f64>() / n;
+    if variance <= 0.0 || pairs.is_empty() {
+        return Estimate { value: 0.0, low: -1.0, high: 1.0 };
+    }
+    let number = pairs.len() as f64;
+    let raw = pairs.iter().map(|(a, b)| a * b).sum::<f64>() / number / variance;
+    let value = (raw + (1.0 + 3.0 * raw) / number).clamp(-1.0, 1.0);
+    let half = TWO_SIDED * ((1.0 - value * value).max(0.0) / number).sqrt();
+    Estimate { value, low: (value - half).max(-1.0), high: (value + half).min(1.0) }
+}

@@ -1,0 +1,280 @@
+//! Round trips of one path: a series of packets, of which some are lost or arrive twice.
+
+use std::time::Duration;
+
+use crate::{csv::{self, Table}, error::CalibrateError};
+
+/// Longest plausible round trip, milliseconds.
+const MOST_MS: f64 = 600_000.0;
+/// Most packets of a series.
+const MAX_PACKETS: usize = csv::MAX_LINES;
+/// Bytes of `ping`'s IP header and of an Ethernet header.
+const HEADERS: usize = 20 + 14;
+/// Bytes of an Ethernet frame of `ping` without options: 64 bytes of ICMP.
+const USUAL_FRAME: usize = 64 + HEADERS;
+
+/// Round trips in the order of their packets.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RoundTrips {
+    /// Milliseconds of each packet; `None` if it was lost.
+    pub times_ms: Vec<Option<f64>>,
+    /// Number of packets that arrived a second time.
+    pub duplicates: usize,
+    /// Number of packets that arrived behind one that was sent later.
+    pub late: usize,
+    /// Usual time between two packets; `None` if it is unknown.
+    pub interval: Option<Duration>,
+    /// Size of a packet's Ethernet frame.
+    pub frame_bytes: usize,
+}
+
+impl RoundTrips {
+    /// Returns the times of the packets that arrived, in order.
+    pub fn arrived(&self) -> Vec<f64> {
+        self.times_ms.iter().flatten().copied().collect()
+    }
+
+    /// Splits the series in two by time. `share` is that of the first part.
+    pub fn split(&self, share: f64) -> [Self; 2] {
+        let at = (self.times_ms.len() as f64 * share).round() as usize;
+        let (first, second) = self.times_ms.split_at(at.min(self.times_ms.len()));
+        [first, second].map(|times| Self { times_ms: times.to_vec(), ..self.clone() })
+    }
+}
+
+/// Reads round trips: the output of `ping`, or CSV with the columns `seq` and `rtt_ms`.
+///
+/// # Errors
+/// [`CalibrateError::Line`] with the first line that is wrong, or [`CalibrateError::Unreadable`].
+pub fn parse_round_trips(text: &str) -> Result<RoundTrips, CalibrateError> {
+    csv::check_length(text)?;
+    let mut header = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    match header.next().is_some_and(|line| line.split(',').any(|column| column.trim() == "rtt_ms")) {
+        true => parse_csv(text),
+        false => parse_ping(text),
+    }
+}
+
+/// Collects packets by number.
+#[derive(Default)]
+struct Packets {
+    /// First and last number so far.
+    range: Option<(i64, i64)>,
+    arrived: Vec<(i64, f64)>,
+    last_arrived: Option<i64>,
+    late: usize,
+    duplicates: usize,
+}
+
+impl Packets {
+    fn mention(&mut self, number: i64, line: usize) -> Result<(), CalibrateError> {
+        let (first, last) = self.range.unwrap_or((number, number));
+        let (first, last) = (first.min(number), last.max(number));
+        if last - first >= MAX_PACKETS as i64 {
+            return Err(CalibrateError::line(
+                line,
+                format!("packet {number} is more than {MAX_PACKETS} packets from another one"),
+            ));
+        }
+        self.range = Some((first, last));
+        Ok(())
+    }
+
+    fn arrive(&mut self, number: i64, ms: f64, line: usize) -> Result<(), CalibrateError> {
+        self.mention(number, line)?;
+        self.late += usize::from(self.last_arrived.is_some_and(|last| number < last));
+        self.last_arrived = self.last_arrived.max(Some(number));
+        self.arrived.push((number, ms));
+        Ok(())
+    }
+
+    /// Returns the series. A packet that arrived twice counts with its first time.
+    fn series(mut self) -> Result<RoundTrips, CalibrateError> {
+        let Some((first, last)) = self.range else {
+            return Err(CalibrateError::Unreadable(
+                "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms"
+                    .to_owned(),
+            ));
+        };
+        let mut times_ms = vec![None; (last - first + 1) as usize];
+        for (number, ms) in self.arrived {
+            let time = &mut times_ms[(number - first) as usize];
+            self.duplicates += usize::from(time.is_some());
+            time.get_or_insert(ms);
+        }
+        Ok(RoundTrips {
+            times_ms,
+            duplicates: self.duplicates,
+            late: self.late,
+            interval: None,
+            frame_bytes: USUAL_FRAME,
+        })
+    }
+}
+
+/// Reads `seq,rtt_ms`. A packet without a time was lost, and so was one whose number is left out.
+fn parse_csv(text: &str) -> Result<RoundTrips, CalibrateError> {
+    const USUAL: &str = "seq,rtt_ms";
+    let table = Table::new(text)?;
+    let (seq, rtt) = (table.required("seq", USUAL)?, table.required("rtt_ms", USUAL)?);
+    let mut packets = Packets::default();
+    for row in table.rows() {
+        let row = row?;
+        let number = row.number(seq, [0.0, 1e15])? as i64;
+        match row.text(rtt) {
+            "" => packets.mention(number, row.line)?,
+            _ => packets.arrive(number, row.number(rtt, [0.0, MOST_MS])?, row.line)?,
+        }
+    }
+    packets.series()
+}
+
+/// Reads what `ping` of iputils, of BusyBox or of BSD prints. Lines that are no replies count only if they name a packet that
+/// got none.
+fn parse_ping(text: &str) -> Result<RoundTrips, CalibrateError> {
+    let mut packets = Packets::default();
+    let mut numbers = Unwrapped::default();
+    let (mut times, mut bytes, mut sent) = (Vec::new(), None, None);
+    for (i, line) in text.lines().enumerate() {
+        let line_number = i + 1;
+        if let Some(count) = line.split(" packets transmitted").next().filter(|rest| rest.len() < line.len()) {
+            sent = count.trim().parse::<i64>().ok();
+            continue;
+        }
+        let Some(number) = field(line, "seq=") else { continue };
+        let number: u16 = number.parse().map_err(|_| {
+            CalibrateError::line(line_number, format!("`seq={number}` is not a number from 0 to 65535"))
+        })?;
+        let number = numbers.unwrap(number);
+        let Some(ms) = field(line, "time=").or_else(|| field(line, "time<")) else {
+            packets.mention(number, line_number)?;
+            continue;
+        };
+        let ms = ms.parse().ok().filter(|ms| (0.0..=MOST_MS).contains(ms)).ok_or_else(|| {
+            CalibrateError::line(line_number, format!("`time={ms}` is not a number from 0 to {MOST_MS}"))
+        })?;
+        packets.arrive(number, ms, line_number)?;
+        let stamp = line.trim_start().strip_prefix('[').and_then(|rest| rest.split(']').next()?.parse().ok());
+        times.extend(stamp.map(|at: f64| (number, at - ms / 1e3)));
+        bytes = bytes.or_else(|| line.split(" bytes from").next()?.split(' ').next_back()?.parse().ok());
+    }
+    // Packets before the first reply and behind the last one are known by the summary alone.
+    if let (Some(sent), Some((first, _))) = (sent.filter(|sent| *sent > 0), packets.range) {
+        let first = first.min(1);
+        packets.mention(first, text.lines().count())?;
+        packets.mention(first + sent - 1, text.lines().count())?;
+    }
+    let mut series = packets.series()?;
+    series.interval = usual_interval(&times);
+    series.frame_bytes = bytes.map_or(USUAL_FRAME, |bytes: u16| usize::from(bytes) + HEADERS);
+    Ok(series)
+}
+
+/// Returns what stands behind a key, up to the next blank or punctuation.
+fn field<'a>(line: &'a str, key: &str) -> Option<&'a str> {
+    let (_, rest) = line.split_once(key)?;
+    let end = rest.find(|c: char| c != '.' && !c.is_ascii_alphanumeric()).unwrap_or(rest.len());
+    let value = &rest[..end];
+    Some(value.strip_suffix("ms").unwrap_or(value))
+}
+
+/// Numbers of 16 bits that begin again at 0.
+#[derive(Default)]
+struct Unwrapped {
+    last: Option<i64>,
+}
+
+impl Unwrapped {
+    fn unwrap(&mut self, number: u16) -> i64 {
+        let last = self.last.unwrap_or(number.into());
+        // The nearest number with these bits.
+        let number = last + i64::from(number.wrapping_sub(last as u16).cast_signed());
+        self.last = Some(last.max(number));
+        number
+    }
+}
+
+/// Returns the median time between packets that follow each other.
+fn usual_interval(times: &[(i64, f64)]) -> Option<Duration> {
+    let next = times.windows(2).filter(|pair| pair[1].0 == pair[0].0 + 1);
+    let mut apart: Vec<f64> = next.map(|pair| pair[1].1 - pair[0].1).collect();
+    apart.sort_unstable_by(f64::total_cmp);
+    Duration::try_from_secs_f64(*apart.get(apart.len() / 2)?).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PING: &str = "\
+PING 10.0.0.2 (10.0.0.2) 56(84) bytes of data.
+[1700000000.000500] 64 bytes from 10.0.0.2: icmp_seq=1 ttl=64 time=12.5 ms
+[1700000001.001000] 64 bytes from 10.0.0.2: icmp_seq=2 ttl=64 time=13.0 ms
+[1700000001.001900] 64 bytes from 10.0.0.2: icmp_seq=2 ttl=64 time=13.9 ms (DUP!)
+[1700000003.100000] no answer yet for icmp_seq=3
+[1700000004.020000] 64 bytes from 10.0.0.2: icmp_seq=5 ttl=64 time=12.0 ms
+[1700000004.021000] 64 bytes from 10.0.0.2: icmp_seq=4 ttl=64 time=1013 ms
+From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
+
+--- 10.0.0.2 ping statistics ---
+8 packets transmitted, 4 received, +1 duplicates, 50% packet loss, time 7011ms
+";
+
+    #[test]
+    fn ping_output_gives_times_losses_and_duplicates() {
+        let trips = parse_round_trips(PING).unwrap();
+        let times = [Some(12.5), Some(13.0), None, Some(1013.0), Some(12.0), None, None, None];
+        assert_eq!(trips.times_ms, times);
+        assert_eq!((trips.duplicates, trips.late, trips.frame_bytes), (1, 1, 98));
+        assert!((trips.interval.unwrap().as_secs_f64() - 1.0).abs() < 1e-5, "{:?}", trips.interval);
+    }
+
+    #[test]
+    fn ping_output_without_time_stamps_or_of_busybox_is_read() {
+        let busybox = "64 bytes from 10.0.0.2: seq=0 ttl=64 time=0.066 ms\n64 bytes from 10.0.0.2: seq=2 ttl=64 time=0.070 ms\n\
+                       --- 10.0.0.2 ping statistics ---\n4 packets transmitted, 2 packets received\n";
+        let trips = parse_round_trips(busybox).unwrap();
+        assert_eq!(trips.times_ms, [Some(0.066), None, Some(0.070), None]);
+        assert_eq!(trips.interval, None);
+    }
+
+    #[test]
+    fn sequence_numbers_go_on_behind_65535() {
+        let line = |number: u32| format!("64 bytes from a: icmp_seq={number} ttl=64 time=1.0 ms\n");
+        let text: String = [65_533, 65_534, 0, 1].map(line).concat();
+        let expected = [Some(1.0), Some(1.0), None, Some(1.0), Some(1.0)];
+        assert_eq!(parse_round_trips(&text).unwrap().times_ms, expected);
+    }
+
+    #[test]
+    fn csv_gives_times_and_losses() {
+        let text = "# our own\nseq, rtt_ms\n7,1.5\n8,\n10,2\n";
+        let trips = parse_round_trips(text).unwrap();
+        assert_eq!(trips.times_ms, [Some(1.5), None, None, Some(2.0)]);
+    }
+
+    #[test]
+    fn wrong_lines_are_rejected_in_place() {
+        let ping = "64 bytes from a: icmp_seq=1 ttl=64 time=nan ms\n";
+        let far = "seq,rtt_ms\n1,1\n5000000,1\n";
+        for (text, expected) in [
+            ("", "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms"),
+            ("hello\n", "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms"),
+            (ping, "line 1: `time=nan` is not a number from 0 to 600000"),
+            ("64 bytes: icmp_seq=70000 time=1 ms\n", "line 1: `seq=70000` is not a number from 0 to 65535"),
+            ("seq,rtt_ms\n1,-2\n", "line 2: `-2` is not a number from 0 to 600000"),
+            ("seq,rtt_ms\n1\n", "line 2: it has 1 cells, but the header has 2"),
+            ("rtt_ms,place\n1,2\n", "line 1: there is no column `seq`: write a header such as `seq,rtt_ms`"),
+            (far, "line 3: packet 5000000 is more than 1000000 packets from another one"),
+        ] {
+            assert_eq!(parse_round_trips(text).unwrap_err().to_string(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_split_keeps_the_order() {
+        let trips = parse_round_trips("seq,rtt_ms\n1,1\n2,2\n3,3\n4,\n").unwrap();
+        let [first, second] = trips.split(0.5);
+        assert_eq!((first.times_ms, second.times_ms), (vec![Some(1.0), Some(2.0)], vec![Some(3.0), None]));
+    }
+}
