@@ -23,6 +23,15 @@ pub enum CalibrateError {
 }
 
 impl CalibrateError {
+    /// Names the link that an error is about.
+    pub(crate) fn of_link(link: &str, error: Self) -> Self {
+        match error {
+            Self::TooLittle(reason) => Self::TooLittle(format!("link `{link}`: {reason}")),
+            Self::Unsuited(reason) => Self::Unsuited(format!("link `{link}`: {reason}")),
+            other => other,
+        }
+    }
+
     pub(crate) fn line(line: usize, reason: impl Into<String>) -> Self {
         Self::Line { line, reason: reason.into() }
     }

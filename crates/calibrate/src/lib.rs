@@ -9,6 +9,8 @@
 #![forbid(unsafe_code)]
 
 mod bootstrap;
+mod calibration;
+mod compare;
 mod csv;
 mod draws;
 mod error;
@@ -16,16 +18,22 @@ mod estimate;
 mod jitter;
 mod loss;
 mod path;
+mod report;
 mod round_trips;
+mod settings;
 mod survey;
 
 pub use self::{
+    calibration::{Calibration, LinkCalibration, Measurements, Options},
+    compare::{Comparison, Figures, Prediction, Predictor, compare},
     csv::MAX_LINES,
     draws::Draws,
     error::CalibrateError,
     estimate::Estimate,
     loss::LossFit,
-    path::{LEAST_ARRIVED, PathFit},
+    path::{LEAST_ARRIVED, PathFit, fit_path},
+    report::markdown,
     round_trips::{RoundTrips, parse_round_trips},
+    settings::{FittedSetting, calibrated_text},
     survey::{MAX_READINGS, Reading, SurveyFit, fit_survey, parse_survey},
 };

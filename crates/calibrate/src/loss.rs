@@ -62,7 +62,8 @@ pub(crate) fn fit(lost: &[bool], draws: &mut Draws) -> LossFit {
         from[usize::from(pair[1])] += 1;
     }
     let bursty = counts.gain() > SIGNIFICANT && counts.lost[1] > 0 && {
-        let [good, lost] = [&counts.good, &counts.lost].map(|[a, b]| f64::from(*b) / f64::from(a + b).max(1.0));
+        let [good, lost] =
+            [&counts.good, &counts.lost].map(|[a, b]| f64::from(*b) / f64::from(a + b).max(1.0));
         lost > good
     };
     let (mut shares, mut bursts) = (Vec::with_capacity(DRAWS), Vec::with_capacity(DRAWS));
@@ -91,7 +92,8 @@ impl Transitions {
     /// Twice the logarithm of the likelihood ratio of two states against one.
     fn gain(&self) -> f64 {
         let log = |[a, b]: [u32; 2]| {
-            let term = |n: u32| if n == 0 { 0.0 } else { f64::from(n) * (f64::from(n) / f64::from(a + b)).ln() };
+            let term =
+                |n: u32| if n == 0 { 0.0 } else { f64::from(n) * (f64::from(n) / f64::from(a + b)).ln() };
             term(a) + term(b)
         };
         let both = [self.good[0] + self.lost[0], self.good[1] + self.lost[1]];

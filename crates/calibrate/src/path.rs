@@ -8,7 +8,10 @@ use crate::{
     draws::Draws,
     error::CalibrateError,
     estimate::Estimate,
-    jitter::{self, LEVELS, Located, levels, match_quantiles, normal_quantile, standard_quantile},
+    jitter::{
+        self, LEVELS, Located, levels, match_quantiles, normal_quantile, standard_quantile,
+        standard_quantiles,
+    },
     loss::{self, LossFit},
     round_trips::RoundTrips,
 };
@@ -61,26 +64,29 @@ impl PathFit {
     }
 }
 
-/// Fits a path. The seed's draws decide resamples.
+/// Fits a path. The seed decides resamples and draws.
 ///
 /// # Errors
 /// [`CalibrateError::TooLittle`] if too few packets arrived.
-pub(crate) fn fit(trips: &RoundTrips, draws: &mut Draws) -> Result<PathFit, CalibrateError> {
+pub fn fit_path(trips: &RoundTrips, seed: u64) -> Result<PathFit, CalibrateError> {
+    let draws = &mut Draws::new(seed, "calibrate path");
     let arrived = trips.arrived();
     check_number(trips, "fit")?;
     let mut ranked = Ranked::new(&arrived);
     (0..arrived.len()).for_each(|i| ranked.add(i));
     let distinct = ranked.counted().count();
     let observed = ranked.quantiles(levels());
-    let matched = jitter::ALL.map(|distribution| (distribution, match_quantiles(distribution, &observed)));
+    let matched = jitter::ALL
+        .map(|distribution| (distribution, match_quantiles(&standard_quantiles(distribution), &observed)));
     let nearest = matched.iter().min_by(|(_, a), (_, b)| a.distance.total_cmp(&b.distance));
     let (distribution, found) = *nearest.unwrap_or(&matched[0]);
+    let standard = standard_quantiles(distribution);
     let resampler = Resampler::new(&arrived);
     let located: Vec<Located> = (0..RESAMPLES)
         .map(|_| {
             ranked.clear();
             resampler.resample(draws, |i| ranked.add(i));
-            match_quantiles(distribution, &ranked.quantiles::<LEVELS>(levels()))
+            match_quantiles(&standard, &ranked.quantiles::<LEVELS>(levels()))
         })
         .collect();
     let of = |value: f64, of: fn(&Located) -> f64| {
@@ -130,13 +136,15 @@ fn notes(fitted: &PathFit, trips: &RoundTrips, distinct: usize) -> Vec<String> {
     }
     let deviation_s = fitted.deviation_ms.value / 1e3;
     if trips.interval.is_some_and(|interval| interval.as_secs_f64() < 4.0 * deviation_s) {
-        notes.push("packets followed each other within their jitter: keeping their order adds delay".to_owned());
+        notes.push(
+            "packets followed each other within their jitter: keeping their order adds delay".to_owned(),
+        );
     }
     if trips.late > 0 {
         notes.push(format!("{} packets were overtaken, which is not fitted", trips.late));
     }
-    let least = fitted.mean_ms.value
-        + fitted.deviation_ms.value * standard_quantile(fitted.distribution, SHORTEST);
+    let least =
+        fitted.mean_ms.value + fitted.deviation_ms.value * standard_quantile(fitted.distribution, SHORTEST);
     if least < 0.0 {
         notes.push("some round trips of the fitted distribution are below zero, and become zero".to_owned());
     }

@@ -2,7 +2,10 @@
 
 use std::time::Duration;
 
-use crate::{csv::{self, Table}, error::CalibrateError};
+use crate::{
+    csv::{self, Table},
+    error::CalibrateError,
+};
 
 /// Longest plausible round trip, milliseconds.
 const MOST_MS: f64 = 600_000.0;
@@ -137,7 +140,8 @@ fn parse_ping(text: &str) -> Result<RoundTrips, CalibrateError> {
     let (mut times, mut bytes, mut sent) = (Vec::new(), None, None);
     for (i, line) in text.lines().enumerate() {
         let line_number = i + 1;
-        if let Some(count) = line.split(" packets transmitted").next().filter(|rest| rest.len() < line.len()) {
+        if let Some(count) = line.split(" packets transmitted").next().filter(|rest| rest.len() < line.len())
+        {
             sent = count.trim().parse::<i64>().ok();
             continue;
         }
@@ -258,8 +262,14 @@ From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
         let ping = "64 bytes from a: icmp_seq=1 ttl=64 time=nan ms\n";
         let far = "seq,rtt_ms\n1,1\n5000000,1\n";
         for (text, expected) in [
-            ("", "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms"),
-            ("hello\n", "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms"),
+            (
+                "",
+                "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms",
+            ),
+            (
+                "hello\n",
+                "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms",
+            ),
             (ping, "line 1: `time=nan` is not a number from 0 to 600000"),
             ("64 bytes: icmp_seq=70000 time=1 ms\n", "line 1: `seq=70000` is not a number from 0 to 65535"),
             ("seq,rtt_ms\n1,-2\n", "line 2: `-2` is not a number from 0 to 600000"),

@@ -7,6 +7,7 @@ use clap_complete::Shell;
 use crate::agent::Agent;
 use crate::{
     bench::{BenchArgs, Probe},
+    calibrate::CalibrateArgs,
     capture::CaptureArgs,
     check::CheckArgs,
     clean::CleanArgs,
@@ -48,6 +49,7 @@ Examples:
   cotorra check testbeds/corridor.yaml             check a testbed file
   cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
   cotorra sweep testbeds/corridor.yaml --seeds 10  run it ten times in virtual time
+  cotorra calibrate site.yaml --survey walk.csv    fit it to a real site
   cotorra experiment okpi                          repeat the published comparison
   cotorra history series latest service            plot the service time of the last run
   cotorra view --open                              see the last run in a browser
@@ -88,6 +90,7 @@ pub enum Command {
     Localize(LocalizeArgs),
     Check(CheckArgs),
     Edit(EditArgs),
+    Calibrate(CalibrateArgs),
     /// Make a testbed or a plug-in from a template
     New {
         #[command(subcommand)]

@@ -13,6 +13,7 @@ mod agent;
 mod arguments;
 mod bench;
 mod browser;
+mod calibrate;
 mod capture;
 mod check;
 mod clean;
@@ -89,6 +90,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),
         Command::Edit(args) => return edit::edit(&args),
+        Command::Calibrate(args) => calibrate::calibrate(&args)?,
         Command::New { new } => new::new(&new)?,
         Command::Schema => output::print(&format!("{:#}\n", cotorra_testbed_file::schema()))?,
         Command::OpenApi { app_lcm: true, .. } => output::print(&cotorra_testbed::app_lcm_openapi())?,

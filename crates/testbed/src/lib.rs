@@ -83,3 +83,4 @@ pub use simulate::{
     simulate_unrecorded, simulate_watched,
 };
 pub use time_control::Speed;
+pub use whole::put_all;

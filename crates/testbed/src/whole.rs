@@ -26,8 +26,16 @@ pub(crate) fn create(
     let taken: Vec<_> = RunFolder::NAMES.into_iter().chain([RunFolder::TESTBED]).collect();
     let Carried { text, files } = carry(&text, &testbed.folder, &taken);
     let folder = RunFolder::create(place, &testbed.name, &text)?;
-    files.iter().try_for_each(|file| put(file, folder.path()))?;
+    put_all(&files, folder.path())?;
     Ok((folder, text))
+}
+
+/// Writes the files that a carried testbed file names into its new folder. A file that is there already stays.
+///
+/// # Errors
+/// [`RunError`] with the first file that cannot be written.
+pub fn put_all(files: &[CarriedFile], folder: &Path) -> Result<(), RunError> {
+    files.iter().try_for_each(|file| put(file, folder))
 }
 
 #[cfg(any(feature = "agents", feature = "containers"))]

@@ -37,8 +37,7 @@ pub(super) fn draw(
 ) -> Option<Vec<Draw>> {
     let grid = Grid::explore(field, nearest, farthest)?;
     let best = grid.solved.iter().map(|(_, _, s)| s.log_likelihood).fold(f64::NEG_INFINITY, f64::max);
-    let mut weights: Vec<f64> =
-        grid.solved.iter().map(|(_, _, s)| (s.log_likelihood - best).exp()).collect();
+    let mut weights: Vec<f64> = grid.solved.iter().map(|(_, _, s)| (s.log_likelihood - best).exp()).collect();
     let mut sum = 0.0;
     for weight in &mut weights {
         sum += *weight;

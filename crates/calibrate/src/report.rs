@@ -1,0 +1,121 @@
+//! The report of a calibration, as Markdown.
+
+use std::fmt::Write as _;
+
+use crate::{
+    calibration::{Calibration, LinkCalibration},
+    compare::{Comparison, Figures},
+    estimate::Estimate,
+    settings::distribution_name,
+    survey::SurveyFit,
+};
+
+/// Returns the report as Markdown. JSON has the same figures: [`Calibration`] serializes.
+pub fn markdown(calibration: &Calibration) -> String {
+    let Calibration { testbed, seed, networks, links, settings } = calibration;
+    let mut text = format!("# Calibration of {testbed}\n\nSeed {seed}. Intervals are 95 %.\n");
+    for (name, fit) in networks {
+        text += &network(name, fit);
+    }
+    for (name, link) in links {
+        text += &of_link(name, link);
+    }
+    text += "\n## Settings\n\n```\n";
+    for setting in settings {
+        text += &format!("--set '{}={}'\n", setting.path, setting.value);
+    }
+    text + "```\n"
+}
+
+fn network(name: &str, fit: &SurveyFit) -> String {
+    let mut table = vec![
+        row("reference loss beyond free space, dB", &fit.reference_loss_db, 2),
+        row("exponent", &fit.exponent, 2),
+    ];
+    table.extend(fit.wall_loss_db.map(|wall| row("loss of each wall, dB", &wall, 2)));
+    table.push(row("deviation of shadowing, dB", &fit.deviation_db, 2));
+    table.extend(fit.correlation_m.map(|m| row("correlation distance of shadowing, m", &m, 2)));
+    table.push(row("deviation of noise, dB (not in the testbed)", &fit.noise_db, 2));
+    let head =
+        format!("\n## Network {name}\n\n{} readings of {} radio units.\n\n", fit.readings, fit.radio_units);
+    head + &fitted(&table) + &notes(&fit.notes)
+}
+
+fn of_link(name: &str, LinkCalibration { fit, comparison }: &LinkCalibration) -> String {
+    let mut table = vec![
+        row("mean round trip, ms", &fit.mean_ms, 3),
+        row("deviation of round trips, ms", &fit.deviation_ms, 3),
+        row("correlation with the next (not in the testbed)", &fit.correlation, 2),
+        row("loss of a round trip, %", &fit.loss.share.scaled(100.0), 2),
+    ];
+    table.extend(fit.loss.mean_burst.map(|burst| row("mean burst, packets", &burst, 2)));
+    table.push(row("duplication, %", &fit.duplication.scaled(100.0), 2));
+    let distances: Vec<_> = fit
+        .distances_ms
+        .iter()
+        .map(|(distribution, ms)| format!("{} {ms:.3} ms", distribution_name(*distribution)))
+        .collect();
+    let losses = if fit.loss.bursty { "in bursts" } else { "independent" };
+    let head = format!(
+        "\n## Link {name}\n\n{} packets fitted, of which {} were lost ({losses}). The distribution is {}. Distances of all to the \
+         measured quantiles: {}. Blocks of the bootstrap have {:.1} packets.\n\n",
+        fit.packets,
+        fit.loss.lost,
+        distribution_name(fit.distribution),
+        distances.join(", "),
+        fit.block_length
+    );
+    head + &fitted(&table) + &notes(&fit.notes) + &compared(comparison)
+}
+
+fn row(what: &str, estimate: &Estimate, digits: usize) -> String {
+    let Estimate { value, low, high } = estimate;
+    format!("| {what} | {value:.digits$} | {low:.digits$} to {high:.digits$} |\n")
+}
+
+fn fitted(rows: &[String]) -> String {
+    format!("| fitted | value | interval |\n|---|---:|---|\n{}", rows.concat())
+}
+
+fn notes(notes: &[String]) -> String {
+    let mut text = String::new();
+    for note in notes {
+        write!(text, "\n- Note: {note}.").expect("writing into a string cannot fail");
+    }
+    if text.is_empty() { text } else { text + "\n" }
+}
+
+fn compared(comparison: &Comparison) -> String {
+    let Comparison { test_packets, target_ms, measured, predictions, .. } = comparison;
+    let target = target_ms.map(|ms| format!(" The target is {ms} ms.")).unwrap_or_default();
+    let above = if target_ms.is_some() { " above target, % |" } else { "" };
+    let line = if target_ms.is_some() { "---:|" } else { "" };
+    let mut text = format!(
+        "\n### Test\n\n{test_packets} packets that were not fitted.{target} A figure in **bold** lies in the interval of the test \
+         part.\n\n| | p50, ms | p95, ms | p99, ms |{above} Wasserstein, ms |\n|---|---:|---:|---:|{line}---:|\n"
+    );
+    let cell = |estimate: &Estimate| format!("{estimate:.2}");
+    let Figures { p50_ms, p95_ms, p99_ms, above } = measured;
+    let mut cells = vec!["test part".to_owned(), cell(p50_ms), cell(p95_ms), cell(p99_ms)];
+    cells.extend(above.map(|share| cell(&share.scaled(100.0))));
+    cells.push(String::new());
+    text += &format!("| {} |\n", cells.join(" | "));
+    for prediction in predictions {
+        let holds = comparison.holds(prediction);
+        let cell = |value: f64, holds: bool| match holds {
+            true => format!("**{value:.2}**"),
+            false => format!("{value:.2}"),
+        };
+        let figures = &prediction.figures;
+        let mut cells = vec![
+            prediction.by.name().to_owned(),
+            cell(figures.p50_ms, holds.p50_ms),
+            cell(figures.p95_ms, holds.p95_ms),
+            cell(figures.p99_ms, holds.p99_ms),
+        ];
+        cells.extend(figures.above.zip(holds.above).map(|(share, holds)| cell(share * 100.0, holds)));
+        cells.push(format!("{:.2}", prediction.wasserstein_ms));
+        text += &format!("| {} |\n", cells.join(" | "));
+    }
+    text
+}

@@ -1,0 +1,149 @@
+//! Calibrations of a testbed from texts, as the command does them.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{collections::BTreeMap, path::Path, time::Duration};
+
+use cotorra_calibrate::{
+    Calibration, Draws, Measurements, Options, calibrated_text, markdown, parse_round_trips, parse_survey,
+};
+use cotorra_graph::{JitterDistribution, Loss, PathLoss, Position, Rate, Testbed};
+
+/// A testbed whose values are all to be fitted. Its last line notes a setting.
+const TESTBED: &str = "# A laboratory.
+name: lab
+wireless:
+  lab: { standard: n }   # to be fitted
+nodes:
+  robot: { kind: robot, position: [1, 0], tx_power: 14 dBm }
+  R: { kind: radio_unit, position: [0, 0], channel: 1, tx_power: 20 dBm }
+  edge: { kind: server, tier: edge, cpus: 1, memory: 1 GB }
+links:
+  - { ends: [R, edge], delay: 5 ms, rate: 1 Mbit/s }
+# set: links.R-edge.queue=50 packets
+";
+
+fn parse(text: &str) -> Testbed {
+    cotorra_testbed_file::parse("lab", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"))
+}
+
+/// A survey by the testbed's path loss, with an exponent of 2.2, 4 dB of reference loss, and noise.
+fn survey() -> String {
+    let mut draws = Draws::new(1, "survey");
+    let mut row = |i: u32| {
+        let (x, y) = (1.0 + f64::from(i % 20), 2.0 * f64::from(i / 20));
+        let loss = PathLoss::LogDistance { exponent: 2.2 }
+            .loss_db(Position::new(x, y).distance(Position::default()), 2412);
+        format!("{i},{x},{y},R,{:.1}\n", 20.0 - 4.0 - loss + draws.normal())
+    };
+    "time_s,x,y,radio_unit,signal_dbm\n".to_owned() + &(0..120).map(&mut row).collect::<String>()
+}
+
+/// Output of `ping`: uniform jitter of ± 3 ms around 20 ms, and each 40th packet lost with the next two.
+fn ping() -> String {
+    let mut draws = Draws::new(2, "ping");
+    let arrives = |i: &u32| i % 40 > 2;
+    let mut line = |i: u32| {
+        let ms = 17.0 + 6.0 * draws.unit();
+        format!("[{}.5] 64 bytes from 10.0.0.2: icmp_seq={i} ttl=64 time={ms:.2} ms\n", 1_700_000_000 + i)
+    };
+    (1..=1200).filter(arrives).map(&mut line).collect()
+}
+
+fn measurements() -> Measurements {
+    let trips = parse_round_trips(&ping()).unwrap();
+    Measurements {
+        survey: parse_survey(&survey()).unwrap(),
+        round_trips: BTreeMap::from([("R-edge".to_owned(), trips)]),
+    }
+}
+
+fn options() -> Options {
+    Options { target: Some(Duration::from_millis(22)), ..Options::default() }
+}
+
+#[test]
+fn the_calibrated_file_has_the_fitted_values_and_keeps_everything_else() {
+    let calibration = Calibration::new(&parse(TESTBED), &measurements(), options()).unwrap();
+    let text = calibrated_text(TESTBED, &calibration.settings);
+    let (kept, _) = TESTBED.split_once("# set:").unwrap();
+    assert!(text.starts_with(kept), "{text}");
+    let testbed = parse(&text);
+    let network = &testbed.graph.wireless["lab"];
+    let PathLoss::LogDistance { exponent } = network.path_loss else { panic!("{:?}", network.path_loss) };
+    assert!((exponent - 2.2).abs() < 0.3, "{exponent}");
+    // The reference loss is off the power of both ends.
+    let (_, unit) = testbed.graph.radio_units().next().unwrap();
+    let (_, robot) = testbed.graph.robots().next().unwrap();
+    assert!((unit.tx_power.0 - 16.0).abs() < 2.5, "{:?}", unit.tx_power);
+    assert!((unit.tx_power.0 - robot.tx_power.0 - 6.0).abs() < 0.02);
+    let link = &testbed.graph.links[0];
+    let jitter = link.forward.jitter.unwrap();
+    assert_eq!(jitter.distribution, JitterDistribution::Uniform);
+    assert!((jitter.deviation.as_secs_f64() * 1e3 - 3.0).abs() < 0.1, "{jitter:?}");
+    let Loss::Bursty { rate, mean_burst } = link.forward.loss else { panic!("{:?}", link.forward.loss) };
+    assert!(
+        (rate.get() - 52.0 / 718.0).abs() < 1e-4 && (mean_burst - 3.0).abs() < 0.05,
+        "{rate:?} {mean_burst}"
+    );
+    // Both ways together, with 98 bytes sent at 1 Mbit/s, are the mean round trip.
+    let delays = (link.forward.delay + link.backward.delay).as_secs_f64() * 1e3;
+    assert!((delays + 2.0 * 0.784 - 20.0).abs() < 0.3, "{delays}");
+    assert!(
+        matches!(link.forward.rate, Rate::Fixed { bits_per_second } if bits_per_second.bits_per_second() == 1_000_000)
+    );
+    assert_eq!(link.forward.queue, cotorra_graph::QueueLimit::Packets(50), "the setting of the text holds");
+    assert_eq!(link.backward.jitter.map(|jitter| jitter.deviation), Some(Duration::ZERO));
+}
+
+#[test]
+fn a_calibration_is_the_same_each_time() {
+    let calibrate = |seed| {
+        let options = Options { seed, ..options() };
+        let calibration = Calibration::new(&parse(TESTBED), &measurements(), options).unwrap();
+        (markdown(&calibration), serde_json::to_string(&calibration).unwrap())
+    };
+    assert_eq!(calibrate(1), calibrate(1));
+    assert_ne!(calibrate(1).0, calibrate(2).0);
+}
+
+#[test]
+fn the_report_matches_the_golden_file() {
+    let calibration = Calibration::new(&parse(TESTBED), &measurements(), options()).unwrap();
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/report.golden.md");
+    let report = markdown(&calibration);
+    if std::env::var_os("BLESS").is_some() {
+        std::fs::write(&golden, &report).unwrap();
+    }
+    assert_eq!(report, std::fs::read_to_string(golden).unwrap());
+}
+
+#[test]
+fn what_does_not_fit_the_testbed_is_refused() {
+    let refusal = |text: &str, link: &str, trips: &str| {
+        let trips = BTreeMap::from([(link.to_owned(), parse_round_trips(trips).unwrap())]);
+        let measurements = Measurements { round_trips: trips, ..Measurements::default() };
+        Calibration::new(&parse(text), &measurements, options()).unwrap_err().to_string()
+    };
+    assert_eq!(
+        refusal(TESTBED, "lan-edge", &ping()),
+        "the testbed has no wired link `lan-edge`; its links are: R-edge"
+    );
+    let scaled = TESTBED.replace("delay: 5 ms", "delay_scale: 2");
+    assert!(refusal(&scaled, "R-edge", &ping()).starts_with("link `R-edge` has scales"));
+    let slow = TESTBED.replace("1 Mbit/s", "10 kbit/s");
+    let refused = refusal(&slow, "R-edge", &ping());
+    let expected = "link `R-edge`: at the rates of the testbed, sending a frame takes 156.800 ms, but the shortest round trip is ";
+    assert!(refused.starts_with(expected), "{refused}");
+    let few: String = ping().lines().take(150).map(|line| line.to_owned() + "\n").collect();
+    assert_eq!(
+        refusal(TESTBED, "R-edge", &few),
+        "link `R-edge`: 91 of 97 packets arrived in the part to fit: it needs 100 or more"
+    );
+    let lost = "seq,rtt_ms\n".to_owned() + &(0..300).map(|i| format!("{i},\n")).collect::<String>();
+    assert_eq!(
+        refusal(TESTBED, "R-edge", &lost),
+        "link `R-edge`: all 180 packets of the part to fit were lost"
+    );
+    let nothing = Calibration::new(&parse(TESTBED), &Measurements::default(), options());
+    assert_eq!(nothing.unwrap_err().to_string(), "there are no measurements to fit");
+}

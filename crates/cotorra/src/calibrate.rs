@@ -1,0 +1,266 @@
+//! `cotorra calibrate`: fits a testbed to measurements of a real site, and writes the fitted testbed and a report.
+
+use std::{
+    collections::BTreeMap,
+    fs, io,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use clap::Args;
+use cotorra_calibrate::{
+    CalibrateError, Calibration, Comparison, Estimate, Measurements, Options, calibrated_text, markdown,
+    parse_round_trips, parse_survey,
+};
+use cotorra_graph::{Probability, Testbed};
+use cotorra_testbed::{put_all, write_file};
+use cotorra_testbed_file::{Carried, carry};
+use indicatif::ProgressBar;
+use miette::{Diagnostic, IntoDiagnostic};
+
+use crate::{
+    arguments::parse_seed,
+    duration::parse_duration,
+    output,
+    quantity::parse_share,
+    table::Table,
+    testbed_file::{self, Loaded},
+    words::count,
+};
+
+/// Files of a calibration, in its folder.
+const TESTBED: &str = "testbed.yaml";
+const REPORT: &str = "report.md";
+const FIGURES: &str = "report.json";
+/// Interval of the spinner's turns.
+const TURN: Duration = Duration::from_millis(120);
+
+/// Fit a testbed to measurements of a real site
+///
+/// A survey of signals along a walk gives path loss, loss by walls, and shadowing of a wireless network. Round trips over a
+/// wired link give its delay, jitter, loss and duplication. Each value has a 95 % interval. Measurements that do not determine
+/// a value are refused, or leave it out.
+///
+/// Round trips are fitted on their first part, and tested on the rest, beside two baselines: constant delay with normal jitter,
+/// and a replay of the first part.
+///
+/// It writes a folder with the fitted testbed (testbed.yaml, which runs as it is), report.md and report.json. docs/calibrate.md
+/// explains formats, formulas and figures.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  ping -D -c 600 10.0.0.2 > edge.txt
+  cotorra calibrate testbeds/corridor.yaml --ping lan-edge=edge.txt --target 15ms
+  cotorra calibrate office.yaml --survey walk.csv --out office
+  cotorra run office/testbed.yaml --simulate
+
+A survey is CSV:
+  time_s,x,y,radio_unit,signal_dbm
+  0.0,1.5,2.0,R1,-48")]
+pub struct CalibrateArgs {
+    /// The testbed file
+    pub file: PathBuf,
+    /// Survey of signals: CSV with the columns time_s, x, y, radio_unit and signal_dbm, and z if heights matter
+    #[arg(long, value_name = "FILE", required_unless_present = "pings")]
+    pub survey: Option<PathBuf>,
+    /// Round trips over a wired link: output of ping, or CSV with the columns seq and rtt_ms; can be given several times
+    #[arg(long = "ping", value_name = "LINK=FILE", value_parser = parse_ping)]
+    pub pings: Vec<(String, PathBuf)>,
+    /// Target of round trips, such as 15ms: the share above it is compared, too
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub target: Option<Duration>,
+    /// Share of round trips that are fitted, from the first on; the others test the fit
+    #[arg(long, value_name = "SHARE", default_value = "60%", value_parser = parse_fitted)]
+    pub fit: f64,
+    /// Folder of the results; default: one under calibrations/ that is named after the testbed
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// Seed of resamples and simulations; the same seed gives the same results
+    #[arg(long, value_name = "N", default_value = "1", value_parser = parse_seed)]
+    pub seed: u64,
+    /// Overwrite the results that the folder has
+    #[arg(long)]
+    pub force: bool,
+}
+
+fn parse_ping(text: &str) -> Result<(String, PathBuf), String> {
+    match text.split_once('=') {
+        Some((link, file)) if !link.is_empty() && !file.is_empty() => Ok((link.to_owned(), file.into())),
+        _ => Err("write a link and a file, as in lan-edge=ping.txt".to_owned()),
+    }
+}
+
+fn parse_fitted(text: &str) -> Result<f64, String> {
+    let share = parse_share(text).map(Probability::get)?;
+    if (0.1..=0.9).contains(&share) { Ok(share) } else { Err("it is from 10% to 90%".to_owned()) }
+}
+
+#[derive(Debug, thiserror::Error, Diagnostic)]
+enum Error {
+    #[error("cannot read {}: {reason}", path.display())]
+    Unreadable { path: PathBuf, reason: io::Error },
+    #[error("{}: {reason}", path.display())]
+    #[diagnostic(help("docs/calibrate.md describes the formats"))]
+    Malformed { path: PathBuf, reason: CalibrateError },
+    #[error("link `{0}` has two files of round trips")]
+    #[diagnostic(help("give one for each link"))]
+    Twice(String),
+    #[error("{} exists already", .0.display())]
+    #[diagnostic(help("choose another folder by --out, or overwrite it by --force"))]
+    Exists(PathBuf),
+    #[error("cannot make {}: {reason}", path.display())]
+    Unwritable { path: PathBuf, reason: io::Error },
+}
+
+/// Fits, and writes the results.
+pub fn calibrate(args: &CalibrateArgs) -> miette::Result<()> {
+    let Loaded { testbed, text } = testbed_file::load(&args.file, &[])?;
+    let folder = args.out.clone().unwrap_or_else(|| Path::new("calibrations").join(&testbed.name));
+    let results = [TESTBED, REPORT, FIGURES];
+    let exists = |name: &&str| folder.join(name).symlink_metadata().is_ok();
+    if let Some(name) = results.iter().find(|name| !args.force && exists(name)) {
+        return Err(Error::Exists(folder.join(name)).into());
+    }
+    let measurements = read(args)?;
+    let options = Options { target: args.target, fitted_share: args.fit, seed: args.seed };
+    let progress = ProgressBar::new_spinner().with_message("fitting");
+    progress.enable_steady_tick(TURN);
+    let calibration = Calibration::new(&testbed, &measurements, options);
+    progress.finish_and_clear();
+    let calibration = calibration.into_diagnostic()?;
+    write(&calibration, &text, &testbed, &folder)?;
+    output::print(&(describe(&calibration) + &format!("\n{}/\n  {}\n", folder.display(), results.join("  "))))
+}
+
+/// Reads all measurements.
+fn read(args: &CalibrateArgs) -> Result<Measurements, Error> {
+    let mut measurements = Measurements::default();
+    if let Some(path) = &args.survey {
+        measurements.survey = parsed(path, parse_survey)?;
+        note!("{}: {}", path.display(), count(measurements.survey.len(), "reading"));
+    }
+    let mut round_trips = BTreeMap::new();
+    for (link, path) in &args.pings {
+        let trips = parsed(path, parse_round_trips)?;
+        let lost = trips.times_ms.iter().filter(|time| time.is_none()).count();
+        note!("{}: {}, {lost} lost", path.display(), count(trips.times_ms.len(), "packet"));
+        if round_trips.insert(link.clone(), trips).is_some() {
+            return Err(Error::Twice(link.clone()));
+        }
+    }
+    Ok(Measurements { round_trips, ..measurements })
+}
+
+fn parsed<T>(path: &Path, parse: fn(&str) -> Result<T, CalibrateError>) -> Result<T, Error> {
+    let text = cotorra_testbed_file::read(path)
+        .map_err(|reason| Error::Unreadable { path: path.to_owned(), reason })?;
+    parse(&text).map_err(|reason| Error::Malformed { path: path.to_owned(), reason })
+}
+
+/// Writes the fitted testbed, with what it names, and the report.
+fn write(calibration: &Calibration, text: &str, testbed: &Testbed, folder: &Path) -> miette::Result<()> {
+    let text = calibrated_text(text, &calibration.settings);
+    let Carried { text, files } = carry(&text, &testbed.folder, &[TESTBED, REPORT, FIGURES]);
+    fs::create_dir_all(folder).map_err(|reason| Error::Unwritable { path: folder.to_owned(), reason })?;
+    put_all(&files, folder).into_diagnostic()?;
+    let figures = serde_json::to_string_pretty(calibration).into_diagnostic()? + "\n";
+    for (name, content) in [(TESTBED, &text), (REPORT, &markdown(calibration)), (FIGURES, &figures)] {
+        write_file(folder, name, content).into_diagnostic()?;
+    }
+    Ok(())
+}
+
+/// Describes the fitted values, and how well they predict the round trips that were not fitted.
+fn describe(calibration: &Calibration) -> String {
+    let mut table = Table::new("<<>>");
+    table.row(["of", "fitted", "value", "95 % interval"]);
+    let mut row = |of: &str, what: &str, estimate: Estimate| {
+        let Estimate { value, low, high } = estimate;
+        table.row([of.to_owned(), what.to_owned(), format!("{value:.2}"), format!("{low:.2} to {high:.2}")]);
+    };
+    let mut notes = Vec::new();
+    for (name, fit) in &calibration.networks {
+        row(name, "reference loss, dB", fit.reference_loss_db);
+        row(name, "exponent", fit.exponent);
+        fit.wall_loss_db.into_iter().for_each(|wall| row(name, "loss of a wall, dB", wall));
+        row(name, "shadowing, dB", fit.deviation_db);
+        fit.correlation_m.into_iter().for_each(|metres| row(name, "correlation, m", metres));
+        notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
+    }
+    for (name, link) in &calibration.links {
+        let fit = &link.fit;
+        row(name, "mean round trip, ms", fit.mean_ms);
+        row(name, "deviation, ms", fit.deviation_ms);
+        row(name, "loss, %", percent(fit.loss.share));
+        fit.loss.mean_burst.into_iter().for_each(|burst| row(name, "mean burst, packets", burst));
+        notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
+    }
+    let mut text = table.render("  ");
+    for (name, link) in &calibration.links {
+        text +=
+            &format!("\nThe other part of {name}, {}:\n\n", count(link.comparison.test_packets, "packet"));
+        text += &compared(&link.comparison).render("  ");
+    }
+    notes.iter().for_each(|of| text += &format!("\nnote: {of}\n"));
+    text
+}
+
+/// Compares predictions of the test part with it.
+fn compared(comparison: &Comparison) -> Table {
+    let mut table = Table::new("<>>>>>");
+    let measured = &comparison.measured;
+    table.row(["", "p50, ms", "p95, ms", "p99, ms", "above target, %", "Wasserstein, ms"]);
+    let interval = |of: &Estimate| format!("{:.2} to {:.2}", of.low, of.high);
+    let above = measured.above.as_ref().map(|share| interval(&percent(*share))).unwrap_or_default();
+    table.row([
+        "measured".to_owned(),
+        interval(&measured.p50_ms),
+        interval(&measured.p95_ms),
+        interval(&measured.p99_ms),
+        above,
+        String::new(),
+    ]);
+    for prediction in &comparison.predictions {
+        let holds = comparison.holds(prediction);
+        let figures = &prediction.figures;
+        // A figure outside the interval has a mark.
+        let cell = |value: f64, holds: bool| format!("{}{value:.2}", if holds { "" } else { "! " });
+        let above = figures.above.zip(holds.above).map(|(share, holds)| cell(share * 100.0, holds));
+        table.row([
+            prediction.by.name().to_owned(),
+            cell(figures.p50_ms, holds.p50_ms),
+            cell(figures.p95_ms, holds.p95_ms),
+            cell(figures.p99_ms, holds.p99_ms),
+            above.unwrap_or_default(),
+            format!("{:.2}", prediction.wasserstein_ms.value),
+        ]);
+    }
+    table
+}
+
+/// Returns a share in percent.
+fn percent(share: Estimate) -> Estimate {
+    Estimate { value: share.value * 100.0, low: share.low * 100.0, high: share.high * 100.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn round_trips_are_of_a_link_and_in_a_file() {
+        let file = |name: &str| Ok(("lan-edge".to_owned(), PathBuf::from(name)));
+        assert_eq!(parse_ping("lan-edge=a=b.txt"), file("a=b.txt"));
+        for wrong in ["lan-edge", "=ping.txt", "lan-edge=", ""] {
+            assert!(parse_ping(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn both_parts_have_round_trips() {
+        assert_eq!(parse_fitted("70%"), Ok(0.7));
+        for wrong in ["0%", "100%", "95%", "0.5"] {
+            assert!(parse_fitted(wrong).is_err(), "{wrong}");
+        }
+    }
+}
