@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 mod paths;
+mod predictions;
 mod survey;
 
 use std::{collections::BTreeMap, env};

@@ -10,17 +10,17 @@ const PACKETS: usize = 1000;
 
 /// The values that a fit should find.
 #[derive(Debug, Clone, Copy)]
-struct Truth {
-    distribution: JitterDistribution,
-    mean_ms: f64,
-    deviation_ms: f64,
+pub struct Truth {
+    pub distribution: JitterDistribution,
+    pub mean_ms: f64,
+    pub deviation_ms: f64,
     correlation: f64,
     loss: f64,
     mean_burst: f64,
 }
 
 impl Truth {
-    fn draw(draws: &mut Draws) -> Self {
+    pub fn draw(draws: &mut Draws) -> Self {
         let all = [JitterDistribution::Normal, JitterDistribution::Uniform, JitterDistribution::Pareto];
         Self {
             distribution: all[draws.below(3)],
@@ -44,7 +44,7 @@ fn normal_share(x: f64) -> f64 {
 
 /// Round trips of a site. Jitter is an autoregression of first order with the marginal distribution of the site (a Gaussian
 /// copula); losses are Gilbert's.
-fn round_trips(truth: Truth, draws: &mut Draws) -> RoundTrips {
+pub fn round_trips(truth: Truth, draws: &mut Draws) -> RoundTrips {
     let (mut state, mut lost) = (draws.normal(), draws.unit() < truth.loss);
     let leaves = 1.0 / truth.mean_burst;
     let enters = leaves * truth.loss / (1.0 - truth.loss);
