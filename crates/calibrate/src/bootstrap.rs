@@ -50,7 +50,12 @@ pub(crate) struct Resampler {
 impl Resampler {
     /// Creates resamples of a series that is not empty.
     pub fn new(series: &[f64]) -> Self {
-        Self { n: series.len(), length: block_length(series) }
+        Self::of_length(series.len(), block_length(series))
+    }
+
+    /// Creates resamples of `n` values, 1 or more, by blocks of a mean length.
+    pub fn of_length(n: usize, length: f64) -> Self {
+        Self { n, length }
     }
 
     /// Returns the mean length of blocks.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use crate::{
-    bootstrap::{Ranked, Resampler},
+    bootstrap::{Ranked, Resampler, block_length},
     draws::Draws,
     error::CalibrateError,
     estimate::{Estimate, quantile},
@@ -16,6 +16,8 @@ use crate::{
 
 /// Simulated packets of a prediction.
 const SIMULATED: usize = 20_000;
+/// Distances are computed with one in so many simulated packets, which are sorted.
+const THINNED: usize = 20;
 /// Quantiles that are compared.
 const LEVELS: [f64; 3] = [0.5, 0.95, 0.99];
 
@@ -66,6 +68,8 @@ pub struct Prediction {
     pub by: Predictor,
     /// Predicted figures.
     pub figures: Figures<f64>,
+    /// Whether each figure agrees with the test part: the interval of their difference, over resamples of both parts, holds 0.
+    pub agrees: Figures<bool>,
     /// Distance of the predicted distribution to that of the test part: 1-Wasserstein, ms, with the interval of the test part.
     pub wasserstein_ms: Estimate,
 }
@@ -85,20 +89,16 @@ pub struct Comparison {
     pub predictions: Vec<Prediction>,
 }
 
-impl Comparison {
-    /// Returns, for each figure of a prediction, whether it lies in the interval of the test part.
-    pub fn holds(&self, prediction: &Prediction) -> Figures<bool> {
-        let (measured, predicted) = (&self.measured, &prediction.figures);
-        Figures {
-            p50_ms: measured.p50_ms.covers(predicted.p50_ms),
-            p95_ms: measured.p95_ms.covers(predicted.p95_ms),
-            p99_ms: measured.p99_ms.covers(predicted.p99_ms),
-            above: measured
-                .above
-                .zip(predicted.above)
-                .map(|(measured, predicted)| measured.covers(predicted)),
-        }
-    }
+/// Values of the figures: quantiles at [`LEVELS`], and the share above the target, which is 0 without one.
+type Values = [f64; 4];
+
+/// A resample of both parts.
+struct Resample {
+    measured: Values,
+    /// Values by each predictor.
+    predicted: [Values; 3],
+    /// Distance of each predictor's distribution to that of the test part, ms.
+    distances: [f64; 3],
 }
 
 /// Compares a path that was fitted to one part with another part. The seed decides simulations and resamples.
@@ -115,72 +115,176 @@ pub fn compare(
     check_number(test, "test")?;
     let target_ms = target.map(|target| target.as_secs_f64() * 1e3);
     let draws = &mut Draws::new(seed, "calibrate simulation");
-    let simulated = Predictor::ALL.map(|by| (by, simulate(by, fit, fitted, draws)));
-    let lost = fitted.times_ms.iter().filter(|time| time.is_none()).count() as f64;
-    let lost = lost / fitted.times_ms.len() as f64;
-    let draws = &mut Draws::new(seed, "calibrate comparison");
-    let arrived = test.arrived();
-    let resampler = Resampler::new(&arrived);
-    let mut ranked = Ranked::new(&arrived);
-    (0..arrived.len()).for_each(|i| ranked.add(i));
-    let values = ranked.quantiles(LEVELS);
-    let distances = simulated.each_ref().map(|(_, times)| wasserstein(&ranked, times));
-    let mut resampled = Vec::with_capacity(RESAMPLES);
-    for _ in 0..RESAMPLES {
-        ranked.clear();
-        resampler.resample(draws, |i| ranked.add(i));
-        let distances = simulated.each_ref().map(|(_, times)| wasserstein(&ranked, times));
-        resampled.push((ranked.quantiles(LEVELS), distances));
+    let by_fit = Standard::new(|draws| jitter::draw(fit.distribution, draws), draws);
+    let normal = Standard::new(Draws::normal, draws);
+    let (mut fitted, mut test) = (Part::new(fitted, target_ms), Part::new(test, target_ms));
+    // What each predictor says if the fit and the resample of the fitted part are these.
+    let predict = |mean: f64, deviation: f64, fitted: &Part| {
+        let (average, spread) = fitted.moments();
+        let lost = fitted.lost_share();
+        [
+            by_fit.values([mean, deviation], lost, target_ms),
+            normal.values([average, spread], lost, target_ms),
+            fitted.values(),
+        ]
+    };
+    let (measured, predicted) = (test.values(), predict(fit.mean_ms.value, fit.deviation_ms.value, &fitted));
+    let (average, spread) = fitted.moments();
+    let times = [
+        by_fit.times([fit.mean_ms.value, fit.deviation_ms.value]),
+        normal.times([average, spread]),
+        fitted.sorted(),
+    ];
+    let distances = times.each_ref().map(|times| wasserstein(&test.arrived, times));
+    let mut resamples = Vec::with_capacity(RESAMPLES);
+    for located in &fit.resampled {
+        fitted.resample(draws);
+        test.resample(draws);
+        let distances = times.each_ref().map(|times| wasserstein(&test.arrived, times));
+        let predicted = predict(located.mean, located.deviation, &fitted);
+        resamples.push(Resample { measured: test.values(), predicted, distances });
     }
-    let level = |k: usize| {
-        Estimate::around(values[k], &mut resampled.iter().map(|(levels, _)| levels[k]).collect::<Vec<_>>())
+    let estimate = |value: f64, of: &dyn Fn(&Resample) -> f64| {
+        Estimate::around(value, &mut resamples.iter().map(of).collect::<Vec<_>>())
     };
-    let measured = Figures {
-        p50_ms: level(0),
-        p95_ms: level(1),
-        p99_ms: level(2),
-        above: target_ms.map(|target| share_above(test, target, draws)),
-    };
-    let prediction = |(k, (by, times)): (usize, &(Predictor, Vec<f64>))| {
-        let [p50_ms, p95_ms, p99_ms] = LEVELS.map(|level| quantile(times, level));
-        let above = target_ms.map(|target| {
-            let within = times.partition_point(|time| *time <= target) as f64 / times.len() as f64;
-            lost + (1.0 - lost) * (1.0 - within)
+    let prediction = |(k, by): (usize, Predictor)| {
+        let agrees = std::array::from_fn(|i| {
+            let difference = estimate(0.0, &|resample| resample.predicted[k][i] - resample.measured[i]);
+            // A share that is 0 or 1 in all resamples of both parts leaves no interval.
+            difference.covers(0.0) || predicted[k][i] == measured[i]
         });
-        let mut distances_of = resampled.iter().map(|(_, distances)| distances[k]).collect::<Vec<_>>();
         Prediction {
-            by: *by,
-            figures: Figures { p50_ms, p95_ms, p99_ms, above },
-            wasserstein_ms: Estimate::around(distances[k], &mut distances_of),
+            by,
+            figures: Figures::new(predicted[k], target_ms),
+            agrees: Figures::new(agrees, target_ms),
+            wasserstein_ms: estimate(distances[k], &|resample| resample.distances[k]),
         }
     };
+    let mut intervals: [Estimate; 4] =
+        std::array::from_fn(|i| estimate(measured[i], &|resample| resample.measured[i]));
+    widen(&mut intervals[3], test.packets.len());
     Ok(Comparison {
-        fitted_packets: fitted.times_ms.len(),
-        test_packets: test.times_ms.len(),
+        fitted_packets: fitted.packets.len(),
+        test_packets: test.packets.len(),
         target_ms,
-        measured,
-        predictions: simulated.iter().enumerate().map(prediction).collect(),
+        measured: Figures::new(intervals, target_ms),
+        predictions: Predictor::ALL.into_iter().enumerate().map(prediction).collect(),
     })
 }
 
-/// Returns predicted round trips of packets that arrive, rising.
-fn simulate(by: Predictor, fit: &PathFit, fitted: &RoundTrips, draws: &mut Draws) -> Vec<f64> {
-    let arrived = fitted.arrived();
-    let mut times: Vec<f64> = match by {
-        Predictor::Fitted => {
-            let jitter = |_| fit.deviation_ms.value * jitter::draw(fit.distribution, draws);
-            (0..SIMULATED).map(jitter).map(|jitter| (fit.mean_ms.value + jitter).max(0.0)).collect()
+/// Widens the interval of a share that is 0 or 1, of which a bootstrap has no width: what did not happen in n packets has a
+/// share of 3/n at most (95 %).
+fn widen(share: &mut Estimate, packets: usize) {
+    let bound = 3.0 / packets as f64;
+    if share.value == 0.0 {
+        share.high = share.high.max(bound);
+    } else if share.value == 1.0 {
+        share.low = share.low.min(1.0 - bound);
+    }
+}
+
+impl<T> Figures<T> {
+    fn new([p50_ms, p95_ms, p99_ms, above]: [T; 4], target_ms: Option<f64>) -> Self {
+        Self { p50_ms, p95_ms, p99_ms, above: target_ms.map(|_| above) }
+    }
+}
+
+/// Simulated jitter of a distribution, rising, in units of its deviation.
+struct Standard(Vec<f64>);
+
+impl Standard {
+    fn new(mut draw: impl FnMut(&mut Draws) -> f64, draws: &mut Draws) -> Self {
+        let mut simulated: Vec<f64> = (0..SIMULATED).map(|_| draw(draws)).collect();
+        simulated.sort_unstable_by(f64::total_cmp);
+        Self(simulated)
+    }
+
+    /// Returns round trips with this mean and deviation, rising: every [`THINNED`]th.
+    fn times(&self, [mean, deviation]: [f64; 2]) -> Vec<f64> {
+        let thinned = self.0.iter().skip(THINNED / 2).step_by(THINNED);
+        thinned.map(|jitter| (mean + deviation * jitter).max(0.0)).collect()
+    }
+
+    fn values(&self, [mean, deviation]: [f64; 2], lost: f64, target_ms: Option<f64>) -> Values {
+        let [a, b, c] = LEVELS.map(|level| (mean + deviation * quantile(&self.0, level)).max(0.0));
+        let above = target_ms.map_or(0.0, |target| {
+            let within = self.0.partition_point(|jitter| mean + deviation * jitter <= target);
+            lost + (1.0 - lost) * (1.0 - within as f64 / self.0.len() as f64)
+        });
+        [a, b, c, above]
+    }
+}
+
+/// A part of the round trips, or a resample of it.
+struct Part {
+    /// Place of each packet among those that arrived; `None` if it was lost.
+    packets: Vec<Option<usize>>,
+    arrived: Ranked,
+    /// Number of lost packets.
+    lost: usize,
+    resampler: Resampler,
+    target_ms: Option<f64>,
+}
+
+impl Part {
+    fn new(trips: &RoundTrips, target_ms: Option<f64>) -> Self {
+        let times = trips.arrived();
+        let mut next = 0..times.len();
+        let packets: Vec<_> = trips.times_ms.iter().map(|time| time.and_then(|_| next.next())).collect();
+        let mut arrived = Ranked::new(&times);
+        (0..times.len()).for_each(|i| arrived.add(i));
+        // Blocks are long enough for times and for losses.
+        let lost: Vec<f64> = packets.iter().map(|packet| f64::from(u8::from(packet.is_none()))).collect();
+        let length = block_length(&times).max(block_length(&lost));
+        Self {
+            lost: packets.len() - times.len(),
+            resampler: Resampler::of_length(packets.len(), length),
+            packets,
+            arrived,
+            target_ms,
         }
-        Predictor::Normal => {
-            let n = arrived.len() as f64;
-            let mean = arrived.iter().sum::<f64>() / n;
-            let variance = arrived.iter().map(|time| (time - mean).powi(2)).sum::<f64>() / n;
-            (0..SIMULATED).map(|_| (mean + variance.sqrt() * draws.normal()).max(0.0)).collect()
+    }
+
+    fn resample(&mut self, draws: &mut Draws) {
+        let Self { packets, arrived, lost, resampler, .. } = self;
+        arrived.clear();
+        *lost = 0;
+        resampler.resample(draws, |i| match packets[i] {
+            Some(at) => arrived.add(at),
+            None => *lost += 1,
+        });
+    }
+
+    fn lost_share(&self) -> f64 {
+        self.lost as f64 / self.packets.len() as f64
+    }
+
+    fn values(&self) -> Values {
+        let [a, b, c] = self.arrived.quantiles(LEVELS);
+        let above = self.target_ms.map_or(0.0, |target| {
+            let late = self.arrived.counted().filter(|(time, _)| *time > target);
+            let late: u32 = late.map(|(_, count)| count).sum();
+            (self.lost as f64 + f64::from(late)) / self.packets.len() as f64
+        });
+        [a, b, c, above]
+    }
+
+    /// Returns the mean and the standard deviation of the packets that arrived.
+    fn moments(&self) -> (f64, f64) {
+        let (mut n, mut sum) = (0.0, 0.0);
+        for (time, count) in self.arrived.counted() {
+            n += f64::from(count);
+            sum += time * f64::from(count);
         }
-        Predictor::Replay => arrived,
-    };
-    times.sort_unstable_by(f64::total_cmp);
-    times
+        let mean = sum / n;
+        let squares = self.arrived.counted().map(|(time, count)| (time - mean).powi(2) * f64::from(count));
+        (mean, (squares.sum::<f64>() / n).sqrt())
+    }
+
+    /// Returns the times of the packets that arrived, rising.
+    fn sorted(&self) -> Vec<f64> {
+        self.arrived.counted().flat_map(|(time, count)| (0..count).map(move |_| time)).collect()
+    }
 }
 
 /// Returns the 1-Wasserstein distance between counted values and sorted ones: the mean distance between their quantiles.
@@ -199,28 +303,6 @@ fn wasserstein(counted: &Ranked, sorted: &[f64]) -> f64 {
         }
     }
     sum
-}
-
-/// Returns the share of packets that were lost or above the target, with its bootstrap interval.
-fn share_above(trips: &RoundTrips, target_ms: f64, draws: &mut Draws) -> Estimate {
-    let above = |time: &Option<f64>| f64::from(u8::from(time.is_none_or(|time| time > target_ms)));
-    let above: Vec<f64> = trips.times_ms.iter().map(above).collect();
-    let n = above.len() as f64;
-    let resampler = Resampler::new(&above);
-    let mut one = || {
-        let mut sum = 0.0;
-        resampler.resample(draws, |i| sum += above[i]);
-        sum / n
-    };
-    let mut shares: Vec<f64> = (0..RESAMPLES).map(|_| one()).collect();
-    let mut share = Estimate::around(above.iter().sum::<f64>() / n, &mut shares);
-    // A bootstrap of equal values has no width. What did not happen in n packets has a share of 3/n at most (95 %).
-    if share.value == 0.0 {
-        share.high = share.high.max(3.0 / n);
-    } else if share.value == 1.0 {
-        share.low = share.low.min(1.0 - 3.0 / n);
-    }
-    share
 }
 
 #[cfg(test)]
@@ -260,9 +342,9 @@ mod tests {
         let compared = compare(&fit, &fitted, &test, Some(Duration::from_millis(24)), 1).unwrap();
         let [by_fit, normal, replay] = &compared.predictions[..] else { panic!() };
         let all = Figures { p50_ms: true, p95_ms: true, p99_ms: true, above: Some(true) };
-        assert_eq!(compared.holds(by_fit), all, "{compared:#?}");
-        assert!(compared.holds(replay).p50_ms);
-        assert!(!compared.holds(normal).p50_ms);
+        assert_eq!(by_fit.agrees, all, "{compared:#?}");
+        assert!(replay.agrees.p50_ms);
+        assert!(!normal.agrees.p50_ms);
         assert!(by_fit.wasserstein_ms.value * 3.0 < normal.wasserstein_ms.value, "{compared:#?}");
     }
 
@@ -277,11 +359,8 @@ mod tests {
 
     #[test]
     fn nothing_above_the_target_leaves_a_bound() {
-        let trips = parse_round_trips(&format!(
-            "seq,rtt_ms\n{}",
-            (0..300).map(|i| format!("{i},5\n")).collect::<String>()
-        ));
-        let share = share_above(&trips.unwrap(), 10.0, &mut Draws::new(1, "above"));
+        let mut share = Estimate { value: 0.0, low: 0.0, high: 0.0 };
+        widen(&mut share, 300);
         assert_eq!(share, Estimate { value: 0.0, low: 0.0, high: 0.01 });
     }
 }

@@ -50,6 +50,9 @@ pub struct PathFit {
     pub duplication: Estimate,
     /// What to know about the fit.
     pub notes: Vec<String>,
+    /// Fits of resamples.
+    #[serde(skip)]
+    pub(crate) resampled: Vec<Located>,
 }
 
 impl PathFit {
@@ -104,6 +107,7 @@ pub fn fit_path(trips: &RoundTrips, seed: u64) -> Result<PathFit, CalibrateError
         loss: loss::fit(&lost, draws),
         duplication: share(trips.duplicates, arrived.len(), draws),
         notes: Vec::new(),
+        resampled: located,
     };
     let notes = notes(&fitted, trips, distinct);
     Ok(PathFit { notes, ..fitted })

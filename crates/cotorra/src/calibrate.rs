@@ -221,16 +221,16 @@ fn compared(comparison: &Comparison) -> Table {
         String::new(),
     ]);
     for prediction in &comparison.predictions {
-        let holds = comparison.holds(prediction);
+        let agrees = &prediction.agrees;
         let figures = &prediction.figures;
-        // A figure outside the interval has a mark.
-        let cell = |value: f64, holds: bool| format!("{}{value:.2}", if holds { "" } else { "! " });
-        let above = figures.above.zip(holds.above).map(|(share, holds)| cell(share * 100.0, holds));
+        // A figure that does not agree with the test part has a mark.
+        let cell = |value: f64, agrees: bool| format!("{}{value:.2}", if agrees { "" } else { "! " });
+        let above = figures.above.zip(agrees.above).map(|(share, agrees)| cell(share * 100.0, agrees));
         table.row([
             prediction.by.name().to_owned(),
-            cell(figures.p50_ms, holds.p50_ms),
-            cell(figures.p95_ms, holds.p95_ms),
-            cell(figures.p99_ms, holds.p99_ms),
+            cell(figures.p50_ms, agrees.p50_ms),
+            cell(figures.p95_ms, agrees.p95_ms),
+            cell(figures.p99_ms, agrees.p99_ms),
             above.unwrap_or_default(),
             format!("{:.2}", prediction.wasserstein_ms.value),
         ]);

@@ -22,10 +22,10 @@ fn fitted_paths_predict_the_test_part_better_than_normal_jitter() {
         let target = Duration::from_secs_f64((truth.mean_ms + truth.deviation_ms * 0.8) / 1e3);
         let compared = compare(&fit, &fitted, &test, Some(target), seed).unwrap();
         for prediction in &compared.predictions {
-            let holds = compared.holds(prediction);
-            let figures = [("p50", holds.p50_ms), ("p95", holds.p95_ms), ("p99", holds.p99_ms)];
-            for (figure, holds) in figures.into_iter().chain([("above", holds.above.unwrap())]) {
-                *held.entry((prediction.by.name(), figure)).or_default() += usize::from(holds);
+            let agrees = &prediction.agrees;
+            let figures = [("p50", agrees.p50_ms), ("p95", agrees.p95_ms), ("p99", agrees.p99_ms)];
+            for (figure, agrees) in figures.into_iter().chain([("above", agrees.above.unwrap())]) {
+                *held.entry((prediction.by.name(), figure)).or_default() += usize::from(agrees);
             }
         }
         if truth.distribution == JitterDistribution::Pareto {
