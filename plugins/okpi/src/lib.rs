@@ -162,7 +162,7 @@ fn decide(
     let units = match (roaming, chosen) {
         (Roaming::Instructed, None) => settings.coverage.at(&now.graph, &robot.network, location, present),
         (Roaming::Instructed, Some(chosen)) => vec![chosen.clone()],
-        (Roaming::Signal, _) => attached.into_iter().cloned().collect(),
+        (Roaming::Signal | Roaming::Supplicant(_), _) => attached.into_iter().cloned().collect(),
     };
     let chain = now.service(service, &settings.processing);
     let placed = match place(&chain, &now.infrastructure(service, &units), settings.search) {
