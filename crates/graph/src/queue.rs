@@ -60,7 +60,7 @@ pub struct Codel {
 }
 
 impl Default for Codel {
-    /// The defaults of RFC 8289, sections 4.2 and 4.3; no ECN.
+    /// The defaults of RFC 8289, section 4; no ECN.
     fn default() -> Self {
         Self { target: Duration::from_millis(5), interval: Duration::from_millis(100), ecn: false }
     }
@@ -148,7 +148,7 @@ pub struct Red {
 }
 
 impl Default for Red {
-    /// The values of Floyd and Jacobson's simulations (section 6 of "Random Early Detection Gateways for Congestion
+    /// The values of the first simulation of Floyd and Jacobson ("Random Early Detection Gateways for Congestion
     /// Avoidance", 1993); no ECN.
     fn default() -> Self {
         let share = |p| Probability::new(p).expect("it is between 0 and 1");

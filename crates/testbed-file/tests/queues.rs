@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    Codel, ConditionChange, FqCodel, LinkId, Pie, Probability, QueueDiscipline, QueueLimit, Red,
-    RedThresholds, Testbed,
+    Codel, ConditionChange, FqCodel, Pie, Probability, QueueDiscipline, QueueLimit, Red, RedThresholds,
+    Testbed,
 };
 
 /// A testbed with a switch, a server and what `more` says.
@@ -18,7 +18,7 @@ fn testbed(more: &str) -> Testbed {
 /// Returns both directions' limit and discipline of a link with `queue` among its keys.
 fn queues(queue: &str) -> [(QueueLimit, QueueDiscipline); 2] {
     let testbed = testbed(&format!("links:\n  - {{ ends: [lan, a], {queue} }}\n"));
-    let link = testbed.graph.link(&LinkId::new("lan-a").unwrap()).unwrap();
+    let link = testbed.graph.links.first().expect("it has a link");
     [&link.forward, &link.backward].map(|conditions| (conditions.queue, conditions.queue_discipline))
 }
 

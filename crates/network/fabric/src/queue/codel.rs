@@ -20,7 +20,7 @@ pub(super) struct Codel {
     last_count: u32,
 }
 
-/// How many intervals after dropping ended it may go on at about the rate that it had (RFC 8289, section 5.6).
+/// How many intervals after dropping ended it may go on at about the rate that it had (RFC 8289, section 5).
 const RECENT_INTERVALS: u32 = 16;
 
 impl Codel {
@@ -29,7 +29,7 @@ impl Codel {
         Self { parameters, first_above: None, dropping: false, drop_next, count: 0, last_count: 0 }
     }
 
-    /// Takes the next packet to send out of the queue (RFC 8289, section 5.5). Calls `drop` with every packet that is
+    /// Takes the next packet to send out of the queue (RFC 8289, section 5). Calls `drop` with every packet that is
     /// dropped before it.
     pub fn pop<P: Queued>(
         &mut self,
@@ -193,7 +193,7 @@ mod tests {
         }
     }
 
-    /// The n-th drop of a phase comes interval/√n after the one before (RFC 8289, section 3.3).
+    /// The drop after the n-th one of a phase comes interval/√n later (RFC 8289, section 3).
     #[test]
     fn drops_follow_the_control_law() {
         let mut overload = Overload::new(Parameters::default());
@@ -224,7 +224,7 @@ mod tests {
         assert_eq!(overload.drops.len(), drops);
     }
 
-    /// RFC 8289, section 5.5: a phase soon after another goes on from its rate, a later one begins anew.
+    /// RFC 8289, section 5: a phase soon after another goes on from its rate, a later one begins anew.
     #[test]
     fn a_phase_soon_after_another_goes_on_at_its_rate() {
         for (pause_ms, goes_on) in [(1, true), (2000, false)] {

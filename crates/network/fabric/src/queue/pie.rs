@@ -15,7 +15,7 @@ use crate::random::unit;
 /// Weights of the distance to the target and of the trend, 1/s (RFC 8033, section 4.2).
 const ALPHA: f64 = 0.125;
 const BETA: f64 = 1.25;
-/// Divisors of an adjustment by the probability that it is below of (RFC 8033, section 4.2).
+/// Auto-tuning: divisors of a change while the probability is below a bound (RFC 8033, section 4.2).
 const TUNING: [(f64, f64); 6] =
     [(1e-6, 2048.0), (1e-5, 512.0), (1e-4, 128.0), (1e-3, 32.0), (1e-2, 8.0), (0.1, 2.0)];
 /// Largest rise of a probability of 10 % or more (RFC 8033, section 5.5).

@@ -60,7 +60,7 @@ impl Red {
             self.count = None;
             return Verdict::Admit;
         };
-        // Spreads drops evenly (section 4 of the paper). In bytes, large packets are dropped more often.
+        // Spreads drops evenly, by p_a of the paper. In bytes, large packets are dropped more often.
         let count = self.count.map_or(0, |count| count.saturating_add(1));
         let probability = (probability * size).min(1.0);
         let left = 1.0 - f64::from(count) * probability;
@@ -189,7 +189,7 @@ mod tests {
         assert!(of(30.0).iter().all(|verdict| *verdict == Verdict::Drop));
     }
 
-    /// Section 7 of the paper: gaps are uniform from 1 to 1/p_b, and (1/p_b + 1)/2 in the mean.
+    /// Gaps are uniform from 1 to 1/p_b, and (1/p_b + 1)/2 in the mean.
     #[test]
     fn drops_are_spread_evenly() {
         let gaps = gaps(&verdicts(steady(10.0, Parameters::default()), 1000));

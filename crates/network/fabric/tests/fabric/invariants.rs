@@ -12,7 +12,7 @@ use crate::common::{A, B, Delivery, Network, delay, frame, number, rate, run};
 #[derive(Debug, Clone)]
 enum Step {
     Push { packets: u32, length: usize },
-    Change { link: usize, direction: Option<Direction>, change: ConditionChange },
+    Change { link: usize, direction: Option<Direction>, change: Box<ConditionChange> },
     Wait { nanos: u64 },
 }
 
@@ -95,7 +95,7 @@ fn steps(reordering: bool) -> impl Strategy<Value = Vec<Step>> {
     let direction = prop::option::of(prop_oneof![Just(Direction::Forward), Just(Direction::Backward)]);
     let step = prop_oneof![
         4 => (1u32..20, 18usize..1514).prop_map(|(packets, length)| Step::Push { packets, length }),
-        2 => (0usize..2, direction, change(reordering))
+        2 => (0usize..2, direction, change(reordering).prop_map(Box::new))
             .prop_map(|(link, direction, change)| Step::Change { link, direction, change }),
         3 => (0u64..30_000_000).prop_map(|nanos| Step::Wait { nanos }),
     ];
@@ -203,7 +203,8 @@ proptest! {
 fn uncorrupted(step: Step) -> Step {
     match step {
         Step::Change { link, direction, change } => {
-            Step::Change { link, direction, change: ConditionChange { corruption: None, ..change } }
+            let change = ConditionChange { corruption: None, ..*change };
+            Step::Change { link, direction, change: Box::new(change) }
         }
         other => other,
     }
