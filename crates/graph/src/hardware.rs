@@ -409,6 +409,9 @@ pub struct WirelessNetwork {
     pub walls: Option<Walls>,
     /// Variation of the signal around the path loss.
     pub shadowing: Shadowing,
+    /// Small-scale fading of single frames. Without it, there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fading: Option<Fading>,
     /// Noise floor of a receiver, thermal noise over 20 MHz and noise figure together.
     #[serde(rename = "noise_floor_dbm")]
     pub noise_floor: Dbm,
@@ -475,6 +478,19 @@ pub struct Shadowing {
     pub deviation_db: f64,
     /// Distance over which the correlation falls to 1/e, metres; above 0.
     pub correlation_m: f64,
+}
+
+/// Small-scale fading by interference of paths, with a mean power of 1 and the spectrum of Clarke: Rayleigh, or Rician with
+/// a line of sight.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Fading {
+    /// Power of the line of sight over that of all other paths together, dB. Without it there is no line of sight.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub k_factor_db: Option<f64>,
+    /// Speed of people and things around, m/s; at 0 only the robot's own movement changes the fading.
+    #[serde(default)]
+    pub motion_mps: f64,
 }
 
 /// Durations of a handover's phases.

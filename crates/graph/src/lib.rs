@@ -59,8 +59,8 @@ pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
-    BackgroundScan, Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Node,
-    NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, ScanVisits, Server, Shadowing, Tier,
+    BackgroundScan, Capacity, Direction, Fading, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link,
+    Node, NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, ScanVisits, Server, Shadowing, Tier,
     WifiStandard, WirelessNetwork,
 };
 pub use id::{

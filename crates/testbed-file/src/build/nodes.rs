@@ -77,6 +77,7 @@ impl Builder<'_> {
                 deviation_db: record.shadowing.deviation.0,
                 correlation_m: correlation.value.0,
             },
+            fading: None,
             noise_floor: record.noise_floor,
             hysteresis_db: record.hysteresis.0,
             time_to_trigger: record.time_to_trigger,

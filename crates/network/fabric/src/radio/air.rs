@@ -85,7 +85,7 @@ impl Radio {
             let waited = self.medium.queued(robot)[direction as usize] + 1;
             self.lane(path).meter().queued(now, waited);
         }
-        let reception = self.reception(path);
+        let reception = self.reception(now, path);
         let exchange = self.lane(path).exchange(&reception, waiting.frame.bytes().len(), contended);
         self.fly(now, path, waiting, &exchange);
         exchange.first + exchange.retries
@@ -107,7 +107,7 @@ impl Radio {
         let first = phy.group_airtime(bytes, contended(phy), backoff).max(least.unwrap_or_default());
         for path in paths {
             let present = self.robots[path.robot].station.on_channel() == Some(unit);
-            let reception = self.reception(path);
+            let reception = self.reception(now, path);
             let received = present && self.lane(path).receives_group(&reception, bytes);
             let copy = Waiting { frame: frame.clone(), since, source, is_probe };
             self.fly(now, path, copy, &Exchange { first, retries: Duration::ZERO, received });
@@ -117,13 +117,16 @@ impl Radio {
     }
 
     /// Returns the reception on a path at the robot's present place.
-    pub(super) fn reception(&mut self, path: Path) -> Reception {
+    pub(super) fn reception(&mut self, now: Timestamp, path: Path) -> Reception {
         let place = self.robots[path.robot].position;
-        if let Some(reception) = self.link(path.robot, path.unit).reception(path.direction, place) {
+        let link = self.link(path.robot, path.unit);
+        let moment = link.moment(now, place);
+        if let Some(reception) = link.reception(path.direction, moment) {
             return reception;
         }
-        let receptions = self.receptions(path.robot, path.unit);
-        self.link(path.robot, path.unit).set_receptions(place, receptions);
+        let fading_db = self.fading_db(path, moment);
+        let receptions = self.receptions(path.robot, path.unit, fading_db);
+        self.link(path.robot, path.unit).set_receptions(moment, receptions);
         receptions[path.direction as usize]
     }
 

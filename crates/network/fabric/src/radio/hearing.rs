@@ -3,13 +3,15 @@
 use cotorra_graph::{Dbm, LinkId};
 
 use super::{
-    Network, Radio, RadioUnitIndex, RobotRadio, StationIndex, phy::Reception, shadowing::ShadowingField,
+    Network, Path, Radio, RadioUnitIndex, RobotRadio, StationIndex, fading::Moment, phy::Reception,
+    shadowing::ShadowingField,
 };
 use crate::random::stream;
 
 impl Radio {
     /// Returns the received power at the radio unit and at the robot: transmitted power less the losses by distance, walls
-    /// and shadowing, which are equal in both directions.
+    /// and shadowing, which are equal in both directions. Stations decide by it, and reports have it. Single frames also see
+    /// fading, whose mean is 0 dB of power.
     pub(super) fn signals(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Dbm; 2] {
         let (r, u) = (&self.robots[robot], &self.units[unit]);
         let spec = &self.networks[r.network].spec;
@@ -22,10 +24,21 @@ impl Radio {
         [Dbm(r.tx_power.0 - loss), Dbm(u.tx_power.0 - loss)]
     }
 
-    /// Returns the receptions at the radio unit and at the robot.
-    pub(super) fn receptions(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Reception; 2] {
+    /// Returns the receptions at the radio unit and at the robot, with fading by so many dB.
+    pub(super) fn receptions(
+        &self,
+        robot: StationIndex,
+        unit: RadioUnitIndex,
+        fading_db: f64,
+    ) -> [Reception; 2] {
         let Network { spec, phy, .. } = &self.networks[self.units[unit].network];
-        self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 - spec.noise_floor.0))
+        self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 + fading_db - spec.noise_floor.0))
+    }
+
+    /// Returns the fading of frames on a path in a moment, dB; 0 without fading. It is the same in both directions.
+    pub(super) fn fading_db(&mut self, path: Path, moment: Moment) -> f64 {
+        let distance_m = moment.place.distance(self.units[path.unit].position);
+        self.link(path.robot, path.unit).fading_db(moment, distance_m)
     }
 
     /// Returns the signal of a radio unit at a robot; `None` if it is off, or either cannot receive the other.

@@ -4,12 +4,13 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, Direction, Edca, LinkContext, LinkCounters, LinkId, Medium,
-    Position, Probed, Rate, Scale, Timestamp, WirelessNetwork,
+    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkCounters, LinkId, Medium, Position,
+    Probed, Rate, Scale, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::{
+    fading::{FadingField, Moment},
     phy::{Exchange, Phy, Reception},
     rate_control::RateControl,
 };
@@ -38,7 +39,8 @@ pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<S
 pub(super) struct WirelessLink {
     id: LinkId,
     lanes: [Lane; 2],
-    receptions: Option<(Position, [Reception; 2])>,
+    fading: Option<FadingField>,
+    receptions: Option<(Moment, [Reception; 2])>,
 }
 
 /// One direction of a link.
@@ -87,13 +89,24 @@ impl Flight {
 }
 
 impl WirelessLink {
-    pub(super) fn new(id: LinkId, settings: &Settings, access: Option<&Edca>, seed: u64) -> Self {
-        let rates = |direction: &str| match access.map(|access| access.rate_control) {
+    /// Creates the link of a network, on a channel with this centre.
+    pub(super) fn new(
+        id: LinkId,
+        network: &WirelessNetwork,
+        settings: &Settings,
+        frequency_mhz: u16,
+        seed: u64,
+    ) -> Self {
+        let rates = |direction: &str| match network.access.as_ref().map(|access| access.rate_control) {
             None | Some(cotorra_graph::RateControl::Ideal) => RateControl::Ideal,
             Some(cotorra_graph::RateControl::Minstrel) => {
                 RateControl::minstrel(stream(seed, &format!("rates {id} {direction}")))
             }
         };
+        let fading = network
+            .fading
+            .as_ref()
+            .map(|fading| FadingField::new(fading, frequency_mhz, stream(seed, &format!("fading {id}"))));
         let lane = |direction: &str| Lane {
             settings: settings.clone(),
             impairments: Impairments::new(
@@ -105,7 +118,7 @@ impl WirelessLink {
             rates: rates(direction),
             last_due: Timestamp::ZERO,
         };
-        Self { lanes: [lane("forward"), lane("backward")], id, receptions: None }
+        Self { lanes: [lane("forward"), lane("backward")], id, fading, receptions: None }
     }
 
     /// Returns the frames that the link lost, dropped or duplicated.
@@ -138,14 +151,25 @@ impl WirelessLink {
         &self.lanes[direction as usize].settings
     }
 
-    /// Returns the cached reception of one direction, if it is for the robot at this place.
-    pub(super) fn reception(&self, direction: Direction, place: Position) -> Option<Reception> {
-        self.receptions.filter(|(at, _)| *at == place).map(|(_, receptions)| receptions[direction as usize])
+    /// Returns the moment of a robot at a place: what its fading depends on.
+    pub(super) fn moment(&self, now: Timestamp, place: Position) -> Moment {
+        let tick = self.fading.as_ref().map_or(0, |fading| fading.tick(now));
+        Moment { place, tick }
     }
 
-    /// Caches the receptions at both ends for the robot at this place, forward first.
-    pub(super) fn set_receptions(&mut self, place: Position, receptions: [Reception; 2]) {
-        self.receptions = Some((place, receptions));
+    /// Returns the power of the link in a moment over its mean, in dB; `distance_m` is that of both antennas.
+    pub(super) fn fading_db(&self, moment: Moment, distance_m: f64) -> f64 {
+        self.fading.as_ref().map_or(0.0, |fading| fading.gain_db(moment, distance_m))
+    }
+
+    /// Returns the cached reception of one direction, if it is of this moment.
+    pub(super) fn reception(&self, direction: Direction, moment: Moment) -> Option<Reception> {
+        self.receptions.filter(|(of, _)| *of == moment).map(|(_, receptions)| receptions[direction as usize])
+    }
+
+    /// Caches the receptions at both ends in a moment, forward first.
+    pub(super) fn set_receptions(&mut self, moment: Moment, receptions: [Reception; 2]) {
+        self.receptions = Some((moment, receptions));
     }
 
     /// Returns the context of one direction, in which so many frames wait now.

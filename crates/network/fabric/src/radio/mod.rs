@@ -1,7 +1,8 @@
 //! The wireless part of the fabric: positions of robots, the signals that they receive, their attachments to radio units,
 //! and their frames on the air. The time is an argument of every call; all randomness comes from the seed.
 //!
-//! - Path loss, walls and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
+//! - Path loss, walls and [`shadowing`] give the signal at a place; [`fading`] varies it from frame to frame; [`phy`] turns
+//!   it into rates, errors and airtime.
 //! - [`medium`] shares each channel's airtime by turns, [`edca`] by contention; [`channel`] chooses. [`rate_control`] picks
 //!   the rate of a frame, by [`minstrel`] as Linux does; [`link`] adds the conditions of emulation.
 //! - [`hearing`] finds the radio units within a robot's reach; [`air`] carries frames.
@@ -16,6 +17,7 @@ mod beacons;
 mod channel;
 mod edca;
 mod elsewhere;
+mod fading;
 mod hearing;
 mod link;
 mod medium;
@@ -581,7 +583,7 @@ impl Radio {
     fn station_context(&self, robot: StationIndex, unit: RadioUnitIndex) -> StationContext {
         let [signal, _] = self.signals(robot, unit);
         let link = self.links[self.pair(robot, unit)].as_deref();
-        let [up, down] = self.receptions(robot, unit);
+        let [up, down] = self.receptions(robot, unit, 0.0);
         let bps = |direction, reception: &Reception| {
             1e6 * link.map_or_else(|| reception.mbps(), |link| link.mbps(direction, reception))
         };
@@ -716,9 +718,10 @@ impl Radio {
         let pair = self.pair(robot, unit);
         self.links[pair].get_or_insert_with(|| {
             let RobotRadio { id, network, .. } = &self.robots[robot];
-            let id = LinkId::wireless(id, &self.units[unit].id);
+            let Unit { id: unit, frequency_mhz, .. } = &self.units[unit];
             let Network { settings, spec, .. } = &self.networks[*network];
-            Box::new(WirelessLink::new(id, settings, spec.access.as_ref(), self.seed))
+            let id = LinkId::wireless(id, unit);
+            Box::new(WirelessLink::new(id, spec, settings, *frequency_mhz, self.seed))
         })
     }
 

@@ -307,6 +307,7 @@ mod tests {
             access: None,
             interference: Vec::new(),
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 1.0 },
+            fading: None,
             noise_floor: Dbm(-95.0),
             hysteresis_db: 0.0,
             time_to_trigger: Duration::ZERO,

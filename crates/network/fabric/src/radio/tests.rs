@@ -43,6 +43,7 @@ fn network() -> WirelessNetwork {
         access: None,
         interference: Vec::new(),
         shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
+        fading: None,
         noise_floor: Dbm(-95.0),
         hysteresis_db: 4.0,
         time_to_trigger: ms(500),

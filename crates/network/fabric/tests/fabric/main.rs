@@ -3,6 +3,7 @@
 
 mod common;
 mod elsewhere;
+mod fading;
 mod following;
 mod forwarding;
 mod invariants;

@@ -136,7 +136,7 @@ impl Radio {
         let path = self.edca().path(flow);
         let next_bytes = self.edca().stream(flow, category).next_bytes().unwrap_or_default();
         let attempt = path.map_or(GROUP, |path| {
-            let reception = self.reception(path);
+            let reception = self.reception(now, path);
             self.lane(path).rates().attempt(now, phy, &reception, next_bytes)
         });
         let mode = attempt.mode;
@@ -202,7 +202,7 @@ impl Radio {
 
     /// Whether the receiver answers an RTS.
     fn clears(&mut self, rts: &OnAir, path: Path) -> bool {
-        let reception = self.reception_among(path, &rts.overlaps);
+        let reception = self.reception_among(rts.start, path, &rts.overlaps);
         reception.is_some_and(|reception| self.lane(path).receives_rts(&reception))
     }
 
@@ -224,7 +224,7 @@ impl Radio {
             // The station has left its channel.
             return self.edca().end_exchange(now, ended.emitter, category, false);
         }
-        let reception = self.reception_among(path, &ended.overlaps);
+        let reception = self.reception_among(ended.start, path, &ended.overlaps);
         let mut edca = self.edca.take().expect("a network with contention");
         let lane = self.lane(path);
         // Without CTS, the data is not sent.
@@ -267,7 +267,7 @@ impl Radio {
         let Waiting { frame, since, source, is_probe } = waiting;
         for path in self.group(unit, source).collect::<Vec<_>>() {
             let present = self.robots[path.robot].station.on_channel() == Some(unit);
-            let reception = self.reception_among(path, &ended.overlaps).filter(|_| present);
+            let reception = self.reception_among(ended.start, path, &ended.overlaps).filter(|_| present);
             let bytes = frame.bytes().len();
             let received =
                 reception.is_some_and(|reception| self.lane(path).receives_group(&reception, bytes));
@@ -287,19 +287,22 @@ impl Radio {
 
     /// Returns the reception on a path while others send: their power adds to the noise (capture: the stronger frame is
     /// decoded, whichever began first). `None` if the receiver itself sends.
-    fn reception_among(&mut self, path: Path, others: &[Emitter]) -> Option<Reception> {
+    fn reception_among(&mut self, start: Timestamp, path: Path, others: &[Emitter]) -> Option<Reception> {
         let receiver = path.receiver();
         if others.is_empty() {
-            return Some(self.reception(path));
+            return Some(self.reception(start, path));
         }
         if others.contains(&receiver) {
             return None;
         }
+        let place = self.robots[path.robot].position;
+        let moment = self.link(path.robot, path.unit).moment(start, place);
+        let fading_db = self.fading_db(path, moment);
         let signal = self.signals(path.robot, path.unit)[path.direction as usize];
         let network = &self.networks[self.units[path.unit].network];
         let disturbing: f64 = others.iter().map(|other| milliwatts(self.power(*other, receiver))).sum();
         let noise_db = 10.0 * (milliwatts(network.spec.noise_floor) + disturbing).log10();
-        Some(Reception::new(network.phy, signal.0 - noise_db))
+        Some(Reception::new(network.phy, signal.0 + fading_db - noise_db))
     }
 
     /// Stops the backoffs of an emitter, and of everyone on the channel who hears it.
