@@ -191,6 +191,9 @@ record! {
         walls: Option<Spanned<Either<WallLoss, WallsRecord>>>,
         /// Variation of the signal around the path loss.
         shadowing: ShadowingRecord = {},
+        /// Fading of single frames by interference of paths: `rayleigh`, or a mapping. Without it, there is none:
+        /// docs/radio.md.
+        fading: Option<Either<FadingWord, FadingRecord>>,
         /// Noise floor of a receiver: thermal noise over 20 MHz (-101 dBm) and a noise figure of 6 dB.
         noise_floor: Dbm = "-95 dBm",
         /// A robot that roams by signal changes when another radio unit is stronger by so much ...
@@ -341,6 +344,23 @@ record! {
         /// Distance over which the correlation falls to 1/e.
         correlation: Spanned<Metres> = "5 m",
     }
+}
+
+record! {
+    /// Fading with a line of sight, or among moving people.
+    FadingRecord {
+        /// Power of the line of sight over that of all other paths (Rician fading). Without it there is no line of sight
+        /// (Rayleigh fading).
+        k_factor: Option<Decibels>,
+        /// Speed of people and things around; at 0 m/s only the robot's own movement changes the signal.
+        motion: Speed = "0 m/s",
+    }
+}
+
+/// Fading in one word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum FadingWord {
+    Rayleigh,
 }
 
 record! {
@@ -1288,6 +1308,9 @@ choice!(WifiStandard, "Wi-Fi standard", {
     "a" => Self::A, "IEEE 802.11a, 5 GHz";
     "n" => Self::N, "IEEE 802.11n, one stream, 20 MHz at 2.4 GHz";
     "ac" => Self::Ac, "IEEE 802.11ac, one stream, 20 MHz at 5 GHz";
+});
+choice!(FadingWord, "kind of fading", {
+    "rayleigh" => Self::Rayleigh, "no line of sight, and still surroundings";
 });
 choice!(Emulation, "kind of emulation", {
     "fabric" => Self::Fabric, "cotorra itself, on every kernel";

@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use cotorra_graph::{BackgroundScan, Dbm, LinkId, NodeId, Position, Program, Rate, Roaming, Testbed};
+use cotorra_graph::{BackgroundScan, Dbm, Fading, LinkId, NodeId, Position, Program, Rate, Roaming, Testbed};
 
 fn shipped(name: &str) -> Testbed {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testbeds").join(name);
@@ -219,4 +219,28 @@ fn walls_attenuate_on_the_map_of_the_testbed() {
     let read: cotorra_graph::HardwareGraph = serde_json::from_value(json).unwrap();
     let read = read.wireless["corridor"].walls.clone().unwrap();
     assert_eq!((read.loss_db, read.at_most_db, read.map), (3.7, Some(9.0), None));
+}
+
+#[test]
+fn fading_is_rayleigh_rician_or_none() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+    let fading = |settings: &[&str]| {
+        let settings: Vec<_> = settings
+            .iter()
+            .map(|setting| format!("wireless.corridor.fading{setting}").parse().unwrap())
+            .collect();
+        let testbed =
+            cotorra_testbed_file::load_with(&path, &settings).unwrap_or_else(|wrong| panic!("{wrong}"));
+        testbed.graph.wireless["corridor"].fading
+    };
+    let of = |k_factor_db, motion_mps| Some(Fading { k_factor_db, motion_mps });
+    assert_eq!(fading(&[]), None);
+    assert_eq!(fading(&["=rayleigh"]), of(None, 0.0));
+    assert_eq!(fading(&[".motion=0.3 m/s"]), of(None, 0.3));
+    assert_eq!(fading(&[".k_factor=6 dB", ".motion=0.3 m/s"]), of(Some(6.0), 0.3));
+    // Without settings, JSON has no key for it.
+    let json = |fading| serde_json::to_value(fading).unwrap();
+    assert!(!serde_json::to_string(&shipped("corridor.yaml").graph).unwrap().contains("fading"));
+    assert_eq!(json(of(None, 0.0)), serde_json::json!({ "motion_mps": 0.0 }));
+    assert_eq!(json(of(Some(6.0), 0.3)), serde_json::json!({ "k_factor_db": 6.0, "motion_mps": 0.3 }));
 }

@@ -3,8 +3,8 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, Capacity, DomainId, Gateway, HandoverTimes, HostAddress, Loss, Machine, Node,
-    NodeId, NodeKind, OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached, RealServer,
+    AgentId, BackgroundScan, Capacity, DomainId, Fading, Gateway, HandoverTimes, HostAddress, Loss, Machine,
+    Node, NodeId, NodeKind, OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached, RealServer,
     Roaming, Robot, ScanVisits, Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
 };
 
@@ -14,8 +14,8 @@ use super::{
 };
 use crate::{
     records::{
-        GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, RoamingRecord, ScanRecord, ServerRecord,
-        SupplicantRecord, WalkRecord, WallsRecord, WirelessRecord,
+        FadingRecord, FadingWord, GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, RoamingRecord,
+        ScanRecord, ServerRecord, SupplicantRecord, WalkRecord, WallsRecord, WirelessRecord,
     },
     walls::WallLoss,
     yaml::{
@@ -77,7 +77,7 @@ impl Builder<'_> {
                 deviation_db: record.shadowing.deviation.0,
                 correlation_m: correlation.value.0,
             },
-            fading: None,
+            fading: record.fading.as_ref().map(fading),
             noise_floor: record.noise_floor,
             hysteresis_db: record.hysteresis.0,
             time_to_trigger: record.time_to_trigger,
@@ -437,6 +437,15 @@ impl Builder<'_> {
                 .help("write a reliability above 0 %, or leave the thing out");
         }
         value
+    }
+}
+
+fn fading(record: &Either<FadingWord, FadingRecord>) -> Fading {
+    match record {
+        Either::Short(FadingWord::Rayleigh) => Fading { k_factor_db: None, motion_mps: 0.0 },
+        Either::Long(long) => {
+            Fading { k_factor_db: long.k_factor.map(|k_factor| k_factor.0), motion_mps: long.motion.0 }
+        }
     }
 }
 
