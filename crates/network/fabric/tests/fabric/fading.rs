@@ -20,6 +20,11 @@ fn floor(fading: Option<Fading>, metres: f64) -> HardwareGraph {
     graph
 }
 
+/// Returns contention of stations that never sleep.
+fn contention(aggregation: bool, rate_control: RateControl) -> Edca {
+    Edca { aggregation, rate_control, power_save: None }
+}
+
 fn id(name: &str) -> NodeId {
     name.parse().unwrap()
 }
@@ -49,7 +54,7 @@ fn drive(fading: Option<Fading>, access: Option<Edca>) -> Vec<Delivery> {
 
 #[test]
 fn an_overwhelming_line_of_sight_is_no_fading() {
-    for access in [None, Some(Edca { aggregation: true, rate_control: RateControl::Ideal })] {
+    for access in [None, Some(contention(true, RateControl::Ideal))] {
         let without = drive(None, access);
         assert_eq!(without.len(), 200);
         assert_eq!(drive(Some(Fading { k_factor_db: Some(200.0), motion_mps: 1.0 }), access), without);
@@ -132,7 +137,7 @@ fn lost(k_factor_db: Option<f64>, access: Option<Edca>) -> f64 {
 fn group_frames_are_lost_in_deep_fades() {
     // At 100 m the mean SNR is 15 dB. The slowest rate needs 3.3 to 3.9 dB, which is 11.1 to 11.7 dB less. A share of
     // 1 - exp(-10^(-1.17)) to 1 - exp(-10^(-1.11)) of Rayleigh fading is below, and 1 % of Rician fading with 6 dB.
-    for access in [None, Some(Edca { aggregation: false, rate_control: RateControl::Ideal })] {
+    for access in [None, Some(contention(false, RateControl::Ideal))] {
         let [rayleigh, rician, none] =
             [None, Some(6.0), Some(100.0)].map(|k_factor_db| lost(k_factor_db, access));
         assert!((0.055..0.085).contains(&rayleigh), "{rayleigh}");
@@ -144,7 +149,7 @@ fn group_frames_are_lost_in_deep_fades() {
 /// Returns the frames of 1000 bytes that a robot with a mean SNR of 24 dB gets in 2 s, on a channel that is always busy.
 fn carried(fading: Option<Fading>, rate_control: RateControl) -> usize {
     let mut graph = floor(fading, 50.0);
-    graph.wireless.get_mut("air").unwrap().access = Some(Edca { aggregation: false, rate_control });
+    graph.wireless.get_mut("air").unwrap().access = Some(contention(false, rate_control));
     let mut fabric = Fabric::new(&graph, 1).unwrap();
     let mut received = 0;
     for i in 0..200 {
