@@ -3,7 +3,7 @@
 //! backoffs end together collide.
 //!
 //! - [`backoff`] is the contention of one access category; [`category`] has their parameters.
-//! - [`stream`] has the frames of one category for one receiver, with retries, aggregation and the receiver's order.
+//! - [`mod@stream`] has the frames of one category for one receiver, with retries, aggregation and the receiver's order.
 //! - [`emitter`] is what is known of whoever sends; [`interference`] is what other networks and other devices send.
 //! - [`power_save`] lets stations sleep between beacons.
 //! - [`transmission`] puts frames on the air and decides who gets them.
