@@ -54,7 +54,7 @@ impl Radio {
             return self.begin_scan(robot, now, Purpose::Roam).expect("a station on no channel is not away");
         };
         let thresholds = self.robots[robot].policy.thresholds();
-        let own = self.receive_beacon(robot, unit);
+        let own = self.receive_beacon(now, robot, unit);
         if thresholds.is_some() {
             self.listen(robot);
         }
@@ -73,7 +73,7 @@ impl Radio {
             Verdict::Roam => {
                 self.begin_scan(robot, now, Purpose::Roam).expect("a station that hears beacons is not away");
             }
-            Verdict::Lost if self.answers_probe(robot, unit) => {
+            Verdict::Lost if self.answers_probe(now, robot, unit) => {
                 self.robots[robot].beacons.reset();
                 self.watch(robot, now);
             }

@@ -1,6 +1,6 @@
 //! Receives the beacons of a robot's radio unit, and probes a radio unit whose beacons were lost.
 
-use cotorra_graph::Dbm;
+use cotorra_graph::{Dbm, Timestamp};
 
 use super::{Radio, RadioUnitIndex, StationIndex, roaming::Policy};
 use crate::random;
@@ -16,21 +16,31 @@ const PROBE_ATTEMPTS: u32 = 7;
 
 impl Radio {
     /// Returns the signal of a beacon of a robot's radio unit; `None` if it is lost. For a supplicant's station, it is lost
-    /// at random, for others if it is too weak.
-    pub(super) fn receive_beacon(&mut self, robot: StationIndex, unit: RadioUnitIndex) -> Option<Dbm> {
+    /// at random, also in a fade, for others if it is too weak.
+    pub(super) fn receive_beacon(
+        &mut self,
+        now: Timestamp,
+        robot: StationIndex,
+        unit: RadioUnitIndex,
+    ) -> Option<Dbm> {
         let Policy::Supplicant(_, rng) = &mut self.robots[robot].policy else {
             return self.hears(robot, unit);
         };
         let luck = random::unit(rng);
-        let [_, reception] = self.receptions(robot, unit);
+        let [_, reception] = self.receptions_at(now, robot, unit);
         let [_, signal] = self.signals(robot, unit);
         let received = self.units[unit].serves.is_some() && luck >= reception.group_error_rate(BEACON_BYTES);
         received.then_some(signal)
     }
 
     /// Whether a robot's radio unit acknowledges one of the null frames by which Linux probes it after lost beacons.
-    pub(super) fn answers_probe(&mut self, robot: StationIndex, unit: RadioUnitIndex) -> bool {
-        let [reception, _] = self.receptions(robot, unit);
+    pub(super) fn answers_probe(
+        &mut self,
+        now: Timestamp,
+        robot: StationIndex,
+        unit: RadioUnitIndex,
+    ) -> bool {
+        let [reception, _] = self.receptions_at(now, robot, unit);
         let Policy::Supplicant(_, rng) = &mut self.robots[robot].policy else { return false };
         let error_rate = reception.group_error_rate(NULL_FRAME_BYTES);
         (0..PROBES * PROBE_ATTEMPTS).any(|_| random::unit(rng) >= error_rate)

@@ -1,6 +1,6 @@
 //! Signals at both ends of a robot's link to a radio unit, and the radio units that a robot has heard.
 
-use cotorra_graph::{Dbm, LinkId};
+use cotorra_graph::{Dbm, Direction, LinkId, Timestamp};
 
 use super::{
     Network, Path, Radio, RadioUnitIndex, RobotRadio, StationIndex, fading::Moment, phy::Reception,
@@ -33,6 +33,22 @@ impl Radio {
     ) -> [Reception; 2] {
         let Network { spec, phy, .. } = &self.networks[self.units[unit].network];
         self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 + fading_db - spec.noise_floor.0))
+    }
+
+    /// Returns the receptions of a frame at the radio unit and at the robot now, with fading if the network has any.
+    pub(super) fn receptions_at(
+        &mut self,
+        now: Timestamp,
+        robot: StationIndex,
+        unit: RadioUnitIndex,
+    ) -> [Reception; 2] {
+        let mut fading_db = 0.0;
+        if self.networks[self.units[unit].network].spec.fading.is_some() {
+            let place = self.robots[robot].position;
+            let moment = self.link(robot, unit).moment(now, place);
+            fading_db = self.fading_db(Path { robot, unit, direction: Direction::Backward }, moment);
+        }
+        self.receptions(robot, unit, fading_db)
     }
 
     /// Returns the fading of frames on a path in a moment, dB; 0 without fading. It is the same in both directions.

@@ -1,6 +1,6 @@
 //! Robots that roam as wpa_supplicant decides.
 
-use cotorra_graph::BackgroundScan;
+use cotorra_graph::{BackgroundScan, Fading};
 
 use super::*;
 
@@ -78,11 +78,25 @@ fn beacons_are_lost_at_the_error_rate_of_their_signal() {
     for metres in [200.0, 230.0, 240.0, 250.0, 300.0] {
         let mut world = far(5.0);
         world.radio.robots[0].position = Position::new(metres, 0.0);
-        let received = (0..2000).filter(|_| world.radio.receive_beacon(0, 0).is_some()).count();
+        let received = (0..2000).filter(|_| world.radio.receive_beacon(at(0), 0, 0).is_some()).count();
         let rate = 1.0 - received as f64 / 2000.0;
-        let expected = world.radio.receptions(0, 0)[1].group_error_rate(212);
+        let expected = world.radio.receptions(0, 0, 0.0)[1].group_error_rate(212);
         assert!((rate - expected).abs() < 0.04, "{rate} of the beacons at {metres} m, not {expected}");
     }
+}
+
+#[test]
+fn beacons_are_lost_in_fades() {
+    let lost = |fading| {
+        let nodes = vec![robot("r", 32.0, every(3000)), unit("R1", 0.0, 1)];
+        let mut world = World::new(WirelessNetwork { fading, ..noisy() }, nodes);
+        let beacons = (0..3000).map(|i| world.radio.receive_beacon(at(i * 102), 0, 0));
+        beacons.filter(Option::is_none).count()
+    };
+    assert_eq!(lost(None), 0);
+    // The mean SNR is 14.7 dB. A beacon needs about 3 dB: 1 - exp(-10^(-1.17)) of all moments are below.
+    let share = lost(Some(Fading { k_factor_db: None, motion_mps: 5.0 })) as f64 / 3000.0;
+    assert!((share - 0.065).abs() < 0.02, "{share}");
 }
 
 #[test]
@@ -90,7 +104,7 @@ fn a_probe_keeps_a_radio_unit_whose_beacons_are_lost() {
     let mut world = far(5.0);
     // Too weak to be heard in a scan, and most beacons are lost. Short null frames are not.
     world.radio.move_robot(at(50), &id("r"), Position::new(258.0, 0.0)).unwrap();
-    assert!(world.radio.receptions(0, 0)[1].group_error_rate(212) > 0.8);
+    assert!(world.radio.receptions(0, 0, 0.0)[1].group_error_rate(212) > 0.8);
     assert_eq!(world.radio.hears(0, 0), None);
     world.run(at(60_000));
     assert_eq!(world.attached("r"), Some(world.port("R1")));
