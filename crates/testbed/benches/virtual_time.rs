@@ -18,18 +18,23 @@ use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{Options, Place, Simulation, simulate};
 
 fn main() {
-    let corridor = |plugin: &str| {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+    let load = |name: &str, plugin: &str| {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds").join(name);
         cotorra_testbed_file::load_with(file, &[format!("plugin={plugin}").parse().unwrap()]).unwrap()
     };
     println!("{:<58} {:>10} {:>10}", "virtual seconds in a second", "median", "slowest");
     for plugin in ["probing", "okpi"] {
-        let testbed = corridor(plugin);
+        let testbed = load("corridor.yaml", plugin);
         row(&format!("corridor, {plugin}"), 15, || bare(&testbed, None));
         row(&format!("corridor, {plugin}, with history and figure"), 15, || whole(&testbed, None, None));
         row(&format!("corridor, {plugin}, … and recorded as MCAP"), 15, || {
             whole(&testbed, None, recorded())
         });
+    }
+    for plugin in ["probing", "okpi"] {
+        let testbed = load("corridor-wifi.yaml", plugin);
+        row(&format!("corridor with real Wi-Fi, {plugin}"), 15, || bare(&testbed, None));
+        row(&format!("… {plugin}, with history and figure"), 15, || whole(&testbed, None, None));
     }
     let minute = Duration::from_secs(60);
     let hundred = hundred_robots();
