@@ -35,9 +35,12 @@ fn network(name: &str, fit: &SurveyFit) -> String {
     table.extend(fit.wall_loss_db.map(|wall| row("loss of each wall, dB", &wall, 2)));
     table.push(row("deviation of shadowing, dB", &fit.deviation_db, 2));
     table.extend(fit.correlation_m.map(|m| row("correlation distance of shadowing, m", &m, 2)));
-    table.push(row("deviation of noise, dB (not in the testbed)", &fit.noise_db, 2));
-    let head =
-        format!("\n## Network {name}\n\n{} readings of {} radio units.\n\n", fit.readings, fit.radio_units);
+    table.push(row("deviation of noise, dB (no setting)", &fit.noise_db, 2));
+    let plural = if fit.radio_units == 1 { "" } else { "s" };
+    let head = format!(
+        "\n## Network {name}\n\n{} readings of {} radio unit{plural}.\n\n",
+        fit.readings, fit.radio_units
+    );
     head + &fitted(&table) + &notes(&fit.notes)
 }
 

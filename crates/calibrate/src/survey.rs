@@ -96,7 +96,7 @@ pub struct SurveyFit {
     pub deviation_db: Estimate,
     /// Correlation distance of shadowing, metres; `None` if the walk does not show it.
     pub correlation_m: Option<Estimate>,
-    /// Standard deviation of what differs between readings at one place, dB: fast fading and rounding. The testbed has none.
+    /// Standard deviation of what differs between readings at one place, dB: fast fading and rounding. It goes into no setting.
     pub noise_db: Estimate,
     /// What to know about the fit.
     pub notes: Vec<String>,
