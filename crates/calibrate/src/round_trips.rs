@@ -73,7 +73,7 @@ impl Packets {
     fn mention(&mut self, number: i64, line: usize) -> Result<(), CalibrateError> {
         let (first, last) = self.range.unwrap_or((number, number));
         let (first, last) = (first.min(number), last.max(number));
-        if last - first >= MAX_PACKETS as i64 {
+        if last.saturating_sub(first) >= MAX_PACKETS as i64 {
             return Err(CalibrateError::line(
                 line,
                 format!("packet {number} is more than {MAX_PACKETS} packets from another one"),
@@ -166,7 +166,7 @@ fn parse_ping(text: &str) -> Result<RoundTrips, CalibrateError> {
     if let (Some(sent), Some((first, _))) = (sent.filter(|sent| *sent > 0), packets.range) {
         let first = first.min(1);
         packets.mention(first, text.lines().count())?;
-        packets.mention(first + sent - 1, text.lines().count())?;
+        packets.mention(first.saturating_add(sent - 1), text.lines().count())?;
     }
     let mut series = packets.series()?;
     series.interval = usual_interval(&times);
@@ -261,6 +261,7 @@ From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
     fn wrong_lines_are_rejected_in_place() {
         let ping = "64 bytes from a: icmp_seq=1 ttl=64 time=nan ms\n";
         let far = "seq,rtt_ms\n1,1\n5000000,1\n";
+        let absurd = "64 bytes: icmp_seq=1 time=1 ms\n9223372036854775807 packets transmitted\n";
         for (text, expected) in [
             (
                 "",
@@ -275,6 +276,7 @@ From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
             ("seq,rtt_ms\n1,-2\n", "line 2: `-2` is not a number from 0 to 600000"),
             ("seq,rtt_ms\n1\n", "line 2: it has 1 cells, but the header has 2"),
             ("rtt_ms,place\n1,2\n", "line 1: there is no column `seq`: write a header such as `seq,rtt_ms`"),
+            (absurd, "line 2: packet 9223372036854775807 is more than 1000000 packets from another one"),
             (far, "line 3: packet 5000000 is more than 1000000 packets from another one"),
         ] {
             assert_eq!(parse_round_trips(text).unwrap_err().to_string(), expected, "{text}");
