@@ -144,6 +144,7 @@ nodes:
   r1: { kind: robot, cpus: 1, memory: 1 GB, position: [0, 0], roaming: instructed }
   r2: { kind: robot, cpus: 1, memory: 1 GB, position: [1, 0], roaming: instructed }
   r3: { kind: robot, cpus: 1, memory: 1 GB, position: [2, 0], roaming: signal }
+  r4: { kind: robot, cpus: 1, memory: 1 GB, position: [3, 0], roaming: supplicant }
   A: { kind: radio_unit, position: [0, 1], channel: 1 }
   B: { kind: radio_unit, position: [9, 1], channel: 6 }
 links:
@@ -228,7 +229,7 @@ links:
             let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;
             assert!((22.0..23.0).contains(&mean), "{mean}");
         }
-        assert!(scans.iter().all(|(_, robot)| *robot != "r3"), "r3 roams by itself");
+        assert!(scans.iter().all(|(_, robot)| *robot != "r3" && *robot != "r4"), "they roam by themselves");
     }
 
     #[test]
