@@ -27,10 +27,11 @@ impl Radio {
             return self.hears(robot, unit);
         };
         let luck = random::unit(rng);
-        let [_, reception] = self.receptions_at(now, robot, unit);
+        let fading_db = self.fading_now(now, robot, unit);
+        let [_, reception] = self.receptions(robot, unit, fading_db);
         let [_, signal] = self.signals(robot, unit);
         let received = self.units[unit].serves.is_some() && luck >= reception.group_error_rate(BEACON_BYTES);
-        received.then_some(signal)
+        received.then_some(Dbm(signal.0 + fading_db))
     }
 
     /// Whether a robot's radio unit acknowledges one of the null frames by which Linux probes it after lost beacons.

@@ -42,13 +42,18 @@ impl Radio {
         robot: StationIndex,
         unit: RadioUnitIndex,
     ) -> [Reception; 2] {
-        let mut fading_db = 0.0;
-        if self.networks[self.units[unit].network].spec.fading.is_some() {
-            let place = self.robots[robot].position;
-            let moment = self.link(robot, unit).moment(now, place);
-            fading_db = self.fading_db(Path { robot, unit, direction: Direction::Backward }, moment);
-        }
+        let fading_db = self.fading_now(now, robot, unit);
         self.receptions(robot, unit, fading_db)
+    }
+
+    /// Returns the fading of a frame that is sent now, dB; 0 without fading.
+    pub(super) fn fading_now(&mut self, now: Timestamp, robot: StationIndex, unit: RadioUnitIndex) -> f64 {
+        if self.networks[self.units[unit].network].spec.fading.is_none() {
+            return 0.0;
+        }
+        let place = self.robots[robot].position;
+        let moment = self.link(robot, unit).moment(now, place);
+        self.fading_db(Path { robot, unit, direction: Direction::Backward }, moment)
     }
 
     /// Returns the fading of frames on a path in a moment, dB; 0 without fading. It is the same in both directions.

@@ -100,6 +100,25 @@ fn beacons_are_lost_in_fades() {
 }
 
 #[test]
+fn a_beacon_has_the_signal_of_its_moment() {
+    let signals = |fading| {
+        let mut world = World::new(
+            WirelessNetwork { fading, ..network() },
+            vec![robot("r", 5.0, every(3000)), unit("R1", 0.0, 1)],
+        );
+        let [_, mean] = world.radio.signals(0, 0);
+        let beacons = (0..3000).filter_map(|i| world.radio.receive_beacon(at(i * 102), 0, 0));
+        beacons.map(|signal| 10f64.powf((signal.0 - mean.0) / 10.0)).collect::<Vec<_>>()
+    };
+    assert!(signals(None).iter().all(|gain| (gain - 1.0).abs() < 1e-9));
+    // Near the radio unit none is lost, so that the mean power stays. Rayleigh fading halves it in 39 % of all moments.
+    let faded = signals(Some(Fading { k_factor_db: None, motion_mps: 5.0 }));
+    let mean = faded.iter().sum::<f64>() / faded.len() as f64;
+    let deep = faded.iter().filter(|gain| **gain < 0.5).count() as f64 / faded.len() as f64;
+    assert!((mean - 1.0).abs() < 0.1 && (deep - 0.39).abs() < 0.05, "{mean}, {deep}");
+}
+
+#[test]
 fn a_probe_keeps_a_radio_unit_whose_beacons_are_lost() {
     let mut world = far(5.0);
     // Too weak to be heard in a scan, and most beacons are lost. Short null frames are not.
