@@ -12,6 +12,7 @@ use super::{draw::Draw, invariants::SABOTEUR};
 
 /// A fault, or its end.
 #[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "most faults are instructions")]
 pub(super) enum Fault {
     /// An instruction, which may be rejected. Links are also cut and repaired by instructions.
     Instruct { kind: &'static str, instruction: Instruction },
