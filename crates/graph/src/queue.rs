@@ -13,7 +13,7 @@ use crate::units::{Probability, millis};
 pub enum QueueLimit {
     /// Limit in packets, as they are on the wire.
     Packets(u32),
-    /// Limit in bytes, counted as [`Rate`](crate::Rate) counts them.
+    /// Limit in bytes of Ethernet frames, as rates count them.
     Bytes(u64),
 }
 
