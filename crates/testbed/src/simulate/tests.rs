@@ -78,6 +78,34 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
 }
 
 #[test]
+fn real_wifi_keeps_the_median_and_adds_a_tail_outside_scans() {
+    let [plain, real] = ["corridor.yaml", "corridor-wifi.yaml"].map(|name| {
+        let events = events_of(&loaded(name), 1, 60.0);
+        let scans: Vec<_> = events.iter().filter(|e| matches!(e.event, Event::Scanned { .. })).collect();
+        let is_near_scan = |sample: &ServiceTime| {
+            scans.iter().any(|scan| {
+                sample.emitted.since(scan.at).max(scan.at.since(sample.emitted)).as_millis() < 500
+            })
+        };
+        let mut took: Vec<_> = events
+            .iter()
+            .filter_map(|event| match &event.event {
+                Event::ServiceTime(sample) if is_of_navigation(sample) && !is_near_scan(sample) => {
+                    sample.took
+                }
+                _ => None,
+            })
+            .map(|took| took.as_secs_f64() * 1e3)
+            .collect();
+        took.sort_by(f64::total_cmp);
+        [0.5, 0.99].map(|share| took[(share * took.len() as f64) as usize])
+    });
+    assert!((real[0] - plain[0]).abs() < 0.65, "{real:?} and {plain:?}");
+    assert!(plain[1] - plain[0] < 1.0, "{plain:?}");
+    assert!(real[1] - real[0] > 4.0, "{real:?}");
+}
+
+#[test]
 fn a_quadrotor_flies_its_walk_and_hears_radio_units_according_to_height() {
     let testbed = loaded("hall.yaml");
     let uav = testbed.graph.robots().next().unwrap().0.id.clone();
