@@ -7,6 +7,7 @@ mod agents;
 mod api;
 #[cfg(feature = "containers")]
 mod bench_image;
+mod calibrate;
 mod camera;
 mod capture;
 #[cfg(feature = "ethereum")]

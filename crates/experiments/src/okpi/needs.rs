@@ -52,41 +52,22 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::okpi::tests::TESTBED;
 
     fn lacking(text: &str) -> String {
         let testbed = cotorra_testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
         check(&testbed).map_or_else(|unfit| unfit.lacking.join("; "), |()| String::new())
     }
 
-    const COMPLETE: &str = "
-name: small
-wireless: { lab: { standard: n, delay: 1 ms, path_loss: { model: free_space } } }
-nodes:
-  robot: { kind: robot, cpus: 1, memory: 1 GB, roaming: instructed }
-  R1: { kind: radio_unit, position: [0, 1], channel: 1 }
-  cloud: { kind: server, tier: cloud, cpus: 4, memory: 4 GB }
-links:
-  - { ends: [R1, cloud], delay: 1 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: cloud, cpus: 1 }
-walks:
-  robot: { waypoints: [[0, 0], [1, 0]], speed_limit: 0.3 m/s }
-";
-
     #[test]
     fn a_testbed_without_plugins_is_enough() {
-        assert_eq!(lacking(COMPLETE), "");
+        assert_eq!(lacking(TESTBED), "");
     }
 
     #[test]
     fn all_that_a_testbed_lacks_is_named() {
         assert_eq!(
-            lacking(&COMPLETE.replace("roaming: instructed", "roaming: signal")),
+            lacking(&TESTBED.replace("roaming: instructed", "roaming: signal")),
             "`roaming: instructed` of `robot`"
         );
         let nothing = "name: none\nnodes: { lan: { kind: switch } }\n";

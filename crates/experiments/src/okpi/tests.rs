@@ -4,7 +4,7 @@ use cotorra_graph::{Event, Stamped, Timestamp};
 
 use super::*;
 
-const TESTBED: &str = "
+pub(super) const TESTBED: &str = "
 name: small
 wireless: { lab: { standard: n, delay: 1 ms, path_loss: { model: free_space } } }
 nodes:

@@ -1,0 +1,104 @@
+//! A testbed that is fitted to round trips and a survey, and then runs.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{fmt::Write as _, fs};
+
+use serde_json::Value;
+
+use crate::harness::{output, stderr, stdout};
+
+const LAB: &str = "name: lab
+wireless: { w: { path_loss: { model: log_distance, exponent: 3.0 }, shadowing: { deviation: 0 dB } } }
+nodes:
+  robot: { kind: robot }
+  A: { kind: radio_unit, position: [0, 0], channel: 1 }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [A, edge], delay: 1 ms } # nobody measured this
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 25 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: edge }
+walks:
+  robot: { waypoints: [[1, 0], [4, 0]] }
+";
+
+/// Numbers from 0 to 1 that look random.
+fn numbers() -> impl Iterator<Item = f64> {
+    std::iter::successors(Some(1_u32), |x| Some(x.wrapping_mul(1_103_515_245).wrapping_add(12_345)))
+        .map(|x| f64::from(x >> 8) / f64::from(1_u32 << 24))
+}
+
+/// Output of `ping -D` with round trips from 18 to 22 ms, of which one in fifty is lost.
+fn ping() -> String {
+    let mut text = "PING 10.0.0.2 (10.0.0.2) 56(84) bytes of data.\n".to_owned();
+    for (i, number) in (1..=600).zip(numbers()).filter(|(i, _)| i % 50 != 0) {
+        let (at, ms) = (1_700_000_000 + i, 18.0 + 4.0 * number);
+        writeln!(text, "[{at}.000000] 64 bytes from 10.0.0.2: icmp_seq={i} ttl=64 time={ms:.2} ms").unwrap();
+    }
+    text
+}
+
+/// A survey along a line, of a path loss with the exponent 2.2 and independent deviations.
+fn survey() -> String {
+    let mut text = "time_s,x,y,radio_unit,signal_dbm\n".to_owned();
+    for (i, number) in (0..120).zip(numbers()) {
+        let distance = 1.5 + 0.5 * f64::from(i);
+        let free_space_at_1_m = 20.0 * 2412_f64.log10() - 27.55;
+        let signal = 15.0 - free_space_at_1_m - 22.0 * distance.log10() + 4.0 * (number - 0.5);
+        writeln!(text, "{i},{distance},0,A,{signal:.1}").unwrap();
+    }
+    text
+}
+
+#[test]
+fn a_testbed_is_fitted_to_measurements_and_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    fs::write(path("lab.yaml"), LAB).unwrap();
+    fs::write(path("ping.txt"), ping()).unwrap();
+    fs::write(path("survey.csv"), survey()).unwrap();
+    let (file, pinged) = (path("lab.yaml"), format!("A-edge={}", path("ping.txt")));
+    let (survey, out) = (path("survey.csv"), path("fitted"));
+    let arguments =
+        ["calibrate", &file, "--ping", &pinged, "--survey", &survey, "--target", "21ms", "--out", &out];
+    let fitted = output(arguments);
+    assert!(fitted.status.success(), "{}", stderr(&fitted));
+    assert!(stdout(&fitted).contains("constant delay, normal jitter"), "{}", stdout(&fitted));
+
+    let report: Value = serde_json::from_slice(&fs::read(path("fitted/report.json")).unwrap()).unwrap();
+    let holds = |estimate: &Value, truth: f64| {
+        let [low, high] = ["low", "high"].map(|end| estimate[end].as_f64().unwrap());
+        assert!((low..=high).contains(&truth), "{estimate} holds {truth}");
+    };
+    holds(&report["links"]["A-edge"]["fit"]["mean_ms"], 20.0);
+    holds(&report["networks"]["w"]["exponent"], 2.2);
+
+    let testbed = path("fitted/testbed.yaml");
+    let text = fs::read_to_string(&testbed).unwrap();
+    assert!(text.starts_with(LAB), "the file keeps its comments");
+    let run = output(["run", &testbed, "--simulate", "--until", "20s", "--out", &path("runs")]);
+    assert!(run.status.success(), "{}", stderr(&run));
+
+    let again = output(arguments);
+    assert!(!again.status.success());
+    assert!(stderr(&again).contains("exists already"), "{}", stderr(&again));
+    assert!(output(arguments.iter().chain(&["--force"])).status.success());
+    assert_eq!(fs::read_to_string(&testbed).unwrap(), text, "the same measurements give the same file");
+}
+
+#[test]
+fn measurements_that_determine_nothing_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    fs::write(path("lab.yaml"), LAB).unwrap();
+    fs::write(path("ping.txt"), "64 bytes from 10.0.0.2: icmp_seq=1 ttl=64 time=20.1 ms\n").unwrap();
+    let pinged = format!("A-edge={}", path("ping.txt"));
+    let refused = output(["calibrate", &path("lab.yaml"), "--ping", &pinged, "--out", &path("fitted")]);
+    assert!(!refused.status.success());
+    assert!(stderr(&refused).contains("A-edge"), "{}", stderr(&refused));
+    assert!(!folder.path().join("fitted").exists(), "nothing is written");
+}
