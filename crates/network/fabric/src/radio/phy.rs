@@ -539,6 +539,43 @@ mod tests {
     }
 
     #[test]
+    fn packet_errors_are_those_that_ns_3_publishes() {
+        // Mode of 802.11a, SNR (dB), share of PSDUs of 2000 bytes that arrive: the spot tests of NistErrorRateModel in ns-3's
+        // wifi-error-rate-models-test.cc.
+        let published = [
+            (0, 3.0, 0.020),
+            (0, 4.0, 0.885),
+            (0, 5.0, 0.997),
+            (1, 6.0, 0.097),
+            (1, 7.0, 0.918),
+            (1, 8.0, 0.998),
+            (2, 6.0, 0.0174),
+            (2, 7.0, 0.881),
+            (2, 8.0, 0.997),
+            (3, 9.5, 0.623),
+            (3, 10.5, 0.985),
+            (4, 13.0, 0.495),
+            (4, 14.0, 0.974),
+            (5, 15.5, 0.012),
+            (5, 16.5, 0.818),
+            (5, 17.5, 0.993),
+            (6, 20.0, 1.3e-4),
+            (6, 21.0, 0.649),
+            (6, 22.0, 0.983),
+            (7, 22.0, 0.410),
+            (7, 23.0, 0.958),
+        ];
+        for (mode, snr_db, arrives) in published {
+            let modelled =
+                1.0 - reception(WifiStandard::A, snr_db).error_rate(mode, 2000 - MAC_OVERHEAD as usize);
+            assert!(
+                (modelled - arrives).abs() < 0.01,
+                "mode {mode} at {snr_db} dB: {modelled:.4}, not {arrives}"
+            );
+        }
+    }
+
+    #[test]
     fn ideal_rate_follows_the_signal() {
         let at =
             |standard, snrs: &[f64]| snrs.iter().map(|s| reception(standard, *s).mbps()).collect::<Vec<_>>();
