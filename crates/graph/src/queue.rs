@@ -49,11 +49,11 @@ pub enum QueueDiscipline {
 pub struct Codel {
     /// Acceptable time in the queue.
     #[serde(rename = "target_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 5.0))]
     pub target: Duration,
     /// Time above the target before the first drop, about a round-trip time.
     #[serde(rename = "interval_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 100.0))]
     pub interval: Duration,
     /// Whether ECN-capable packets are marked instead of dropped.
     pub ecn: bool,
@@ -73,11 +73,11 @@ impl Default for Codel {
 pub struct FqCodel {
     /// Acceptable time in the queue.
     #[serde(rename = "target_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 5.0))]
     pub target: Duration,
     /// Time above the target before the first drop, about a round-trip time.
     #[serde(rename = "interval_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 100.0))]
     pub interval: Duration,
     /// Queues that flows are hashed to.
     pub flows: u32,
@@ -110,15 +110,15 @@ impl Default for FqCodel {
 pub struct Pie {
     /// Time in the queue that it aims at.
     #[serde(rename = "target_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 15.0))]
     pub target: Duration,
     /// Time from one update of the drop probability to the next.
     #[serde(rename = "update_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 15.0))]
     pub update: Duration,
     /// Length of a burst that passes without drops.
     #[serde(rename = "burst_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 150.0))]
     pub burst: Duration,
     /// Whether ECN-capable packets are marked instead of dropped, while the drop probability is below 10 %.
     pub ecn: bool,
