@@ -24,13 +24,8 @@ impl Radio {
             Direction::Backward => Flow::Down(path.robot),
         };
         let waiting = Waiting { frame, since: now, source: None, is_probe };
-        let pushed = match &mut self.edca {
-            Some(edca) if self.networks[self.robots[path.robot].network].contends() => {
-                edca.push(now, flow, waiting, limit)
-            }
-            _ => self.medium.push(flow, waiting, limit),
-        };
-        if let Err(frame) = pushed {
+        let network = self.robots[path.robot].network;
+        if let Err(frame) = self.push(now, network, flow, waiting, limit) {
             self.lane(path).meter().counters.overflowed += u64::from(!is_probe);
             self.lost.push(frame);
             return;

@@ -3,9 +3,13 @@
 
 use std::collections::VecDeque;
 
-use cotorra_graph::{Direction, Timestamp};
+use cotorra_graph::{Direction, QueueLimit, Timestamp};
 
-use super::{Path, Radio, RadioUnitIndex, StationIndex, medium::Waiting};
+use super::{
+    Path, Radio, RadioUnitIndex, StationIndex,
+    medium::{Flow, Waiting},
+};
+use crate::frame::Frame;
 
 impl Radio {
     /// Whether senders contend for a channel.
@@ -31,6 +35,24 @@ impl Radio {
         let Some(unit) = self.robots[robot].home else { return };
         for (direction, settled) in [Direction::Forward, Direction::Backward].into_iter().zip(settled) {
             self.settle(now, Path { robot, unit, direction }, settled);
+        }
+    }
+
+    /// Queues a frame for its flow, in a network.
+    ///
+    /// # Errors
+    /// The frame, if the queue is full.
+    pub(super) fn push(
+        &mut self,
+        now: Timestamp,
+        network: usize,
+        flow: Flow,
+        waiting: Waiting,
+        limit: QueueLimit,
+    ) -> Result<(), Frame> {
+        match &mut self.edca {
+            Some(edca) if self.networks[network].contends() => edca.push(now, flow, waiting, limit),
+            _ => self.medium.push(flow, waiting, limit),
         }
     }
 

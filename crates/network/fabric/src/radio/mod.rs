@@ -392,14 +392,8 @@ impl Radio {
             return self.lost.push(frame);
         }
         let waiting = Waiting { frame, since: now, source, is_probe: false };
-        let (flow, limit) = (Flow::Group(unit), QueueLimit::default());
-        let pushed = match &mut self.edca {
-            Some(edca) if self.networks[self.units[unit].network].contends() => {
-                edca.push(now, flow, waiting, limit)
-            }
-            _ => self.medium.push(flow, waiting, limit),
-        };
-        match pushed {
+        let network = self.units[unit].network;
+        match self.push(now, network, Flow::Group(unit), waiting, QueueLimit::default()) {
             Ok(()) => self.serve(self.medium.channel(unit), now),
             Err(frame) => {
                 for path in self.group(unit, source).collect::<Vec<_>>() {
