@@ -105,7 +105,7 @@ pub fn fit_path(trips: &RoundTrips, seed: u64) -> Result<PathFit, CalibrateError
         correlation: correlation(&trips.times_ms),
         block_length: resampler.length(),
         loss: loss::fit(&lost, draws),
-        duplication: share(trips.duplicates, arrived.len(), draws),
+        duplication: share(trips.duplicates.len(), arrived.len(), draws),
         notes: Vec::new(),
         resampled: located,
     };

@@ -1,6 +1,6 @@
 //! Round trips of one path: a series of packets, of which some are lost or arrive twice.
 
-use std::time::Duration;
+use std::{collections::BTreeSet, time::Duration};
 
 use crate::{
     csv::{self, Table},
@@ -21,8 +21,8 @@ const USUAL_FRAME: usize = 64 + HEADERS;
 pub struct RoundTrips {
     /// Milliseconds of each packet; `None` if it was lost.
     pub times_ms: Vec<Option<f64>>,
-    /// Number of packets that arrived a second time.
-    pub duplicates: usize,
+    /// Places in the series of the packets that arrived again.
+    pub duplicates: BTreeSet<usize>,
     /// Number of packets that arrived behind one that was sent later.
     pub late: usize,
     /// Usual time between two packets; `None` if it is unknown.
@@ -41,7 +41,11 @@ impl RoundTrips {
     pub fn split(&self, share: f64) -> [Self; 2] {
         let at = (self.times_ms.len() as f64 * share).round() as usize;
         let (first, second) = self.times_ms.split_at(at.min(self.times_ms.len()));
-        [first, second].map(|times| Self { times_ms: times.to_vec(), ..self.clone() })
+        [(first, 0), (second, first.len())].map(|(times, begins)| Self {
+            times_ms: times.to_vec(),
+            duplicates: self.duplicates.range(begins..begins + times.len()).map(|at| at - begins).collect(),
+            ..self.clone()
+        })
     }
 }
 
@@ -66,7 +70,6 @@ struct Packets {
     arrived: Vec<(i64, f64)>,
     last_arrived: Option<i64>,
     late: usize,
-    duplicates: usize,
 }
 
 impl Packets {
@@ -92,7 +95,7 @@ impl Packets {
     }
 
     /// Returns the series. A packet that arrived twice counts with its first time.
-    fn series(mut self) -> Result<RoundTrips, CalibrateError> {
+    fn series(self) -> Result<RoundTrips, CalibrateError> {
         let Some((first, last)) = self.range else {
             return Err(CalibrateError::Unreadable(
                 "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms"
@@ -100,18 +103,16 @@ impl Packets {
             ));
         };
         let mut times_ms = vec![None; (last - first + 1) as usize];
+        let mut duplicates = BTreeSet::new();
         for (number, ms) in self.arrived {
-            let time = &mut times_ms[(number - first) as usize];
-            self.duplicates += usize::from(time.is_some());
-            time.get_or_insert(ms);
+            let place = (number - first) as usize;
+            if times_ms[place].is_some() {
+                duplicates.insert(place);
+            } else {
+                times_ms[place] = Some(ms);
+            }
         }
-        Ok(RoundTrips {
-            times_ms,
-            duplicates: self.duplicates,
-            late: self.late,
-            interval: None,
-            frame_bytes: USUAL_FRAME,
-        })
+        Ok(RoundTrips { times_ms, duplicates, late: self.late, interval: None, frame_bytes: USUAL_FRAME })
     }
 }
 
@@ -225,11 +226,19 @@ From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
 ";
 
     #[test]
+    fn each_part_has_its_own_duplicates() {
+        // Packets 1 to 4, of which the first arrives four times and the last twice.
+        let text = "seq,rtt_ms\n1,10\n1,11\n1,12\n1,13\n2,10\n3,10\n4,10\n4,11\n";
+        let parts = parse_round_trips(text).unwrap().split(0.5);
+        assert_eq!(parts.map(|part| Vec::from_iter(part.duplicates)), [vec![0], vec![1]]);
+    }
+
+    #[test]
     fn ping_output_gives_times_losses_and_duplicates() {
         let trips = parse_round_trips(PING).unwrap();
         let times = [Some(12.5), Some(13.0), None, Some(1013.0), Some(12.0), None, None, None];
         assert_eq!(trips.times_ms, times);
-        assert_eq!((trips.duplicates, trips.late, trips.frame_bytes), (1, 1, 98));
+        assert_eq!((trips.duplicates.len(), trips.late, trips.frame_bytes), (1, 1, 98));
         assert!((trips.interval.unwrap().as_secs_f64() - 1.0).abs() < 1e-5, "{:?}", trips.interval);
     }
 

@@ -1,5 +1,7 @@
 //! Round trips whose jitter and losses depend on those before.
 
+use std::collections::BTreeSet;
+
 use cotorra_calibrate::{Draws, RoundTrips, fit_path};
 use cotorra_graph::JitterDistribution;
 
@@ -60,7 +62,7 @@ pub fn round_trips(truth: Truth, draws: &mut Draws) -> RoundTrips {
         (!lost).then_some(truth.mean_ms + truth.deviation_ms * jitter)
     };
     let times_ms = (0..PACKETS).map(|_| packet()).collect();
-    RoundTrips { times_ms, duplicates: 0, late: 0, interval: None, frame_bytes: 98 }
+    RoundTrips { times_ms, duplicates: BTreeSet::new(), late: 0, interval: None, frame_bytes: 98 }
 }
 
 #[test]
