@@ -2,16 +2,16 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{Link, Rate, Scale, Testbed};
+use cotorra_graph::{Direction, Link, Rate, Scale, Testbed};
 use serde::Serialize;
 
 use crate::{
     compare::{Comparison, compare},
     error::CalibrateError,
     path::{PathFit, fit_path},
-    round_trips::RoundTrips,
-    settings::{FittedSetting, of_link, of_network},
+    settings::{FittedSetting, of_network, of_round_trips, of_way},
     survey::{Reading, SurveyFit, fit_survey},
+    times::{Means, OneWay, PacketTimes},
 };
 
 /// Measurements of a site.
@@ -19,16 +19,25 @@ use crate::{
 pub struct Measurements {
     /// Readings of a signal survey.
     pub survey: Vec<Reading>,
-    /// Round trips over wired links, by the link's name.
-    pub round_trips: BTreeMap<String, RoundTrips>,
+    /// Packets over wired links, by the link's name.
+    pub links: BTreeMap<String, LinkMeasurement>,
+}
+
+/// Packets over a wired link.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LinkMeasurement {
+    /// Their round trips.
+    RoundTrips(PacketTimes),
+    /// Their times in each direction.
+    OneWay(OneWay),
 }
 
 /// Options of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
-    /// Target of round trips; the share above it is compared.
+    /// Target of round trips; the share above it is compared. One-way times have none.
     pub target: Option<Duration>,
-    /// Share of round trips that are fitted, from the start; the others test the fit.
+    /// Share of packets that are fitted, from the start; the others test the fit.
     pub fitted_share: f64,
     /// Seed of draws and resamples.
     pub seed: u64,
@@ -42,7 +51,53 @@ impl Default for Options {
 
 /// A wired link, fitted and tested.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct LinkCalibration {
+#[serde(untagged)]
+pub enum LinkCalibration {
+    /// By round trips.
+    RoundTrips(PathCalibration),
+    /// By one-way times.
+    OneWay {
+        /// The forward direction; `None` if it was not measured.
+        forward: Option<PathCalibration>,
+        /// The backward direction; `None` if it was not measured.
+        backward: Option<PathCalibration>,
+        /// What is known of the mean delays.
+        means: Means,
+        /// What to know about both directions.
+        notes: Vec<String>,
+    },
+}
+
+impl LinkCalibration {
+    /// Returns the paths that were fitted, each with its name: `round trips`, `forward` or `backward`.
+    pub fn paths(&self) -> impl Iterator<Item = (&'static str, &PathCalibration)> {
+        let paths = match self {
+            Self::RoundTrips(path) => [Some(("round trips", path)), None],
+            Self::OneWay { forward, backward, .. } => [
+                forward.as_ref().map(|path| ("forward", path)),
+                backward.as_ref().map(|path| ("backward", path)),
+            ],
+        };
+        paths.into_iter().flatten()
+    }
+
+    /// Whether the means are those of the site, rather than beyond an unknown one.
+    pub fn mean_is_known(&self) -> bool {
+        !matches!(self, Self::OneWay { means: Means::Unknown, .. })
+    }
+
+    /// Returns what to know about the measurement as a whole.
+    pub fn notes(&self) -> &[String] {
+        match self {
+            Self::RoundTrips(_) => &[],
+            Self::OneWay { notes, .. } => notes,
+        }
+    }
+}
+
+/// A path, fitted and tested.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PathCalibration {
     /// The fit.
     pub fit: PathFit,
     /// The test.
@@ -74,31 +129,58 @@ impl Calibration {
         measurements: &Measurements,
         options: Options,
     ) -> Result<Self, CalibrateError> {
-        if measurements.survey.is_empty() && measurements.round_trips.is_empty() {
+        if measurements.survey.is_empty() && measurements.links.is_empty() {
             return Err(CalibrateError::too_little("there are no measurements to fit"));
         }
         let networks = fit_survey(testbed, &measurements.survey, options.seed)?;
         let mut settings: Vec<FittedSetting> =
             networks.iter().flat_map(|(name, fit)| of_network(testbed, name, fit)).collect();
         let mut links = BTreeMap::new();
-        for (name, trips) in &measurements.round_trips {
+        for (name, measured) in &measurements.links {
             let link = link(testbed, name)?;
-            let of_link_error = |error| CalibrateError::of_link(name, error);
-            let calibrated = calibrate_link(trips, options).map_err(of_link_error)?;
-            settings.extend(
-                of_link(link, &calibrated.fit, sending(link, trips.frame_bytes)).map_err(of_link_error)?,
-            );
+            let calibrated = calibrate_link(link, measured, options);
+            let (calibrated, of_link) = calibrated.map_err(|error| CalibrateError::of_link(name, error))?;
+            settings.extend(of_link);
             links.insert(name.clone(), calibrated);
         }
         Ok(Self { testbed: testbed.name.clone(), seed: options.seed, networks, links, settings })
     }
 }
 
-fn calibrate_link(trips: &RoundTrips, options: Options) -> Result<LinkCalibration, CalibrateError> {
-    let [fitted, test] = trips.split(options.fitted_share);
+fn calibrate_link(
+    link: &Link,
+    measured: &LinkMeasurement,
+    options: Options,
+) -> Result<(LinkCalibration, Vec<FittedSetting>), CalibrateError> {
+    match measured {
+        LinkMeasurement::RoundTrips(trips) => {
+            let path = calibrate_path(trips, options)?;
+            let settings = of_round_trips(link, &path.fit, sending(link, trips.frame_bytes))?;
+            Ok((LinkCalibration::RoundTrips(path), settings))
+        }
+        LinkMeasurement::OneWay(OneWay { ways, means, notes }) => {
+            let options = Options { target: None, ..options };
+            let path = |way: &PacketTimes| calibrate_path(way, options);
+            let [forward, backward] = ways.each_ref().map(|way| way.as_ref().map(path).transpose());
+            let (forward, backward) = (forward?, backward?);
+            let mut settings = Vec::new();
+            for (i, direction) in [Direction::Forward, Direction::Backward].into_iter().enumerate() {
+                if let (Some(path), Some(way)) = ([&forward, &backward][i], &ways[i]) {
+                    let sending_ms = sending(link, way.frame_bytes)[i];
+                    settings.extend(of_way(link, direction, &path.fit, *means, sending_ms)?);
+                }
+            }
+            let (means, notes) = (*means, notes.clone());
+            Ok((LinkCalibration::OneWay { forward, backward, means, notes }, settings))
+        }
+    }
+}
+
+fn calibrate_path(times: &PacketTimes, options: Options) -> Result<PathCalibration, CalibrateError> {
+    let [fitted, test] = times.split(options.fitted_share);
     let fit = fit_path(&fitted, options.seed)?;
     let comparison = compare(&fit, &fitted, &test, options.target, options.seed)?;
-    Ok(LinkCalibration { fit, comparison })
+    Ok(PathCalibration { fit, comparison })
 }
 
 fn link<'a>(testbed: &'a Testbed, name: &str) -> Result<&'a Link, CalibrateError> {
@@ -118,9 +200,9 @@ fn link<'a>(testbed: &'a Testbed, name: &str) -> Result<&'a Link, CalibrateError
     }
 }
 
-/// Returns the times that a frame takes to be sent over a link, forward and backward, ms. A trace counts as no time.
-fn sending(link: &Link, bytes: usize) -> [f64; 2] {
-    [&link.forward, &link.backward].map(|conditions| match &conditions.rate {
+/// Returns the times that a frame takes to be sent forward, and its answer backward, ms. A trace counts as no time.
+fn sending(link: &Link, [frame, answer]: [usize; 2]) -> [f64; 2] {
+    [(&link.forward, frame), (&link.backward, answer)].map(|(conditions, bytes)| match &conditions.rate {
         Rate::Fixed { bits_per_second } => bytes as f64 * 8e3 / bits_per_second.bits_per_second() as f64,
         Rate::Unlimited | Rate::Trace { .. } => 0.0,
     })

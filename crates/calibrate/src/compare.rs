@@ -11,7 +11,7 @@ use crate::{
     estimate::{Estimate, quantile},
     jitter,
     path::{PathFit, RESAMPLES, check_number},
-    round_trips::RoundTrips,
+    times::PacketTimes,
 };
 
 /// Simulated packets of a prediction.
@@ -21,7 +21,7 @@ const THINNED: usize = 20;
 /// Quantiles that are compared.
 const LEVELS: [f64; 3] = [0.5, 0.95, 0.99];
 
-/// What is compared of a series of round trips.
+/// What is compared of a series of times.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Figures<T> {
     /// Median of the packets that arrived, ms.
@@ -107,8 +107,8 @@ struct Resample {
 /// [`CalibrateError::TooLittle`] if too few packets of the test part arrived.
 pub fn compare(
     fit: &PathFit,
-    fitted: &RoundTrips,
-    test: &RoundTrips,
+    fitted: &PacketTimes,
+    test: &PacketTimes,
     target: Option<Duration>,
     seed: u64,
 ) -> Result<Comparison, CalibrateError> {
@@ -227,7 +227,7 @@ struct Part {
 }
 
 impl Part {
-    fn new(trips: &RoundTrips, target_ms: Option<f64>) -> Self {
+    fn new(trips: &PacketTimes, target_ms: Option<f64>) -> Self {
         let times = trips.arrived();
         let mut next = 0..times.len();
         let packets: Vec<_> = trips.times_ms.iter().map(|time| time.and_then(|_| next.next())).collect();
@@ -326,7 +326,7 @@ mod tests {
     }
 
     /// Round trips with Pareto jitter of 20 ms and 2 ms, and a loss now and then.
-    fn series(seed: u64, n: usize) -> RoundTrips {
+    fn series(seed: u64, n: usize) -> PacketTimes {
         let mut draws = Draws::new(seed, "series");
         let mut time = || 20.0 + 2.0 * jitter::draw(cotorra_graph::JitterDistribution::Pareto, &mut draws);
         let rows: String = (0..n)

@@ -1,15 +1,16 @@
-//! Fits a testbed to measurements of a real site: the radio to a signal survey, and links to round trips.
+//! Fits a testbed to measurements of a real site: the radio to a signal survey, and links to times of packets.
 //!
-//! Texts go in, and estimates with 95 % intervals come out, with the settings that put them into a testbed file. It opens no
-//! files and measures nothing itself. All randomness comes from a seed, so that a calibration can be repeated.
+//! Texts and captures go in, and estimates with 95 % intervals come out, with the settings that put them into a testbed file. It
+//! opens no files and measures nothing itself. All randomness comes from a seed, so that a calibration can be repeated.
 //!
 //! [`fit_survey`] fits path loss, walls and shadowing of a wireless network. [`Calibration::new`] fits all measurements, and
-//! compares each link on a part of its round trips that was not fitted. Measurements that do not determine a value give a wide
+//! compares each link on a part of its packets that was not fitted. Measurements that do not determine a value give a wide
 //! interval or a [`CalibrateError`].
 #![forbid(unsafe_code)]
 
 mod bootstrap;
 mod calibration;
+mod capture;
 mod compare;
 mod csv;
 mod draws;
@@ -22,9 +23,11 @@ mod report;
 mod round_trips;
 mod settings;
 mod survey;
+mod times;
 
 pub use self::{
-    calibration::{Calibration, LinkCalibration, Measurements, Options},
+    calibration::{Calibration, LinkCalibration, LinkMeasurement, Measurements, Options, PathCalibration},
+    capture::{MAX_CAPTURE, one_way_of_captures, round_trips_of_capture},
     compare::{Comparison, Figures, Prediction, Predictor, compare},
     csv::MAX_LINES,
     draws::Draws,
@@ -33,7 +36,8 @@ pub use self::{
     loss::LossFit,
     path::{LEAST_ARRIVED, PathFit, fit_path},
     report::markdown,
-    round_trips::{RoundTrips, parse_round_trips},
+    round_trips::parse_round_trips,
     settings::{FittedSetting, calibrated_text},
     survey::{MAX_READINGS, Reading, SurveyFit, fit_survey, parse_survey},
+    times::{Means, OneWay, PacketTimes},
 };

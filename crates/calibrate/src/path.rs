@@ -1,4 +1,4 @@
-//! Delay, jitter, loss and duplication of a path, fitted to round trips.
+//! Delay, jitter, loss and duplication of a path, fitted to times of its packets: round trips, or one way.
 
 use cotorra_graph::JitterDistribution;
 use serde::Serialize;
@@ -13,41 +13,41 @@ use crate::{
         standard_quantiles,
     },
     loss::{self, LossFit},
-    round_trips::RoundTrips,
+    times::PacketTimes,
 };
 
-/// Fewest round trips of a fit, and of a test.
+/// Fewest packets of a fit, and of a test.
 pub const LEAST_ARRIVED: usize = 100;
 /// Resamples of a bootstrap.
 pub(crate) const RESAMPLES: usize = 500;
-/// A round trip that is this rare is the shortest one.
-const SHORTEST: f64 = 0.001;
+/// A time that is this rare is the shortest one.
+pub(crate) const SHORTEST: f64 = 0.001;
 /// Distinct times below which rounding hides the distribution.
 const COARSE: usize = 20;
 /// Normal deviate of a two-sided interval of 95 %.
 const TWO_SIDED: f64 = 1.959_964;
 
-/// A path, fitted to round trips.
+/// A path, fitted to times of its packets.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PathFit {
     /// Number of packets.
     pub packets: usize,
-    /// Mean round trip, ms.
+    /// Mean time, ms.
     pub mean_ms: Estimate,
-    /// Deviation of round trips, ms: half the width of a uniform distribution, the standard deviation of others.
+    /// Deviation of times, ms: half the width of a uniform distribution, the standard deviation of others.
     pub deviation_ms: Estimate,
     /// Distribution whose quantiles are nearest to those measured.
     pub distribution: JitterDistribution,
     /// Distance of each distribution to the measured quantiles, ms: root of the mean square.
     pub distances_ms: Vec<(JitterDistribution, f64)>,
-    /// Correlation of round trips with those of the next packet. A testbed's jitter has none.
+    /// Correlation of a time with that of the next packet. A testbed's jitter has none.
     pub correlation: Estimate,
     /// Mean length of a block of the bootstrap, in packets.
     pub block_length: f64,
-    /// Losses, of both directions together.
-    pub loss: LossFit,
-    /// Share of packets that arrive twice.
-    pub duplication: Estimate,
+    /// Losses, of round trips in both directions together; `None` if they were not measured.
+    pub loss: Option<LossFit>,
+    /// Share of packets that arrive twice; `None` if it was not measured.
+    pub duplication: Option<Estimate>,
     /// What to know about the fit.
     pub notes: Vec<String>,
     /// Fits of resamples.
@@ -56,12 +56,12 @@ pub struct PathFit {
 }
 
 impl PathFit {
-    /// Returns a quantile of the fitted round trips, ms.
+    /// Returns a quantile of the fitted times, ms.
     pub(crate) fn quantile_ms(&self, level: f64) -> f64 {
         (self.mean_ms.value + self.deviation_ms.value * standard_quantile(self.distribution, level)).max(0.0)
     }
 
-    /// Returns the shortest round trip, ms, which jitter adds to.
+    /// Returns the shortest time, ms, which jitter adds to.
     pub(crate) fn shortest_ms(&self) -> f64 {
         self.quantile_ms(SHORTEST)
     }
@@ -71,7 +71,7 @@ impl PathFit {
 ///
 /// # Errors
 /// [`CalibrateError::TooLittle`] if too few packets arrived.
-pub fn fit_path(trips: &RoundTrips, seed: u64) -> Result<PathFit, CalibrateError> {
+pub fn fit_path(trips: &PacketTimes, seed: u64) -> Result<PathFit, CalibrateError> {
     let draws = &mut Draws::new(seed, "calibrate path");
     let arrived = trips.arrived();
     check_number(trips, "fit")?;
@@ -104,8 +104,8 @@ pub fn fit_path(trips: &RoundTrips, seed: u64) -> Result<PathFit, CalibrateError
         distances_ms: matched.iter().map(|(distribution, found)| (*distribution, found.distance)).collect(),
         correlation: correlation(&trips.times_ms),
         block_length: resampler.length(),
-        loss: loss::fit(&lost, draws),
-        duplication: share(trips.duplicates.len(), arrived.len(), draws),
+        loss: trips.counts_losses.then(|| loss::fit(&lost, draws)),
+        duplication: trips.counts_losses.then(|| share(trips.duplicated.len(), arrived.len(), draws)),
         notes: Vec::new(),
         resampled: located,
     };
@@ -114,7 +114,7 @@ pub fn fit_path(trips: &RoundTrips, seed: u64) -> Result<PathFit, CalibrateError
 }
 
 /// Rejects a part with too few packets.
-pub(crate) fn check_number(trips: &RoundTrips, to: &str) -> Result<(), CalibrateError> {
+pub(crate) fn check_number(trips: &PacketTimes, to: &str) -> Result<(), CalibrateError> {
     let (sent, arrived) = (trips.times_ms.len(), trips.times_ms.iter().flatten().count());
     match arrived {
         0 => Err(CalibrateError::too_little(format!("all {sent} packets of the part to {to} were lost"))),
@@ -125,8 +125,8 @@ pub(crate) fn check_number(trips: &RoundTrips, to: &str) -> Result<(), Calibrate
     }
 }
 
-fn notes(fitted: &PathFit, trips: &RoundTrips, distinct: usize) -> Vec<String> {
-    let mut notes = Vec::new();
+fn notes(fitted: &PathFit, trips: &PacketTimes, distinct: usize) -> Vec<String> {
+    let mut notes = trips.notes.clone();
     if distinct < COARSE && fitted.deviation_ms.value > 0.0 {
         notes.push(format!(
             "only {distinct} different times were measured: rounding hides the distribution of the jitter"
@@ -134,7 +134,7 @@ fn notes(fitted: &PathFit, trips: &RoundTrips, distinct: usize) -> Vec<String> {
     }
     if fitted.correlation.low > 0.0 || fitted.correlation.high < 0.0 {
         notes.push(format!(
-            "a round trip is correlated with the next one ({:.2}); a testbed's jitter is independent, and so changes faster",
+            "the time of a packet is correlated with the next one's ({:.2}); a testbed's jitter is independent, and so changes faster",
             fitted.correlation.value
         ));
     }
@@ -150,7 +150,7 @@ fn notes(fitted: &PathFit, trips: &RoundTrips, distinct: usize) -> Vec<String> {
     let least =
         fitted.mean_ms.value + fitted.deviation_ms.value * standard_quantile(fitted.distribution, SHORTEST);
     if least < 0.0 {
-        notes.push("some round trips of the fitted distribution are below zero, and become zero".to_owned());
+        notes.push("some times of the fitted distribution are below zero, and become zero".to_owned());
     }
     notes
 }

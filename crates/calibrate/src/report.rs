@@ -3,12 +3,15 @@
 use std::fmt::Write as _;
 
 use crate::{
-    calibration::{Calibration, LinkCalibration},
+    calibration::{Calibration, LinkCalibration, PathCalibration},
     compare::{Comparison, Figures},
     estimate::Estimate,
     settings::distribution_name,
     survey::SurveyFit,
 };
+
+/// What is measured of a packet and its answer.
+const ROUND_TRIP: &str = "round trip";
 
 /// Returns the report as Markdown. JSON has the same figures: [`Calibration`] serializes.
 pub fn markdown(calibration: &Calibration) -> String {
@@ -44,26 +47,55 @@ fn network(name: &str, fit: &SurveyFit) -> String {
     head + &fitted(&table) + &notes(&fit.notes)
 }
 
-fn of_link(name: &str, LinkCalibration { fit, comparison }: &LinkCalibration) -> String {
+fn of_link(name: &str, link: &LinkCalibration) -> String {
+    let mut text = String::new();
+    for (of, path) in link.paths() {
+        let (title, time) = match link {
+            LinkCalibration::RoundTrips(_) => (format!("Link {name}"), ROUND_TRIP),
+            LinkCalibration::OneWay { .. } => (format!("Link {name}, {of}"), "time"),
+        };
+        text += &format!("\n## {title}\n\n");
+        text += &of_path(path, time, link.mean_is_known());
+    }
+    if link.notes().is_empty() {
+        text
+    } else {
+        text + &format!("\nOf link {name} as a whole:\n") + &notes(link.notes())
+    }
+}
+
+fn of_path(PathCalibration { fit, comparison }: &PathCalibration, time: &str, mean_is_known: bool) -> String {
+    let mean = if mean_is_known {
+        format!("mean {time}, ms")
+    } else {
+        format!("mean {time} beyond an unknown one (no setting), ms")
+    };
     let mut table = vec![
-        row("mean round trip, ms", &fit.mean_ms, 3),
-        row("deviation of round trips, ms", &fit.deviation_ms, 3),
+        row(&mean, &fit.mean_ms, 3),
+        row(&format!("deviation of {time}s, ms"), &fit.deviation_ms, 3),
         row("correlation with the next (not in the testbed)", &fit.correlation, 2),
-        row("loss of a round trip, %", &fit.loss.share.scaled(100.0), 2),
     ];
-    table.extend(fit.loss.mean_burst.map(|burst| row("mean burst, packets", &burst, 2)));
-    table.push(row("duplication, %", &fit.duplication.scaled(100.0), 2));
+    let mut losses = String::new();
+    if let Some(loss) = &fit.loss {
+        table.push(row(
+            if time == ROUND_TRIP { "loss of a round trip, %" } else { "loss, %" },
+            &loss.share.scaled(100.0),
+            2,
+        ));
+        table.extend(loss.mean_burst.map(|burst| row("mean burst, packets", &burst, 2)));
+        let kind = if loss.bursty { "in bursts" } else { "independent" };
+        losses = format!(", of which {} were lost ({kind})", loss.lost);
+    }
+    table.extend(fit.duplication.map(|share| row("duplication, %", &share.scaled(100.0), 2)));
     let distances: Vec<_> = fit
         .distances_ms
         .iter()
         .map(|(distribution, ms)| format!("{} {ms:.3} ms", distribution_name(*distribution)))
         .collect();
-    let losses = if fit.loss.bursty { "in bursts" } else { "independent" };
     let head = format!(
-        "\n## Link {name}\n\n{} packets fitted, of which {} were lost ({losses}). The distribution is {}. Distances of all to the \
-         measured quantiles: {}. Blocks of the bootstrap have {:.1} packets.\n\n",
+        "{} packets fitted{losses}. The distribution is {}. Distances of all to the measured quantiles: {}. Blocks of the bootstrap \
+         have {:.1} packets.\n\n",
         fit.packets,
-        fit.loss.lost,
         distribution_name(fit.distribution),
         distances.join(", "),
         fit.block_length

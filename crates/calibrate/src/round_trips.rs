@@ -5,6 +5,7 @@ use std::{collections::BTreeSet, time::Duration};
 use crate::{
     csv::{self, Table},
     error::CalibrateError,
+    times::{PacketTimes, median},
 };
 
 /// Longest plausible round trip, milliseconds.
@@ -16,44 +17,11 @@ const HEADERS: usize = 20 + 14;
 /// Bytes of an Ethernet frame of `ping` without options: 64 bytes of ICMP.
 const USUAL_FRAME: usize = 64 + HEADERS;
 
-/// Round trips in the order of their packets.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RoundTrips {
-    /// Milliseconds of each packet; `None` if it was lost.
-    pub times_ms: Vec<Option<f64>>,
-    /// Places in the series of the packets that arrived again.
-    pub duplicates: BTreeSet<usize>,
-    /// Number of packets that arrived behind one that was sent later.
-    pub late: usize,
-    /// Usual time between two packets; `None` if it is unknown.
-    pub interval: Option<Duration>,
-    /// Size of a packet's Ethernet frame.
-    pub frame_bytes: usize,
-}
-
-impl RoundTrips {
-    /// Returns the times of the packets that arrived, in order.
-    pub fn arrived(&self) -> Vec<f64> {
-        self.times_ms.iter().flatten().copied().collect()
-    }
-
-    /// Splits the series in two by time. `share` is that of the first part.
-    pub fn split(&self, share: f64) -> [Self; 2] {
-        let at = (self.times_ms.len() as f64 * share).round() as usize;
-        let (first, second) = self.times_ms.split_at(at.min(self.times_ms.len()));
-        [(first, 0), (second, first.len())].map(|(times, begins)| Self {
-            times_ms: times.to_vec(),
-            duplicates: self.duplicates.range(begins..begins + times.len()).map(|at| at - begins).collect(),
-            ..self.clone()
-        })
-    }
-}
-
 /// Reads round trips: the output of `ping`, or CSV with the columns `seq` and `rtt_ms`.
 ///
 /// # Errors
 /// [`CalibrateError::Line`] with the first line that is wrong, or [`CalibrateError::Unreadable`].
-pub fn parse_round_trips(text: &str) -> Result<RoundTrips, CalibrateError> {
+pub fn parse_round_trips(text: &str) -> Result<PacketTimes, CalibrateError> {
     csv::check_length(text)?;
     let mut header = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     match header.next().is_some_and(|line| line.split(',').any(|column| column.trim() == "rtt_ms")) {
@@ -95,7 +63,7 @@ impl Packets {
     }
 
     /// Returns the series. A packet that arrived twice counts with its first time.
-    fn series(self) -> Result<RoundTrips, CalibrateError> {
+    fn series(self) -> Result<PacketTimes, CalibrateError> {
         let Some((first, last)) = self.range else {
             return Err(CalibrateError::Unreadable(
                 "there are no round trips in it: give the output of `ping -D`, or CSV with the columns seq,rtt_ms"
@@ -103,21 +71,28 @@ impl Packets {
             ));
         };
         let mut times_ms = vec![None; (last - first + 1) as usize];
-        let mut duplicates = BTreeSet::new();
+        let mut duplicated = BTreeSet::new();
         for (number, ms) in self.arrived {
             let place = (number - first) as usize;
-            if times_ms[place].is_some() {
-                duplicates.insert(place);
-            } else {
-                times_ms[place] = Some(ms);
+            match &mut times_ms[place] {
+                Some(_) => _ = duplicated.insert(place),
+                time => *time = Some(ms),
             }
         }
-        Ok(RoundTrips { times_ms, duplicates, late: self.late, interval: None, frame_bytes: USUAL_FRAME })
+        Ok(PacketTimes {
+            times_ms,
+            duplicated,
+            late: self.late,
+            counts_losses: true,
+            interval: None,
+            frame_bytes: [USUAL_FRAME; 2],
+            notes: Vec::new(),
+        })
     }
 }
 
 /// Reads `seq,rtt_ms`. A packet without a time was lost, and so was one whose number is left out.
-fn parse_csv(text: &str) -> Result<RoundTrips, CalibrateError> {
+fn parse_csv(text: &str) -> Result<PacketTimes, CalibrateError> {
     const USUAL: &str = "seq,rtt_ms";
     let table = Table::new(text)?;
     let (seq, rtt) = (table.required("seq", USUAL)?, table.required("rtt_ms", USUAL)?);
@@ -135,7 +110,7 @@ fn parse_csv(text: &str) -> Result<RoundTrips, CalibrateError> {
 
 /// Reads what `ping` of iputils, of BusyBox or of BSD prints. Lines that are no replies count only if they name a packet that
 /// got none.
-fn parse_ping(text: &str) -> Result<RoundTrips, CalibrateError> {
+fn parse_ping(text: &str) -> Result<PacketTimes, CalibrateError> {
     let mut packets = Packets::default();
     let mut numbers = Unwrapped::default();
     let (mut times, mut bytes, mut sent) = (Vec::new(), None, None);
@@ -171,7 +146,7 @@ fn parse_ping(text: &str) -> Result<RoundTrips, CalibrateError> {
     }
     let mut series = packets.series()?;
     series.interval = usual_interval(&times);
-    series.frame_bytes = bytes.map_or(USUAL_FRAME, |bytes: u16| usize::from(bytes) + HEADERS);
+    series.frame_bytes = [bytes.map_or(USUAL_FRAME, |bytes: u16| usize::from(bytes) + HEADERS); 2];
     Ok(series)
 }
 
@@ -202,9 +177,8 @@ impl Unwrapped {
 /// Returns the median time between packets that follow each other.
 fn usual_interval(times: &[(i64, f64)]) -> Option<Duration> {
     let next = times.windows(2).filter(|pair| pair[1].0 == pair[0].0 + 1);
-    let mut apart: Vec<f64> = next.map(|pair| pair[1].1 - pair[0].1).collect();
-    apart.sort_unstable_by(f64::total_cmp);
-    Duration::try_from_secs_f64(*apart.get(apart.len() / 2)?).ok()
+    let apart = next.map(|pair| pair[1].1 - pair[0].1).collect();
+    Duration::try_from_secs_f64(median(apart)?).ok()
 }
 
 #[cfg(test)]
@@ -230,7 +204,7 @@ From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
         // Packets 1 to 4, of which the first arrives four times and the last twice.
         let text = "seq,rtt_ms\n1,10\n1,11\n1,12\n1,13\n2,10\n3,10\n4,10\n4,11\n";
         let parts = parse_round_trips(text).unwrap().split(0.5);
-        assert_eq!(parts.map(|part| Vec::from_iter(part.duplicates)), [vec![0], vec![1]]);
+        assert_eq!(parts.map(|part| Vec::from_iter(part.duplicated)), [vec![0], vec![1]]);
     }
 
     #[test]
@@ -238,7 +212,7 @@ From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
         let trips = parse_round_trips(PING).unwrap();
         let times = [Some(12.5), Some(13.0), None, Some(1013.0), Some(12.0), None, None, None];
         assert_eq!(trips.times_ms, times);
-        assert_eq!((trips.duplicates.len(), trips.late, trips.frame_bytes), (1, 1, 98));
+        assert_eq!((trips.duplicated, trips.late, trips.frame_bytes), (BTreeSet::from([1]), 1, [98, 98]));
         assert!((trips.interval.unwrap().as_secs_f64() - 1.0).abs() < 1e-5, "{:?}", trips.interval);
     }
 
@@ -293,9 +267,13 @@ From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
     }
 
     #[test]
-    fn a_split_keeps_the_order() {
-        let trips = parse_round_trips("seq,rtt_ms\n1,1\n2,2\n3,3\n4,\n").unwrap();
+    fn a_split_keeps_the_order_and_the_duplicates_of_each_part() {
+        let trips = parse_round_trips("seq,rtt_ms\n1,1\n2,2\n2,3\n3,3\n3,4\n4,\n").unwrap();
         let [first, second] = trips.split(0.5);
+        assert_eq!(
+            (first.duplicated.clone(), second.duplicated.clone()),
+            (BTreeSet::from([1]), BTreeSet::from([0]))
+        );
         assert_eq!((first.times_ms, second.times_ms), (vec![Some(1.0), Some(2.0)], vec![Some(3.0), None]));
     }
 }

@@ -1,9 +1,9 @@
 //! Fitted values as settings of a testbed file.
 
-use cotorra_graph::{JitterDistribution, Link, Loss, NodeKind, Testbed};
+use cotorra_graph::{Direction, JitterDistribution, Link, Loss, NodeKind, Testbed};
 use serde::Serialize;
 
-use crate::{error::CalibrateError, estimate::Estimate, path::PathFit, survey::SurveyFit};
+use crate::{error::CalibrateError, estimate::Estimate, path::PathFit, survey::SurveyFit, times::Means};
 
 /// Beginning of a line of a testbed file that notes a setting.
 const NOTE: &str = "# set: ";
@@ -59,14 +59,14 @@ pub(crate) fn of_network(testbed: &Testbed, name: &str, fit: &SurveyFit) -> Vec<
     settings
 }
 
-/// Returns the settings of a link, whose frames take some time to be sent in each direction, ms.
+/// Returns the settings of a link by round trips. Its frames take some time to be sent in each direction, ms.
 ///
 /// Round trips do not tell the direction of jitter and loss. Both directions get half of the shortest round trip. The rest of
 /// the mean, jitter, loss and duplication are those of the forward direction, so that round trips are as they were fitted.
 ///
 /// # Errors
 /// [`CalibrateError::Unsuited`] if sending takes longer than the shortest round trip.
-pub(crate) fn of_link(
+pub(crate) fn of_round_trips(
     link: &Link,
     fit: &PathFit,
     sending_ms: [f64; 2],
@@ -75,48 +75,102 @@ pub(crate) fn of_link(
     let backward = shortest / 2.0 - sending_ms[1];
     let forward = fit.mean_ms.value - shortest / 2.0 - sending_ms[0];
     if forward < 0.0 || backward < 0.0 {
-        return Err(CalibrateError::unsuited(format!(
-            "at the rates of the testbed, sending a frame takes {:.3} ms, but the shortest round trip is {shortest:.3} ms: set \
-             the link's `rate` to that of the site",
-            sending_ms[0] + sending_ms[1]
-        )));
+        return Err(too_slow("round trip", sending_ms[0] + sending_ms[1], shortest));
     }
-    let loss = match fit.loss.model() {
-        Loss::None => "0 %".to_owned(),
-        Loss::Independent { rate } => percent(rate.get()),
-        Loss::Bursty { rate, mean_burst } => {
-            format!("{{ rate: {}, mean_burst: {mean_burst:.3} }}", percent(rate.get()))
-        }
+    let there = |key: &'static str| format!("links.{}.forward.{key}", link.id);
+    let back = |key: &'static str| format!("links.{}.backward.{key}", link.id);
+    let mean = format!("mean round trip {:.3} ms", fit.mean_ms);
+    let mut settings = vec![setting(there("delay"), format!("{forward:.4} ms"), mean)];
+    settings.extend(of_impairments(there, fit, "round trips", "round trip"));
+    let half = "half of the shortest round trip";
+    settings.push(setting(back("delay"), format!("{backward:.4} ms"), half.to_owned()));
+    let mut none = |key, value: &str| {
+        settings.push(setting(back(key), value.to_owned(), "counted forward".to_owned()));
     };
+    none("jitter", "0 ms");
+    if fit.loss.is_some() {
+        none("loss", "0 %");
+    }
+    if fit.duplication.is_some() {
+        none("duplication", "0 %");
+    }
+    Ok(settings)
+}
+
+/// Returns the settings of one direction of a link, whose frames take some time to be sent, ms. Without a known mean, its delay
+/// stays as it is.
+///
+/// # Errors
+/// [`CalibrateError::Unsuited`] if sending takes longer than the mean.
+pub(crate) fn of_way(
+    link: &Link,
+    direction: Direction,
+    fit: &PathFit,
+    means: Means,
+    sending_ms: f64,
+) -> Result<Vec<FittedSetting>, CalibrateError> {
+    let way = match direction {
+        Direction::Forward => "forward",
+        Direction::Backward => "backward",
+    };
+    let of = |key: &'static str| format!("links.{}.{way}.{key}", link.id);
+    let delay = fit.mean_ms.value - sending_ms;
+    let reason = match means {
+        Means::Measured => "",
+        Means::Halves => ", with half of the shortest time there and back",
+        Means::Unknown => return Ok(of_impairments(of, fit, "one-way times", "packet")),
+    };
+    if delay < 0.0 {
+        return Err(too_slow("one-way time", sending_ms, fit.shortest_ms()));
+    }
+    let mean = format!("mean {:.3} ms{reason}", fit.mean_ms);
+    let mut settings = vec![setting(of("delay"), format!("{delay:.4} ms"), mean)];
+    settings.extend(of_impairments(of, fit, "one-way times", "packet"));
+    Ok(settings)
+}
+
+fn setting(path: String, value: String, note: String) -> FittedSetting {
+    FittedSetting { path, value, note }
+}
+
+fn too_slow(of: &str, sending_ms: f64, shortest_ms: f64) -> CalibrateError {
+    CalibrateError::unsuited(format!(
+        "at the rates of the testbed, sending a frame takes {sending_ms:.3} ms, but the shortest {of} is {shortest_ms:.3} ms: set \
+         the link's `rate` to that of the site"
+    ))
+}
+
+/// Returns jitter, and loss and duplication if they were measured.
+fn of_impairments(
+    path: impl Fn(&'static str) -> String,
+    fit: &PathFit,
+    times: &str,
+    packet: &str,
+) -> Vec<FittedSetting> {
     let distribution = distribution_name(fit.distribution);
     let jitter = format!("{{ deviation: {:.4} ms, distribution: {distribution} }}", fit.deviation_ms.value);
-    let lost = format!("loss of a round trip {}", percents(fit.loss.share));
-    let lost = match fit.loss.mean_burst {
-        Some(burst) => format!("{lost}, mean burst {burst:.1}"),
-        None => lost,
-    };
-    let mean = format!("mean round trip {:.3} ms", fit.mean_ms);
-    let set = |key: &str, value: String, note: String| FittedSetting {
-        path: format!("links.{}.{key}", link.id),
-        value,
-        note,
-    };
-    let half = "half of the shortest round trip";
-    let other = || "counted forward".to_owned();
-    Ok(vec![
-        set("forward.delay", format!("{forward:.4} ms"), mean),
-        set("forward.jitter", jitter, format!("deviation of round trips {:.3} ms", fit.deviation_ms)),
-        set("forward.loss", loss, lost),
-        set(
-            "forward.duplication",
-            percent(fit.duplication.value),
-            format!("share that arrives twice {}", percents(fit.duplication)),
-        ),
-        set("backward.delay", format!("{backward:.4} ms"), half.to_owned()),
-        set("backward.jitter", "0 ms".to_owned(), other()),
-        set("backward.loss", "0 %".to_owned(), other()),
-        set("backward.duplication", "0 %".to_owned(), other()),
-    ])
+    let deviation = format!("deviation of {times} {:.3} ms", fit.deviation_ms);
+    let mut settings = vec![setting(path("jitter"), jitter, deviation)];
+    if let Some(fitted) = &fit.loss {
+        let loss = match fitted.model() {
+            Loss::None => "0 %".to_owned(),
+            Loss::Independent { rate } => percent(rate.get()),
+            Loss::Bursty { rate, mean_burst } => {
+                format!("{{ rate: {}, mean_burst: {mean_burst:.3} }}", percent(rate.get()))
+            }
+        };
+        let lost = format!("loss of a {packet} {}", percents(fitted.share));
+        let lost = match fitted.mean_burst {
+            Some(burst) => format!("{lost}, mean burst {burst:.1}"),
+            None => lost,
+        };
+        settings.push(setting(path("loss"), loss, lost));
+    }
+    if let Some(share) = fit.duplication {
+        let twice = format!("share that arrives twice {}", percents(share));
+        settings.push(setting(path("duplication"), percent(share.value), twice));
+    }
+    settings
 }
 
 /// Returns a testbed file's text with settings behind it, each explained by a comment. Comments of the text stay as they are.

@@ -4,7 +4,8 @@
 use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use cotorra_calibrate::{
-    Calibration, Draws, Measurements, Options, calibrated_text, markdown, parse_round_trips, parse_survey,
+    Calibration, Draws, LinkMeasurement, Measurements, Options, calibrated_text, markdown, parse_round_trips,
+    parse_survey,
 };
 use cotorra_graph::{JitterDistribution, Loss, PathLoss, Position, Rate, Testbed};
 
@@ -53,7 +54,7 @@ fn measurements() -> Measurements {
     let trips = parse_round_trips(&ping()).unwrap();
     Measurements {
         survey: parse_survey(&survey()).unwrap(),
-        round_trips: BTreeMap::from([("R-edge".to_owned(), trips)]),
+        links: BTreeMap::from([("R-edge".to_owned(), LinkMeasurement::RoundTrips(trips))]),
     }
 }
 
@@ -120,8 +121,9 @@ fn the_report_matches_the_golden_file() {
 #[test]
 fn what_does_not_fit_the_testbed_is_refused() {
     let refusal = |text: &str, link: &str, trips: &str| {
-        let trips = BTreeMap::from([(link.to_owned(), parse_round_trips(trips).unwrap())]);
-        let measurements = Measurements { round_trips: trips, ..Measurements::default() };
+        let trips = LinkMeasurement::RoundTrips(parse_round_trips(trips).unwrap());
+        let links = BTreeMap::from([(link.to_owned(), trips)]);
+        let measurements = Measurements { links, ..Measurements::default() };
         Calibration::new(&parse(text), &measurements, options()).unwrap_err().to_string()
     };
     assert_eq!(

@@ -2,15 +2,17 @@
 
 use std::{
     collections::BTreeMap,
-    fs, io,
+    fs,
+    io::{self, Read as _},
     path::{Path, PathBuf},
     time::Duration,
 };
 
 use clap::Args;
 use cotorra_calibrate::{
-    CalibrateError, Calibration, Comparison, Estimate, Measurements, Options, calibrated_text, markdown,
-    parse_round_trips, parse_survey,
+    CalibrateError, Calibration, Comparison, Estimate, LinkCalibration, LinkMeasurement, MAX_CAPTURE,
+    Measurements, Options, PacketTimes, PathCalibration, calibrated_text, markdown, one_way_of_captures,
+    parse_round_trips, parse_survey, round_trips_of_capture,
 };
 use cotorra_graph::{Probability, Testbed};
 use cotorra_testbed::{put_all, write_file};
@@ -38,10 +40,11 @@ const TURN: Duration = Duration::from_millis(120);
 /// Fit a testbed to measurements of a real site
 ///
 /// A survey of signals along a walk gives path loss, loss by walls, and shadowing of a wireless network. Round trips over a
-/// wired link give its delay, jitter, loss and duplication. Each value has a 95 % interval. Measurements that do not determine
-/// a value are refused, or leave it out.
+/// wired link give its delay, jitter, loss and duplication. A capture of a TCP flow gives round trips, too; captures at both ends
+/// of a link give each direction. Each value has a 95 % interval. Measurements that do not determine a value are refused, or
+/// leave it out.
 ///
-/// Round trips are fitted on their first part, and tested on the rest, beside two baselines: constant delay with normal jitter,
+/// Packets are fitted on their first part, and tested on the rest, beside two baselines: constant delay with normal jitter,
 /// and a replay of the first part.
 ///
 /// It writes a folder with the fitted testbed (testbed.yaml, which runs as it is), report.md and report.json. docs/calibrate.md
@@ -52,6 +55,8 @@ Examples:
   ping -D -c 600 10.0.0.2 > edge.txt
   cotorra calibrate testbeds/corridor.yaml --ping lan-edge=edge.txt --target 15ms
   cotorra calibrate office.yaml --survey walk.csv --out office
+  cotorra calibrate office.yaml --pcap lan-edge=sender.pcap
+  cotorra calibrate office.yaml --pcap lan-edge=lan.pcap:edge.pcap
   cotorra run office/testbed.yaml --simulate
 
 A survey is CSV:
@@ -61,15 +66,19 @@ pub struct CalibrateArgs {
     /// The testbed file
     pub file: PathBuf,
     /// Survey of signals: CSV with the columns time_s, x, y, radio_unit and signal_dbm, and z if heights matter
-    #[arg(long, value_name = "FILE", required_unless_present = "pings")]
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["pings", "pcaps"])]
     pub survey: Option<PathBuf>,
     /// Round trips over a wired link: output of ping, or CSV with the columns seq and rtt_ms; can be given several times
     #[arg(long = "ping", value_name = "LINK=FILE", value_parser = parse_ping)]
     pub pings: Vec<(String, PathBuf)>,
+    /// Capture of a TCP flow over a wired link at its sender, or captures of any flow at the link's first and second end, as
+    /// pcap or pcapng; can be given several times
+    #[arg(long = "pcap", value_name = "LINK=FILE[:FILE]", value_parser = parse_pcap)]
+    pub pcaps: Vec<(String, Captures)>,
     /// Target of round trips, such as 15ms: the share above it is compared, too
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub target: Option<Duration>,
-    /// Share of round trips that are fitted, from the first on; the others test the fit
+    /// Share of packets that are fitted, from the first on; the others test the fit
     #[arg(long, value_name = "SHARE", default_value = "60%", value_parser = parse_fitted)]
     pub fit: f64,
     /// Folder of the results; default: one under calibrations/ that is named after the testbed
@@ -90,6 +99,26 @@ fn parse_ping(text: &str) -> Result<(String, PathBuf), String> {
     }
 }
 
+/// Captures of a link.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Captures {
+    /// At the sender of a TCP flow.
+    Sender(PathBuf),
+    /// At the first and the second end of the link.
+    BothEnds([PathBuf; 2]),
+}
+
+fn parse_pcap(text: &str) -> Result<(String, Captures), String> {
+    let wrong = || "write a link and one or two files, as in lan-edge=lan.pcap:edge.pcap".to_owned();
+    let (link, file) = parse_ping(text).map_err(|_| wrong())?;
+    let files = file.to_str().and_then(|files| files.rsplit_once(':'));
+    match files {
+        Some((first, second)) if first.is_empty() || second.is_empty() => Err(wrong()),
+        Some((first, second)) => Ok((link, Captures::BothEnds([first, second].map(PathBuf::from)))),
+        None => Ok((link, Captures::Sender(file))),
+    }
+}
+
 fn parse_fitted(text: &str) -> Result<f64, String> {
     let share = parse_share(text).map(Probability::get)?;
     if (0.1..=0.9).contains(&share) { Ok(share) } else { Err("it is from 10% to 90%".to_owned()) }
@@ -102,7 +131,10 @@ enum Error {
     #[error("{}: {reason}", path.display())]
     #[diagnostic(help("docs/calibrate.md describes the formats"))]
     Malformed { path: PathBuf, reason: CalibrateError },
-    #[error("link `{0}` has two files of round trips")]
+    #[error("captures {} and {}: {reason}", paths[0].display(), paths[1].display())]
+    #[diagnostic(help("docs/calibrate.md says how to capture at both ends"))]
+    Unmatched { paths: [PathBuf; 2], reason: CalibrateError },
+    #[error("link `{0}` has two measurements")]
     #[diagnostic(help("give one for each link"))]
     Twice(String),
     #[error("{} exists already", .0.display())]
@@ -139,16 +171,63 @@ fn read(args: &CalibrateArgs) -> Result<Measurements, Error> {
         measurements.survey = parsed(path, parse_survey)?;
         note!("{}: {}", path.display(), count(measurements.survey.len(), "reading"));
     }
-    let mut round_trips = BTreeMap::new();
+    let links = &mut measurements.links;
     for (link, path) in &args.pings {
         let trips = parsed(path, parse_round_trips)?;
-        let lost = trips.times_ms.iter().filter(|time| time.is_none()).count();
-        note!("{}: {}, {lost} lost", path.display(), count(trips.times_ms.len(), "packet"));
-        if round_trips.insert(link.clone(), trips).is_some() {
-            return Err(Error::Twice(link.clone()));
+        note!("{}: {}", path.display(), packets(&trips));
+        add(links, link, LinkMeasurement::RoundTrips(trips))?;
+    }
+    for (link, captures) in &args.pcaps {
+        add(links, link, read_captures(captures)?)?;
+    }
+    Ok(measurements)
+}
+
+fn add(
+    links: &mut BTreeMap<String, LinkMeasurement>,
+    link: &str,
+    measured: LinkMeasurement,
+) -> Result<(), Error> {
+    match links.insert(link.to_owned(), measured) {
+        Some(_) => Err(Error::Twice(link.to_owned())),
+        None => Ok(()),
+    }
+}
+
+/// Describes how many packets were measured.
+fn packets(times: &PacketTimes) -> String {
+    let lost = times.times_ms.iter().filter(|time| time.is_none()).count();
+    format!("{}, {lost} lost", count(times.times_ms.len(), "packet"))
+}
+
+fn read_captures(captures: &Captures) -> Result<LinkMeasurement, Error> {
+    match captures {
+        Captures::Sender(path) => {
+            let trips = round_trips_of_capture(&read_bytes(path)?)
+                .map_err(|reason| Error::Malformed { path: path.clone(), reason })?;
+            note!("{}: {}", path.display(), count(trips.times_ms.len(), "round trip"));
+            Ok(LinkMeasurement::RoundTrips(trips))
+        }
+        Captures::BothEnds(paths) => {
+            let [first, second] = paths.each_ref().map(|path| read_bytes(path));
+            let one_way = one_way_of_captures(&first?, &second?)
+                .map_err(|reason| Error::Unmatched { paths: paths.clone(), reason })?;
+            for (way, name) in one_way.ways.iter().zip(["forward", "backward"]) {
+                let packets = way.as_ref().map_or_else(|| "too few packets".to_owned(), packets);
+                note!("{} to {}, {name}: {packets}", paths[0].display(), paths[1].display());
+            }
+            Ok(LinkMeasurement::OneWay(one_way))
         }
     }
-    Ok(Measurements { round_trips, ..measurements })
+}
+
+/// Reads a capture, which may be a pipe. A larger one is cut off behind the bound, and refused by its reader.
+fn read_bytes(path: &Path) -> Result<Vec<u8>, Error> {
+    let mut bytes = Vec::new();
+    let read =
+        fs::File::open(path).and_then(|file| file.take(MAX_CAPTURE as u64 + 1).read_to_end(&mut bytes));
+    read.map_err(|reason| Error::Unreadable { path: path.to_owned(), reason })?;
+    Ok(bytes)
 }
 
 fn parsed<T>(path: &Path, parse: fn(&str) -> Result<T, CalibrateError>) -> Result<T, Error> {
@@ -188,21 +267,46 @@ fn describe(calibration: &Calibration) -> String {
         notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
     }
     for (name, link) in &calibration.links {
-        let fit = &link.fit;
-        row(name, "mean round trip, ms", fit.mean_ms);
-        row(name, "deviation, ms", fit.deviation_ms);
-        row(name, "loss, %", percent(fit.loss.share));
-        fit.loss.mean_burst.into_iter().for_each(|burst| row(name, "mean burst, packets", burst));
-        notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
+        notes.extend(link.notes().iter().map(|note| format!("{name}: {note}")));
+        for (way, path) in link.paths() {
+            let (fit, of) = (&path.fit, named(name, link, way));
+            if link.mean_is_known() {
+                row(
+                    &of,
+                    if let LinkCalibration::RoundTrips(_) = link {
+                        "mean round trip, ms"
+                    } else {
+                        "mean, ms"
+                    },
+                    fit.mean_ms,
+                );
+            }
+            row(&of, "deviation, ms", fit.deviation_ms);
+            if let Some(loss) = &fit.loss {
+                row(&of, "loss, %", percent(loss.share));
+                loss.mean_burst.into_iter().for_each(|burst| row(&of, "mean burst, packets", burst));
+            }
+            notes.extend(fit.notes.iter().map(|note| format!("{of}: {note}")));
+        }
     }
     let mut text = table.render("  ");
     for (name, link) in &calibration.links {
-        text +=
-            &format!("\nThe other part of {name}, {}:\n\n", count(link.comparison.test_packets, "packet"));
-        text += &compared(&link.comparison).render("  ");
+        for (way, PathCalibration { comparison, .. }) in link.paths() {
+            let of = named(name, link, way);
+            text += &format!("\nThe other part of {of}, {}:\n\n", count(comparison.test_packets, "packet"));
+            text += &compared(comparison).render("  ");
+        }
     }
     notes.iter().for_each(|of| text += &format!("\nnote: {of}\n"));
     text
+}
+
+/// Names a link, with the direction if it was measured one way.
+fn named(name: &str, link: &LinkCalibration, way: &str) -> String {
+    match link {
+        LinkCalibration::RoundTrips(_) => name.to_owned(),
+        LinkCalibration::OneWay { .. } => format!("{name}, {way}"),
+    }
 }
 
 /// Compares predictions of the test part with it.
@@ -253,6 +357,17 @@ mod tests {
         assert_eq!(parse_ping("lan-edge=a=b.txt"), file("a=b.txt"));
         for wrong in ["lan-edge", "=ping.txt", "lan-edge=", ""] {
             assert!(parse_ping(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn captures_are_at_the_sender_or_at_both_ends() {
+        let of = |captures| Ok(("lan-edge".to_owned(), captures));
+        assert_eq!(parse_pcap("lan-edge=a.pcap"), of(Captures::Sender("a.pcap".into())));
+        let both = Captures::BothEnds(["a.pcap".into(), "b.pcap".into()]);
+        assert_eq!(parse_pcap("lan-edge=a.pcap:b.pcap"), of(both));
+        for wrong in ["lan-edge", "lan-edge=", "lan-edge=a:", "lan-edge=:b", "=a:b"] {
+            assert!(parse_pcap(wrong).is_err(), "{wrong}");
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use cotorra_calibrate::{Draws, RoundTrips, fit_path};
+use cotorra_calibrate::{Draws, PacketTimes, fit_path};
 use cotorra_graph::JitterDistribution;
 
 use crate::{Coverage, between, sites};
@@ -46,7 +46,7 @@ fn normal_share(x: f64) -> f64 {
 
 /// Round trips of a site. Jitter is an autoregression of first order with the marginal distribution of the site (a Gaussian
 /// copula); losses are Gilbert's.
-pub fn round_trips(truth: Truth, draws: &mut Draws) -> RoundTrips {
+pub fn round_trips(truth: Truth, draws: &mut Draws) -> PacketTimes {
     let (mut state, mut lost) = (draws.normal(), draws.unit() < truth.loss);
     let leaves = 1.0 / truth.mean_burst;
     let enters = leaves * truth.loss / (1.0 - truth.loss);
@@ -62,7 +62,15 @@ pub fn round_trips(truth: Truth, draws: &mut Draws) -> RoundTrips {
         (!lost).then_some(truth.mean_ms + truth.deviation_ms * jitter)
     };
     let times_ms = (0..PACKETS).map(|_| packet()).collect();
-    RoundTrips { times_ms, duplicates: BTreeSet::new(), late: 0, interval: None, frame_bytes: 98 }
+    PacketTimes {
+        times_ms,
+        duplicated: BTreeSet::new(),
+        late: 0,
+        counts_losses: true,
+        interval: None,
+        frame_bytes: [98; 2],
+        notes: Vec::new(),
+    }
 }
 
 #[test]
@@ -77,8 +85,9 @@ fn path_intervals_hold_the_true_values() {
         coverage.count("mean", fit.mean_ms, truth.mean_ms);
         coverage.count("jitter", fit.deviation_ms, truth.deviation_ms);
         coverage.count("correlation", fit.correlation, truth.correlation);
-        coverage.count("loss", fit.loss.share, truth.loss);
-        if let Some(burst) = fit.loss.mean_burst {
+        let loss = fit.loss.unwrap();
+        coverage.count("loss", loss.share, truth.loss);
+        if let Some(burst) = loss.mean_burst {
             coverage.count("burst", burst, truth.mean_burst);
         }
     }
