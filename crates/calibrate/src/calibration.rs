@@ -8,8 +8,10 @@ use serde::Serialize;
 use crate::{
     compare::{Comparison, compare},
     error::CalibrateError,
+    handovers::{HandoverFit, fit_handovers},
     path::{PathFit, fit_path},
-    settings::{FittedSetting, of_network, of_round_trips, of_way},
+    recorded::HandoverTime,
+    settings::{FittedSetting, of_handovers, of_network, of_round_trips, of_way},
     survey::{Reading, SurveyFit, fit_survey},
     times::{Means, OneWay, PacketTimes},
 };
@@ -21,6 +23,8 @@ pub struct Measurements {
     pub survey: Vec<Reading>,
     /// Packets over wired links, by the link's name.
     pub links: BTreeMap<String, LinkMeasurement>,
+    /// Times of handovers.
+    pub handovers: Vec<HandoverTime>,
 }
 
 /// Packets over a wired link.
@@ -113,6 +117,9 @@ pub struct Calibration {
     pub seed: u64,
     /// Wireless networks by SSID.
     pub networks: BTreeMap<String, SurveyFit>,
+    /// Handovers of wireless networks, by SSID.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub handovers: BTreeMap<String, HandoverFit>,
     /// Links by name.
     pub links: BTreeMap<String, LinkCalibration>,
     /// Settings that put the fitted values into the testbed file, in order.
@@ -129,21 +136,24 @@ impl Calibration {
         measurements: &Measurements,
         options: Options,
     ) -> Result<Self, CalibrateError> {
-        if measurements.survey.is_empty() && measurements.links.is_empty() {
+        let Measurements { survey, links: measured, handovers } = measurements;
+        if survey.is_empty() && measured.is_empty() && handovers.is_empty() {
             return Err(CalibrateError::too_little("there are no measurements to fit"));
         }
-        let networks = fit_survey(testbed, &measurements.survey, options.seed)?;
+        let networks = fit_survey(testbed, survey, options.seed)?;
         let mut settings: Vec<FittedSetting> =
             networks.iter().flat_map(|(name, fit)| of_network(testbed, name, fit)).collect();
+        let handovers = fit_handovers(testbed, handovers, options.seed)?;
+        settings.extend(handovers.iter().flat_map(|(name, fit)| of_handovers(testbed, name, fit)));
         let mut links = BTreeMap::new();
-        for (name, measured) in &measurements.links {
+        for (name, measured) in measured {
             let link = link(testbed, name)?;
             let calibrated = calibrate_link(link, measured, options);
             let (calibrated, of_link) = calibrated.map_err(|error| CalibrateError::of_link(name, error))?;
             settings.extend(of_link);
             links.insert(name.clone(), calibrated);
         }
-        Ok(Self { testbed: testbed.name.clone(), seed: options.seed, networks, links, settings })
+        Ok(Self { testbed: testbed.name.clone(), seed: options.seed, networks, handovers, links, settings })
     }
 }
 

@@ -3,8 +3,8 @@
 //! Texts and captures go in, and estimates with 95 % intervals come out, with the settings that put them into a testbed file. It
 //! opens no files and measures nothing itself. All randomness comes from a seed, so that a calibration can be repeated.
 //!
-//! [`fit_survey`] fits path loss, walls and shadowing of a wireless network. [`Calibration::new`] fits all measurements, and
-//! compares each link on a part of its packets that was not fitted. Measurements that do not determine a value give a wide
+//! [`fit_survey`] fits path loss, walls and shadowing of a wireless network, and [`fit_handovers`] the phases of its handovers.
+//! [`Recorded`] finds both measurements in the events of a run. [`Calibration::new`] fits all measurements, and compares each link on a part of its packets that was not fitted. Measurements that do not determine a value give a wide
 //! interval or a [`CalibrateError`].
 #![forbid(unsafe_code)]
 
@@ -16,9 +16,11 @@ mod csv;
 mod draws;
 mod error;
 mod estimate;
+mod handovers;
 mod jitter;
 mod loss;
 mod path;
+mod recorded;
 mod report;
 mod round_trips;
 mod settings;
@@ -33,8 +35,10 @@ pub use self::{
     draws::Draws,
     error::CalibrateError,
     estimate::Estimate,
+    handovers::{HandoverFit, LEAST_HANDOVERS, fit_handovers},
     loss::LossFit,
     path::{LEAST_ARRIVED, PathFit, fit_path},
+    recorded::{HandoverTime, Recorded},
     report::markdown,
     round_trips::parse_round_trips,
     settings::{FittedSetting, calibrated_text},

@@ -6,6 +6,7 @@ use crate::{
     calibration::{Calibration, LinkCalibration, PathCalibration},
     compare::{Comparison, Figures},
     estimate::Estimate,
+    handovers::HandoverFit,
     settings::distribution_name,
     survey::SurveyFit,
 };
@@ -15,10 +16,13 @@ const ROUND_TRIP: &str = "round trip";
 
 /// Returns the report as Markdown. JSON has the same figures: [`Calibration`] serializes.
 pub fn markdown(calibration: &Calibration) -> String {
-    let Calibration { testbed, seed, networks, links, settings } = calibration;
+    let Calibration { testbed, seed, networks, handovers, links, settings } = calibration;
     let mut text = format!("# Calibration of {testbed}\n\nSeed {seed}. Intervals are 95 %.\n");
     for (name, fit) in networks {
         text += &network(name, fit);
+    }
+    for (name, fit) in handovers {
+        text += &of_handovers(name, fit);
     }
     for (name, link) in links {
         text += &of_link(name, link);
@@ -44,6 +48,19 @@ fn network(name: &str, fit: &SurveyFit) -> String {
         "\n## Network {name}\n\n{} readings of {} radio unit{plural}.\n\n",
         fit.readings, fit.radio_units
     );
+    head + &fitted(&table) + &notes(&fit.notes)
+}
+
+fn of_handovers(name: &str, fit: &HandoverFit) -> String {
+    let means = [
+        ("scan before a handover, ms", fit.scan_ms),
+        ("authentication and reassociation, ms", fit.fast_ms),
+        ("authentication, reassociation and key handshakes, ms", fit.full_ms),
+    ];
+    let mut table: Vec<String> =
+        means.iter().filter_map(|(what, estimate)| Some(row(what, estimate.as_ref()?, 2))).collect();
+    table.push(row("variation of each phase, %", &fit.variation.scaled(100.0), 1));
+    let head = format!("\n## Handovers of network {name}\n\n{} handovers.\n\n", fit.handovers);
     head + &fitted(&table) + &notes(&fit.notes)
 }
 

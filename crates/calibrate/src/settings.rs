@@ -3,7 +3,10 @@
 use cotorra_graph::{Direction, JitterDistribution, Link, Loss, NodeKind, Testbed};
 use serde::Serialize;
 
-use crate::{error::CalibrateError, estimate::Estimate, path::PathFit, survey::SurveyFit, times::Means};
+use crate::{
+    error::CalibrateError, estimate::Estimate, handovers::HandoverFit, path::PathFit, survey::SurveyFit,
+    times::Means,
+};
 
 /// Beginning of a line of a testbed file that notes a setting.
 const NOTE: &str = "# set: ";
@@ -56,6 +59,43 @@ pub(crate) fn of_network(testbed: &Testbed, name: &str, fit: &SurveyFit) -> Vec<
             format!("{} less the reference loss of {:.2} dB", power, fit.reference_loss_db),
         );
     }
+    settings
+}
+
+/// Returns the settings of the handovers of a wireless network. Phases that cannot be told apart keep their proportions.
+pub(crate) fn of_handovers(testbed: &Testbed, name: &str, fit: &HandoverFit) -> Vec<FittedSetting> {
+    let times = &testbed.graph.wireless[name].handover;
+    let [authenticate, reassociate, handshake] =
+        [times.authenticate, times.reassociate, times.handshake].map(|phase| phase.as_secs_f64() * 1e3);
+    let of = |key: &str| format!("wireless.{name}.handover.{key}");
+    let mut settings = Vec::new();
+    let mut phases = |values: &[(&str, f64)], whole: f64, note: &str| {
+        let sum: f64 = values.iter().map(|(_, ms)| ms).sum();
+        for (key, ms) in values {
+            let share = if sum > 0.0 { ms / sum } else { 1.0 / values.len() as f64 };
+            settings.push(setting(of(key), format!("{:.3} ms", share * whole), note.to_owned()));
+        }
+    };
+    let join = [("authenticate", authenticate), ("reassociate", reassociate)];
+    match (fit.fast_ms, fit.full_ms) {
+        (Some(fast), full) => {
+            phases(&join, fast.value, &format!("a fast transition takes {fast:.1} ms"));
+            if let Some(full) = full {
+                let rest = (full.value - fast.value).max(0.0);
+                phases(&[("handshake", rest)], rest, &format!("the rest of a handover of {full:.1} ms"));
+            }
+        }
+        (None, Some(full)) => {
+            let all = [join[0], join[1], ("handshake", handshake)];
+            phases(&all, full.value, &format!("a handover takes {full:.1} ms"));
+        }
+        (None, None) => {}
+    }
+    if let Some(scan) = fit.scan_ms {
+        phases(&[("scan", scan.value)], scan.value, &format!("a scan takes {scan:.1} ms"));
+    }
+    let varied = format!("phases vary by {}", percents(fit.variation));
+    settings.push(setting(of("variation"), percent(fit.variation.value.clamp(0.0, 1.0)), varied));
     settings
 }
 

@@ -5,7 +5,7 @@ mod posterior;
 
 use std::collections::BTreeMap;
 
-use cotorra_graph::{Dbm, OccupancyGrid, PathLoss, Position, RadioUnit, Testbed, WirelessNetwork};
+use cotorra_graph::{Dbm, Node, OccupancyGrid, PathLoss, Position, RadioUnit, Testbed, WirelessNetwork};
 use serde::Serialize;
 
 use self::{
@@ -126,16 +126,24 @@ pub fn fit_survey(
     networks.into_iter().map(fit).collect()
 }
 
-/// Finds a radio unit and its position.
-fn radio_unit<'a>(testbed: &'a Testbed, name: &str) -> Result<(&'a RadioUnit, Position), CalibrateError> {
+/// Finds a radio unit.
+pub(crate) fn find_radio_unit<'a>(
+    testbed: &'a Testbed,
+    name: &str,
+) -> Result<(&'a Node, &'a RadioUnit), CalibrateError> {
     let found = testbed.graph.radio_units().find(|(node, _)| node.id.as_str() == name);
-    let (node, unit) = found.ok_or_else(|| {
+    found.ok_or_else(|| {
         let all: Vec<_> = testbed.graph.radio_units().map(|(node, _)| node.id.as_str()).collect();
         CalibrateError::unsuited(format!(
             "the testbed has no radio unit `{name}`; its radio units are: {}",
             all.join(", ")
         ))
-    })?;
+    })
+}
+
+/// Finds a radio unit and its position.
+fn radio_unit<'a>(testbed: &'a Testbed, name: &str) -> Result<(&'a RadioUnit, Position), CalibrateError> {
+    let (node, unit) = find_radio_unit(testbed, name)?;
     let unplaced = || CalibrateError::unsuited(format!("radio unit `{name}` has no position in the testbed"));
     Ok((unit, node.position.ok_or_else(unplaced)?))
 }

@@ -4,8 +4,8 @@
 use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use cotorra_calibrate::{
-    Calibration, Draws, LinkMeasurement, Measurements, Options, calibrated_text, markdown, parse_round_trips,
-    parse_survey,
+    Calibration, Draws, HandoverTime, LinkMeasurement, Measurements, Options, calibrated_text, markdown,
+    parse_round_trips, parse_survey,
 };
 use cotorra_graph::{JitterDistribution, Loss, PathLoss, Position, Rate, Testbed};
 
@@ -148,4 +148,79 @@ fn what_does_not_fit_the_testbed_is_refused() {
     );
     let nothing = Calibration::new(&parse(TESTBED), &Measurements::default(), options());
     assert_eq!(nothing.unwrap_err().to_string(), "there are no measurements to fit");
+}
+
+/// Handovers whose phases vary by 30 %: scans of 200 ms, fast transitions of 10 and 40 ms, and handshakes of 50 ms.
+fn handovers(number: usize, fast: impl Fn(usize) -> bool) -> Vec<HandoverTime> {
+    let mut draws = Draws::new(5, "handovers");
+    let mut phase = |ms: f64| ms * (0.7 + 0.6 * draws.unit());
+    let mut handover = |i| {
+        let join_ms = phase(10.0) + phase(40.0) + if fast(i) { 0.0 } else { phase(50.0) };
+        let scan_ms = (i % 2 == 0).then(|| phase(200.0));
+        HandoverTime { radio_unit: "R".to_owned(), fast: fast(i), scan_ms, join_ms }
+    };
+    (0..number).map(&mut handover).collect()
+}
+
+fn calibrate_handovers(text: &str, handovers: Vec<HandoverTime>) -> Result<Calibration, String> {
+    let measurements = Measurements { handovers, ..Measurements::default() };
+    Calibration::new(&parse(text), &measurements, options()).map_err(|error| error.to_string())
+}
+
+#[test]
+fn handovers_give_their_phases() {
+    let text = TESTBED.replace("standard: n", "handover: { authenticate: 15 ms, reassociate: 60 ms }");
+    let calibration = calibrate_handovers(&text, handovers(80, |i| i % 4 != 3)).unwrap();
+    let fit = &calibration.handovers["lab"];
+    for (estimate, truth) in [(fit.scan_ms, 200.0), (fit.fast_ms, 50.0), (fit.full_ms, 100.0)] {
+        let estimate = estimate.unwrap();
+        assert!(estimate.covers(truth), "{estimate} {truth}");
+    }
+    assert!(fit.variation.covers(0.3) && fit.variation.high < 0.4, "{fit:?}");
+    let times = parse(&calibrated_text(&text, &calibration.settings)).graph.wireless["lab"].handover;
+    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
+    // The share of authentication cannot be seen, and stays.
+    assert!((ms(times.reassociate) / ms(times.authenticate) - 4.0).abs() < 0.01, "{times:?}");
+    assert!((ms(times.authenticate + times.reassociate) - 50.0).abs() < 4.0, "{times:?}");
+    assert!((ms(times.handshake) - 50.0).abs() < 10.0 && (ms(times.scan) - 200.0).abs() < 10.0, "{times:?}");
+    assert!((times.variation - fit.variation.value).abs() < 1e-4);
+    assert!(markdown(&calibration).contains("## Handovers of network lab\n\n80 handovers."));
+}
+
+#[test]
+fn handovers_of_one_kind_leave_the_other_phases_in_proportion() {
+    let calibration = calibrate_handovers(TESTBED, handovers(40, |_| false)).unwrap();
+    let before = parse(TESTBED).graph.wireless["lab"].handover;
+    let after = parse(&calibrated_text(TESTBED, &calibration.settings)).graph.wireless["lab"].handover;
+    let ratio = |times: cotorra_graph::HandoverTimes| {
+        times.handshake.as_secs_f64() / times.authenticate.as_secs_f64()
+    };
+    assert!((ratio(before) - ratio(after)).abs() < 0.01, "{after:?}");
+    assert_eq!(calibration.handovers["lab"].fast_ms, None);
+}
+
+#[test]
+fn fewer_than_ten_handovers_are_refused() {
+    let refused = calibrate_handovers(TESTBED, handovers(9, |_| true)).unwrap_err();
+    assert!(refused.starts_with("network `lab` has 9 handovers: a fit needs 10 or more"), "{refused}");
+    let mut elsewhere = handovers(20, |_| true);
+    elsewhere[3].radio_unit = "R9".to_owned();
+    let refused = calibrate_handovers(TESTBED, elsewhere).unwrap_err();
+    assert_eq!(refused, "the testbed has no radio unit `R9`; its radio units are: R");
+    // A few of another kind are left out, and a note says so.
+    let calibration = calibrate_handovers(TESTBED, handovers(23, |i| i > 2)).unwrap();
+    let fit = &calibration.handovers["lab"];
+    assert_eq!(fit.full_ms, None);
+    assert_eq!(fit.notes, ["3 handovers with key handshakes are too few to fit: it takes 10"]);
+}
+
+#[test]
+fn scans_by_visits_are_not_fitted() {
+    let text = TESTBED.replace(
+        "standard: n",
+        "handover: { scan: { channels: 13, dwell: 60 ms, away: 125 ms, back: 200 ms } }",
+    );
+    let calibration = calibrate_handovers(&text, handovers(40, |_| true)).unwrap();
+    assert_eq!(calibration.handovers["lab"].scan_ms, None);
+    assert!(!calibration.settings.iter().any(|setting| setting.path.ends_with("scan")));
 }

@@ -11,10 +11,11 @@ use std::{
 use clap::Args;
 use cotorra_calibrate::{
     CalibrateError, Calibration, Comparison, Estimate, LinkCalibration, LinkMeasurement, MAX_CAPTURE,
-    Measurements, Options, PacketTimes, PathCalibration, calibrated_text, markdown, one_way_of_captures,
-    parse_round_trips, parse_survey, round_trips_of_capture,
+    Measurements, Options, PacketTimes, PathCalibration, Recorded, calibrated_text, markdown,
+    one_way_of_captures, parse_round_trips, parse_survey, round_trips_of_capture,
 };
 use cotorra_graph::{Probability, Testbed};
+use cotorra_measurements::{Kind, PageRequest};
 use cotorra_testbed::{put_all, write_file};
 use cotorra_testbed_file::{Carried, carry};
 use indicatif::ProgressBar;
@@ -23,6 +24,7 @@ use miette::{Diagnostic, IntoDiagnostic};
 use crate::{
     arguments::parse_seed,
     duration::parse_duration,
+    history::{HistoryPlace, Source, SourceError},
     output,
     quantity::parse_share,
     table::Table,
@@ -55,6 +57,7 @@ Examples:
   ping -D -c 600 10.0.0.2 > edge.txt
   cotorra calibrate testbeds/corridor.yaml --ping lan-edge=edge.txt --target 15ms
   cotorra calibrate office.yaml --survey walk.csv --out office
+  cotorra calibrate office.yaml --survey-run latest --handover-run latest
   cotorra calibrate office.yaml --pcap lan-edge=sender.pcap
   cotorra calibrate office.yaml --pcap lan-edge=lan.pcap:edge.pcap
   cotorra run office/testbed.yaml --simulate
@@ -66,8 +69,15 @@ pub struct CalibrateArgs {
     /// The testbed file
     pub file: PathBuf,
     /// Survey of signals: CSV with the columns time_s, x, y, radio_unit and signal_dbm, and z if heights matter
-    #[arg(long, value_name = "FILE", required_unless_present_any = ["pings", "pcaps"])]
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["pings", "pcaps", "survey_run", "handover_run"])]
     pub survey: Option<PathBuf>,
+    /// Take the survey from the history of a run: the signals that its robots heard; RUN is a folder, latest, or a number in
+    /// --history
+    #[arg(long, value_name = "RUN", conflicts_with = "survey")]
+    pub survey_run: Option<String>,
+    /// Fit the phases of handovers to those in the history of a run
+    #[arg(long, value_name = "RUN")]
+    pub handover_run: Option<String>,
     /// Round trips over a wired link: output of ping, or CSV with the columns seq and rtt_ms; can be given several times
     #[arg(long = "ping", value_name = "LINK=FILE", value_parser = parse_ping)]
     pub pings: Vec<(String, PathBuf)>,
@@ -90,6 +100,8 @@ pub struct CalibrateArgs {
     /// Overwrite the results that the folder has
     #[arg(long)]
     pub force: bool,
+    #[command(flatten)]
+    pub place: HistoryPlace,
 }
 
 fn parse_ping(text: &str) -> Result<(String, PathBuf), String> {
@@ -134,6 +146,19 @@ enum Error {
     #[error("captures {} and {}: {reason}", paths[0].display(), paths[1].display())]
     #[diagnostic(help("docs/calibrate.md says how to capture at both ends"))]
     Unmatched { paths: [PathBuf; 2], reason: CalibrateError },
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Run(#[from] SourceError),
+    #[error(transparent)]
+    History(#[from] cotorra_measurements::Error),
+    #[error("run {0} has no signals at known places")]
+    #[diagnostic(help(
+        "name a run whose robots are located by the simulator or by localization, and whose history was kept"
+    ))]
+    NoSignals(String),
+    #[error("run {0} has no handovers from one radio unit to another")]
+    #[diagnostic(help("name a run whose robots change their radio units"))]
+    NoHandovers(String),
     #[error("link `{0}` has two measurements")]
     #[diagnostic(help("give one for each link"))]
     Twice(String),
@@ -171,6 +196,22 @@ fn read(args: &CalibrateArgs) -> Result<Measurements, Error> {
         measurements.survey = parsed(path, parse_survey)?;
         note!("{}: {}", path.display(), count(measurements.survey.len(), "reading"));
     }
+    if let Some(run) = &args.survey_run {
+        let recorded = read_run(run, &args.place, &[Kind::Robot])?;
+        measurements.survey = recorded.survey().to_vec();
+        note!("{run}: {}", count(measurements.survey.len(), "reading"));
+        if measurements.survey.is_empty() {
+            return Err(Error::NoSignals(run.clone()));
+        }
+    }
+    if let Some(run) = &args.handover_run {
+        let recorded = read_run(run, &args.place, &[Kind::Handover, Kind::Scanned])?;
+        measurements.handovers = recorded.handovers().to_vec();
+        note!("{run}: {}", count(measurements.handovers.len(), "handover"));
+        if measurements.handovers.is_empty() {
+            return Err(Error::NoHandovers(run.clone()));
+        }
+    }
     let links = &mut measurements.links;
     for (link, path) in &args.pings {
         let trips = parsed(path, parse_round_trips)?;
@@ -191,6 +232,19 @@ fn add(
     match links.insert(link.to_owned(), measured) {
         Some(_) => Err(Error::Twice(link.to_owned())),
         None => Ok(()),
+    }
+}
+
+/// Reads the events of some kinds of a run.
+fn read_run(run: &str, place: &HistoryPlace, kinds: &[Kind]) -> Result<Recorded, Error> {
+    let Source { history, run, .. } = Source::find(run, place)?;
+    let mut recorded = Recorded::default();
+    let mut request = PageRequest::first(PageRequest::MAX);
+    loop {
+        let page = history.events(run.id, kinds, .., request)?;
+        page.items.iter().for_each(|event| recorded.take(event));
+        let Some(next) = page.next else { return Ok(recorded) };
+        request = PageRequest::after(next, PageRequest::MAX);
     }
 }
 
@@ -264,6 +318,13 @@ fn describe(calibration: &Calibration) -> String {
         fit.wall_loss_db.into_iter().for_each(|wall| row(name, "loss of a wall, dB", wall));
         row(name, "shadowing, dB", fit.deviation_db);
         fit.correlation_m.into_iter().for_each(|metres| row(name, "correlation, m", metres));
+        notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
+    }
+    for (name, fit) in &calibration.handovers {
+        fit.scan_ms.into_iter().for_each(|scan| row(name, "scan before a handover, ms", scan));
+        fit.fast_ms.into_iter().for_each(|fast| row(name, "fast transition, ms", fast));
+        fit.full_ms.into_iter().for_each(|full| row(name, "handover with handshakes, ms", full));
+        row(name, "variation of phases, %", percent(fit.variation));
         notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
     }
     for (name, link) in &calibration.links {

@@ -3,6 +3,8 @@
 //! A few sites are fitted each time. With `COTORRA_FULL`, it is 200, and the share must be from 91 to 98 %.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
+mod handovers;
+mod one_way;
 mod paths;
 mod predictions;
 mod survey;

@@ -1,4 +1,4 @@
-//! Round trips whose jitter and losses depend on those before.
+//! Times of packets whose jitter and losses depend on those before.
 
 use std::collections::BTreeSet;
 
@@ -44,9 +44,9 @@ fn normal_share(x: f64) -> f64 {
     0.5 + step / 3.0 * (0..=STEPS).map(|i| weight(i) * density(step * i as f64)).sum::<f64>()
 }
 
-/// Round trips of a site. Jitter is an autoregression of first order with the marginal distribution of the site (a Gaussian
+/// Times of packets at a site. Jitter is an autoregression of first order with the marginal distribution of the site (a Gaussian
 /// copula); losses are Gilbert's.
-pub fn round_trips(truth: Truth, draws: &mut Draws) -> PacketTimes {
+pub fn packet_times(truth: Truth, draws: &mut Draws) -> PacketTimes {
     let (mut state, mut lost) = (draws.normal(), draws.unit() < truth.loss);
     let leaves = 1.0 / truth.mean_burst;
     let enters = leaves * truth.loss / (1.0 - truth.loss);
@@ -80,7 +80,7 @@ fn path_intervals_hold_the_true_values() {
     for seed in 0..sites() as u64 {
         let mut draws = Draws::new(seed, "path");
         let truth = Truth::draw(&mut draws);
-        let fit = fit_path(&round_trips(truth, &mut draws), seed).unwrap();
+        let fit = fit_path(&packet_times(truth, &mut draws), seed).unwrap();
         found += usize::from(fit.distribution == truth.distribution);
         coverage.count("mean", fit.mean_ms, truth.mean_ms);
         coverage.count("jitter", fit.deviation_ms, truth.deviation_ms);

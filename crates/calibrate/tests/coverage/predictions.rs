@@ -6,7 +6,7 @@ use cotorra_calibrate::{Draws, Predictor, compare, fit_path};
 use cotorra_graph::JitterDistribution;
 
 use crate::{
-    paths::{Truth, round_trips},
+    paths::{Truth, packet_times},
     sites,
 };
 
@@ -17,7 +17,7 @@ fn fitted_paths_predict_the_test_part_better_than_normal_jitter() {
     for seed in 0..sites() as u64 {
         let mut draws = Draws::new(seed, "prediction");
         let truth = Truth::draw(&mut draws);
-        let [fitted, test] = round_trips(truth, &mut draws).split(0.6);
+        let [fitted, test] = packet_times(truth, &mut draws).split(0.6);
         let fit = fit_path(&fitted, seed).unwrap();
         let target = Duration::from_secs_f64((truth.mean_ms + truth.deviation_ms * 0.8) / 1e3);
         let compared = compare(&fit, &fitted, &test, Some(target), seed).unwrap();

@@ -22,7 +22,7 @@ use std::process::ExitCode;
 pub use self::{
     args::{EXAMPLES, History, HistoryPlace, Span},
     place::{HISTORY_VARIABLE, Place, location},
-    source::Source,
+    source::{Error as SourceError, Source},
 };
 
 /// Answers a query, or exports, imports or prunes a run.
