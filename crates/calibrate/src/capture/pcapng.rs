@@ -107,7 +107,7 @@ fn read_packet<'a>(
     let field = |at| order.u32_at(block, at);
     let parts = || {
         let interface = interfaces.get(field(8)? as usize)?;
-        let time = u64::from(field(12)?) << 32 | u64::from(field(16)?);
+        let time = (u64::from(field(12)?) << 32) | u64::from(field(16)?);
         let bytes = block.get(PACKET_BYTES..)?.get(..field(20)? as usize)?;
         Some((interface.link_type, interface.nanoseconds(time)?, bytes, field(24)?))
     };

@@ -136,8 +136,7 @@ fn captures_at_both_ends_fit_each_direction() {
     fs::write(path("first.pcap"), pcap(&first)).unwrap();
     fs::write(path("second.pcap"), pcap(&second)).unwrap();
     let captures = format!("A-edge={}:{}", path("first.pcap"), path("second.pcap"));
-    let arguments = ["calibrate", &path("lab.yaml"), "--pcap", &captures, "--out", &path("fitted")];
-    let fitted = output(arguments);
+    let fitted = output(["calibrate", &path("lab.yaml"), "--pcap", &captures, "--out", &path("fitted")]);
     assert!(fitted.status.success(), "{}", stderr(&fitted));
     let report: Value = serde_json::from_slice(&fs::read(path("fitted/report.json")).unwrap()).unwrap();
     for (direction, jitter) in [("forward", 2.0), ("backward", 0.5)] {
