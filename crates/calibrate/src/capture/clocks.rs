@@ -1,6 +1,6 @@
 //! Two clocks of which one goes faster.
 
-/// Largest drift between clocks that are not broken, ms in a second: 500 ppm (the tolerance of NTP, RFC 5905, 7.2).
+/// Largest drift between clocks that are not broken, ms in a second: 500 ppm, the most that Linux corrects (adjtimex(2)).
 pub(super) const MOST_DRIFT: f64 = 0.5;
 
 /// Returns the slope of the line below all points that is nearest to them, by the sum of the distances. It is the drift between

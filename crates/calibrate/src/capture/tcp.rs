@@ -34,7 +34,7 @@ type End = (IpAddr, u16);
 /// Reads round trips from a capture (pcap or pcapng) at one end of a path, by TCP's data and acknowledgements.
 ///
 /// A round trip is the time from a segment to the first acknowledgement that ends where the segment ends. If a segment that it
-/// acknowledges was sent twice, the one whose timestamp the acknowledgement echoes counts (RFC 7323, 4.1). Without
+/// acknowledges was sent twice, the one whose timestamp the acknowledgement echoes counts (RFC 7323, 4). Without
 /// timestamps, none does (Karn and Partridge 1987). Round trips are those between the two hosts with the most, seen from the
 /// one to which they are longer. Losses are not measured.
 ///
