@@ -40,7 +40,7 @@ pub use self::{
     path::{LEAST_ARRIVED, PathFit, fit_path},
     recorded::{HandoverTime, Recorded},
     report::markdown,
-    round_trips::parse_round_trips,
+    round_trips::{parse_round_trips, parse_stamp},
     settings::{FittedSetting, calibrated_text},
     survey::{MAX_READINGS, Reading, SurveyFit, fit_survey, parse_survey},
     times::{Means, OneWay, PacketTimes},

@@ -3,15 +3,18 @@
 use std::{collections::BTreeSet, time::Duration};
 
 use crate::{
+    calibration::LinkMeasurement,
     csv::{self, Table},
     error::CalibrateError,
-    times::{PacketTimes, median},
+    times::{Means, OneWay, PacketTimes, median},
 };
 
 /// Longest plausible round trip, milliseconds.
 const MOST_MS: f64 = 600_000.0;
 /// Most packets of a series.
 const MAX_PACKETS: usize = csv::MAX_LINES;
+/// Bytes of an Ethernet frame of STAMP without padding.
+const STAMP_FRAME: usize = 44 + 8 + HEADERS;
 /// Bytes of `ping`'s IP header and of an Ethernet header.
 const HEADERS: usize = 20 + 14;
 /// Bytes of an Ethernet frame of `ping` without options: 64 bytes of ICMP.
@@ -28,6 +31,50 @@ pub fn parse_round_trips(text: &str) -> Result<PacketTimes, CalibrateError> {
         true => parse_csv(text),
         false => parse_ping(text),
     }
+}
+
+/// Reads the packets that `cotorra stamp send --packets` wrote: CSV with the columns `seq` and `rtt_ms`, and `there_ms` and
+/// `back_ms` if both clocks were synchronised. A line `# frame_bytes: 86` gives the size of their frames.
+///
+/// With the latter two, delays of both directions are measured. Which of them lost a packet is not known, so that losses are
+/// left out.
+///
+/// # Errors
+/// [`CalibrateError::Line`] with the first line that is wrong, or [`CalibrateError::Unreadable`].
+pub fn parse_stamp(text: &str) -> Result<LinkMeasurement, CalibrateError> {
+    csv::check_length(text)?;
+    let bytes: Option<u16> =
+        text.lines().find_map(|line| line.strip_prefix("# frame_bytes: ")?.trim().parse().ok());
+    let frame_bytes = [bytes.map_or(STAMP_FRAME, usize::from); 2];
+    let table = Table::new(text)?;
+    let (Some(there), Some(back)) = (table.column("there_ms"), table.column("back_ms")) else {
+        return Ok(LinkMeasurement::RoundTrips(PacketTimes { frame_bytes, ..parse_csv(text)? }));
+    };
+    let mut ways = [Vec::new(), Vec::new()];
+    for row in table.rows() {
+        let row = row?;
+        for (way, column) in ways.iter_mut().zip([there, back]) {
+            if !row.text(column).is_empty() {
+                way.push(Some(row.number(column, [0.0, MOST_MS])?));
+            }
+        }
+    }
+    let way = |times_ms| PacketTimes {
+        times_ms,
+        duplicated: BTreeSet::new(),
+        late: 0,
+        counts_losses: false,
+        interval: None,
+        frame_bytes,
+        notes: Vec::new(),
+    };
+    let notes =
+        vec!["it is not known which direction lost a packet, so that losses stay as they are".to_owned()];
+    Ok(LinkMeasurement::OneWay(OneWay {
+        ways: ways.map(|times| Some(way(times))),
+        means: Means::Measured,
+        notes,
+    }))
 }
 
 /// Collects packets by number.
@@ -238,6 +285,27 @@ From 10.0.0.1 icmp_seq=6 Destination Host Unreachable
         let text = "# our own\nseq, rtt_ms\n7,1.5\n8,\n10,2\n";
         let trips = parse_round_trips(text).unwrap();
         assert_eq!(trips.times_ms, [Some(1.5), None, None, Some(2.0)]);
+    }
+
+    #[test]
+    fn stamp_gives_round_trips_or_both_directions() {
+        let LinkMeasurement::RoundTrips(trips) =
+            parse_stamp("# frame_bytes: 300\nseq,rtt_ms\n0,1.5\n1,\n").unwrap()
+        else {
+            panic!()
+        };
+        assert_eq!((trips.times_ms, trips.frame_bytes), (vec![Some(1.5), None], [300, 300]));
+        let text = "seq,rtt_ms,there_ms,back_ms\n0,12,5,7\n1,,,\n2,13,5.5,7.5\n";
+        let LinkMeasurement::OneWay(OneWay { ways, means, .. }) = parse_stamp(text).unwrap() else {
+            panic!()
+        };
+        assert_eq!(means, Means::Measured);
+        let ways = ways.map(|way| way.map(|way| (way.times_ms, way.counts_losses, way.frame_bytes)));
+        let expected =
+            [[5.0, 5.5], [7.0, 7.5]].map(|times| Some((times.map(Some).to_vec(), false, [86, 86])));
+        assert_eq!(ways, expected);
+        let wrong = parse_stamp("seq,rtt_ms,there_ms,back_ms\n0,12,x,7\n").unwrap_err();
+        assert_eq!(wrong.to_string(), "line 2: `x` is not a number from 0 to 600000");
     }
 
     #[test]

@@ -12,7 +12,7 @@ use clap::Args;
 use cotorra_calibrate::{
     CalibrateError, Calibration, Comparison, Estimate, LinkCalibration, LinkMeasurement, MAX_CAPTURE,
     Measurements, Options, PacketTimes, PathCalibration, Recorded, calibrated_text, markdown,
-    one_way_of_captures, parse_round_trips, parse_survey, round_trips_of_capture,
+    one_way_of_captures, parse_round_trips, parse_stamp, parse_survey, round_trips_of_capture,
 };
 use cotorra_graph::{Probability, Testbed};
 use cotorra_measurements::{Kind, PageRequest};
@@ -69,7 +69,7 @@ pub struct CalibrateArgs {
     /// The testbed file
     pub file: PathBuf,
     /// Survey of signals: CSV with the columns time_s, x, y, radio_unit and signal_dbm, and z if heights matter
-    #[arg(long, value_name = "FILE", required_unless_present_any = ["pings", "pcaps", "survey_run", "handover_run"])]
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["pings", "stamps", "pcaps", "survey_run", "handover_run"])]
     pub survey: Option<PathBuf>,
     /// Take the survey from the history of a run: the signals that its robots heard; RUN is a folder, latest, or a number in
     /// --history
@@ -81,6 +81,9 @@ pub struct CalibrateArgs {
     /// Round trips over a wired link: output of ping, or CSV with the columns seq and rtt_ms; can be given several times
     #[arg(long = "ping", value_name = "LINK=FILE", value_parser = parse_ping)]
     pub pings: Vec<(String, PathBuf)>,
+    /// Packets over a wired link that `cotorra stamp send --packets` wrote; can be given several times
+    #[arg(long = "stamp", value_name = "LINK=FILE", value_parser = parse_ping)]
+    pub stamps: Vec<(String, PathBuf)>,
     /// Capture of a TCP flow over a wired link at its sender, or captures of any flow at the link's first and second end, as
     /// pcap or pcapng; can be given several times
     #[arg(long = "pcap", value_name = "LINK=FILE[:FILE]", value_parser = parse_pcap)]
@@ -217,6 +220,9 @@ fn read(args: &CalibrateArgs) -> Result<Measurements, Error> {
         let trips = parsed(path, parse_round_trips)?;
         note!("{}: {}", path.display(), packets(&trips));
         add(links, link, LinkMeasurement::RoundTrips(trips))?;
+    }
+    for (link, path) in &args.stamps {
+        add(links, link, parsed(path, parse_stamp)?)?;
     }
     for (link, captures) in &args.pcaps {
         add(links, link, read_captures(captures)?)?;

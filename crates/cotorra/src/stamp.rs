@@ -3,15 +3,18 @@
 //! `cotorra_stamp` implements the protocol.
 
 use std::{
-    io::ErrorKind,
+    fmt::Write as _,
+    fs,
+    io::{ErrorKind, Write as _},
     net::{SocketAddr, ToSocketAddrs, UdpSocket},
     num::NonZero,
+    path::PathBuf,
     time::Duration,
 };
 
 use clap::{Args, Subcommand};
 use cotorra_stamp::{
-    Clock, Delays, ErrorEstimate, Measurement, PORT, Reflector, Sender, SessionConfig, receive,
+    Answer, Clock, Delays, ErrorEstimate, Measurement, PORT, Reflector, Sender, SessionConfig, receive,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, WrapErr, miette};
@@ -44,6 +47,7 @@ Examples:
   cotorra stamp send 192.0.2.7
   cotorra stamp send robot.lab:8620 --count 1000 --interval 10ms --length 256
   cotorra stamp send 192.0.2.7 --synchronized --json
+  cotorra stamp send 192.0.2.7 --count 1200 --packets edge.csv    # for cotorra calibrate
 
 Exit status: 0 measured, 1 no answer or another error, 2 wrong usage.")]
 pub struct SendArgs {
@@ -71,6 +75,9 @@ pub struct SendArgs {
     /// Print one JSON object, with times in milliseconds
     #[arg(long)]
     json: bool,
+    /// Write the times of each packet to a new file, as CSV
+    #[arg(long, value_name = "FILE")]
+    packets: Option<PathBuf>,
 }
 
 /// Reflect packets of measurements until Ctrl-C
@@ -97,6 +104,9 @@ pub fn stamp(stamp: &Stamp) -> miette::Result<()> {
 }
 
 fn send(args: &SendArgs) -> miette::Result<()> {
+    if let Some(path) = args.packets.as_ref().filter(|path| path.symlink_metadata().is_ok()) {
+        return Err(miette!(help = "choose another file by --packets", "{} exists already", path.display()));
+    }
     let config = SessionConfig {
         identifier: std::process::id() as u16,
         interval: args.interval,
@@ -121,7 +131,9 @@ fn send(args: &SendArgs) -> miette::Result<()> {
         sender.step(NOTICE).into_diagnostic().wrap_err_with(reached)?;
         progress.set_position(sender.session().sent().into());
     }
-    let measured = sender.session().measurement(sender.clock().now());
+    let now = sender.clock().now();
+    let measured = sender.session().measurement(now);
+    let packets = args.packets.as_ref().map(|_| csv(sender.session().answers(now), args.length));
     progress.finish_and_clear();
     let measured = measured.filter(|measured| measured.round_trip.is_some()).ok_or_else(|| {
         miette!(
@@ -129,6 +141,11 @@ fn send(args: &SendArgs) -> miette::Result<()> {
             "no answer from {address}"
         )
     })?;
+    if let Some((path, text)) = args.packets.as_ref().zip(packets) {
+        let unwritten = || format!("cannot write {}", path.display());
+        let mut file = fs::File::create_new(path).into_diagnostic().wrap_err_with(unwritten)?;
+        file.write_all(text.as_bytes()).into_diagnostic().wrap_err_with(unwritten)?;
+    }
     output::print(&if args.json { json(&measured) } else { text(address, &measured) })
 }
 
@@ -189,6 +206,27 @@ fn text(address: SocketAddr, measured: &Measurement) -> String {
     )
 }
 
+/// Returns the times of each packet as CSV, with both ways if all answers have them.
+fn csv(answers: impl Iterator<Item = Option<Answer>>, length: u16) -> String {
+    /// Octets of the headers of UDP, IPv4 and Ethernet.
+    const HEADERS: u32 = 8 + 20 + 14;
+    let answers: Vec<_> = answers.collect();
+    let are_one_way = answers.iter().flatten().all(|answer| answer.ways.is_some());
+    let columns = if are_one_way { "seq,rtt_ms,there_ms,back_ms" } else { "seq,rtt_ms" };
+    let mut text = format!("# frame_bytes: {}\n{columns}\n", u32::from(length) + HEADERS);
+    let cell = |time: Option<Duration>| {
+        let ms = time.map(|time| format!("{:.6}", time.as_secs_f64() * 1e3));
+        format!(",{}", ms.unwrap_or_default())
+    };
+    for (number, answer) in answers.iter().enumerate() {
+        let ways = answer.and_then(|answer| answer.ways).map_or([None; 2], |ways| ways.map(Some));
+        let ways = if are_one_way { ways.map(cell).concat() } else { String::new() };
+        let round_trip = cell(answer.map(|answer| answer.round_trip));
+        writeln!(text, "{number}{round_trip}{ways}").expect("writing into a string cannot fail");
+    }
+    text
+}
+
 fn json(measured: &Measurement) -> String {
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
     let delays = |delays: Option<Delays>| {
@@ -209,4 +247,23 @@ fn json(measured: &Measurement) -> String {
         "backward_ms": delays(measured.backward),
     });
     format!("{object}\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packets_are_a_table_with_both_ways_only_between_synchronised_clocks() {
+        let ms = Duration::from_millis;
+        let answer = |ways| Some(Answer { round_trip: ms(12), ways });
+        let apart = csv([answer(None), None].into_iter(), 44);
+        assert_eq!(apart, "# frame_bytes: 86\nseq,rtt_ms\n0,12.000000\n1,\n");
+        let synchronised = csv([None, answer(Some([ms(5), ms(7)]))].into_iter(), 44);
+        assert_eq!(
+            synchronised,
+            "# frame_bytes: 86\nseq,rtt_ms,there_ms,back_ms\n0,,,\n1,12.000000,5.000000,7.000000\n"
+        );
+        assert!(cotorra_calibrate::parse_stamp(&synchronised).is_ok());
+    }
 }

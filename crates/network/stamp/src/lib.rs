@@ -13,7 +13,7 @@ mod session;
 mod utc;
 
 pub use link::Link;
-pub use measurement::{Delays, LinkEstimate, Measurement, OneWay};
+pub use measurement::{Answer, Delays, LinkEstimate, Measurement, OneWay};
 pub use packet::{BASE_LENGTH, Malformed, PORT};
 pub use reflector::{Reflection, Reflector};
 pub use sender::{Clock, Sender, receive};

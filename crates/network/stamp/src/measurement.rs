@@ -18,6 +18,15 @@ impl Outcome {
     }
 }
 
+/// Delays of one answered packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Answer {
+    /// Round-trip delay without the reflector's processing time.
+    pub round_trip: Duration,
+    /// Delays of the way there and the way back, if both clocks are synchronised.
+    pub ways: Option<[Duration; 2]>,
+}
+
 /// The measurement by one reply.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sample {
@@ -34,6 +43,10 @@ pub(crate) struct Sample {
 }
 
 impl Sample {
+    pub(crate) fn answer(&self) -> Answer {
+        Answer { round_trip: self.round_trip, ways: self.one_way().map(|ways| ways.map(duration)) }
+    }
+
     /// Returns the delays there and back, ns, if both clocks are synchronised.
     pub(crate) fn one_way(&self) -> Option<[i64; 2]> {
         self.synchronized.then_some(self.ways)

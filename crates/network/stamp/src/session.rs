@@ -4,7 +4,7 @@ use std::{collections::VecDeque, time::Duration};
 
 use crate::{
     extension,
-    measurement::{LinkEstimate, Measurement, Outcome, Sample, duration},
+    measurement::{Answer, LinkEstimate, Measurement, Outcome, Sample, duration},
     one_way::one_way,
     packet::{BASE_LENGTH, Malformed, Reply, Test},
     utc::{ErrorEstimate, Utc},
@@ -157,6 +157,12 @@ impl Session {
         Ok(Some(sample))
     }
 
+    /// Returns the answers of the window's packets, in order of sending; `None` for a packet that was given up. Packets that are
+    /// neither answered nor given up are left out.
+    pub fn answers(&self, now: Utc) -> impl Iterator<Item = Option<Answer>> {
+        self.recent(now).map(|outcome| outcome.sample.as_ref().map(Sample::answer))
+    }
+
     /// Returns the measurement over the window; `None` until the first packet was answered or given up.
     pub fn measurement(&self, now: Utc) -> Option<Measurement> {
         Measurement::of(self.recent(now), self.config.reflector_counts)
@@ -259,6 +265,9 @@ mod tests {
         let measured = session.measurement(now).unwrap();
         let round_trip = measured.round_trip.unwrap();
         assert_eq!((round_trip.min, round_trip.p50, round_trip.max), (ms(10), ms(10), ms(11)));
+        let answers: Vec<_> = session.answers(now).collect();
+        assert_eq!(answers.len(), 100);
+        assert_eq!(answers[1], Some(Answer { round_trip: ms(11), ways: Some([ms(4), ms(7)]) }));
         assert_eq!(measured.forward.unwrap().max, ms(4));
         assert_eq!(measured.backward.unwrap().mean, ms(7));
         let jitter = [round_trip, measured.forward.unwrap(), measured.backward.unwrap()].map(|d| d.jitter);
