@@ -55,6 +55,7 @@ fn measurements() -> Measurements {
     Measurements {
         survey: parse_survey(&survey()).unwrap(),
         links: BTreeMap::from([("R-edge".to_owned(), LinkMeasurement::RoundTrips(trips))]),
+        handovers: Vec::new(),
     }
 }
 

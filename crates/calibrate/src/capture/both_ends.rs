@@ -74,7 +74,12 @@ fn of_ways(ways: [Way; 2]) -> Result<OneWay, CalibrateError> {
     let mut notes = Vec::new();
     let mut ways = ways.map(|way| (way.arrived().count() >= LEAST_MATCHED).then_some(way));
     let drift = match &ways {
-        [Some(forward), Some(backward)] => (forward.slope() - backward.slope()) / 2.0,
+        [Some(forward), Some(backward)] => {
+            let slopes = [forward.slope(), -backward.slope()];
+            let [a, b] =
+                [forward.spread(slopes[0]), backward.spread(-slopes[1])].map(|ms| ms.max(1e-6).powi(-2));
+            (a * slopes[0] + b * slopes[1]) / (a + b)
+        }
         [Some(forward), None] => forward.slope(),
         [None, Some(backward)] => -backward.slope(),
         [None, None] => return Err(too_few()),
@@ -302,6 +307,12 @@ impl Way {
     /// Returns how much the shortest times grow, ms in a second.
     fn slope(&self) -> f64 {
         lower_slope(&mut self.arrived().collect::<Vec<_>>())
+    }
+
+    /// Returns how far the times are above the shortest one on average, ms, without a slope.
+    fn spread(&self, slope: f64) -> f64 {
+        let level = || self.arrived().map(|(at_s, ms)| ms - slope * at_s);
+        level().sum::<f64>() / self.arrived().count().max(1) as f64 - level().fold(f64::INFINITY, f64::min)
     }
 
     fn shortest_ms(&self) -> f64 {

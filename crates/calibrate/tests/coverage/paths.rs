@@ -17,7 +17,7 @@ pub struct Truth {
     pub mean_ms: f64,
     pub deviation_ms: f64,
     correlation: f64,
-    loss: f64,
+    pub loss: f64,
     mean_burst: f64,
 }
 
