@@ -56,6 +56,7 @@ impl Default for Options {
 /// A wired link, fitted and tested.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
+#[expect(clippy::large_enum_variant, reason = "there is one for each link")]
 pub enum LinkCalibration {
     /// By round trips.
     RoundTrips(PathCalibration),

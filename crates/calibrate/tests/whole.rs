@@ -157,7 +157,7 @@ fn handovers(number: usize, fast: impl Fn(usize) -> bool) -> Vec<HandoverTime> {
     let mut phase = |ms: f64| ms * (0.7 + 0.6 * draws.unit());
     let mut handover = |i| {
         let join_ms = phase(10.0) + phase(40.0) + if fast(i) { 0.0 } else { phase(50.0) };
-        let scan_ms = (i % 2 == 0).then(|| phase(200.0));
+        let scan_ms = i.is_multiple_of(2).then(|| phase(200.0));
         HandoverTime { radio_unit: "R".to_owned(), fast: fast(i), scan_ms, join_ms }
     };
     (0..number).map(&mut handover).collect()

@@ -21,7 +21,7 @@ fn handover_intervals_hold_the_true_values() {
         let (scale, variation) = (between(draws, [0.5, 3.0]), between(draws, [0.05, 0.6]));
         let mut phase = |ms: f64| scale * ms * (1.0 + variation * (2.0 * draws.unit() - 1.0));
         let mut handover = |i: usize| {
-            let fast = i % 2 == 0;
+            let fast = i.is_multiple_of(2);
             let join_ms = phase(15.0) + phase(20.0) + if fast { 0.0 } else { phase(60.0) };
             HandoverTime { radio_unit: "R".to_owned(), fast, scan_ms: Some(phase(100.0)), join_ms }
         };
