@@ -37,8 +37,8 @@ pub struct HandoverFit {
 ///
 /// A phase is uniform around its mean, as [`HandoverTimes`] has it, and a time is a sum of phases. What cannot be seen, such as
 /// the share of authentication in a fast transition, is as in the testbed. A sum is then a mean plus a deviation times a known
-/// distribution. Both follow from the least and the greatest time. Their intervals are exact: the estimates' errors, in units
-/// of the range, have a distribution that depends on the number of handovers alone, and is simulated.
+/// distribution. Both follow from the least and the greatest time. Their intervals hold for few handovers, too: the estimates'
+/// errors, in units of the range, have a distribution that depends on the number of handovers alone, and is simulated.
 ///
 /// # Errors
 /// [`CalibrateError::Unsuited`] if a radio unit is not in the testbed, and [`CalibrateError::TooLittle`] if a network has no

@@ -79,10 +79,10 @@ pub struct CalibrateArgs {
     #[arg(long, value_name = "RUN")]
     pub handover_run: Option<String>,
     /// Round trips over a wired link: output of ping, or CSV with the columns seq and rtt_ms; can be given several times
-    #[arg(long = "ping", value_name = "LINK=FILE", value_parser = parse_ping)]
+    #[arg(long = "ping", value_name = "LINK=FILE", value_parser = parse_measurement)]
     pub pings: Vec<(String, PathBuf)>,
     /// Packets over a wired link that `cotorra stamp send --packets` wrote; can be given several times
-    #[arg(long = "stamp", value_name = "LINK=FILE", value_parser = parse_ping)]
+    #[arg(long = "stamp", value_name = "LINK=FILE", value_parser = parse_measurement)]
     pub stamps: Vec<(String, PathBuf)>,
     /// Capture of a TCP flow over a wired link at its sender, or captures of any flow at the link's first and second end, as
     /// pcap or pcapng; can be given several times
@@ -107,7 +107,7 @@ pub struct CalibrateArgs {
     pub place: HistoryPlace,
 }
 
-fn parse_ping(text: &str) -> Result<(String, PathBuf), String> {
+fn parse_measurement(text: &str) -> Result<(String, PathBuf), String> {
     match text.split_once('=') {
         Some((link, file)) if !link.is_empty() && !file.is_empty() => Ok((link.to_owned(), file.into())),
         _ => Err("write a link and a file, as in lan-edge=ping.txt".to_owned()),
@@ -125,7 +125,7 @@ pub enum Captures {
 
 fn parse_pcap(text: &str) -> Result<(String, Captures), String> {
     let wrong = || "write a link and one or two files, as in lan-edge=lan.pcap:edge.pcap".to_owned();
-    let (link, file) = parse_ping(text).map_err(|_| wrong())?;
+    let (link, file) = parse_measurement(text).map_err(|_| wrong())?;
     let files = file.to_str().and_then(|files| files.rsplit_once(':'));
     match files {
         Some((first, second)) if first.is_empty() || second.is_empty() => Err(wrong()),
@@ -337,16 +337,12 @@ fn describe(calibration: &Calibration) -> String {
         notes.extend(link.notes().iter().map(|note| format!("{name}: {note}")));
         for (way, path) in link.paths() {
             let (fit, of) = (&path.fit, named(name, link, way));
+            let mean = match link {
+                LinkCalibration::RoundTrips(_) => "mean round trip, ms",
+                LinkCalibration::OneWay { .. } => "mean, ms",
+            };
             if link.mean_is_known() {
-                row(
-                    &of,
-                    if let LinkCalibration::RoundTrips(_) = link {
-                        "mean round trip, ms"
-                    } else {
-                        "mean, ms"
-                    },
-                    fit.mean_ms,
-                );
+                row(&of, mean, fit.mean_ms);
             }
             row(&of, "deviation, ms", fit.deviation_ms);
             if let Some(loss) = &fit.loss {
@@ -421,9 +417,9 @@ mod tests {
     #[test]
     fn round_trips_are_of_a_link_and_in_a_file() {
         let file = |name: &str| Ok(("lan-edge".to_owned(), PathBuf::from(name)));
-        assert_eq!(parse_ping("lan-edge=a=b.txt"), file("a=b.txt"));
+        assert_eq!(parse_measurement("lan-edge=a=b.txt"), file("a=b.txt"));
         for wrong in ["lan-edge", "=ping.txt", "lan-edge=", ""] {
-            assert!(parse_ping(wrong).is_err(), "{wrong}");
+            assert!(parse_measurement(wrong).is_err(), "{wrong}");
         }
     }
 
