@@ -20,6 +20,8 @@ const SIMULATED: usize = 20_000;
 const THINNED: usize = 20;
 /// Quantiles that are compared.
 const LEVELS: [f64; 3] = [0.5, 0.95, 0.99];
+/// Difference below which times are the same, ms, and shares: captures have nanoseconds.
+const SAME: f64 = 1e-6;
 
 /// What is compared of a series of times.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -150,8 +152,8 @@ pub fn compare(
     let prediction = |(k, by): (usize, Predictor)| {
         let agrees = std::array::from_fn(|i| {
             let difference = estimate(0.0, &|resample| resample.predicted[k][i] - resample.measured[i]);
-            // A share that is 0 or 1 in all resamples of both parts leaves no interval.
-            difference.covers(0.0) || predicted[k][i] == measured[i]
+            // Times or shares that are the same in all resamples of both parts leave no interval.
+            difference.covers(0.0) || (predicted[k][i] - measured[i]).abs() < SAME
         });
         Prediction {
             by,
@@ -346,6 +348,17 @@ mod tests {
         assert!(replay.agrees.p50_ms);
         assert!(!normal.agrees.p50_ms);
         assert!(by_fit.wasserstein_ms.value * 3.0 < normal.wasserstein_ms.value, "{compared:#?}");
+    }
+
+    #[test]
+    fn a_constant_delay_is_predicted() {
+        let rows: String = (0..1000).map(|i| format!("{i},5.500{:04}\n", i % 2)).collect();
+        let [fitted, test] = parse_round_trips(&format!("seq,rtt_ms\n{rows}")).unwrap().split(0.6);
+        let fit = fit_path(&fitted, 1).unwrap();
+        let compared = compare(&fit, &fitted, &test, None, 1).unwrap();
+        let [by_fit, ..] = &compared.predictions[..] else { panic!() };
+        let all = Figures { p50_ms: true, p95_ms: true, p99_ms: true, above: None };
+        assert_eq!(by_fit.agrees, all, "{compared:#?}");
     }
 
     #[test]

@@ -57,8 +57,10 @@ pub(crate) fn match_quantiles(standard: &[f64; LEVELS], observed: &[f64; LEVELS]
     let average = |values: &[f64; LEVELS]| values.iter().sum::<f64>() / LEVELS as f64;
     let (x, y) = (average(standard), average(observed));
     let pairs = || standard.iter().zip(observed);
-    let deviation = pairs().map(|(s, o)| (s - x) * (o - y)).sum::<f64>()
+    let slope = pairs().map(|(s, o)| (s - x) * (o - y)).sum::<f64>()
         / standard.iter().map(|s| (s - x).powi(2)).sum::<f64>();
+    // Equal quantiles may leave one below zero by rounding.
+    let deviation = slope.max(0.0);
     let mean = y - deviation * x;
     let squares = pairs().map(|(s, o)| (o - mean - deviation * s).powi(2)).sum::<f64>();
     Located { mean, deviation, distance: (squares / LEVELS as f64).sqrt() }
