@@ -10,7 +10,8 @@ use crate::{
     error::CalibrateError,
     estimate::{Estimate, quantile},
     jitter,
-    path::{PathFit, RESAMPLES, check_number},
+    matched::RESAMPLES,
+    path::{PathFit, check_number},
     times::PacketTimes,
 };
 

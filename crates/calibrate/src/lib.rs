@@ -4,8 +4,9 @@
 //! opens no files and measures nothing itself. All randomness comes from a seed, so that a calibration can be repeated.
 //!
 //! [`fit_survey`] fits path loss, walls and shadowing of a wireless network, and [`fit_handovers`] the phases of its handovers.
-//! [`Recorded`] finds both measurements in the events of a run. [`Calibration::new`] fits all measurements, and compares each link on a part of its packets that was not fitted. Measurements that do not determine a value give a wide
-//! interval or a [`CalibrateError`].
+//! [`Recorded`] finds both measurements in the events of a run. [`Calibration::new`] fits all measurements, and compares each link
+//! on a part of its packets that was not fitted. [`fit_walk`] fits a testbed to the service times of a walk. Measurements that do
+//! not determine a value give a wide interval, a [`CalibrateError`] or a note.
 #![forbid(unsafe_code)]
 
 mod bootstrap;
@@ -19,6 +20,7 @@ mod estimate;
 mod handovers;
 mod jitter;
 mod loss;
+mod matched;
 mod path;
 mod recorded;
 mod report;
@@ -26,6 +28,7 @@ mod round_trips;
 mod settings;
 mod survey;
 mod times;
+mod walk;
 
 pub use self::{
     calibration::{Calibration, LinkCalibration, LinkMeasurement, Measurements, Options, PathCalibration},
@@ -44,4 +47,7 @@ pub use self::{
     settings::{FittedSetting, calibrated_text},
     survey::{MAX_READINGS, Reading, SurveyFit, fit_survey, parse_survey},
     times::{Means, OneWay, PacketTimes},
+    walk::{
+        LEAST_IN_REGION, Region, RegionFit, ScanFit, SimulatedSample, WalkData, WalkFit, WalkSample, fit_walk,
+    },
 };

@@ -4,22 +4,17 @@ use cotorra_graph::JitterDistribution;
 use serde::Serialize;
 
 use crate::{
-    bootstrap::{Ranked, Resampler},
     draws::Draws,
     error::CalibrateError,
     estimate::Estimate,
-    jitter::{
-        self, LEVELS, Located, levels, match_quantiles, normal_quantile, standard_quantile,
-        standard_quantiles,
-    },
+    jitter::{self, Located, normal_quantile, standard_quantile},
     loss::{self, LossFit},
+    matched::{Matched, RESAMPLES},
     times::PacketTimes,
 };
 
 /// Fewest packets of a fit, and of a test.
 pub const LEAST_ARRIVED: usize = 100;
-/// Resamples of a bootstrap.
-pub(crate) const RESAMPLES: usize = 500;
 /// A time that is this rare is the shortest one.
 pub(crate) const SHORTEST: f64 = 0.001;
 /// Distinct times below which rounding hides the distribution.
@@ -75,41 +70,22 @@ pub fn fit_path(trips: &PacketTimes, seed: u64) -> Result<PathFit, CalibrateErro
     let draws = &mut Draws::new(seed, "calibrate path");
     let arrived = trips.arrived();
     check_number(trips, "fit")?;
-    let mut ranked = Ranked::new(&arrived);
-    (0..arrived.len()).for_each(|i| ranked.add(i));
-    let distinct = ranked.counted().count();
-    let observed = ranked.quantiles(levels());
-    let matched = jitter::ALL
-        .map(|distribution| (distribution, match_quantiles(&standard_quantiles(distribution), &observed)));
-    let nearest = matched.iter().min_by(|(_, a), (_, b)| a.distance.total_cmp(&b.distance));
-    let (distribution, found) = *nearest.unwrap_or(&matched[0]);
-    let standard = standard_quantiles(distribution);
-    let resampler = Resampler::new(&arrived);
-    let located: Vec<Located> = (0..RESAMPLES)
-        .map(|_| {
-            ranked.clear();
-            resampler.resample(draws, |i| ranked.add(i));
-            match_quantiles(&standard, &ranked.quantiles::<LEVELS>(levels()))
-        })
-        .collect();
-    let of = |value: f64, of: fn(&Located) -> f64| {
-        Estimate::around(value, &mut located.iter().map(of).collect::<Vec<_>>())
-    };
+    let matched = Matched::nearest(&jitter::ALL, &arrived, draws);
     let lost: Vec<bool> = trips.times_ms.iter().map(Option::is_none).collect();
     let fitted = PathFit {
         packets: trips.times_ms.len(),
-        mean_ms: of(found.mean, |located| located.mean),
-        deviation_ms: of(found.deviation, |located| located.deviation),
-        distribution,
-        distances_ms: matched.iter().map(|(distribution, found)| (*distribution, found.distance)).collect(),
+        mean_ms: matched.mean(),
+        deviation_ms: matched.deviation(),
+        distribution: matched.distribution,
+        distances_ms: matched.distances,
         correlation: correlation(&trips.times_ms),
-        block_length: resampler.length(),
+        block_length: matched.block_length,
         loss: trips.counts_losses.then(|| loss::fit(&lost, draws)),
         duplication: trips.counts_losses.then(|| share(trips.duplicated.len(), arrived.len(), draws)),
         notes: Vec::new(),
-        resampled: located,
+        resampled: matched.resampled,
     };
-    let notes = notes(&fitted, trips, distinct);
+    let notes = notes(&fitted, trips, matched.distinct);
     Ok(PathFit { notes, ..fitted })
 }
 
