@@ -1,11 +1,15 @@
 //! The COTORRA letter's first validation (arXiv 2101.07676). A robot walks the corridor and back twice. With the state of
 //! the art, navigation stays in the cloud and the robot roams by periodic probing; the second walk is orchestrated by OKpi.
-//! Both are compared by the service times of the first service, which is navigation, and with a walk that was measured.
+//! Both are compared by the service times of the first service, which is navigation, and with a walk that was measured. [`fit`] fits a
+//! contender's testbed to a half of that walk; the comparison has the test on the other half.
 
 mod bootstrap;
 mod decided;
 mod distribution;
 mod drawn;
+mod fitted;
+#[cfg(test)]
+mod fitted_tests;
 mod measured;
 mod needs;
 mod published;
@@ -15,6 +19,7 @@ mod times;
 
 use std::{fmt::Write as _, path::Path};
 
+pub use cotorra_calibrate::WalkFit;
 use cotorra_figure::Format;
 use cotorra_graph::{NodeId, Position, Service, ServiceTime, Testbed, millis};
 use cotorra_testbed::{DataTable, FolderError, Quantiles, Report, service_time_ms, write_file};
@@ -26,6 +31,7 @@ use self::{
 };
 pub use self::{
     distribution::{Distribution, Interval, Intervals, Sampling, Span, WalkDistribution},
+    fitted::{FittedWalk, Prediction, Predictor, WalkTest, fit},
     measured::{MAX_ROWS, Measured, MeasuredError},
     needs::{Unfit, check},
 };
@@ -64,8 +70,17 @@ pub struct Walks<'a> {
     pub okpi: &'a Report,
     /// A measured walk to compare both with.
     pub measured: Option<&'a Measured>,
-    /// Seed of the intervals around a measured walk's figures.
+    /// Walks on testbeds that were fitted to the measured walk.
+    pub fitted: &'a [FittedWalk<'a>],
+    /// Seed of the fits to a measured walk, and of the intervals around its figures.
     pub seed: u64,
+}
+
+impl Walks<'_> {
+    /// Returns a contender's walk.
+    fn of(&self, contender: &Contender) -> &Report {
+        if *contender == CONTENDERS[0] { self.soa } else { self.okpi }
+    }
 }
 
 /// A sample within this time of a completed handover belongs to the handover, seconds.
@@ -82,6 +97,9 @@ pub struct Comparison {
     pub above_target: Vec<AboveTarget>,
     /// Distributions of service times, of both samplings, and of the measured walk and its halves if there is one.
     pub distributions: Vec<WalkDistribution>,
+    /// Fits to the first half of the measured walk, and their tests on the second.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tests: Vec<WalkTest>,
     pub target_ms: Option<f64>,
 }
 
@@ -167,17 +185,20 @@ impl Comparison {
             changes: decided.changes(&okpi_legs),
             above_target: [above(first, soa), above(second, okpi)].into_iter().flatten().collect(),
             distributions: distribution::all(walks),
+            tests: fitted::tests(walks),
             target_ms,
         }
     }
 
-    /// Returns the tables of medians, changes, shares and distributions, in Markdown. `how` says how the walks were run.
+    /// Returns the tables of medians, changes, shares, distributions and predictions, in Markdown. `how` says how the walks were
+    /// run.
     pub fn to_markdown(&self, how: &str) -> String {
         let tables = self.tables().iter().map(DataTable::to_markdown).collect::<Vec<_>>().join("\n");
-        format!("Median service time, ms ({how}; published figures: arXiv 2101.07676)\n\n{tables}")
+        let remarks = fitted::remarks(&self.tests);
+        format!("Median service time, ms ({how}; published figures: arXiv 2101.07676)\n\n{tables}{remarks}")
     }
 
-    /// Returns the tables of medians, changes, shares and distributions, rounded for readers.
+    /// Returns the tables of medians, changes, shares, distributions and predictions, rounded for readers.
     fn tables(&self) -> Vec<DataTable> {
         let ms = |value: Option<f64>| value.map_or("-".to_owned(), |ms| format!("{ms:.2}"));
         let heads = ["part of the walk", "theory", "published", "OKpi", "published", "SoA", "published"];
@@ -212,7 +233,8 @@ impl Comparison {
             let shown = [percent(of_all), percent(away_from_handovers), samples.to_string()];
             shares.row([contender.to_owned()].into_iter().chain(shown));
         }
-        [medians, changes, shares].into_iter().chain(distribution::tables(&self.distributions)).collect()
+        let others = distribution::tables(&self.distributions).into_iter().chain(fitted::tables(&self.tests));
+        [medians, changes, shares].into_iter().chain(others).collect()
     }
 
     /// Returns the medians of each part with all digits.
@@ -259,7 +281,7 @@ impl Comparison {
             self.tables().iter().map(DataTable::to_latex).collect::<Vec<_>>().join("\n"),
         )?;
         write_file(folder, medians, self.medians().to_csv())?;
-        write_file(folder, distributions, distribution::data(&self.distributions).to_csv())?;
+        write_file(folder, distributions, distribution::data(&self.distributions, &self.tests).to_csv())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison is valid JSON");
         write_file(folder, data, &(json + "\n"))?;
         let mut csv = String::from("contender,emitted_ns,service_time_ms,theory_ms,attachment,server\n");

@@ -80,10 +80,11 @@ pub struct OkpiArgs {
     /// Medians beside the published ones need the letter's names of radio units, R1 to R6.
     #[arg(long, value_name = "FILE", default_value = CORRIDOR)]
     pub testbed: PathBuf,
-    /// Compare with a measured walk: a line with seconds, a comma and milliseconds for each sample
+    /// Compare with a measured walk, and fit the testbed to its first half: each line has seconds, a comma and milliseconds
     ///
     /// The walk is drawn into the figure: with SoA= or OKpi= beside that walk, otherwise beside both. A table has its shares
     /// above 15 and 40 ms, p95 and p99 with 95 % intervals beside the simulated ones, of the whole walk and of both halves.
+    /// The testbed is fitted to the first half and walked again, and another table compares its prediction of the second half.
     /// A sample without an answer has no milliseconds. The first line can be a head.
     #[arg(long, value_name = "[CONTENDER=]FILE", value_parser = parse_measured)]
     pub measured: Option<MeasuredFile>,

@@ -1,9 +1,13 @@
 //! `cotorra experiment okpi`: OKpi and the state of the art on the published walk.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use cotorra_experiments::okpi::{
-    CONTENDERS, Comparison, FILES, Measured, MeasuredError, Unfit, Walks, check,
+    CONTENDERS, Comparison, Contender, FILES, FittedWalk, Measured, MeasuredError, Unfit, WalkFit, Walks,
+    check, fit,
 };
 use cotorra_measurements::Location;
 use cotorra_plugin::runs::Runs;
@@ -38,9 +42,7 @@ enum Error {
 pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let mut variants = Vec::new();
     for contender in CONTENDERS {
-        let plugin = Setting::new("plugin", contender.plugin).expect("plug-ins have names");
-        let settings: Vec<_> = args.walks.settings.iter().cloned().chain([plugin]).collect();
-        let loaded = testbed_file::load(&args.testbed, &settings)?;
+        let loaded = testbed_file::load(&args.testbed, &settings(args, contender))?;
         check(&loaded.testbed).map_err(|unfit| Error::Unfit { file: args.testbed.clone(), unfit })?;
         variants.push((contender, loaded));
     }
@@ -58,30 +60,10 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let known = Runs::of_user();
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-okpi").map_err(Error::from)?;
+    let conduct = Conduct { args, stage: &stage, folder: &folder, known: &known, history: history.as_ref() };
     let mut walks = Vec::new();
-    for (i, (contender, loaded)) in variants.iter().enumerate() {
-        let options = Options {
-            seed: args.seed,
-            until: args.until,
-            folder: Place::At(folder.join(contender.plugin)),
-            runs: Some(known.clone()),
-            tokens: run::tokens()?,
-            save_power: args.walks.save_power,
-            history: history.clone(),
-            ..Options::default()
-        };
-        let finished = if args.emulate {
-            note!("{} of {}: {}", i + 1, variants.len(), contender.name);
-            stage.emulate(loaded, &args.testbed, options)
-        } else {
-            stage.simulate(loaded, &options, &format!("{}: ", contender.name))
-        };
-        let finished = finished.inspect_err(|_| withdraw(&folder))?;
-        if finished.was_stopped() {
-            let folder = finished.folder.display().to_string();
-            return Err(Error::Stopped { contender: contender.name, folder }.into());
-        }
-        walks.push(finished);
+    for (contender, loaded) in &variants {
+        walks.push(conduct.walk(loaded, *contender, contender.name, contender.plugin)?);
     }
     let [soa, okpi] = &walks[..] else { unreachable!("there are two contenders") };
     let walked = Walks {
@@ -89,8 +71,24 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         soa: &soa.report,
         okpi: &okpi.report,
         measured: measured.as_ref(),
+        fitted: &[],
         seed: soa.summary.seed,
     };
+    let mut fits = Vec::new();
+    for (contender, before) in CONTENDERS.into_iter().zip(&walks) {
+        if let Some(fit) = fit(&walked, &contender) {
+            let walk = conduct.walk_fitted(contender, &fit)?;
+            fits.push((contender, fit, before, walk));
+        }
+    }
+    let fitted: Vec<_> = fits
+        .iter()
+        .map(|(contender, fit, before, walk)| {
+            let report = &walk.as_ref().unwrap_or(before).report;
+            FittedWalk { contender: *contender, fit, report }
+        })
+        .collect();
+    let walked = Walks { fitted: &fitted, ..walked };
     let how = format!("{how}, seed {}", soa.summary.seed);
     let comparison = Comparison::of(&walked);
     comparison.write(&folder, &how, &walked).map_err(Error::from)?;
@@ -100,15 +98,106 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     }
     let further = args.walks.figure.files("comparison");
     let files = format!("{}/\n  {}{further}", folder.display(), FILES.join("  "));
-    output::print(&describe(&comparison, &how, &walks, &files, history.as_ref()))?;
-    let invalid = walks.iter().find(|walk| !walk.summary.fidelity.valid);
+    let on_fitted = fits.iter().filter_map(|(contender, .., walk)| Some((contender, walk.as_ref()?)));
+    let on_fitted = on_fitted.map(|(contender, walk)| Done {
+        name: format!("{}, fitted", contender.name),
+        folder: fitted_folder(contender),
+        walk,
+    });
+    let compared = CONTENDERS.iter().zip(&walks).map(|(contender, walk)| Done {
+        name: contender.name.to_owned(),
+        folder: contender.plugin.to_owned(),
+        walk,
+    });
+    let done: Vec<_> = compared.chain(on_fitted).collect();
+    output::print(&describe(&comparison, &how, &done, &files, history.as_ref()))?;
+    let invalid = done.iter().map(|done| done.walk).find(|walk| !walk.summary.fidelity.valid);
     Ok(run::verdict(&invalid.unwrap_or(okpi).summary))
+}
+
+/// What all walks have in common.
+struct Conduct<'a> {
+    args: &'a OkpiArgs,
+    stage: &'a Stage,
+    folder: &'a Path,
+    known: &'a Runs,
+    history: Option<&'a Location>,
+}
+
+/// A walk that is done.
+struct Done<'a> {
+    name: String,
+    /// Its folder in that of the experiment.
+    folder: String,
+    walk: &'a Finished,
+}
+
+impl Conduct<'_> {
+    /// Walks a testbed. `name` is shown meanwhile.
+    fn walk(
+        &self,
+        loaded: &Loaded,
+        contender: Contender,
+        name: &str,
+        folder: &str,
+    ) -> miette::Result<Finished> {
+        let Self { args, stage, .. } = self;
+        let options = Options {
+            seed: args.seed,
+            until: args.until,
+            folder: Place::At(self.folder.join(folder)),
+            runs: Some(self.known.clone()),
+            tokens: run::tokens()?,
+            save_power: args.walks.save_power,
+            history: self.history.cloned(),
+            ..Options::default()
+        };
+        let finished = if args.emulate {
+            note!("{name}");
+            stage.emulate(loaded, &args.testbed, options)
+        } else {
+            stage.simulate(loaded, &options, &format!("{name}: "))
+        };
+        let finished = finished.inspect_err(|_| withdraw(self.folder))?;
+        if finished.was_stopped() {
+            let folder = finished.folder.display().to_string();
+            return Err(Error::Stopped { contender: contender.name, folder }.into());
+        }
+        Ok(finished)
+    }
+
+    /// Walks the testbed with fitted values; `None` if nothing was fitted, so that the walk would be the same.
+    fn walk_fitted(&self, contender: Contender, fit: &WalkFit) -> miette::Result<Option<Finished>> {
+        if fit.settings.is_empty() {
+            return Ok(None);
+        }
+        let fitted = fit.settings.iter().map(|its| Setting::new(&its.path, &its.value));
+        let fitted = fitted.collect::<Result<Vec<_>, _>>().expect("fitted values are settings");
+        let settings: Vec<_> = settings(self.args, contender).into_iter().chain(fitted).collect();
+        let loaded = testbed_file::load(&self.args.testbed, &settings)?;
+        let name = format!("{}, fitted", contender.name);
+        self.walk(&loaded, contender, &name, &fitted_folder(&contender)).map(Some)
+    }
+}
+
+/// Returns the settings of the command line, and the contender's plug-in.
+fn settings(args: &OkpiArgs, contender: Contender) -> Vec<Setting> {
+    let plugin = Setting::new("plugin", contender.plugin).expect("plug-ins have names");
+    args.walks.settings.iter().cloned().chain([plugin]).collect()
+}
+
+/// Returns the folder of the walk on the testbed that was fitted to a contender's walk.
+fn fitted_folder(contender: &Contender) -> String {
+    format!("{}-fitted", contender.plugin)
 }
 
 fn plan(args: &OkpiArgs, how: &str, loaded: &Loaded) -> String {
     let mut text = format!("{}: {}\n\n", args.testbed.display(), testbed_file::overview(&loaded.testbed));
     for contender in CONTENDERS {
         text += &format!("  a walk with {} (plug-in `{}`), {how}\n", contender.name, contender.plugin);
+    }
+    if args.measured.is_some() {
+        text += "  a walk again on each testbed that is fitted to the measured walk\n";
     }
     let folder = args.walks.out.join("experiment-okpi-<time>");
     text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
@@ -117,22 +206,21 @@ fn plan(args: &OkpiArgs, how: &str, loaded: &Loaded) -> String {
 fn describe(
     comparison: &Comparison,
     how: &str,
-    walks: &[Finished],
+    walks: &[Done<'_>],
     files: &str,
     elsewhere: Option<&Location>,
 ) -> String {
     let mut text = comparison.to_markdown(how) + "\n";
-    for (contender, walk) in CONTENDERS.iter().zip(walks) {
-        let Finished { summary, .. } = walk;
+    for Done { name, walk: Finished { summary, .. }, .. } in walks {
         let verdict = if summary.fidelity.valid { "valid" } else { "NOT VALID" };
         let samples = count(summary.samples, "sample");
-        text += &format!("{}: {samples}, {verdict}: {}\n", contender.name, summary.fidelity.reason);
+        text += &format!("{name}: {samples}, {verdict}: {}\n", summary.fidelity.reason);
     }
-    let [soa, okpi] = walks else { unreachable!("there are two contenders") };
-    let walks: Vec<_> = CONTENDERS.iter().map(|contender| format!("{}/", contender.plugin)).collect();
-    text += &format!("\n{files}  {}\n", walks.join("  "));
+    let folders: Vec<_> = walks.iter().map(|done| format!("{}/", done.folder)).collect();
+    text += &format!("\n{files}  {}\n", folders.join("  "));
     if let Some(history) = elsewhere {
-        text += &format!("Their histories are runs {} and {} in {history}\n", soa.run, okpi.run);
+        let runs: Vec<_> = walks.iter().map(|done| done.walk.run.to_string()).collect();
+        text += &format!("Their histories are runs {} in {history}\n", runs.join(" and "));
     }
     text
 }

@@ -56,6 +56,48 @@ fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
 }
 
 #[test]
+fn a_testbed_is_fitted_to_half_of_a_measured_walk() {
+    let out = tempfile::tempdir().unwrap();
+    let run = |name: &str, extra: &[&str]| {
+        let mut command = cotorra(["experiment", "okpi", "--headless", "--until", "60s", "--testbed"]);
+        let output = command.arg(corridor()).arg("--out").arg(out.path().join(name)).args(extra).output();
+        output.unwrap()
+    };
+    let folder = |name: &str| fs::read_dir(out.path().join(name)).unwrap().next().unwrap().unwrap().path();
+    // A site with a longer way back to R1, on another day.
+    let site = run("site", &["--seed", "2", "--set", "links.R1-cloud.backward.delay=7.5 ms"]);
+    assert!(site.status.success(), "{}", stderr(&site));
+    let samples = fs::read_to_string(folder("site").join("samples.csv")).unwrap();
+    let walk = out.path().join("walk.csv");
+    let rows = samples.lines().filter_map(|line| line.strip_prefix("SoA,")).map(|line| {
+        let fields: Vec<_> = line.split(',').collect();
+        format!("{},{}\n", fields[0].parse::<f64>().unwrap() / 1e9, fields[1])
+    });
+    fs::write(&walk, rows.collect::<String>()).unwrap();
+
+    let measured = format!("SoA={}", walk.display());
+    let output = run("fitted", &["--measured", &measured]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stdout(&output).contains("\nSoA, fitted: "), "{}", stdout(&output));
+    let folder = folder("fitted");
+    let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    assert!(read("probing-fitted/testbed.yaml").contains("\n# set: links.R1-cloud.backward.delay="));
+    assert!(read("distributions.csv").contains("\nsecond half,SoA: fitted testbed,all,"));
+    let comparison: Value = serde_json::from_str(&read("comparison.json")).unwrap();
+    let tests = comparison["tests"].as_array().unwrap();
+    assert_eq!((tests.len(), &tests[0]["contender"]), (1, &"SoA".into()));
+    let region = &tests[0]["fit"]["regions"][0];
+    assert_eq!((&region["radio_unit"], &region["link"]), (&"R1".into(), &"R1-cloud".into()));
+    let added = region["added_ms"]["value"].as_f64().unwrap();
+    assert!((added - 3.0).abs() < 0.1, "{region}");
+
+    fs::write(&walk, "0,11\n1,soon\n").unwrap();
+    let wrong = run("wrong", &["--measured", &measured]);
+    assert!(stderr(&wrong).contains("line 2: `soon` is not"), "{}", stderr(&wrong));
+    assert!(!out.path().join("wrong").exists(), "a wrong file leaves nothing");
+}
+
+#[test]
 fn halts_by_dishonest_providers_are_listed_with_their_cost() {
     let output = cotorra(["experiment", "federation", "--dishonest"]).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));

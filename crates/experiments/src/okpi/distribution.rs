@@ -6,11 +6,12 @@ use serde::Serialize;
 use super::{
     CONTENDERS, Walks,
     bootstrap::intervals,
+    fitted::WalkTest,
     times::{self, Timed, halves, one_a_second},
 };
 
 /// Service times whose shares above are compared, ms: the published target, and the top of the published figure.
-const ABOVE_MS: [f64; 2] = [15.0, 40.0];
+pub(super) const ABOVE_MS: [f64; 2] = [15.0, 40.0];
 
 /// Figures of the distribution of a walk's service times.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -168,8 +169,6 @@ pub(super) fn tables(all: &[WalkDistribution]) -> Vec<DataTable> {
         "samples",
     ])
     .right_after(2);
-    let ms = |ms: f64| format!("{ms:.2}");
-    let percent = |share: f64| format!("{:.2} %", share * 100.0);
     for of in all.iter().filter(|of| of.span == Span::Whole && of.walk != MEASURED) {
         let Distribution { samples, p50_ms, p95_ms, p99_ms, above_15_ms, above_40_ms } = of.distribution;
         let figures = [ms(p50_ms), ms(p95_ms), ms(p99_ms), percent(above_15_ms), percent(above_40_ms)];
@@ -189,18 +188,14 @@ pub(super) fn tables(all: &[WalkDistribution]) -> Vec<DataTable> {
         let (measured, others): (Vec<_>, Vec<_>) = of_span().partition(|of| of.walk == MEASURED);
         for of in measured.into_iter().chain(others) {
             let Distribution { samples, p95_ms, p99_ms, above_15_ms, above_40_ms, .. } = of.distribution;
-            let around = |show: &dyn Fn(f64) -> String, figure: f64, interval: fn(&Intervals) -> Interval| {
-                let ends = of.intervals.as_ref().map(interval);
-                let ends = ends.map(|Interval { low, high }| format!(" ({} to {})", show(low), show(high)));
-                show(figure) + &ends.unwrap_or_default()
-            };
+            let ends = of.intervals.as_ref();
             compared.row([
                 span.name().to_owned(),
                 of.walk.to_owned(),
-                around(&ms, p95_ms, |its| its.p95_ms),
-                around(&ms, p99_ms, |its| its.p99_ms),
-                around(&percent, above_15_ms, |its| its.above_15_ms),
-                around(&percent, above_40_ms, |its| its.above_40_ms),
+                with_interval(&ms, p95_ms, ends.map(|its| its.p95_ms)),
+                with_interval(&ms, p99_ms, ends.map(|its| its.p99_ms)),
+                with_interval(&percent, above_15_ms, ends.map(|its| its.above_15_ms)),
+                with_interval(&percent, above_40_ms, ends.map(|its| its.above_40_ms)),
                 samples.to_string(),
             ]);
         }
@@ -209,17 +204,32 @@ pub(super) fn tables(all: &[WalkDistribution]) -> Vec<DataTable> {
     tables
 }
 
-/// Returns all distributions with all digits.
-pub(super) fn data(all: &[WalkDistribution]) -> DataTable {
+/// Returns a time for readers, without its unit.
+pub(super) fn ms(ms: f64) -> String {
+    format!("{ms:.2}")
+}
+
+/// Returns a share for readers.
+pub(super) fn percent(share: f64) -> String {
+    format!("{:.2} %", share * 100.0)
+}
+
+/// Returns a figure for readers, with its interval if it has one.
+pub(super) fn with_interval(show: &dyn Fn(f64) -> String, figure: f64, interval: Option<Interval>) -> String {
+    let ends = interval.map(|Interval { low, high }| format!(" ({} to {})", show(low), show(high)));
+    show(figure) + &ends.unwrap_or_default()
+}
+
+/// Returns all distributions with all digits, and those that predict the second half of a measured walk.
+pub(super) fn data(all: &[WalkDistribution], tests: &[WalkTest]) -> DataTable {
     let figures = ["p95_ms", "p99_ms", "above_15_ms", "above_40_ms"];
     let ends = figures.iter().flat_map(|figure| [format!("{figure}_low"), format!("{figure}_high")]);
     let heads = ["part", "walk", "sampling", "samples", "p50_ms"].into_iter().chain(figures);
     let mut table = DataTable::new(heads.map(str::to_owned).chain(ends));
-    for of in all {
-        let Distribution { samples, p50_ms, p95_ms, p99_ms, above_15_ms, above_40_ms } = of.distribution;
-        let names = [of.span.name(), of.walk, of.sampling.name()].map(str::to_owned);
+    let mut row = |names: [String; 3], of: &Distribution, intervals: Option<Intervals>| {
+        let Distribution { samples, p50_ms, p95_ms, p99_ms, above_15_ms, above_40_ms } = *of;
         let figures = [p50_ms, p95_ms, p99_ms, above_15_ms, above_40_ms].map(|figure| figure.to_string());
-        let ends = of.intervals.map(|its| [its.p95_ms, its.p99_ms, its.above_15_ms, its.above_40_ms]);
+        let ends = intervals.map(|its| [its.p95_ms, its.p99_ms, its.above_15_ms, its.above_40_ms]);
         let ends = match ends {
             Some(ends) => {
                 ends.iter().flat_map(|end| [end.low, end.high]).map(|end| end.to_string()).collect()
@@ -227,6 +237,17 @@ pub(super) fn data(all: &[WalkDistribution]) -> DataTable {
             None => vec![String::new(); 8],
         };
         table.row(names.into_iter().chain([samples.to_string()]).chain(figures).chain(ends));
+    };
+    for of in all {
+        let names = [of.span.name(), of.walk, of.sampling.name()].map(str::to_owned);
+        row(names, &of.distribution, of.intervals);
+    }
+    for test in tests {
+        for prediction in &test.predictions {
+            let walk = format!("{}: {}", test.contender, prediction.by.name());
+            let names = [Span::SecondHalf.name().to_owned(), walk, Sampling::All.name().to_owned()];
+            row(names, &prediction.figures, None);
+        }
     }
     table
 }

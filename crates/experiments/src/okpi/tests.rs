@@ -62,7 +62,7 @@ fn measured(contender: Option<Contender>) -> Measured {
 fn with<T>(measured: Option<&Measured>, then: impl FnOnce(&Walks<'_>) -> T) -> T {
     let testbed = testbed();
     let (soa, okpi) = (walk(&testbed, 20.0, 150.0), walk(&testbed, 11.0, 60.0));
-    then(&Walks { testbed: &testbed, soa: &soa, okpi: &okpi, measured, seed: 1 })
+    then(&Walks { testbed: &testbed, soa: &soa, okpi: &okpi, measured, fitted: &[], seed: 1 })
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn a_measured_walk_and_its_halves_stand_beside_the_simulated() {
         let text = comparison.to_markdown("in a test");
         assert!(text.contains("| second half | measured | 45.00 (45.00 to 45.00) |"), "{text}");
         assert!(text.contains("| second half | OKpi | "), "{text}");
-        let csv = distribution::data(&comparison.distributions).to_csv();
+        let csv = distribution::data(&comparison.distributions, &[]).to_csv();
         assert_eq!(csv.lines().count(), 12);
         assert!(csv.contains("\nfirst half,measured,all,50,11,11,11,0,0,11,11,11,11,0,0,0,0\n"), "{csv}");
     });
@@ -157,7 +157,8 @@ fn the_figure_has_both_walks_over_time_and_their_distributions() {
 fn walks_without_answers_have_no_distribution() {
     let testbed = testbed();
     let report = Report::new(&testbed, 1);
-    let walks = Walks { testbed: &testbed, soa: &report, okpi: &report, measured: None, seed: 1 };
+    let walks =
+        Walks { testbed: &testbed, soa: &report, okpi: &report, measured: None, fitted: &[], seed: 1 };
     assert_eq!(Comparison::of(&walks).distributions, []);
     let figure = drawn::figure(&walks);
     assert_eq!((figure.panels.len(), figure.draw().collisions()), (2, Vec::new()));
