@@ -41,6 +41,7 @@ mod localize;
 mod map;
 mod margin;
 mod netem;
+#[cfg(feature = "agents")]
 mod netem_at_agents;
 mod netem_links;
 mod new;
