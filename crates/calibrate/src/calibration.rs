@@ -12,7 +12,7 @@ use crate::{
     path::{PathFit, fit_path},
     recorded::HandoverTime,
     settings::{FittedSetting, of_handovers, of_network, of_round_trips, of_way},
-    survey::{Reading, SurveyFit, fit_survey},
+    survey::{Reading, SurveyComparison, SurveyFit, by_network, compare_survey, fit_network, split_survey},
     times::{Means, OneWay, PacketTimes},
 };
 
@@ -41,7 +41,7 @@ pub enum LinkMeasurement {
 pub struct Options {
     /// Target of round trips; the share above it is compared. One-way times have none.
     pub target: Option<Duration>,
-    /// Share of packets that are fitted, from the start; the others test the fit.
+    /// Share of packets, and of a survey's readings, that are fitted, from the start; the others test the fit.
     pub fitted_share: f64,
     /// Seed of draws and resamples.
     pub seed: u64,
@@ -51,6 +51,15 @@ impl Default for Options {
     fn default() -> Self {
         Self { target: None, fitted_share: 0.6, seed: 1 }
     }
+}
+
+/// The radio of a wireless network, fitted and tested.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NetworkCalibration {
+    /// The fit.
+    pub fit: SurveyFit,
+    /// The test.
+    pub comparison: SurveyComparison,
 }
 
 /// A wired link, fitted and tested.
@@ -117,7 +126,7 @@ pub struct Calibration {
     /// Seed of draws and resamples.
     pub seed: u64,
     /// Wireless networks by SSID.
-    pub networks: BTreeMap<String, SurveyFit>,
+    pub networks: BTreeMap<String, NetworkCalibration>,
     /// Handovers of wireless networks, by SSID.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub handovers: BTreeMap<String, HandoverFit>,
@@ -141,9 +150,9 @@ impl Calibration {
         if survey.is_empty() && measured.is_empty() && handovers.is_empty() {
             return Err(CalibrateError::too_little("there are no measurements to fit"));
         }
-        let networks = fit_survey(testbed, survey, options.seed)?;
+        let networks = calibrate_networks(testbed, survey, options)?;
         let mut settings: Vec<FittedSetting> =
-            networks.iter().flat_map(|(name, fit)| of_network(testbed, name, fit)).collect();
+            networks.iter().flat_map(|(name, network)| of_network(testbed, name, &network.fit)).collect();
         let handovers = fit_handovers(testbed, handovers, options.seed)?;
         settings.extend(handovers.iter().flat_map(|(name, fit)| of_handovers(testbed, name, fit)));
         let mut links = BTreeMap::new();
@@ -156,6 +165,21 @@ impl Calibration {
         }
         Ok(Self { testbed: testbed.name.clone(), seed: options.seed, networks, handovers, links, settings })
     }
+}
+
+fn calibrate_networks(
+    testbed: &Testbed,
+    survey: &[Reading],
+    Options { fitted_share, seed, .. }: Options,
+) -> Result<BTreeMap<String, NetworkCalibration>, CalibrateError> {
+    let calibrate = |(name, readings): (String, Vec<Reading>)| {
+        let [fitted, test] = split_survey(&readings, fitted_share);
+        let fit = fit_network(testbed, &name, &fitted, seed)
+            .map_err(|error| CalibrateError::of_survey_part(fitted_share, error))?;
+        let comparison = compare_survey(testbed, &name, &fit, &fitted, &test, seed)?;
+        Ok((name, NetworkCalibration { fit, comparison }))
+    };
+    by_network(testbed, survey)?.into_iter().map(calibrate).collect()
 }
 
 fn calibrate_link(

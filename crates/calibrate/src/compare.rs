@@ -165,7 +165,7 @@ pub fn compare(
     };
     let mut intervals: [Estimate; 4] =
         std::array::from_fn(|i| estimate(measured[i], &|resample| resample.measured[i]));
-    widen(&mut intervals[3], test.packets.len());
+    intervals[3].widen(test.packets.len());
     Ok(Comparison {
         fitted_packets: fitted.packets.len(),
         test_packets: test.packets.len(),
@@ -173,17 +173,6 @@ pub fn compare(
         measured: Figures::new(intervals, target_ms),
         predictions: Predictor::ALL.into_iter().enumerate().map(prediction).collect(),
     })
-}
-
-/// Widens the interval of a share that is 0 or 1, of which a bootstrap has no width: what did not happen in n packets has a
-/// share of 3/n at most (95 %).
-fn widen(share: &mut Estimate, packets: usize) {
-    let bound = 3.0 / packets as f64;
-    if share.value == 0.0 {
-        share.high = share.high.max(bound);
-    } else if share.value == 1.0 {
-        share.low = share.low.min(1.0 - bound);
-    }
 }
 
 impl<T> Figures<T> {
@@ -369,12 +358,5 @@ mod tests {
         let compared = |seed| compare(&fit, &fitted, &test, None, seed).unwrap();
         assert_eq!(compared(1), compared(1));
         assert_ne!(compared(1), compared(2));
-    }
-
-    #[test]
-    fn nothing_above_the_target_leaves_a_bound() {
-        let mut share = Estimate { value: 0.0, low: 0.0, high: 0.0 };
-        widen(&mut share, 300);
-        assert_eq!(share, Estimate { value: 0.0, low: 0.0, high: 0.01 });
     }
 }

@@ -32,6 +32,16 @@ impl CalibrateError {
         }
     }
 
+    /// Names the part of a survey that an error is about.
+    pub(crate) fn of_survey_part(fitted_share: f64, error: Self) -> Self {
+        match error {
+            Self::TooLittle(reason) => {
+                Self::TooLittle(format!("in the first {:.0} % of the survey, {reason}", fitted_share * 100.0))
+            }
+            other => other,
+        }
+    }
+
     pub(crate) fn line(line: usize, reason: impl Into<String>) -> Self {
         Self::Line { line, reason: reason.into() }
     }

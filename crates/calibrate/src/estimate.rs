@@ -36,6 +36,17 @@ impl Estimate {
         (self.low..=self.high).contains(&value)
     }
 
+    /// Widens the interval of a share that is 0 or 1, of which a bootstrap has no width: what did not happen in n cases has a
+    /// share of 3/n at most (95 %).
+    pub(crate) fn widen(&mut self, cases: usize) {
+        let bound = 3.0 / cases as f64;
+        if self.value == 0.0 {
+            self.high = self.high.max(bound);
+        } else if self.value == 1.0 {
+            self.low = self.low.min(1.0 - bound);
+        }
+    }
+
     /// Returns the estimate in another unit.
     pub(crate) fn scaled(self, by: f64) -> Self {
         Self { value: self.value * by, low: self.low * by, high: self.high * by }
@@ -67,6 +78,13 @@ mod tests {
         let sorted = [1.0, 2.0, 4.0];
         assert_eq!([0.0, 0.25, 0.5, 1.0].map(|level| quantile(&sorted, level)), [1.0, 1.5, 2.0, 4.0]);
         assert!(quantile(&[], 0.5).is_nan());
+    }
+
+    #[test]
+    fn a_share_of_nothing_leaves_a_bound() {
+        let mut share = Estimate { value: 0.0, low: 0.0, high: 0.0 };
+        share.widen(300);
+        assert_eq!(share, Estimate { value: 0.0, low: 0.0, high: 0.01 });
     }
 
     #[test]

@@ -4,9 +4,9 @@
 //! opens no files and measures nothing itself. All randomness comes from a seed, so that a calibration can be repeated.
 //!
 //! [`fit_survey`] fits path loss, walls and shadowing of a wireless network, and [`fit_handovers`] the phases of its handovers.
-//! [`Recorded`] finds both measurements in the events of a run. [`Calibration::new`] fits all measurements, and compares each link
-//! on a part of its packets that was not fitted. [`fit_walk`] fits a testbed to the service times of a walk. Measurements that do
-//! not determine a value give a wide interval, a [`CalibrateError`] or a note.
+//! [`Recorded`] finds both measurements in the events of a run. [`Calibration::new`] fits a part of all measurements, and tests
+//! surveys and links on the other part. [`fit_walk`] fits a testbed to the service times of a walk. Measurements that do not
+//! determine a value give a wide interval, a [`CalibrateError`] or a note.
 #![forbid(unsafe_code)]
 
 mod bootstrap;
@@ -31,7 +31,10 @@ mod times;
 mod walk;
 
 pub use self::{
-    calibration::{Calibration, LinkCalibration, LinkMeasurement, Measurements, Options, PathCalibration},
+    calibration::{
+        Calibration, LinkCalibration, LinkMeasurement, Measurements, NetworkCalibration, Options,
+        PathCalibration,
+    },
     capture::{MAX_CAPTURE, one_way_of_captures, round_trips_of_capture},
     compare::{Comparison, Figures, Prediction, Predictor, compare},
     csv::MAX_LINES,
@@ -45,7 +48,10 @@ pub use self::{
     report::markdown,
     round_trips::{parse_round_trips, parse_stamp},
     settings::{FittedSetting, calibrated_text},
-    survey::{MAX_READINGS, Reading, SurveyFit, fit_survey, parse_survey},
+    survey::{
+        MAX_READINGS, Reading, SignalPrediction, SignalPredictor, SurveyComparison, SurveyFit,
+        compare_survey, fit_survey, parse_survey, split_survey,
+    },
     times::{Means, OneWay, PacketTimes},
     walk::{
         LEAST_IN_REGION, Region, RegionFit, ScanFit, SimulatedSample, WalkData, WalkFit, WalkSample, fit_walk,

@@ -3,12 +3,12 @@
 use std::fmt::Write as _;
 
 use crate::{
-    calibration::{Calibration, LinkCalibration, PathCalibration},
+    calibration::{Calibration, LinkCalibration, NetworkCalibration, PathCalibration},
     compare::{Comparison, Figures},
     estimate::Estimate,
     handovers::HandoverFit,
     settings::distribution_name,
-    survey::SurveyFit,
+    survey::SurveyComparison,
 };
 
 /// What is measured of a packet and its answer.
@@ -18,8 +18,8 @@ const ROUND_TRIP: &str = "round trip";
 pub fn markdown(calibration: &Calibration) -> String {
     let Calibration { testbed, seed, networks, handovers, links, settings } = calibration;
     let mut text = format!("# Calibration of {testbed}\n\nSeed {seed}. Intervals are 95 %.\n");
-    for (name, fit) in networks {
-        text += &network(name, fit);
+    for (name, of) in networks {
+        text += &network(name, of);
     }
     for (name, fit) in handovers {
         text += &of_handovers(name, fit);
@@ -34,7 +34,7 @@ pub fn markdown(calibration: &Calibration) -> String {
     text + "```\n"
 }
 
-fn network(name: &str, fit: &SurveyFit) -> String {
+fn network(name: &str, NetworkCalibration { fit, comparison }: &NetworkCalibration) -> String {
     let mut table = vec![
         row("reference loss beyond free space, dB", &fit.reference_loss_db, 2),
         row("exponent", &fit.exponent, 2),
@@ -45,10 +45,34 @@ fn network(name: &str, fit: &SurveyFit) -> String {
     table.push(row("deviation of noise, dB (no setting)", &fit.noise_db, 2));
     let plural = if fit.radio_units == 1 { "" } else { "s" };
     let head = format!(
-        "\n## Network {name}\n\n{} readings of {} radio unit{plural}.\n\n",
+        "\n## Network {name}\n\n{} readings of {} radio unit{plural} fitted.\n\n",
         fit.readings, fit.radio_units
     );
-    head + &fitted(&table) + &notes(&fit.notes)
+    head + &fitted(&table) + &notes(&fit.notes) + &predicted(comparison)
+}
+
+fn predicted(SurveyComparison { test_readings, block_length, predictions, .. }: &SurveyComparison) -> String {
+    let mut text = format!(
+        "\n### Test\n\n{test_readings} readings that were not fitted. An error is the measured signal less the predicted one. A median \
+         in **bold** agrees with 0, and a share with 90 %. Blocks of the bootstrap have {block_length:.1} times of readings.\n\n\
+         | | error p5, dB | p50, dB | p95, dB | root mean square, dB | within 90 % interval, % | Wasserstein, dB |\n\
+         |---|---:|---:|---:|---:|---:|---:|\n"
+    );
+    let bold = |cell: String, agrees: bool| if agrees { format!("**{cell}**") } else { cell };
+    for prediction in predictions {
+        let within = prediction.within.scaled(100.0);
+        text += &format!(
+            "| {} | {:.1} | {} | {:.1} | {:.1} | {} | {:.1} |\n",
+            prediction.by.name(),
+            prediction.p5_db,
+            bold(format!("{:.1}", prediction.p50_db), prediction.median_agrees),
+            prediction.p95_db,
+            prediction.root_mean_square_db,
+            bold(format!("{within:.0}"), prediction.within_agrees),
+            prediction.wasserstein_db,
+        );
+    }
+    text
 }
 
 fn of_handovers(name: &str, fit: &HandoverFit) -> String {

@@ -1,14 +1,20 @@
 //! Signal surveys: path loss, walls and shadowing of a wireless network.
 
+mod kriging;
 mod likelihood;
 mod posterior;
+mod prediction;
 
 use std::collections::BTreeMap;
 
 use cotorra_graph::{Dbm, Node, OccupancyGrid, PathLoss, Position, RadioUnit, Testbed, WirelessNetwork};
 use serde::Serialize;
 
+pub use self::prediction::{
+    SignalPrediction, SignalPredictor, SurveyComparison, compare_survey, split_survey,
+};
 use self::{
+    kriging::Middle,
     likelihood::{COEFFICIENTS, Field, Sample},
     posterior::Draw,
 };
@@ -100,6 +106,9 @@ pub struct SurveyFit {
     pub noise_db: Estimate,
     /// What to know about the fit.
     pub notes: Vec<String>,
+    /// What predicts signals elsewhere.
+    #[serde(skip)]
+    middle: Middle,
 }
 
 /// Fits each wireless network that a survey heard. The seed decides the draws of the posterior.
@@ -112,18 +121,39 @@ pub fn fit_survey(
     readings: &[Reading],
     seed: u64,
 ) -> Result<BTreeMap<String, SurveyFit>, CalibrateError> {
-    let mut networks: BTreeMap<&str, BTreeMap<&str, Vec<&Reading>>> = BTreeMap::new();
+    let fit = |(name, readings): (String, Vec<Reading>)| {
+        let fitted = fit_network(testbed, &name, &readings, seed)?;
+        Ok((name, fitted))
+    };
+    by_network(testbed, readings)?.into_iter().map(fit).collect()
+}
+
+/// Groups readings by the network of their radio units.
+pub(crate) fn by_network(
+    testbed: &Testbed,
+    readings: &[Reading],
+) -> Result<BTreeMap<String, Vec<Reading>>, CalibrateError> {
+    let mut networks: BTreeMap<String, Vec<Reading>> = BTreeMap::new();
     for reading in readings {
         let (unit, _) = radio_unit(testbed, &reading.radio_unit)?;
-        let network = networks.entry(&unit.network).or_default();
-        network.entry(&reading.radio_unit).or_default().push(reading);
+        networks.entry(unit.network.clone()).or_default().push(reading.clone());
     }
-    let fit = |(name, units): (&str, BTreeMap<&str, Vec<&Reading>>)| {
-        let survey = Survey::new(testbed, name, &units)?;
-        let fitted = survey.fit(name, &mut Draws::new(seed, &format!("calibrate survey {name}")))?;
-        Ok((name.to_owned(), fitted))
-    };
-    networks.into_iter().map(fit).collect()
+    Ok(networks)
+}
+
+/// Fits one network to readings of its radio units.
+pub(crate) fn fit_network(
+    testbed: &Testbed,
+    name: &str,
+    readings: &[Reading],
+    seed: u64,
+) -> Result<SurveyFit, CalibrateError> {
+    let mut units: BTreeMap<&str, Vec<&Reading>> = BTreeMap::new();
+    for reading in readings {
+        units.entry(&reading.radio_unit).or_default().push(reading);
+    }
+    let survey = Survey::new(testbed, name, &units)?;
+    survey.fit(name, &mut Draws::new(seed, &format!("calibrate survey {name}")))
 }
 
 /// Finds a radio unit.
@@ -238,6 +268,7 @@ impl Survey {
             correlation_m: determined.then_some(distance),
             noise_db: estimate(|draw| draw.noise),
             notes: self.notes,
+            middle: Middle::of(&posterior),
         })
     }
 

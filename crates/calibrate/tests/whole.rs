@@ -147,6 +147,16 @@ fn what_does_not_fit_the_testbed_is_refused() {
         refusal(TESTBED, "R-edge", &lost),
         "link `R-edge`: all 180 packets of the part to fit were lost"
     );
+    let surveyed = |rows: usize| {
+        let rows: Vec<String> = survey().lines().take(rows + 1).map(|line| line.to_owned() + "\n").collect();
+        let survey = parse_survey(&rows.concat()).unwrap();
+        Calibration::new(&parse(TESTBED), &Measurements { survey, ..Measurements::default() }, options())
+    };
+    assert_eq!(
+        surveyed(40).unwrap_err().to_string(),
+        "in the first 60 % of the survey, network `lab` has 24 readings: a fit needs 30 or more"
+    );
+    assert_eq!(surveyed(50).unwrap().networks["lab"].comparison.test_readings, 20);
     let nothing = Calibration::new(&parse(TESTBED), &Measurements::default(), options());
     assert_eq!(nothing.unwrap_err().to_string(), "there are no measurements to fit");
 }

@@ -11,8 +11,9 @@ use std::{
 use clap::Args;
 use cotorra_calibrate::{
     CalibrateError, Calibration, Comparison, Estimate, LinkCalibration, LinkMeasurement, MAX_CAPTURE,
-    Measurements, Options, PacketTimes, PathCalibration, Recorded, calibrated_text, markdown,
-    one_way_of_captures, parse_round_trips, parse_stamp, parse_survey, round_trips_of_capture,
+    Measurements, NetworkCalibration, Options, PacketTimes, PathCalibration, Recorded, SurveyComparison,
+    calibrated_text, markdown, one_way_of_captures, parse_round_trips, parse_stamp, parse_survey,
+    round_trips_of_capture,
 };
 use cotorra_graph::{Probability, Testbed};
 use cotorra_measurements::{Kind, PageRequest};
@@ -46,8 +47,8 @@ const TURN: Duration = Duration::from_millis(120);
 /// of a link give each direction. Each value has a 95 % interval. Measurements that do not determine a value are refused, or
 /// leave it out.
 ///
-/// Packets are fitted on their first part, and tested on the rest, beside two baselines: constant delay with normal jitter,
-/// and a replay of the first part.
+/// Packets and surveys are fitted on their first part, and tested on the rest, beside two baselines: constant delay with normal
+/// jitter, and a replay of the first part; the mean signal of each radio unit, and the testbed before.
 ///
 /// It writes a folder with the fitted testbed (testbed.yaml, which runs as it is), report.md and report.json. docs/calibrate.md
 /// explains formats, formulas and figures.
@@ -91,7 +92,7 @@ pub struct CalibrateArgs {
     /// Target of round trips, such as 15ms: the share above it is compared, too
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub target: Option<Duration>,
-    /// Share of packets that are fitted, from the first on; the others test the fit
+    /// Share of packets, and of a survey's readings, that are fitted, from the first on; the others test the fit
     #[arg(long, value_name = "SHARE", default_value = "60%", value_parser = parse_fitted)]
     pub fit: f64,
     /// Folder of the results; default: one under calibrations/ that is named after the testbed
@@ -318,7 +319,7 @@ fn describe(calibration: &Calibration) -> String {
         table.row([of.to_owned(), what.to_owned(), format!("{value:.2}"), format!("{low:.2} to {high:.2}")]);
     };
     let mut notes = Vec::new();
-    for (name, fit) in &calibration.networks {
+    for (name, NetworkCalibration { fit, .. }) in &calibration.networks {
         row(name, "reference loss, dB", fit.reference_loss_db);
         row(name, "exponent", fit.exponent);
         fit.wall_loss_db.into_iter().for_each(|wall| row(name, "loss of a wall, dB", wall));
@@ -353,6 +354,10 @@ fn describe(calibration: &Calibration) -> String {
         }
     }
     let mut text = table.render("  ");
+    for (name, NetworkCalibration { comparison, .. }) in &calibration.networks {
+        text += &format!("\nThe other part of {name}, {}:\n\n", count(comparison.test_readings, "reading"));
+        text += &predicted(comparison).render("  ");
+    }
     for (name, link) in &calibration.links {
         for (way, PathCalibration { comparison, .. }) in link.paths() {
             let of = named(name, link, way);
@@ -370,6 +375,27 @@ fn named(name: &str, link: &LinkCalibration, way: &str) -> String {
         LinkCalibration::RoundTrips(_) => name.to_owned(),
         LinkCalibration::OneWay { .. } => format!("{name}, {way}"),
     }
+}
+
+/// Compares predictions of the signals of the test part with it.
+fn predicted(comparison: &SurveyComparison) -> Table {
+    let mut table = Table::new("<>>>>>>");
+    let [p5, p50, p95] = ["error p5, dB", "p50, dB", "p95, dB"];
+    table.row(["", p5, p50, p95, "root mean square, dB", "within 90 % interval, %", "Wasserstein, dB"]);
+    for prediction in &comparison.predictions {
+        // A figure that does not agree with the test part has a mark.
+        let mark = |agrees: bool| if agrees { "" } else { "! " };
+        table.row([
+            prediction.by.name().to_owned(),
+            format!("{:.1}", prediction.p5_db.value),
+            format!("{}{:.1}", mark(prediction.median_agrees), prediction.p50_db.value),
+            format!("{:.1}", prediction.p95_db.value),
+            format!("{:.1}", prediction.root_mean_square_db.value),
+            format!("{}{:.0}", mark(prediction.within_agrees), percent(prediction.within).value),
+            format!("{:.1}", prediction.wasserstein_db.value),
+        ]);
+    }
+    table
 }
 
 /// Compares predictions of the test part with it.

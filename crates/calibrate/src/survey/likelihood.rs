@@ -20,7 +20,7 @@ pub(super) struct Sample {
 }
 
 impl Sample {
-    fn distance(&self, other: &Self) -> f64 {
+    pub fn distance(&self, other: &Self) -> f64 {
         (self.place[0] - other.place[0]).hypot(self.place[1] - other.place[1])
     }
 }

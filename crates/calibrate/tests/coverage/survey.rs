@@ -1,11 +1,11 @@
 //! Surveys of halls with walls, along a walk.
 
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
-use cotorra_calibrate::{Draws, Reading, fit_survey};
+use cotorra_calibrate::{Draws, Reading, SignalPredictor, compare_survey, fit_survey, split_survey};
 use cotorra_graph::{Cell, Dbm, OccupancyGrid, PathLoss, Position, Testbed};
 
-use crate::{Coverage, between, sites};
+use crate::{Coverage, USUAL, between, sites};
 
 /// Edges of the hall, metres.
 const HALL: [f64; 2] = [40.0, 24.0];
@@ -138,4 +138,75 @@ fn survey_intervals_hold_the_true_values() {
         }
     }
     coverage.check();
+}
+
+/// The signal of a reading without noise and shadowing, by the true values.
+fn mean_signal(testbed: &Testbed, truth: Truth, reading: &Reading) -> f64 {
+    let (node, unit) =
+        testbed.graph.radio_units().find(|(node, _)| node.id.as_str() == reading.radio_unit).unwrap();
+    let at = node.position.unwrap();
+    let frequency = testbed.graph.wireless["hall"].standard.frequency_mhz(unit.channel);
+    let walls = testbed.map.as_ref().unwrap().walls_between(at, reading.place) as f64;
+    let loss =
+        PathLoss::LogDistance { exponent: truth.exponent }.loss_db(at.distance(reading.place), frequency);
+    unit.tx_power.0 - loss - truth.reference_loss_db - truth.wall_loss_db * walls
+}
+
+#[test]
+fn fitted_radios_predict_the_rest_of_a_walk_better_than_baselines() {
+    // A few sites are enough without `COTORRA_FULL`.
+    let sites = if sites() == USUAL { USUAL / 5 } else { sites() };
+    let testbed = testbed();
+    let (mut median, mut within, mut square) = (0, 0, 0);
+    let mut sums: BTreeMap<&str, [f64; 3]> = BTreeMap::new();
+    for seed in 0..sites as u64 {
+        let mut draws = Draws::new(seed, "signals");
+        let truth = Truth::draw(&mut draws);
+        let [fitted, test] = split_survey(&survey(&testbed, truth, &mut draws), 0.6);
+        let fit = &fit_survey(&testbed, &fitted, seed).unwrap()["hall"];
+        let compared = compare_survey(&testbed, "hall", fit, &fitted, &test, seed).unwrap();
+        for prediction in &compared.predictions {
+            let sums = sums.entry(prediction.by.name()).or_default();
+            sums[0] += prediction.root_mean_square_db.value;
+            sums[1] += prediction.within.value;
+            sums[2] += prediction.wasserstein_db.value;
+        }
+        let by_fit = compared.predictions[0];
+        assert_eq!(by_fit.by, SignalPredictor::Fitted);
+        median += usize::from(by_fit.median_agrees);
+        within += usize::from(by_fit.within_agrees);
+        // The expected square of the error of the fitted mean, over all sites with this walk.
+        let found = Truth {
+            reference_loss_db: fit.reference_loss_db.value,
+            exponent: fit.exponent.value,
+            wall_loss_db: fit.wall_loss_db.unwrap().value,
+            ..truth
+        };
+        let off = |reading: &Reading| {
+            (mean_signal(&testbed, found, reading) - mean_signal(&testbed, truth, reading)).powi(2)
+        };
+        let bias = test.iter().map(off).sum::<f64>() / test.len() as f64;
+        let expected = (bias + truth.deviation_db.powi(2) + truth.noise_db.powi(2)).sqrt();
+        square += usize::from(by_fit.root_mean_square_db.covers(expected));
+    }
+    let share = |number: usize| number as f64 * 100.0 / sites as f64;
+    println!(
+        "median agrees: {:.1} %, share within: {:.1} %, root mean square held: {:.1} %",
+        share(median),
+        share(within),
+        share(square)
+    );
+    for (by, [square, within, distance]) in &sums {
+        let n = sites as f64;
+        println!(
+            "{by}: {:.2} dB, within {:.1} %, Wasserstein {:.2} dB",
+            square / n,
+            within / n * 100.0,
+            distance / n
+        );
+    }
+    let of = |predictor: SignalPredictor| sums[predictor.name()];
+    let [fitted, nearby, mean, before] = SignalPredictor::ALL.map(of);
+    assert!(fitted[0] < mean[0] && fitted[0] < before[0] && nearby[0] < mean[0]);
+    assert!(share(median) > 85.0 && share(within) > 85.0, "{median} {within}");
 }

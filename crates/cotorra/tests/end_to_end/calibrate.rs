@@ -75,7 +75,8 @@ fn a_testbed_is_fitted_to_measurements_and_runs() {
         assert!((low..=high).contains(&truth), "{estimate} holds {truth}");
     };
     holds(&report["links"]["A-edge"]["fit"]["mean_ms"], 20.0);
-    holds(&report["networks"]["w"]["exponent"], 2.2);
+    holds(&report["networks"]["w"]["fit"]["exponent"], 2.2);
+    assert_eq!(report["networks"]["w"]["comparison"]["test_readings"], 48);
 
     let testbed = path("fitted/testbed.yaml");
     let text = fs::read_to_string(&testbed).unwrap();
@@ -176,5 +177,5 @@ fn the_history_of_a_run_gives_its_radio_and_its_handovers() {
     // Authentication of 15 ms and reassociation of 20 ms, which vary by 30 %.
     near(&report["handovers"]["w"]["fast_ms"], 35.0, 4.0);
     near(&report["handovers"]["w"]["variation"], 0.3, 0.12);
-    near(&report["networks"]["w"]["exponent"], 3.0, 1.0);
+    near(&report["networks"]["w"]["fit"]["exponent"], 3.0, 1.0);
 }
