@@ -2,7 +2,7 @@
 #![no_main]
 
 use cotorra_calibrate::{
-    PacketTimes, one_way_of_captures, parse_round_trips, parse_stamp, parse_survey, round_trips_of_capture,
+    PacketTimes, one_way_of_captures, parse_channel_survey, parse_round_trips, parse_stamp, parse_survey, round_trips_of_capture,
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -17,6 +17,7 @@ fn split(times: &PacketTimes) {
 fuzz_target!(|bytes: &[u8]| {
     if let Ok(text) = std::str::from_utf8(bytes) {
         _ = parse_survey(text);
+        _ = parse_channel_survey(text);
         _ = parse_stamp(text);
         parse_round_trips(text).iter().for_each(split);
     }

@@ -9,6 +9,7 @@ use crate::{
     compare::{Comparison, compare},
     error::CalibrateError,
     handovers::{HandoverFit, fit_handovers},
+    interference::{self, ChannelSurvey, InterferenceFit, fit_interference},
     path::{PathFit, fit_path},
     recorded::HandoverTime,
     settings::{FittedSetting, of_handovers, of_network, of_round_trips, of_way},
@@ -25,6 +26,8 @@ pub struct Measurements {
     pub links: BTreeMap<String, LinkMeasurement>,
     /// Times of handovers.
     pub handovers: Vec<HandoverTime>,
+    /// Busy times of channels, by the name of the radio unit that measured its own.
+    pub channels: BTreeMap<String, ChannelSurvey>,
 }
 
 /// Packets over a wired link.
@@ -130,6 +133,9 @@ pub struct Calibration {
     /// Handovers of wireless networks, by SSID.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub handovers: BTreeMap<String, HandoverFit>,
+    /// Interference by the name of the radio unit that measured its channel.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub interference: BTreeMap<String, InterferenceFit>,
     /// Links by name.
     pub links: BTreeMap<String, LinkCalibration>,
     /// Settings that put the fitted values into the testbed file, in order.
@@ -146,8 +152,8 @@ impl Calibration {
         measurements: &Measurements,
         options: Options,
     ) -> Result<Self, CalibrateError> {
-        let Measurements { survey, links: measured, handovers } = measurements;
-        if survey.is_empty() && measured.is_empty() && handovers.is_empty() {
+        let Measurements { survey, links: measured, handovers, channels } = measurements;
+        if survey.is_empty() && measured.is_empty() && handovers.is_empty() && channels.is_empty() {
             return Err(CalibrateError::too_little("there are no measurements to fit"));
         }
         let networks = calibrate_networks(testbed, survey, options)?;
@@ -155,6 +161,9 @@ impl Calibration {
             networks.iter().flat_map(|(name, network)| of_network(testbed, name, &network.fit)).collect();
         let handovers = fit_handovers(testbed, handovers, options.seed)?;
         settings.extend(handovers.iter().flat_map(|(name, fit)| of_handovers(testbed, name, fit)));
+        let interference = fit_channels(testbed, channels, options.seed)?;
+        settings
+            .extend(interference.iter().flat_map(|(name, fit)| interference::settings(testbed, name, fit)));
         let mut links = BTreeMap::new();
         for (name, measured) in measured {
             let link = link(testbed, name)?;
@@ -163,7 +172,8 @@ impl Calibration {
             settings.extend(of_link);
             links.insert(name.clone(), calibrated);
         }
-        Ok(Self { testbed: testbed.name.clone(), seed: options.seed, networks, handovers, links, settings })
+        let (testbed, seed) = (testbed.name.clone(), options.seed);
+        Ok(Self { testbed, seed, networks, handovers, interference, links, settings })
     }
 }
 
@@ -180,6 +190,28 @@ fn calibrate_networks(
         Ok((name, NetworkCalibration { fit, comparison }))
     };
     by_network(testbed, survey)?.into_iter().map(calibrate).collect()
+}
+
+/// Fits the interference on each channel, which one radio unit of its network measured.
+fn fit_channels(
+    testbed: &Testbed,
+    channels: &BTreeMap<String, ChannelSurvey>,
+    seed: u64,
+) -> Result<BTreeMap<String, InterferenceFit>, CalibrateError> {
+    let mut fits: BTreeMap<String, InterferenceFit> = BTreeMap::new();
+    for (name, survey) in channels {
+        let fit = fit_interference(testbed, name, survey, seed)?;
+        let same = |other: &InterferenceFit| (&other.network, other.channel) == (&fit.network, fit.channel);
+        if let Some((other, _)) = fits.iter().find(|(_, other)| same(other)) {
+            return Err(CalibrateError::unsuited(format!(
+                "radio units `{other}` and `{name}` are both on channel {}, where they hear the same: give the channel survey of \
+                 one of them",
+                fit.channel
+            )));
+        }
+        fits.insert(name.clone(), fit);
+    }
+    Ok(fits)
 }
 
 fn calibrate_link(

@@ -3,7 +3,8 @@
 //! Texts and captures go in, and estimates with 95 % intervals come out, with the settings that put them into a testbed file. It
 //! opens no files and measures nothing itself. All randomness comes from a seed, so that a calibration can be repeated.
 //!
-//! [`fit_survey`] fits path loss, walls and shadowing of a wireless network, and [`fit_handovers`] the phases of its handovers.
+//! [`fit_survey`] fits path loss, walls and shadowing of a wireless network, [`fit_handovers`] the phases of its handovers,
+//! and [`fit_interference`] what others send on its channels.
 //! [`Recorded`] finds both measurements in the events of a run. [`Calibration::new`] fits a part of all measurements, and tests
 //! surveys and links on the other part. [`fit_walk`] fits a testbed to the service times of a walk. Measurements that do not
 //! determine a value give a wide interval, a [`CalibrateError`] or a note.
@@ -18,6 +19,7 @@ mod draws;
 mod error;
 mod estimate;
 mod handovers;
+mod interference;
 mod jitter;
 mod loss;
 mod matched;
@@ -42,6 +44,10 @@ pub use self::{
     error::CalibrateError,
     estimate::Estimate,
     handovers::{HandoverFit, LEAST_HANDOVERS, fit_handovers},
+    interference::{
+        ChannelSurvey, Counters, InterferenceFit, MeasuredChannel, PresenceFit, fit_interference,
+        parse_channel_survey,
+    },
     loss::LossFit,
     path::{LEAST_ARRIVED, PathFit, fit_path},
     recorded::{HandoverTime, Recorded},

@@ -7,6 +7,7 @@ use crate::{
     compare::{Comparison, Figures},
     estimate::Estimate,
     handovers::HandoverFit,
+    interference::InterferenceFit,
     settings::distribution_name,
     survey::SurveyComparison,
 };
@@ -16,13 +17,16 @@ const ROUND_TRIP: &str = "round trip";
 
 /// Returns the report as Markdown. JSON has the same figures: [`Calibration`] serializes.
 pub fn markdown(calibration: &Calibration) -> String {
-    let Calibration { testbed, seed, networks, handovers, links, settings } = calibration;
+    let Calibration { testbed, seed, networks, handovers, interference, links, settings } = calibration;
     let mut text = format!("# Calibration of {testbed}\n\nSeed {seed}. Intervals are 95 %.\n");
     for (name, of) in networks {
         text += &network(name, of);
     }
     for (name, fit) in handovers {
         text += &of_handovers(name, fit);
+    }
+    for (name, fit) in interference {
+        text += &of_interference(name, fit);
     }
     for (name, link) in links {
         text += &of_link(name, link);
@@ -85,6 +89,21 @@ fn of_handovers(name: &str, fit: &HandoverFit) -> String {
         means.iter().filter_map(|(what, estimate)| Some(row(what, estimate.as_ref()?, 2))).collect();
     table.push(row("variation of each phase, %", &fit.variation.scaled(100.0), 1));
     let head = format!("\n## Handovers of network {name}\n\n{} handovers.\n\n", fit.handovers);
+    head + &fitted(&table) + &notes(&fit.notes)
+}
+
+fn of_interference(name: &str, fit: &InterferenceFit) -> String {
+    let InterferenceFit { network, channel, steps, seconds, load, presence, .. } = fit;
+    let mut table = vec![row("load by others, %", &load.scaled(100.0), 2)];
+    if let Some(presence) = presence {
+        table.push(row("load while they are away, %", &presence.background.scaled(100.0), 2));
+        table.push(row("they are there for, s", &presence.on_s, 2));
+        table.push(row("they are away for, s", &presence.off_s, 2));
+    }
+    let head = format!(
+        "\n## Interference on channel {channel} of network {network}\n\nMeasured by {name}: {steps} differences of counters over \
+         {seconds:.0} s.\n\n"
+    );
     head + &fitted(&table) + &notes(&fit.notes)
 }
 

@@ -172,7 +172,10 @@ pub(crate) fn find_radio_unit<'a>(
 }
 
 /// Finds a radio unit and its position.
-fn radio_unit<'a>(testbed: &'a Testbed, name: &str) -> Result<(&'a RadioUnit, Position), CalibrateError> {
+pub(crate) fn radio_unit<'a>(
+    testbed: &'a Testbed,
+    name: &str,
+) -> Result<(&'a RadioUnit, Position), CalibrateError> {
     let (node, unit) = find_radio_unit(testbed, name)?;
     let unplaced = || CalibrateError::unsuited(format!("radio unit `{name}` has no position in the testbed"));
     Ok((unit, node.position.ok_or_else(unplaced)?))

@@ -4,10 +4,10 @@
 use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use cotorra_calibrate::{
-    Calibration, Draws, HandoverTime, LinkMeasurement, Measurements, Options, calibrated_text, markdown,
-    parse_round_trips, parse_survey,
+    Calibration, ChannelSurvey, Draws, HandoverTime, LinkMeasurement, Measurements, Options, calibrated_text,
+    markdown, parse_channel_survey, parse_round_trips, parse_survey,
 };
-use cotorra_graph::{JitterDistribution, Loss, PathLoss, Position, Rate, Testbed};
+use cotorra_graph::{InterfererKind, JitterDistribution, Loss, PathLoss, Position, Rate, Testbed};
 
 /// A testbed whose values are all to be fitted. Its last line notes a setting.
 const TESTBED: &str = "# A laboratory.
@@ -55,7 +55,7 @@ fn measurements() -> Measurements {
     Measurements {
         survey: parse_survey(&survey()).unwrap(),
         links: BTreeMap::from([("R-edge".to_owned(), LinkMeasurement::RoundTrips(trips))]),
-        handovers: Vec::new(),
+        ..Measurements::default()
     }
 }
 
@@ -234,4 +234,71 @@ fn scans_by_visits_are_not_fitted() {
     let calibration = calibrate_handovers(&text, handovers(40, |_| true)).unwrap();
     assert_eq!(calibration.handovers["lab"].scan_ms, None);
     assert!(!calibration.settings.iter().any(|setting| setting.path.ends_with("scan")));
+}
+
+/// Counters of channel 1, each second: others take 30 % of it for half a minute, and 4 % for another one. Its own frames take
+/// 10 %.
+fn channels(seconds: u32) -> ChannelSurvey {
+    let mut draws = Draws::new(6, "channels");
+    let (mut busy, mut text) = (0.0, "channel,active_ms,busy_ms,tx_ms,own_rx_ms\n".to_owned());
+    for second in 0..seconds {
+        text += &format!("1,{},{busy:.0},{},0\n", second * 1000, second * 100);
+        let others = if (second / 30) % 2 == 0 { 300.0 } else { 40.0 };
+        busy += 100.0 + others + 10.0 * draws.normal();
+    }
+    parse_channel_survey(&text).unwrap()
+}
+
+fn calibrate_channels(text: &str, names: &[&str], seconds: u32) -> Result<Calibration, String> {
+    let channels = names.iter().map(|name| ((*name).to_owned(), channels(seconds))).collect();
+    let measurements = Measurements { channels, ..Measurements::default() };
+    Calibration::new(&parse(text), &measurements, options()).map_err(|error| error.to_string())
+}
+
+#[test]
+fn a_channel_survey_gives_interference_that_comes_and_goes() {
+    let calibration = calibrate_channels(TESTBED, &["R"], 1500).unwrap();
+    let fit = &calibration.interference["R"];
+    let presence = fit.presence.unwrap();
+    assert!(
+        (fit.load.value - 0.3).abs() < 0.01 && (presence.background.value - 0.04).abs() < 0.01,
+        "{fit:?}"
+    );
+    assert!(presence.on_s.covers(30.0) && presence.off_s.covers(30.0), "{fit:?}");
+    let network = &parse(&calibrated_text(TESTBED, &calibration.settings)).graph.wireless["lab"];
+    assert!(network.access.is_some());
+    let [always, at_times] = &network.interference[..] else { panic!("{network:?}") };
+    assert_eq!((always.name.as_str(), at_times.name.as_str()), ("around-R", "at-times-around-R"));
+    assert_eq!((always.channel, always.presence), (1, None));
+    let InterfererKind::Network { load, .. } = at_times.kind else { panic!("{at_times:?}") };
+    assert!((load.get() - 0.26).abs() < 0.01);
+    let on = at_times.presence.unwrap().on.as_secs_f64();
+    assert!((on - presence.on_s.value).abs() < 0.001);
+    assert!(
+        markdown(&calibration)
+            .contains("## Interference on channel 1 of network lab\n\nMeasured by R: 1499 differences")
+    );
+}
+
+#[test]
+fn channel_surveys_that_do_not_fit_are_refused() {
+    let refusal = |text: &str, names: &[&str], seconds| calibrate_channels(text, names, seconds).unwrap_err();
+    let few = "radio unit `R` has 59 differences of counters: a fit needs 60 or more";
+    assert_eq!(refusal(TESTBED, &["R"], 60), few);
+    assert!(refusal(TESTBED, &["Q"], 100).starts_with("the testbed has no radio unit `Q`"));
+    let elsewhere = TESTBED.replace("channel: 1", "channel: 6");
+    let expected = "radio unit `R` is on channel 6, but its channel survey has channel 1";
+    assert_eq!(refusal(&elsewhere, &["R"], 100), expected);
+    let second = "  S: { kind: radio_unit, position: [9, 0], channel: 1, network: lab }\n  edge:";
+    let two = TESTBED
+        .replace("  edge:", second)
+        .replace("[R, edge]", "[edge, [R, S]]")
+        .replace("# set: links.R-edge.queue=50 packets\n", "");
+    assert!(refusal(&two, &["R", "S"], 100).starts_with("radio units `R` and `S` are both on channel 1"));
+    let shared = two
+        .replace("network: lab }", "network: hall }")
+        .replace("}   # to be fitted", "}\n  hall: {}")
+        .replace("channel: 1, tx", "channel: 1, network: lab, tx")
+        .replace("kind: robot,", "kind: robot, network: lab,");
+    assert!(refusal(&shared, &["R"], 100).contains("its network `lab` shares a channel with `hall`"));
 }

@@ -12,8 +12,8 @@ use clap::Args;
 use cotorra_calibrate::{
     CalibrateError, Calibration, Comparison, Estimate, LinkCalibration, LinkMeasurement, MAX_CAPTURE,
     Measurements, NetworkCalibration, Options, PacketTimes, PathCalibration, Recorded, SurveyComparison,
-    calibrated_text, markdown, one_way_of_captures, parse_round_trips, parse_stamp, parse_survey,
-    round_trips_of_capture,
+    calibrated_text, markdown, one_way_of_captures, parse_channel_survey, parse_round_trips, parse_stamp,
+    parse_survey, round_trips_of_capture,
 };
 use cotorra_graph::{Probability, Testbed};
 use cotorra_measurements::{Kind, PageRequest};
@@ -44,7 +44,7 @@ const TURN: Duration = Duration::from_millis(120);
 ///
 /// A survey of signals along a walk gives path loss, loss by walls, and shadowing of a wireless network. Round trips over a
 /// wired link give its delay, jitter, loss and duplication. A capture of a TCP flow gives round trips, too; captures at both ends
-/// of a link give each direction. Each value has a 95 % interval. Measurements that do not determine a value are refused, or
+/// of a link give each direction. Busy times of a channel give the interference on it. Each value has a 95 % interval. Measurements that do not determine a value are refused, or
 /// leave it out.
 ///
 /// Packets and surveys are fitted on their first part, and tested on the rest, beside two baselines: constant delay with normal
@@ -58,6 +58,7 @@ Examples:
   ping -D -c 600 10.0.0.2 > edge.txt
   cotorra calibrate testbeds/corridor.yaml --ping lan-edge=edge.txt --target 15ms
   cotorra calibrate office.yaml --survey walk.csv --out office
+  cotorra calibrate office.yaml --channels R1=channels.txt
   cotorra calibrate office.yaml --survey-run latest --handover-run latest
   cotorra calibrate office.yaml --pcap lan-edge=sender.pcap
   cotorra calibrate office.yaml --pcap lan-edge=lan.pcap:edge.pcap
@@ -70,7 +71,7 @@ pub struct CalibrateArgs {
     /// The testbed file
     pub file: PathBuf,
     /// Survey of signals: CSV with the columns time_s, x, y, radio_unit and signal_dbm, and z if heights matter
-    #[arg(long, value_name = "FILE", required_unless_present_any = ["pings", "stamps", "pcaps", "survey_run", "handover_run"])]
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["pings", "stamps", "pcaps", "channels", "survey_run", "handover_run"])]
     pub survey: Option<PathBuf>,
     /// Take the survey from the history of a run: the signals that its robots heard; RUN is a folder, latest, or a number in
     /// --history
@@ -89,6 +90,10 @@ pub struct CalibrateArgs {
     /// pcap or pcapng; can be given several times
     #[arg(long = "pcap", value_name = "LINK=FILE[:FILE]", value_parser = parse_pcap)]
     pub pcaps: Vec<(String, Captures)>,
+    /// Busy times of a radio unit's channel: outputs of `iw dev wlan0 survey dump` one after another, or CSV with the columns
+    /// channel, active_ms and busy_ms; can be given several times
+    #[arg(long, value_name = "RADIO_UNIT=FILE", value_parser = parse_channels)]
+    pub channels: Vec<(String, PathBuf)>,
     /// Target of round trips, such as 15ms: the share above it is compared, too
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub target: Option<Duration>,
@@ -106,6 +111,10 @@ pub struct CalibrateArgs {
     pub force: bool,
     #[command(flatten)]
     pub place: HistoryPlace,
+}
+
+fn parse_channels(text: &str) -> Result<(String, PathBuf), String> {
+    parse_measurement(text).map_err(|_| "write a radio unit and a file, as in R1=channels.txt".to_owned())
 }
 
 fn parse_measurement(text: &str) -> Result<(String, PathBuf), String> {
@@ -163,8 +172,8 @@ enum Error {
     #[error("run {0} has no handovers from one radio unit to another")]
     #[diagnostic(help("name a run whose robots change their radio units"))]
     NoHandovers(String),
-    #[error("link `{0}` has two measurements")]
-    #[diagnostic(help("give one for each link"))]
+    #[error("{0} has two measurements")]
+    #[diagnostic(help("give one for each"))]
     Twice(String),
     #[error("{} exists already", .0.display())]
     #[diagnostic(help("choose another folder by --out, or overwrite it by --force"))]
@@ -216,6 +225,13 @@ fn read(args: &CalibrateArgs) -> Result<Measurements, Error> {
             return Err(Error::NoHandovers(run.clone()));
         }
     }
+    for (radio_unit, path) in &args.channels {
+        let channels = parsed(path, parse_channel_survey)?;
+        note!("{}: {}", path.display(), count(channels.0.len(), "channel"));
+        if measurements.channels.insert(radio_unit.clone(), channels).is_some() {
+            return Err(Error::Twice(format!("radio unit `{radio_unit}`")));
+        }
+    }
     let links = &mut measurements.links;
     for (link, path) in &args.pings {
         let trips = parsed(path, parse_round_trips)?;
@@ -237,7 +253,7 @@ fn add(
     measured: LinkMeasurement,
 ) -> Result<(), Error> {
     match links.insert(link.to_owned(), measured) {
-        Some(_) => Err(Error::Twice(link.to_owned())),
+        Some(_) => Err(Error::Twice(format!("link `{link}`"))),
         None => Ok(()),
     }
 }
@@ -332,6 +348,14 @@ fn describe(calibration: &Calibration) -> String {
         fit.fast_ms.into_iter().for_each(|fast| row(name, "fast transition, ms", fast));
         fit.full_ms.into_iter().for_each(|full| row(name, "handover with handshakes, ms", full));
         row(name, "variation of phases, %", percent(fit.variation));
+        notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
+    }
+    for (name, fit) in &calibration.interference {
+        row(name, "load by others, %", percent(fit.load));
+        if let Some(presence) = &fit.presence {
+            row(name, "they are there for, s", presence.on_s);
+            row(name, "they are away for, s", presence.off_s);
+        }
         notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
     }
     for (name, link) in &calibration.links {

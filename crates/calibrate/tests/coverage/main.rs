@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 mod handovers;
+mod interference;
 mod one_way;
 mod paths;
 mod predictions;
