@@ -13,7 +13,10 @@ use crate::{
     path::{PathFit, fit_path},
     recorded::HandoverTime,
     settings::{FittedSetting, of_handovers, of_network, of_round_trips, of_way},
-    survey::{Reading, SurveyComparison, SurveyFit, by_network, compare_survey, fit_network, split_survey},
+    survey::{
+        FadingFit, Reading, SurveyComparison, SurveyFit, by_network, compare_survey, fit_fading, fit_network,
+        split_survey,
+    },
     times::{Means, OneWay, PacketTimes},
 };
 
@@ -46,13 +49,15 @@ pub struct Options {
     pub target: Option<Duration>,
     /// Share of packets, and of a survey's readings, that are fitted, from the start; the others test the fit.
     pub fitted_share: f64,
+    /// Whether a survey's readings are of single frames, so that fading is fitted.
+    pub fading: bool,
     /// Seed of draws and resamples.
     pub seed: u64,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { target: None, fitted_share: 0.6, seed: 1 }
+        Self { target: None, fitted_share: 0.6, fading: false, seed: 1 }
     }
 }
 
@@ -61,6 +66,9 @@ impl Default for Options {
 pub struct NetworkCalibration {
     /// The fit.
     pub fit: SurveyFit,
+    /// The fading; `None` if it was not asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fading: Option<FadingFit>,
     /// The test.
     pub comparison: SurveyComparison,
 }
@@ -157,8 +165,10 @@ impl Calibration {
             return Err(CalibrateError::too_little("there are no measurements to fit"));
         }
         let networks = calibrate_networks(testbed, survey, options)?;
-        let mut settings: Vec<FittedSetting> =
-            networks.iter().flat_map(|(name, network)| of_network(testbed, name, &network.fit)).collect();
+        let mut settings: Vec<FittedSetting> = networks
+            .iter()
+            .flat_map(|(name, network)| of_network(testbed, name, &network.fit, network.fading.as_ref()))
+            .collect();
         let handovers = fit_handovers(testbed, handovers, options.seed)?;
         settings.extend(handovers.iter().flat_map(|(name, fit)| of_handovers(testbed, name, fit)));
         let interference = fit_channels(testbed, channels, options.seed)?;
@@ -180,14 +190,15 @@ impl Calibration {
 fn calibrate_networks(
     testbed: &Testbed,
     survey: &[Reading],
-    Options { fitted_share, seed, .. }: Options,
+    Options { fitted_share, fading, seed, .. }: Options,
 ) -> Result<BTreeMap<String, NetworkCalibration>, CalibrateError> {
     let calibrate = |(name, readings): (String, Vec<Reading>)| {
         let [fitted, test] = split_survey(&readings, fitted_share);
         let fit = fit_network(testbed, &name, &fitted, seed)
             .map_err(|error| CalibrateError::of_survey_part(fitted_share, error))?;
         let comparison = compare_survey(testbed, &name, &fit, &fitted, &test, seed)?;
-        Ok((name, NetworkCalibration { fit, comparison }))
+        let fading = fading.then(|| fit_fading(testbed, &name, &fit, &fitted, seed)).transpose()?;
+        Ok((name, NetworkCalibration { fit, fading, comparison }))
     };
     by_network(testbed, survey)?.into_iter().map(calibrate).collect()
 }

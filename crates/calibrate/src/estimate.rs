@@ -47,6 +47,11 @@ impl Estimate {
         }
     }
 
+    /// Returns the estimate with a constant added.
+    pub(crate) fn shifted(self, by: f64) -> Self {
+        Self { value: self.value + by, low: self.low + by, high: self.high + by }
+    }
+
     /// Returns the estimate in another unit.
     pub(crate) fn scaled(self, by: f64) -> Self {
         Self { value: self.value * by, low: self.low * by, high: self.high * by }

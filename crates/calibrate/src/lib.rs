@@ -4,8 +4,8 @@
 //! opens no files and measures nothing itself. All randomness comes from a seed, so that a calibration can be repeated.
 //!
 //! [`fit_survey`] fits path loss, walls and shadowing of a wireless network, [`fit_handovers`] the phases of its handovers,
-//! and [`fit_interference`] what others send on its channels.
-//! [`Recorded`] finds both measurements in the events of a run. [`Calibration::new`] fits a part of all measurements, and tests
+//! [`fit_fading`] its fading, and [`fit_interference`] what others send on its channels.
+//! [`Recorded`] finds signals and handovers in the events of a run. [`Calibration::new`] fits a part of all measurements, and tests
 //! surveys and links on the other part. [`fit_walk`] fits a testbed to the service times of a walk. Measurements that do not
 //! determine a value give a wide interval, a [`CalibrateError`] or a note.
 #![forbid(unsafe_code)]
@@ -55,8 +55,8 @@ pub use self::{
     round_trips::{parse_round_trips, parse_stamp},
     settings::{FittedSetting, calibrated_text},
     survey::{
-        MAX_READINGS, Reading, SignalPrediction, SignalPredictor, SurveyComparison, SurveyFit,
-        compare_survey, fit_survey, parse_survey, split_survey,
+        FadingFit, MAX_READINGS, Reading, SignalPrediction, SignalPredictor, SurveyComparison, SurveyFit,
+        compare_survey, fit_fading, fit_survey, parse_survey, split_survey,
     },
     times::{Means, OneWay, PacketTimes},
     walk::{

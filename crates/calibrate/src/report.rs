@@ -38,7 +38,7 @@ pub fn markdown(calibration: &Calibration) -> String {
     text + "```\n"
 }
 
-fn network(name: &str, NetworkCalibration { fit, comparison }: &NetworkCalibration) -> String {
+fn network(name: &str, NetworkCalibration { fit, fading, comparison }: &NetworkCalibration) -> String {
     let mut table = vec![
         row("reference loss beyond free space, dB", &fit.reference_loss_db, 2),
         row("exponent", &fit.exponent, 2),
@@ -47,6 +47,10 @@ fn network(name: &str, NetworkCalibration { fit, comparison }: &NetworkCalibrati
     table.push(row("deviation of shadowing, dB", &fit.deviation_db, 2));
     table.extend(fit.correlation_m.map(|m| row("correlation distance of shadowing, m", &m, 2)));
     table.push(row("deviation of noise, dB (no setting)", &fit.noise_db, 2));
+    if let Some(fading) = fading {
+        table.push(row("deviation of single frames, dB", &fading.deviation_db, 2));
+        table.push(row("K-factor of fading, dB", &fading.k_factor_db, 1));
+    }
     let plural = if fit.radio_units == 1 { "" } else { "s" };
     let head = format!(
         "\n## Network {name}\n\n{} readings of {} radio unit{plural} fitted.\n\n",

@@ -4,7 +4,11 @@ use cotorra_graph::{Direction, JitterDistribution, Link, Loss, NodeKind, Testbed
 use serde::Serialize;
 
 use crate::{
-    error::CalibrateError, estimate::Estimate, handovers::HandoverFit, path::PathFit, survey::SurveyFit,
+    error::CalibrateError,
+    estimate::Estimate,
+    handovers::HandoverFit,
+    path::PathFit,
+    survey::{FadingFit, SurveyFit},
     times::Means,
 };
 
@@ -25,8 +29,13 @@ pub struct FittedSetting {
 /// Returns the settings of a wireless network.
 ///
 /// Its path loss is that of free space up to 1 m. The fitted reference loss is therefore taken off the transmitted powers of
-/// all nodes of the network, which changes both directions alike.
-pub(crate) fn of_network(testbed: &Testbed, name: &str, fit: &SurveyFit) -> Vec<FittedSetting> {
+/// all nodes of the network, which changes both directions alike. With fading, it is that of the mean power.
+pub(crate) fn of_network(
+    testbed: &Testbed,
+    name: &str,
+    fit: &SurveyFit,
+    fading: Option<&FadingFit>,
+) -> Vec<FittedSetting> {
     let mut settings = Vec::new();
     let mut set = |path: String, value: String, note: String| {
         settings.push(FittedSetting { path, value, note });
@@ -47,6 +56,20 @@ pub(crate) fn of_network(testbed: &Testbed, name: &str, fit: &SurveyFit) -> Vec<
         let value = format!("{:.2} m", correlation.value);
         set(of("shadowing.correlation"), value, format!("correlation distance {correlation:.2} m"));
     }
+    let mut reference_loss = fit.reference_loss_db;
+    if let Some(fading) = fading {
+        reference_loss = reference_loss.shifted(fading.mean_db);
+        let motion = testbed.graph.wireless[name].fading.map_or(0.0, |before| before.motion_mps);
+        let value = match (fading.is_rayleigh(), motion) {
+            (true, 0.0) => "rayleigh".to_owned(),
+            (true, motion) => format!("{{ motion: {motion} m/s }}"),
+            (false, 0.0) => format!("{{ k_factor: {:.2} dB }}", fading.k_factor_db.value),
+            (false, motion) => {
+                format!("{{ k_factor: {:.2} dB, motion: {motion} m/s }}", fading.k_factor_db.value)
+            }
+        };
+        set(of("fading"), value, format!("K-factor {:.1} dB", fading.k_factor_db));
+    }
     for node in &testbed.graph.nodes {
         let power = match &node.kind {
             NodeKind::RadioUnit(unit) if unit.network == name => unit.tx_power,
@@ -55,8 +78,8 @@ pub(crate) fn of_network(testbed: &Testbed, name: &str, fit: &SurveyFit) -> Vec<
         };
         set(
             format!("nodes.{}.tx_power", node.id),
-            format!("{:.2} dBm", power.0 - fit.reference_loss_db.value),
-            format!("{} less the reference loss of {:.2} dB", power, fit.reference_loss_db),
+            format!("{:.2} dBm", power.0 - reference_loss.value),
+            format!("{} less the reference loss of {:.2} dB", power, reference_loss),
         );
     }
     settings

@@ -1,5 +1,6 @@
 //! Signal surveys: path loss, walls and shadowing of a wireless network.
 
+mod fading;
 mod kriging;
 mod likelihood;
 mod posterior;
@@ -10,6 +11,7 @@ use std::collections::BTreeMap;
 use cotorra_graph::{Dbm, Node, OccupancyGrid, PathLoss, Position, RadioUnit, Testbed, WirelessNetwork};
 use serde::Serialize;
 
+pub use self::fading::{FadingFit, fit_fading};
 pub use self::prediction::{
     SignalPrediction, SignalPredictor, SurveyComparison, compare_survey, split_survey,
 };

@@ -302,3 +302,60 @@ fn channel_surveys_that_do_not_fit_are_refused() {
         .replace("kind: robot,", "kind: robot, network: lab,");
     assert!(refusal(&shared, &["R"], 100).contains("its network `lab` shares a channel with `hall`"));
 }
+
+/// A walk away from R with a reading each 0.2 m, by the testbed's path loss, 4 dB of reference loss, and fading in dB.
+fn walk(readings: u32, mut fading: impl FnMut(&mut Draws) -> f64) -> Result<Calibration, String> {
+    let mut draws = Draws::new(8, "walk");
+    let mut row = |i: u32| {
+        let distance = 1.0 + 0.2 * f64::from(i);
+        let loss = PathLoss::LogDistance { exponent: 2.2 }.loss_db(distance, 2412);
+        format!("{i},{distance},0,R,{:.0}\n", 20.0 - 4.0 - loss + fading(&mut draws))
+    };
+    let rows: String = (0..readings).map(&mut row).collect();
+    let survey = parse_survey(&("time_s,x,y,radio_unit,signal_dbm\n".to_owned() + &rows)).unwrap();
+    let text = TESTBED.replace("standard: n", "fading: { motion: 0.3 m/s }");
+    let options = Options { fading: true, ..options() };
+    Calibration::new(&parse(&text), &Measurements { survey, ..Measurements::default() }, options)
+        .map_err(|error| error.to_string())
+}
+
+/// Rician fading with a line of sight of this power, in dB.
+fn rice(k_factor_db: f64, draws: &mut Draws) -> f64 {
+    let k = 10f64.powf(k_factor_db / 10.0);
+    let [a, b] = [0; 2].map(|_| draws.normal() / 2f64.sqrt());
+    10.0 * (((k.sqrt() + a).powi(2) + b * b) / (1.0 + k)).log10()
+}
+
+#[test]
+fn single_frames_give_the_k_factor_and_the_mean_power() {
+    let calibration = walk(500, |draws| rice(6.0, draws)).unwrap();
+    let network = &calibration.networks["lab"];
+    assert!(network.fading.as_ref().unwrap().k_factor_db.covers(6.0), "{network:?}");
+    let testbed = parse(&calibrated_text(TESTBED, &calibration.settings));
+    let fading = testbed.graph.wireless["lab"].fading.unwrap();
+    assert!((fading.k_factor_db.unwrap() - 6.0).abs() < 2.0 && fading.motion_mps == 0.3, "{fading:?}");
+    // The mean of the signals in dB is 1 dB below their mean power.
+    let (_, unit) = testbed.graph.radio_units().next().unwrap();
+    let power = 20.0 - network.fit.reference_loss_db.value - network.fading.as_ref().unwrap().mean_db;
+    assert!(
+        (unit.tx_power.0 - power).abs() < 0.01
+            && (network.fading.as_ref().unwrap().mean_db + 1.0).abs() < 0.4
+    );
+}
+
+#[test]
+fn no_line_of_sight_is_rayleigh_fading() {
+    let calibration = walk(500, |draws| 1.05 * rice(-40.0, draws)).unwrap();
+    let setting = calibration.settings.iter().find(|setting| setting.path.ends_with("fading")).unwrap();
+    assert_eq!(setting.value, "{ motion: 0.3 m/s }");
+}
+
+#[test]
+fn signals_that_do_not_tell_fading_are_refused() {
+    let few = walk(120, |draws| rice(6.0, draws)).unwrap_err();
+    assert!(few.contains("`lab` has 71 pairs of readings of one radio unit, one after another,"), "{few}");
+    let averaged = walk(500, |_| 0.0).unwrap_err();
+    assert!(averaged.contains("too little to tell fading from none: averaged signals hide it"), "{averaged}");
+    let wild = walk(500, |draws| 9.0 * draws.normal()).unwrap_err();
+    assert!(wild.contains("but Rayleigh fading by 5.57 dB only"), "{wild}");
+}

@@ -73,6 +73,9 @@ pub struct CalibrateArgs {
     /// Survey of signals: CSV with the columns time_s, x, y, radio_unit and signal_dbm, and z if heights matter
     #[arg(long, value_name = "FILE", required_unless_present_any = ["pings", "stamps", "pcaps", "channels", "survey_run", "handover_run"])]
     pub survey: Option<PathBuf>,
+    /// Fit fading, too: each reading of the survey is of a single frame, not an average
+    #[arg(long, requires = "survey")]
+    pub fading: bool,
     /// Take the survey from the history of a run: the signals that its robots heard; RUN is a folder, latest, or a number in
     /// --history
     #[arg(long, value_name = "RUN", conflicts_with = "survey")]
@@ -192,7 +195,8 @@ pub fn calibrate(args: &CalibrateArgs) -> miette::Result<()> {
         return Err(Error::Exists(folder.join(name)).into());
     }
     let measurements = read(args)?;
-    let options = Options { target: args.target, fitted_share: args.fit, seed: args.seed };
+    let options =
+        Options { target: args.target, fitted_share: args.fit, fading: args.fading, seed: args.seed };
     let progress = ProgressBar::new_spinner().with_message("fitting");
     progress.enable_steady_tick(TURN);
     let calibration = Calibration::new(&testbed, &measurements, options);
@@ -335,12 +339,13 @@ fn describe(calibration: &Calibration) -> String {
         table.row([of.to_owned(), what.to_owned(), format!("{value:.2}"), format!("{low:.2} to {high:.2}")]);
     };
     let mut notes = Vec::new();
-    for (name, NetworkCalibration { fit, .. }) in &calibration.networks {
+    for (name, NetworkCalibration { fit, fading, .. }) in &calibration.networks {
         row(name, "reference loss, dB", fit.reference_loss_db);
         row(name, "exponent", fit.exponent);
         fit.wall_loss_db.into_iter().for_each(|wall| row(name, "loss of a wall, dB", wall));
         row(name, "shadowing, dB", fit.deviation_db);
         fit.correlation_m.into_iter().for_each(|metres| row(name, "correlation, m", metres));
+        fading.iter().for_each(|fading| row(name, "K-factor of fading, dB", fading.k_factor_db));
         notes.extend(fit.notes.iter().map(|note| format!("{name}: {note}")));
     }
     for (name, fit) in &calibration.handovers {

@@ -21,6 +21,8 @@ pub(super) struct Middle {
     distance: f64,
     /// Uncertainty of the deviation of shadowing and noise together: the standard deviation of its logarithm.
     spread: f64,
+    /// Likewise, that of the variance of shadowing over its correlation distance.
+    roughness_spread: f64,
 }
 
 /// A draw of how far a fit is off.
@@ -40,6 +42,8 @@ impl Middle {
         let off = |draw: &Draw, k: usize| draw.coefficients[k] - coefficients[k];
         let log_deviation = |draw: &Draw| draw.deviation.hypot(draw.noise).ln();
         let middle = mean(&log_deviation);
+        let log_roughness = |draw: &Draw| (draw.deviation.powi(2) / draw.distance).ln();
+        let roughness = mean(&log_roughness);
         let median =
             |of: fn(&Draw) -> f64| Estimate::of(&mut posterior.iter().map(of).collect::<Vec<_>>()).value;
         Self {
@@ -51,6 +55,7 @@ impl Middle {
             noise: median(|draw| draw.noise),
             distance: median(|draw| draw.distance),
             spread: mean(&|draw| (log_deviation(draw) - middle).powi(2)).sqrt(),
+            roughness_spread: mean(&|draw| (log_roughness(draw) - roughness).powi(2)).sqrt(),
         }
     }
 
@@ -62,6 +67,21 @@ impl Middle {
     fn variance(&self, factors: &[f64; COEFFICIENTS]) -> f64 {
         let row = |row: &[f64; COEFFICIENTS]| row.iter().zip(factors).map(|(c, f)| c * f).sum::<f64>();
         factors.iter().zip(&self.covariance).map(|(factor, covariances)| factor * row(covariances)).sum()
+    }
+
+    /// Returns the difference of two values, less that of their means.
+    pub fn residual(&self, a: &Sample, b: &Sample) -> f64 {
+        a.value - self.mean(&a.factors) - b.value + self.mean(&b.factors)
+    }
+
+    /// Draws a factor of [`Self::semivariance`] over short distances.
+    pub fn draw_roughness(&self, draws: &mut Draws) -> f64 {
+        (self.roughness_spread * draws.normal()).exp()
+    }
+
+    /// Returns half of the mean squared difference of shadowing at a distance in metres, dB².
+    pub fn semivariance(&self, apart_m: f64) -> f64 {
+        self.deviation.powi(2) * (1.0 - (-apart_m / self.distance).exp())
     }
 
     /// Predicts a value by path loss and walls.
@@ -178,6 +198,7 @@ mod tests {
             noise: 0.0,
             distance: 2.0,
             spread: 0.0,
+            roughness_spread: 0.0,
         }
     }
 

@@ -3,6 +3,7 @@
 //! A few sites are fitted each time. With `COTORRA_FULL`, it is 200, and the share must be from 91 to 98 %.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
+mod fading;
 mod handovers;
 mod interference;
 mod one_way;
