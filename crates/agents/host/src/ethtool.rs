@@ -2,12 +2,7 @@
 //! `/sys/class/net`, it follows the network namespace.
 
 use cotorra_graph::BitRate;
-use netlink_packet_core::{DecodeError, NLA_F_NESTED, parse_u32};
-
-use crate::{
-    genetlink::answer,
-    netlink::{attribute, attributes},
-};
+use cotorra_netlink::{DecodeError, NESTED, Writer, answer, attributes, parse_u32};
 
 /// Name of the family.
 pub(crate) const FAMILY: &str = "ethtool";
@@ -28,7 +23,11 @@ const UNKNOWN: u32 = u32::MAX;
 
 /// Encodes the attributes of a request for all interfaces.
 pub(crate) fn all() -> Vec<u8> {
-    attribute(HEADER | NLA_F_NESTED, &attribute(FLAGS, &COMPACT.to_ne_bytes()))
+    let mut writer = Writer::default();
+    writer.with(HEADER | NESTED, |w| {
+        w.words(FLAGS, &[COMPACT]);
+    });
+    writer.finish()
 }
 
 /// Decodes an answer: the index of an interface and its speed, if its driver knows one.
@@ -55,7 +54,7 @@ pub(crate) fn decode(body: &[u8]) -> Result<Option<(u32, BitRate)>, DecodeError>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{generic, nested};
+    use crate::testing::{attribute, generic, nested};
 
     #[test]
     fn speeds_are_in_bits_per_second() {

@@ -9,9 +9,10 @@ use std::{
 };
 
 use cotorra_graph::{CpuContext, MachineContext, NodeId, Timestamp};
+use cotorra_netlink::Netlink;
 use netlink_sys::protocols::{NETLINK_GENERIC, NETLINK_ROUTE};
 
-use crate::{interfaces::Interfaces, link::Link, netlink::Netlink, proc, proc::CpuTimes, wifi::Wifi};
+use crate::{interfaces::Interfaces, link::Link, proc, proc::CpuTimes, wifi::Wifi};
 
 /// The machine that this program runs on.
 pub struct Host {

@@ -3,14 +3,12 @@
 use std::{collections::HashMap, io};
 
 use cotorra_graph::{BitRate, InterfaceContext, MachineContext, Timestamp};
-use netlink_packet_core::NLM_F_DUMP;
+use cotorra_netlink::{DUMP, Family, Netlink};
 
 use crate::{
     bounds::keep,
     ethtool,
-    genetlink::Family,
     link::{self, Link},
-    netlink::Netlink,
 };
 
 /// Bytes that an interface received and sent.
@@ -34,7 +32,7 @@ impl Interfaces {
 
     /// Reads all interfaces, oldest first.
     pub(crate) fn links(route: &mut Netlink) -> io::Result<Vec<Link>> {
-        let mut links = route.request(link::GET_LINK, NLM_F_DUMP, &[0; link::HEADER], link::decode)?;
+        let mut links = route.request(link::GET_LINK, DUMP, &[0; link::HEADER], link::decode)?;
         links.sort_by_key(|link| link.index);
         Ok(links)
     }

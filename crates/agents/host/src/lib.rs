@@ -4,11 +4,9 @@
 
 mod bounds;
 mod ethtool;
-mod genetlink;
 mod host;
 mod interfaces;
 mod link;
-mod netlink;
 mod nl80211;
 mod proc;
 #[cfg(test)]
@@ -25,8 +23,8 @@ pub use host::{Host, Part, Reading, Unavailable};
 pub fn read_anything(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     _ = (proc::CpuTimes::parse(&text), proc::load_average(&text), proc::memory(&text));
-    _ = (link::decode(bytes), ethtool::decode(bytes), genetlink::decode_id(bytes));
+    _ = (link::decode(bytes), ethtool::decode(bytes), cotorra_netlink::decode_family(bytes));
     _ = (nl80211::interface(bytes), nl80211::station(bytes), nl80211::survey(bytes));
-    let mut answers = netlink::Answers::new(1);
+    let mut answers = cotorra_netlink::Answers::new(1);
     _ = answers.take(bytes, &|body| nl80211::station(body));
 }

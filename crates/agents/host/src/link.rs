@@ -1,9 +1,7 @@
 //! Network interfaces, as rtnetlink reports them (linux/rtnetlink.h, linux/if_link.h).
 
 use cotorra_graph::{InterfaceContext, InterfaceTraffic};
-use netlink_packet_core::{DecodeError, parse_u32, parse_u64};
-
-use crate::netlink::{attributes, text};
+use cotorra_netlink::{DecodeError, attributes, parse_u32, parse_u64, text};
 
 /// `RTM_GETLINK`.
 pub(crate) const GET_LINK: u16 = 18;
@@ -31,7 +29,7 @@ pub(crate) struct Link {
 /// Decodes the body of an `RTM_NEWLINK`.
 pub(crate) fn decode(body: &[u8]) -> Result<Option<Link>, DecodeError> {
     let Some((header, rest)) = body.split_at_checked(HEADER) else {
-        return Err(DecodeError::buffer_too_small(body.len(), HEADER));
+        return Err(DecodeError("an interface is too short"));
     };
     let flags = parse_u32(&header[8..12])?;
     let mut interface = InterfaceContext {
@@ -59,7 +57,7 @@ fn traffic(statistics: &[u8]) -> Result<(InterfaceTraffic, InterfaceTraffic), De
     // Packets, bytes, errors and dropped packets, of each first those received.
     let counter = |place: usize| {
         let bytes = statistics.get(place * 8..place * 8 + 8);
-        parse_u64(bytes.ok_or_else(|| DecodeError::buffer_too_small(statistics.len(), place * 8 + 8))?)
+        parse_u64(bytes.ok_or(DecodeError("statistics are too short"))?)
     };
     let direction = |first: usize| {
         Ok::<_, DecodeError>(InterfaceTraffic {
@@ -76,10 +74,7 @@ fn traffic(statistics: &[u8]) -> Result<(InterfaceTraffic, InterfaceTraffic), De
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        netlink::attribute,
-        testing::{LINKS, answers},
-    };
+    use crate::testing::{LINKS, answers, attribute};
 
     #[test]
     fn captured_links_have_their_state_and_counters() {

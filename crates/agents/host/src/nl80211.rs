@@ -3,11 +3,8 @@
 use std::time::Duration;
 
 use cotorra_graph::{BitRate, Dbm, Probability, WifiRole, WifiStation};
-use netlink_packet_core::{DecodeError, parse_i8, parse_mac, parse_u16, parse_u32, parse_u64};
-
-use crate::{
-    genetlink::answer,
-    netlink::{attribute, attributes, text},
+use cotorra_netlink::{
+    DecodeError, Writer, answer, attributes, parse_i8, parse_mac, parse_u16, parse_u32, parse_u64, text,
 };
 
 /// Name of the family.
@@ -119,7 +116,9 @@ impl Times {
 
 /// Encodes the attributes of a request that concerns an interface.
 pub(crate) fn of_interface(index: u32) -> Vec<u8> {
-    attribute(attr::IFINDEX, &index.to_ne_bytes())
+    let mut writer = Writer::default();
+    writer.words(attr::IFINDEX, &[index]);
+    writer.finish()
 }
 
 /// Decodes an interface; `None` for one that is no network interface, such as those of Wi-Fi Direct.
@@ -229,7 +228,7 @@ pub(crate) fn survey(body: &[u8]) -> Result<Option<Survey>, DecodeError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{INTERFACES, NO_SURVEY, STATIONS, SURVEY, answers, generic, nested};
+    use crate::testing::{INTERFACES, NO_SURVEY, STATIONS, SURVEY, answers, attribute, generic, nested};
 
     fn byte(kind: u16, value: u8) -> Vec<u8> {
         attribute(kind, &[value])

@@ -2,8 +2,9 @@
 
 use proptest::{prelude::*, sample::Index};
 
+use cotorra_netlink::Answers;
+
 use crate::{
-    netlink::Answers,
     nl80211, read_anything,
     testing::{FAMILY, INTERFACES, LINKS, SEQUENCE, STATIONS, SURVEY},
 };

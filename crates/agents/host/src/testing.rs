@@ -4,9 +4,7 @@
 //! interfaces, the two stations of an access point, the survey of one of them after a scan of three channels, that of the
 //! access point, which never scanned, and what the kernel knows of nl80211.
 
-use netlink_packet_core::{DecodeError, NLA_F_NESTED};
-
-use crate::netlink::{Answers, State, attribute};
+use cotorra_netlink::{Answers, DecodeError, NESTED, State, Writer};
 
 pub(crate) const LINKS: &[u8] = include_bytes!("captured/links.bin");
 pub(crate) const INTERFACES: &[u8] = include_bytes!("captured/interfaces.bin");
@@ -24,13 +22,20 @@ pub(crate) fn answers<T>(
     decode: impl Fn(&[u8]) -> Result<Option<T>, DecodeError>,
 ) -> Vec<T> {
     let mut answers = Answers::new(SEQUENCE);
-    assert!(matches!(answers.take(captured, &decode), Ok(State::Complete)), "the answers are whole");
+    assert!(matches!(answers.take(captured, &decode), Ok(State::Complete(0))), "the answers are whole");
     answers.found
+}
+
+/// Encodes an attribute, padded to four bytes.
+pub(crate) fn attribute(kind: u16, value: &[u8]) -> Vec<u8> {
+    let mut writer = Writer::default();
+    writer.bytes(kind, value);
+    writer.finish()
 }
 
 /// Encodes an attribute that holds others.
 pub(crate) fn nested(kind: u16, attributes: &[Vec<u8>]) -> Vec<u8> {
-    attribute(kind | NLA_F_NESTED, &attributes.concat())
+    attribute(kind | NESTED, &attributes.concat())
 }
 
 /// Encodes the body of an answer in generic netlink.

@@ -3,12 +3,10 @@
 use std::{collections::HashMap, io};
 
 use cotorra_graph::{MachineContext, WifiChannel, WifiContext, WifiStation};
-use netlink_packet_core::DecodeError;
+use cotorra_netlink::{DecodeError, Family, Netlink};
 
 use crate::{
     bounds::keep,
-    genetlink::Family,
-    netlink::Netlink,
     nl80211::{self, Interface, Survey, Times},
 };
 

@@ -4,14 +4,15 @@
 use std::{collections::BTreeMap, fmt};
 
 use crate::{
-    attributes::{DecodeError, attributes, number, text, word},
     filter::{Field, Filter, Verdict},
     handle::{Handle, Network},
     netem::Netem,
     request::{Discipline, Object, Request, Verb},
     rule::{Counters, DisciplineError, Replaced, Rule, Side},
+    structure::{number, word},
     tree::{Installed, Root, Tree},
 };
+use cotorra_netlink::{DecodeError, attributes, text};
 
 /// A network interface.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -374,7 +375,12 @@ impl Interface {
     pub(crate) fn decode(body: &[u8]) -> Result<Self, DecodeError> {
         let index = word(body, 1)?;
         let rest = body.get(16..).unwrap_or_default();
-        let name = attributes(rest)?.into_iter().find(|(kind, _)| *kind == 3).map(|(_, name)| text(name));
+        let mut name = None;
+        for attribute in attributes(rest) {
+            if let (3, value) = attribute? {
+                name = Some(text(value));
+            }
+        }
         // IFF_LOOPBACK
         let loopback = word(body, 2)? & 8 != 0;
         Ok(Self { index, name: name.ok_or(DecodeError("an interface has no name"))?, loopback })
@@ -392,7 +398,8 @@ impl DisciplineInfo {
             options: Vec::new(),
             counters: Counters::default(),
         };
-        for (kind, value) in attributes(body.get(20..).unwrap_or_default())? {
+        for attribute in attributes(body.get(20..).unwrap_or_default()) {
+            let (kind, value) = attribute?;
             match kind {
                 1 => info.kind = text(value),
                 2 => info.options = value.to_vec(),
@@ -408,7 +415,8 @@ impl Counters {
     /// Reads `TCA_STATS2`.
     fn decode(value: &[u8]) -> Result<Self, DecodeError> {
         let mut counters = Self::default();
-        for (kind, value) in attributes(value)? {
+        for attribute in attributes(value) {
+            let (kind, value) = attribute?;
             match kind {
                 1 => {
                     counters.bytes = number(value)?;
@@ -429,7 +437,8 @@ impl Counters {
 pub(crate) fn decode_filter(body: &[u8]) -> Result<Option<(u32, Handle, Filter)>, DecodeError> {
     let (interface, parent, info) = (word(body, 1)?, Handle(word(body, 3)?), word(body, 4)?);
     let (priority, protocol) = ((info >> 16) as u16, u16::from_be(info as u16));
-    for (kind, value) in attributes(body.get(20..).unwrap_or_default())? {
+    for attribute in attributes(body.get(20..).unwrap_or_default()) {
+        let (kind, value) = attribute?;
         if kind == 2
             && let Some(filter) = Filter::decode(value, protocol, priority)?
         {

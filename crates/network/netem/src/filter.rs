@@ -4,9 +4,10 @@
 use std::net::IpAddr;
 
 use crate::{
-    attributes::{DecodeError, Writer, attributes, word},
     handle::{Handle, Network},
+    structure::word,
 };
+use cotorra_netlink::{DecodeError, Writer, attributes};
 
 /// Address field that a filter compares.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -108,7 +109,8 @@ impl Filter {
     /// Reads a filter's options from the kernel's answer. Returns `None` for a form that this crate never writes.
     pub(crate) fn decode(options: &[u8], protocol: u16, priority: u16) -> Result<Option<Self>, DecodeError> {
         let (mut verdict, mut selected) = (None, None);
-        for (kind, value) in attributes(options)? {
+        for attribute in attributes(options) {
+            let (kind, value) = attribute?;
             match kind {
                 CLASS => verdict = Some(Verdict::Class(Handle(word(value, 0)?))),
                 ACTIONS => verdict = redirect(value)?.map(Verdict::Redirect).or(verdict),
@@ -123,12 +125,15 @@ impl Filter {
 }
 
 fn redirect(actions: &[u8]) -> Result<Option<u32>, DecodeError> {
-    for (_, action) in attributes(actions)? {
-        for (kind, options) in attributes(action)? {
+    for attribute in attributes(actions) {
+        let (_, action) = attribute?;
+        for attribute in attributes(action) {
+            let (kind, options) = attribute?;
             if kind != 2 {
                 continue;
             }
-            for (kind, value) in attributes(options)? {
+            for attribute in attributes(options) {
+                let (kind, value) = attribute?;
                 if kind == 2 && value.len() >= 28 {
                     return Ok(Some(word(value, 6)?));
                 }

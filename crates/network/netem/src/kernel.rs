@@ -5,14 +5,15 @@ use std::io;
 use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
 
 use crate::{
-    attributes::{DecodeError, attributes, text, word},
     device::{Device, DisciplineInfo, Interface, Plan, Snapshot, decode_filter},
     handle::Network,
     netem::Netem,
     request::{Dump, Object, Request, Verb},
     route,
     rule::{Rule, Side},
+    structure::word,
 };
+use cotorra_netlink::{DecodeError, Message, attributes, messages, text};
 
 /// A failure in the exchange with the kernel.
 #[derive(Debug, thiserror::Error)]
@@ -214,7 +215,8 @@ impl Kernel {
         self.socket.send(&request.encode(1), 0)?;
         let mut answer = Vec::with_capacity(16 << 10);
         self.socket.recv(&mut answer, 0)?;
-        let (Message { kind, flags, body }, _) = split(&answer)?;
+        let answer = messages(&answer).next().ok_or(DecodeError("an answer is empty"))??;
+        let Message { kind, flags, body, .. } = answer;
         if kind != ERROR {
             return Err(DecodeError("the kernel did not acknowledge a request").into());
         }
@@ -242,36 +244,16 @@ impl Kernel {
         loop {
             answers.clear();
             self.socket.recv(&mut answers, 0)?;
-            let mut rest = &answers[..];
-            while !rest.is_empty() {
-                let (Message { kind, body, .. }, behind) = split(rest)?;
+            for message in messages(&answers) {
+                let Message { kind, body, .. } = message?;
                 match kind {
                     DONE => return Ok(bodies),
                     ERROR => return Err(io::Error::from_raw_os_error(-(word(body, 0)? as i32)).into()),
                     _ => bodies.push(body.to_vec()),
                 }
-                rest = behind;
             }
         }
     }
-}
-
-/// One netlink message.
-struct Message<'a> {
-    kind: u16,
-    flags: u16,
-    body: &'a [u8],
-}
-
-/// Splits off the first message and returns it with the rest.
-fn split(bytes: &[u8]) -> Result<(Message<'_>, &[u8]), DecodeError> {
-    let header = bytes.get(..HEADER).ok_or(DecodeError("a message has no header"))?;
-    let length = word(header, 0)? as usize;
-    let kind = u16::from_ne_bytes([header[4], header[5]]);
-    let flags = u16::from_ne_bytes([header[6], header[7]]);
-    let body = bytes.get(HEADER..length).ok_or(DecodeError("a message is truncated"))?;
-    let rest = bytes.get(length.next_multiple_of(4)..).unwrap_or_default();
-    Ok((Message { kind, flags, body }, rest))
 }
 
 /// Returns the kernel's text beside an error code.
@@ -280,10 +262,10 @@ fn message(flags: u16, body: &[u8]) -> Result<String, DecodeError> {
         return Ok(String::new());
     }
     // The error code is followed by the request's header, without its body.
-    let attributes = attributes(body.get(4 + HEADER..).unwrap_or_default())?;
-    Ok(attributes
-        .into_iter()
-        .find(|(kind, _)| *kind == 1)
-        .map(|(_, message)| text(message))
-        .unwrap_or_default())
+    for attribute in attributes(body.get(4 + HEADER..).unwrap_or_default()) {
+        if let (1, message) = attribute? {
+            return Ok(text(message));
+        }
+    }
+    Ok(String::new())
 }

@@ -2,7 +2,6 @@
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
-mod attributes;
 mod conditions;
 mod device;
 mod distribution;
@@ -17,11 +16,12 @@ mod record;
 mod request;
 mod route;
 mod rule;
+mod structure;
 mod tree;
 
-pub use attributes::DecodeError;
 pub use conditions::ConditionsError;
 pub use cotorra_graph::{BitRate, Probability};
+pub use cotorra_netlink::DecodeError;
 #[doc(hidden)]
 pub use device::read_anything;
 pub use device::{Device, Interface, Plan};

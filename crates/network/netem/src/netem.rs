@@ -6,11 +6,12 @@ use std::time::Duration;
 use cotorra_graph::{BitRate, Probability};
 
 use crate::{
-    attributes::{DecodeError, Writer, attributes, number, word},
     distribution::Distribution,
     loss::Loss,
     probability::{from_wire, to_wire},
+    structure::{number, word},
 };
+use cotorra_netlink::{DecodeError, Writer, attributes};
 
 /// Random part of a delay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -181,7 +182,8 @@ impl Netem {
         let mut netem =
             Self { limit: Some(word(base, 1)?), duplication: from_wire(word(base, 4)?), ..Self::default() };
         let gap = word(base, 3)?;
-        for (kind, value) in attributes(rest)? {
+        for attribute in attributes(rest) {
+            let (kind, value) = attribute?;
             match kind {
                 LATENCY64 => latency = Duration::from_nanos(number(value)?),
                 JITTER64 => deviation = Duration::from_nanos(number(value)?),
@@ -191,7 +193,8 @@ impl Netem {
                 RATE64 => bytes = bytes.max(number(value)?),
                 SEED => netem.seed = Some(number(value)?),
                 LOSS => {
-                    for (kind, value) in attributes(value)? {
+                    for attribute in attributes(value) {
+                        let (kind, value) = attribute?;
                         if kind == GILBERT_ELLIOTT {
                             model =
                                 Some([word(value, 0)?, word(value, 1)?, word(value, 2)?, word(value, 3)?]);
@@ -278,11 +281,8 @@ pub(crate) mod tests {
     }
 
     fn nests(options: &[u8]) -> Option<usize> {
-        attributes(&options[BASE..])
-            .unwrap()
-            .iter()
-            .find(|(kind, _)| *kind == LOSS)
-            .map(|(_, value)| value.len())
+        let mut read = attributes(&options[BASE..]).map(Result::unwrap);
+        read.find(|(kind, _)| *kind == LOSS).map(|(_, value)| value.len())
     }
 
     #[test]

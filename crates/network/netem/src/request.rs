@@ -4,12 +4,12 @@
 use std::fmt;
 
 use crate::{
-    attributes::Writer,
     filter::{Field, Filter, Verdict},
     handle::Handle,
     loss::Loss,
     netem::Netem,
 };
+use cotorra_netlink::{ACK, DUMP, REQUEST, Writer, message};
 
 /// Action of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -70,9 +70,6 @@ const QDISC: u16 = 36;
 const CLASS: u16 = 40;
 const FILTER: u16 = 44;
 
-const REQUEST: u16 = 1;
-const ACK: u16 = 4;
-const DUMP: u16 = 0x300;
 const CREATE: u16 = 0x400;
 const EXCLUSIVE: u16 = 0x200;
 
@@ -189,17 +186,6 @@ impl Dump {
         };
         message(kind + 2, REQUEST | DUMP, number, &body)
     }
-}
-
-fn message(kind: u16, flags: u16, number: u32, body: &[u8]) -> Vec<u8> {
-    let length = (16 + body.len()) as u32;
-    let mut bytes = length.to_ne_bytes().to_vec();
-    bytes.extend(kind.to_ne_bytes());
-    bytes.extend(flags.to_ne_bytes());
-    bytes.extend(number.to_ne_bytes());
-    bytes.extend([0; 4]);
-    bytes.extend(body);
-    bytes
 }
 
 /// Encodes `struct tcmsg`.

@@ -1,7 +1,9 @@
 //! Reads routes (rtnetlink(7), linux/rtnetlink.h) to find the interfaces of default routes, so that conditions there
 //! do not lock users out by accident.
 
-use crate::attributes::{DecodeError, attributes, word};
+use cotorra_netlink::{DecodeError, attributes};
+
+use crate::structure::word;
 
 /// Length of `struct rtmsg`.
 const HEADER: usize = 12;
@@ -21,7 +23,8 @@ pub(crate) fn default_route_interfaces(body: &[u8]) -> Result<Vec<u32>, DecodeEr
     if prefix != 0 || kind != UNICAST {
         return Ok(default_route_interfaces);
     }
-    for (attribute, value) in attributes(rest)? {
+    for attribute in attributes(rest) {
+        let (attribute, value) = attribute?;
         match attribute {
             OUT => default_route_interfaces.push(word(value, 0)?),
             SEVERAL => {
@@ -43,7 +46,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::attributes::Writer;
+    use cotorra_netlink::Writer;
 
     fn route(prefix: u8, kind: u8, write: impl FnOnce(&mut Writer)) -> Vec<u8> {
         let mut w = Writer::default();

@@ -86,8 +86,7 @@ impl Family {
         if let Number::Unknown = self.number {
             let mut name = Writer::default();
             name.text(FAMILY_NAME, self.name);
-            let found =
-                socket.request(CONTROLLER, ACK, &request(GET_FAMILY, &name.finish()), decode_family);
+            let found = socket.request(CONTROLLER, ACK, &request(GET_FAMILY, &name.finish()), decode_family);
             self.number = match found {
                 Ok(found) => found.first().map_or(Number::Absent, |number| Number::Known(*number)),
                 Err(error) if error.raw_os_error() == Some(ENOENT) => Number::Absent,
