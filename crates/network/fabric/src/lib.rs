@@ -19,6 +19,8 @@
 //!   [attach](Fabric::attach) to other radio units.
 //! - **Other cores.** A robot may [depart](Fabric::depart) to a radio unit that another core emulates. Its packets then
 //!   leave this fabric, and those to it leave at a border. The other core returns them [here](Fabric::arrive).
+//! - **Other radios.** Radios that are none of the fabric's, such as those of a kernel, use [antennas](Fabric::lend_antenna)
+//!   of robots and radio units. Their [frames](Fabric::transmit) contend, fade and collide as all others.
 //! - **Measurement.** The packets of [probes](Fabric::probe_links) and [throughput tests](Fabric::test_throughput) cross
 //!   links as others do. They reach no host and are in no counter. The [service times of flows](Fabric::measure_flows)
 //!   are measured where frames enter and leave. [Followed](Fabric::follow) frames tell the time on each link; others carry
@@ -61,6 +63,8 @@ pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationK
 pub use lateness::Histogram;
 pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};
 pub use port::PortId;
-pub use radio::sensitivity;
+pub use radio::{
+    Antenna, Category, ChannelWidth, PhyRate, RateTries, Receiver, Report, Transmission, sensitivity,
+};
 pub use settings::{Carries, FabricError};
 pub use tap::{Passage, TapError, TapReader};

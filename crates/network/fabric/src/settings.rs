@@ -72,6 +72,15 @@ pub enum FabricError {
     /// A robot that is not attached to a radio unit of another core.
     #[error("the radio of `{0}` is not with another core's radio unit")]
     NotElsewhere(NodeId),
+    /// A node without an antenna.
+    #[error("`{0}` is no robot and no radio unit of a wireless network")]
+    NoAntenna(NodeId),
+    /// An antenna that another radio than the fabric's uses.
+    #[error("another radio uses the antenna of `{0}`")]
+    Lent(NodeId),
+    /// A network whose senders take turns.
+    #[error("senders take turns in the network of `{0}`: write `access: edca`")]
+    NoContention(NodeId),
     /// An impossible delay.
     #[error("a delay of {0} ms cannot be: it is between 0 ms and one hour, before and after scaling")]
     Delay(f64),

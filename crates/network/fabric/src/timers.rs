@@ -21,6 +21,12 @@ impl Timers {
         Self { heap: Vec::new(), place: vec![IDLE; owners], deadline: vec![Timestamp::MAX; owners] }
     }
 
+    /// Adds an owner, behind all others.
+    pub(crate) fn add(&mut self) {
+        self.place.push(IDLE);
+        self.deadline.push(Timestamp::MAX);
+    }
+
     /// Returns the next deadline and its owner.
     pub(crate) fn next(&self) -> Option<(Timestamp, usize)> {
         self.heap.first().map(|&owner| (self.deadline[owner as usize], owner as usize))

@@ -104,6 +104,7 @@ impl Radio {
 
     fn check_deployment(&self, unit: RadioUnitIndex, access_point: &AccessPoint) -> Result<(), FabricError> {
         let radio_unit = &self.units[unit];
+        self.check_not_lent(&radio_unit.id)?;
         let network = &self.networks[radio_unit.network].ssid;
         if radio_unit.serves.is_some() {
             return Err(FabricError::Serving(radio_unit.id.clone()));

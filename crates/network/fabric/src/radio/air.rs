@@ -49,7 +49,7 @@ impl Radio {
     pub(super) fn serve(&mut self, channel: usize, now: Timestamp) {
         if self.contends(channel) {
             let wakes = self.edca().wakes(channel);
-            return self.timers.set(channel, wakes);
+            return self.timers.set(self.timer_of(channel), wakes);
         }
         if let Some((flow, waiting)) = self.medium.next(channel, now) {
             let idle = self.medium.idle_for(channel, now);

@@ -17,6 +17,9 @@ impl Radio {
             match owner.checked_sub(self.channels) {
                 None if self.contends(owner) => self.contend(owner, at),
                 None => self.serve(owner, at),
+                Some(further) if further >= self.robots.len() => {
+                    self.contend(owner - self.robots.len(), at);
+                }
                 Some(robot) if self.robots[robot].station.is_busy() => self.end_phase(robot, at),
                 Some(robot) if self.next_scan(robot).is_some_and(|due| due <= at) => {
                     self.scan_in_background(robot, at);

@@ -1,9 +1,9 @@
 //! Robots whose radios are with a radio unit of another core. Here they are silent: they hear no beacons and send no frames
 //! until they attach to a radio unit of this graph.
 
-use cotorra_graph::{Dbm, Direction, NodeId, Timestamp};
+use cotorra_graph::{Dbm, NodeId, Timestamp};
 
-use super::{Path, Radio, station::Purpose};
+use super::{Radio, station::Purpose};
 use crate::settings::FabricError;
 
 impl Radio {
@@ -22,22 +22,9 @@ impl Radio {
         if self.robots[index].station.is_busy() {
             return Err(FabricError::Busy(robot.clone()));
         }
-        self.leave_channel(index, now);
-        let queued = self.take_queued(index);
-        if let Some(unit) = self.robots[index].home.take() {
-            for (direction, queue) in [Direction::Forward, Direction::Backward].into_iter().zip(queued) {
-                for waiting in queue {
-                    self.lose(Path { robot: index, unit, direction }, waiting.frame, waiting.is_probe);
-                }
-            }
-        }
-        if let Some(unit) = self.robots[index].station.detach() {
-            self.units[unit].stations.retain(|other| *other != index);
-        }
-        let radio = &mut self.robots[index];
-        radio.elsewhere = Some(mobility_domain);
-        radio.beacons.reset();
-        self.timers.set(self.channels + index, None);
+        self.check_not_lent(robot)?;
+        self.vacate(index, now);
+        self.robots[index].elsewhere = Some(mobility_domain);
         Ok(())
     }
 

@@ -18,11 +18,13 @@ mod channel;
 mod edca;
 mod elsewhere;
 mod fading;
+mod foreign;
 mod hearing;
 mod link;
 mod medium;
 mod minstrel;
 mod phy;
+mod phy_rate;
 mod rate_control;
 mod roaming;
 mod shadowing;
@@ -46,10 +48,16 @@ use cotorra_graph::{
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-pub use self::phy::sensitivity;
+pub use self::{
+    edca::Category,
+    foreign::{Antenna, RateTries, Receiver, Report, Transmission},
+    phy::sensitivity,
+    phy_rate::{ChannelWidth, PhyRate},
+};
 
 use self::{
     edca::{Edca, Emitter, Interference},
+    foreign::Lent,
     link::WirelessLink,
     medium::{Flow, Medium, Waiting},
     phy::{Phy, Reception},
@@ -105,11 +113,12 @@ pub(crate) struct Radio {
     medium: Medium,
     /// The channels with contention, if a network has any.
     edca: Option<Edca>,
-    /// Timers of the channels, then those of the robots.
+    /// Timers of the channels, then those of the robots, then those of further channels of lent antennas.
     timers: Timers,
     channels: usize,
     /// Channels with contention.
     contention: BTreeSet<usize>,
+    lent: Lent,
     in_flight: BinaryHeap<Reverse<InFlight>>,
     sent: u64,
     events: VecDeque<Stamped>,
@@ -300,6 +309,7 @@ impl Radio {
             robots,
             units,
             edca,
+            lent: Lent::default(),
             in_flight: BinaryHeap::new(),
             sent: 0,
             events: VecDeque::new(),
@@ -478,7 +488,8 @@ impl Radio {
         }
         robot.position = to;
         let watching = std::mem::replace(&mut robot.moved, true);
-        if !watching && !robot.station.is_busy() && robot.elsewhere.is_none() {
+        let listens = robot.elsewhere.is_none() && !self.is_lent(index);
+        if !watching && listens && !self.robots[index].station.is_busy() {
             self.watch(index, now);
         }
         Ok(())
@@ -492,6 +503,7 @@ impl Radio {
     pub(crate) fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.robot(robot)?;
+        self.check_not_lent(robot)?;
         if self.robots[index].elsewhere.is_some() {
             return Err(FabricError::Elsewhere(robot.clone()));
         }
@@ -515,6 +527,7 @@ impl Radio {
     ) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.robot(robot)?;
+        self.check_not_lent(robot)?;
         let to = *self.unit_by_name.get(unit).ok_or_else(|| FabricError::UnknownRadioUnit(unit.clone()))?;
         if self.robots[index].network != self.units[to].network {
             return Err(FabricError::OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() });

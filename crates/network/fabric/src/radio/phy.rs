@@ -7,7 +7,7 @@ use cotorra_graph::{BitRate, Dbm, WifiStandard, WirelessNetwork};
 
 /// Modulation of each subcarrier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Constellation {
+pub(super) enum Constellation {
     Bpsk,
     Qpsk,
     Qam16,
@@ -17,7 +17,7 @@ enum Constellation {
 
 /// Rate of the convolutional code with constraint length 7, punctured from (133, 171).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Coding {
+pub(super) enum Coding {
     Half,
     TwoThirds,
     ThreeQuarters,
@@ -34,13 +34,17 @@ pub(super) struct Mode {
 }
 
 impl Mode {
-    const fn new(bits_per_symbol: u32, constellation: Constellation, coding: Coding) -> Self {
+    pub(super) const fn new(bits_per_symbol: u32, constellation: Constellation, coding: Coding) -> Self {
         Self { bits_per_symbol, constellation, coding }
     }
 
     /// Returns the PHY rate, Mbit/s.
     pub(super) fn mbps(&self) -> f64 {
         f64::from(self.bits_per_symbol) / 4.0
+    }
+
+    pub(super) fn constellation(&self) -> Constellation {
+        self.constellation
     }
 
     /// Returns the data bits in one symbol of 4 µs.
@@ -103,7 +107,7 @@ pub(super) struct Phy {
 }
 
 /// 802.11a and g (17.3.2.2, Table 17-4).
-const OFDM: &[Mode] = &[
+pub(super) const OFDM: &[Mode] = &[
     Mode::new(24, Constellation::Bpsk, Coding::Half),
     Mode::new(36, Constellation::Bpsk, Coding::ThreeQuarters),
     Mode::new(48, Constellation::Qpsk, Coding::Half),
@@ -411,7 +415,7 @@ pub(super) struct Exchange {
 /// hard decisions: P ≤ 1/(2k) Σ c_d D^d, D = √(4p(1-p)), over the first terms of the code's bit weight spectrum (Frenger,
 /// Orten and Ottosson, Convolutional codes with optimum distance spectrum, IEEE Communications Letters 3(11), 1999). Pei
 /// and Henderson validated this model against a testbed (Validation of OFDM error rate model in ns-3, 2010).
-fn ln_bit_success(mode: &Mode, snr_db: f64) -> f64 {
+pub(super) fn ln_bit_success(mode: &Mode, snr_db: f64) -> f64 {
     let snr = 10f64.powf(snr_db / 10.0);
     let p = match mode.constellation {
         Constellation::Bpsk => 0.5 * erfc(snr.sqrt()),
@@ -439,7 +443,7 @@ fn ln_bit_success(mode: &Mode, snr_db: f64) -> f64 {
 
 /// Returns the complementary error function for `x` ≥ 0: a series below 2 (Abramowitz and Stegun, 7.1.6), a continued
 /// fraction above (7.1.14).
-fn erfc(x: f64) -> f64 {
+pub(super) fn erfc(x: f64) -> f64 {
     let gauss = (-x * x).exp() / std::f64::consts::PI.sqrt();
     if x < 2.0 {
         let (mut term, mut sum) = (x, x);

@@ -183,6 +183,12 @@ impl Station {
         self.attached.take()
     }
 
+    /// Ends whatever it does. Returns the radio unit that it was attached to.
+    pub(super) fn silence(&mut self) -> Option<RadioUnitIndex> {
+        self.activity = None;
+        self.attached.take()
+    }
+
     /// Returns the radio unit that it is being handed over to.
     pub(super) fn underway_to(&self) -> Option<RadioUnitIndex> {
         match self.busy() {

@@ -1,6 +1,7 @@
 //! Tests of the radio as the fabric uses it: frames in, frames and events out, in virtual time.
 
 mod contention;
+mod foreign;
 mod supplicant;
 
 use cotorra_graph::{

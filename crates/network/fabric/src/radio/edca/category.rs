@@ -6,10 +6,14 @@ use super::backoff::Parameters;
 
 /// An access category (IEEE 802.11-2020, 10.2.3.2), from the most urgent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Category {
+pub enum Category {
+    /// AC_VO.
     Voice,
+    /// AC_VI.
     Video,
+    /// AC_BE.
     BestEffort,
+    /// AC_BK.
     Background,
 }
 

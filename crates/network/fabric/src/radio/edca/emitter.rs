@@ -2,7 +2,7 @@
 
 use cotorra_graph::{Dbm, Position};
 
-use super::{Edca, Emitter, interference::Interference};
+use super::{Edca, Emitter, foreign::Foreign, interference::Interference};
 use crate::radio::{Radio, phy::Phy};
 
 impl Edca {
@@ -17,12 +17,25 @@ impl Radio {
         self.edca.as_ref().expect("interference comes with contention").source(source)
     }
 
+    fn foreign(&self, radio: usize) -> &Foreign {
+        &self.edca.as_ref().expect("antennas are lent with contention").foreign[radio]
+    }
+
+    /// Returns whose antenna an emitter has: its own, unless it is lent.
+    pub(super) fn place_of(&self, emitter: Emitter) -> Emitter {
+        match emitter {
+            Emitter::Foreign(radio) => self.foreign(radio).place,
+            Emitter::Robot(_) | Emitter::Unit(_) | Emitter::Interference(_) => emitter,
+        }
+    }
+
     /// Returns the network that an emitter belongs to, or whose channels it disturbs.
-    pub(super) fn network_of(&self, emitter: Emitter) -> usize {
+    pub(in crate::radio) fn network_of(&self, emitter: Emitter) -> usize {
         match emitter {
             Emitter::Robot(robot) => self.robots[robot].network,
             Emitter::Unit(unit) => self.units[unit].network,
             Emitter::Interference(source) => self.source(source).network(),
+            Emitter::Foreign(_) => self.network_of(self.place_of(emitter)),
         }
     }
 
@@ -38,7 +51,7 @@ impl Radio {
     /// Whether stations recognise an emitter's frames, and wait for them even if they are weak.
     pub(super) fn is_wifi(&self, emitter: Emitter) -> bool {
         match emitter {
-            Emitter::Robot(_) | Emitter::Unit(_) => true,
+            Emitter::Robot(_) | Emitter::Unit(_) | Emitter::Foreign(_) => true,
             Emitter::Interference(source) => self.source(source).is_wifi(),
         }
     }
@@ -49,6 +62,7 @@ impl Radio {
             Emitter::Robot(robot) => (self.robots[robot].tx_power, self.robots[robot].position),
             Emitter::Unit(unit) => (self.units[unit].tx_power, self.units[unit].position),
             Emitter::Interference(source) => (self.source(source).tx_power(), self.source(source).position()),
+            Emitter::Foreign(_) => self.antenna(self.place_of(emitter)),
         }
     }
 
@@ -58,6 +72,7 @@ impl Radio {
             Emitter::Robot(robot) => self.robots[robot].home.map_or(0, |unit| self.units[unit].frequency_mhz),
             Emitter::Unit(unit) => self.units[unit].frequency_mhz,
             Emitter::Interference(source) => self.source(source).frequency_mhz(),
+            Emitter::Foreign(radio) => self.foreign(radio).frequency_mhz(),
         }
     }
 }

@@ -11,6 +11,7 @@
 mod backoff;
 mod category;
 mod emitter;
+mod foreign;
 mod interference;
 mod power_save;
 mod stream;
@@ -20,11 +21,13 @@ use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{Direction, PowerSave, QueueLimit, Timestamp};
 
+pub use self::category::Category;
 pub(super) use self::interference::Interference;
 
 use self::{
     backoff::Backoff,
-    category::{CATEGORIES, Category},
+    category::CATEGORIES,
+    foreign::Foreign,
     power_save::Sleep,
     stream::{Settled, Stream},
     transmission::{OnAir, Sender},
@@ -45,6 +48,8 @@ pub(super) enum Emitter {
     Robot(StationIndex),
     Unit(RadioUnitIndex),
     Interference(usize),
+    /// A radio that is none of the fabric's.
+    Foreign(usize),
 }
 
 /// A station or a radio unit, with its four contentions.
@@ -72,6 +77,14 @@ struct Burst {
 }
 
 impl Node {
+    fn new(seed: u64, label: &str, sifs: Duration, parameters: fn(Category) -> backoff::Parameters) -> Self {
+        let contentions = CATEGORIES.map(|category| {
+            let rng = stream(seed, &format!("backoff {label} {category:?}"));
+            Contention { backoff: Backoff::new(parameters(category), sifs, rng), ready: false }
+        });
+        Self { contentions, burst: None }
+    }
+
     /// Returns when a category sends, if nobody else sends before; `None` if it has nothing to send.
     fn access(&self, category: usize) -> Option<Timestamp> {
         let contention = &self.contentions[category];
@@ -138,6 +151,7 @@ pub(super) struct Edca {
     peers: Vec<Peer>,
     units: Vec<Unit>,
     interference: Vec<Interference>,
+    foreign: Vec<Foreign>,
 }
 
 impl Edca {
@@ -149,17 +163,10 @@ impl Edca {
         stations: impl Iterator<Item = (Duration, Option<PowerSave>)>,
         interference: Vec<Interference>,
     ) -> Self {
-        let node = |label: &str, sifs: Duration, parameters: fn(Category) -> backoff::Parameters| Node {
-            contentions: CATEGORIES.map(|category| {
-                let rng = stream(seed, &format!("backoff {label} {category:?}"));
-                Contention { backoff: Backoff::new(parameters(category), sifs, rng), ready: false }
-            }),
-            burst: None,
-        };
         let units: Vec<_> = units
             .enumerate()
             .map(|(index, (channel, sifs))| Unit {
-                node: node(&format!("unit {index}"), sifs, Category::of_access_point),
+                node: Node::new(seed, &format!("unit {index}"), sifs, Category::of_access_point),
                 channel,
                 present: Vec::new(),
                 group: Default::default(),
@@ -169,7 +176,7 @@ impl Edca {
             })
             .collect();
         let peer = |(index, (sifs, power_save)): (usize, (Duration, Option<PowerSave>))| Peer {
-            node: node(&format!("station {index}"), sifs, Category::of_station),
+            node: Node::new(seed, &format!("station {index}"), sifs, Category::of_station),
             on: None,
             with: 0,
             streams: Default::default(),
@@ -185,7 +192,13 @@ impl Edca {
                 channel.members.push(Emitter::Interference(index));
             }
         }
-        Self { channels, peers: stations.enumerate().map(peer).collect(), units, interference }
+        Self {
+            channels,
+            peers: stations.enumerate().map(peer).collect(),
+            units,
+            interference,
+            foreign: Vec::new(),
+        }
     }
 
     /// Puts a station on a radio unit's channel. Its waiting frames can be sent now.
@@ -259,6 +272,7 @@ impl Edca {
                 node.next_access().into_iter().chain(*beacon).min()
             }
             Emitter::Interference(source) => Some(self.interference[*source].deadline()),
+            Emitter::Foreign(radio) => self.foreign[*radio].node.next_access(),
         });
         sends.chain(on_air.iter().map(|on_air| on_air.data_ends)).min()
     }
@@ -291,7 +305,7 @@ impl Edca {
     /// Finds out which categories of a sender have frames to send, after some came. Those that had none begin to contend.
     fn refresh(&mut self, now: Timestamp, sender: Emitter) {
         for category in 0..CATEGORIES.len() {
-            let ready = self.next_flow(now, sender, category).is_some();
+            let ready = self.is_ready(now, sender, category);
             let Some(node) = self.node(sender) else { return };
             let contention = &mut node.contentions[category];
             if ready && !contention.ready {
@@ -321,13 +335,17 @@ impl Edca {
                 if node.access(category).is_none_or(|access| access > now) {
                     continue;
                 }
-                match flow {
+                let next = match (emitter, flow) {
+                    (Emitter::Foreign(radio), _) => Some(Sender::Foreign { radio, category }),
+                    (_, flow) => flow.map(|flow| Sender::Station { emitter, category, flow }),
+                };
+                match next {
                     // Its receivers have fallen asleep.
                     None => self.see_frames(now, emitter),
                     Some(_) if sends => node.contentions[category].backoff.double(),
-                    Some(flow) => {
+                    Some(sender) => {
                         sends = true;
-                        senders.push(Sender::Station { emitter, category, flow });
+                        senders.push(sender);
                     }
                 }
             }
@@ -356,6 +374,7 @@ impl Edca {
             Emitter::Robot(station) => self.peers[station].node.pause(now, until),
             Emitter::Unit(unit) => self.units[unit].node.pause(now, until),
             Emitter::Interference(source) => self.interference[source].pause(now, until),
+            Emitter::Foreign(radio) => self.foreign[radio].node.pause(now, until),
         }
     }
 
@@ -404,7 +423,7 @@ impl Edca {
     /// Finds out which categories of a sender have frames to send, after it sent some.
     fn see_frames(&mut self, now: Timestamp, sender: Emitter) {
         for category in 0..CATEGORIES.len() {
-            let ready = self.next_flow(now, sender, category).is_some();
+            let ready = self.is_ready(now, sender, category);
             if let Some(node) = self.node(sender) {
                 node.contentions[category].ready = ready;
             }
@@ -433,7 +452,15 @@ impl Edca {
                 };
                 turns[category].iter().filter(is_ready).find(|flow| self.is_awake(now, **flow)).copied()
             }
-            Emitter::Interference(_) => None,
+            Emitter::Interference(_) | Emitter::Foreign(_) => None,
+        }
+    }
+
+    /// Whether a sender has a frame of a category that it can send.
+    fn is_ready(&self, now: Timestamp, sender: Emitter, category: usize) -> bool {
+        match sender {
+            Emitter::Foreign(radio) => self.foreign[radio].is_ready(category),
+            _ => self.next_flow(now, sender, category).is_some(),
         }
     }
 
@@ -441,6 +468,7 @@ impl Edca {
         match emitter {
             Emitter::Robot(station) => Some(&mut self.peers[station].node),
             Emitter::Unit(unit) => Some(&mut self.units[unit].node),
+            Emitter::Foreign(radio) => Some(&mut self.foreign[radio].node),
             Emitter::Interference(_) => None,
         }
     }

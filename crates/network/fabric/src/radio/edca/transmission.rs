@@ -6,6 +6,7 @@ use cotorra_graph::{Dbm, Timestamp};
 
 use super::{
     Edca, Emitter,
+    foreign::Try,
     stream::{Batch, Settled},
 };
 use crate::{
@@ -32,20 +33,27 @@ const LONGEST_AGGREGATE: Duration = Duration::from_millis(4);
 /// A transmission, from its start to the end of its acknowledgement.
 #[derive(Debug)]
 pub(super) struct OnAir {
-    emitter: Emitter,
-    start: Timestamp,
+    pub(super) emitter: Emitter,
+    pub(super) start: Timestamp,
     pub(super) data_ends: Timestamp,
     /// End of the acknowledgement, or of the time in which it would have come.
-    ends: Timestamp,
+    pub(super) ends: Timestamp,
     /// Others whose data overlapped with this data.
-    overlaps: Vec<Emitter>,
-    /// `None` for interference.
-    content: Option<Content>,
+    pub(super) overlaps: Vec<Emitter>,
+    pub(super) load: Load,
+}
+
+/// What a transmission carries.
+#[derive(Debug)]
+pub(super) enum Load {
+    Interference,
+    Frames(Content),
+    Foreign(Try),
 }
 
 /// Frames of a transmission.
 #[derive(Debug)]
-struct Content {
+pub(super) struct Content {
     flow: Flow,
     category: usize,
     /// Changes of the flow's receiver before it.
@@ -59,10 +67,10 @@ struct Content {
 
 /// Data that an RTS announces.
 #[derive(Debug, Clone, Copy)]
-struct Protected {
-    start: Timestamp,
-    data_ends: Timestamp,
-    ends: Timestamp,
+pub(super) struct Protected {
+    pub(super) start: Timestamp,
+    pub(super) data_ends: Timestamp,
+    pub(super) ends: Timestamp,
 }
 
 /// A sender whose backoff is over.
@@ -70,6 +78,7 @@ struct Protected {
 pub(super) enum Sender {
     Station { emitter: Emitter, category: usize, flow: Flow },
     Interference { emitter: Emitter, airtime: Duration },
+    Foreign { radio: usize, category: usize },
 }
 
 impl Edca {
@@ -109,7 +118,7 @@ impl Radio {
             self.edca().put_on_air(channel, new);
         }
         let wakes = self.edca().wakes(channel);
-        self.timers.set(channel, wakes);
+        self.timers.set(self.timer_of(channel), wakes);
     }
 
     pub(in crate::radio) fn edca(&mut self) -> &mut Edca {
@@ -127,9 +136,10 @@ impl Radio {
                     data_ends: ends,
                     ends,
                     overlaps: Vec::new(),
-                    content: None,
+                    load: Load::Interference,
                 };
             }
+            Sender::Foreign { radio, category } => return self.compose_foreign(now, radio, category),
             Sender::Station { emitter, category, flow } => (emitter, category, flow),
         };
         let phy = self.phy_of(emitter);
@@ -170,7 +180,7 @@ impl Radio {
             data_ends,
             ends,
             overlaps: Vec::new(),
-            content: Some(content),
+            load: Load::Frames(content),
         };
         let Some(path) = path else { return on_air(now + airtime, now + airtime, content) };
         let lane = self.lane(path);
@@ -188,13 +198,17 @@ impl Radio {
 
     /// Decides who received a transmission, and what its sender does next.
     fn end_transmission(&mut self, channel: usize, ended: OnAir) {
-        let Some(content) = &ended.content else {
-            return self.edca().end_interference(ended.emitter, ended.overlaps.is_empty());
+        let content = match &ended.load {
+            Load::Interference => {
+                return self.edca().end_interference(ended.emitter, ended.overlaps.is_empty());
+            }
+            Load::Foreign(_) => return self.end_foreign(channel, ended),
+            Load::Frames(content) => content,
         };
         match (self.edca().path(content.flow), content.protects) {
             (None, _) => self.end_group(&ended, content),
             (Some(path), Some(protected)) if self.clears(&ended, path) => {
-                self.begin_protected(channel, ended, path, protected);
+                self.begin_protected(channel, ended, path.receiver(), protected);
             }
             (Some(path), _) => self.end_unicast(channel, &ended, content, path),
         }
@@ -207,13 +221,26 @@ impl Radio {
     }
 
     /// Sends the data after RTS and CTS. Everyone who hears either end waits.
-    fn begin_protected(&mut self, channel: usize, rts: OnAir, path: Path, protected: Protected) {
+    pub(super) fn begin_protected(
+        &mut self,
+        channel: usize,
+        rts: OnAir,
+        receiver: Emitter,
+        protected: Protected,
+    ) {
         let Protected { start, data_ends, ends } = protected;
-        for end in [rts.emitter, path.receiver()] {
+        for end in [rts.emitter, receiver] {
             self.pause_listeners(channel, end, [rts.data_ends, ends]);
         }
-        let content = rts.content.map(|content| Content { protects: None, ..content });
-        let data = OnAir { start, data_ends, ends, overlaps: Vec::new(), content, ..rts };
+        let load = match rts.load {
+            Load::Frames(content) => Load::Frames(Content { protects: None, ..content }),
+            Load::Foreign(mut attempt) => {
+                attempt.protects = None;
+                Load::Foreign(attempt)
+            }
+            Load::Interference => Load::Interference,
+        };
+        let data = OnAir { start, data_ends, ends, overlaps: Vec::new(), load, ..rts };
         self.edca().put_on_air(channel, data);
     }
 
@@ -306,7 +333,7 @@ impl Radio {
     }
 
     /// Stops the backoffs of an emitter, and of everyone on the channel who hears it.
-    fn pause_listeners(&mut self, channel: usize, emitter: Emitter, [now, until]: [Timestamp; 2]) {
+    pub(super) fn pause_listeners(&mut self, channel: usize, emitter: Emitter, [now, until]: [Timestamp; 2]) {
         for listener in self.edca().members(channel) {
             if listener == emitter || self.senses(listener, emitter) {
                 self.edca().pause(listener, now, until);
@@ -326,28 +353,28 @@ impl Radio {
 
     /// Returns the received power of an emitter at another one. Between a robot and a radio unit of its network, shadowing
     /// counts.
-    fn power(&self, from: Emitter, to: Emitter) -> Dbm {
-        match (from, to) {
+    pub(super) fn power(&self, from: Emitter, to: Emitter) -> Dbm {
+        match (self.place_of(from), self.place_of(to)) {
             (Emitter::Robot(robot), Emitter::Unit(unit)) if self.is_one_network(robot, unit) => {
                 self.signals(robot, unit)[0]
             }
             (Emitter::Unit(unit), Emitter::Robot(robot)) if self.is_one_network(robot, unit) => {
                 self.signals(robot, unit)[1]
             }
-            _ => {
-                let spec = &self.networks[self.network_of(from)].spec;
-                let ((tx_power, a), (_, b)) = (self.antenna(from), self.antenna(to));
+            (sender, receiver) => {
+                let spec = &self.networks[self.network_of(sender)].spec;
+                let ((tx_power, a), (_, b)) = (self.antenna(sender), self.antenna(receiver));
                 let path_loss = spec.path_loss.loss_db(a.distance(b), self.frequency_mhz(from));
                 Dbm(tx_power.0 - path_loss - spec.wall_loss_db(a, b))
             }
         }
     }
 
-    fn is_one_network(&self, robot: usize, unit: RadioUnitIndex) -> bool {
+    pub(super) fn is_one_network(&self, robot: usize, unit: RadioUnitIndex) -> bool {
         self.robots[robot].network == self.units[unit].network
     }
 }
 
-fn milliwatts(power: Dbm) -> f64 {
+pub(super) fn milliwatts(power: Dbm) -> f64 {
     10f64.powf(power.0 / 10.0)
 }

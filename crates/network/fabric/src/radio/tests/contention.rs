@@ -34,7 +34,7 @@ fn saturate(world: &mut World, senders: usize, bytes: usize, until: Timestamp) -
 /// Frames per second of `senders` that all hear each other, by Bianchi, Performance analysis of the IEEE 802.11 distributed
 /// coordination function, IEEE JSAC 18(3), 2000: a window of 16 slots that doubles six times, frames that hold the channel for
 /// `busy_us` and AIFS of 43 µs.
-fn bianchi(senders: i32, busy_us: f64) -> f64 {
+pub(super) fn bianchi(senders: i32, busy_us: f64) -> f64 {
     let tau =
         |p: f64| 2.0 * (1.0 - 2.0 * p) / ((1.0 - 2.0 * p) * 17.0 + p * 16.0 * (1.0 - (2.0 * p).powi(6)));
     let (mut low, mut high) = (0.0, 0.999_999);

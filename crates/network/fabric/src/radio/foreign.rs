@@ -1,0 +1,233 @@
+//! Radios that are none of the fabric's, such as those of a kernel, at the antennas of robots and radio units. Their frames
+//! cross the same air as all others: they [contend](super::edca), fade, collide and interfere. What is in them, which rates
+//! they are tried with, and who is attached to whom, is their senders' business.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use cotorra_graph::{Dbm, Direction, NodeId, Timestamp};
+
+use super::{
+    Path, PhyRate, Radio, StationIndex,
+    edca::{Category, Emitter},
+};
+use crate::settings::FabricError;
+
+/// An antenna that is lent to a radio that is none of the fabric's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Antenna(pub(super) usize);
+
+/// A frame that such a radio sends.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Transmission {
+    /// The sender's number for it, which its [`Report`]s have.
+    pub id: u64,
+    /// Centre of its channel, or of the primary one.
+    pub frequency_mhz: u16,
+    /// Length of its PSDU: MAC header, body and check sequence.
+    pub psdu_bytes: u32,
+    /// Its access category.
+    pub category: Category,
+    /// Who it is for.
+    pub to: Receiver,
+    /// Rates to try, in this order, until it is acknowledged. A frame that nobody acknowledges is tried once.
+    pub rates: Vec<RateTries>,
+}
+
+/// A rate of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RateTries {
+    /// The rate.
+    pub rate: PhyRate,
+    /// Tries with it; 0 counts as 1.
+    pub tries: u32,
+    /// Whether RTS and CTS come first.
+    pub rts: bool,
+}
+
+/// Who a frame is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Receiver {
+    /// All other radios. Nobody acknowledges it.
+    All,
+    /// One radio, which acknowledges it.
+    One(Antenna),
+    /// One radio, which does not acknowledge it.
+    OneWithoutAnswer(Antenna),
+    /// None that is there: nobody acknowledges it, although the sender waits for that.
+    Nobody,
+}
+
+impl Receiver {
+    /// Whether its sender waits for an acknowledgement.
+    pub(super) fn answers(self) -> bool {
+        matches!(self, Self::One(_) | Self::Nobody)
+    }
+}
+
+/// What happened to a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Report {
+    /// A radio received it. Whether the radio listens on that channel is for the caller to know, if it was for
+    /// [all](Receiver::All).
+    Received {
+        /// End of the frame.
+        at: Timestamp,
+        /// The number of the transmission.
+        id: u64,
+        /// The receiver's antenna.
+        by: Antenna,
+        /// Received power.
+        signal: Dbm,
+        /// The rate.
+        rate: PhyRate,
+    },
+    /// Its last try is over.
+    Settled {
+        /// End of the acknowledgement, or of the time in which it would have come.
+        at: Timestamp,
+        /// The number of the transmission.
+        id: u64,
+        /// Tries of each rate; none if it did not fit the queue.
+        tries: Vec<u32>,
+        /// Received power of the acknowledgement, if one came.
+        acknowledged: Option<Dbm>,
+    },
+}
+
+impl Report {
+    pub(super) fn at(&self) -> Timestamp {
+        match self {
+            Self::Received { at, .. } | Self::Settled { at, .. } => *at,
+        }
+    }
+}
+
+/// Reports by time, those of one time in the order in which they came.
+#[derive(Debug, Default)]
+pub(super) struct Reports {
+    queue: BTreeMap<(Timestamp, u64), Report>,
+    count: u64,
+}
+
+impl Reports {
+    fn push(&mut self, report: Report) {
+        self.count += 1;
+        self.queue.insert((report.at(), self.count), report);
+    }
+
+    fn pop(&mut self, now: Timestamp) -> Option<Report> {
+        let first = self.queue.first_entry().filter(|first| first.key().0 <= now);
+        first.map(|first| first.remove())
+    }
+
+    fn deadline(&self) -> Option<Timestamp> {
+        self.queue.first_key_value().map(|((at, _), _)| *at)
+    }
+}
+
+/// Channels that only such radios use, by their frequency, and antennas that are lent.
+#[derive(Debug, Default)]
+pub(super) struct Lent {
+    /// Frequencies of further channels, MHz.
+    pub(super) frequencies: Vec<u16>,
+    antennas: BTreeSet<NodeId>,
+    reports: Reports,
+}
+
+impl Radio {
+    /// Lends the antenna of a robot or a radio unit. The fabric's own radio there is silent from then on.
+    ///
+    /// # Errors
+    /// [`FabricError::NoAntenna`], [`FabricError::Lent`] or [`FabricError::NoContention`].
+    pub(crate) fn lend(&mut self, now: Timestamp, node: &NodeId) -> Result<Antenna, FabricError> {
+        self.advance(now);
+        let place = match (self.robot_by_name.get(node), self.unit_by_name.get(node)) {
+            (Some(robot), _) => Emitter::Robot(*robot),
+            (None, Some(unit)) => Emitter::Unit(*unit),
+            (None, None) => return Err(FabricError::NoAntenna(node.clone())),
+        };
+        self.check_not_lent(node)?;
+        let network = &self.networks[self.network_of(place)];
+        if !network.contends() {
+            return Err(FabricError::NoContention(node.clone()));
+        }
+        let sifs = network.phy.sifs();
+        match place {
+            Emitter::Robot(robot) => self.vacate(robot, now),
+            Emitter::Unit(unit) => {
+                if self.units[unit].serves.is_some() {
+                    self.switch_off(now, node)?;
+                }
+            }
+            Emitter::Interference(_) | Emitter::Foreign(_) => {}
+        }
+        self.lent.antennas.insert(node.clone());
+        let seed = self.seed;
+        Ok(Antenna(self.edca().lend(seed, node, place, sifs)))
+    }
+
+    /// Checks that an antenna is the fabric's own.
+    ///
+    /// # Errors
+    /// [`FabricError::Lent`].
+    pub(super) fn check_not_lent(&self, node: &NodeId) -> Result<(), FabricError> {
+        if self.lent.antennas.contains(node) { Err(FabricError::Lent(node.clone())) } else { Ok(()) }
+    }
+
+    /// Whether a robot's antenna is lent.
+    pub(super) fn is_lent(&self, robot: StationIndex) -> bool {
+        !self.lent.antennas.is_empty() && self.lent.antennas.contains(&self.robots[robot].id)
+    }
+
+    /// Silences a robot's radio. Its queued frames are lost.
+    pub(super) fn vacate(&mut self, robot: StationIndex, now: Timestamp) {
+        self.leave_channel(robot, now);
+        let queued = self.take_queued(robot);
+        if let Some(unit) = self.robots[robot].home.take() {
+            for (direction, queue) in [Direction::Forward, Direction::Backward].into_iter().zip(queued) {
+                for waiting in queue {
+                    self.lose(Path { robot, unit, direction }, waiting.frame, waiting.is_probe);
+                }
+            }
+        }
+        if let Some(unit) = self.robots[robot].station.silence() {
+            self.units[unit].stations.retain(|other| *other != robot);
+        }
+        self.robots[robot].beacons.reset();
+        self.timers.set(self.channels + robot, None);
+    }
+
+    /// Returns the channel of a frequency. One that no radio unit has is added.
+    pub(super) fn channel_at(&mut self, frequency_mhz: u16) -> usize {
+        if let Some(unit) = self.units.iter().position(|unit| unit.frequency_mhz == frequency_mhz) {
+            return self.medium.channel(unit);
+        }
+        let known = self.lent.frequencies.iter().position(|known| *known == frequency_mhz);
+        let place = known.unwrap_or_else(|| {
+            self.lent.frequencies.push(frequency_mhz);
+            self.timers.add();
+            self.contention.insert(self.channels + self.lent.frequencies.len() - 1);
+            self.lent.frequencies.len() - 1
+        });
+        self.channels + place
+    }
+
+    /// Returns the timer of a channel: further channels have theirs behind those of the robots.
+    pub(super) fn timer_of(&self, channel: usize) -> usize {
+        if channel < self.channels { channel } else { channel + self.robots.len() }
+    }
+
+    pub(super) fn report(&mut self, report: Report) {
+        self.lent.reports.push(report);
+    }
+
+    /// Returns when the next report is due.
+    pub(crate) fn report_deadline(&self) -> Option<Timestamp> {
+        self.lent.reports.deadline()
+    }
+
+    /// Returns the next report up to `now`.
+    pub(crate) fn next_report(&mut self, now: Timestamp) -> Option<Report> {
+        self.lent.reports.pop(now)
+    }
+}
