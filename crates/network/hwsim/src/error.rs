@@ -24,6 +24,9 @@ pub enum Error {
          channels=1"
     )]
     SeveralChannels,
+    /// There is a phy of this name already.
+    #[error("there is a phy `{0}` already: choose another name")]
+    NameTaken(String),
     /// There is no phy of this name in the network namespace.
     #[error("there is no phy `{0}` in this network namespace")]
     NoPhy(String),

@@ -11,7 +11,7 @@ use crate::error::Error;
 mod command {
     pub(super) const GET_WIPHY: u8 = 1;
     pub(super) const NEW_INTERFACE: u8 = 7;
-    pub(super) const SET_WIPHY_NETNS: u8 = 51;
+    pub(super) const SET_WIPHY_NETNS: u8 = 49;
 }
 
 /// `NL80211_ATTR_*`.

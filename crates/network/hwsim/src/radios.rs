@@ -34,12 +34,21 @@ impl Radios {
         Self { socket: Netlink::new(NETLINK_GENERIC), family: Family::new(FAMILY) }
     }
 
-    /// Creates a radio, and returns its number.
+    /// Creates a radio, and returns its number. Its permanent address must be unique: the kernel does not compare it with
+    /// those of other radios.
     ///
     /// # Errors
-    /// [`Error::Missing`], [`Error::NoRights`] or [`Error::Refused`], also for an address or a name that is taken.
+    /// [`Error::Missing`], [`Error::NoRights`], [`Error::NameTaken`] or [`Error::Refused`].
     pub fn create(&mut self, radio: &Radio) -> Result<u32, Error> {
-        self.execute("create a radio", &Message::NewRadio(radio.clone()))
+        let id = self.execute("create a radio", &Message::NewRadio(radio.clone()))?;
+        if let Some(name) = &radio.name
+            && !self.list()?.iter().any(|other| other.id == Some(id) && other.name.as_ref() == Some(name))
+        {
+            // The kernel has chosen another name.
+            self.delete(id)?;
+            return Err(Error::NameTaken(name.clone()));
+        }
+        Ok(id)
     }
 
     /// Deletes a radio by its number. Its phy must be in this network namespace.
