@@ -455,16 +455,11 @@ mod tests {
         }
 
         fn deliveries(&self) -> Vec<&Delivery> {
-            let delivery = |(_, outgoing): &'_ (Timestamp, Outgoing)| match &outgoing.message {
-                Message::Delivery(_) => true,
-                _ => false,
-            };
-            let sent = self.sent.iter().filter(|sent| delivery(sent));
-            sent.filter_map(|(_, outgoing)| match &outgoing.message {
+            let all = self.sent.iter().filter_map(|(_, outgoing)| match &outgoing.message {
                 Message::Delivery(delivery) => Some(delivery),
                 _ => None,
-            })
-            .collect()
+            });
+            all.collect()
         }
 
         fn status(&self) -> &Status {

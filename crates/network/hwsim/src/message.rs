@@ -502,6 +502,7 @@ mod tests {
     use proptest::{option, prelude::*};
 
     use super::*;
+    use crate::header::Header;
 
     fn address() -> impl Strategy<Value = MacAddress> {
         any::<[u8; 6]>().prop_map(MacAddress)
@@ -644,6 +645,37 @@ mod tests {
             [&[3][..], &8_u16.to_ne_bytes(), &[0xff, 0, 0, 0xff, 0, 0, 0xff, 0, 0]].concat(),
         ];
         assert_eq!(status.encode(), expected.concat());
+    }
+
+    /// The body of a datagram that Linux 6.1 sent a medium.
+    fn captured(datagram: &[u8]) -> Message {
+        let message = cotorra_netlink::messages(datagram).next().unwrap().unwrap();
+        Message::decode(message.body).unwrap().unwrap()
+    }
+
+    #[test]
+    fn captured_frames_of_the_kernel_are_decoded() {
+        let tries = |list: &[(u8, u8, u16)]| {
+            Rates::new(list.iter().map(|&(index, count, flags)| Tries { index, count, flags }))
+        };
+        let Message::Frame(beacon) = captured(include_bytes!("captured/beacon.bin")) else {
+            panic!("a frame")
+        };
+        assert_eq!((beacon.radio, beacon.frequency_mhz), (MacAddress([2, 0, 0, 0xc0, 0, 1]), Some(2412)));
+        assert_eq!((beacon.wants_status, beacon.no_ack, beacon.cookie), (false, true, 1));
+        assert_eq!((beacon.rates, beacon.frame.len()), (tries(&[(0, 1, 0)]), 73));
+        assert!(Header::parse(&beacon.frame).unwrap().is_beacon());
+
+        let Message::Frame(data) = captured(include_bytes!("captured/data.bin")) else { panic!("a frame") };
+        assert_eq!((data.wants_status, data.no_ack, data.cookie), (false, false, 0x13));
+        // All but the first with RTS.
+        assert_eq!(data.rates, tries(&[(8, 1, 0), (0, 2, 1), (0, 2, 1), (1, 2, 1)]));
+        let header = Header::parse(&data.frame).unwrap();
+        assert_eq!((header.tid, header.is_acknowledged()), (Some(0), true));
+
+        let address = MacAddress([2, 0, 0, 0xc0, 0, 1]);
+        let added = captured(include_bytes!("captured/address.bin"));
+        assert_eq!(added, Message::AddAddress(Alias { radio: address, address }));
     }
 
     #[test]
