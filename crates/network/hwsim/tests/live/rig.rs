@@ -1,7 +1,4 @@
-//! Radios of this kernel on the fabric's air. Needs root, mac80211_hwsim (`modprobe mac80211_hwsim radios=0`), `iw` and `ip`; does
-//! nothing elsewhere.
-#![allow(clippy::unwrap_used, reason = "tests may panic")]
-#![allow(clippy::disallowed_types, reason = "the kernel's radios run by the machine's clock")]
+//! Radios of this kernel on the fabric's air, which runs while a test waits.
 
 use std::{
     fs,
@@ -18,24 +15,23 @@ use cotorra_graph::{
     NodeKind, PathLoss, Position, RadioUnit, RateControl, Roaming, Robot, RobotModel, Shadowing, Timestamp,
     WifiStandard, WirelessNetwork,
 };
-use cotorra_hwsim::{Error, Incoming, MacAddress, Medium, MediumSocket, Message, Phys, Radio, Radios};
+use cotorra_hwsim::{Error, Incoming, MacAddress, Medium, MediumSocket, Message, Radio, Radios};
+use parking_lot::{Mutex, MutexGuard};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-const AP: MacAddress = MacAddress([2, 0, 0, 0xc0, 0, 1]);
-const STATION: MacAddress = MacAddress([2, 0, 0, 0xc0, 0, 2]);
-const PATH_LOSS: PathLoss = PathLoss::LogDistance { exponent: 3.0 };
+pub(crate) const PATH_LOSS: PathLoss = PathLoss::LogDistance { exponent: 3.0 };
 
-fn id(name: &str) -> NodeId {
+pub(crate) fn id(name: &str) -> NodeId {
     NodeId::new(name).unwrap()
 }
 
-/// A radio unit on channel 1, and a robot 10 m away.
-fn graph() -> HardwareGraph {
+/// Radio units at these places and on these channels, and a robot 10 m from the first.
+fn graph(units: &[(f64, u8)]) -> HardwareGraph {
     let capacity = Capacity { cpus: 1.0, memory_bytes: 1 };
-    let unit = RadioUnit {
+    let unit = |channel: u8| RadioUnit {
         capacity,
         network: "lab".into(),
-        channel: 1,
+        channel,
         tx_power: Dbm(20.0),
         serving: true,
         deployment: Duration::ZERO,
@@ -83,31 +79,80 @@ fn graph() -> HardwareGraph {
         position: Some(Position::new(x, 0.0)),
         kind,
     };
+    let mut nodes = vec![node("robot", 10.0, NodeKind::Robot(robot))];
+    nodes.extend(
+        units
+            .iter()
+            .enumerate()
+            .map(|(i, (x, channel))| node(&format!("ap{i}"), *x, NodeKind::RadioUnit(unit(*channel)))),
+    );
     HardwareGraph {
         domains: vec![DomainId::new("d").unwrap()],
-        nodes: vec![node("ap", 0.0, NodeKind::RadioUnit(unit)), node("robot", 10.0, NodeKind::Robot(robot))],
+        nodes,
         links: Vec::new(),
         wireless: [("lab".to_owned(), network)].into(),
     }
 }
 
+static TURN: Mutex<()> = Mutex::new(());
+
 /// A medium that runs while the test waits for something.
-struct Air {
-    socket: MediumSocket,
+pub(crate) struct Air {
+    pub(crate) socket: MediumSocket,
+    /// One test at a time is the kernel's medium.
+    pub(crate) turn: MutexGuard<'static, ()>,
     medium: Medium,
-    fabric: Fabric,
+    pub(crate) fabric: Fabric,
     began: Instant,
-    frames: u64,
-    refused: u64,
+    pub(crate) radios: Radios,
+    pub(crate) frames: u64,
+    pub(crate) refused: u64,
 }
 
+/// Returns the address of a radio unit's radio.
+pub(crate) fn ap(index: usize) -> MacAddress {
+    MacAddress([2, 0, 0, 0xc0, 0, index as u8])
+}
+
+/// The address of the robot's radio.
+pub(crate) const ROBOT: MacAddress = MacAddress([2, 0, 0, 0xc0, 1, 0]);
+
 impl Air {
-    fn now(&self) -> Timestamp {
+    /// Becomes the medium, with radios for radio units and a robot; `None` where that cannot be tested.
+    pub(crate) fn new(units: &[(f64, u8)]) -> Option<Self> {
+        let turn = TURN.lock();
+        let socket = match MediumSocket::register() {
+            Ok(socket) if fs::metadata("/proc/self").unwrap().uid() == 0 => socket,
+            Ok(_) | Err(Error::Missing | Error::NoRights) => {
+                eprintln!("this kernel has no mac80211_hwsim, or the test no rights: nothing is tested");
+                return None;
+            }
+            Err(error) => panic!("{error}"),
+        };
+        let fabric = Fabric::new(&graph(units), 1).unwrap();
+        let (medium, radios) = (Medium::new(), Radios::new());
+        let mut air =
+            Self { socket, turn, medium, fabric, began: Instant::now(), radios, frames: 0, refused: 0 };
+        let nodes = (0..units.len()).map(|index| (format!("ap{index}"), ap(index)));
+        for (name, address) in nodes.chain([("robot".to_owned(), ROBOT)]) {
+            air.medium.join(Timestamp::ZERO, &mut air.fabric, &id(&name), address).unwrap();
+            air.radios.create(&radio(&name, address)).unwrap();
+        }
+        Some(air)
+    }
+
+    /// Moves the robot.
+    pub(crate) fn walk_to(&mut self, x: f64) {
+        let now = self.now();
+        self.fabric.move_robot(now, &id("robot"), Position::new(x, 0.0)).unwrap();
+    }
+
+    pub(crate) fn now(&self) -> Timestamp {
         Timestamp::from_nanos(self.began.elapsed().as_nanos() as u64)
     }
 
     /// Runs until something is done; `false` if it takes longer than `limit`.
-    fn run_until(&mut self, limit: Duration, mut done: impl FnMut() -> bool) -> bool {
+    pub(crate) fn run_until(&mut self, limit: Duration, mut done: impl FnMut() -> bool) -> bool {
         let end = self.now() + limit;
         while !done() {
             if self.now() > end {
@@ -147,7 +192,7 @@ impl Air {
     }
 
     /// Runs a command, whose interfaces need the medium, and returns what it prints.
-    fn sh(&mut self, namespace: Option<&Namespace>, line: &str) -> String {
+    pub(crate) fn sh(&mut self, namespace: Option<&Namespace>, line: &str) -> String {
         let spawn = || Command::new("sh").args(["-ec", line]).stdout(Stdio::piped()).spawn().unwrap();
         let mut child = match namespace {
             Some(namespace) => namespace.run(spawn),
@@ -161,7 +206,7 @@ impl Air {
     }
 
     /// Whether datagrams come from one socket to another within some seconds.
-    fn reaches(&mut self, from: &UdpSocket, to: &UdpSocket, limit: Duration) -> bool {
+    pub(crate) fn reaches(&mut self, from: &UdpSocket, to: &UdpSocket, limit: Duration) -> bool {
         let mut buffer = [0; 100];
         while to.recv(&mut buffer).is_ok() {}
         let mut sent = None::<Instant>;
@@ -175,7 +220,7 @@ impl Air {
     }
 }
 
-fn radio(name: &str, address: MacAddress) -> Radio {
+pub(crate) fn radio(name: &str, address: MacAddress) -> Radio {
     Radio {
         name: Some(name.to_owned()),
         permanent_address: Some(address),
@@ -185,83 +230,6 @@ fn radio(name: &str, address: MacAddress) -> Radio {
     }
 }
 
-fn names(radios: &mut Radios) -> Vec<String> {
+pub(crate) fn names(radios: &mut Radios) -> Vec<String> {
     radios.list().unwrap().into_iter().filter_map(|radio| radio.name).collect()
-}
-
-#[test]
-fn radios_of_two_namespaces_talk_over_the_fabrics_air() {
-    let socket = match MediumSocket::register() {
-        Ok(socket) if fs::metadata("/proc/self").unwrap().uid() == 0 => socket,
-        Ok(_) | Err(Error::Missing | Error::NoRights) => {
-            eprintln!("this kernel has no mac80211_hwsim, or the test no rights: nothing is tested");
-            return;
-        }
-        Err(error) => panic!("{error}"),
-    };
-    assert!(matches!(MediumSocket::register(), Err(Error::Taken)));
-    let (mut medium, mut fabric) = (Medium::new(), Fabric::new(&graph(), 1).unwrap());
-    for (node, address) in [("ap", AP), ("robot", STATION)] {
-        medium.join(Timestamp::ZERO, &mut fabric, &id(node), address).unwrap();
-    }
-    let mut air = Air { socket, medium, fabric, began: Instant::now(), frames: 0, refused: 0 };
-
-    let mut radios = Radios::new();
-    radios.create(&radio("air0", AP)).unwrap();
-    let second = radios.create(&radio("air1", STATION)).unwrap();
-    let third = MacAddress([2, 0, 0, 0xc0, 0, 3]);
-    assert!(matches!(radios.create(&radio("air1", third)), Err(Error::NameTaken(name)) if name == "air1"));
-    assert_eq!(names(&mut radios), ["air0", "air1"]);
-
-    // Moved by a descriptor, the second one is seen in its namespace alone.
-    let namespace = Namespace::new().unwrap();
-    let mut phys = Phys::new();
-    phys.move_to("air1", &namespace).unwrap();
-    assert!(matches!(phys.move_to("air1", &namespace), Err(Error::NoPhy(_))));
-    assert_eq!(names(&mut radios), ["air0"]);
-    assert!(radios.delete(second).is_err());
-    assert_eq!(namespace.run(|| names(&mut Radios::new())), ["air1"]);
-    phys.add_station("air0", "air0").unwrap();
-    namespace.run(|| Phys::new().add_station("air1", "air1")).unwrap();
-
-    let join = |interface: &str, address: &str| {
-        format!(
-            "iw dev {interface} set type ibss; ip link set {interface} up; ip addr add {address}/24 dev {interface}; \
-             iw dev {interface} ibss join air 2412 fixed-freq 02:11:22:33:44:55"
-        )
-    };
-    air.sh(None, &join("air0", "10.99.0.1"));
-    air.sh(Some(&namespace), &join("air1", "10.99.0.2"));
-    let here = UdpSocket::bind("10.99.0.1:7000").unwrap();
-    let there = namespace.udp_socket("10.99.0.2:7000").unwrap();
-    here.set_nonblocking(true).unwrap();
-    there.set_nonblocking(true).unwrap();
-    assert!(air.reaches(&there, &here, Duration::from_secs(10)));
-    assert!(air.reaches(&here, &there, Duration::from_secs(10)));
-
-    // The signal is the model's, in both directions: 15 dBm and 20 dBm less the loss over 10 m.
-    let loss = PATH_LOSS.loss_db(10.0, 2412);
-    let stations = air.sh(None, "iw dev air0 station dump");
-    let theirs = air.sh(Some(&namespace), "iw dev air1 station dump");
-    for (dump, power) in [(stations, 15.0), (theirs, 20.0)] {
-        let signal = dump.lines().find_map(|line| line.trim().strip_prefix("signal:").map(str::trim));
-        let signal: f64 = signal.unwrap().split_whitespace().next().unwrap().parse().unwrap();
-        assert!((signal - (power - loss)).abs() <= 0.5, "{signal} dBm, not {}", power - loss);
-    }
-
-    // Out of reach, nothing arrives, and nobody acknowledges.
-    let now = air.now();
-    air.fabric.move_robot(now, &id("robot"), Position::new(10_000.0, 0.0)).unwrap();
-    assert!(!air.reaches(&there, &here, Duration::from_secs(3)));
-    let now = air.now();
-    air.fabric.move_robot(now, &id("robot"), Position::new(10.0, 0.0)).unwrap();
-    assert!(air.reaches(&there, &here, Duration::from_secs(10)));
-    eprintln!("{} frames in {:?}, {} refused", air.frames, air.began.elapsed(), air.refused);
-
-    // Radios go with the socket that created them, wherever their phys are.
-    drop(radios);
-    assert!(air.run_until(Duration::from_secs(5), || names(&mut Radios::new()).is_empty()));
-    assert!(namespace.run(|| names(&mut Radios::new())).is_empty());
-    drop(air.socket);
-    MediumSocket::register().unwrap();
 }

@@ -1,0 +1,73 @@
+//! Two radios in two namespaces.
+
+use std::{net::UdpSocket, time::Duration};
+
+use cotorra_datapath::Namespace;
+use cotorra_hwsim::{Error, MacAddress, MediumSocket, Phys, Radios};
+
+use crate::rig::{Air, PATH_LOSS, names, radio};
+
+#[test]
+fn radios_of_two_namespaces_talk_over_the_fabrics_air() {
+    let Some(mut air) = Air::new(&[(0.0, 1)]) else { return };
+    assert!(matches!(MediumSocket::register(), Err(Error::Taken)));
+    let third = MacAddress([2, 0, 0, 0xc0, 0, 3]);
+    assert!(
+        matches!(air.radios.create(&radio("robot", third)), Err(Error::NameTaken(name)) if name == "robot")
+    );
+    assert_eq!(names(&mut air.radios), ["ap0", "robot"]);
+
+    // Moved by a descriptor, the second one is seen in its namespace alone.
+    let namespace = Namespace::new().unwrap();
+    let mut phys = Phys::new();
+    phys.move_to("robot", &namespace).unwrap();
+    assert!(matches!(phys.move_to("robot", &namespace), Err(Error::NoPhy(_))));
+    assert_eq!(names(&mut air.radios), ["ap0"]);
+    assert!(air.radios.delete(1).is_err(), "its phy is elsewhere");
+    assert_eq!(namespace.run(|| names(&mut Radios::new())), ["robot"]);
+    phys.add_station("ap0", "ap0").unwrap();
+    namespace.run(|| Phys::new().add_station("robot", "robot")).unwrap();
+
+    let join = |interface: &str, address: &str| {
+        format!(
+            "iw dev {interface} set type ibss; ip link set {interface} up; ip addr add {address}/24 dev {interface}; \
+             iw dev {interface} ibss join air 2412 fixed-freq 02:11:22:33:44:55"
+        )
+    };
+    air.sh(None, &join("ap0", "10.99.0.1"));
+    air.sh(Some(&namespace), &join("robot", "10.99.0.2"));
+    let here = UdpSocket::bind("10.99.0.1:7000").unwrap();
+    let there = namespace.udp_socket("10.99.0.2:7000").unwrap();
+    here.set_nonblocking(true).unwrap();
+    there.set_nonblocking(true).unwrap();
+    assert!(air.reaches(&there, &here, Duration::from_secs(10)));
+    assert!(air.reaches(&here, &there, Duration::from_secs(10)));
+
+    // The signal is the model's, in both directions: 15 dBm and 20 dBm less the loss over 10 m.
+    let loss = PATH_LOSS.loss_db(10.0, 2412);
+    let stations = air.sh(None, "iw dev ap0 station dump");
+    let theirs = air.sh(Some(&namespace), "iw dev robot station dump");
+    for (dump, power) in [(stations, 15.0), (theirs, 20.0)] {
+        let signal = dump.lines().find_map(|line| line.trim().strip_prefix("signal:").map(str::trim));
+        let signal: f64 = signal.unwrap().split_whitespace().next().unwrap().parse().unwrap();
+        assert!((signal - (power - loss)).abs() <= 0.5, "{signal} dBm, not {}", power - loss);
+    }
+
+    // Out of reach, nothing arrives, and nobody acknowledges.
+    air.walk_to(10_000.0);
+    // What was on its way before still arrives.
+    air.run_until(Duration::from_secs(1), || false);
+    assert!(!air.reaches(&there, &here, Duration::from_secs(3)));
+    air.walk_to(10.0);
+    assert!(air.reaches(&there, &here, Duration::from_secs(10)));
+    eprintln!("{} frames until {}, {} refused", air.frames, air.now(), air.refused);
+
+    // Radios go with the socket that created them, wherever their phys are.
+    drop(std::mem::take(&mut air.radios));
+    assert!(air.run_until(Duration::from_secs(5), || names(&mut Radios::new()).is_empty()));
+    assert!(namespace.run(|| names(&mut Radios::new())).is_empty());
+    let Air { socket, turn, .. } = air;
+    drop(socket);
+    MediumSocket::register().unwrap();
+    drop(turn);
+}
