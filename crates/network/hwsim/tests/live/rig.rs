@@ -4,17 +4,14 @@ use std::{
     fs,
     net::UdpSocket,
     os::unix::fs::MetadataExt,
+    path::Path,
     process::{Command, Stdio},
     time::{Duration, Instant},
 };
 
 use cotorra_datapath::Namespace;
 use cotorra_fabric::Fabric;
-use cotorra_graph::{
-    Capacity, Dbm, DomainId, Driver, Edca, GapPolicy, HandoverTimes, HardwareGraph, Loss, Node, NodeId,
-    NodeKind, PathLoss, Position, RadioUnit, RateControl, Roaming, Robot, RobotModel, Shadowing, Timestamp,
-    WifiStandard, WirelessNetwork,
-};
+use cotorra_graph::{HardwareGraph, NodeId, PathLoss, Position, Timestamp};
 use cotorra_hwsim::{Error, Incoming, MacAddress, Medium, MediumSocket, Message, Radio, Radios};
 use parking_lot::{Mutex, MutexGuard};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -27,71 +24,21 @@ pub(crate) fn id(name: &str) -> NodeId {
 
 /// Radio units at these places and on these channels, and a robot 10 m from the first.
 fn graph(units: &[(f64, u8)]) -> HardwareGraph {
-    let capacity = Capacity { cpus: 1.0, memory_bytes: 1 };
-    let unit = |channel: u8| RadioUnit {
-        capacity,
-        network: "lab".into(),
-        channel,
-        tx_power: Dbm(20.0),
-        serving: true,
-        deployment: Duration::ZERO,
-        agent: None,
-    };
-    let robot = Robot {
-        capacity,
-        model: RobotModel::Turtlebot2,
-        network: "lab".into(),
-        tx_power: Dbm(15.0),
-        heading: 0.0,
-        roaming: Roaming::Instructed,
-        driver: Driver::default(),
-        sensors: Vec::new(),
-    };
-    let network = WirelessNetwork {
-        standard: WifiStandard::N,
-        delay: Duration::ZERO,
-        rate: None,
-        loss: Loss::None,
-        fast_transition: true,
-        mobility_domain: 1,
-        path_loss: PATH_LOSS,
-        walls: None,
-        access: Some(Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }),
-        interference: Vec::new(),
-        shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
-        fading: None,
-        noise_floor: Dbm(-95.0),
-        hysteresis_db: 4.0,
-        time_to_trigger: Duration::ZERO,
-        handover: HandoverTimes {
-            scan: Duration::ZERO,
-            visits: None,
-            authenticate: Duration::ZERO,
-            reassociate: Duration::ZERO,
-            handshake: Duration::ZERO,
-            variation: 0.0,
-        },
-        gap: GapPolicy::Hold,
-    };
-    let node = |name: &str, x: f64, kind: NodeKind| Node {
-        id: id(name),
-        domain: DomainId::new("d").unwrap(),
-        position: Some(Position::new(x, 0.0)),
-        kind,
-    };
-    let mut nodes = vec![node("robot", 10.0, NodeKind::Robot(robot))];
-    nodes.extend(
-        units
-            .iter()
-            .enumerate()
-            .map(|(i, (x, channel))| node(&format!("ap{i}"), *x, NodeKind::RadioUnit(unit(*channel)))),
+    let mut testbed = String::from(
+        "name: air\n\
+         wireless: { lab: { standard: n, access: edca, path_loss: { model: log_distance, exponent: 3 }, \
+         shadowing: { deviation: 0 dB, correlation: 5 m } } }\n\
+         nodes:\n  \
+         robot: { kind: robot, position: [10, 0], cpus: 1, memory: 1 GB, tx_power: 15 dBm }\n",
     );
-    HardwareGraph {
-        domains: vec![DomainId::new("d").unwrap()],
-        nodes,
-        links: Vec::new(),
-        wireless: [("lab".to_owned(), network)].into(),
+    let mut links = String::from("links:\n");
+    for (index, (x, channel)) in units.iter().enumerate() {
+        let unit = format!("kind: radio_unit, position: [{x}, 0], channel: {channel}, tx_power: 20 dBm");
+        testbed += &format!("  ap{index}: {{ {unit} }}\n");
+        links += &format!("  - {{ ends: [ap{index}, lan] }}\n");
     }
+    testbed += &format!("  lan: {{ kind: switch }}\n{links}");
+    cotorra_testbed_file::parse("air", &testbed, Path::new("")).unwrap().graph
 }
 
 static TURN: Mutex<()> = Mutex::new(());

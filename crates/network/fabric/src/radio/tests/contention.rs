@@ -5,7 +5,7 @@ use cotorra_graph::{Interferer, InterfererKind, PowerSave, Presence, RateControl
 use super::*;
 
 /// A network whose stations contend one frame at a time, with 802.11a's rates and frames limited by the air alone.
-fn contending() -> WirelessNetwork {
+pub(super) fn contending() -> WirelessNetwork {
     WirelessNetwork {
         standard: WifiStandard::A,
         delay: Duration::ZERO,

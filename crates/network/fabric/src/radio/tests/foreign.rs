@@ -1,22 +1,15 @@
 //! Radios that are none of the fabric's, at lent antennas: timing, tries, losses, and the channel that they share with all
 //! others.
 
-use cotorra_graph::{Fading, RateControl};
+use cotorra_graph::Fading;
 
-use super::*;
+use super::{
+    contention::{bianchi, contending},
+    *,
+};
 
 const CHANNEL_36: u16 = 5180;
 const CHANNEL_40: u16 = 5200;
-
-fn contending() -> WirelessNetwork {
-    WirelessNetwork {
-        standard: WifiStandard::A,
-        delay: Duration::ZERO,
-        rate: None,
-        access: Some(Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }),
-        ..network()
-    }
-}
 
 fn us(us: u64) -> Timestamp {
     Timestamp::from_nanos(us * 1000)
@@ -265,7 +258,7 @@ fn saturated_radios_share_the_channel_as_bianchi_says() {
         }
     }
     // 1000 bytes at 54 Mbit/s take 20 + 4 × 38 µs; SIFS and an acknowledgement at 24 Mbit/s follow.
-    let model = super::contention::bianchi(places.len() as i32, 20.0 + 4.0 * 38.0 + 16.0 + 28.0);
+    let model = bianchi(places.len() as i32, 20.0 + 4.0 * 38.0 + 16.0 + 28.0);
     assert!((arrived as f64 / model - 1.0).abs() < 0.03, "{arrived}/s, not {model:.0}/s");
 }
 
