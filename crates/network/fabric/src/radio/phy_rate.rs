@@ -192,7 +192,7 @@ impl PhyRate {
     ///
     /// A wider channel has more noise, and streams share the sender's power; the receiver separates them ideally, with as
     /// many antennas.
-    pub(super) fn error_rate(self, snr_db: f64, psdu_bytes: u64) -> f64 {
+    pub fn error_rate(self, snr_db: f64, psdu_bytes: u64) -> f64 {
         let bits = (8 * psdu_bytes) as f64;
         let ln = match self.0 {
             Kind::Dsss { rate, .. } => (-rate.bit_error(10f64.powf(snr_db / 10.0))).ln_1p(),
