@@ -109,6 +109,8 @@ struct Port {
     vertex: usize,
     /// Whether it reaches the network over the radio unit that it is attached to.
     is_robot: bool,
+    /// Whether another radio than the fabric's has its antenna.
+    is_lent: bool,
     /// Vertex at which frames to a robot leave for the core that it is with.
     border: Option<usize>,
 }
@@ -173,6 +175,7 @@ impl Fabric {
             node: node.id.clone(),
             vertex: vertices[&node.id],
             is_robot: matches!(node.kind, NodeKind::Robot(_)),
+            is_lent: false,
             border: None,
         };
         let ports: Vec<Port> = graph.ports().map(port).collect();
@@ -758,9 +761,12 @@ impl Fabric {
         self.assigned(address).or_else(|| self.learnt.get(&address).copied())
     }
 
-    /// Returns the host that an address was assigned to.
+    /// Returns the host that an address was assigned to. That of a robot whose antenna is lent may be anywhere.
     fn assigned(&self, address: [u8; 6]) -> Option<PortId> {
-        HostAddress::place_of(address).filter(|place| *place < self.hosts).map(PortId)
+        let here = |place: &usize| {
+            *place < self.hosts && !(self.ports[*place].is_lent && self.ports[*place].is_robot)
+        };
+        HostAddress::place_of(address).filter(here).map(PortId)
     }
 
     /// Records that an address is behind a port besides the host's own, as those of containers, of macvlan interfaces and

@@ -12,12 +12,19 @@ impl Fabric {
     /// Lends the antenna of a robot or a radio unit to a radio that is none of the fabric's, for good. The fabric's own radio
     /// there is silent from then on: it attaches to nothing, and nothing attaches to it.
     ///
+    /// What the radios carry in their frames is none of the fabric's business. A program that bridges a radio unit's radio to
+    /// its port brings the robot's packets there: the fabric learns the address of a robot whose antenna is lent from the
+    /// packets that ports send, as it learns foreign ones. No path is [pinned](Self::pin) for them.
+    ///
     /// # Errors
     /// [`FabricError`] for a node without an antenna, one that is lent already, or a network whose senders take turns.
     pub fn lend_antenna(&mut self, now: Timestamp, node: &NodeId) -> Result<Antenna, FabricError> {
         let now = self.advance(now);
         let done = self.radio.lend(now, node);
         self.radio_deadline = self.radio.deadline();
+        if let (Ok(_), Some(port)) = (&done, self.port(node)) {
+            self.ports[port.0].is_lent = true;
+        }
         done
     }
 

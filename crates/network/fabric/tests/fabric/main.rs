@@ -7,6 +7,7 @@ mod fading;
 mod following;
 mod forwarding;
 mod invariants;
+mod lending;
 mod links;
 mod offloads;
 mod paths;
