@@ -1,0 +1,388 @@
+//! Requests to wpa_supplicant.
+
+use crate::{
+    address::MacAddress,
+    channel::Channel,
+    control::{
+        answer::{AnswerError, Fields, done},
+        request::Request,
+    },
+    names::Ssid,
+    station::{BackgroundScan, frequencies},
+};
+
+/// State of a station.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Status {
+    /// What it is about.
+    pub state: State,
+    /// Its own address.
+    pub address: Option<MacAddress>,
+    /// The access point that it is at or on its way to.
+    pub bssid: Option<MacAddress>,
+    /// The network's name.
+    pub ssid: Option<Ssid>,
+    /// The network's number.
+    pub network: Option<u32>,
+    /// Centre of the primary channel, in MHz.
+    pub frequency_mhz: Option<u32>,
+    /// How it proved who it is, such as `FT-PSK`, `WPA2-PSK`, `SAE` or `NONE`.
+    pub key_management: Option<String>,
+}
+
+/// What a station is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum State {
+    /// It is not connected and does not look for a network.
+    Disconnected,
+    /// There is no network that it could join.
+    Inactive,
+    /// Its interface is down.
+    InterfaceDisabled,
+    /// It looks for a network.
+    Scanning,
+    /// It joins: authentication, association and key exchange.
+    Joining,
+    /// It may send data.
+    Completed,
+    /// Another state.
+    Other,
+}
+
+/// Returns the request for the station's state.
+pub fn status() -> Request<Status> {
+    Request::new("STATUS", |answer| read_status(answer?))
+}
+
+fn read_status(text: &str) -> Result<Status, AnswerError> {
+    let fields = Fields::of(text);
+    let state = match fields.text("wpa_state").ok_or(AnswerError::Unexpected("wpa_state"))? {
+        "DISCONNECTED" => State::Disconnected,
+        "INACTIVE" => State::Inactive,
+        "INTERFACE_DISABLED" => State::InterfaceDisabled,
+        "SCANNING" => State::Scanning,
+        "AUTHENTICATING" | "ASSOCIATING" | "ASSOCIATED" | "4WAY_HANDSHAKE" | "GROUP_HANDSHAKE" => {
+            State::Joining
+        }
+        "COMPLETED" => State::Completed,
+        _ => State::Other,
+    };
+    Ok(Status {
+        state,
+        address: fields.value("address"),
+        bssid: fields.value("bssid"),
+        ssid: fields.text("ssid").and_then(Ssid::from_printed),
+        network: fields.value("id"),
+        frequency_mhz: fields.value("freq").filter(|&frequency| frequency > 0),
+        key_management: fields.text("key_mgmt").map(str::to_owned),
+    })
+}
+
+/// Returns the request to scan these channels, or all if there are none. Its end is an [`Event`](crate::Event).
+pub fn scan(channels: &[Channel]) -> Request<()> {
+    if channels.is_empty() {
+        return Request::new("SCAN", done);
+    }
+    Request::new(format!("SCAN freq={}", frequencies(channels).replace(' ', ",")), done)
+}
+
+/// A BSS that a station has heard.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Heard {
+    /// Its address.
+    pub bssid: MacAddress,
+    /// Centre of its primary channel, in MHz.
+    pub frequency_mhz: u32,
+    /// Its signal, in dBm.
+    pub signal_dbm: i32,
+    /// What it has, in brackets, such as `[WPA2-PSK+FT/PSK-CCMP][ESS]`.
+    pub flags: String,
+    /// Its name; `None` if it hides it.
+    pub ssid: Option<Ssid>,
+}
+
+/// Returns the request for the BSSs that were heard lately. wpa_supplicant ends the list after 4096 bytes, i.e. after about 40.
+pub fn scan_results() -> Request<Vec<Heard>> {
+    Request::new("SCAN_RESULTS", |answer| read_scan_results(answer?))
+}
+
+fn read_scan_results(text: &str) -> Result<Vec<Heard>, AnswerError> {
+    let mut lines = text.lines();
+    if !lines.next().is_some_and(|head| head.starts_with("bssid / ")) {
+        return Err(AnswerError::Unexpected("head of the table"));
+    }
+    let heard = |line: &str| {
+        let mut columns = line.splitn(5, '\t');
+        let mut column = || columns.next().ok_or(AnswerError::Unexpected("column"));
+        Ok(Heard {
+            bssid: column()?.parse().map_err(|_| AnswerError::Unexpected("bssid"))?,
+            frequency_mhz: column()?.parse().map_err(|_| AnswerError::Unexpected("frequency"))?,
+            signal_dbm: column()?.parse().map_err(|_| AnswerError::Unexpected("signal level"))?,
+            flags: column()?.to_owned(),
+            ssid: Ssid::from_printed(column()?),
+        })
+    };
+    lines.map(heard).collect()
+}
+
+/// A station's view of its link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Signal {
+    /// Signal of the last frame, in dBm.
+    pub signal_dbm: i32,
+    /// Mean signal, in dBm; `None` if the driver has none.
+    pub mean_dbm: Option<i32>,
+    /// Mean signal of beacons, in dBm; `None` if the driver has none.
+    pub beacons_dbm: Option<i32>,
+    /// Noise, in dBm; `None` if the driver has none.
+    pub noise_dbm: Option<i32>,
+    /// Rate of the last frame sent, in Mbit/s.
+    pub rate_mbps: u32,
+    /// Centre of the primary channel, in MHz.
+    pub frequency_mhz: u32,
+}
+
+/// Returns the request for the link's signal. wpa_supplicant refuses it without a link.
+pub fn signal() -> Request<Signal> {
+    // What wpa_supplicant reports if the driver has no noise.
+    const UNKNOWN: i32 = 9999;
+    Request::new("SIGNAL_POLL", |answer| {
+        let fields = Fields::of(answer?);
+        Ok(Signal {
+            signal_dbm: fields.needed("RSSI")?,
+            mean_dbm: fields.value("AVG_RSSI"),
+            beacons_dbm: fields.value("AVG_BEACON_RSSI"),
+            noise_dbm: fields.value("NOISE").filter(|&noise| noise != UNKNOWN),
+            rate_mbps: fields.needed("LINKSPEED")?,
+            frequency_mhz: fields.needed("FREQUENCY")?,
+        })
+    })
+}
+
+/// Returns the request to roam to an access point of the same network, which was heard lately.
+pub fn roam(to: MacAddress) -> Request<()> {
+    Request::new(format!("ROAM {to}"), done)
+}
+
+/// Returns the request to roam by fast transition through the present access point, over the distribution system.
+pub fn roam_over_ds(to: MacAddress) -> Request<()> {
+    Request::new(format!("FT_DS {to}"), done)
+}
+
+/// Returns the request to leave the network, and to stay away until [`reconnect`].
+pub fn disconnect() -> Request<()> {
+    Request::new("DISCONNECT", done)
+}
+
+/// Returns the request to join a network.
+pub fn reconnect() -> Request<()> {
+    Request::new("RECONNECT", done)
+}
+
+/// Returns the request to read the configuration file again.
+pub fn reconfigure() -> Request<()> {
+    Request::new("RECONFIGURE", done)
+}
+
+/// Returns the request for an [event](crate::Event) whenever the signal falls below a threshold or rises above it, both in dB
+/// or dBm. wpa_supplicant refuses while it scans in the background.
+pub fn watch_signal(threshold_dbm: i8, hysteresis_db: u8) -> Request<()> {
+    Request::new(format!("SIGNAL_MONITOR THRESHOLD={threshold_dbm} HYSTERESIS={hysteresis_db}"), done)
+}
+
+/// A setting of a network that wpa_supplicant also reports, so that it can be put back.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Setting {
+    /// Scans while it is connected; `None` for none.
+    BackgroundScan(Option<BackgroundScan>),
+    /// Channels on which it looks for the network; all, if there are none.
+    Channels(Vec<Channel>),
+    /// The only access point to join; `None` for the best.
+    Bssid(Option<MacAddress>),
+}
+
+impl Setting {
+    /// Returns the variable that wpa_supplicant has for it.
+    pub(crate) fn variable(&self) -> Variable {
+        match self {
+            Self::BackgroundScan(_) => Variable::BackgroundScan,
+            Self::Channels(_) => Variable::Channels,
+            Self::Bssid(_) => Variable::Bssid,
+        }
+    }
+}
+
+/// A variable of a network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Variable {
+    BackgroundScan,
+    Channels,
+    Bssid,
+}
+
+impl Variable {
+    fn name(self) -> &'static str {
+        match self {
+            Self::BackgroundScan => "bgscan",
+            Self::Channels => "scan_freq",
+            Self::Bssid => "bssid",
+        }
+    }
+
+    /// Returns the value that unsets it.
+    fn nothing(self) -> &'static str {
+        match self {
+            Self::BackgroundScan => "NULL",
+            Self::Channels => "",
+            Self::Bssid => "any",
+        }
+    }
+}
+
+/// Returns the request to change a setting of a network.
+pub fn set(network: u32, setting: &Setting) -> Request<()> {
+    let value = match setting {
+        Setting::BackgroundScan(scan) => scan.map(|scan| format!("\"{scan}\"")),
+        Setting::Channels(channels) if channels.is_empty() => None,
+        Setting::Channels(channels) => Some(frequencies(channels)),
+        Setting::Bssid(bssid) => bssid.map(|bssid| bssid.to_string()),
+    };
+    put_back(network, setting.variable(), value.as_deref())
+}
+
+/// Returns the request for the value of a network's variable; `None` if it is not set.
+pub(crate) fn get(network: u32, variable: Variable) -> Request<Option<String>> {
+    Request::new(format!("GET_NETWORK {network} {}", variable.name()), |answer| match answer {
+        Err(AnswerError::Failed) => Ok(None),
+        answer => answer.map(|value| Some(value.to_owned())),
+    })
+}
+
+/// Returns the request to set a network's variable to what [`get`] returned.
+pub(crate) fn put_back(network: u32, variable: Variable, value: Option<&str>) -> Request<()> {
+    let value = value.unwrap_or(variable.nothing());
+    Request::new(format!("SET_NETWORK {network} {} {value}", variable.name()), done)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{
+        channel::{Band, Width},
+        station::BackgroundScanMethod,
+    };
+
+    fn address(last: u8) -> MacAddress {
+        MacAddress([2, 0, 0, 0, 0, last])
+    }
+
+    #[test]
+    fn status_is_read() {
+        let answer = b"bssid=02:00:00:00:00:00\nfreq=2412\nssid=cor\\xffidor\nid=0\nmode=station\npairwise_cipher=CCMP\n\
+            group_cipher=CCMP\nkey_mgmt=FT-PSK\nwpa_state=COMPLETED\naddress=02:00:00:00:02:00\n";
+        let status = status().read(answer).expect("a status");
+        assert_eq!(
+            (status.state, status.bssid, status.frequency_mhz),
+            (State::Completed, Some(address(0)), Some(2412))
+        );
+        assert_eq!((status.network, status.key_management.as_deref()), (Some(0), Some("FT-PSK")));
+        assert_eq!(status.ssid.as_ref().map(Ssid::as_bytes), Some(&b"cor\xffidor"[..]));
+        let status =
+            super::status().read(b"wpa_state=SCANNING\naddress=02:00:00:00:02:00\n").expect("a status");
+        assert_eq!((status.state, status.bssid), (State::Scanning, None));
+        assert_eq!(super::status().read(b"OK\n"), Err(AnswerError::Unexpected("wpa_state")));
+    }
+
+    #[test]
+    fn scan_results_are_read() {
+        let answer = b"bssid / frequency / signal level / flags / ssid\n\
+            02:00:00:00:00:00\t2412\t-30\t[WPA2-PSK+FT/PSK-CCMP][ESS]\ta\tb\n02:00:00:00:00:01\t5180\t-71\t[ESS]\t\n";
+        let heard = scan_results().read(answer).expect("results");
+        assert_eq!((heard[0].bssid, heard[0].frequency_mhz, heard[0].signal_dbm), (address(0), 2412, -30));
+        assert_eq!(heard[0].ssid.as_ref().map(Ssid::as_bytes), Some(&b"a\tb"[..]));
+        assert_eq!((heard[1].signal_dbm, &heard[1].ssid, heard[1].flags.as_str()), (-71, &None, "[ESS]"));
+        assert_eq!(heard.len(), 2);
+        assert_eq!(scan_results().read(b""), Err(AnswerError::Unexpected("head of the table")));
+        let cut = b"bssid / frequency / signal level / flags / ssid\n02:00:00:00:00:00\t24";
+        assert_eq!(scan_results().read(cut), Err(AnswerError::Unexpected("column")));
+    }
+
+    #[test]
+    fn signal_is_read() {
+        let answer = b"RSSI=-52\nLINKSPEED=54\nNOISE=9999\nFREQUENCY=2412\nWIDTH=20 MHz\nAVG_RSSI=-51\n";
+        let expected = Signal {
+            signal_dbm: -52,
+            mean_dbm: Some(-51),
+            beacons_dbm: None,
+            noise_dbm: None,
+            rate_mbps: 54,
+            frequency_mhz: 2412,
+        };
+        assert_eq!(signal().read(answer), Ok(expected));
+        assert_eq!(signal().read(b"FAIL\n"), Err(AnswerError::Failed));
+        assert_eq!(signal().read(b"RSSI=-52\n"), Err(AnswerError::Unexpected("LINKSPEED")));
+    }
+
+    #[test]
+    fn requests_have_their_words() {
+        let channels =
+            [1, 6].map(|number| Channel::new(Band::Ghz2, number, Width::Mhz20).expect("a channel"));
+        let background = BackgroundScan {
+            method: BackgroundScanMethod::Simple,
+            threshold_dbm: -65,
+            short_s: 5,
+            long_s: 60,
+        };
+        let texts = [
+            scan(&[]),
+            scan(&channels),
+            roam(address(1)),
+            roam_over_ds(address(1)),
+            watch_signal(-70, 4),
+            set(0, &Setting::BackgroundScan(Some(background))),
+            set(0, &Setting::BackgroundScan(None)),
+            set(1, &Setting::Channels(channels.to_vec())),
+            set(1, &Setting::Channels(Vec::new())),
+            set(2, &Setting::Bssid(Some(address(1)))),
+            set(2, &Setting::Bssid(None)),
+        ]
+        .map(|request| request.text().to_owned());
+        assert_eq!(
+            texts,
+            [
+                "SCAN",
+                "SCAN freq=2412,2437",
+                "ROAM 02:00:00:00:00:01",
+                "FT_DS 02:00:00:00:00:01",
+                "SIGNAL_MONITOR THRESHOLD=-70 HYSTERESIS=4",
+                "SET_NETWORK 0 bgscan \"simple:5:-65:60\"",
+                "SET_NETWORK 0 bgscan NULL",
+                "SET_NETWORK 1 scan_freq 2412 2437",
+                "SET_NETWORK 1 scan_freq ",
+                "SET_NETWORK 2 bssid 02:00:00:00:00:01",
+                "SET_NETWORK 2 bssid any",
+            ]
+        );
+    }
+
+    #[test]
+    fn unset_variables_are_put_back_as_such() {
+        assert_eq!(get(0, Variable::Channels).read(b"FAIL\n"), Ok(None));
+        assert_eq!(get(0, Variable::Channels).read(b"2412 2437"), Ok(Some("2412 2437".to_owned())));
+        assert_eq!(put_back(0, Variable::Bssid, None).text(), "SET_NETWORK 0 bssid any");
+    }
+
+    proptest! {
+        #[test]
+        fn no_answer_makes_the_readers_panic(bytes: Vec<u8>, text in "(bssid / \n)?.*") {
+            for bytes in [&bytes[..], text.as_bytes()] {
+                _ = status().read(bytes);
+                _ = scan_results().read(bytes);
+                _ = signal().read(bytes);
+                _ = get(0, Variable::Bssid).read(bytes);
+            }
+        }
+    }
+}

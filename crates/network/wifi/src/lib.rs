@@ -1,0 +1,46 @@
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+
+mod access_point;
+mod address;
+mod borrowed;
+mod channel;
+mod client;
+mod control;
+mod daemon;
+mod hex;
+mod names;
+mod secret;
+mod security;
+mod station;
+
+pub use access_point::{AccessPoint, AccessPointDriver, BeaconInterval, Bss, Radio};
+pub use address::{MacAddress, MacAddressError};
+pub use borrowed::{AddedBss, BorrowError, BorrowedAccessPoint, BorrowedStation};
+pub use channel::{Band, Channel, ChannelError, Width};
+pub use client::{Client, ControlError, Events};
+pub use control::{
+    AnswerError, DisabledReason, Event, Message, Request, attach, detach, hostapd, ping, terminate,
+    wpa_supplicant,
+};
+pub use daemon::{Daemon, Launcher, StartError, launch_here};
+pub use names::{CountryCode, InterfaceName, NameError, Ssid};
+pub use secret::{DomainKey, Passphrase, PassphraseError};
+pub use security::{
+    Credentials, FastTransition, KeyExchange, KeyHolder, MobilityDomain, Protection, Security, Units,
+};
+pub use station::{BackgroundScan, BackgroundScanMethod, Network, Station, StationDriver};
+
+/// Reads any bytes as each answer and as an event. For fuzzing.
+#[doc(hidden)]
+pub fn read_anything(bytes: &[u8]) {
+    _ = Message::parse(bytes);
+    _ = (
+        hostapd::status().read(bytes),
+        hostapd::configuration().read(bytes),
+        hostapd::first_station().read(bytes),
+    );
+    _ = (wpa_supplicant::status().read(bytes), wpa_supplicant::scan_results().read(bytes));
+    _ = (wpa_supplicant::signal().read(bytes), ping().read(bytes), attach().read(bytes));
+}
