@@ -157,11 +157,9 @@ impl Channel {
     pub(crate) fn secondary(self) -> i8 {
         match (self.band, self.width) {
             (_, Width::Mhz20) => 0,
-            (Band::Ghz2, _) => 1 - 2 * i8::from(self.number > 7),
-            (Band::Ghz5, _) => {
-                let (start, _) = block(self.number).unwrap_or((self.number, self.number));
-                1 - 2 * i8::from((self.number - start) % 8 != 0)
-            }
+            (Band::Ghz2, _) if self.number > 7 => -1,
+            (Band::Ghz5, _) if self.span().0 % 8 != self.number % 8 => -1,
+            _ => 1,
         }
     }
 
@@ -230,7 +228,8 @@ impl Channel {
 
 /// Returns the block of a number at 5 GHz.
 fn block(number: u8) -> Option<(u8, u8)> {
-    let is_in = |&(start, end): &(u8, u8)| (start..=end).contains(&number) && (number - start) % 4 == 0;
+    let is_in =
+        |&(start, end): &(u8, u8)| (start..=end).contains(&number) && (number - start).is_multiple_of(4);
     BLOCKS.into_iter().find(is_in)
 }
 

@@ -26,8 +26,9 @@ impl FromStr for InterfaceName {
 
     fn from_str(text: &str) -> Result<Self, NameError> {
         let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-        let is_name =
-            matches!(text.len(), 1..=15) && text.bytes().all(is_allowed) && text.trim_matches('.') != "";
+        let is_name = matches!(text.len(), 1..=15)
+            && text.bytes().all(is_allowed)
+            && !text.trim_matches('.').is_empty();
         if is_name { Ok(Self(text.to_owned())) } else { Err(NameError::Interface(text.to_owned())) }
     }
 }
