@@ -15,7 +15,7 @@ use cotorra_engine::Process;
 use crate::{
     access_point::AccessPoint,
     client::{Client, ControlError},
-    control::{ping, terminate},
+    control::{hostapd, ping, terminate},
     names::InterfaceName,
     station::Station,
 };
@@ -223,8 +223,10 @@ impl Daemon {
     pub fn add_bss(&self, access_point: &AccessPoint) -> Result<(), StartError> {
         let name = format!("{}.conf", access_point.interface);
         let file = self.folder.write(&name, &access_point.configuration(&self.folder.control()))?;
-        let request = crate::control::hostapd::add_bss(self.interface.as_str(), &file);
-        Ok(self.global_client()?.request(&request)?)
+        let radio = self.client()?.request(&hostapd::status())?.radio;
+        // Without a radio, any name will do.
+        let radio = radio.as_deref().unwrap_or("none");
+        Ok(self.global_client()?.request(&hostapd::add_bss(radio, &file))?)
     }
 
     /// Returns how the program ended, if it has.

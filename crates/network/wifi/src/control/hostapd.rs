@@ -20,6 +20,8 @@ use crate::{
 pub struct Status {
     /// Whether it serves, or what it is about.
     pub state: State,
+    /// The kernel's name of the radio, such as `phy0`; `None` if hostapd does not know it.
+    pub radio: Option<String>,
     /// Centre of the primary channel, in MHz; `None` before it has one.
     pub frequency_mhz: Option<u32>,
     /// The channel; `None` before it has one, or if it is none that this crate knows.
@@ -91,6 +93,7 @@ fn read_status(text: &str) -> Result<Status, AnswerError> {
     let frequency_mhz = fields.value("freq").filter(|&frequency| frequency > 0);
     Ok(Status {
         state,
+        radio: fields.text("phy").filter(|name| !name.is_empty()).map(str::to_owned),
         frequency_mhz,
         channel: frequency_mhz.and_then(|frequency| read_channel(frequency, &fields)),
         beacon_interval: fields.value("beacon_int").and_then(BeaconInterval::new),
@@ -360,8 +363,8 @@ pub fn ask_to_move(station: MacAddress, to: &[Neighbour], urgency: Urgency) -> R
     Request::new(text, done)
 }
 
-/// Returns the request to add a BSS from a configuration file, for hostapd's global socket. `radio` is a name of the caller's
-/// for the radio, the same for all its BSSs. The file has one BSS.
+/// Returns the request to add a BSS from a configuration file, for hostapd's global socket. `radio` is the [`Status::radio`] of an
+/// access point; with another name, hostapd takes the BSS for an access point of its own. The file has one BSS.
 ///
 /// hostapd reads 255 bytes of a global request, so the path has to be short; it refuses what it cannot find.
 pub fn add_bss(radio: &str, configuration: &Path) -> Request<()> {
@@ -405,7 +408,8 @@ mod tests {
     #[test]
     fn status_is_read() {
         let status = status().read(STATUS).expect("a status");
-        assert_eq!((status.state, status.frequency_mhz), (State::Enabled, Some(2412)));
+        assert_eq!((status.state, status.radio.as_deref()), (State::Enabled, Some("phy0")));
+        assert_eq!(status.frequency_mhz, Some(2412));
         assert_eq!(status.channel, Channel::new(Band::Ghz2, 1, Width::Mhz20).ok());
         assert_eq!((status.beacon_interval, status.dtim_period), (BeaconInterval::new(100), Some(2)));
         let bss: Vec<_> =
