@@ -1,6 +1,7 @@
 //! hostapd and wpa_supplicant as processes of ours, each in a private folder.
 
 use std::{
+    env,
     fs::{self, DirBuilder, File},
     io::{self, Write},
     os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt},
@@ -138,7 +139,7 @@ impl Daemon {
     ) -> Result<Self, StartError> {
         let folder = Folder::new(folder)?;
         let configuration = folder.write("hostapd.conf", &access_point.configuration(&folder.control()))?;
-        let mut command = Command::new("hostapd");
+        let mut command = Command::new(program("hostapd"));
         command.arg("-g").arg(folder.global()).arg(configuration);
         Self::start("hostapd", command, folder, access_point.interface.clone(), launch)
     }
@@ -154,7 +155,7 @@ impl Daemon {
     ) -> Result<Self, StartError> {
         let folder = Folder::new(folder)?;
         let configuration = folder.write("wpa_supplicant.conf", &station.configuration(&folder.control()))?;
-        let mut command = Command::new("wpa_supplicant");
+        let mut command = Command::new(program("wpa_supplicant"));
         command.arg("-i").arg(station.interface.as_str()).arg("-D").arg(station.driver.name());
         command.arg("-c").arg(configuration).arg("-g").arg(folder.global());
         Self::start("wpa_supplicant", command, folder, station.interface.clone(), launch)
@@ -170,7 +171,7 @@ impl Daemon {
         let log = folder.create("log")?;
         let also = log.try_clone().map_err(system("write the log"))?;
         command.stdin(Stdio::null()).stdout(log).stderr(also);
-        let process = launch(command).map_err(system(format!("start {program}")))?;
+        let process = launch(command).map_err(system(format!("start {program} (is it installed?)")))?;
         let mut daemon = Self { program, process, folder, interface };
         daemon.wait_until_it_answers()?;
         Ok(daemon)
@@ -342,6 +343,13 @@ fn clear(path: &Path) -> Result<(), StartError> {
         _ = (0..STOP_CHECKS).find(|_| events.next(CHECK_INTERVAL).is_err());
     }
     fs::remove_dir_all(path).map_err(system(format!("remove {}", path.display())))
+}
+
+/// Returns the path of a program. Ordinary users often lack the folders of those for administrators in their `PATH`.
+fn program(name: &str) -> PathBuf {
+    let folders = env::var("PATH").unwrap_or_default() + ":/usr/local/sbin:/usr/sbin:/sbin";
+    let found = env::split_paths(&folders).map(|folder| folder.join(name)).find(|path| path.is_file());
+    found.unwrap_or_else(|| name.into())
 }
 
 fn system(action: impl Into<String>) -> impl FnOnce(io::Error) -> StartError {

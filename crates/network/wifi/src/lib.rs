@@ -11,6 +11,7 @@ mod control;
 mod daemon;
 mod hex;
 mod names;
+mod power;
 mod secret;
 mod security;
 mod station;
@@ -26,6 +27,7 @@ pub use control::{
 };
 pub use daemon::{Daemon, Launcher, StartError, launch_here};
 pub use names::{CountryCode, InterfaceName, NameError, Ssid};
+pub use power::{Power, TransmitPower};
 pub use secret::{DomainKey, Passphrase, PassphraseError};
 pub use security::{
     Credentials, FastTransition, KeyExchange, KeyHolder, MobilityDomain, Protection, Security, Units,

@@ -159,12 +159,13 @@ pub fn signal() -> Request<Signal> {
     })
 }
 
-/// Returns the request to roam to an access point of the same network, which was heard lately.
+/// Returns the request to roam to an access point of the same network. wpa_supplicant refuses if it was not heard lately.
 pub fn roam(to: MacAddress) -> Request<()> {
     Request::new(format!("ROAM {to}"), done)
 }
 
-/// Returns the request to roam by fast transition through the present access point, over the distribution system.
+/// Returns the request to roam by fast transition through the present access point, over the distribution system. Nothing happens
+/// if the other access point does not answer there, e.g. because it belongs to another mobility domain.
 pub fn roam_over_ds(to: MacAddress) -> Request<()> {
     Request::new(format!("FT_DS {to}"), done)
 }
