@@ -1,4 +1,4 @@
-//! The real hostapd and wpa_supplicant, without a radio. `tests/rig` meets them on emulated radios.
+//! The real hostapd and wpa_supplicant, without a radio. `radios.rs` meets them on emulated radios.
 
 mod fixture;
 
@@ -14,21 +14,17 @@ use cotorra_wifi::{
     Security, StartError, Station, StationDriver, hostapd, launch_here, ping, wpa_supplicant,
 };
 
-/// Whether both programs are there. In continuous integration they must be.
+/// Whether all programs are there. In continuous integration they must be.
 fn installed() -> bool {
-    let is_there = |program: &str| {
-        let version = Command::new(program).arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).status();
-        let there = version.is_ok();
-        assert!(
-            there || env::var_os("CI").is_none(),
-            "{program} is not installed: install hostapd and wpasupplicant"
-        );
-        if !there {
-            eprintln!("skipped: {program} is not installed");
-        }
-        there
+    let is_there = |program: &&str| {
+        let path = env::var("PATH").unwrap_or_default() + ":/usr/sbin:/sbin";
+        env::split_paths(&path).any(|folder| folder.join(program).is_file())
     };
-    is_there("hostapd") && is_there("wpa_supplicant")
+    let missing = ["hostapd", "wpa_supplicant", "unshare"].into_iter().find(|program| !is_there(program));
+    let Some(program) = missing else { return true };
+    assert!(env::var_os("CI").is_none(), "{program} is not installed: see scripts/test");
+    eprintln!("skipped: {program} is not installed");
+    false
 }
 
 /// Starts a program in a network namespace of its own, where it is root.
@@ -319,7 +315,7 @@ fn pre_shared_keys_are_those_of_wpa_passphrase() {
     if !installed() {
         return;
     }
-    let output = Command::new("wpa_passphrase").arg("wpa2").arg(r##"a"b#c\d'e|mac=$% "##).output();
+    let output = Command::new("/usr/bin/wpa_passphrase").arg("wpa2").arg(r##"a"b#c\d'e|mac=$% "##).output();
     let output = String::from_utf8(output.expect("it is part of wpasupplicant").stdout).expect("text");
     let theirs = output.lines().find(|line| line.starts_with("\tpsk=")).expect("a key");
     let ours = fixture::station("lo").configuration("/run".as_ref());
@@ -329,7 +325,8 @@ fn pre_shared_keys_are_those_of_wpa_passphrase() {
 /// Returns what wpa_supplicant's own client reads.
 fn wpa_cli(fixture: &Fixture, words: &[&str]) -> String {
     let control = fixture.path().join("control");
-    let output = Command::new("wpa_cli").arg("-p").arg(control).args(["-i", "lo"]).args(words).output();
+    let output =
+        Command::new("/usr/sbin/wpa_cli").arg("-p").arg(control).args(["-i", "lo"]).args(words).output();
     let output = output.expect("it is part of wpasupplicant").stdout;
     String::from_utf8(output).expect("text").trim_end().to_owned()
 }

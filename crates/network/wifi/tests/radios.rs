@@ -4,16 +4,19 @@
 //! Needs root of a kernel with three such radios, which `COTORRA_RADIOS` promises. The tests share the radios: run them with
 //! `--test-threads 1`.
 
+#[allow(dead_code, reason = "other tests use the rest")]
 mod fixture;
 
-use std::{env, io, process::Command, sync::OnceLock, time::Duration};
+use std::{env, io, os::fd::AsFd, process::Command, sync::OnceLock, thread, time::Duration};
 
 use cotorra_engine::Process;
 use cotorra_wifi::{
-    AccessPoint, AccessPointDriver, Band, Bss, Client, Credentials, Daemon, DisabledReason, DomainKey, Event,
-    Events, FastTransition, KeyExchange, MacAddress, MobilityDomain, Network, Passphrase, Protection,
-    Security, Station, StationDriver, Units, Width, hostapd, launch_here, wpa_supplicant,
+    AccessPoint, AccessPointDriver, Band, Bss, Channel, Client, Credentials, Daemon, DisabledReason,
+    DomainKey, Event, Events, FastTransition, KeyExchange, MacAddress, MobilityDomain, Network, Passphrase,
+    Power, Protection, Radio, Security, Station, StationDriver, TransmitPower, Units, Width, hostapd,
+    launch_here, wpa_supplicant,
 };
+use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 
 const ROBOT: MacAddress = MacAddress([2, 0, 0, 0, 0, 0]);
 /// What nothing here needs, not even scans of all channels.
@@ -50,6 +53,11 @@ fn radios() -> bool {
     })
 }
 
+/// Where the output of a radio's program goes.
+fn log(radio: u8) -> String {
+    format!("/run/u{radio}.log")
+}
+
 /// Starts programs in the namespace of a radio.
 fn inside(radio: u8) -> impl FnMut(Command) -> io::Result<Box<dyn Process>> {
     move |command| {
@@ -58,7 +66,7 @@ fn inside(radio: u8) -> impl FnMut(Command) -> io::Result<Box<dyn Process>> {
             .args(["netns", "exec", &format!("u{radio}")])
             .arg(command.get_program())
             .args(command.get_args());
-        let log = std::fs::File::create(format!("/run/u{radio}.log"))?;
+        let log = std::fs::File::create(log(radio))?;
         inside.stdout(log.try_clone()?).stderr(log);
         launch_here(inside)
     }
@@ -122,7 +130,10 @@ fn access_point(number: u8, security: Security) -> AccessPoint {
 
 /// Starts the robot's station.
 fn robot(credentials: Credentials) -> Running {
-    let channels = [1, 6].map(|number| fixture::channel(Band::Ghz2, number, Width::Mhz20));
+    robot_on(&[1, 6].map(|number| fixture::channel(Band::Ghz2, number, Width::Mhz20)), credentials)
+}
+
+fn robot_on(channels: &[Channel], credentials: Credentials) -> Running {
     let network =
         Network { channels: channels.to_vec(), ..Network::new(fixture::ssid("corridor"), credentials) };
     let station = Station {
@@ -230,7 +241,7 @@ fn wrong_keys_are_refused_and_reported() {
     let mut station = robot(Credentials::Wpa3 { passphrase: wrong, fast_transition: false });
     let seen = station.wait(|event| matches!(event, Event::NetworkDisabled { .. }));
     assert!(!seen.iter().any(connected), "{seen:?}");
-    eprintln!("WPA3 with a wrong key: {seen:?}");
+    assert!(seen.iter().any(|event| matches!(event, Event::AuthenticationRejected { .. })), "{seen:?}");
 }
 
 /// Roams there and back by fast transition: over the air, and over the distribution system.
@@ -247,7 +258,6 @@ fn roam_fast(mut robot: Running, method: &str) {
             };
             robot.client.request(&request).expect("it roams");
             let seen = robot.wait(connected);
-            eprintln!("{method}, over the DS: {over_ds}: {seen:?}");
             assert_eq!(place(&mut robot).0, there);
             assert!(!seen.iter().any(|event| matches!(event, Event::Disconnected { .. })), "{seen:?}");
             // Over the DS, the present access point carries the authentication.
@@ -256,6 +266,9 @@ fn roam_fast(mut robot: Running, method: &str) {
             assert_eq!(status.key_management.as_deref(), Some(method));
         }
     }
+    // hostapd logs each exchange of keys. Only the first association had one.
+    let logs = [1, 2].map(|unit| std::fs::read_to_string(log(unit)).expect("a log"));
+    assert_eq!(logs.concat().matches("pairwise key handshake completed").count(), 1, "{logs:?}");
 }
 
 #[test]
@@ -287,6 +300,30 @@ fn robot_roams_by_ft_sae_between_units_that_find_each_other() {
     let security = |unit| ft_sae(unit, Units::Any);
     let _units = [1, 2].map(|number| unit(number, security(number)));
     roam_fast(robot(security(1).credentials()), "FT-SAE");
+}
+
+#[test]
+fn another_mobility_domain_refuses_the_robot_and_reports_it() {
+    if !radios() {
+        return;
+    }
+    let security = |unit: u8| {
+        let domain = MobilityDomain(unit.into());
+        Security::Wpa2 {
+            passphrase: fixture::passphrase(),
+            protection: Protection::Required,
+            fast_transition: Some(FastTransition { domain, ..fast_transition(unit) }),
+        }
+    };
+    let _units = [1, 2].map(|number| unit(number, security(number)));
+    let mut robot = robot(security(1).credentials());
+    robot.wait(connected);
+    scan(&mut robot);
+    let (here, there) = place(&mut robot);
+    robot.client.request(&wpa_supplicant::roam(bssid(there))).expect("it tries");
+    // The status is: invalid PMKID.
+    robot.wait(|event| *event == Event::AuthenticationRejected { bssid: bssid(there), status: 53 });
+    robot.wait(connected_to(here));
 }
 
 #[test]
@@ -350,6 +387,62 @@ fn robot_follows_its_unit_to_another_channel() {
     assert!(!seen.iter().any(|event| matches!(event, Event::Disconnected { .. })), "{seen:?}");
     assert_eq!(unit.client.request(&hostapd::status()).expect("a status").channel, Some(channel));
     assert_eq!(robot.client.request(&wpa_supplicant::signal()).expect("a signal").frequency_mhz, 2462);
+}
+
+/// Runs a closure in the namespace of a radio, on a thread of its own.
+fn within<T: Send>(radio: u8, inside: impl FnOnce() -> T + Send) -> T {
+    let namespace = std::fs::File::open(format!("/run/netns/u{radio}")).expect("a namespace");
+    let enter = || {
+        let kind = Some(LinkNameSpaceType::Network);
+        move_into_link_name_space(namespace.as_fd(), kind).expect("root may enter it");
+        inside()
+    };
+    thread::scope(|scope| scope.spawn(enter).join()).expect("it does not panic")
+}
+
+/// Returns what `iw` says about a radio's interface.
+fn iw_info(radio: u8) -> String {
+    let interface = format!("wlan{radio}");
+    let output = within(radio, || Command::new("iw").args(["dev", &interface, "info"]).output());
+    String::from_utf8(output.expect("there is iw").stdout).expect("text")
+}
+
+#[test]
+fn power_is_changed_and_put_back() {
+    if !radios() {
+        return;
+    }
+    let security = wpa2(fixture::passphrase(), None);
+    let _unit = unit(1, security.clone());
+    let mut robot = robot(security.credentials());
+    robot.wait(connected);
+    let open = || within(0, || TransmitPower::of(&"wlan0".parse().expect("a name")).expect("a radio"));
+    let before = open().read().expect("a power").expect("it is up");
+    let mut power = open();
+    power.set(Power::Fixed(500)).expect("it is set");
+    power.set(Power::AtMost(700)).expect("it is set again");
+    assert_eq!(power.read().expect("a power"), Some(700));
+    assert!(iw_info(0).contains("txpower 7.00 dBm"), "{}", iw_info(0));
+    power.give_back().expect("it is put back");
+    assert!(before > 700);
+    assert_eq!(open().read().expect("a power"), Some(before));
+}
+
+#[test]
+fn robot_joins_a_wide_channel_at_5_ghz() {
+    if !radios() {
+        return;
+    }
+    let security = wpa2(fixture::passphrase(), None);
+    let mut access_point = access_point(1, security.clone());
+    let channel = fixture::channel(Band::Ghz5, 44, Width::Mhz80);
+    access_point.radio = Radio { country: "DE".parse().ok(), wifi6: true, ..Radio::new(channel) };
+    let mut unit = unit_of(access_point);
+    let mut robot = robot_on(&[channel], security.credentials());
+    robot.wait(connected_to(1));
+    assert_eq!(unit.client.request(&hostapd::status()).expect("a status").channel, Some(channel));
+    let info = iw_info(0);
+    assert!(info.contains("channel 44 (5220 MHz), width: 80 MHz, center1: 5210 MHz"), "{info}");
 }
 
 #[test]
