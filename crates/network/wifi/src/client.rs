@@ -68,8 +68,8 @@ impl Client {
     /// Time that a program has for an answer. Some take long: hostapd answers `ENABLE` after it has set the interface up.
     pub const TIMEOUT: Duration = Duration::from_secs(10);
 
-    /// Connects to a program's socket, such as `/run/hostapd/wlan0`. The own socket is a file in the folder `own`, which must be
-    /// private to this user. It is removed with the client.
+    /// Connects to a program's socket, such as `/run/hostapd/wlan0`. The own socket is a file in the folder `own`, which the
+    /// program's user must be able to enter. Nobody but the program can write to it. It is removed with the client.
     ///
     /// # Errors
     /// [`ControlError::Gone`] if nobody listens there; [`ControlError::System`], e.g. without the right to write to the socket.
@@ -149,7 +149,7 @@ pub struct Events {
 }
 
 impl Events {
-    /// Waits for the next event; `None` if there is none within this time.
+    /// Waits for the next event; `None` if there is none within this time. Only then it looks whether the program still runs.
     ///
     /// # Errors
     /// [`ControlError::Gone`] if there is none because the program has ended, however it ended.
@@ -172,7 +172,7 @@ impl AsFd for Events {
     }
 }
 
-/// A connected pair of sockets: own and program's. The kernel lets nobody but the program write to the own one.
+/// A socket that is connected to a program's. The kernel lets nobody but the program write to it.
 #[derive(Debug)]
 struct Socket {
     socket: UnixDatagram,
@@ -192,12 +192,12 @@ impl Socket {
             UnixDatagram::bind(own).map_err(|source| ControlError::System { path: own.clone(), source })
         };
         let socket = Self { socket: bind(&own)?, own, program: program.to_owned() };
+        socket.socket.connect(program).map_err(failed)?;
         // A program of another user must be able to write to it.
         let owner = fs::metadata(program).map_err(failed)?;
         if fs::metadata(&socket.own).map_err(failed)?.uid() != owner.uid() {
             std::os::unix::fs::chown(&socket.own, Some(owner.uid()), None).map_err(failed)?;
         }
-        socket.socket.connect(program).map_err(failed)?;
         Ok(socket)
     }
 

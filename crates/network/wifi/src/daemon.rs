@@ -239,7 +239,7 @@ impl Daemon {
     }
 
     /// Ends the program: stations are told, and interfaces that it made are removed. It is killed if it takes longer than 3 s.
-    /// Its folder is removed.
+    /// Its folder is removed. Dropping it does the same.
     pub fn stop(self) {}
 
     #[allow(

@@ -4,6 +4,7 @@ mod fixture;
 
 use std::{
     env, fs, io,
+    os::unix::fs::PermissionsExt,
     path::{Path, PathBuf},
     process::{Command, Stdio},
     time::Duration,
@@ -226,6 +227,32 @@ fn what_a_killed_process_left_is_ended_first() {
     assert!(matches!(refused, Err(StartError::Folder(_))));
     let refused = Daemon::hostapd(&access_point, &fixture.folder.path().join("a b"), &mut launch_here);
     assert!(matches!(refused, Err(StartError::Path(_))));
+}
+
+#[test]
+fn a_program_of_another_user_answers() {
+    if !installed() || !rustix::process::geteuid().is_root() {
+        return;
+    }
+    let fixture = Fixture::new();
+    let (folder, file) = (fixture.folder.path(), fixture.folder.path().join("hostapd.conf"));
+    fs::set_permissions(folder, fs::Permissions::from_mode(0o777)).expect("it is ours");
+    let control = folder.join("control");
+    let access_point = fixture::access_point("wlan0", Security::Open);
+    fs::write(&file, access_point.configuration(&control)).expect("it is written");
+    let mut command = Command::new("setpriv");
+    command
+        .args(["--reuid", "nobody", "--regid", "nogroup", "--clear-groups", "/usr/sbin/hostapd"])
+        .arg(file);
+    let mut process = launch_here(command).expect("there is setpriv");
+    let mut connect = || {
+        assert!(process.try_wait().expect("it is watched").is_none(), "hostapd runs");
+        cotorra_wifi::Client::connect(&control.join("wlan0"), folder).ok()
+    };
+    let mut client = std::iter::repeat_with(&mut connect).flatten().next().expect("it never ends");
+    let answer = client.request(&ping());
+    process.kill();
+    answer.expect("an answer");
 }
 
 #[test]
