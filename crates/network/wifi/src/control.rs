@@ -6,6 +6,7 @@
 mod answer;
 mod event;
 pub mod hostapd;
+mod neighbour;
 mod request;
 pub mod wpa_supplicant;
 

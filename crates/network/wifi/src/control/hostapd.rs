@@ -2,17 +2,17 @@
 
 use std::{path::Path, time::Duration};
 
+pub use super::neighbour::Neighbour;
 use crate::{
-    access_point::{BeaconInterval, Bss, Radio},
+    access_point::BeaconInterval,
     address::MacAddress,
-    channel::{Band, Channel, Width},
+    channel::{Channel, Width},
     control::{
         answer::{AnswerError, Fields, done},
         request::Request,
     },
     hex,
     names::{InterfaceName, Ssid},
-    security::Security,
 };
 
 /// State of an access point.
@@ -251,73 +251,6 @@ pub fn set(setting: &Setting) -> Request<()> {
     Request::new(format!("SET {assignment}"), done)
 }
 
-/// A BSS that stations are told about, to roam to (802.11k and 802.11v).
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Neighbour {
-    /// Its address.
-    pub bssid: MacAddress,
-    /// Its name.
-    pub ssid: Ssid,
-    /// Its channel.
-    pub channel: Channel,
-    /// Whether it is in the mobility domain of the BSS that tells.
-    pub same_domain: bool,
-    /// Whether it has Wi-Fi 6.
-    pub wifi6: bool,
-}
-
-impl Neighbour {
-    /// Describes a BSS with this address to those of its own testbed.
-    pub fn new(bssid: MacAddress, bss: &Bss, radio: &Radio) -> Self {
-        let same_domain = match &bss.security {
-            Security::Open => false,
-            Security::Wpa2 { fast_transition, .. } => fast_transition.is_some(),
-            Security::Wpa3 { fast_transition, .. } => fast_transition.is_some(),
-        };
-        Self { bssid, ssid: bss.ssid.clone(), channel: radio.channel, same_domain, wifi6: radio.wifi6 }
-    }
-
-    /// Returns the BSSID information (IEEE 802.11-2020, figure 9-337): reachable, with the same security, QoS, and what else it
-    /// has.
-    fn information(&self) -> u32 {
-        const REACHABLE: u32 = 0b11;
-        const SAME_SECURITY: u32 = 1 << 2;
-        const QOS: u32 = 1 << 5;
-        const RADIO_MEASUREMENT: u32 = 1 << 7;
-        const MOBILITY_DOMAIN: u32 = 1 << 10;
-        const HT: u32 = 1 << 11;
-        const VHT: u32 = 1 << 12;
-        let when = |is: bool, bit| if is { bit } else { 0 };
-        REACHABLE
-            | SAME_SECURITY
-            | QOS
-            | RADIO_MEASUREMENT
-            | HT
-            | when(self.same_domain, MOBILITY_DOMAIN)
-            | when(self.channel.band() == Band::Ghz5, VHT)
-    }
-
-    /// Returns the PHY type (IEEE 802.11-2020, annex C, `dot11PHYType`).
-    fn phy_type(&self) -> u8 {
-        const HT: u8 = 7;
-        const VHT: u8 = 9;
-        const HE: u8 = 14;
-        match self.channel.band() {
-            _ if self.wifi6 => HE,
-            Band::Ghz2 => HT,
-            Band::Ghz5 => VHT,
-        }
-    }
-
-    /// Returns the neighbour report element without its header (IEEE 802.11-2020, 9.4.2.36).
-    fn element(&self) -> Vec<u8> {
-        let mut bytes = self.bssid.0.to_vec();
-        bytes.extend(self.information().to_le_bytes());
-        bytes.extend([self.channel.operating_class(), self.channel.number(), self.phy_type()]);
-        bytes
-    }
-}
-
 /// Returns the request to add or change a neighbour that stations are told about when they ask.
 pub fn set_neighbour(neighbour: &Neighbour) -> Request<()> {
     let Neighbour { bssid, ssid, .. } = neighbour;
@@ -381,6 +314,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::channel::Band;
 
     /// An answer of hostapd 2.10 on mac80211_hwsim, shortened.
     const STATUS: &[u8] = b"state=ENABLED\nphy=phy0\nfreq=2412\nnum_sta_non_erp=0\nchannel=1\nsecondary_channel=0\n\

@@ -1,0 +1,76 @@
+//! Neighbours of an access point, as stations are told about them.
+
+use crate::{
+    access_point::{Bss, Radio},
+    address::MacAddress,
+    channel::{Band, Channel},
+    names::Ssid,
+    security::Security,
+};
+
+/// A BSS that stations are told about, to roam to (802.11k and 802.11v).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Neighbour {
+    /// Its address.
+    pub bssid: MacAddress,
+    /// Its name.
+    pub ssid: Ssid,
+    /// Its channel.
+    pub channel: Channel,
+    /// Whether it is in the mobility domain of the BSS that tells.
+    pub same_domain: bool,
+    /// Whether it has Wi-Fi 6.
+    pub wifi6: bool,
+}
+
+impl Neighbour {
+    /// Describes a BSS with this address to those of its own testbed.
+    pub fn new(bssid: MacAddress, bss: &Bss, radio: &Radio) -> Self {
+        let same_domain = match &bss.security {
+            Security::Open => false,
+            Security::Wpa2 { fast_transition, .. } => fast_transition.is_some(),
+            Security::Wpa3 { fast_transition, .. } => fast_transition.is_some(),
+        };
+        Self { bssid, ssid: bss.ssid.clone(), channel: radio.channel, same_domain, wifi6: radio.wifi6 }
+    }
+
+    /// Returns the BSSID information (IEEE 802.11-2020, figure 9-337): reachable, with the same security, QoS, and what else it
+    /// has.
+    pub(crate) fn information(&self) -> u32 {
+        const REACHABLE: u32 = 0b11;
+        const SAME_SECURITY: u32 = 1 << 2;
+        const QOS: u32 = 1 << 5;
+        const RADIO_MEASUREMENT: u32 = 1 << 7;
+        const MOBILITY_DOMAIN: u32 = 1 << 10;
+        const HT: u32 = 1 << 11;
+        const VHT: u32 = 1 << 12;
+        let when = |is: bool, bit| if is { bit } else { 0 };
+        REACHABLE
+            | SAME_SECURITY
+            | QOS
+            | RADIO_MEASUREMENT
+            | HT
+            | when(self.same_domain, MOBILITY_DOMAIN)
+            | when(self.channel.band() == Band::Ghz5, VHT)
+    }
+
+    /// Returns the PHY type (IEEE 802.11-2020, annex C, `dot11PHYType`).
+    pub(crate) fn phy_type(&self) -> u8 {
+        const HT: u8 = 7;
+        const VHT: u8 = 9;
+        const HE: u8 = 14;
+        match self.channel.band() {
+            _ if self.wifi6 => HE,
+            Band::Ghz2 => HT,
+            Band::Ghz5 => VHT,
+        }
+    }
+
+    /// Returns the neighbour report element without its header (IEEE 802.11-2020, 9.4.2.36).
+    pub(crate) fn element(&self) -> Vec<u8> {
+        let mut bytes = self.bssid.0.to_vec();
+        bytes.extend(self.information().to_le_bytes());
+        bytes.extend([self.channel.operating_class(), self.channel.number(), self.phy_type()]);
+        bytes
+    }
+}
