@@ -2,7 +2,8 @@
 #![no_main]
 
 use cotorra_calibrate::{
-    PacketTimes, one_way_of_captures, parse_channel_survey, parse_round_trips, parse_stamp, parse_survey, round_trips_of_capture,
+    PacketTimes, one_way_of_captures, parse_channel_survey, parse_round_trips, parse_stamp, parse_survey,
+    round_trips_of_capture,
 };
 use libfuzzer_sys::fuzz_target;
 
