@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{BitRate, Probability};
+use cotorra_graph::{BitRate, Correlation, Probability};
 
 /// Parses a figure, and returns it in the base unit.
 fn quantity(text: &str, like: &str, units: &[(&str, f64)]) -> Result<f64, String> {
@@ -34,6 +34,13 @@ pub fn parse_share(text: &str) -> Result<Probability, String> {
     Probability::new(share).ok_or_else(|| "it is 100% at most".to_owned())
 }
 
+/// Parses a correlation in percent.
+pub fn parse_correlation(text: &str) -> Result<Correlation, String> {
+    let (sign, figure) = text.trim().strip_prefix('-').map_or((1.0, text), |figure| (-1.0, figure));
+    let correlation = sign * quantity(figure, "40%", &[("%", 0.01)])?;
+    Correlation::new(correlation).ok_or_else(|| "it is above -100% and below 100%".to_owned())
+}
+
 /// Parses a rate of 1 bit/s to 8000 Gbit/s.
 pub fn parse_rate(text: &str) -> Result<BitRate, String> {
     let units = [("bit/s", 1.0), ("kbit/s", 1e3), ("Mbit/s", 1e6), ("Gbit/s", 1e9)];
@@ -59,6 +66,8 @@ mod tests {
         assert_eq!(parse_time("250us"), Ok(Duration::from_micros(250)));
         assert_eq!(parse_time("1.5 ms"), Ok(Duration::from_micros(1500)));
         assert_eq!(parse_share("0.5%"), Ok(Probability::new(0.005).unwrap()));
+        assert_eq!(parse_correlation("40%"), Ok(Correlation::new(0.4).unwrap()));
+        assert_eq!(parse_correlation("-25 %"), Ok(Correlation::new(-0.25).unwrap()));
         assert_eq!(parse_rate("20Mbit/s"), Ok(BitRate::from_mbps(20.0).unwrap()));
         for wrong in ["", "10", "ms", "-1ms", "1h", "61min", "1e3ms", "nanms"] {
             assert!(parse_time(wrong).is_err(), "{wrong}");
@@ -70,6 +79,9 @@ mod tests {
         }
         for wrong in ["1", "101%", "0.01", "-1%"] {
             assert!(parse_share(wrong).is_err(), "{wrong}");
+        }
+        for wrong in ["0.4", "100%", "--4%", "-100%"] {
+            assert!(parse_correlation(wrong).is_err(), "{wrong}");
         }
         for wrong in ["10", "0bit/s", "10mbit", "9000Gbit/s"] {
             assert!(parse_rate(wrong).is_err(), "{wrong}");

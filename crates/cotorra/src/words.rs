@@ -59,6 +59,9 @@ pub fn conditions(conditions: &Conditions) -> String {
     let mut parts = vec![format!("{} ms", millis(conditions.delay))];
     if let Some(jitter) = conditions.jitter {
         parts[0] = format!("{} ± {} ms", millis(conditions.delay), millis(jitter.deviation));
+        if !jitter.correlation.is_none() {
+            parts.push(format!("correlation {}", jitter.correlation));
+        }
     }
     parts.push(match &conditions.rate {
         Rate::Unlimited => "unlimited".to_owned(),

@@ -473,6 +473,7 @@ function changes({ delay_ms, jitter, loss, rate, delay_scale, drop_scale }) {
     const words = [
         delay_ms === null || delay_ms === undefined ? "" : `delay ${delay_ms} ms`,
         jitter ? `jitter ${jitter.deviation_ms} ms` : "",
+        jitter?.correlation ? `correlation ${figure(jitter.correlation * 100, "%")}` : "",
         loss ? `loss ${"share" in loss ? figure(loss.share * 100, "%") : "none"}` : "",
         rate ? `rate ${rate.kind === "fixed" ? figure(rate.rate_bps, "bit/s") : rate.kind}` : "",
         scaled("ψ", delay_scale),

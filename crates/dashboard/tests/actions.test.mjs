@@ -45,6 +45,8 @@ test("an empty field leaves a condition as it is", () => {
     const rare = instruction({ ...empty, jitter_ms: 0, delay_scale: 2, drop_scale: 4 });
     assert.deepEqual(rare.change, { jitter: { deviation_ms: 0 }, delay_scale: 2, drop_scale: 4 });
     assert.equal(inWords(rare), "change l: jitter 0 ms, ψ 2, δ 4");
+    const correlated = { jitter: { deviation_ms: 2, correlation: 0.4 } };
+    assert.equal(inWords({ instruction: "condition", link: "l", change: correlated }), "change l: jitter 2 ms, correlation 40.0 %");
 });
 
 test("curl and Python make the same call, whatever names contain", () => {

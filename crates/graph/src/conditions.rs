@@ -5,6 +5,7 @@ use std::{sync::Arc, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    jitter::Jitter,
     queue::{QueueDiscipline, QueueLimit},
     units::{BitRate, Probability, millis},
 };
@@ -57,33 +58,6 @@ impl Conditions {
         };
         (!by_chance).then(|| *delay + sending)
     }
-}
-
-/// Random addition to a delay, with mean zero; a total below zero counts as zero.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-pub struct Jitter {
-    /// Half-width of a uniform, standard deviation of the other distributions.
-    #[serde(rename = "deviation_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
-    pub deviation: Duration,
-    /// Shape of the distribution.
-    #[serde(default)]
-    pub distribution: JitterDistribution,
-}
-
-/// Shape of a jitter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[serde(rename_all = "snake_case")]
-pub enum JitterDistribution {
-    /// Every value within ± deviation is as likely.
-    Uniform,
-    /// Gaussian.
-    #[default]
-    Normal,
-    /// Pareto with shape 3, moved and scaled to mean zero and the given standard deviation: a long upper tail.
-    Pareto,
 }
 
 /// Packets that vanish on a link.

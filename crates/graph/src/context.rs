@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     active::{Probed, Tested},
-    conditions::{ConditionChange, Conditions, Jitter, JitterDistribution, Scale},
+    conditions::{ConditionChange, Conditions, Scale},
     hardware::Direction,
     id::{LinkId, NodeId, ServiceId, VnfId},
     nodes::Nodes,
@@ -326,10 +326,9 @@ impl LinkContext {
     /// The change that makes any link do what was asked of this one, scaled as it was.
     pub fn again(&self) -> ConditionChange {
         let asked = self.asked.clone();
-        let none = Jitter { deviation: Duration::ZERO, distribution: JitterDistribution::default() };
         ConditionChange {
             delay_ms: Some(asked.delay.as_secs_f64() * 1e3),
-            jitter: Some(asked.jitter.unwrap_or(none)),
+            jitter: Some(asked.jitter.unwrap_or_default()),
             loss: Some(asked.loss),
             duplication: Some(asked.duplication),
             corruption: Some(asked.corruption),

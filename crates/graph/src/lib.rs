@@ -17,6 +17,7 @@ mod flow;
 mod goal;
 mod hardware;
 mod id;
+mod jitter;
 mod machine_context;
 mod map;
 mod medium;
@@ -40,9 +41,7 @@ mod walls;
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
 pub use border::Border;
-pub use conditions::{
-    ConditionChange, Conditions, InvalidTrace, Jitter, JitterDistribution, Loss, Rate, Scale, Trace,
-};
+pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace};
 pub use container::{Containers, EngineKind, Image, ListenPort, Pull, Transport, Volume};
 pub use contention::{Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl};
 pub use context::{
@@ -66,6 +65,7 @@ pub use hardware::{
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
+pub use jitter::{Correlation, InvalidCorrelation, Jitter, JitterDistribution};
 pub use machine_context::{
     CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext, ReadingTime,
     WifiChannel, WifiContext, WifiRole, WifiStation,

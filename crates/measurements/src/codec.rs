@@ -125,7 +125,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
 pub(crate) const CONDITIONS: &[&str] = &[
     "delay_ms", "jitter_deviation_ms", "jitter_distribution", "loss", "loss_share", "loss_mean_burst",
     "duplication", "corruption", "reordering", "rate_bps", "trace_ms", "queue_packets", "queue_bytes",
-    "queue_discipline",
+    "queue_discipline", "jitter_correlation",
 ];
 
 /// A value on its way into a column.

@@ -6,7 +6,7 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
     AccessPoint, AnswersRejected, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions,
-    DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Handover, Image,
+    Correlation, DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Handover, Image,
     InstancePath, Instruction, Jitter, JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters,
     LinkId, LinkTime, ListenPort, Loss, NodeId, Nodes, PathKind, Pie, Placement, PluginId, Pose, PoseSource,
     Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext, Rate, Red,
@@ -140,7 +140,16 @@ prop_compose! {
 
 fn jitter(deviation: impl Strategy<Value = Duration>) -> impl Strategy<Value = Jitter> {
     let shapes = vec![JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto];
-    (deviation, select(shapes)).prop_map(|(deviation, distribution)| Jitter { deviation, distribution })
+    (deviation, select(shapes), correlation()).prop_map(|(deviation, distribution, correlation)| Jitter {
+        deviation,
+        distribution,
+        correlation,
+    })
+}
+
+fn correlation() -> impl Strategy<Value = Correlation> {
+    let some = (-0.999..0.999).prop_map(|correlation| Correlation::new(correlation).unwrap());
+    prop_oneof![Just(Correlation::NONE), some]
 }
 
 fn loss(mean_burst: impl Strategy<Value = f64>) -> impl Strategy<Value = Loss> {

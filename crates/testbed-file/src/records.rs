@@ -3,10 +3,10 @@
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, EngineKind, GapPolicy,
-    IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId, PluginId, Position,
-    Probability, Pull, QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel, RosNetwork, SensorId,
-    ServiceId, Tier, VnfId, Volume, WifiStandard,
+    AgentId, BackgroundScan, BitRate, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
+    EngineKind, GapPolicy, IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId,
+    PluginId, Position, Probability, Pull, QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel,
+    RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume, WifiStandard,
 };
 
 use crate::{
@@ -999,6 +999,8 @@ record! {
         deviation: Duration,
         /// Shape of the distribution.
         distribution: JitterDistribution = "normal",
+        /// Correlation with the jitter of the next packet, above -100 % and below 100 %.
+        correlation: Spanned<Correlation> = "0 %",
     }
 }
 

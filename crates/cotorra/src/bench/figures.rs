@@ -6,7 +6,7 @@ use cotorra_datapath::{
     BusyPoll, Error,
     bench::{self, Percentiles, Setting},
 };
-use cotorra_graph::{BitRate, Conditions, Jitter, JitterDistribution, Loss, Probability};
+use cotorra_graph::{BitRate, Conditions, Jitter, Loss, Probability};
 
 use super::{
     netem, peers,
@@ -89,7 +89,7 @@ fn tcp_impaired(bench: &Bench) -> Result<Vec<Row>, Error> {
     const GOAL: &str = "2 Gbit/s";
     let rate = Probability::new(0.001).expect("a share");
     let lossy = Conditions { loss: Loss::Independent { rate }, ..Conditions::default() };
-    let jitter = Jitter { deviation: Duration::from_micros(20), distribution: JitterDistribution::Normal };
+    let jitter = Jitter { deviation: Duration::from_micros(20), ..Jitter::default() };
     let delay = Duration::from_micros(100);
     let unsteady = Conditions { delay, jitter: Some(jitter), ..Conditions::default() };
     let lossy = repeat(bench, "TCP with loss", || throughput(&lossy, 1))?;

@@ -4,13 +4,12 @@ use std::time::Duration;
 
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use cotorra_graph::{
-    BitRate, ConditionChange, Direction, Jitter, JitterDistribution, LinkId, Loss, Probability, Rate,
-    ThroughputTest,
+    BitRate, ConditionChange, Correlation, Direction, Jitter, LinkId, Loss, Probability, Rate, ThroughputTest,
 };
 
 use crate::{
     duration::parse_duration,
-    quantity::{parse_rate, parse_share, parse_time},
+    quantity::{parse_correlation, parse_rate, parse_share, parse_time},
     running::WhichRun,
 };
 
@@ -52,7 +51,8 @@ pub struct ShowArgs {
 Examples:
   cotorra link set lan-cloud --delay 40ms --rate 20Mbit/s
   cotorra link set lan-cloud --delay-scale 2 --drop-scale 4     twice the delay, a quarter of the rate
-  cotorra link set lan-cloud --direction backward --loss 1% --burst 5"
+  cotorra link set lan-cloud --direction backward --loss 1% --burst 5
+  cotorra link set lan-cloud --jitter 2ms --jitter-correlation 40%"
 )]
 pub struct SetArgs {
     /// The link
@@ -66,6 +66,9 @@ pub struct SetArgs {
     /// Standard deviation of the normally distributed delay; 0ms for none
     #[arg(long, value_name = "DURATION", value_parser = parse_time, group = "change")]
     jitter: Option<Duration>,
+    /// Correlation of the jitter of packets that follow each other, such as 40%
+    #[arg(long, value_name = "SHARE", value_parser = parse_correlation, requires = "jitter", allow_hyphen_values = true)]
+    jitter_correlation: Option<Correlation>,
     /// Share of packets that are lost, such as 1%
     #[arg(long, value_name = "SHARE", value_parser = parse_share, group = "change")]
     loss: Option<Probability>,
@@ -151,9 +154,11 @@ impl SetArgs {
         };
         ConditionChange {
             delay_ms: self.delay.map(|delay| delay.as_secs_f64() * 1e3),
-            jitter: self
-                .jitter
-                .map(|deviation| Jitter { deviation, distribution: JitterDistribution::default() }),
+            jitter: self.jitter.map(|deviation| Jitter {
+                deviation,
+                correlation: self.jitter_correlation.unwrap_or_default(),
+                ..Jitter::default()
+            }),
             loss: self.loss.map(loss),
             rate: self.rate.map(|bits_per_second| Rate::Fixed { bits_per_second }),
             delay_scale: self.delay_scale,

@@ -5,12 +5,12 @@ mod machine;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, DataFormat, Dbm, Decision, Direction,
-    Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, LargeData, Lateness,
-    LinkContext, LinkCounters, LinkId, LinkTime, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose,
-    PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault,
-    Scale, SensorData, SensorReading, ServiceId, ServiceTime, StationContext, Tested, TimeParts, Timestamp,
-    Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
+    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, Correlation, DataFormat, Dbm, Decision,
+    Direction, Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, LargeData,
+    Lateness, LinkContext, LinkCounters, LinkId, LinkTime, Loss, NodeId, Nodes, PathKind, Placement,
+    PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
+    RobotFault, Scale, SensorData, SensorReading, ServiceId, ServiceTime, StationContext, Tested, TimeParts,
+    Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
 use super::{direction_of, time_parts};
@@ -467,8 +467,6 @@ pub(crate) fn decode_conditions(source: &mut dyn Source) -> Result<Conditions> {
         Some("pareto") => Some(JitterDistribution::Pareto),
         Some(other) => return Err(unreadable(format_args!("`{other}` is not a distribution"))),
     };
-    let jitter =
-        deviation.zip(distribution).map(|(deviation, distribution)| Jitter { deviation, distribution });
     let loss = match row.text()?.as_str() {
         "none" => {
             row.0.real()?;
@@ -501,5 +499,12 @@ pub(crate) fn decode_conditions(source: &mut dyn Source) -> Result<Conditions> {
         (None, None) => return Err(unreadable("a queue has no limit")),
     };
     let queue_discipline = row.0.text()?.as_deref().map(json).transpose()?.unwrap_or_default();
+    let correlation = match row.0.real()? {
+        None => Correlation::NONE,
+        Some(correlation) => Correlation::new(correlation)
+            .ok_or_else(|| unreadable(format_args!("{correlation} is not a correlation")))?,
+    };
+    let jitter = deviation.zip(distribution);
+    let jitter = jitter.map(|(deviation, distribution)| Jitter { deviation, distribution, correlation });
     Ok(Conditions { delay, jitter, loss, duplication, corruption, reordering, rate, queue, queue_discipline })
 }

@@ -470,4 +470,8 @@ pub(crate) fn encode_conditions<'a>(conditions: &'a Conditions, row: &mut Fields
     row.optional(discipline, |row, discipline| {
         row.text(serde_json::to_string(discipline).expect("figures and words are JSON"))
     });
+    let correlation = conditions.jitter.map(|jitter| jitter.correlation);
+    row.optional(correlation.filter(|correlation| !correlation.is_none()), |row, correlation| {
+        row.real(correlation.get())
+    });
 }

@@ -71,7 +71,7 @@ const TEXTS: &[&str] = &[
 const REALS: &[&str] = &[
     "x", "y", "z", "value", "heading", "roll", "pitch", "linear", "vertical", "angular",
     "load", "downlink_bps", "uplink_bps", "throughput_bps", "delay_scale", "drop_scale", "loss_share", "loss_mean_burst",
-    "duplication", "corruption", "reordering", "probed_loss", "tested_throughput_bps", "tested_offered_bps",
+    "duplication", "corruption", "reordering", "jitter_correlation", "probed_loss", "tested_throughput_bps", "tested_offered_bps",
     "cpu_busy", "one_minute", "five_minutes", "fifteen_minutes", "received_throughput_bps", "sent_throughput_bps",
 ];
 const UNITS_OF_REALS: &[&str] = &["_m", "_mps", "_dbm", "_ms", "_us"];

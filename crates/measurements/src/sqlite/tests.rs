@@ -3,8 +3,8 @@
 use std::{fs, path::PathBuf};
 
 use cotorra_graph::{
-    Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, RadioContext, ReadingTime,
-    Scale, StationContext,
+    Conditions, Dbm, Direction, Event, Jitter, JitterDistribution, LinkContext, LinkCounters, LinkId, NodeId,
+    RadioContext, ReadingTime, Scale, StationContext,
 };
 use tempfile::TempDir;
 
@@ -456,7 +456,7 @@ fn histories_without_machines_are_read_and_then_take_them() {
 }
 
 #[test]
-fn queues_of_histories_without_disciplines_are_drop_tail() {
+fn conditions_of_older_histories_have_drop_tail_queues_and_independent_jitter() {
     let (_folder, path) = folder();
     let mut connection = Connection::open(&path).unwrap();
     prepare(&mut connection, &"a history".into(), &MIGRATIONS[..5]).unwrap();
@@ -465,7 +465,7 @@ fn queues_of_histories_without_disciplines_are_drop_tail() {
             "INSERT INTO run VALUES (1, 'old', 1, 0, 'name: old', NULL, 1);
              INSERT INTO name VALUES (1, 'a-b');
              INSERT INTO conditions
-             VALUES (1, 5.0, NULL, NULL, 'none', NULL, NULL, 0.0, 0.0, 0.0, NULL, NULL, 9, NULL);
+             VALUES (1, 5.0, 2.0, 'uniform', 'none', NULL, NULL, 0.0, 0.0, 0.0, NULL, NULL, 9, NULL);
              INSERT INTO link (run, at_ns, seq, link, direction, throughput_bps, delay_scale, drop_scale, asked, effective,
                                packets, bytes, lost, overflowed, duplicated, corrupted)
              VALUES (1, 5, 0, 1, 0, 0.0, 1.0, 1.0, 1, 1, 0, 0, 0, 0, 0, 0);",
@@ -477,6 +477,11 @@ fn queues_of_histories_without_disciplines_are_drop_tail() {
     let run = history.runs(None, 1).unwrap()[0].id;
     let expected = Conditions {
         delay: Duration::from_millis(5),
+        jitter: Some(Jitter {
+            deviation: Duration::from_millis(2),
+            distribution: JitterDistribution::Uniform,
+            ..Jitter::default()
+        }),
         queue: cotorra_graph::QueueLimit::Packets(9),
         ..Conditions::default()
     };

@@ -129,7 +129,7 @@ fn delay_and_rate(bencher: Bencher, hops: usize) {
 }
 
 fn lossy() -> Conditions {
-    let jitter = Some(Jitter { deviation: Duration::from_micros(100), distribution: Default::default() });
+    let jitter = Some(Jitter { deviation: Duration::from_micros(100), ..Jitter::default() });
     let loss = Loss::Independent { rate: Probability::new(0.01).expect("0.01 is a probability") };
     Conditions { delay: Duration::from_millis(1), jitter, loss, ..Conditions::default() }
 }

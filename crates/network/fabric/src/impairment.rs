@@ -1,7 +1,7 @@
 //! Random impairments of packets on wired and wireless links: loss, corruption, duplication, jitter and reordering. Each
 //! link draws them from its own stream of random numbers.
 
-use std::time::Duration;
+use std::{f64::consts::FRAC_1_SQRT_2, time::Duration};
 
 use cotorra_graph::{Conditions, Jitter, JitterDistribution, Loss, Probability};
 use rand::Rng;
@@ -18,6 +18,10 @@ pub(crate) struct Impairments {
     duplication: Probability,
     reordering: Probability,
     jitter: Option<Jitter>,
+    /// Correlation of the normal scores of successive jitters.
+    score_correlation: f64,
+    /// Normal score of the last jitter that had a correlation.
+    score: Option<f64>,
     /// Second of the two normal deviates of one draw.
     spare: Option<f64>,
 }
@@ -48,11 +52,13 @@ impl Impairments {
             duplication: conditions.duplication,
             reordering: conditions.reordering,
             jitter: conditions.jitter,
+            score_correlation: score_correlation(conditions),
+            score: None,
             spare: None,
         }
     }
 
-    /// Changes the conditions. A current burst of losses continues.
+    /// Changes the conditions. A current burst of losses continues, and the next jitter follows the last one.
     pub(crate) fn change(&mut self, conditions: &Conditions) {
         let mut loss = LossProcess::new(conditions.loss, &mut self.rng);
         if let (LossProcess::Bursty { bad, .. }, LossProcess::Bursty { bad: now, .. }) =
@@ -65,6 +71,7 @@ impl Impairments {
         self.duplication = conditions.duplication;
         self.reordering = conditions.reordering;
         self.jitter = conditions.jitter;
+        self.score_correlation = score_correlation(conditions);
     }
 
     /// Whether the next packet is lost.
@@ -97,12 +104,23 @@ impl Impairments {
 
     /// Returns the deviation of the packet's delay, in units of the jitter's deviation; 0 without jitter.
     pub(crate) fn deviate(&mut self) -> f64 {
-        match self.jitter.map(|j| j.distribution) {
-            None => 0.0,
-            Some(JitterDistribution::Uniform) => 2.0 * unit(&mut self.rng) - 1.0,
-            Some(JitterDistribution::Normal) => self.normal(),
-            Some(JitterDistribution::Pareto) => pareto(1.0 - unit(&mut self.rng)),
+        let Some(jitter) = self.jitter else { return 0.0 };
+        if !jitter.correlation.is_none() {
+            return of_score(jitter.distribution, self.next_score());
         }
+        match jitter.distribution {
+            JitterDistribution::Uniform => 2.0 * unit(&mut self.rng) - 1.0,
+            JitterDistribution::Normal => self.normal(),
+            JitterDistribution::Pareto => pareto(1.0 - unit(&mut self.rng)),
+        }
+    }
+
+    /// Returns the normal score of the next jitter: an autoregression of first order in its stationary state.
+    fn next_score(&mut self) -> f64 {
+        let innovation = self.normal();
+        let correlation = self.score_correlation;
+        let follow = |last| correlation * last + (1.0 - correlation * correlation).sqrt() * innovation;
+        *self.score.insert(self.score.map_or(innovation, follow))
     }
 
     /// Returns a standard normal deviate (Box and Muller 1958).
@@ -137,6 +155,19 @@ fn happens(rng: &mut Xoshiro256PlusPlus, p: Probability) -> bool {
     p != Probability::ZERO && (p == Probability::ONE || unit(rng) < p.get())
 }
 
+fn score_correlation(conditions: &Conditions) -> f64 {
+    conditions.jitter.map_or(0.0, |jitter| jitter.score_correlation())
+}
+
+/// Returns the quantile of a jitter at the probability of a normal score, in units of the jitter's deviation.
+fn of_score(distribution: JitterDistribution, score: f64) -> f64 {
+    match distribution {
+        JitterDistribution::Uniform => libm::erf(score * FRAC_1_SQRT_2),
+        JitterDistribution::Normal => score,
+        JitterDistribution::Pareto => pareto(libm::erfc(score * FRAC_1_SQRT_2) / 2.0),
+    }
+}
+
 /// Returns the value that a Pareto distribution with shape 3 exceeds with probability `u` in (0, 1]. The distribution is
 /// moved and scaled to mean 0 and standard deviation 1.
 fn pareto(u: f64) -> f64 {
@@ -153,6 +184,8 @@ pub(crate) fn jittered(delay: Duration, deviate: f64, jitter: Option<Jitter>) ->
 
 #[cfg(test)]
 mod tests {
+    use cotorra_graph::Correlation;
+
     use super::*;
     use crate::random::stream;
 
@@ -259,10 +292,17 @@ mod tests {
 
     const DEVIATES: usize = 200_000;
 
-    fn deviates(distribution: JitterDistribution) -> Vec<f64> {
-        let jitter = Some(Jitter { deviation: Duration::from_millis(1), distribution });
+    /// Returns the deviates of successive packets.
+    fn series(distribution: JitterDistribution, correlation: f64) -> Vec<f64> {
+        let correlation = Correlation::new(correlation).unwrap();
+        let jitter = Some(Jitter { deviation: Duration::from_millis(1), distribution, correlation });
         let mut impairments = impairments(&Conditions { jitter, ..Conditions::default() });
-        let mut deviates: Vec<_> = (0..DEVIATES).map(|_| impairments.deviate()).collect();
+        (0..DEVIATES).map(|_| impairments.deviate()).collect()
+    }
+
+    /// Returns deviates, rising.
+    fn deviates(distribution: JitterDistribution, correlation: f64) -> Vec<f64> {
+        let mut deviates = series(distribution, correlation);
         deviates.sort_by(f64::total_cmp);
         deviates
     }
@@ -275,7 +315,7 @@ mod tests {
             .zip([(1.0 / 3f64.sqrt(), 0.005), (1.0, 0.005), (1.0, 0.1)])
             .map(|(d, (s, t))| (d, s, t))
         {
-            let deviates = deviates(distribution);
+            let deviates = deviates(distribution, 0.0);
             let mean = deviates.iter().sum::<f64>() / DEVIATES as f64;
             let variance = deviates.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / DEVIATES as f64;
             assert!(mean.abs() < 0.01, "{distribution:?}: {mean}");
@@ -286,15 +326,7 @@ mod tests {
     /// Quantiles at 1, 5, 25, 50, 75, 95 and 99 %, in deviations.
     #[test]
     fn jitter_quantiles_match_the_golden_table() {
-        let quantiles = [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99];
-        let mut table = String::new();
-        for distribution in DISTRIBUTIONS {
-            let deviates = deviates(distribution);
-            let row: Vec<_> =
-                quantiles.map(|q| format!("{:.2}", deviates[(q * DEVIATES as f64) as usize])).into();
-            table += &format!("{distribution:?}: {}\n", row.join(" "));
-        }
-        assert_eq!(table, GOLDEN_JITTER);
+        let quantiles = [0.01f64, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99];
         // Normal: Φ⁻¹(q). Pareto: (1 - q)^(-1/3) less its mean 3/2, over its deviation √3/2.
         let normal = [-2.326, -1.645, -0.674, 0.0, 0.674, 1.645, 2.326];
         let expected = |row: usize, i: usize| match row {
@@ -302,9 +334,20 @@ mod tests {
             1 => normal[i],
             _ => ((1.0 - quantiles[i]).powf(-1.0 / 3.0) - 1.5) / 0.75f64.sqrt(),
         };
-        for (r, row) in GOLDEN_JITTER.lines().enumerate() {
-            for (i, got) in row.split(' ').skip(1).enumerate() {
-                assert!((got.parse::<f64>().unwrap() - expected(r, i)).abs() < 0.03, "{row}");
+        // With correlation, as many packets say less.
+        for (correlation, golden, tolerance) in [(0.0, GOLDEN_JITTER, 0.03), (0.6, GOLDEN_CORRELATED, 0.1)] {
+            let mut table = String::new();
+            for distribution in DISTRIBUTIONS {
+                let deviates = deviates(distribution, correlation);
+                let row: Vec<_> =
+                    quantiles.map(|q| format!("{:.2}", deviates[(q * DEVIATES as f64) as usize])).into();
+                table += &format!("{distribution:?}: {}\n", row.join(" "));
+            }
+            assert_eq!(table, golden);
+            for (r, row) in golden.lines().enumerate() {
+                for (i, got) in row.split(' ').skip(1).enumerate() {
+                    assert!((got.parse::<f64>().unwrap() - expected(r, i)).abs() < tolerance, "{row}");
+                }
             }
         }
     }
@@ -315,9 +358,56 @@ Normal: -2.32 -1.63 -0.67 0.00 0.68 1.65 2.34
 Pareto: -0.57 -0.56 -0.46 -0.28 0.10 1.41 3.61
 ";
 
+    const GOLDEN_CORRELATED: &str = "\
+Uniform: -0.98 -0.90 -0.50 0.00 0.50 0.90 0.98
+Normal: -2.30 -1.63 -0.67 0.01 0.68 1.65 2.35
+Pareto: -0.57 -0.56 -0.46 -0.27 0.11 1.44 3.70
+";
+
+    /// Correlation of values so many packets apart.
+    fn autocorrelation(series: &[f64], lag: usize) -> f64 {
+        let mean = series.iter().sum::<f64>() / series.len() as f64;
+        let pairs = series.iter().zip(&series[lag..]);
+        let covariance = pairs.map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>();
+        covariance / series.iter().map(|d| (d - mean).powi(2)).sum::<f64>()
+    }
+
+    #[test]
+    fn successive_jitters_have_the_requested_correlation() {
+        for distribution in DISTRIBUTIONS {
+            // The fourth moment of a Pareto distribution with shape 3 is infinite.
+            let tolerance = if distribution == JitterDistribution::Pareto { 0.04 } else { 0.01 };
+            for asked in [-0.2, 0.3, 0.9] {
+                let series = series(distribution, asked);
+                let got = autocorrelation(&series, 1);
+                assert!((got - asked).abs() < tolerance, "{distribution:?}: {got} for {asked}");
+                // The scores are an autoregression of first order.
+                let of_scores = distribution.score_correlation(Correlation::new(asked).unwrap());
+                let expected = distribution.correlation(of_scores.powi(2));
+                let got = autocorrelation(&series, 2);
+                assert!((got - expected).abs() < tolerance, "{distribution:?}: {got} for {expected}");
+            }
+            let got = autocorrelation(&series(distribution, 0.0), 1);
+            assert!(got.abs() < 0.01, "{distribution:?}: {got}");
+        }
+    }
+
+    #[test]
+    fn changed_conditions_leave_the_correlation_as_it_is() {
+        let correlation = Correlation::new(0.999_999).unwrap();
+        let jitter = |distribution| Jitter { deviation: Duration::from_millis(1), distribution, correlation };
+        let conditions =
+            |distribution| Conditions { jitter: Some(jitter(distribution)), ..Conditions::default() };
+        let mut impairments = impairments(&conditions(JitterDistribution::Normal));
+        let score = impairments.deviate();
+        impairments.change(&conditions(JitterDistribution::Uniform));
+        let followed = impairments.deviate();
+        assert!((followed - libm::erf(score * FRAC_1_SQRT_2)).abs() < 0.02, "{followed} after {score}");
+    }
+
     #[test]
     fn a_jittered_delay_is_never_below_zero() {
-        let jitter = Some(Jitter { deviation: Duration::from_millis(10), distribution: Default::default() });
+        let jitter = Some(Jitter { deviation: Duration::from_millis(10), ..Jitter::default() });
         let delay = Duration::from_millis(4);
         assert_eq!(jittered(delay, -1.0, jitter), Duration::ZERO);
         assert_eq!(jittered(delay, 0.5, jitter), Duration::from_millis(9));

@@ -4,8 +4,8 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, InvalidDiscipline, Jitter, LinkId, Loss, Medium, NodeId,
-    NotOffered, Probability, QueueLimit, Rate, Scale, Trace,
+    BitRate, ConditionChange, Conditions, InvalidCorrelation, InvalidDiscipline, Jitter, LinkId, Loss,
+    Medium, NodeId, NotOffered, Probability, QueueLimit, Rate, Scale, Trace,
 };
 
 /// An error of a call to the fabric. Nothing has changed then.
@@ -87,6 +87,9 @@ pub enum FabricError {
     /// An impossible jitter.
     #[error("a jitter of {0} ms cannot be: its deviation is one hour at most, before and after scaling")]
     Jitter(f64),
+    /// A correlation that the jitter's distribution cannot have.
+    #[error("such a jitter cannot be: {0}")]
+    JitterCorrelation(#[from] InvalidCorrelation),
     /// An impossible ψ.
     #[error("a delay scale of {0} cannot be: it is a number, 0 or more, and 1 leaves the delay as it is")]
     DelayScale(f64),
@@ -266,6 +269,7 @@ fn effective(asked: &Conditions, scale: Scale, medium: Medium) -> Result<Conditi
     let jitter = match asked.jitter {
         None => None,
         Some(jitter) => {
+            jitter.check()?;
             let error = FabricError::Jitter(ms(jitter.deviation) * delay_scale);
             let deviation = scaled(jitter.deviation, delay_scale).ok_or(error)?;
             (!deviation.is_zero()).then_some(Jitter { deviation, ..jitter })
@@ -394,6 +398,8 @@ impl Carries {
 
 #[cfg(test)]
 mod tests {
+    use cotorra_graph::{Correlation, JitterDistribution};
+
     use super::*;
 
     fn mbps(rate: f64) -> BitRate {
@@ -416,7 +422,7 @@ mod tests {
 
     #[test]
     fn scales_multiply_the_delay_and_divide_the_rate() {
-        let jitter = Jitter { deviation: Duration::from_millis(2), distribution: Default::default() };
+        let jitter = Jitter { deviation: Duration::from_millis(2), ..Jitter::default() };
         let asked = Conditions {
             delay: Duration::from_millis(10),
             jitter: Some(jitter),
@@ -485,6 +491,15 @@ mod tests {
         assert!(matches!(
             rejected(ConditionChange { delay_ms: Some(10.0), delay_scale: Some(1e9), ..base() }),
             FabricError::Delay(_)
+        ));
+        let jitter = Jitter {
+            deviation: Duration::from_millis(1),
+            distribution: JitterDistribution::Pareto,
+            correlation: Correlation::new(-0.5).unwrap(),
+        };
+        assert!(matches!(
+            rejected(ConditionChange { jitter: Some(jitter), ..base() }),
+            FabricError::JitterCorrelation(_)
         ));
         for scale in [-0.1, f64::NAN, f64::INFINITY] {
             let change = ConditionChange { delay_scale: Some(scale), ..base() };

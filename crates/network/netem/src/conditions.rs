@@ -16,6 +16,11 @@ pub enum ConditionsError {
     /// A queue that is not drop tail.
     #[error("NetEm's queue drops at its tail only: leave the discipline out, or let the fabric emulate")]
     QueueDiscipline,
+    /// A correlated jitter: NetEm's own correlation blends uniform random numbers, which narrows the distribution.
+    #[error(
+        "NetEm cannot correlate jitter without narrowing it: leave the correlation out, or let the fabric emulate"
+    )]
+    JitterCorrelation,
     /// Bursty loss for which no Gilbert-Elliott model exists.
     #[error("a share of {rate} cannot be lost in bursts of {mean_burst} packets")]
     Burst {
@@ -48,6 +53,9 @@ impl TryFrom<&Conditions> for Netem {
         if !conditions.queue_discipline.is_drop_tail() {
             return Err(ConditionsError::QueueDiscipline);
         }
+        if conditions.jitter.is_some_and(|jitter| !jitter.correlation.is_none()) {
+            return Err(ConditionsError::JitterCorrelation);
+        }
         let netem = Self {
             delay: conditions.delay,
             jitter: conditions.jitter.map(|jitter| Jitter {
@@ -73,7 +81,7 @@ impl TryFrom<&Conditions> for Netem {
 mod tests {
     use std::time::Duration;
 
-    use cotorra_graph::{BitRate, Codel, Probability, QueueDiscipline, Trace};
+    use cotorra_graph::{BitRate, Codel, Correlation, Jitter, Probability, QueueDiscipline, Trace};
 
     use super::*;
 
@@ -96,7 +104,12 @@ mod tests {
         let traced = Conditions { rate: trace, ..conditions.clone() };
         assert_eq!(Netem::try_from(&traced), Err(ConditionsError::Trace));
         let queue_discipline = QueueDiscipline::Codel(Codel::default());
-        let codel = Conditions { queue_discipline, ..conditions };
+        let codel = Conditions { queue_discipline, ..conditions.clone() };
         assert_eq!(Netem::try_from(&codel), Err(ConditionsError::QueueDiscipline));
+        let jitter = Jitter { deviation: Duration::from_millis(1), ..Jitter::default() };
+        let of = |jitter| Netem::try_from(&Conditions { jitter: Some(jitter), ..conditions.clone() });
+        assert_eq!(of(jitter).unwrap().jitter.unwrap().deviation, jitter.deviation);
+        let correlation = Correlation::new(0.3).unwrap();
+        assert_eq!(of(Jitter { correlation, ..jitter }), Err(ConditionsError::JitterCorrelation));
     }
 }

@@ -1,16 +1,15 @@
 //! Links and their conditions.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    BitRate, Conditions, HardwareGraph, Jitter, JitterDistribution, Link, LinkId, Loss, NodeId, Probability,
-    Rate, Scale, Trace,
+    BitRate, Conditions, HardwareGraph, Jitter, Link, LinkId, Loss, NodeId, Probability, Rate, Scale, Trace,
 };
 
 use super::builder::{Builder, each};
 use crate::{
     file,
-    records::{ConditionsRecord, LinkRecord, LossRecord, NodeRecord},
+    records::{ConditionsRecord, JitterRecord, LinkRecord, LossRecord, NodeRecord},
     yaml::{
         Span,
         decode::{Amount, Either, Spanned},
@@ -104,12 +103,7 @@ impl Builder<'_> {
             };
         }
         let delay = pick!(delay).copied().unwrap_or_default();
-        let jitter = pick!(jitter).map(|jitter| match jitter {
-            Either::Short(deviation) => {
-                Jitter { deviation: *deviation, distribution: JitterDistribution::default() }
-            }
-            Either::Long(j) => Jitter { deviation: j.deviation, distribution: j.distribution },
-        });
+        let jitter = pick!(jitter).map(|jitter| self.jitter(jitter));
         let reordering = pick!(reordering);
         if let Some(share) = reordering.filter(|share| share.value.get() > 0.0 && delay.is_zero()) {
             self.sink
@@ -150,6 +144,20 @@ impl Builder<'_> {
             delay_scale: delay.map_or(1.0, |scale| scale.0),
             drop_scale: drop.map_or(1.0, |scale| scale.value.0),
         }
+    }
+
+    pub(super) fn jitter(&mut self, jitter: &Either<Duration, JitterRecord>) -> Jitter {
+        let record = match jitter {
+            Either::Short(deviation) => return Jitter { deviation: *deviation, ..Jitter::default() },
+            Either::Long(record) => record,
+        };
+        let JitterRecord { deviation, distribution, correlation } = record;
+        let jitter =
+            Jitter { deviation: *deviation, distribution: *distribution, correlation: correlation.value };
+        if let Err(error) = jitter.check() {
+            self.sink.error(&correlation.span, error.to_string()).help("give it another distribution");
+        }
+        jitter
     }
 
     pub(super) fn loss(&mut self, loss: &Either<Probability, LossRecord>) -> Option<Loss> {

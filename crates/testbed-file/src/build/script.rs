@@ -1,8 +1,6 @@
 //! Scripted conditions of links: each entry of a schedule, and the run whose conditions are replayed.
 
-use cotorra_graph::{
-    BitRate, ConditionChange, Jitter, JitterDistribution, Link, LinkId, Rate, Scheduled, Script, When,
-};
+use cotorra_graph::{BitRate, ConditionChange, Link, LinkId, Rate, Scheduled, Script, When};
 
 use super::builder::Builder;
 use crate::{
@@ -127,12 +125,7 @@ fn change(
     let (queue, queue_discipline) = builder.queue(record.queue.as_ref())?;
     let change = ConditionChange {
         delay_ms: record.delay.map(|delay| delay.as_secs_f64() * 1e3),
-        jitter: record.jitter.as_ref().map(|jitter| match jitter {
-            Either::Short(deviation) => {
-                Jitter { deviation: *deviation, distribution: JitterDistribution::default() }
-            }
-            Either::Long(j) => Jitter { deviation: j.deviation, distribution: j.distribution },
-        }),
+        jitter: record.jitter.as_ref().map(|jitter| builder.jitter(jitter)),
         loss: loss?,
         duplication: record.duplication,
         corruption: record.corruption,

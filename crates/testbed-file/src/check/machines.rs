@@ -3,7 +3,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use cotorra_graph::{AgentId, HardwareGraph, IpNetwork, Link, Node, NodeKind, Rate, Reached};
+use cotorra_graph::{AgentId, HardwareGraph, IpNetwork, Jitter, Link, Node, NodeKind, Rate, Reached};
 
 use crate::{
     records::{LinkRecord, TestbedRecord},
@@ -127,6 +127,7 @@ fn media(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
 
 /// A link of a real machine leads to another, from this one or from that of an agent.
 fn links(record: &TestbedRecord, graph: &HardwareGraph, carriers: &Carriers<'_>, sink: &mut Sink) {
+    let is_correlated = |jitter: Option<Jitter>| jitter.is_some_and(|jitter| !jitter.correlation.is_none());
     let is_trace = |rate: &Rate| matches!(rate, Rate::Trace { .. });
     for (link, place) in graph.links.iter().zip(record.link_places()) {
         let ends = link.ends.each_ref().map(|end| graph.node(end));
@@ -165,6 +166,11 @@ fn links(record: &TestbedRecord, graph: &HardwareGraph, carriers: &Carriers<'_>,
                     (
                         "leads over a real interface, where NetEm's queue drops at its tail only",
                         "give its `queue` only a limit, such as `queue: 100 packets`",
+                    )
+                } else if directions.iter().any(|conditions| is_correlated(conditions.jitter)) {
+                    (
+                        "leads over a real interface, where NetEm cannot correlate jitter without narrowing it",
+                        "leave out the `correlation` of its `jitter`",
                     )
                 } else {
                     continue;

@@ -8,7 +8,7 @@ use super::{
     Sink,
     decode::{Decode, Node, expected, nearest, words},
 };
-use cotorra_graph::{BitRate, Dbm, Probability, QueueLimit, Rate};
+use cotorra_graph::{BitRate, Correlation, Dbm, Probability, QueueLimit, Rate};
 
 /// A ratio in dB, 0 or more.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -205,6 +205,8 @@ const ANGLE: Kind = Kind {
 };
 const SHARE: Kind =
     Kind { what: "a share", example: "0.1 %", units: &[("%", 0.01)], signed: false, most: 1.0 };
+const CORRELATION: Kind =
+    Kind { what: "a correlation", example: "40 %", units: &[("%", 0.01)], signed: true, most: 1.0 };
 
 macro_rules! quantity {
     ($type:ty, $kind:ident, $read:expr) => {
@@ -252,6 +254,21 @@ impl Decode for BitRate {
     }
 }
 
+impl Decode for Correlation {
+    fn schema() -> Json {
+        CORRELATION.schema()
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let (correlation, _) = CORRELATION.read(node, sink)?;
+        let correlation = Self::new(correlation);
+        if correlation.is_none() {
+            sink.error(&node.span, format!("{} leaves nothing to chance", node.describe()))
+                .help("a correlation is above -100 % and below 100 %");
+        }
+        correlation
+    }
+}
+
 impl Decode for Rate {
     fn schema() -> Json {
         let mut rate = RATE.schema();
@@ -294,6 +311,8 @@ mod tests {
         assert_eq!(read("-95 dBm"), Some(Dbm(-95.0)));
         assert_eq!(read("0.1 %"), Probability::new(0.001));
         assert_eq!(read("100 %"), Some(Probability::ONE));
+        assert_eq!(read("-40 %"), Correlation::new(-0.4));
+        assert_eq!(read::<Correlation>("100 %"), None);
         assert_eq!(read("180 deg"), Some(Angle(PI)));
         assert_eq!(read("1 packet"), Some(QueueLimit::Packets(1)));
         assert_eq!(read("64 KiB"), Some(QueueLimit::Bytes(65536)));

@@ -171,7 +171,7 @@ pub fn delay_error(
 /// # Errors
 /// [`KernelNetworkError`].
 pub fn jitter(emulator: Emulator, links: usize, deviation: Duration) -> Result<Duration, KernelNetworkError> {
-    let jitter = Jitter { deviation, distribution: JitterDistribution::Normal };
+    let jitter = Jitter { deviation, distribution: JitterDistribution::Normal, ..Jitter::default() };
     let delay = Duration::from_millis(20);
     let network = emulator.start(&line(
         2,

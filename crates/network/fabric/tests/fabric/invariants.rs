@@ -2,8 +2,8 @@
 
 use cotorra_fabric::{Fabric, Frame};
 use cotorra_graph::{
-    Codel, ConditionChange, Conditions, Direction, FqCodel, Jitter, JitterDistribution, LinkId, Loss, Pie,
-    Probability, QueueDiscipline, QueueLimit, Rate, Red, Timestamp, Trace,
+    Codel, ConditionChange, Conditions, Correlation, Direction, FqCodel, Jitter, JitterDistribution, LinkId,
+    Loss, Pie, Probability, QueueDiscipline, QueueLimit, Rate, Red, Timestamp, Trace,
 };
 use proptest::prelude::*;
 
@@ -21,10 +21,11 @@ fn probability() -> impl Strategy<Value = Probability> {
 }
 
 fn change(reordering: bool) -> impl Strategy<Value = ConditionChange> {
-    let jitter = (0u64..20_000, 0usize..3).prop_map(|(us, i)| Jitter {
+    let jitter = (0u64..20_000, 0usize..3, -0.25..0.99f64).prop_map(|(us, i, correlation)| Jitter {
         deviation: std::time::Duration::from_micros(us),
         distribution: [JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto]
             [i],
+        correlation: Correlation::new(correlation).unwrap(),
     });
     let loss = prop_oneof![
         Just(Loss::None),

@@ -4,8 +4,8 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_fabric::FabricError;
 use cotorra_graph::{
-    ConditionChange, Conditions, Direction, Jitter, JitterDistribution, LinkId, Loss, Probability,
-    QueueLimit, Rate, Scale, Timestamp, Trace,
+    ConditionChange, Conditions, Correlation, Direction, Jitter, JitterDistribution, LinkId, Loss,
+    Probability, QueueLimit, Rate, Scale, Timestamp, Trace,
 };
 
 use crate::common::{A, B, Delivery, Network, context, delay, frame, ms, number, pair, rate, run};
@@ -100,7 +100,7 @@ fn a_million_packets_lose_the_requested_share() {
 fn jitter_keeps_order_and_its_mean() {
     for distribution in [JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto]
     {
-        let jitter = Some(Jitter { deviation: Duration::from_millis(2), distribution });
+        let jitter = Some(Jitter { deviation: Duration::from_millis(2), distribution, ..Jitter::default() });
         let mut fabric = pair(Conditions { jitter, ..delay(20) }, 5);
         let mut out = Vec::new();
         // Packets so far apart that keeping order changes nothing.
@@ -116,6 +116,31 @@ fn jitter_keeps_order_and_its_mean() {
         (0..5000).for_each(|i| fabric.push(ms(1e6 + 0.01 * f64::from(i)), A, frame(A, B, i, 60)));
         let out = run(&mut fabric, ms(1e6), Timestamp::MAX);
         assert!(out.is_sorted_by_key(|d| number(&d.frame)));
+    }
+}
+
+#[test]
+fn correlated_jitter_keeps_the_spacing_of_packets() {
+    let spread = |correlation| {
+        let correlation = Correlation::new(correlation).unwrap();
+        let jitter = Jitter { deviation: Duration::from_millis(2), correlation, ..Jitter::default() };
+        let mut fabric = pair(Conditions { jitter: Some(jitter), ..delay(50) }, 5);
+        let mut out = Vec::new();
+        // Packets so far apart that keeping order changes little.
+        for i in 0..2000 {
+            let now = ms(10.0 * f64::from(i));
+            fabric.push(now, A, frame(A, B, i, 60));
+            out.extend(run(&mut fabric, now, now + Duration::from_millis(10)));
+        }
+        let gaps = out.windows(2).map(|pair| pair[1].at.since(pair[0].at).as_secs_f64() * 1e3);
+        let squares: Vec<f64> = gaps.map(|gap| (gap - 10.0).powi(2)).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    // The difference of two normal jitters has the deviation σ·√(2 - 2ρ).
+    for correlation in [0.0, 0.5, 0.98f64] {
+        let expected = 2.0 * (2.0 - 2.0 * correlation).sqrt();
+        let got = spread(correlation);
+        assert!((got / expected - 1.0).abs() < 0.1, "{correlation}: {got} ms instead of {expected} ms");
     }
 }
 
@@ -184,8 +209,11 @@ fn a_higher_delay_leaves_packets_in_flight() {
 
 #[test]
 fn a_lower_delay_keeps_each_packets_jitter() {
-    let jitter =
-        Some(Jitter { deviation: Duration::from_millis(2), distribution: JitterDistribution::Uniform });
+    let jitter = Some(Jitter {
+        deviation: Duration::from_millis(2),
+        distribution: JitterDistribution::Uniform,
+        ..Jitter::default()
+    });
     let mut fabric = pair(Conditions { jitter, ..delay(50) }, 1);
     (0..10).for_each(|i| fabric.push(ms(5.0 * f64::from(i)), A, frame(A, B, i, 60)));
     let lower = ConditionChange { delay_ms: Some(49.0), ..ConditionChange::default() };

@@ -1,0 +1,231 @@
+//! Jitter of links: a random part of the delay, and its correlation from one packet to the next.
+
+use std::{f64::consts::PI, fmt, time::Duration};
+
+use serde::{Deserialize, Serialize};
+
+use crate::units::millis;
+
+/// Random addition to a delay, with mean zero; a total below zero counts as zero.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Jitter {
+    /// Half-width of a uniform, standard deviation of the other distributions.
+    #[serde(rename = "deviation_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub deviation: Duration,
+    /// Shape of the distribution.
+    #[serde(default)]
+    pub distribution: JitterDistribution,
+    /// Correlation with the jitter of the next packet.
+    #[serde(default, skip_serializing_if = "Correlation::is_none")]
+    pub correlation: Correlation,
+}
+
+impl Jitter {
+    /// Checks that its distribution can have its correlation.
+    ///
+    /// # Errors
+    /// [`InvalidCorrelation`] if the correlation is too far below zero.
+    pub fn check(&self) -> Result<(), InvalidCorrelation> {
+        let least = self.distribution.correlation(-1.0);
+        if self.correlation.get() > least { Ok(()) } else { Err(InvalidCorrelation { least }) }
+    }
+
+    /// Returns the correlation of the normal scores behind this jitter.
+    pub fn score_correlation(&self) -> f64 {
+        self.distribution.score_correlation(self.correlation)
+    }
+}
+
+/// Error of a correlation that a distribution cannot have: one with a long tail on one side only is never the mirror image of
+/// itself.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("the jitter's distribution allows no correlation of {:.1} % or below", least * 100.0)]
+pub struct InvalidCorrelation {
+    least: f64,
+}
+
+/// Correlation of a packet's jitter with that of the next packet: above -1 and below 1.
+///
+/// Jitter is then a Gaussian copula (Cario and Nelson, Modeling and generating random vectors with arbitrary marginal
+/// distributions and correlation matrix, 1997): each packet has a normal score, scores are an autoregression of first order,
+/// and a jitter is the quantile of its distribution at the score's probability. The distribution of single jitters is exactly
+/// the one asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(value_type = f64))]
+#[serde(try_from = "f64", into = "f64")]
+// In millionths, so that conditions stay small.
+pub struct Correlation(i32);
+
+impl Correlation {
+    /// Each jitter is independent of those before.
+    pub const NONE: Self = Self(0);
+
+    /// Rounds to a millionth. `None` if that is -1 or below, or 1 or above, and for NaN.
+    pub fn new(correlation: f64) -> Option<Self> {
+        let millionths = (correlation * 1e6).round();
+        (millionths.abs() < 1e6).then_some(Self(millionths as i32))
+    }
+
+    /// The number between -1 and 1.
+    pub fn get(self) -> f64 {
+        f64::from(self.0) / 1e6
+    }
+
+    /// Whether it is zero.
+    pub fn is_none(&self) -> bool {
+        *self == Self::NONE
+    }
+}
+
+impl From<Correlation> for f64 {
+    fn from(correlation: Correlation) -> Self {
+        correlation.get()
+    }
+}
+
+impl TryFrom<f64> for Correlation {
+    type Error = &'static str;
+    fn try_from(correlation: f64) -> Result<Self, Self::Error> {
+        Self::new(correlation).ok_or("a correlation is above -1 and below 1")
+    }
+}
+
+impl fmt::Display for Correlation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} %", f64::from(self.0) / 1e4)
+    }
+}
+
+/// Shape of a jitter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum JitterDistribution {
+    /// Every value within ± deviation is as likely.
+    Uniform,
+    /// Gaussian.
+    #[default]
+    Normal,
+    /// Pareto with shape 3, moved and scaled to mean zero and the given standard deviation: a long upper tail.
+    Pareto,
+}
+
+/// Shares of the powers 1, 2, … of the normal scores' correlation in the correlation of Pareto jitters: (E X·Heₖ(Z))²/(k!·Var X)
+/// for X = Φ(-Z)^(-1/3), by the expansion of the bivariate normal density in Hermite polynomials (Mehler 1866).
+const PARETO_POWERS: [f64; 16] = [
+    0.460_163, 0.290_058, 0.132_382, 0.059_997, 0.029_411, 0.014_418, 0.006_921, 0.003_375, 0.001_668,
+    0.000_817, 0.000_400, 0.000_198, 0.000_098, 0.000_048, 0.000_024, 0.000_022,
+];
+
+impl JitterDistribution {
+    /// Returns the correlation of two jitters whose normal scores have this correlation, from -1 to 1.
+    pub fn correlation(self, of_scores: f64) -> f64 {
+        match self {
+            Self::Normal => of_scores,
+            // Pearson 1907: of the ranks of a bivariate normal distribution.
+            Self::Uniform => 6.0 / PI * (of_scores / 2.0).asin(),
+            Self::Pareto => PARETO_POWERS.iter().rev().fold(0.0, |sum, share| (sum + share) * of_scores),
+        }
+    }
+
+    /// Returns the correlation of the normal scores of two jitters with this correlation: the inverse of
+    /// [`correlation`](Self::correlation). A correlation that the distribution cannot have gives -1.
+    pub fn score_correlation(self, correlation: Correlation) -> f64 {
+        let correlation = correlation.get();
+        match self {
+            Self::Normal => correlation,
+            Self::Uniform => 2.0 * (PI / 6.0 * correlation).sin(),
+            Self::Pareto => {
+                let (mut low, mut high) = (-1.0, 1.0);
+                // By halves, down to the precision of an f64.
+                for _ in 0..54 {
+                    let middle = (low + high) / 2.0;
+                    if self.correlation(middle) < correlation { low = middle } else { high = middle }
+                }
+                low
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: [JitterDistribution; 3] =
+        [JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto];
+
+    fn correlation(correlation: f64) -> Correlation {
+        Correlation::new(correlation).unwrap()
+    }
+
+    #[test]
+    fn correlations_of_jitters_and_of_scores_are_inverse() {
+        for distribution in ALL {
+            assert_eq!(distribution.correlation(0.0), 0.0);
+            assert!((distribution.correlation(1.0) - 1.0).abs() < 1e-9, "{distribution:?}");
+            for percent in -25..100 {
+                let asked = correlation(f64::from(percent) / 100.0);
+                let of_scores = distribution.score_correlation(asked);
+                assert!(of_scores.abs() < 1.0);
+                let got = distribution.correlation(of_scores);
+                assert!((got - asked.get()).abs() < 1e-12, "{distribution:?}: {got} for {asked}");
+            }
+        }
+    }
+
+    #[test]
+    fn pareto_correlations_match_known_values() {
+        let pareto = |of_scores: f64| JitterDistribution::Pareto.correlation(of_scores);
+        // Of opposite scores: (B(2/3, 2/3) - (3/2)²)/(3/4), with the beta function B.
+        assert!((pareto(-1.0) + 0.262_146).abs() < 1e-4, "{}", pareto(-1.0));
+        // By a double integral (Simpson's rule) over both scores' densities.
+        for (of_scores, expected) in PARETO_INTEGRALS {
+            assert!((pareto(of_scores) - expected).abs() < 1e-4, "{of_scores}: {}", pareto(of_scores));
+        }
+    }
+
+    const PARETO_INTEGRALS: [(f64, f64); 4] =
+        [(-0.5, -0.171_102), (0.3, 0.168_298), (0.6, 0.420_123), (0.9, 0.815_913)];
+
+    #[test]
+    fn a_correlation_is_between_minus_one_and_one() {
+        for wrong in [-1.0, 1.0, 0.999_999_9, 1.5, f64::NAN, f64::INFINITY] {
+            assert_eq!(Correlation::new(wrong), None);
+        }
+        let jitter = |distribution, percent: f64| Jitter {
+            distribution,
+            correlation: correlation(percent / 100.0),
+            ..Jitter::default()
+        };
+        for distribution in [JitterDistribution::Uniform, JitterDistribution::Normal] {
+            assert_eq!(jitter(distribution, -99.0).check(), Ok(()));
+        }
+        assert_eq!(jitter(JitterDistribution::Pareto, -26.0).check(), Ok(()));
+        let error = jitter(JitterDistribution::Pareto, -27.0).check().unwrap_err();
+        assert_eq!(error.to_string(), "the jitter's distribution allows no correlation of -26.2 % or below");
+    }
+
+    #[test]
+    fn jitter_without_correlation_is_written_as_before() {
+        let json = r#"{"deviation_ms":2.0,"distribution":"normal"}"#;
+        let jitter: Jitter = serde_json::from_str(json).unwrap();
+        assert!(jitter.correlation.is_none());
+        assert_eq!(serde_json::to_string(&jitter).unwrap(), json);
+        let correlated = Jitter { correlation: correlation(0.4), ..jitter };
+        let text = serde_json::to_string(&correlated).unwrap();
+        assert_eq!(text, r#"{"deviation_ms":2.0,"distribution":"normal","correlation":0.4}"#);
+        assert_eq!(serde_json::from_str::<Jitter>(&text).unwrap(), correlated);
+        let wrong = r#"{"deviation_ms":2.0,"correlation":1.0}"#;
+        assert!(serde_json::from_str::<Jitter>(wrong).is_err());
+    }
+
+    #[test]
+    fn a_correlation_is_shown_in_percent() {
+        assert_eq!(correlation(0.35).to_string(), "35 %");
+        assert_eq!(correlation(-0.123_456_7).to_string(), "-12.3457 %");
+    }
+}
