@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use cotorra_graph::{Correlation, JitterDistribution};
 use serde::Serialize;
 
 use crate::{
@@ -11,7 +12,7 @@ use crate::{
     estimate::{Estimate, quantile},
     jitter,
     matched::RESAMPLES,
-    path::{PathFit, check_number},
+    path::{PathFit, TWO_SIDED, check_number},
     times::PacketTimes,
 };
 
@@ -33,6 +34,8 @@ pub struct Figures<T> {
     pub p95_ms: T,
     /// 99 % quantile, ms.
     pub p99_ms: T,
+    /// Mean difference of the times of two packets that follow each other, ms.
+    pub change_ms: T,
     /// Share of packets above the target; lost ones count as above it. `None` without a target.
     pub above: Option<T>,
 }
@@ -92,8 +95,9 @@ pub struct Comparison {
     pub predictions: Vec<Prediction>,
 }
 
-/// Values of the figures: quantiles at [`LEVELS`], and the share above the target, which is 0 without one.
-type Values = [f64; 4];
+/// Values of the figures: quantiles at [`LEVELS`], the mean change from packet to packet, and the share above the target, which
+/// is 0 without one.
+type Values = [f64; 5];
 
 /// A resample of both parts.
 struct Resample {
@@ -120,18 +124,28 @@ pub fn compare(
     let draws = &mut Draws::new(seed, "calibrate simulation");
     let by_fit = Standard::new(|draws| jitter::draw(fit.distribution, draws), draws);
     let normal = Standard::new(Draws::normal, draws);
+    // Quantiles do not depend on the correlation; changes from packet to packet do.
+    let changes = &mut Draws::new(seed, "calibrate changes");
+    let correlation = fit.jitter_correlation();
+    let [fit_change, normal_change] =
+        [(fit.distribution, correlation), (JitterDistribution::Normal, Correlation::NONE)].map(
+            |(distribution, correlation)| {
+                mean_change(&jitter::draw_series(distribution, correlation, SIMULATED, changes))
+            },
+        );
     let (mut fitted, mut test) = (Part::new(fitted, target_ms), Part::new(test, target_ms));
     // What each predictor says if the fit and the resample of the fitted part are these.
-    let predict = |mean: f64, deviation: f64, fitted: &Part| {
+    let predict = |mean: f64, deviation: f64, change: f64, fitted: &Part| {
         let (average, spread) = fitted.moments();
         let lost = fitted.lost_share();
         [
-            by_fit.values([mean, deviation], lost, target_ms),
-            normal.values([average, spread], lost, target_ms),
+            by_fit.values([mean, deviation], change, lost, target_ms),
+            normal.values([average, spread], normal_change, lost, target_ms),
             fitted.values(),
         ]
     };
-    let (measured, predicted) = (test.values(), predict(fit.mean_ms.value, fit.deviation_ms.value, &fitted));
+    let (measured, predicted) =
+        (test.values(), predict(fit.mean_ms.value, fit.deviation_ms.value, fit_change, &fitted));
     let (average, spread) = fitted.moments();
     let times = [
         by_fit.times([fit.mean_ms.value, fit.deviation_ms.value]),
@@ -144,7 +158,8 @@ pub fn compare(
         fitted.resample(draws);
         test.resample(draws);
         let distances = times.each_ref().map(|times| wasserstein(&test.arrived, times));
-        let predicted = predict(located.mean, located.deviation, &fitted);
+        let change = fit_change * changes_by_error(fit.correlation, correlation, changes.normal());
+        let predicted = predict(located.mean, located.deviation, change, &fitted);
         resamples.push(Resample { measured: test.values(), predicted, distances });
     }
     let estimate = |value: f64, of: &dyn Fn(&Resample) -> f64| {
@@ -163,9 +178,9 @@ pub fn compare(
             wasserstein_ms: estimate(distances[k], &|resample| resample.distances[k]),
         }
     };
-    let mut intervals: [Estimate; 4] =
+    let mut intervals: [Estimate; 5] =
         std::array::from_fn(|i| estimate(measured[i], &|resample| resample.measured[i]));
-    intervals[3].widen(test.packets.len());
+    intervals[4].widen(test.packets.len());
     Ok(Comparison {
         fitted_packets: fitted.packets.len(),
         test_packets: test.packets.len(),
@@ -176,9 +191,22 @@ pub fn compare(
 }
 
 impl<T> Figures<T> {
-    fn new([p50_ms, p95_ms, p99_ms, above]: [T; 4], target_ms: Option<f64>) -> Self {
-        Self { p50_ms, p95_ms, p99_ms, above: target_ms.map(|_| above) }
+    fn new([p50_ms, p95_ms, p99_ms, change_ms, above]: [T; 5], target_ms: Option<f64>) -> Self {
+        Self { p50_ms, p95_ms, p99_ms, change_ms, above: target_ms.map(|_| above) }
     }
+}
+
+/// Returns the mean difference of two values that follow each other.
+fn mean_change(series: &[f64]) -> f64 {
+    let changes = series.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+    changes.sum::<f64>() / (series.len() - 1) as f64
+}
+
+/// Returns by how much changes from packet to packet grow if the correlation is wrong by a normal deviate: with normal jitter, they
+/// are proportional to √(1 - ρ).
+fn changes_by_error(measured: Estimate, fitted: Correlation, deviate: f64) -> f64 {
+    let error = (measured.high - measured.low) / (2.0 * TWO_SIDED) * deviate;
+    ((1.0 - fitted.get() - error) / (1.0 - fitted.get())).max(0.0).sqrt()
 }
 
 /// Simulated jitter of a distribution, rising, in units of its deviation.
@@ -197,13 +225,14 @@ impl Standard {
         thinned.map(|jitter| (mean + deviation * jitter).max(0.0)).collect()
     }
 
-    fn values(&self, [mean, deviation]: [f64; 2], lost: f64, target_ms: Option<f64>) -> Values {
+    /// Returns the figures with this mean and deviation. The mean change from packet to packet is in units of the deviation.
+    fn values(&self, [mean, deviation]: [f64; 2], change: f64, lost: f64, target_ms: Option<f64>) -> Values {
         let [a, b, c] = LEVELS.map(|level| (mean + deviation * quantile(&self.0, level)).max(0.0));
         let above = target_ms.map_or(0.0, |target| {
             let within = self.0.partition_point(|jitter| mean + deviation * jitter <= target);
             lost + (1.0 - lost) * (1.0 - within as f64 / self.0.len() as f64)
         });
-        [a, b, c, above]
+        [a, b, c, deviation * change, above]
     }
 }
 
@@ -214,6 +243,10 @@ struct Part {
     arrived: Ranked,
     /// Number of lost packets.
     lost: usize,
+    /// Difference of each packet's time and the next one's, ms; `None` if one of them was lost.
+    changes: Vec<Option<f64>>,
+    /// Sum of differences, ms, and their number.
+    changed: (f64, usize),
     resampler: Resampler,
     target_ms: Option<f64>,
 }
@@ -228,8 +261,12 @@ impl Part {
         // Blocks are long enough for times and for losses.
         let lost: Vec<f64> = packets.iter().map(|packet| f64::from(u8::from(packet.is_none()))).collect();
         let length = block_length(&times).max(block_length(&lost));
+        let change = |pair: &[Option<f64>]| Some((pair[0]? - pair[1]?).abs());
+        let changes: Vec<Option<f64>> = trips.times_ms.windows(2).map(change).collect();
         Self {
             lost: packets.len() - times.len(),
+            changed: (changes.iter().flatten().sum(), changes.iter().flatten().count()),
+            changes,
             resampler: Resampler::of_length(packets.len(), length),
             packets,
             arrived,
@@ -238,12 +275,18 @@ impl Part {
     }
 
     fn resample(&mut self, draws: &mut Draws) {
-        let Self { packets, arrived, lost, resampler, .. } = self;
+        let Self { packets, arrived, lost, changes, changed: (sum, number), resampler, .. } = self;
         arrived.clear();
-        *lost = 0;
-        resampler.resample(draws, |i| match packets[i] {
-            Some(at) => arrived.add(at),
-            None => *lost += 1,
+        (*lost, *sum, *number) = (0, 0.0, 0);
+        resampler.resample(draws, |i| {
+            match packets[i] {
+                Some(at) => arrived.add(at),
+                None => *lost += 1,
+            }
+            if let Some(Some(change)) = changes.get(i) {
+                *sum += change;
+                *number += 1;
+            }
         });
     }
 
@@ -258,7 +301,8 @@ impl Part {
             let late: u32 = late.map(|(_, count)| count).sum();
             (self.lost as f64 + f64::from(late)) / self.packets.len() as f64
         });
-        [a, b, c, above]
+        let (sum, number) = self.changed;
+        [a, b, c, sum / number.max(1) as f64, above]
     }
 
     /// Returns the mean and the standard deviation of the packets that arrived.
@@ -320,7 +364,7 @@ mod tests {
     /// Round trips with Pareto jitter of 20 ms and 2 ms, and a loss now and then.
     fn series(seed: u64, n: usize) -> PacketTimes {
         let mut draws = Draws::new(seed, "series");
-        let mut time = || 20.0 + 2.0 * jitter::draw(cotorra_graph::JitterDistribution::Pareto, &mut draws);
+        let mut time = || 20.0 + 2.0 * jitter::draw(JitterDistribution::Pareto, &mut draws);
         let rows: String = (0..n)
             .map(|i| if i % 50 == 7 { format!("{i},\n") } else { format!("{i},{}\n", time()) })
             .collect();
@@ -333,7 +377,7 @@ mod tests {
         let fit = fit_path(&fitted, 1).unwrap();
         let compared = compare(&fit, &fitted, &test, Some(Duration::from_millis(24)), 1).unwrap();
         let [by_fit, normal, replay] = &compared.predictions[..] else { panic!() };
-        let all = Figures { p50_ms: true, p95_ms: true, p99_ms: true, above: Some(true) };
+        let all = Figures { p50_ms: true, p95_ms: true, p99_ms: true, change_ms: true, above: Some(true) };
         assert_eq!(by_fit.agrees, all, "{compared:#?}");
         assert!(replay.agrees.p50_ms);
         assert!(!normal.agrees.p50_ms);
@@ -347,8 +391,23 @@ mod tests {
         let fit = fit_path(&fitted, 1).unwrap();
         let compared = compare(&fit, &fitted, &test, None, 1).unwrap();
         let [by_fit, ..] = &compared.predictions[..] else { panic!() };
-        let all = Figures { p50_ms: true, p95_ms: true, p99_ms: true, above: None };
+        let all = Figures { p50_ms: true, p95_ms: true, p99_ms: true, change_ms: true, above: None };
         assert_eq!(by_fit.agrees, all, "{compared:#?}");
+    }
+
+    #[test]
+    fn changes_from_packet_to_packet_follow_the_correlation() {
+        let mut draws = Draws::new(7, "series");
+        let correlation = Correlation::new(0.7).unwrap();
+        let jitter = jitter::draw_series(JitterDistribution::Uniform, correlation, 3000, &mut draws);
+        let times_ms: Vec<_> = jitter.iter().map(|jitter| Some(20.0 + 2.0 * jitter)).collect();
+        let series = PacketTimes { times_ms, ..series(7, 10) };
+        let [fitted, test] = series.split(0.6);
+        let fit = fit_path(&fitted, 1).unwrap();
+        assert!(fit.correlation.covers(0.7), "{:?}", fit.correlation);
+        let compared = compare(&fit, &fitted, &test, None, 1).unwrap();
+        let agree: Vec<_> = compared.predictions.iter().map(|by| by.agrees.change_ms).collect();
+        assert_eq!(agree, [true, false, true], "{compared:#?}");
     }
 
     #[test]

@@ -52,6 +52,11 @@ impl Estimate {
         Self { value: self.value + by, low: self.low + by, high: self.high + by }
     }
 
+    /// Returns the estimate of what rises with it.
+    pub(crate) fn map(self, rising: impl Fn(f64) -> f64) -> Self {
+        Self { value: rising(self.value), low: rising(self.low), high: rising(self.high) }
+    }
+
     /// Returns the estimate in another unit.
     pub(crate) fn scaled(self, by: f64) -> Self {
         Self { value: self.value * by, low: self.low * by, high: self.high * by }

@@ -1,7 +1,9 @@
 //! The distribution of delays around their mean.
 
-use cotorra_graph::JitterDistribution;
-use statrs::function::erf::erfc_inv;
+use std::f64::consts::FRAC_1_SQRT_2;
+
+use cotorra_graph::{Correlation, JitterDistribution};
+use statrs::function::erf::{erfc, erfc_inv};
 
 use crate::draws::Draws;
 
@@ -38,6 +40,26 @@ pub(crate) fn draw(distribution: JitterDistribution, draws: &mut Draws) -> f64 {
         JitterDistribution::Normal => draws.normal(),
         other => standard_quantile(other, draws.unit()),
     }
+}
+
+/// Draws the jitters of successive packets, in units of their deviation, as a link does: an autoregression of normal scores.
+pub(crate) fn draw_series(
+    distribution: JitterDistribution,
+    correlation: Correlation,
+    packets: usize,
+    draws: &mut Draws,
+) -> Vec<f64> {
+    let correlation = distribution.score_correlation(correlation);
+    let innovation = (1.0 - correlation * correlation).sqrt();
+    let mut score = draws.normal();
+    let next = || {
+        score = correlation * score + innovation * draws.normal();
+        match distribution {
+            JitterDistribution::Normal => score,
+            other => standard_quantile(other, 1.0 - erfc(score * FRAC_1_SQRT_2) / 2.0),
+        }
+    };
+    std::iter::repeat_with(next).take(packets).collect()
 }
 
 /// A delay with jitter.

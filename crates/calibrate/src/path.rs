@@ -1,6 +1,6 @@
 //! Delay, jitter, loss and duplication of a path, fitted to times of its packets: round trips, or one way.
 
-use cotorra_graph::JitterDistribution;
+use cotorra_graph::{Correlation, JitterDistribution};
 use serde::Serialize;
 
 use crate::{
@@ -17,10 +17,12 @@ use crate::{
 pub const LEAST_ARRIVED: usize = 100;
 /// A time that is this rare is the shortest one.
 pub(crate) const SHORTEST: f64 = 0.001;
+/// Strongest correlation of a jitter: with 1, it would never change.
+const STRONGEST: f64 = 0.9999;
 /// Distinct times below which rounding hides the distribution.
 const COARSE: usize = 20;
 /// Normal deviate of a two-sided interval of 95 %.
-const TWO_SIDED: f64 = 1.959_964;
+pub(crate) const TWO_SIDED: f64 = 1.959_964;
 
 /// A path, fitted to times of its packets.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -35,7 +37,7 @@ pub struct PathFit {
     pub distribution: JitterDistribution,
     /// Distance of each distribution to the measured quantiles, ms: root of the mean square.
     pub distances_ms: Vec<(JitterDistribution, f64)>,
-    /// Correlation of a time with that of the next packet. A testbed's jitter has none.
+    /// Correlation of a time with that of the next packet, in the fitted distribution.
     pub correlation: Estimate,
     /// Mean length of a block of the bootstrap, in packets.
     pub block_length: f64,
@@ -54,6 +56,14 @@ impl PathFit {
     /// Returns a quantile of the fitted times, ms.
     pub(crate) fn quantile_ms(&self, level: f64) -> f64 {
         (self.mean_ms.value + self.deviation_ms.value * standard_quantile(self.distribution, level)).max(0.0)
+    }
+
+    /// Returns the correlation of the jitter; none if its interval holds 0.
+    pub(crate) fn jitter_correlation(&self) -> Correlation {
+        let Estimate { value, low, high } = self.correlation;
+        let known = low > 0.0 || high < 0.0;
+        let correlation = if known { value.clamp(-STRONGEST, STRONGEST) } else { 0.0 };
+        Correlation::new(correlation).unwrap_or_default()
     }
 
     /// Returns the shortest time, ms, which jitter adds to.
@@ -78,7 +88,8 @@ pub fn fit_path(trips: &PacketTimes, seed: u64) -> Result<PathFit, CalibrateErro
         deviation_ms: matched.deviation(),
         distribution: matched.distribution,
         distances_ms: matched.distances,
-        correlation: correlation(&trips.times_ms),
+        correlation: correlation(&trips.times_ms)
+            .map(|of_scores| matched.distribution.correlation(of_scores)),
         block_length: matched.block_length,
         loss: trips.counts_losses.then(|| loss::fit(&lost, draws)),
         duplication: trips.counts_losses.then(|| share(trips.duplicated.len(), arrived.len(), draws)),
@@ -108,10 +119,13 @@ fn notes(fitted: &PathFit, trips: &PacketTimes, distinct: usize) -> Vec<String> 
             "only {distinct} different times were measured: rounding hides the distribution of the jitter"
         ));
     }
-    if fitted.correlation.low > 0.0 || fitted.correlation.high < 0.0 {
+    let correlation = fitted.jitter_correlation();
+    if !correlation.is_none() {
+        let apart = trips.interval.map_or_else(String::new, |interval| {
+            format!(", which were sent {:.1} ms apart", interval.as_secs_f64() * 1e3)
+        });
         notes.push(format!(
-            "the time of a packet is correlated with the next one's ({:.2}); a testbed's jitter is independent, and so changes faster",
-            fitted.correlation.value
+            "the correlation is that of packets as measured{apart}; the testbed's jitter has it from packet to packet at any rate"
         ));
     }
     let deviation_s = fitted.deviation_ms.value / 1e3;
@@ -142,8 +156,8 @@ fn share(number: usize, of: usize, draws: &mut Draws) -> Estimate {
     share
 }
 
-/// Returns the correlation of packets that follow each other, by normal scores of their ranks (van der Waerden 1952), so that
-/// it does not depend on the distribution.
+/// Returns the correlation of packets that follow each other, by normal scores of their ranks (van der Waerden 1952): that of
+/// the scores, which does not depend on the distribution.
 ///
 /// The interval is that of an autoregression of first order: the variance is (1 - ρ²)/n (Bartlett 1946), and the bias
 /// -(1 + 3ρ)/n is taken off (Kendall 1954).

@@ -137,7 +137,7 @@ fn of_path(PathCalibration { fit, comparison }: &PathCalibration, time: &str, me
     let mut table = vec![
         row(&mean, &fit.mean_ms, 3),
         row(&format!("deviation of {time}s, ms"), &fit.deviation_ms, 3),
-        row("correlation with the next (not in the testbed)", &fit.correlation, 2),
+        row("correlation with the next, %", &fit.correlation.scaled(100.0), 1),
     ];
     let mut losses = String::new();
     if let Some(loss) = &fit.loss {
@@ -190,11 +190,12 @@ fn compared(comparison: &Comparison) -> String {
     let above = if target_ms.is_some() { " above target, % |" } else { "" };
     let line = if target_ms.is_some() { "---:|" } else { "" };
     let mut text = format!(
-        "\n### Test\n\n{test_packets} packets that were not fitted.{target} A figure in **bold** agrees with the test part.\n\n| | p50, ms | p95, ms | p99, ms |{above} Wasserstein, ms |\n|---|---:|---:|---:|{line}---:|\n"
+        "\n### Test\n\n{test_packets} packets that were not fitted.{target} A figure in **bold** agrees with the test part.\n\n| | p50, ms | p95, ms | p99, ms | change, ms |{above} Wasserstein, ms |\n|---|---:|---:|---:|---:|{line}---:|\n"
     );
     let cell = |estimate: &Estimate| format!("{estimate:.2}");
-    let Figures { p50_ms, p95_ms, p99_ms, above } = measured;
-    let mut cells = vec!["test part".to_owned(), cell(p50_ms), cell(p95_ms), cell(p99_ms)];
+    let Figures { p50_ms, p95_ms, p99_ms, change_ms, above } = measured;
+    let mut cells = vec!["test part".to_owned()];
+    cells.extend([p50_ms, p95_ms, p99_ms, change_ms].map(cell));
     cells.extend(above.map(|share| cell(&share.scaled(100.0))));
     cells.push(String::new());
     text += &format!("| {} |\n", cells.join(" | "));
@@ -210,6 +211,7 @@ fn compared(comparison: &Comparison) -> String {
             cell(figures.p50_ms, agrees.p50_ms),
             cell(figures.p95_ms, agrees.p95_ms),
             cell(figures.p99_ms, agrees.p99_ms),
+            cell(figures.change_ms, agrees.change_ms),
         ];
         cells.extend(figures.above.zip(agrees.above).map(|(share, agrees)| cell(share * 100.0, agrees)));
         cells.push(format!("{:.2}", prediction.wasserstein_ms));

@@ -211,8 +211,14 @@ fn of_impairments(
     packet: &str,
 ) -> Vec<FittedSetting> {
     let distribution = distribution_name(fit.distribution);
-    let jitter = format!("{{ deviation: {:.4} ms, distribution: {distribution} }}", fit.deviation_ms.value);
-    let deviation = format!("deviation of {times} {:.3} ms", fit.deviation_ms);
+    let mut jitter = format!("deviation: {:.4} ms, distribution: {distribution}", fit.deviation_ms.value);
+    let mut deviation = format!("deviation of {times} {:.3} ms", fit.deviation_ms);
+    let correlation = fit.jitter_correlation();
+    if !correlation.is_none() {
+        jitter += &format!(", correlation: {}", percent(correlation.get()));
+        deviation += &format!(", correlation with the next {}", percents(fit.correlation));
+    }
+    let jitter = format!("{{ {jitter} }}");
     let mut settings = vec![setting(path("jitter"), jitter, deviation)];
     if let Some(fitted) = &fit.loss {
         let loss = match fitted.model() {

@@ -7,7 +7,7 @@ use cotorra_calibrate::{
     Calibration, ChannelSurvey, Draws, HandoverTime, LinkMeasurement, Measurements, Options, calibrated_text,
     markdown, parse_channel_survey, parse_round_trips, parse_survey,
 };
-use cotorra_graph::{InterfererKind, JitterDistribution, Loss, PathLoss, Position, Rate, Testbed};
+use cotorra_graph::{InterfererKind, Jitter, JitterDistribution, Loss, PathLoss, Position, Rate, Testbed};
 
 /// A testbed whose values are all to be fitted. Its last line notes a setting.
 const TESTBED: &str = "# A laboratory.
@@ -95,6 +95,27 @@ fn the_calibrated_file_has_the_fitted_values_and_keeps_everything_else() {
     );
     assert_eq!(link.forward.queue, cotorra_graph::QueueLimit::Packets(50), "the setting of the text holds");
     assert_eq!(link.backward.jitter.map(|jitter| jitter.deviation), Some(Duration::ZERO));
+}
+
+#[test]
+fn the_calibrated_file_has_the_correlation_of_round_trips() {
+    let mut draws = Draws::new(3, "correlated");
+    let mut score = draws.normal();
+    let mut row = |i: u32| {
+        score = 0.6 * score + 0.8 * draws.normal();
+        format!("{i},{}\n", 20.0 + score)
+    };
+    let rows = "seq,rtt_ms\n".to_owned() + &(0..2000).map(&mut row).collect::<String>();
+    let trips = LinkMeasurement::RoundTrips(parse_round_trips(&rows).unwrap());
+    let links = BTreeMap::from([("R-edge".to_owned(), trips)]);
+    let measurements = Measurements { links, ..Measurements::default() };
+    let calibration = Calibration::new(&parse(TESTBED), &measurements, options()).unwrap();
+    let testbed = parse(&calibrated_text(TESTBED, &calibration.settings));
+    let correlation = |jitter: Option<Jitter>| jitter.unwrap().correlation.get();
+    let link = &testbed.graph.links[0];
+    assert!((correlation(link.forward.jitter) - 0.6).abs() < 0.06, "{:?}", link.forward.jitter);
+    assert_eq!(correlation(link.backward.jitter), 0.0);
+    assert!(markdown(&calibration).contains("has it from packet to packet at any rate"));
 }
 
 #[test]

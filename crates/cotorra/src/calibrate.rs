@@ -429,9 +429,9 @@ fn predicted(comparison: &SurveyComparison) -> Table {
 
 /// Compares predictions of the test part with it.
 fn compared(comparison: &Comparison) -> Table {
-    let mut table = Table::new("<>>>>>");
+    let mut table = Table::new("<>>>>>>");
     let measured = &comparison.measured;
-    table.row(["", "p50, ms", "p95, ms", "p99, ms", "above target, %", "Wasserstein, ms"]);
+    table.row(["", "p50, ms", "p95, ms", "p99, ms", "change, ms", "above target, %", "Wasserstein, ms"]);
     let interval = |of: &Estimate| format!("{:.2} to {:.2}", of.low, of.high);
     let above = measured.above.as_ref().map(|share| interval(&percent(*share))).unwrap_or_default();
     table.row([
@@ -439,6 +439,7 @@ fn compared(comparison: &Comparison) -> Table {
         interval(&measured.p50_ms),
         interval(&measured.p95_ms),
         interval(&measured.p99_ms),
+        interval(&measured.change_ms),
         above,
         String::new(),
     ]);
@@ -453,6 +454,7 @@ fn compared(comparison: &Comparison) -> Table {
             cell(figures.p50_ms, agrees.p50_ms),
             cell(figures.p95_ms, agrees.p95_ms),
             cell(figures.p99_ms, agrees.p99_ms),
+            cell(figures.change_ms, agrees.change_ms),
             above.unwrap_or_default(),
             format!("{:.2}", prediction.wasserstein_ms.value),
         ]);

@@ -6,6 +6,7 @@
 mod fading;
 mod handovers;
 mod interference;
+mod links;
 mod one_way;
 mod paths;
 mod predictions;

@@ -16,6 +16,7 @@ pub struct Truth {
     pub distribution: JitterDistribution,
     pub mean_ms: f64,
     pub deviation_ms: f64,
+    /// Correlation of the normal scores.
     correlation: f64,
     pub loss: f64,
     mean_burst: f64,
@@ -84,7 +85,7 @@ fn path_intervals_hold_the_true_values() {
         found += usize::from(fit.distribution == truth.distribution);
         coverage.count("mean", fit.mean_ms, truth.mean_ms);
         coverage.count("jitter", fit.deviation_ms, truth.deviation_ms);
-        coverage.count("correlation", fit.correlation, truth.correlation);
+        coverage.count("correlation", fit.correlation, truth.distribution.correlation(truth.correlation));
         let loss = fit.loss.unwrap();
         coverage.count("loss", loss.share, truth.loss);
         if let Some(burst) = loss.mean_burst {

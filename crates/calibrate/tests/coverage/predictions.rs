@@ -23,7 +23,12 @@ fn fitted_paths_predict_the_test_part_better_than_normal_jitter() {
         let compared = compare(&fit, &fitted, &test, Some(target), seed).unwrap();
         for prediction in &compared.predictions {
             let agrees = &prediction.agrees;
-            let figures = [("p50", agrees.p50_ms), ("p95", agrees.p95_ms), ("p99", agrees.p99_ms)];
+            let figures = [
+                ("p50", agrees.p50_ms),
+                ("p95", agrees.p95_ms),
+                ("p99", agrees.p99_ms),
+                ("change", agrees.change_ms),
+            ];
             for (figure, agrees) in figures.into_iter().chain([("above", agrees.above.unwrap())]) {
                 *held.entry((prediction.by.name(), figure)).or_default() += usize::from(agrees);
             }
@@ -39,7 +44,7 @@ fn fitted_paths_predict_the_test_part_better_than_normal_jitter() {
     }
     println!("nearer than normal jitter: {nearer} of {skewed} sites with Pareto jitter");
     assert_eq!(nearer, skewed);
-    for figure in ["p50", "p95", "p99", "above"] {
+    for figure in ["p50", "p95", "p99", "change", "above"] {
         let held = held[&(Predictor::Fitted.name(), figure)];
         assert!(held * 100 >= sites() * 75, "{figure}: {held} of {}", sites());
     }
