@@ -2,6 +2,7 @@
 //! datapath runs, idle cores are therefore kept busy at idle priority, which takes no time from other programs.
 
 use std::{
+    fs,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -14,6 +15,9 @@ use crate::sys;
 /// Number of cores kept awake. Packets pass between a few threads, so more would not help.
 const CORES: usize = 4;
 
+/// Names the kernel's clock.
+const CLOCK: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
+
 /// Threads that keep cores awake until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Awake {
@@ -22,9 +26,13 @@ pub(crate) struct Awake {
 }
 
 impl Awake {
-    /// Keeps cores that this process may use awake, up to a limit; none if the kernel forbids it.
+    /// Keeps cores that this process may use awake, up to a limit; none if the kernel forbids it, or if its time stands
+    /// still while a thread spins.
     pub(crate) fn keep() -> Self {
         let done = Arc::new(AtomicBool::new(false));
+        if is_virtual(&fs::read_to_string(CLOCK).unwrap_or_default()) {
+            return Self { done, threads: Vec::new() };
+        }
         let spawn = |core| {
             let done = Arc::clone(&done);
             thread::Builder::new().name(format!("awake-{core}")).spawn(move || stay(core, &done)).ok()
@@ -45,6 +53,11 @@ impl Drop for Awake {
     }
 }
 
+/// Whether a clock is that of user-mode-linux's time travel.
+fn is_virtual(clock: &str) -> bool {
+    clock.starts_with("time-travel-clock")
+}
+
 fn stay(core: usize, done: &AtomicBool) {
     if let Err(error) = sys::set_idle().and_then(|()| sys::pin(core)) {
         return tracing::debug!("core {core} may fall asleep: {error}");
@@ -56,6 +69,12 @@ fn stay(core: usize, done: &AtomicBool) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn clock_of_time_travel_is_virtual() {
+        assert!(is_virtual("time-travel-clock\n"));
+        assert!(!is_virtual("tsc\n"));
+    }
 
     #[test]
     fn cores_are_kept_awake_at_idle_priority_until_dropped() {
