@@ -90,8 +90,10 @@ fn documented_names_end_with_their_units_and_are_unique() {
         // The same stem with two units would be one quantity in two units.
         if let Some(other) = stems.insert(stem, name.clone()) {
             let both = [other.as_str(), name.as_str()];
-            // A deviation of a signal and of a delay; the speed of time and of a network interface.
-            let others = [["deviation_db", "deviation_ms"], ["speed", "speed_bps"]];
+            // The correlation of jitter and the distance of that of shadowing; a deviation of a signal and of a delay; the
+            // speed of time and of a network interface.
+            let others =
+                [["correlation", "correlation_m"], ["deviation_db", "deviation_ms"], ["speed", "speed_bps"]];
             assert!(others.contains(&both), "{both:?} are one quantity in two units");
         }
     }

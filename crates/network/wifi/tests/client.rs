@@ -34,11 +34,13 @@ impl Program {
                     return;
                 }
                 let from = from.as_pathname().expect("an address");
-                if let Some(answer) = answer(&request) {
+                let answer = answer(&request);
+                // Before the answer, after which the test looks.
+                let _ = heard.send(request);
+                if let Some(answer) = answer {
                     // A client that gave up is gone.
                     let _ = socket.send_to(answer.as_bytes(), from);
                 }
-                let _ = heard.send(request);
             }
         });
         Self { folder, requests, thread: Some(thread) }
