@@ -12,6 +12,7 @@ use crate::{
     conditions::{Conditions, Loss, Scale},
     contention::{Edca, Interferer},
     driver::Driver,
+    hwsim::Hwsim,
     id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
     real::{Gateway, Machine, RealServer},
@@ -59,6 +60,18 @@ impl HardwareGraph {
         self.nodes
             .iter()
             .filter_map(|n| if let NodeKind::RadioUnit(r) = &n.kind { Some((n, r)) } else { None })
+    }
+
+    /// The robots and radio units of networks with real Wi-Fi software, in order, with the settings of their network.
+    pub fn hwsim_nodes(&self) -> impl Iterator<Item = (&Node, &Hwsim)> {
+        self.nodes.iter().filter_map(|node| {
+            let network = match &node.kind {
+                NodeKind::Robot(robot) => &robot.network,
+                NodeKind::RadioUnit(unit) => &unit.network,
+                _ => return None,
+            };
+            Some((node, self.wireless.get(network)?.hwsim.as_ref()?))
+        })
     }
 
     /// The servers, in order.
@@ -431,6 +444,9 @@ pub struct WirelessNetwork {
     /// What else sends on its channels. Only where stations contend.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub interference: Vec<Interferer>,
+    /// Real Wi-Fi software on simulated radios of Linux. Without it, stations are modelled. Only where stations contend.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hwsim: Option<Hwsim>,
 }
 
 /// Physical layers whose rates are modelled.

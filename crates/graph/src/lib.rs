@@ -16,6 +16,7 @@ mod exposure;
 mod flow;
 mod goal;
 mod hardware;
+mod hwsim;
 mod id;
 mod jitter;
 mod machine_context;
@@ -62,6 +63,7 @@ pub use hardware::{
     Node, NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, ScanVisits, Server, Shadowing, Tier,
     WifiStandard, WirelessNetwork,
 };
+pub use hwsim::{Hwsim, Protection, Security};
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };

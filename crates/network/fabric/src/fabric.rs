@@ -111,6 +111,8 @@ struct Port {
     is_robot: bool,
     /// Whether another radio than the fabric's has its antenna.
     is_lent: bool,
+    /// The radio unit's port at which a robot is reached whose antenna is lent.
+    behind: Option<PortId>,
     /// Vertex at which frames to a robot leave for the core that it is with.
     border: Option<usize>,
 }
@@ -121,6 +123,8 @@ enum Hop {
     Edge(usize),
     /// Over the air, down to the station.
     Air,
+    /// Out of the radio unit's port, to a station of another radio.
+    Out,
     /// Over the border, to the core that the robot is with.
     Border,
 }
@@ -176,6 +180,7 @@ impl Fabric {
             vertex: vertices[&node.id],
             is_robot: matches!(node.kind, NodeKind::Robot(_)),
             is_lent: false,
+            behind: None,
             border: None,
         };
         let ports: Vec<Port> = graph.ports().map(port).collect();
@@ -236,17 +241,21 @@ impl Fabric {
             return self.pool.put(frame.into_bytes());
         }
         self.balance.sent += u64::from(frame.wire_packets());
-        self.learn(port, &frame);
+        let Port { vertex, is_robot, is_lent, border, .. } = self.ports[port.0];
+        let sender = if is_lent { self.sender(port, &frame) } else { port };
+        self.learn(sender, &frame);
         if self.observers.is_some() {
-            self.observe_entry(now, port, &mut frame);
+            self.observe_entry(now, sender, &mut frame);
         }
-        let Port { vertex, is_robot, border, .. } = self.ports[port.0];
-        let Some(target) = self.target(port, vertex, &frame) else { return self.drop_unroutable(frame) };
+        let Some(target) = self.target(sender, vertex, &frame) else { return self.drop_unroutable(frame) };
         if border.is_some() {
             return self.depart_frame(port, Direction::Forward, frame);
         }
         if is_robot {
             return self.on_air(frame, |radio, frame| radio.push_up(now, port, frame));
+        }
+        if is_lent && self.is_back(port, &target) {
+            return self.drop_unroutable(frame);
         }
         self.leave(now, vertex, frame, target);
         self.settle(now);
@@ -264,7 +273,7 @@ impl Fabric {
             if self.observers.is_some() {
                 self.observe_delivery(now, due, port, &mut frame);
             }
-            deliver(port, frame);
+            deliver(self.ports[port.0].behind.unwrap_or(port), frame);
         }
         if self.observers.is_some() {
             self.expire_requests(now);
@@ -463,6 +472,9 @@ impl Fabric {
         let now = self.advance(now);
         let done = self.radio.switch_off(now, radio_unit);
         self.radio_deadline = self.radio.deadline();
+        if done.is_ok() {
+            self.forget_behind(radio_unit);
+        }
         done
     }
 
@@ -690,6 +702,7 @@ impl Fabric {
                         let unit = self.port_of_vertex[vertex].expect("only a radio unit has stations");
                         self.on_air(frame, |radio, frame| radio.push_down(now, unit, port, frame));
                     }
+                    Some(Hop::Out) => self.outbox.push_back((now, port, frame)),
                     Some(Hop::Border) => self.depart_frame(port, Direction::Backward, frame),
                     None => self.drop_unroutable(frame),
                 }
@@ -727,12 +740,17 @@ impl Fabric {
 
     /// Returns the next hop from a vertex towards a host.
     fn hop(&mut self, vertex: usize, to: PortId) -> Option<Hop> {
-        let Port { vertex: mut end, is_robot, border, .. } = self.ports[to.0];
+        let Port { vertex: mut end, is_robot, is_lent, behind, border, .. } = self.ports[to.0];
         if let Some(border) = border {
             if border == vertex {
                 return Some(Hop::Border);
             }
             end = border;
+        } else if is_robot && is_lent {
+            end = self.ports[behind?.0].vertex;
+            if end == vertex {
+                return Some(Hop::Out);
+            }
         } else if is_robot {
             end = self.ports[self.radio.attached_to(to)?.0].vertex;
             if end == vertex {
@@ -761,12 +779,9 @@ impl Fabric {
         self.assigned(address).or_else(|| self.learnt.get(&address).copied())
     }
 
-    /// Returns the host that an address was assigned to. That of a robot whose antenna is lent may be anywhere.
+    /// Returns the host that an address was assigned to.
     fn assigned(&self, address: [u8; 6]) -> Option<PortId> {
-        let here = |place: &usize| {
-            *place < self.hosts && !(self.ports[*place].is_lent && self.ports[*place].is_robot)
-        };
-        HostAddress::place_of(address).filter(here).map(PortId)
+        HostAddress::place_of(address).filter(|place| *place < self.hosts).map(PortId)
     }
 
     /// Records that an address is behind a port besides the host's own, as those of containers, of macvlan interfaces and

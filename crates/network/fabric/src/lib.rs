@@ -64,7 +64,8 @@ pub use lateness::Histogram;
 pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};
 pub use port::PortId;
 pub use radio::{
-    Antenna, Category, ChannelWidth, PhyRate, RateTries, Receiver, Report, Transmission, sensitivity,
+    Antenna, Association, Category, ChannelWidth, PhyRate, RateTries, Receiver, Report, Transmission,
+    sensitivity,
 };
 pub use settings::{Carries, FabricError};
 pub use tap::{Passage, TapError, TapReader};

@@ -78,6 +78,9 @@ pub enum FabricError {
     /// An antenna that another radio than the fabric's uses.
     #[error("another radio uses the antenna of `{0}`")]
     Lent(NodeId),
+    /// An antenna that the fabric's own radio uses.
+    #[error("the antenna of `{0}` is not lent to another radio")]
+    NotLent(NodeId),
     /// A network whose senders take turns.
     #[error("senders take turns in the network of `{0}`: write `access: edca`")]
     NoContention(NodeId),

@@ -92,6 +92,7 @@ impl Builder<'_> {
             gap: record.gap,
             access: self.access(record),
             interference: self.interference(ssid, record)?,
+            hwsim: None,
         })
     }
 

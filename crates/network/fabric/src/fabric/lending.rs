@@ -2,9 +2,12 @@
 
 use cotorra_graph::{NodeId, Timestamp};
 
-use super::Fabric;
+use super::{Fabric, Port};
 use crate::{
-    radio::{Antenna, Report, Transmission},
+    frame::Frame,
+    port::PortId,
+    radio::{Antenna, Association, Report, Transmission},
+    routes::Target,
     settings::FabricError,
 };
 
@@ -13,8 +16,9 @@ impl Fabric {
     /// there is silent from then on: it attaches to nothing, and nothing attaches to it.
     ///
     /// What the radios carry in their frames is none of the fabric's business. A program that bridges a radio unit's radio to
-    /// its port brings the robot's packets there: the fabric learns the address of a robot whose antenna is lent from the
-    /// packets that ports send, as it learns foreign ones. No path is [pinned](Self::pin) for them.
+    /// its port brings the robot's packets there. A packet that comes to the port of a radio unit whose antenna is lent, from
+    /// the address of a robot whose antenna is lent, is the robot's. Packets to the robot leave at the port at which its own
+    /// came in last, or of the radio unit that it was [associated](Self::associate) with since.
     ///
     /// # Errors
     /// [`FabricError`] for a node without an antenna, one that is lent already, or a network whose senders take turns.
@@ -26,6 +30,46 @@ impl Fabric {
             self.ports[port.0].is_lent = true;
         }
         done
+    }
+
+    /// Records that a robot is associated with a radio unit, both of which have lent antennas: the event `Handover` reports it.
+    /// The robot counts as attached to it in all that the fabric tells. Does nothing if it is associated with it already.
+    ///
+    /// # Errors
+    /// [`FabricError`] for an unknown robot or radio unit, antennas that are not lent, or two networks.
+    pub fn associate(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        radio_unit: &NodeId,
+        association: Association,
+    ) -> Result<(), FabricError> {
+        let now = self.advance(now);
+        self.radio.associate_lent(now, robot, radio_unit, association)?;
+        self.set_behind(robot, self.port(radio_unit));
+        Ok(())
+    }
+
+    /// Records that a robot whose antenna is lent has lost its radio unit: the event `Detached` reports it. Packets to it are
+    /// dropped until it is associated, or sends. Does nothing if it has none.
+    ///
+    /// # Errors
+    /// [`FabricError`] for an unknown robot, or an antenna that is not lent.
+    pub fn disassociate(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), FabricError> {
+        let now = self.advance(now);
+        self.radio.disassociate_lent(now, robot)?;
+        self.set_behind(robot, None);
+        Ok(())
+    }
+
+    /// Records that the radio of a robot whose antenna is lent has scanned: the event `Scanned` reports it. Its attachments
+    /// have the present signals of all radio units that are on.
+    ///
+    /// # Errors
+    /// [`FabricError`] for an unknown robot, or an antenna that is not lent.
+    pub fn scanned(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), FabricError> {
+        let now = self.advance(now);
+        self.radio.scanned_lent(now, robot)
     }
 
     /// Sends a frame from a lent antenna. [`Self::next_report`] reports who received it, and that its last try is over.
@@ -50,5 +94,35 @@ impl Fabric {
     /// antennas are lent: reports count for the next deadline.
     pub fn next_report(&mut self) -> Option<Report> {
         self.radio.next_report(self.now)
+    }
+
+    /// Returns the sender of a frame that comes to the port of a node whose antenna is lent: the robot that has its source
+    /// address, which is behind this port now.
+    pub(super) fn sender(&mut self, port: PortId, frame: &Frame) -> PortId {
+        let robot = frame.source().and_then(|source| self.assigned(source)).filter(|owner| *owner != port);
+        let Some(robot) = robot else { return port };
+        let Port { is_robot, is_lent, .. } = self.ports[robot.0];
+        if !is_robot || !is_lent || self.ports[port.0].is_robot {
+            return port;
+        }
+        self.ports[robot.0].behind = Some(port);
+        robot
+    }
+
+    /// Whether the target of a frame is behind the port that it came to.
+    pub(super) fn is_back(&self, port: PortId, target: &Target) -> bool {
+        matches!(target, Target::Port { port: to, .. } if self.ports[to.0].behind == Some(port))
+    }
+
+    /// Records that nothing is behind a radio unit's port any more.
+    pub(super) fn forget_behind(&mut self, radio_unit: &NodeId) {
+        let gone = self.port(radio_unit);
+        self.ports.iter_mut().filter(|port| port.behind == gone).for_each(|port| port.behind = None);
+    }
+
+    fn set_behind(&mut self, robot: &NodeId, port: Option<PortId>) {
+        if let Some(PortId(robot)) = self.port(robot) {
+            self.ports[robot].behind = port;
+        }
     }
 }

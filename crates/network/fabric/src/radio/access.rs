@@ -46,11 +46,7 @@ impl Radio {
         if self.units[index].serves.take().is_none() {
             return Err(FabricError::NotServing(unit.clone()));
         }
-        for robot in self.units[index].stations.clone() {
-            if self.robots[robot].station.on_channel() == Some(index) {
-                self.lose_unit(robot, index, now);
-            }
-        }
+        self.desert(now, index);
         Ok(())
     }
 
@@ -73,6 +69,9 @@ impl Radio {
     pub(super) fn admits(&self, robot: StationIndex, unit: RadioUnitIndex) -> bool {
         let (robot, radio_unit) = (&self.robots[robot], &self.units[unit]);
         let Some(served) = &radio_unit.serves else { return false };
+        if self.check_lent(&radio_unit.id).is_ok() {
+            return false;
+        }
         match &served.key {
             None => robot.domain == radio_unit.domain,
             Some(_) => robot.access.get(&unit) == Some(served),
@@ -104,7 +103,6 @@ impl Radio {
 
     fn check_deployment(&self, unit: RadioUnitIndex, access_point: &AccessPoint) -> Result<(), FabricError> {
         let radio_unit = &self.units[unit];
-        self.check_not_lent(&radio_unit.id)?;
         let network = &self.networks[radio_unit.network].ssid;
         if radio_unit.serves.is_some() {
             return Err(FabricError::Serving(radio_unit.id.clone()));

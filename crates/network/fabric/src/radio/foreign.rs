@@ -152,16 +152,12 @@ impl Radio {
             return Err(FabricError::NoContention(node.clone()));
         }
         let sifs = network.phy.sifs();
+        self.lent.antennas.insert(node.clone());
         match place {
             Emitter::Robot(robot) => self.vacate(robot, now),
-            Emitter::Unit(unit) => {
-                if self.units[unit].serves.is_some() {
-                    self.switch_off(now, node)?;
-                }
-            }
+            Emitter::Unit(unit) => self.desert(now, unit),
             Emitter::Interference(_) | Emitter::Foreign(_) => {}
         }
-        self.lent.antennas.insert(node.clone());
         let seed = self.seed;
         Ok(Antenna(self.edca().lend(seed, node, place, sifs)))
     }
@@ -172,6 +168,14 @@ impl Radio {
     /// [`FabricError::Lent`].
     pub(super) fn check_not_lent(&self, node: &NodeId) -> Result<(), FabricError> {
         if self.lent.antennas.contains(node) { Err(FabricError::Lent(node.clone())) } else { Ok(()) }
+    }
+
+    /// Checks that an antenna is lent.
+    ///
+    /// # Errors
+    /// [`FabricError::NotLent`].
+    pub(super) fn check_lent(&self, node: &NodeId) -> Result<(), FabricError> {
+        if self.lent.antennas.contains(node) { Ok(()) } else { Err(FabricError::NotLent(node.clone())) }
     }
 
     /// Whether a robot's antenna is lent.

@@ -9,9 +9,11 @@
 //! - [`access`] switches vAPs on and off and admits robots; [`station`] is the state machine of an attachment; [`roaming`]
 //!   decides from [`beacons`], [`supplicant`] as wpa_supplicant; [`attaching`] carries out handovers; [`elsewhere`] has
 //!   the robots that are with other cores.
+//! - [`foreign`] lends antennas to other radios; [`associations`] has what these radios are attached to.
 
 mod access;
 mod air;
+mod associations;
 mod attaching;
 mod beacons;
 mod channel;
@@ -49,6 +51,7 @@ use cotorra_graph::{
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 pub use self::{
+    associations::Association,
     edca::Category,
     foreign::{Antenna, RateTries, Receiver, Report, Transmission},
     phy::sensitivity,
@@ -394,6 +397,10 @@ impl Radio {
     pub(crate) fn push_group(&mut self, now: Timestamp, unit: PortId, source: PortId, frame: Frame) {
         self.advance(now);
         let Some(Role::Unit(unit)) = self.role(unit) else { return self.lost.push(frame) };
+        if self.check_lent(&self.units[unit].id).is_ok() {
+            // The radio there has got it at the port.
+            return self.lost.push(frame);
+        }
         let source = match self.role(source) {
             Some(Role::Robot(robot)) => Some(robot),
             _ => None,
@@ -528,7 +535,8 @@ impl Radio {
         self.advance(now);
         let index = self.robot(robot)?;
         self.check_not_lent(robot)?;
-        let to = *self.unit_by_name.get(unit).ok_or_else(|| FabricError::UnknownRadioUnit(unit.clone()))?;
+        let to = self.unit(unit)?;
+        self.check_not_lent(unit)?;
         if self.robots[index].network != self.units[to].network {
             return Err(FabricError::OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() });
         }

@@ -43,6 +43,7 @@ fn network() -> WirelessNetwork {
         walls: None,
         access: None,
         interference: Vec::new(),
+        hwsim: None,
         shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
         fading: None,
         noise_floor: Dbm(-95.0),

@@ -26,6 +26,7 @@ impl Network {
             walls: None,
             access: None,
             interference: Vec::new(),
+            hwsim: None,
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
             fading: None,
             noise_floor: Dbm(-95.0),
