@@ -25,7 +25,7 @@ fn ipv4(from: PortId, to: PortId, protocol: u8, payload: &[u8]) -> Vec<u8> {
     [&destination.mac[..], &source.mac, &[8, 0], &header.header(payload.len()), payload].concat()
 }
 
-fn datagram(from: (PortId, u16), to: (PortId, u16), id: u64) -> Frame {
+pub fn datagram(from: (PortId, u16), to: (PortId, u16), id: u64) -> Frame {
     let payload = id.to_le_bytes();
     let udp = [&udp_header(from.1, to.1, payload.len())[..], &payload].concat();
     Frame::new(ipv4(from.0, to.0, PROTOCOL_UDP, &udp))
