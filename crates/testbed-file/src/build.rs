@@ -7,6 +7,7 @@ mod builder;
 mod compose;
 mod containers;
 mod flows;
+mod hwsim;
 mod kobuki;
 mod links;
 mod nodes;

@@ -5,8 +5,8 @@ use std::{net::Ipv4Addr, time::Duration};
 use cotorra_graph::{
     AgentId, BackgroundScan, BitRate, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
     EngineKind, GapPolicy, IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId,
-    PluginId, Position, Probability, Pull, QueueLimit, Rate, RateControl, Requests, Roaming, RobotModel,
-    RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume, WifiStandard,
+    PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Roaming,
+    RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume, WifiStandard,
 };
 
 use crate::{
@@ -208,6 +208,10 @@ record! {
         access: Spanned<Either<AccessWord, AccessRecord>> = "turns",
         /// What else sends on its channels, by name. It needs EDCA.
         interference: Table<String, InterferenceRecord> = {},
+        /// Software of its stations: the model, or hostapd and wpa_supplicant on simulated radios of Linux. These need EDCA.
+        wifi: Spanned<WifiWord> = "model",
+        /// Security of hostapd and wpa_supplicant: a mapping, or `open`. The model has none.
+        security: Either<SecurityWord, SecurityRecord> = { "method": "wpa2" },
     }
 }
 
@@ -216,6 +220,53 @@ record! {
 pub(crate) enum AccessWord {
     Turns,
     Edca,
+}
+
+/// The software of stations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum WifiWord {
+    Model,
+    Hwsim,
+}
+
+/// Security without settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SecurityWord {
+    Open,
+}
+
+tagged! {
+    /// Security of hostapd and wpa_supplicant.
+    SecurityRecord by method {
+        "wpa2" => Wpa2(Wpa2Record),
+        "wpa3" => Wpa3(Wpa3Record),
+    }
+}
+
+record! {
+    /// WPA2-PSK.
+    Wpa2Record {
+        /// Protection of management frames (IEEE 802.11w).
+        management_frames: Protection = "optional",
+        ..secret: PassphraseRecord,
+    }
+}
+
+record! {
+    /// WPA3-SAE.
+    Wpa3Record {
+        ..secret: PassphraseRecord,
+    }
+}
+
+record! {
+    /// What stations have to know, and how they take it to the next radio unit.
+    PassphraseRecord {
+        /// Passphrase: 8 to 63 printable ASCII characters.
+        passphrase: Spanned<String> = "an emulated network",
+        /// Whether a robot asks for fast transition by way of its present radio unit, instead of over the air.
+        over_ds: bool = false,
+    }
 }
 
 record! {
@@ -1333,6 +1384,18 @@ choice!(GapPolicy, "gap policy", {
 choice!(AccessWord, "way to share a channel", {
     "turns" => Self::Turns, "senders take turns, and nothing collides";
     "edca" => Self::Edca, "stations contend as real ones do";
+});
+choice!(WifiWord, "kind of Wi-Fi software", {
+    "model" => Self::Model, "the model of this page's keys";
+    "hwsim" => Self::Hwsim, "hostapd and wpa_supplicant, on radios of `mac80211_hwsim`";
+});
+choice!(SecurityWord, "kind of security", {
+    "open" => Self::Open, "everybody may join, and nothing is encrypted";
+});
+choice!(Protection, "protection of management frames", {
+    "off" => Self::Off, "none: anybody can disconnect a robot by a forged frame";
+    "optional" => Self::Optional, "for stations that can";
+    "required" => Self::Required, "for all, and others are refused";
 });
 choice!(RateControl, "rate control", {
     "minstrel" => Self::Minstrel, "by acknowledgements, as Linux does (Minstrel-HT)";

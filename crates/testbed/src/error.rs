@@ -70,6 +70,12 @@ pub enum RunError {
         "the testbed has a border to other cores, and virtual time has none: run in real time, or remove `border` from the testbed file"
     )]
     VirtualBorder,
+    /// Virtual time has no real programs.
+    #[error(
+        "wireless network `{0}` has hostapd and wpa_supplicant, which have no virtual time: simulate its model with \
+         `--set wireless.{0}.wifi=model`"
+    )]
+    VirtualWifi(String),
     /// This machine has no engine for a container.
     #[cfg(feature = "containers")]
     #[error("VNF `{vnf}` starts in a container on `{node}`, and {source}")]

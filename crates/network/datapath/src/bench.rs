@@ -397,7 +397,7 @@ fn wait_for_the_kernel() -> Result<(), Error> {
             Netlink::open()?.execute(vec![netlink::veth("inside", "outside", 100, outside.as_fd())])
         })
         .action("make a virtual Ethernet pair")?;
-        while sys::interface_index(c"outside").is_ok() {
+        while sys::interface_index("outside").is_ok() {
             thread::sleep(Duration::from_millis(1));
         }
         Ok(())

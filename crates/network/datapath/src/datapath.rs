@@ -2,7 +2,7 @@
 //! them.
 
 use std::{
-    collections::HashMap,
+    collections::{BTreeSet, HashMap},
     process::Command,
     sync::Arc,
     thread::{self, JoinHandle},
@@ -17,13 +17,14 @@ use crate::{
     engine::{DepartureSink, Engine, EventSink, Handle, Shared, Sinks},
     error::{Action, Error},
     gateway::{self, GatewayTraffic, Opened},
-    hosts::{self, Host, PortKind},
+    hosts::{self, Addresses, Host, PortKind},
     kernel_network::KernelNetwork,
     namespace::Namespace,
     port::Port,
     process::{Child, HostsFile, SpawnOptions},
     punctual::BusyPoll,
     sys,
+    wifi::{self, Air},
 };
 
 /// Settings of a datapath.
@@ -64,23 +65,35 @@ pub struct Datapath {
 
 impl Datapath {
     /// Brings the graph's hosts up and starts the fabric, which must be made from the same graph. The run's clock
-    /// starts now.
+    /// starts now. Robots and radio units of networks with real Wi-Fi software have their [radios](wifi) then.
     ///
     /// # Errors
-    /// [`Error::Kernel`] with the rejected action, [`Error::Gateway`].
-    pub fn start(graph: &HardwareGraph, fabric: Fabric, options: Options) -> Result<Self, Error> {
+    /// [`Error::Kernel`] with the rejected action, [`Error::Gateway`], [`Error::Wifi`].
+    pub fn start(graph: &HardwareGraph, mut fabric: Fabric, options: Options) -> Result<Self, Error> {
         sys::raise_open_files();
         let kind = hosts::resolve(options.port);
         let kernel = options.kernel.map(Arc::new);
+        let mut air = if kernel.is_none() { Air::register(graph)? } else { None };
         let (gateways, mut real_ports) = gateway::open(graph, &options.allowed_interfaces)?;
         let emulated = graph.hosts().enumerate().filter(|(_, node)| node.real_server().is_none());
-        let (emulated, names): (Vec<_>, Vec<_>) =
-            emulated.filter(|_| kernel.is_none()).map(|(place, node)| (place, &node.id)).unzip();
-        let places = names.into_iter().cloned().zip(0..).collect();
-        let (hosts, ports): (Vec<_>, Vec<_>) = hosts::bring_up(&emulated, kind, &gateway::machines(graph))?
+        let emulated: Vec<_> = emulated.filter(|_| kernel.is_none()).collect();
+        let radios: BTreeSet<_> = graph.hwsim_nodes().map(|(node, _)| &node.id).collect();
+        let addresses = |node: &Node| {
+            if radios.contains(&node.id) { wifi::addresses(node) } else { Addresses::AtPort }
+        };
+        let addressed: Vec<_> = emulated.iter().map(|(place, node)| (*place, addresses(node))).collect();
+        let machines = gateway::machines(graph);
+        let (hosts, ports): (Vec<_>, Vec<_>) = hosts::bring_up(&addressed, kind, &machines)?
             .into_iter()
             .map(|Host { namespace, port }| (namespace, Port::new(port)))
             .unzip();
+        if let Some(air) = &mut air {
+            let equipped = emulated.iter().zip(&hosts).filter(|((_, node), _)| radios.contains(&node.id));
+            equipped
+                .into_iter()
+                .try_for_each(|(node, host)| air.equip(&mut fabric, *node, host, &machines))?;
+        }
+        let places = emulated.iter().map(|(_, node)| node.id.clone()).zip(0..).collect();
         let mut ports = ports.into_iter();
         let port = |node: &Node| real_ports.remove(&node.id).or_else(|| ports.next());
         let ports = graph.ports().filter_map(port).collect();
@@ -90,7 +103,7 @@ impl Datapath {
         let shared = Arc::new(Shared::new().action("make an eventfd")?);
         let clock = Clock::start();
         let sinks = Sinks { events: options.events, departures: options.departures };
-        let engine = Engine::new(fabric, clock, ports, Arc::clone(&shared), options.busy_poll, sinks)
+        let engine = Engine::new(fabric, clock, ports, Arc::clone(&shared), options.busy_poll, sinks, air)
             .action("wait for the ports with epoll")?;
         let thread = thread::Builder::new()
             .name("fabric".into())

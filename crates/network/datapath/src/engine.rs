@@ -23,6 +23,7 @@ use crate::{
     port::{self, Port, Sent},
     punctual::{self, BusyPoll, Punctuality},
     sys::{Epoll, Ready, Waker},
+    wifi::Air,
 };
 
 /// Most frames read from a port before the next port's turn.
@@ -48,7 +49,7 @@ pub(crate) struct Shared {
     waker: Waker,
     /// Set to end the thread. Frames that are due are no longer sent, however many there are.
     stopping: AtomicBool,
-    /// Frames that a port could not send or receive.
+    /// Frames that a port could not send or receive, and bursts of them that the medium missed.
     dropped: AtomicU64,
 }
 
@@ -69,7 +70,7 @@ impl Shared {
         self.waker.wake();
     }
 
-    fn count_drop(&self) {
+    pub(crate) fn count_drop(&self) {
         self.dropped.fetch_add(1, Ordering::Relaxed);
     }
 
@@ -118,6 +119,8 @@ pub(crate) struct Engine {
     /// Buffer for the part of a frame that exceeds an ordinary one.
     spill: Box<[u8]>,
     sinks: Sinks,
+    /// The medium of simulated radios, if there are any.
+    air: Option<Air>,
 }
 
 /// Receivers of what is no frame of a port.
@@ -202,12 +205,16 @@ impl Engine {
         shared: Arc<Shared>,
         busy_poll: BusyPoll,
         sinks: Sinks,
+        air: Option<Air>,
     ) -> io::Result<Self> {
         let epoll = Epoll::new()?;
         for (index, port) in ports.iter().enumerate() {
             epoll.add(port.as_fd(), index)?;
         }
         epoll.add(shared.waker.as_fd(), ports.len())?;
+        if let Some(air) = &air {
+            epoll.add(air.as_fd(), ports.len() + 1)?;
+        }
         let ports = Ports {
             ports,
             spent: Vec::new(),
@@ -225,6 +232,7 @@ impl Engine {
             punctuality: Punctuality::new(busy_poll),
             spill: vec![0; port::LARGEST].into(),
             sinks,
+            air,
         })
     }
 
@@ -240,7 +248,7 @@ impl Engine {
         let _closing = Closing(Arc::clone(&self.shared));
         punctual::be_punctual();
         let mut ready: Vec<Ready> = Vec::new();
-        let mut deadline = self.poll();
+        let mut deadline = self.poll()?;
         // Also where a command has cleared the wake-up of the stop.
         while !self.shared.stopping.load(Ordering::Relaxed) {
             let before = self.clock.now();
@@ -251,32 +259,53 @@ impl Engine {
             self.punctuality.woke(now, ready.is_empty());
             // Frames that are due go first.
             if deadline.is_some_and(|at| at <= now + self.ports.handover) {
-                deadline = self.poll();
+                deadline = self.poll()?;
             }
             let mut arrived = Some(self.punctuality.event_at(before, now));
             for event in &ready {
                 if self.shared.stopping.load(Ordering::Relaxed) {
                     break;
                 }
-                if event.token == self.ports.ports.len() {
-                    self.run_commands();
-                } else {
-                    if event.writable {
-                        self.ports.flush(event.token);
+                match event.token.checked_sub(self.ports.ports.len()) {
+                    None => {
+                        if event.writable {
+                            self.ports.flush(event.token);
+                        }
+                        if event.readable {
+                            self.receive(event.token, arrived.take());
+                        }
                     }
-                    if event.readable {
-                        self.receive(event.token, arrived.take());
-                    }
+                    Some(0) => self.run_commands(),
+                    Some(_) => self.receive_from_radios()?,
                 }
-                deadline = self.poll();
+                deadline = self.poll()?;
             }
         }
         port::close(self.ports.ports);
         Ok(self.fabric)
     }
 
-    /// Lets the fabric deliver what is due, and returns its next deadline.
-    fn poll(&mut self) -> Option<Timestamp> {
+    /// Lets the fabric deliver what is due, also to radios, and returns its next deadline.
+    fn poll(&mut self) -> io::Result<Option<Timestamp>> {
+        loop {
+            let deadline = self.poll_fabric();
+            let Some(air) = &mut self.air else { return Ok(deadline) };
+            if !air.deliver(&mut self.fabric, self.clock, &self.shared)? {
+                return Ok(deadline);
+            }
+        }
+    }
+
+    /// Takes what the kernel's radios send.
+    fn receive_from_radios(&mut self) -> io::Result<()> {
+        match &mut self.air {
+            Some(air) => air.receive(&mut self.fabric, self.clock, &self.shared),
+            None => Ok(()),
+        }
+    }
+
+    /// Lets the fabric deliver what is due at ports, and returns its next deadline.
+    fn poll_fabric(&mut self) -> Option<Timestamp> {
         let ports = &mut self.ports;
         let out = self.clock.now() + ports.handover;
         let deadline = self.fabric.poll(out, &mut |port, frame| ports.send(port, frame));
@@ -370,7 +399,8 @@ mod tests {
         let fabric = Fabric::new(&graph, 1).unwrap();
         let (clock, also_shared) = (Clock::start(), Arc::clone(&shared));
         let engine =
-            Engine::new(fabric, clock, Vec::new(), also_shared, BusyPoll::Never, Sinks::default()).unwrap();
+            Engine::new(fabric, clock, Vec::new(), also_shared, BusyPoll::Never, Sinks::default(), None)
+                .unwrap();
         shared.stop();
         shared.waker.clear();
         engine.run().unwrap();

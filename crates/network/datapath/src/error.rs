@@ -24,6 +24,12 @@ pub enum Error {
     /// The interface of a gateway or a real server cannot be used.
     #[error("interface of `{gateway}`: {source}")]
     Gateway { gateway: NodeId, source: GatewayError },
+    /// This kernel or this user cannot have simulated radios.
+    #[error("no radios for hostapd and wpa_supplicant: {0}")]
+    Wifi(#[from] cotorra_hwsim::Error),
+    /// The fabric lends no antenna to a simulated radio.
+    #[error("no antenna for a simulated radio: {0}")]
+    Antenna(#[from] cotorra_fabric::FabricError),
     /// The graph has no host of that name with a namespace. Switches and real servers have none.
     #[error("`{0}` is not a host of this machine: those are robots, radio units and emulated servers")]
     NoSuchHost(NodeId),

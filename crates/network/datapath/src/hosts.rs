@@ -18,7 +18,7 @@ use crate::{
     error::{Action, Error},
     namespace::{Namespace, on_a_thread},
     netlink::{self, Netlink},
-    sys,
+    sys, wifi,
 };
 
 /// Largest payload of a frame, bytes.
@@ -28,6 +28,10 @@ const QUEUE: u32 = 4096;
 /// Bytes buffered between the kernel and the fabric's thread at a packet socket.
 pub(crate) const SOCKET_BUFFER: i32 = 32 << 20;
 const TUN: &str = "/dev/net/tun";
+/// The interface of a host's port.
+pub(crate) const PORT: &str = "eth0";
+/// Index of a radio unit's bridge. The loopback interface has 1, and kernels with built-in tunnels use the next few.
+const BRIDGE_INDEX: u32 = 90;
 
 /// Kind of port that connects a host to the fabric.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -39,6 +43,17 @@ pub enum PortKind {
     Tap,
     /// A virtual Ethernet pair with a packet socket at its other end.
     PacketSocket,
+}
+
+/// The interface that has a host's addresses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Addresses {
+    /// `eth0`, its port.
+    AtPort,
+    /// A bridge, which `eth0` is a port of.
+    AtBridge,
+    /// Another one, which is made later. `eth0` stays down.
+    Elsewhere,
 }
 
 /// A host that is up.
@@ -57,15 +72,19 @@ pub(crate) fn resolve(kind: PortKind) -> PortKind {
 }
 
 /// Brings up the hosts at these places, with the addresses that follow from them. They reach `others` without a router.
-pub(crate) fn bring_up(places: &[usize], kind: PortKind, others: &[Ipv4Addr]) -> Result<Vec<Host>, Error> {
+pub(crate) fn bring_up(
+    places: &[(usize, Addresses)],
+    kind: PortKind,
+    others: &[Ipv4Addr],
+) -> Result<Vec<Host>, Error> {
     // Namespace of the virtual Ethernet pairs' other ends, invisible to others.
     let wiring = match kind {
         PortKind::PacketSocket => Some(Namespace::new()?),
         _ => None,
     };
-    let host = |place: usize| match &wiring {
-        Some(wiring) => packet_socket_host(place, wiring, others),
-        None => tap_host(place, others),
+    let host = |place: usize, addresses: Addresses| match &wiring {
+        Some(wiring) => packet_socket_host(place, addresses, wiring, others),
+        None => tap_host(place, addresses, others),
     };
     let workers = thread::available_parallelism().map_or(1, |cores| cores.get().min(8));
     let share = places.len().div_ceil(workers).max(1);
@@ -74,7 +93,10 @@ pub(crate) fn bring_up(places: &[usize], kind: PortKind, others: &[Ipv4Addr]) ->
             .chunks(share)
             .map(|places| {
                 let host = &host;
-                scope.spawn(move || places.iter().map(|place| host(*place)).collect::<Result<Vec<_>, _>>())
+                scope.spawn(move || {
+                    let hosts = places.iter().map(|(place, addresses)| host(*place, *addresses));
+                    hosts.collect::<Result<Vec<_>, _>>()
+                })
             })
             .collect();
         let mut hosts = Vec::with_capacity(places.len());
@@ -94,14 +116,38 @@ fn enter_new_namespace() -> Result<Namespace, Error> {
     Namespace::enter_new().action("make a network namespace")
 }
 
-/// Configures the addresses of `eth0` in the calling thread's namespace, and its routes to `others`.
-pub(crate) fn configure(netlink: &Netlink, place: usize, others: &[Ipv4Addr]) -> Result<(), Error> {
-    let eth0 = sys::interface_index(c"eth0").action("find a host's interface")?;
+/// Configures the interfaces of a host in the calling thread's namespace.
+fn configure_all(
+    netlink: &Netlink,
+    place: usize,
+    addresses: Addresses,
+    others: &[Ipv4Addr],
+) -> Result<(), Error> {
+    match addresses {
+        Addresses::AtPort => configure(netlink, PORT, place, others),
+        Addresses::AtBridge => {
+            let port = sys::interface_index(PORT).action("find a host's interface")?;
+            let requests = netlink::bridged(port, wifi::BRIDGE, BRIDGE_INDEX, MTU, QUEUE);
+            netlink.execute(requests).action("make a radio unit's bridge")?;
+            configure(netlink, wifi::BRIDGE, place, others)
+        }
+        Addresses::Elsewhere => Ok(()),
+    }
+}
+
+/// Configures a host's addresses at an interface in the calling thread's namespace, and its routes to `others`.
+pub(crate) fn configure(
+    netlink: &Netlink,
+    interface: &str,
+    place: usize,
+    others: &[Ipv4Addr],
+) -> Result<(), Error> {
+    let index = sys::interface_index(interface).action("find a host's interface")?;
     // The fabric has no router to solicit. Without IPv6 this file does not exist.
-    let _ = fs::write("/proc/sys/net/ipv6/conf/eth0/router_solicitations", "0");
-    let mut requests = netlink::host(eth0, &HostAddress::of(place), MTU, QUEUE);
+    let _ = set(6, interface, "router_solicitations", "0");
+    let mut requests = netlink::host(index, &HostAddress::of(place), MTU, QUEUE);
     let far = others.iter().filter(|address| !HostAddress::is_near(**address));
-    requests.extend(far.map(|address| netlink::route(eth0, *address, 32)));
+    requests.extend(far.map(|address| netlink::route(index, *address, 32)));
     // A message must fit the socket's buffer.
     let mut requests = requests.into_iter().peekable();
     while requests.peek().is_some() {
@@ -110,11 +156,16 @@ pub(crate) fn configure(netlink: &Netlink, place: usize, others: &[Ipv4Addr]) ->
     Ok(())
 }
 
-fn tap_host(place: usize, others: &[Ipv4Addr]) -> Result<Host, Error> {
+/// Sets a parameter of an interface for IPv4 or IPv6.
+pub(crate) fn set(version: u8, interface: &str, parameter: &str, value: &str) -> io::Result<()> {
+    fs::write(format!("/proc/sys/net/ipv{version}/conf/{interface}/{parameter}"), value)
+}
+
+fn tap_host(place: usize, addresses: Addresses, others: &[Ipv4Addr]) -> Result<Host, Error> {
     let namespace = enter_new_namespace()?;
     let device = open_tun().action("open /dev/net/tun")?;
     sys::make_tap(&device, c"eth0").action("make a TAP with offloads")?;
-    configure(&Netlink::open().action("open a netlink socket")?, place, others)?;
+    configure_all(&Netlink::open().action("open a netlink socket")?, place, addresses, others)?;
     Ok(Host { namespace, port: device.into() })
 }
 
@@ -144,7 +195,12 @@ fn kernel() -> (u32, u32) {
     (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0))
 }
 
-fn packet_socket_host(place: usize, wiring: &Namespace, others: &[Ipv4Addr]) -> Result<Host, Error> {
+fn packet_socket_host(
+    place: usize,
+    addresses: Addresses,
+    wiring: &Namespace,
+    others: &[Ipv4Addr],
+) -> Result<Host, Error> {
     // The loopback interface has index 1, and kernels with built-in tunnels use the next few.
     let index = 100 + place as u32;
     let namespace = enter_new_namespace()?;
@@ -162,6 +218,6 @@ fn packet_socket_host(place: usize, wiring: &Namespace, others: &[Ipv4Addr]) -> 
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).action("open a socket in a namespace")?;
     sys::restrict_offloads(socket.as_fd(), c"eth0", &offloads())
         .action("restrict the offloads of a virtual Ethernet pair")?;
-    configure(&inside, place, others)?;
+    configure_all(&inside, place, addresses, others)?;
     Ok(Host { namespace, port })
 }

@@ -305,7 +305,9 @@ fn attach_host(place: usize, port: u32, bridge: u32, wiring: &Namespace) -> Resu
     wiring
         .run(|| Netlink::open()?.execute(vec![netlink::up(port, vec![netlink::in_bridge(bridge)])]))
         .action("set a port up")?;
-    host.run(|| hosts::configure(&Netlink::open().action("open a netlink socket")?, place, &[]))?;
+    host.run(|| {
+        hosts::configure(&Netlink::open().action("open a netlink socket")?, hosts::PORT, place, &[])
+    })?;
     debug_assert!(place < HostAddress::MAX_HOSTS);
     Ok(host)
 }

@@ -40,7 +40,7 @@ mod punctual;
 mod seccomp;
 mod sys;
 mod vnet;
-mod wifi;
+pub mod wifi;
 
 pub use allowance::Allowance;
 pub use capability::{Capability, CapabilityState, probe};
@@ -58,4 +58,3 @@ pub use namespace::{Namespace, enter};
 pub use privilege::{Privilege, enter_user_namespace_if_needed, hide_memory};
 pub use process::{Child, HostsFile, SpawnOptions, raise_open_files};
 pub use punctual::{BusyPoll, be_punctual, be_timely};
-pub use wifi::{BRIDGE, WLAN};

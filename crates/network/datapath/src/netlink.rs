@@ -15,8 +15,8 @@ use netlink_packet_route::{
     AddressFamily, RouteNetlinkMessage,
     address::{AddressAttribute, AddressFlags, AddressHeaderFlags, AddressMessage, AddressScope},
     link::{
-        AfSpecInet6, AfSpecUnspec, In6AddrGenMode, InfoData, InfoKind, InfoVeth, LinkAttribute, LinkFlags,
-        LinkInfo, LinkMessage,
+        AfSpecInet6, AfSpecUnspec, In6AddrGenMode, InfoBridge, InfoData, InfoKind, InfoVeth, LinkAttribute,
+        LinkFlags, LinkInfo, LinkMessage,
     },
     route::{RouteAddress, RouteAttribute, RouteHeader, RouteMessage, RouteProtocol, RouteScope, RouteType},
     tc::{TcAttribute, TcHandle, TcMessage},
@@ -125,6 +125,39 @@ pub(crate) fn bridge(name: &str, index: u32) -> RouteNetlinkMessage {
     RouteNetlinkMessage::NewLink(link(index, vec![LinkAttribute::IfName(name.into()), kind]))
 }
 
+/// Makes a bridge that floods multicast packets to all its ports, and an interface one of these, both up and without addresses.
+pub(crate) fn bridged(
+    interface: u32,
+    name: &str,
+    index: u32,
+    mtu: u32,
+    queue: u32,
+) -> Vec<RouteNetlinkMessage> {
+    let kind = LinkAttribute::LinkInfo(vec![
+        LinkInfo::Kind(InfoKind::Bridge),
+        LinkInfo::Data(InfoData::Bridge(vec![InfoBridge::MulticastSnooping(false)])),
+    ]);
+    let name = LinkAttribute::IfName(name.into());
+    let mut requests = vec![RouteNetlinkMessage::NewLink(link(index, vec![name, kind]))];
+    requests.extend(without_own_address(interface));
+    let attributes = vec![in_bridge(index), LinkAttribute::Mtu(mtu), LinkAttribute::TxQueueLen(queue)];
+    requests.push(up(interface, attributes));
+    requests
+}
+
+/// Changes the MAC address of an interface that is down, and gives it no address by itself.
+pub(crate) fn at_mac(interface: u32, mac: [u8; 6]) -> Vec<RouteNetlinkMessage> {
+    let mac = link(interface, vec![LinkAttribute::Address(mac.to_vec())]);
+    without_own_address(interface).into_iter().chain([RouteNetlinkMessage::SetLink(mac)]).collect()
+}
+
+/// Keeps the kernel from giving an interface a link-local address. `None` without IPv6.
+fn without_own_address(interface: u32) -> Option<RouteNetlinkMessage> {
+    let none = AfSpecInet6::AddrGenMode(In6AddrGenMode::None);
+    let attributes = vec![LinkAttribute::AfSpecUnspec(vec![AfSpecUnspec::Inet6(vec![none])])];
+    has_ipv6().then(|| RouteNetlinkMessage::SetLink(link(interface, attributes)))
+}
+
 /// Makes an interface a port of a bridge.
 pub(crate) fn in_bridge(bridge: u32) -> LinkAttribute {
     LinkAttribute::Controller(bridge)
@@ -189,33 +222,27 @@ pub(crate) fn has_ipv6() -> bool {
     Path::new("/proc/thread-self/net/if_inet6").exists()
 }
 
-/// Returns the requests that configure a host: loopback up, `eth0` up with its addresses and routes.
-pub(crate) fn host(eth0: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<RouteNetlinkMessage> {
+/// Returns the requests that configure a host: loopback up, an interface up with the host's addresses and routes.
+pub(crate) fn host(interface: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<RouteNetlinkMessage> {
     let mut requests = vec![up(LOOPBACK, vec![])];
-    if has_ipv6() {
-        // The kernel's own link-local address would be tentative for a second.
-        let none = AfSpecInet6::AddrGenMode(In6AddrGenMode::None);
-        requests.push(RouteNetlinkMessage::SetLink(link(
-            eth0,
-            vec![LinkAttribute::AfSpecUnspec(vec![AfSpecUnspec::Inet6(vec![none])])],
-        )));
-    }
+    // The kernel's own link-local address would be tentative for a second.
+    requests.extend(without_own_address(interface));
     requests.push(up(
-        eth0,
+        interface,
         vec![
             LinkAttribute::Address(of.mac.to_vec()),
             LinkAttribute::Mtu(mtu),
             LinkAttribute::TxQueueLen(queue),
         ],
     ));
-    requests.push(address(eth0, of.ipv4.into(), HostAddress::IPV4_PREFIX, AddressScope::Universe));
-    requests.push(route(eth0, Ipv4Addr::new(224, 0, 0, 0), 4));
-    requests.push(route(eth0, Ipv4Addr::BROADCAST, 32));
+    requests.push(address(interface, of.ipv4.into(), HostAddress::IPV4_PREFIX, AddressScope::Universe));
+    requests.push(route(interface, Ipv4Addr::new(224, 0, 0, 0), 4));
+    requests.push(route(interface, Ipv4Addr::BROADCAST, 32));
     if has_ipv6() {
         let on_link = link_local(of.mac);
-        requests.push(address(eth0, on_link.into(), 64, AddressScope::Link));
-        requests.push(address(eth0, of.ipv6.into(), HostAddress::IPV6_PREFIX, AddressScope::Universe));
-        requests.extend([on_link, of.ipv6].map(|own| local_route(eth0, own)));
+        requests.push(address(interface, on_link.into(), 64, AddressScope::Link));
+        requests.push(address(interface, of.ipv6.into(), HostAddress::IPV6_PREFIX, AddressScope::Universe));
+        requests.extend([on_link, of.ipv6].map(|own| local_route(interface, own)));
     }
     requests
 }

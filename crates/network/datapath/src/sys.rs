@@ -303,7 +303,8 @@ pub(crate) fn set_hostname(name: &str) -> io::Result<()> {
 }
 
 /// Returns the index of an interface in the calling thread's network namespace.
-pub(crate) fn interface_index(name: &CStr) -> io::Result<u32> {
+pub(crate) fn interface_index(name: &str) -> io::Result<u32> {
+    let name = CString::new(name)?;
     // SAFETY: the name ends in a zero.
     match unsafe { libc::if_nametoindex(name.as_ptr()) } {
         0 => Err(io::Error::last_os_error()),

@@ -2,11 +2,176 @@
 //! ([`Hwsim`](cotorra_graph::Hwsim)).
 //!
 //! A robot's addresses are on its [`WLAN`]. A radio unit's are on its [`BRIDGE`], which joins its port of the fabric with its
-//! [`WLAN`], once hostapd adds that. Both have the MAC addresses of [`HostAddress`](cotorra_graph::HostAddress), which are
-//! the radio units' BSSIDs, too. The software is for the caller to start, in the nodes' namespaces.
+//! [`WLAN`], once hostapd adds that. All have the MAC addresses of [`HostAddress`], which are the radio units' BSSIDs, too.
+//! The software is for the caller to start, in the nodes' namespaces.
+
+use std::{
+    hash::{BuildHasher as _, RandomState},
+    io,
+    net::Ipv4Addr,
+    os::fd::{AsFd, BorrowedFd},
+};
+
+use cotorra_fabric::Fabric;
+use cotorra_graph::{HardwareGraph, HostAddress, Node, NodeKind, Timestamp};
+use cotorra_hwsim::{
+    Error as HwsimError, Incoming, MacAddress, Medium, MediumSocket, Message, Outgoing, Phys, Radio, Radios,
+};
+
+use crate::{
+    clock::Clock,
+    engine::Shared,
+    error::{Action, Error},
+    hosts::{self, Addresses},
+    namespace::Namespace,
+    netlink::{self, Netlink},
+    sys,
+};
 
 /// The interface of a node's radio.
 pub const WLAN: &str = "wlan0";
 
 /// The bridge of a radio unit.
 pub const BRIDGE: &str = "br0";
+
+/// Most messages of the kernel's that are handled before the ports' turn.
+const BATCH: usize = 64;
+
+/// Checks that this kernel and this user can have simulated radios, if the graph needs any.
+///
+/// # Errors
+/// [`Error::Wifi`], or [`Error::Kernel`] without the right to make a network namespace.
+pub fn check(graph: &HardwareGraph) -> Result<(), Error> {
+    Air::register(graph).map(drop)
+}
+
+/// The medium of the simulated radios.
+///
+/// It is registered in a network namespace of its own: an ordinary user may do so, and other media, such as those of other runs,
+/// have theirs.
+pub(crate) struct Air {
+    namespace: Namespace,
+    socket: MediumSocket,
+    medium: Medium,
+    /// The radios go with this.
+    radios: Radios,
+    /// Begin of the radios' hardware addresses.
+    prefix: [u8; 4],
+}
+
+impl Air {
+    /// Becomes the medium of the graph's simulated radios; `None` if it has none.
+    pub(crate) fn register(graph: &HardwareGraph) -> Result<Option<Self>, Error> {
+        if graph.hwsim_nodes().next().is_none() {
+            return Ok(None);
+        }
+        let namespace = Namespace::new()?;
+        let socket = namespace.run(MediumSocket::register)?;
+        // The kernel keeps the radios of all network namespaces in one table by these addresses, and does not compare them. Those
+        // of interfaces may be the same in several runs.
+        let [a, b, c, ..] = RandomState::new().hash_one(0_u8).to_ne_bytes();
+        let (medium, radios, prefix) = (Medium::new(), Radios::new(), [0x06, a, b, c]);
+        Ok(Some(Self { namespace, socket, medium, radios, prefix }))
+    }
+
+    /// Gives a robot or a radio unit its radio.
+    pub(crate) fn equip(
+        &mut self,
+        fabric: &mut Fabric,
+        (place, node): (usize, &Node),
+        host: &Namespace,
+        others: &[Ipv4Addr],
+    ) -> Result<(), Error> {
+        let [high, low] = (place as u16).to_be_bytes();
+        let [a, b, c, d] = self.prefix;
+        let hardware = MacAddress([a, b, c, d, high, low]);
+        self.medium.join(Timestamp::ZERO, fabric, &node.id, hardware)?;
+        let radio = Radio {
+            permanent_address: Some(hardware),
+            channels: Some(1),
+            no_interface: true,
+            ends_with_socket: true,
+            ..Radio::default()
+        };
+        let radios = &mut self.radios;
+        let phy = self.namespace.run(|| {
+            let phy = radios.create(&radio).and_then(|id| radios.name(id))?;
+            Phys::new().move_to(&phy, host)?;
+            Ok::<_, HwsimError>(phy)
+        })?;
+        host.run(|| {
+            Phys::new().add_station(&phy, WLAN)?;
+            let netlink = Netlink::open().action("open a netlink socket")?;
+            match addresses(node) {
+                Addresses::Elsewhere => {
+                    keep_neighbours();
+                    hosts::configure(&netlink, WLAN, place, others)
+                }
+                _ => {
+                    let wlan = sys::interface_index(WLAN).action("find a radio unit's interface")?;
+                    let requests = netlink::at_mac(wlan, HostAddress::of(place).mac);
+                    netlink.execute(requests).action("set the address of a radio unit's interface")
+                }
+            }
+        })
+    }
+
+    /// Hands the kernel's messages to the fabric.
+    pub(crate) fn receive(&mut self, fabric: &mut Fabric, clock: Clock, shared: &Shared) -> io::Result<()> {
+        for _ in 0..BATCH {
+            let Some(incoming) = self.socket.receive()? else { break };
+            match incoming {
+                Incoming::Message(message) => {
+                    if let Some(answer) = self.medium.handle(clock.now(), fabric, &message) {
+                        self.send(fabric, clock, &answer);
+                    }
+                }
+                Incoming::Refused { number, .. } => self.medium.refused(clock.now(), fabric, number),
+                Incoming::Overrun => shared.count_drop(),
+                Incoming::Unknown => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the kernel what the fabric reports. Returns whether there was anything.
+    pub(crate) fn deliver(&mut self, fabric: &mut Fabric, clock: Clock, shared: &Shared) -> io::Result<bool> {
+        let mut sent = false;
+        while let Some(outgoing) = self.medium.poll(fabric) {
+            sent = true;
+            self.send(fabric, clock, &outgoing);
+            // The kernel has refused it by now if the receiver does not listen, and its status depends on that.
+            if let Message::Delivery(_) = outgoing.message {
+                self.receive(fabric, clock, shared)?;
+            }
+        }
+        Ok(sent)
+    }
+
+    fn send(&mut self, fabric: &mut Fabric, clock: Clock, Outgoing { number, message }: &Outgoing) {
+        if self.socket.send(*number, message).is_err() {
+            self.medium.refused(clock.now(), fabric, *number);
+        }
+    }
+}
+
+impl AsFd for Air {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+/// Returns which interface of a node with a simulated radio has its addresses.
+pub(crate) fn addresses(node: &Node) -> Addresses {
+    match node.kind {
+        NodeKind::RadioUnit(_) => Addresses::AtBridge,
+        _ => Addresses::Elsewhere,
+    }
+}
+
+/// Keeps the neighbours that a robot knows when its radio has no carrier, as between two radio units. Linux forgets them by
+/// default, and asks for them again at most once a second. Kernels before 5.16 cannot.
+fn keep_neighbours() {
+    let _ = hosts::set(4, WLAN, "arp_evict_nocarrier", "0");
+    let _ = hosts::set(6, WLAN, "ndisc_evict_nocarrier", "0");
+}

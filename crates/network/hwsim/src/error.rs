@@ -27,6 +27,9 @@ pub enum Error {
     /// There is a phy of this name already.
     #[error("there is a phy `{0}` already: choose another name")]
     NameTaken(String),
+    /// There is no radio of this number in the network namespace.
+    #[error("there is no radio {0} in this network namespace")]
+    NoRadio(u32),
     /// There is no phy of this name in the network namespace.
     #[error("there is no phy `{0}` in this network namespace")]
     NoPhy(String),

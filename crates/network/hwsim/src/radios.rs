@@ -31,7 +31,8 @@ impl Default for Radios {
 impl Radios {
     /// Returns a client. Opens nothing yet.
     pub const fn new() -> Self {
-        Self { socket: Netlink::new(NETLINK_GENERIC), family: Family::new(FAMILY) }
+        // The kernel ends radios with any socket that has the number of the one that created them.
+        Self { socket: Netlink::alone(NETLINK_GENERIC), family: Family::new(FAMILY) }
     }
 
     /// Creates a radio, and returns its number. Its permanent address must be unique: the kernel does not compare it with
@@ -58,6 +59,15 @@ impl Radios {
     pub fn delete(&mut self, id: u32) -> Result<(), Error> {
         let radio = Radio { id: Some(id), ..Radio::default() };
         self.execute("delete a radio", &Message::DeleteRadio(radio)).map(drop)
+    }
+
+    /// Returns the name of the phy of a radio in this network namespace.
+    ///
+    /// # Errors
+    /// [`Error::Missing`], [`Error::NoRadio`] or [`Error::Refused`].
+    pub fn name(&mut self, id: u32) -> Result<String, Error> {
+        let found = self.list()?.into_iter().find(|radio| radio.id == Some(id));
+        found.and_then(|radio| radio.name).ok_or(Error::NoRadio(id))
     }
 
     /// Returns the radios whose phys are in this network namespace.

@@ -5,7 +5,7 @@ use std::{
     os::fd::{AsFd, BorrowedFd},
 };
 
-use cotorra_netlink::{ACK, Family, Netlink, REQUEST, message, messages};
+use cotorra_netlink::{ACK, Family, Netlink, REQUEST, bind_alone, message, messages};
 use netlink_sys::{Socket, protocols::NETLINK_GENERIC};
 
 use crate::{error::Error, message::Message, radios::FAMILY};
@@ -149,7 +149,8 @@ impl Answer {
 /// Opens a socket that never blocks.
 fn open() -> io::Result<Socket> {
     let mut socket = Socket::new(NETLINK_GENERIC)?;
-    socket.bind_auto()?;
+    // The kernel takes the end of any socket of the namespace with the medium's number for that of the medium.
+    bind_alone(&mut socket)?;
     socket.set_non_blocking(true)?;
     // Errors come back without the frame that they are about.
     socket.set_cap_ack(true)?;

@@ -15,4 +15,4 @@ pub use attributes::{
 };
 pub use family::{Family, answer, decode_family};
 pub use message::{ACK, DUMP, Message, REQUEST, message, messages};
-pub use socket::Netlink;
+pub use socket::{Netlink, bind_alone};

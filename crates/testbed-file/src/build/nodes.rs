@@ -92,7 +92,7 @@ impl Builder<'_> {
             gap: record.gap,
             access: self.access(record),
             interference: self.interference(ssid, record)?,
-            hwsim: None,
+            hwsim: self.hwsim(record)?,
         })
     }
 

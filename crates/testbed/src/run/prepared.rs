@@ -64,6 +64,7 @@ impl Prepared {
         options: Options,
     ) -> Result<(Self, Unstarted), RunError> {
         interface_plans(&testbed, &options.interfaces)?;
+        cotorra_datapath::wifi::check(&testbed.graph)?;
         measure_media(&mut testbed.graph).map_err(RealLinkError::from)?;
         #[cfg(feature = "agents")]
         let authority = crate::agents::authority(&testbed, &options.agents)?;

@@ -142,6 +142,10 @@ impl Simulation {
         if testbed.border.is_some() {
             return Err(RunError::VirtualBorder);
         }
+        if let Some((network, _)) = testbed.graph.wireless.iter().find(|(_, network)| network.hwsim.is_some())
+        {
+            return Err(RunError::VirtualWifi(network.clone()));
+        }
         let testbed = emulated(testbed);
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;

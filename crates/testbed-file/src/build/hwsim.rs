@@ -1,0 +1,60 @@
+//! Networks with hostapd and wpa_supplicant in place of the model.
+
+use cotorra_graph::{Hwsim, Security};
+
+use super::builder::Builder;
+use crate::{
+    records::{
+        AccessWord, PassphraseRecord, SecurityRecord, SecurityWord, WifiWord, WirelessRecord, Wpa2Record,
+        Wpa3Record,
+    },
+    yaml::decode::Either,
+};
+
+/// Lengths of a passphrase (IEEE 802.11-2020, J.4.1).
+const PASSPHRASE: std::ops::RangeInclusive<usize> = 8..=63;
+
+impl Builder<'_> {
+    /// Returns the real software of a network; `Some(None)` if it has the model.
+    pub(super) fn hwsim(&mut self, record: &WirelessRecord) -> Option<Option<Hwsim>> {
+        let security = self.security(&record.security)?;
+        if record.wifi.value == WifiWord::Model {
+            return Some(None);
+        }
+        if let Either::Short(AccessWord::Turns) = record.access.value {
+            self.sink
+                .error(&record.wifi.span, "hostapd and wpa_supplicant in a network whose senders take turns")
+                .help("add `access: edca` to the network, so that its stations sense the channel");
+            return None;
+        }
+        Some(Some(Hwsim { security }))
+    }
+
+    fn security(&mut self, record: &Either<SecurityWord, SecurityRecord>) -> Option<Security> {
+        Some(match record {
+            Either::Short(SecurityWord::Open) => Security::Open,
+            Either::Long(SecurityRecord::Wpa2(Wpa2Record { management_frames, secret })) => Security::Wpa2 {
+                passphrase: self.passphrase(secret)?,
+                management_frames: *management_frames,
+                over_ds: secret.over_ds,
+            },
+            Either::Long(SecurityRecord::Wpa3(Wpa3Record { secret })) => {
+                Security::Wpa3 { passphrase: self.passphrase(secret)?, over_ds: secret.over_ds }
+            }
+        })
+    }
+
+    fn passphrase(&mut self, PassphraseRecord { passphrase, .. }: &PassphraseRecord) -> Option<String> {
+        let is_printable = passphrase.value.bytes().all(|byte| matches!(byte, b' '..=b'~'));
+        let length = passphrase.value.chars().count();
+        let wrong = match () {
+            () if !is_printable => {
+                "a passphrase with other characters than printable ones of ASCII".to_owned()
+            }
+            () if !PASSPHRASE.contains(&length) => format!("a passphrase of {length} characters"),
+            () => return Some(passphrase.value.clone()),
+        };
+        self.sink.error(&passphrase.span, wrong).help("write 8 to 63 printable ASCII characters");
+        None
+    }
+}
