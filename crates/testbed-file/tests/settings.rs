@@ -2,7 +2,7 @@
 
 use std::{path::Path, time::Duration};
 
-use cotorra_graph::{ScanVisits, Testbed};
+use cotorra_graph::{Hwsim, Protection, ScanVisits, Security, Testbed};
 use cotorra_testbed_file::Setting;
 
 const FILE: &str = "\
@@ -136,4 +136,28 @@ fn a_robot_on_its_way_starts_at_its_position() {
     assert_eq!((on.walks[0].next, on.graph.robots().next().unwrap().0.position.unwrap().x), (Some(1), 4.0));
     let told = with(&["walks.robot.next=3"]).unwrap_err();
     assert!(told.contains("the walk has no waypoint 3"), "{told}");
+}
+
+#[test]
+fn real_wifi_software_takes_the_place_of_the_model_and_gives_it_back() {
+    let hwsim = |settings: &[&str]| {
+        let settings = [&["wireless.lab.access=edca"], settings].concat();
+        with(&settings).unwrap().graph.wireless["lab"].hwsim.clone()
+    };
+    assert_eq!(hwsim(&[]), None);
+    let usual = Security::Wpa2 {
+        passphrase: "an emulated network".to_owned(),
+        management_frames: Protection::Optional,
+        over_ds: false,
+    };
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim"]), Some(Hwsim { security: usual }));
+    let wpa3 = "wireless.lab.security={ method: wpa3, passphrase: correct horse, over_ds: true }";
+    let security = Security::Wpa3 { passphrase: "correct horse".to_owned(), over_ds: true };
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", wpa3]), Some(Hwsim { security }));
+    let open = "wireless.lab.security=open";
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", open]), Some(Hwsim { security: Security::Open }));
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", open, "wireless.lab.wifi=model"]), None);
+    let nodes = with(&["wireless.lab.access=edca", "wireless.lab.wifi=hwsim"]).unwrap().graph;
+    let names: Vec<_> = nodes.hwsim_nodes().map(|(node, _)| node.id.as_str()).collect();
+    assert_eq!(names, ["robot", "R1", "R2"]);
 }

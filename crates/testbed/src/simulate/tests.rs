@@ -787,3 +787,18 @@ fn a_run_that_waits_for_a_program_can_be_stopped() {
     let bare = Simulation::new(Arc::new(testbed), 1);
     assert!(matches!(bare, Err(RunError::Plugin(PluginError::NeedsRun(_)))));
 }
+
+#[test]
+fn real_wifi_software_is_rejected_with_the_way_to_its_model() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor-wifi.yaml");
+    let with = |settings: &[&str]| {
+        let settings: Vec<_> = settings.iter().map(|setting| setting.parse().unwrap()).collect();
+        let testbed = cotorra_testbed_file::load_with(&file, &settings).unwrap();
+        Simulation::new(Arc::new(testbed), 1).map(drop)
+    };
+    let real = "wireless.corridor.wifi=hwsim";
+    let rejected = with(&[real]).unwrap_err().to_string();
+    let model = rejected.split('`').find_map(|word| word.strip_prefix("--set ")).unwrap();
+    assert_eq!(model, "wireless.corridor.wifi=model");
+    with(&[real, model]).unwrap();
+}
