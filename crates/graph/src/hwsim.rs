@@ -1,5 +1,7 @@
 //! Wireless networks with real Wi-Fi software on simulated radios of Linux.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 /// Real software in place of the modelled stations: each robot and radio unit has a radio of mac80211_hwsim, with
@@ -11,8 +13,8 @@ pub struct Hwsim {
     pub security: Security,
 }
 
-/// How stations prove who they are, and how frames are protected.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// How stations prove who they are, and how frames are protected. The passphrase is neither serialized nor printed.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "method")]
 pub enum Security {
@@ -21,6 +23,7 @@ pub enum Security {
     /// WPA2-PSK.
     Wpa2 {
         /// The passphrase: 8 to 63 printable ASCII characters.
+        #[serde(default, skip_serializing)]
         passphrase: String,
         /// Protection of management frames.
         management_frames: Protection,
@@ -30,10 +33,27 @@ pub enum Security {
     /// WPA3-SAE. Management frames are always protected.
     Wpa3 {
         /// The passphrase: 8 to 63 printable ASCII characters.
+        #[serde(default, skip_serializing)]
         passphrase: String,
         /// Whether fast transitions go over the distribution system, by way of the present radio unit.
         over_ds: bool,
     },
+}
+
+impl fmt::Debug for Security {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Open => f.write_str("Open"),
+            Self::Wpa2 { passphrase: _, management_frames, over_ds } => f
+                .debug_struct("Wpa2")
+                .field("management_frames", management_frames)
+                .field("over_ds", over_ds)
+                .finish_non_exhaustive(),
+            Self::Wpa3 { passphrase: _, over_ds } => {
+                f.debug_struct("Wpa3").field("over_ds", over_ds).finish_non_exhaustive()
+            }
+        }
+    }
 }
 
 /// Protection of management frames (802.11w). Without it, anybody can disconnect a station by a forged frame.
@@ -48,4 +68,25 @@ pub enum Protection {
     Optional,
     /// Stations that cannot are refused.
     Required,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nobody_else_learns_a_passphrase() {
+        let passphrase = "correct horse".to_owned();
+        let wpa2 = Security::Wpa2 {
+            passphrase: passphrase.clone(),
+            management_frames: Protection::Required,
+            over_ds: true,
+        };
+        for (security, named) in [(wpa2, "wpa2"), (Security::Wpa3 { passphrase, over_ds: true }, "wpa3")] {
+            let json = serde_json::to_string(&security).unwrap();
+            assert!(json.contains(named) && !json.contains("horse"), "{json}");
+            assert!(serde_json::from_str::<Security>(&json).is_ok());
+            assert!(!format!("{security:?}").contains("horse"));
+        }
+    }
 }
