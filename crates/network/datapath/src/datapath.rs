@@ -88,10 +88,11 @@ impl Datapath {
             .map(|Host { namespace, port }| (namespace, Port::new(port)))
             .unzip();
         if let Some(air) = &mut air {
-            let equipped = emulated.iter().zip(&hosts).filter(|((_, node), _)| radios.contains(&node.id));
-            equipped
-                .into_iter()
-                .try_for_each(|(node, host)| air.equip(&mut fabric, *node, host, &machines))?;
+            for ((place, node), host) in emulated.iter().zip(&hosts) {
+                if radios.contains(&node.id) {
+                    air.equip(&mut fabric, (*place, node), host, &machines)?;
+                }
+            }
         }
         let places = emulated.iter().map(|(_, node)| node.id.clone()).zip(0..).collect();
         let mut ports = ports.into_iter();

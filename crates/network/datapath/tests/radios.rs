@@ -171,8 +171,8 @@ impl Floor {
             networks: vec![network],
         };
         let folder = format!("/run/{name}-robot");
-        let mut launch = launcher(&datapath, "robot");
-        let daemon = Daemon::wpa_supplicant(&station, folder.as_ref(), &mut launch).unwrap();
+        let daemon =
+            Daemon::wpa_supplicant(&station, folder.as_ref(), &mut launcher(&datapath, "robot")).unwrap();
         let supplicant = daemon.client().unwrap();
         let told = supplicant.events().unwrap();
         programs.push(daemon);
@@ -341,7 +341,9 @@ fn a_helper_that_is_killed() {
     floor.round_trip((floor.address("edge").ipv4, 7711).into());
     println!("up");
     // Until it is killed.
-    while let Ok(_) | Err(_) = floor.events.recv_timeout(LONG) {}
+    loop {
+        drop(floor.events.recv_timeout(LONG));
+    }
 }
 
 #[test]
