@@ -28,6 +28,8 @@ pub(crate) struct Init {
     pub(crate) lifeline: RawFd,
     /// The program's limit of open files. A program that uses select(2) must not get descriptors above 1024.
     pub(crate) open_files: Option<libc::rlimit>,
+    /// Whether the program's process number inside is that of its init outside.
+    pub(crate) unique_number: bool,
     /// Confinement of the program. The spawning thread is already in its root folder.
     pub(crate) restrictions: Option<Restrictions>,
 }
@@ -48,6 +50,8 @@ impl Init {
             // SAFETY: the pointer is to one live byte; write is async-signal-safe.
             check(unsafe { libc::write(group.as_raw_fd(), c"0".as_ptr().cast(), 1) } as c_int)?;
         }
+        // SAFETY: as for this function.
+        let number = if self.unique_number { unsafe { own_number() } } else { None };
         // SAFETY: a sigset_t is integers, for which zero is a value; the calls fill and apply a live one. Signals are
         // blocked because blocked signals reach signalfd even where the kernel would not deliver them to an init.
         let (signals, before) = unsafe {
@@ -71,7 +75,7 @@ impl Init {
             },
         }
         // SAFETY: this process has one thread; both sides go on with async-signal-safe calls only.
-        match unsafe { fork()? } {
+        match unsafe { fork(number)? } {
             0 => {
                 // SAFETY: async-signal-safe, with live arguments.
                 unsafe {
@@ -92,12 +96,40 @@ impl Init {
     }
 }
 
+/// Returns the number of this process outside of its process namespace, as long as it sees the old `/proc`.
+///
+/// # Safety
+/// To be called between fork and exec.
+unsafe fn own_number() -> Option<pid_t> {
+    let mut digits = [0u8; 16];
+    // SAFETY: the path ends in a zero, and the array is live and as long as stated.
+    let length = unsafe { libc::readlink(c"/proc/self".as_ptr(), digits.as_mut_ptr().cast(), digits.len()) };
+    let digits = digits.get(..usize::try_from(length).ok()?)?;
+    digits.iter().try_fold(0, |number: pid_t, digit| {
+        let digit = pid_t::from(digit.checked_sub(b'0').filter(|digit| *digit < 10)?);
+        number.checked_mul(10)?.checked_add(digit)
+    })
+}
+
 /// Forks by the bare system call. The C library's fork takes its locks, which another thread may have held when this
-/// process was made.
+/// process was made. The child gets the number, if it is given and the kernel can do that.
 ///
 /// # Safety
 /// Both sides may only make async-signal-safe calls.
-unsafe fn fork() -> io::Result<pid_t> {
+unsafe fn fork(number: Option<pid_t>) -> io::Result<pid_t> {
+    if let Some(number) = number {
+        // SAFETY: the structure is integers, for which zero is a value.
+        let mut arguments: libc::clone_args = unsafe { mem::zeroed() };
+        arguments.exit_signal = libc::SIGCHLD as u64;
+        arguments.set_tid = (&raw const number) as u64;
+        arguments.set_tid_size = 1;
+        let size = mem::size_of::<libc::clone_args>();
+        // SAFETY: the arguments are live and as long as stated. Without CLONE_VM the child has a stack of its own.
+        let forked = unsafe { libc::syscall(libc::SYS_clone3, &raw mut arguments, size) } as pid_t;
+        if forked >= 0 {
+            return Ok(forked);
+        }
+    }
     // SAFETY: without CLONE_VM the child has a stack of its own, so that none is given.
     check(unsafe { libc::syscall(libc::SYS_clone, libc::SIGCHLD as c_ulong, 0usize, 0usize, 0usize, 0usize) }
         as pid_t)

@@ -44,6 +44,10 @@ pub struct SpawnOptions<'a> {
     pub hostname: Option<&'a str>,
     /// `cgroup.procs` (v2) or `tasks`/`cgroup.procs` (v1) files of the control groups that it joins before it runs.
     pub cgroups: Vec<PathBuf>,
+    /// Whether the program gets a process number that no other program on this machine has, if the kernel can do that: that of
+    /// its init outside. hostapd and wpa_supplicant name their netlink sockets by it, and the kernel takes the end of a socket
+    /// for that of all with the same name, in whatever network namespace: it stops their access points and stations.
+    pub unique_number: bool,
     /// Confinement; without it the program has this process's rights.
     pub confinement: Option<&'a Confinement>,
 }
@@ -172,7 +176,9 @@ impl Namespace {
                 }
                 None => None,
             };
-            Init { cgroups, lifeline: lifeline_end, open_files, restrictions }.before_exec_of(command);
+            let unique_number = options.unique_number;
+            Init { cgroups, lifeline: lifeline_end, open_files, unique_number, restrictions }
+                .before_exec_of(command);
             command.spawn()
         })?;
         Ok(Child { init, _lifeline: lifeline })
