@@ -210,8 +210,9 @@ record! {
         interference: Table<String, InterferenceRecord> = {},
         /// Software of its stations: the model, or hostapd and wpa_supplicant on simulated radios of Linux. These need EDCA.
         wifi: Spanned<WifiWord> = "model",
-        /// Security of hostapd and wpa_supplicant: a mapping, or `open`. The model has none.
-        security: Either<SecurityWord, SecurityRecord> = { "method": "wpa2" },
+        /// Security of hostapd and wpa_supplicant: `open`, `wpa2` or `wpa3`, or a mapping with a passphrase. The model has
+        /// none.
+        security: Either<SecurityWord, SecurityRecord> = "wpa2",
     }
 }
 
@@ -229,11 +230,16 @@ pub(crate) enum WifiWord {
     Hwsim,
 }
 
-/// Security without settings.
+/// Security whose settings are left as they are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum SecurityWord {
     Open,
+    Wpa2,
+    Wpa3,
 }
+
+/// The passphrase of networks whose file has none. Nobody else can hear them.
+pub(crate) const USUAL_PASSPHRASE: &str = "an emulated network";
 
 tagged! {
     /// Security of hostapd and wpa_supplicant.
@@ -263,7 +269,7 @@ record! {
     /// What stations have to know, and how they take it to the next radio unit.
     PassphraseRecord {
         /// Passphrase: 8 to 63 printable ASCII characters.
-        passphrase: Spanned<String> = "an emulated network",
+        passphrase: Spanned<String> = USUAL_PASSPHRASE,
         /// Whether a robot asks for fast transition by way of its present radio unit, instead of over the air.
         over_ds: bool = false,
     }
@@ -1391,6 +1397,8 @@ choice!(WifiWord, "kind of Wi-Fi software", {
 });
 choice!(SecurityWord, "kind of security", {
     "open" => Self::Open, "everybody may join, and nothing is encrypted";
+    "wpa2" => Self::Wpa2, "WPA2-PSK";
+    "wpa3" => Self::Wpa3, "WPA3-SAE";
 });
 choice!(Protection, "protection of management frames", {
     "off" => Self::Off, "none: anybody can disconnect a robot by a forged frame";

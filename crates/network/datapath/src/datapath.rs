@@ -9,7 +9,7 @@ use std::{
 };
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{HardwareGraph, Node, NodeId};
+use cotorra_graph::{HardwareGraph, Node, NodeId, NodeKind};
 
 use crate::{
     awake::Awake,
@@ -88,10 +88,14 @@ impl Datapath {
             .map(|Host { namespace, port }| (namespace, Port::new(port)))
             .unzip();
         if let Some(air) = &mut air {
-            for ((place, node), host) in emulated.iter().zip(&hosts) {
-                if radios.contains(&node.id) {
-                    air.equip(&mut fabric, (*place, node), host, &machines)?;
-                }
+            let (robots, units): (Vec<_>, Vec<_>) = emulated
+                .iter()
+                .zip(&hosts)
+                .filter(|((_, node), _)| radios.contains(&node.id))
+                .partition(|((_, node), _)| matches!(node.kind, NodeKind::Robot(_)));
+            // Robots first: there is no radio unit then that they would lose.
+            for ((place, node), host) in robots.into_iter().chain(units) {
+                air.equip(&mut fabric, (*place, node), host, &machines)?;
             }
         }
         let places = emulated.iter().map(|(_, node)| node.id.clone()).zip(0..).collect();

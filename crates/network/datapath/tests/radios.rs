@@ -280,10 +280,11 @@ fn a_robot_reaches_a_server_and_roams_by_fast_transition() {
     let handovers: Vec<_> = floor
         .events
         .try_iter()
-        .filter_map(|Stamped { event, .. }| match event {
+        .filter_map(|Stamped { event, .. }| match event.clone() {
             NetworkEvent::Handover(handover) => {
                 Some((handover.from, handover.to, handover.fast, handover.gap))
             }
+            NetworkEvent::Detached { .. } => panic!("{event:?}"),
             _ => None,
         })
         .collect();

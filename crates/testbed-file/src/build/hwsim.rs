@@ -5,8 +5,8 @@ use cotorra_graph::{Hwsim, Security};
 use super::builder::Builder;
 use crate::{
     records::{
-        AccessWord, PassphraseRecord, SecurityRecord, SecurityWord, WifiWord, WirelessRecord, Wpa2Record,
-        Wpa3Record,
+        AccessWord, PassphraseRecord, SecurityRecord, SecurityWord, USUAL_PASSPHRASE, WifiWord,
+        WirelessRecord, Wpa2Record, Wpa3Record,
     },
     yaml::decode::Either,
 };
@@ -33,6 +33,14 @@ impl Builder<'_> {
     fn security(&mut self, record: &Either<SecurityWord, SecurityRecord>) -> Option<Security> {
         Some(match record {
             Either::Short(SecurityWord::Open) => Security::Open,
+            Either::Short(SecurityWord::Wpa2) => Security::Wpa2 {
+                passphrase: USUAL_PASSPHRASE.to_owned(),
+                management_frames: Default::default(),
+                over_ds: false,
+            },
+            Either::Short(SecurityWord::Wpa3) => {
+                Security::Wpa3 { passphrase: USUAL_PASSPHRASE.to_owned(), over_ds: false }
+            }
             Either::Long(SecurityRecord::Wpa2(Wpa2Record { management_frames, secret })) => Security::Wpa2 {
                 passphrase: self.passphrase(secret)?,
                 management_frames: *management_frames,

@@ -34,7 +34,7 @@ fn lent_but(own: &[&str]) -> Fabric {
     graph.wireless.get_mut("air").unwrap().access =
         Some(Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None });
     let mut fabric = Fabric::new(&graph, 1).unwrap();
-    for node in ["R1", "R2", "p"].into_iter().filter(|node| !own.contains(node)) {
+    for node in ["p", "R1", "R2"].into_iter().filter(|node| !own.contains(node)) {
         fabric.lend_antenna(ms(0.0), &node.parse().unwrap()).unwrap();
     }
     fabric
