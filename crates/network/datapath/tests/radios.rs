@@ -2,6 +2,7 @@
 //! fabric's air, bridges and the fabric's links.
 //!
 //! Needs root and a kernel with mac80211_hwsim, such as that of `scripts/uml --radios 0`; the tests do nothing elsewhere.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use std::{
     env,
