@@ -345,11 +345,15 @@ fn clear(path: &Path) -> Result<(), StartError> {
     fs::remove_dir_all(path).map_err(system(format!("remove {}", path.display())))
 }
 
-/// Returns the path of a program. Ordinary users often lack the folders of those for administrators in their `PATH`.
-fn program(name: &str) -> PathBuf {
+/// Returns the path of an installed program, such as `hostapd`. Ordinary users often lack the folders of those for administrators
+/// in their `PATH`, so it looks there, too.
+pub fn installed(program: &str) -> Option<PathBuf> {
     let folders = env::var("PATH").unwrap_or_default() + ":/usr/local/sbin:/usr/sbin:/sbin";
-    let found = env::split_paths(&folders).map(|folder| folder.join(name)).find(|path| path.is_file());
-    found.unwrap_or_else(|| name.into())
+    env::split_paths(&folders).map(|folder| folder.join(program)).find(|path| path.is_file())
+}
+
+fn program(name: &str) -> PathBuf {
+    installed(name).unwrap_or_else(|| name.into())
 }
 
 fn system(action: impl Into<String>) -> impl FnOnce(io::Error) -> StartError {

@@ -25,7 +25,7 @@ pub use control::{
     AnswerError, DisabledReason, Event, Message, Request, attach, detach, hostapd, ping, terminate,
     wpa_supplicant,
 };
-pub use daemon::{Daemon, Launcher, StartError, launch_here};
+pub use daemon::{Daemon, Launcher, StartError, installed, launch_here};
 pub use names::{CountryCode, InterfaceName, NameError, Ssid};
 pub use power::{Power, TransmitPower};
 pub use secret::{DomainKey, Passphrase, PassphraseError};

@@ -120,6 +120,15 @@ impl Security {
         }
     }
 
+    /// Returns the unit's part in a mobility domain; `None` if stations do not roam fast.
+    pub fn fast_transition(&self) -> Option<&FastTransition> {
+        match self {
+            Self::Open => None,
+            Self::Wpa2 { fast_transition, .. } => fast_transition.as_ref(),
+            Self::Wpa3 { fast_transition, .. } => fast_transition.as_ref().map(|(transition, _)| transition),
+        }
+    }
+
     /// Returns the lines of hostapd's file.
     pub(crate) fn lines(&self) -> Vec<String> {
         let mut lines = vec!["auth_algs=1".to_owned()];
@@ -128,11 +137,7 @@ impl Security {
             Self::Wpa2 { passphrase, protection, .. } => (passphrase, ["WPA-PSK", "FT-PSK"], *protection),
             Self::Wpa3 { passphrase, .. } => (passphrase, ["SAE", "FT-SAE"], Protection::Required),
         };
-        let fast_transition = match self {
-            Self::Open => None,
-            Self::Wpa2 { fast_transition, .. } => fast_transition.as_ref(),
-            Self::Wpa3 { fast_transition, .. } => fast_transition.as_ref().map(|(transition, _)| transition),
-        };
+        let fast_transition = self.fast_transition();
         let methods = &methods[..1 + usize::from(fast_transition.is_some())];
         lines.push("wpa=2".to_owned());
         lines.push(format!("wpa_key_mgmt={}", methods.join(" ")));

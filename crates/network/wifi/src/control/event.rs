@@ -36,6 +36,9 @@ pub enum Event {
         /// The access point.
         bssid: MacAddress,
     },
+    /// A station: what the kernel reported of its association is dealt with. With fast transition, it is connected before that;
+    /// otherwise a handshake of keys follows.
+    AssociationHandled,
     /// A station: it may send data.
     Connected {
         /// The access point.
@@ -202,6 +205,7 @@ impl Event {
         }
         let (name, rest) = text.split_once(' ').unwrap_or((text, ""));
         Some(match name {
+            "CTRL-EVENT-SUBNET-STATUS-UPDATE" => Self::AssociationHandled,
             "CTRL-EVENT-CONNECTED" => Self::Connected { bssid: first(rest.split_once(" to ")?.1)? },
             "CTRL-EVENT-DISCONNECTED" => Self::Disconnected {
                 bssid: value(rest, "bssid")?,
@@ -298,6 +302,7 @@ mod tests {
                 Event::Associating { bssid: address(1) },
             ),
             ("Associated with 02:00:00:00:00:01", Event::Associated { bssid: address(1) }),
+            ("CTRL-EVENT-SUBNET-STATUS-UPDATE status=0", Event::AssociationHandled),
             (
                 "CTRL-EVENT-CONNECTED - Connection to 02:00:00:00:00:01 completed [id=0 id_str=]",
                 Event::Connected { bssid: address(1) },

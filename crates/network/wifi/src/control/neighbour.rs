@@ -5,7 +5,6 @@ use crate::{
     address::MacAddress,
     channel::{Band, Channel},
     names::Ssid,
-    security::Security,
 };
 
 /// A BSS that stations are told about, to roam to (802.11k and 802.11v).
@@ -26,11 +25,7 @@ pub struct Neighbour {
 impl Neighbour {
     /// Describes a BSS with this address to those of its own testbed.
     pub fn new(bssid: MacAddress, bss: &Bss, radio: &Radio) -> Self {
-        let same_domain = match &bss.security {
-            Security::Open => false,
-            Security::Wpa2 { fast_transition, .. } => fast_transition.is_some(),
-            Security::Wpa3 { fast_transition, .. } => fast_transition.is_some(),
-        };
+        let same_domain = bss.security.fast_transition().is_some();
         Self { bssid, ssid: bss.ssid.clone(), channel: radio.channel, same_domain, wifi6: radio.wifi6 }
     }
 

@@ -78,12 +78,22 @@ fn read_status(text: &str) -> Result<Status, AnswerError> {
     })
 }
 
-/// Returns the request to scan these channels, or all if there are none. Its end is an [`Event`](crate::Event).
+/// Returns the request to scan these channels, or all if there are none. Its end is an [`Event`](crate::Event). The station may
+/// roam to what it finds.
 pub fn scan(channels: &[Channel]) -> Request<()> {
+    Request::new(format!("SCAN{}", frequencies_of(channels)), done)
+}
+
+/// Returns the same request for a station that stays where it is, whatever it finds.
+pub fn scan_only(channels: &[Channel]) -> Request<()> {
+    Request::new(format!("SCAN TYPE=ONLY{}", frequencies_of(channels)), done)
+}
+
+fn frequencies_of(channels: &[Channel]) -> String {
     if channels.is_empty() {
-        return Request::new("SCAN", done);
+        return String::new();
     }
-    Request::new(format!("SCAN freq={}", frequencies(channels).replace(' ', ",")), done)
+    format!(" freq={}", frequencies(channels).replace(' ', ","))
 }
 
 /// A BSS that a station has heard.
@@ -339,6 +349,8 @@ mod tests {
         let texts = [
             scan(&[]),
             scan(&channels),
+            scan_only(&[]),
+            scan_only(&channels),
             roam(address(1)),
             roam_over_ds(address(1)),
             watch_signal(-70, 4),
@@ -355,6 +367,8 @@ mod tests {
             [
                 "SCAN",
                 "SCAN freq=2412,2437",
+                "SCAN TYPE=ONLY",
+                "SCAN TYPE=ONLY freq=2412,2437",
                 "ROAM 02:00:00:00:00:01",
                 "FT_DS 02:00:00:00:00:01",
                 "SIGNAL_MONITOR THRESHOLD=-70 HYSTERESIS=4",
