@@ -7,7 +7,7 @@ use cotorra_engine::Engine;
 use cotorra_graph::{AccessPoint, Event, HardwareGraph, NodeId, Timestamp, VnfEvent, VnfState};
 
 use crate::{
-    network::{InstructionError, Network, NetworkGone, rejected},
+    network::{Deployment, InstructionError, Network, NetworkGone, rejected},
     vim::Vim,
 };
 
@@ -43,13 +43,20 @@ impl AccessPoints {
         if self.deploying.contains_key(radio_unit) {
             return Err(InstructionError(format!("a vAP is being deployed on `{radio_unit}` already")));
         }
-        let (unit, wanted) = (radio_unit.clone(), access_point.clone());
-        let check = move |fabric: &mut cotorra_fabric::Fabric, _| fabric.check_switch_on(&unit, &wanted);
-        network.with(check).map_err(rejected)?.map_err(rejected)?;
-        vim.reserve(AccessPoint::vnf(radio_unit), CPUS, MEMORY, radio_unit).map_err(rejected)?;
-        let time = self.times.get(radio_unit).copied().unwrap_or_default();
-        self.deploying.insert(radio_unit.clone(), (now + time, access_point));
-        Ok(())
+        let deployment = network.check_switch_on(radio_unit, &access_point)?;
+        let vnf = AccessPoint::vnf(radio_unit);
+        vim.reserve(vnf.clone(), CPUS, MEMORY, radio_unit).map_err(rejected)?;
+        match deployment {
+            Deployment::Emulated => {
+                let time = self.times.get(radio_unit).copied().unwrap_or_default();
+                self.deploying.insert(radio_unit.clone(), (now + time, access_point));
+                Ok(())
+            }
+            Deployment::Real => {
+                let done = network.switch_on(radio_unit, access_point).map_err(rejected).flatten();
+                done.inspect_err(|_| vim.release(&vnf))
+            }
+        }
     }
 
     /// Removes a vAP, or cancels its deployment.
@@ -60,9 +67,7 @@ impl AccessPoints {
         vim: &mut Vim<E>,
     ) -> Result<Vec<Event>, InstructionError> {
         if self.deploying.remove(radio_unit).is_none() {
-            let unit = radio_unit.clone();
-            let off = move |fabric: &mut cotorra_fabric::Fabric, now| fabric.switch_off(now, &unit);
-            network.with(off).map_err(rejected)?.map_err(rejected)?;
+            network.switch_off(radio_unit)?;
         }
         vim.release(&AccessPoint::vnf(radio_unit));
         Ok(vec![life(radio_unit, VnfState::Stopped, None)])
@@ -77,10 +82,7 @@ impl AccessPoints {
     ) -> Result<Vec<Event>, NetworkGone> {
         let mut events = Vec::new();
         for (radio_unit, (_, access_point)) in self.deploying.extract_if(.., |_, (at, _)| *at <= now) {
-            let unit = radio_unit.clone();
-            let on =
-                move |fabric: &mut cotorra_fabric::Fabric, now| fabric.switch_on(now, &unit, access_point);
-            events.push(match network.with(on)? {
+            events.push(match network.switch_on(&radio_unit, access_point)? {
                 Ok(()) => life(&radio_unit, VnfState::Started, None),
                 Err(reason) => {
                     vim.release(&AccessPoint::vnf(&radio_unit));

@@ -361,15 +361,11 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     fn follow(&mut self, now: Timestamp, instruction: &Instruction) -> Result<Vec<Event>, InstructionError> {
         match instruction.clone() {
             Instruction::Scan { robot } => {
-                self.network
-                    .with(move |fabric, now| fabric.scan(now, &robot))
-                    .map_err(rejected)?
-                    .map_err(rejected)?;
+                self.network.scan(&robot)?;
                 Ok(Vec::new())
             }
             Instruction::Attach { robot, radio_unit } => {
-                let attach = move |fabric: &mut Fabric, now| fabric.attach(now, &robot, &radio_unit);
-                self.network.with(attach).map_err(rejected)?.map_err(rejected)?;
+                self.network.attach(&robot, &radio_unit)?;
                 Ok(Vec::new())
             }
             Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(rejected),

@@ -14,4 +14,8 @@ mod testing;
 pub mod vim;
 
 pub use control::NetworkControl;
-pub use network::{InstructionError, Network, NetworkGone, change_fabric, test_fabric_throughput};
+pub use network::{
+    Deployment, InstructionError, Network, NetworkGone, attach_in_fabric, change_fabric,
+    check_switch_on_in_fabric, scan_in_fabric, switch_off_in_fabric, switch_on_in_fabric,
+    test_fabric_throughput,
+};

@@ -1,7 +1,9 @@
 //! The interface to the emulated network, and its errors.
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{ConditionChange, Direction, Lateness, LinkContext, LinkId, ThroughputTest, Timestamp};
+use cotorra_graph::{
+    AccessPoint, ConditionChange, Direction, Lateness, LinkContext, LinkId, NodeId, ThroughputTest, Timestamp,
+};
 
 /// The emulated network: on another thread in real time, in the same one in virtual time.
 pub trait Network {
@@ -39,6 +41,54 @@ pub trait Network {
         test: ThroughputTest,
     ) -> Result<(), InstructionError> {
         test_fabric_throughput(self, link, direction, test)
+    }
+
+    /// Makes a robot's radio scan. The event `Scanned` reports the end.
+    ///
+    /// # Errors
+    /// [`InstructionError`]. Nothing has changed then.
+    fn scan(&self, robot: &NodeId) -> Result<(), InstructionError> {
+        scan_in_fabric(self, robot)
+    }
+
+    /// Hands a robot over to a radio unit. The event `Handover` reports the end.
+    ///
+    /// # Errors
+    /// [`InstructionError`]. Nothing has changed then.
+    fn attach(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<(), InstructionError> {
+        attach_in_fabric(self, robot, radio_unit)
+    }
+
+    /// Checks whether [`Self::switch_on`] would succeed now. Returns who takes the deployment's time.
+    ///
+    /// # Errors
+    /// [`InstructionError`].
+    fn check_switch_on(
+        &self,
+        radio_unit: &NodeId,
+        access_point: &AccessPoint,
+    ) -> Result<Deployment, InstructionError> {
+        check_switch_on_in_fabric(self, radio_unit, access_point)
+    }
+
+    /// Switches on a vAP on a radio unit.
+    ///
+    /// # Errors
+    /// [`NetworkGone`]; in it, [`InstructionError`] if nothing has changed.
+    fn switch_on(
+        &self,
+        radio_unit: &NodeId,
+        access_point: AccessPoint,
+    ) -> Result<Result<(), InstructionError>, NetworkGone> {
+        switch_on_in_fabric(self, radio_unit, access_point)
+    }
+
+    /// Switches off a radio unit. Its stations lose it.
+    ///
+    /// # Errors
+    /// [`InstructionError`]. Nothing has changed then.
+    fn switch_off(&self, radio_unit: &NodeId) -> Result<(), InstructionError> {
+        switch_off_in_fabric(self, radio_unit)
     }
 
     /// Completes the fabric's contexts of links, if other networks carry packets, too.
@@ -83,6 +133,80 @@ pub fn test_fabric_throughput<N: Network + ?Sized>(
     let link = link.clone();
     let begin = move |fabric: &mut Fabric, now| fabric.test_throughput(now, &link, direction, test);
     network.with(begin).map_err(rejected)?.map_err(rejected)
+}
+
+/// [`Network::scan`] in the fabric alone.
+///
+/// # Errors
+/// Those of [`Network::scan`].
+pub fn scan_in_fabric<N: Network + ?Sized>(network: &N, robot: &NodeId) -> Result<(), InstructionError> {
+    let robot = robot.clone();
+    network.with(move |fabric, now| fabric.scan(now, &robot)).map_err(rejected)?.map_err(rejected)
+}
+
+/// [`Network::attach`] in the fabric alone.
+///
+/// # Errors
+/// Those of [`Network::attach`].
+pub fn attach_in_fabric<N: Network + ?Sized>(
+    network: &N,
+    robot: &NodeId,
+    radio_unit: &NodeId,
+) -> Result<(), InstructionError> {
+    let (robot, radio_unit) = (robot.clone(), radio_unit.clone());
+    let attach = move |fabric: &mut Fabric, now| fabric.attach(now, &robot, &radio_unit);
+    network.with(attach).map_err(rejected)?.map_err(rejected)
+}
+
+/// [`Network::check_switch_on`] in the fabric alone.
+///
+/// # Errors
+/// Those of [`Network::check_switch_on`].
+pub fn check_switch_on_in_fabric<N: Network + ?Sized>(
+    network: &N,
+    radio_unit: &NodeId,
+    access_point: &AccessPoint,
+) -> Result<Deployment, InstructionError> {
+    let (unit, wanted) = (radio_unit.clone(), access_point.clone());
+    let check = move |fabric: &mut Fabric, _| fabric.check_switch_on(&unit, &wanted);
+    network.with(check).map_err(rejected)?.map_err(rejected)?;
+    Ok(Deployment::Emulated)
+}
+
+/// [`Network::switch_on`] in the fabric alone.
+///
+/// # Errors
+/// Those of [`Network::switch_on`].
+pub fn switch_on_in_fabric<N: Network + ?Sized>(
+    network: &N,
+    radio_unit: &NodeId,
+    access_point: AccessPoint,
+) -> Result<Result<(), InstructionError>, NetworkGone> {
+    let unit = radio_unit.clone();
+    let on = move |fabric: &mut Fabric, now| fabric.switch_on(now, &unit, access_point);
+    Ok(network.with(on)?.map_err(rejected))
+}
+
+/// [`Network::switch_off`] in the fabric alone.
+///
+/// # Errors
+/// Those of [`Network::switch_off`].
+pub fn switch_off_in_fabric<N: Network + ?Sized>(
+    network: &N,
+    radio_unit: &NodeId,
+) -> Result<(), InstructionError> {
+    let unit = radio_unit.clone();
+    let off = move |fabric: &mut Fabric, now| fabric.switch_off(now, &unit);
+    network.with(off).map_err(rejected)?.map_err(rejected)
+}
+
+/// Who takes the time of a vAP's deployment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Deployment {
+    /// It is emulated: the radio unit's deployment time passes before the vAP is switched on, and it serves at once.
+    Emulated,
+    /// A real program: the vAP is switched on at once, and an event of the network reports when it serves.
+    Real,
 }
 
 /// The emulated network was stopped.

@@ -1,5 +1,6 @@
-use std::path::Path;
+use std::{cell::RefCell, path::Path};
 
+use cotorra_fabric::Fabric;
 use cotorra_graph::{HardwareGraph, Timestamp, VnfId};
 
 use super::*;
@@ -99,4 +100,55 @@ fn a_vap_takes_room_from_the_start_of_its_deployment_to_its_removal() {
     assert!(!other(&mut vim));
     access_points.remove(&id("off"), &network, &mut vim).unwrap();
     assert!(other(&mut vim));
+}
+
+/// A network whose vAPs are real programs.
+struct Real {
+    fabric: Here,
+    /// Radio units whose program was started.
+    started: RefCell<Vec<NodeId>>,
+    /// Whether programs start.
+    works: bool,
+}
+
+impl Network for Real {
+    fn with<R: Send + 'static>(
+        &self,
+        action: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
+    ) -> Result<R, NetworkGone> {
+        self.fabric.with(action)
+    }
+
+    fn check_switch_on(&self, _: &NodeId, _: &AccessPoint) -> Result<Deployment, InstructionError> {
+        Ok(Deployment::Real)
+    }
+
+    fn switch_on(&self, unit: &NodeId, _: AccessPoint) -> Result<Result<(), InstructionError>, NetworkGone> {
+        if !self.works {
+            return Ok(Err(InstructionError("no such program".to_owned())));
+        }
+        self.started.borrow_mut().push(unit.clone());
+        Ok(Ok(()))
+    }
+}
+
+#[test]
+fn a_real_vap_is_switched_on_at_once_and_reports_itself() {
+    let (graph, ..) = world();
+    let mut vim = Vim::new(graph.clone(), &[], InMemoryEngine::default());
+    let mut access_points = AccessPoints::new(&graph);
+    let started = RefCell::default();
+    let mut network = Real { fabric: Here::new(&graph), started, works: false };
+    let vnf = VnfId::new("other").unwrap();
+    let failed = access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap_err();
+    assert_eq!(failed.0, "no such program");
+    // Its room is free again.
+    vim.reserve(vnf.clone(), 0.6, 1, &id("off")).unwrap();
+    vim.release(&vnf);
+    network.works = true;
+    access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap();
+    assert_eq!(*network.started.borrow(), [id("off")]);
+    assert_eq!(access_points.next_deadline(), None);
+    assert_eq!(access_points.poll(at(1000), &network, &mut vim).unwrap(), []);
+    assert!(vim.reserve(vnf, 0.6, 1, &id("off")).is_err());
 }
