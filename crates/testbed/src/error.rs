@@ -37,6 +37,9 @@ pub enum RunError {
     /// A plug-in.
     #[error(transparent)]
     Plugin(#[from] PluginError),
+    /// Real Wi-Fi software.
+    #[error(transparent)]
+    Wifi(#[from] crate::wifi::WifiError),
     /// A link over a real interface.
     #[error(transparent)]
     RealLink(#[from] RealLinkError),

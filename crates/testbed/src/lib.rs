@@ -46,6 +46,7 @@ mod time_control;
 mod traffic;
 mod trips;
 mod whole;
+mod wifi;
 
 #[cfg(feature = "agents")]
 pub use agents::{AgentOptions, AgentsError};
@@ -84,3 +85,4 @@ pub use simulate::{
 };
 pub use time_control::Speed;
 pub use whole::put_all;
+pub use wifi::{PlanError as WifiPlanError, WIFI_FOLDERS, WifiError, wifi_programs};

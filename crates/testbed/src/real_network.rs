@@ -7,17 +7,20 @@ use std::sync::Arc;
 use cotorra_datapath::{Datapath, Handle, KernelNetwork, KernelNetworkError, Observed};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    AgentId, ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId, RealLink,
-    Testbed, ThroughputTest, Timestamp,
+    AccessPoint, AgentId, ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId,
+    NodeId, RealLink, Testbed, ThroughputTest, Timestamp,
 };
 use cotorra_network_control::{
-    InstructionError, Network, NetworkGone, change_fabric, test_fabric_throughput,
+    Deployment, InstructionError, Network, NetworkGone, attach_in_fabric, change_fabric,
+    check_switch_on_in_fabric, scan_in_fabric, switch_off_in_fabric, switch_on_in_fabric,
+    test_fabric_throughput,
 };
 
 use crate::{
     capture::{Wiretap, WiretapError},
     real_links::RealLinks,
     traffic::Traffic,
+    wifi,
 };
 
 /// The network of a datapath.
@@ -26,6 +29,7 @@ pub(crate) struct RealNetwork {
     kernel: Option<Arc<KernelNetwork>>,
     real: Option<RealLinks>,
     agents: Option<Box<dyn AgentLinks>>,
+    wifi: Option<wifi::Handle>,
     traffic: Traffic,
 }
 
@@ -100,6 +104,7 @@ impl RealNetwork {
             kernel: datapath.kernel(),
             real,
             agents: None,
+            wifi: None,
             traffic: Traffic::default(),
         }
     }
@@ -108,6 +113,16 @@ impl RealNetwork {
     #[cfg(feature = "agents")]
     pub(crate) fn set_agents(&mut self, agents: Box<dyn AgentLinks>) {
         self.agents = Some(agents);
+    }
+
+    /// Lets these programs carry out instructions to their robots and radio units from now on.
+    pub(crate) fn set_wifi(&mut self, wifi: wifi::Handle) {
+        self.wifi = Some(wifi);
+    }
+
+    /// Returns the Wi-Fi programs, if a robot or a radio unit has one.
+    fn wifi(&self, node: &NodeId) -> Option<&wifi::Handle> {
+        self.wifi.as_ref().filter(|wifi| wifi.has(node))
     }
 
     /// Returns the carrier of a link's packets, if it is not the fabric.
@@ -199,6 +214,51 @@ impl Network for RealNetwork {
         }
     }
 
+    fn scan(&self, robot: &NodeId) -> Result<(), InstructionError> {
+        match self.wifi(robot) {
+            Some(wifi) => wifi.scan(robot).map_err(rejected),
+            None => scan_in_fabric(self, robot),
+        }
+    }
+
+    fn attach(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<(), InstructionError> {
+        match self.wifi(robot) {
+            Some(wifi) => wifi.attach(robot, radio_unit).map_err(rejected),
+            None => attach_in_fabric(self, robot, radio_unit),
+        }
+    }
+
+    fn check_switch_on(
+        &self,
+        radio_unit: &NodeId,
+        access_point: &AccessPoint,
+    ) -> Result<Deployment, InstructionError> {
+        match self.wifi(radio_unit) {
+            Some(wifi) => {
+                wifi.check_switch_on(radio_unit, access_point).map(|()| Deployment::Real).map_err(rejected)
+            }
+            None => check_switch_on_in_fabric(self, radio_unit, access_point),
+        }
+    }
+
+    fn switch_on(
+        &self,
+        radio_unit: &NodeId,
+        access_point: AccessPoint,
+    ) -> Result<Result<(), InstructionError>, NetworkGone> {
+        match self.wifi(radio_unit) {
+            Some(wifi) => Ok(wifi.switch_on(radio_unit, access_point).map_err(rejected)),
+            None => switch_on_in_fabric(self, radio_unit, access_point),
+        }
+    }
+
+    fn switch_off(&self, radio_unit: &NodeId) -> Result<(), InstructionError> {
+        match self.wifi(radio_unit) {
+            Some(wifi) => wifi.switch_off(radio_unit).map_err(rejected),
+            None => switch_off_in_fabric(self, radio_unit),
+        }
+    }
+
     fn lateness(&self, fabric: Lateness) -> Lateness {
         match &self.real {
             Some(real) if real.are_alone() => real.lateness(),
@@ -237,4 +297,8 @@ impl Network for RealNetwork {
         self.traffic.complete(now, &mut contexts, &counted, all);
         contexts
     }
+}
+
+fn rejected(reason: wifi::Rejected) -> InstructionError {
+    InstructionError(reason.to_string())
 }

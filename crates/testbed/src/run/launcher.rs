@@ -91,7 +91,8 @@ impl Launcher for NodeLauncher {
     }
 }
 
-struct NodeProcess(Child);
+/// A process in a node.
+pub(super) struct NodeProcess(pub(super) Child);
 
 impl Process for NodeProcess {
     fn try_wait(&mut self) -> io::Result<Option<ExitStatus>> {
@@ -106,7 +107,7 @@ impl Process for NodeProcess {
 
     fn kill(&mut self) {
         if let Err(error) = self.0.kill() {
-            tracing::warn!("cannot kill a VNF: {error}");
+            tracing::warn!("cannot kill a node's process: {error}");
         }
     }
 

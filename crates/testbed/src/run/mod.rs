@@ -10,6 +10,7 @@ mod network;
 mod nodes;
 mod prepared;
 mod services;
+mod wifi;
 
 use std::{
     collections::BTreeMap,
@@ -45,6 +46,7 @@ use crate::{
     pruner::Pruner,
     report::{End, Losses, Report, RunFolder},
     robots::Masters,
+    wifi::Wifi,
 };
 
 /// Interval at which a robot's receiver checks whether the run goes on.
@@ -74,6 +76,8 @@ pub struct Run {
     core: Option<thread::JoinHandle<(Report, Timestamp, End)>>,
     _masters: Masters,
     _pruner: Option<Pruner>,
+    /// Before the datapath: it is stopped while packets still pass.
+    wifi: Option<Wifi>,
     datapath: Arc<Datapath>,
     recording: Option<Recording>,
     keeping: Option<Keeping>,
@@ -91,16 +95,20 @@ impl Run {
         }
         let (prepared, unstarted) = Prepared::new(testbed, text, options)?;
         let Unstarted { confined, listener, plugins, script } = unstarted;
-        let (mut network, real_network) = NetworkUp::start(&prepared)?;
+        let (mut network, mut real_network) = NetworkUp::start(&prepared)?;
+        let wifi = wifi::start(&prepared, &network)?;
+        if let Some(wifi) = &wifi {
+            real_network.set_wifi(wifi.handle());
+        }
         let nodes = NodesUp::start(&prepared, &mut network, real_network, script, confined)?;
         let services = ServicesUp::start(&prepared, &network, listener, plugins)?;
-        Self::start_core(prepared, network, nodes, services)
+        Self::start_core(prepared, (network, wifi), nodes, services)
     }
 
     /// Starts the threads that receive for robots, and the core's.
     fn start_core(
         prepared: Prepared,
-        network: NetworkUp,
+        (network, wifi): (NetworkUp, Option<Wifi>),
         nodes: NodesUp,
         services: ServicesUp,
     ) -> Result<Self, RunError> {
@@ -153,6 +161,7 @@ impl Run {
             core: Some(core),
             _masters: masters,
             _pruner: pruner,
+            wifi,
             datapath,
             recording,
             keeping,
@@ -200,6 +209,7 @@ impl Run {
     pub fn finish(mut self) -> Result<Finished, RunError> {
         let core = self.core.take().ok_or(RunError::Panicked)?;
         let (mut report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
+        drop(self.wifi.take());
         let recording = self.recording.take().map(Recording::finish);
         let mut unrecorded: Vec<_> = self.keeping.take().and_then(Keeping::finish).into_iter().collect();
         if let Err(error) = self.recorder.flush() {

@@ -26,6 +26,7 @@ use crate::{
     run_info::{about, run_info},
     script::Script,
     whole,
+    wifi::Plan,
 };
 
 /// A run that is checked and has its folder, but no network yet. Fields are dropped in order: the latest made first.
@@ -40,6 +41,8 @@ pub(super) struct Prepared {
     pub(super) seed: u64,
     pub(super) testbed: Arc<Testbed>,
     pub(super) options: Options,
+    /// What real Wi-Fi software is to do, if there is any.
+    pub(super) wifi: Option<Plan>,
     /// Engines of containers, by their kind.
     #[cfg(feature = "containers")]
     pub(super) engines: super::containers::Addresses,
@@ -76,6 +79,7 @@ impl Prepared {
         if let Some((vnf, _)) = super::engines::images_here(&testbed).next() {
             return Err(RunError::NoContainers(vnf.id.clone()));
         }
+        let wifi = super::wifi::plan(&testbed)?;
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;
@@ -108,6 +112,7 @@ impl Prepared {
             seed,
             testbed,
             options,
+            wifi,
             #[cfg(feature = "containers")]
             engines,
             #[cfg(feature = "agents")]

@@ -1,0 +1,134 @@
+//! Instructions that send a robot to a radio unit: it roams there, if need be after a scan of that unit's channel.
+
+use cotorra_graph::{NodeId, Timestamp};
+
+use super::{Manager, PATIENCE, Program, Refused, Rejected, Request};
+
+/// Where a robot is sent.
+#[derive(Debug)]
+pub(super) struct Errand {
+    to: NodeId,
+    /// When it is given up.
+    pub(super) until: Timestamp,
+    step: Step,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Step {
+    /// It roams, or does not know the access point.
+    First,
+    /// It looks for the access point.
+    Scanning,
+    /// It roams to what it has heard.
+    Second,
+}
+
+impl Manager {
+    /// Sends a robot to a radio unit. Events report how it comes there, or why not. Does nothing if it is there.
+    ///
+    /// # Errors
+    /// [`Rejected`]. Nothing has changed then.
+    pub(crate) fn attach(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) -> Result<(), Rejected> {
+        use cotorra_fabric::FabricError::{NotServing, OtherNetwork, UnknownRadioUnit, UnknownRobot};
+        let planned = self.plan.robots.get(robot).ok_or_else(|| UnknownRobot(robot.clone()))?;
+        let to = self.plan.units.get(unit).ok_or_else(|| UnknownRadioUnit(unit.clone()))?;
+        if planned.network().ssid != *to.ssid() {
+            return Err(OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() }.into());
+        }
+        if !self.units.get(unit).is_some_and(|unit| unit.serves) {
+            return Err(NotServing(unit.clone()).into());
+        }
+        if self.robots.get(robot).is_some_and(|state| state.at.as_ref() == Some(unit) && !state.is_busy(now))
+        {
+            return Ok(());
+        }
+        let state = self.free(now, robot)?;
+        if !state.is_attached() {
+            return Err(Rejected::Alone(robot.clone()));
+        }
+        state.errand = Some(Errand { to: unit.clone(), until: now + PATIENCE, step: Step::First });
+        self.roam(robot);
+        Ok(())
+    }
+
+    /// Takes the next step of a robot's errand: it roams.
+    fn roam(&mut self, robot: &NodeId) {
+        let Some(state) = self.robots.get(robot) else { return };
+        let (Some(errand), Some(at)) = (&state.errand, &state.at) else { return };
+        let to = &self.plan.units[&errand.to];
+        let over_ds = to.fast_transition().is_some_and(|fast| fast.over_ds);
+        // Over the distribution system, nothing happens between mobility domains.
+        let domain = |unit: &NodeId| self.units.get(unit).map(super::units::UnitState::mobility_domain);
+        let over_ds = over_ds && domain(at) == domain(&errand.to);
+        let to = to.bssid;
+        self.request(Program::Supplicant(robot.clone()), Request::Roam { to, over_ds });
+    }
+
+    pub(super) fn robot_refused(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        request: &Request,
+        reason: Refused,
+    ) {
+        let Some(errand) = self.robots.get_mut(robot).and_then(|state| state.errand.as_mut()) else {
+            let program = Program::Supplicant(robot.clone());
+            return match reason {
+                Refused::Other(reason) if matches!(request, Request::Scan { .. }) => {
+                    self.notice(now, format!("`{robot}` cannot scan: {reason}"));
+                }
+                reason => tracing::debug!("{program} refused {request:?}: {reason:?}"),
+            };
+        };
+        match (request, errand.step, reason) {
+            // wpa_supplicant has not heard the access point lately.
+            (Request::Roam { .. }, Step::First, Refused::Other(_)) => {
+                errand.step = Step::Scanning;
+                let channels = vec![self.plan.units[&errand.to].channel()];
+                let request = Request::Scan { channels, stays: true };
+                self.request(Program::Supplicant(robot.clone()), request);
+            }
+            (Request::Roam { .. }, ..) => self.end_errand(now, robot, "it does not hear it"),
+            // The end of the present scan will do as well.
+            (Request::Scan { .. }, Step::Scanning, Refused::Busy) => {}
+            (Request::Scan { .. }, Step::Scanning, Refused::Other(reason)) => {
+                self.end_errand(now, robot, &format!("it cannot scan: {reason}"));
+            }
+            _ => {}
+        }
+    }
+
+    /// Goes on with an errand that waited for a scan.
+    pub(super) fn go_on_after_scan(&mut self, robot: &NodeId) {
+        let errand = self.robots.get_mut(robot).and_then(|state| state.errand.as_mut());
+        if let Some(errand) = errand.filter(|errand| errand.step == Step::Scanning) {
+            errand.step = Step::Second;
+            self.roam(robot);
+        }
+    }
+
+    /// Records that a robot joined a radio unit.
+    pub(super) fn arrived(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) {
+        let Some(state) = self.robots.get_mut(robot) else { return };
+        match &state.errand {
+            Some(errand) if errand.to == *unit => state.errand = None,
+            Some(_) => self.end_errand(now, robot, &format!("it joined `{unit}` instead")),
+            None => {}
+        }
+    }
+
+    pub(super) fn end_late_errand(&mut self, now: Timestamp, robot: &NodeId) {
+        let errand = self.robots.get(robot).and_then(|state| state.errand.as_ref());
+        if errand.is_some_and(|errand| errand.until <= now) {
+            self.end_errand(now, robot, &format!("it did not come there within {} s", PATIENCE.as_secs()));
+        }
+    }
+
+    /// Gives an errand up, if there is one.
+    pub(super) fn end_errand(&mut self, now: Timestamp, robot: &NodeId, why: &str) {
+        let errand = self.robots.get_mut(robot).and_then(|state| state.errand.take());
+        if let Some(Errand { to, .. }) = errand {
+            self.notice(now, format!("`{robot}` was not attached to `{to}`: {why}"));
+        }
+    }
+}

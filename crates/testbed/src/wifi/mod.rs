@@ -1,0 +1,260 @@
+//! Real Wi-Fi software in a run: starts hostapd in radio units and wpa_supplicant in robots, carries instructions out by them,
+//! and tells the emulated network and the core what they did.
+//!
+//! [`plan`] writes their configurations, [`manager`] decides, and [`programs`] has the processes and sockets.
+
+mod lifecycle;
+mod manager;
+mod plan;
+mod programs;
+mod words;
+
+use std::{
+    env, fs, io,
+    os::unix::fs::DirBuilderExt,
+    path::PathBuf,
+    process,
+    sync::{Arc, mpsc},
+    thread,
+    time::Duration,
+};
+
+use cotorra_datapath::{Capability, CapabilityState};
+use cotorra_graph::{self as graph, NodeId};
+use cotorra_wifi::installed;
+use parking_lot::Mutex;
+
+pub use self::plan::PlanError;
+use self::{manager::Manager, programs::Programs};
+pub(crate) use self::{
+    manager::{Change, Rejected},
+    plan::Plan,
+    programs::Surroundings,
+};
+use crate::clock::Clock;
+
+/// Beginning of the names of folders for Wi-Fi programs, in the folder for temporary files. The process's id follows, and a number.
+pub const WIFI_FOLDERS: &str = "cotorra-wifi-";
+/// Most folders of processes with one id.
+const MOST_FOLDERS: u32 = 100;
+/// Longest time of a start.
+const START: Duration = Duration::from_secs(60);
+
+/// The Wi-Fi programs of a run. Dropping it stops them.
+pub(crate) struct Wifi {
+    handle: Handle,
+    thread: Option<thread::JoinHandle<()>>,
+    _folder: Folder,
+}
+
+/// Gives the programs instructions.
+#[derive(Clone)]
+pub(crate) struct Handle {
+    manager: Arc<Mutex<Manager>>,
+    inbox: mpsc::Sender<programs::Message>,
+    now: Clock,
+}
+
+/// Wi-Fi programs that did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum WifiError {
+    /// A program that is not installed.
+    #[error(
+        "`wifi: hwsim` needs {0}, which is not installed: on Debian, `apt-get install hostapd wpasupplicant`"
+    )]
+    NotInstalled(&'static str),
+    /// A testbed that they cannot serve.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// A program that cannot be started.
+    #[error("{0}")]
+    Start(String),
+    /// Programs that take too long.
+    #[error("Wi-Fi is not up after {} s: {missing} are missing", START.as_secs())]
+    Slow {
+        /// Those that are missing.
+        missing: String,
+    },
+    /// A folder or a thread.
+    #[error("cannot {what}: {source}")]
+    System {
+        /// The failed action.
+        what: &'static str,
+        /// The system's error.
+        source: io::Error,
+    },
+}
+
+/// The programs, each with its use and with what to do if it is missing.
+const PROGRAMS: [(&str, &str, &str); 2] = [
+    (
+        "hostapd",
+        "access points of networks with `wifi: hwsim`",
+        "not needed for emulated radio; otherwise install it: `apt-get install hostapd` on Debian",
+    ),
+    (
+        "wpa_supplicant",
+        "robots in networks with `wifi: hwsim`",
+        "not needed for emulated radio; otherwise install it: `apt-get install wpasupplicant` on Debian",
+    ),
+];
+
+/// Looks for the programs that networks with real Wi-Fi software need.
+pub fn wifi_programs() -> Vec<Capability> {
+    let capability = |(name, purpose, remedy)| {
+        let state = match installed(name) {
+            Some(path) => CapabilityState::Available(path.display().to_string()),
+            None => CapabilityState::Missing { reason: "it is not installed".to_owned(), remedy },
+        };
+        Capability { name, purpose, state }
+    };
+    PROGRAMS.into_iter().map(capability).collect()
+}
+
+/// Checks that the programs are installed.
+///
+/// # Errors
+/// [`WifiError::NotInstalled`].
+pub(crate) fn check_programs() -> Result<(), WifiError> {
+    for (program, ..) in PROGRAMS {
+        installed(program).ok_or(WifiError::NotInstalled(program))?;
+    }
+    Ok(())
+}
+
+impl Wifi {
+    /// Starts all programs of a plan, and waits until radio units serve and robots have joined. One that is out of reach of all
+    /// radio units holds nothing up.
+    ///
+    /// # Errors
+    /// [`WifiError`]. No program runs then.
+    pub(crate) fn start(plan: Plan, surroundings: Surroundings) -> Result<Self, WifiError> {
+        let folder = Folder::new().map_err(system("make a folder for the Wi-Fi programs"))?;
+        let now = Arc::clone(&surroundings.now);
+        let manager = Arc::new(Mutex::new(Manager::new(now(), plan)));
+        let (inbox, messages) = mpsc::channel();
+        let (progress, begun) = mpsc::channel();
+        let programs =
+            Programs::new(Arc::clone(&manager), surroundings, folder.0.clone(), (inbox.clone(), messages));
+        let thread = thread::Builder::new()
+            .name("wifi".to_owned())
+            .spawn(move || programs.run(&progress))
+            .map_err(system("start the thread of the Wi-Fi programs"))?;
+        let handle = Handle { manager, inbox, now };
+        let wifi = Self { handle, thread: Some(thread), _folder: folder };
+        match begun.recv_timeout(START) {
+            Ok(Ok(())) => Ok(wifi),
+            Ok(Err(reason)) => Err(WifiError::Start(reason)),
+            Err(_) => {
+                let missing = wifi.handle.manager.lock().awaited().join(", ");
+                Err(WifiError::Slow { missing })
+            }
+        }
+    }
+
+    /// Returns access for the core.
+    pub(crate) fn handle(&self) -> Handle {
+        self.handle.clone()
+    }
+}
+
+impl Drop for Wifi {
+    fn drop(&mut self) {
+        // Fails only if the thread has ended.
+        _ = self.handle.inbox.send(programs::Message::Stop);
+        if let Some(thread) = self.thread.take() {
+            _ = thread.join();
+        }
+    }
+}
+
+impl Handle {
+    /// Whether a robot or a radio unit has a program.
+    pub(crate) fn has(&self, node: &NodeId) -> bool {
+        self.manager.lock().has(node)
+    }
+
+    /// Makes a robot's radio scan. An event reports the end.
+    ///
+    /// # Errors
+    /// [`Rejected`]. Nothing has changed then.
+    pub(crate) fn scan(&self, robot: &NodeId) -> Result<(), Rejected> {
+        self.instruct(|manager| manager.scan((self.now)(), robot))
+    }
+
+    /// Sends a robot to a radio unit. Events report how it comes there, or why not.
+    ///
+    /// # Errors
+    /// [`Rejected`]. Nothing has changed then.
+    pub(crate) fn attach(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<(), Rejected> {
+        self.instruct(|manager| manager.attach((self.now)(), robot, radio_unit))
+    }
+
+    /// Checks whether [`Self::switch_on`] would succeed now.
+    ///
+    /// # Errors
+    /// [`Rejected`].
+    pub(crate) fn check_switch_on(
+        &self,
+        radio_unit: &NodeId,
+        access_point: &graph::AccessPoint,
+    ) -> Result<(), Rejected> {
+        self.manager.lock().check_switch_on(radio_unit, access_point)
+    }
+
+    /// Starts a radio unit that is off. An event reports when it serves.
+    ///
+    /// # Errors
+    /// [`Rejected`]. Nothing has changed then.
+    pub(crate) fn switch_on(
+        &self,
+        radio_unit: &NodeId,
+        access_point: graph::AccessPoint,
+    ) -> Result<(), Rejected> {
+        self.instruct(|manager| manager.switch_on(radio_unit, access_point))
+    }
+
+    /// Stops a radio unit. Its stations lose it.
+    ///
+    /// # Errors
+    /// [`Rejected`]. Nothing has changed then.
+    pub(crate) fn switch_off(&self, radio_unit: &NodeId) -> Result<(), Rejected> {
+        self.instruct(|manager| manager.switch_off(radio_unit))
+    }
+
+    fn instruct(
+        &self,
+        instruction: impl FnOnce(&mut Manager) -> Result<(), Rejected>,
+    ) -> Result<(), Rejected> {
+        instruction(&mut self.manager.lock())?;
+        // Fails only if the run ends.
+        _ = self.inbox.send(programs::Message::Wake);
+        Ok(())
+    }
+}
+
+/// A private folder of this process, which is removed with it.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> io::Result<Self> {
+        // An earlier process may have had this number, and left its folder.
+        let paths = (0..MOST_FOLDERS)
+            .map(|number| env::temp_dir().join(format!("{WIFI_FOLDERS}{}-{number}", process::id())));
+        let make = |path: PathBuf| match fs::DirBuilder::new().mode(0o700).create(&path) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => None,
+            made => Some(made.map(|()| Self(path))),
+        };
+        paths.into_iter().find_map(make).unwrap_or_else(|| Err(io::ErrorKind::AlreadyExists.into()))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+fn system(what: &'static str) -> impl FnOnce(io::Error) -> WifiError {
+    move |source| WifiError::System { what, source }
+}

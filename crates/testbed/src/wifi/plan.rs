@@ -1,0 +1,282 @@
+//! The configurations of hostapd and wpa_supplicant that a testbed's graph asks for.
+
+use std::collections::BTreeMap;
+
+use cotorra_datapath::wifi::{BRIDGE, WLAN};
+use cotorra_graph as graph;
+use cotorra_graph::{HardwareGraph, Hwsim, NodeId, Roaming, WifiStandard, WirelessNetwork};
+use cotorra_wifi::{
+    AccessPoint, AccessPointDriver, BackgroundScan, BackgroundScanMethod, Band, Bss, Channel, ChannelError,
+    DomainKey, FastTransition, InterfaceName, KeyExchange, KeyHolder, MacAddress, MobilityDomain, NameError,
+    Network, Passphrase, PassphraseError, Protection, Radio, Security, Ssid, Station, StationDriver, Units,
+    Width, hostapd::Neighbour,
+};
+
+/// What the Wi-Fi programs of a testbed are to do.
+#[derive(Debug, Clone)]
+pub(crate) struct Plan {
+    /// The radio units.
+    pub(super) units: BTreeMap<NodeId, PlannedUnit>,
+    /// The robots.
+    pub(super) robots: BTreeMap<NodeId, PlannedRobot>,
+}
+
+/// A radio unit with a hostapd.
+#[derive(Debug, Clone)]
+pub(super) struct PlannedUnit {
+    /// Its access point, as the testbed file describes it.
+    pub(super) access_point: AccessPoint,
+    pub(super) bssid: MacAddress,
+    /// The same settings in the graph's terms.
+    pub(super) settings: graph::AccessPoint,
+    /// Whether it serves from the start.
+    pub(super) serves: bool,
+}
+
+/// A robot with a wpa_supplicant.
+#[derive(Debug, Clone)]
+pub(super) struct PlannedRobot {
+    pub(super) station: Station,
+    pub(super) address: MacAddress,
+    /// Whether it changes its radio unit only when it is told to.
+    pub(super) is_instructed: bool,
+}
+
+/// A graph that real Wi-Fi programs cannot serve.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// An SSID that is too long.
+    #[error("wireless network `{network}` cannot have real Wi-Fi software: {source}")]
+    Name {
+        /// The network.
+        network: String,
+        /// The reason.
+        source: NameError,
+    },
+    /// A passphrase of the wrong length, or with other characters.
+    #[error("the passphrase of wireless network `{network}` is none: {source}")]
+    Passphrase {
+        /// The network.
+        network: String,
+        /// The reason.
+        source: PassphraseError,
+    },
+    /// A channel that the network's standard does not have.
+    #[error("radio unit `{unit}` cannot have real Wi-Fi software: {source}")]
+    Channel {
+        /// The radio unit.
+        unit: NodeId,
+        /// The reason.
+        source: ChannelError,
+    },
+}
+
+impl Plan {
+    /// Makes the plan of a graph; `None` if no network of it has real Wi-Fi software. The units of mobility domains encrypt what
+    /// they tell each other by `key`.
+    ///
+    /// # Errors
+    /// [`PlanError`].
+    pub(crate) fn new(graph: &HardwareGraph, key: &DomainKey) -> Result<Option<Self>, PlanError> {
+        let mut plan = Self { units: BTreeMap::new(), robots: BTreeMap::new() };
+        for (name, network) in &graph.wireless {
+            if let Some(hwsim) = &network.hwsim {
+                PlannedNetwork { graph, name, network, hwsim, key }.add_to(&mut plan)?;
+            }
+        }
+        Ok((!plan.units.is_empty() || !plan.robots.is_empty()).then_some(plan))
+    }
+
+    /// Returns a radio unit's access point in a mobility domain.
+    pub(super) fn in_domain(&self, unit: &NodeId, domain: u16) -> Option<AccessPoint> {
+        let mut access_point = self.units.get(unit)?.access_point.clone();
+        let fast = match &mut access_point.bss.security {
+            Security::Open => None,
+            Security::Wpa2 { fast_transition, .. } => fast_transition.as_mut(),
+            Security::Wpa3 { fast_transition, .. } => fast_transition.as_mut().map(|(fast, _)| fast),
+        };
+        if let Some(fast) = fast {
+            fast.domain = MobilityDomain(domain);
+        }
+        Some(access_point)
+    }
+
+    /// Returns the radio unit with an address.
+    pub(super) fn unit_with(&self, bssid: MacAddress) -> Option<&NodeId> {
+        self.units.iter().find(|(_, unit)| unit.bssid == bssid).map(|(id, _)| id)
+    }
+
+    /// Returns the radio units that stations of a radio unit are told about: all others of its network.
+    pub(super) fn neighbours(&self, unit: &NodeId) -> Vec<Neighbour> {
+        let Some(own) = self.units.get(unit) else { return Vec::new() };
+        let others = self.units.iter().filter(|(id, other)| *id != unit && other.ssid() == own.ssid());
+        let neighbour = |(_, other): (&NodeId, &PlannedUnit)| {
+            Neighbour::new(other.bssid, &other.access_point.bss, &other.access_point.radio)
+        };
+        others.map(neighbour).collect()
+    }
+}
+
+impl PlannedUnit {
+    pub(super) fn ssid(&self) -> &Ssid {
+        &self.access_point.bss.ssid
+    }
+
+    pub(super) fn channel(&self) -> Channel {
+        self.access_point.radio.channel
+    }
+
+    /// Returns its part in a mobility domain; `None` if stations do not roam fast.
+    pub(super) fn fast_transition(&self) -> Option<&FastTransition> {
+        self.access_point.bss.security.fast_transition()
+    }
+}
+
+impl PlannedRobot {
+    /// Returns the network that it joins.
+    pub(super) fn network(&self) -> &Network {
+        &self.station.networks[0]
+    }
+}
+
+/// A wireless network with real Wi-Fi software.
+struct PlannedNetwork<'a> {
+    graph: &'a HardwareGraph,
+    name: &'a String,
+    network: &'a WirelessNetwork,
+    hwsim: &'a Hwsim,
+    key: &'a DomainKey,
+}
+
+impl PlannedNetwork<'_> {
+    fn add_to(&self, plan: &mut Plan) -> Result<(), PlanError> {
+        let ssid = Ssid::new(self.name.as_bytes())
+            .map_err(|source| PlanError::Name { network: self.name.clone(), source })?;
+        let units: Vec<_> = self.graph.radio_units().filter(|(_, unit)| unit.network == *self.name).collect();
+        let members = units.iter().map(|(node, _)| self.address(&node.id));
+        let members: Vec<_> = members.map(|bssid| (bssid, holder(bssid))).collect();
+        let mut channels: Vec<Channel> = Vec::new();
+        for (node, unit) in &units {
+            let band = match self.network.standard {
+                WifiStandard::G | WifiStandard::N => Band::Ghz2,
+                WifiStandard::A | WifiStandard::Ac => Band::Ghz5,
+            };
+            let channel = Channel::new(band, unit.channel, Width::Mhz20)
+                .map_err(|source| PlanError::Channel { unit: node.id.clone(), source })?;
+            if !channels.contains(&channel) {
+                channels.push(channel);
+            }
+            let bssid = self.address(&node.id);
+            let bridge = Some(interface(BRIDGE));
+            let bss = Bss { bridge, ..Bss::new(ssid.clone(), self.security(bssid, &members)?) };
+            let access_point = AccessPoint {
+                interface: interface(WLAN),
+                driver: AccessPointDriver::Nl80211,
+                radio: Radio::new(channel),
+                bss,
+                virtual_aps: Vec::new(),
+            };
+            let settings = graph::AccessPoint {
+                ssid: self.name.clone(),
+                mobility_domain: self.network.mobility_domain,
+                key: None,
+                core: None,
+            };
+            let planned = PlannedUnit { access_point, bssid, settings, serves: unit.serving };
+            plan.units.insert(node.id.clone(), planned);
+        }
+        for (node, robot) in self.graph.robots().filter(|(_, robot)| robot.network == *self.name) {
+            let address = self.address(&node.id);
+            let credentials = self.security(address, &members)?.credentials();
+            let network = Network {
+                channels: channels.clone(),
+                background_scan: background_scan(robot.roaming),
+                ..Network::new(ssid.clone(), credentials)
+            };
+            let station = Station {
+                interface: interface(WLAN),
+                driver: StationDriver::Nl80211,
+                country: None,
+                networks: vec![network],
+            };
+            let is_instructed = robot.roaming == Roaming::Instructed;
+            plan.robots.insert(node.id.clone(), PlannedRobot { station, address, is_instructed });
+        }
+        Ok(())
+    }
+
+    /// Returns the security of the access point with an address, among the members of its mobility domain.
+    fn security(
+        &self,
+        bssid: MacAddress,
+        members: &[(MacAddress, KeyHolder)],
+    ) -> Result<Security, PlanError> {
+        let passphrase = |text: &str| {
+            text.parse::<Passphrase>()
+                .map_err(|source| PlanError::Passphrase { network: self.name.clone(), source })
+        };
+        let fast = |over_ds| {
+            let domain = MobilityDomain(self.network.mobility_domain);
+            let fast = FastTransition { domain, holder: holder(bssid), over_ds };
+            self.network.fast_transition.then_some(fast)
+        };
+        Ok(match &self.hwsim.security {
+            graph::Security::Open => Security::Open,
+            graph::Security::Wpa2 { passphrase: text, management_frames, over_ds } => Security::Wpa2 {
+                passphrase: passphrase(text)?,
+                protection: match management_frames {
+                    graph::Protection::Off => Protection::Off,
+                    graph::Protection::Optional => Protection::Optional,
+                    graph::Protection::Required => Protection::Required,
+                },
+                fast_transition: fast(*over_ds),
+            },
+            graph::Security::Wpa3 { passphrase: text, over_ds } => {
+                let exchange = KeyExchange { key: self.key.clone(), units: Units::These(members.to_vec()) };
+                Security::Wpa3 {
+                    passphrase: passphrase(text)?,
+                    fast_transition: fast(*over_ds).zip(Some(exchange)),
+                }
+            }
+        })
+    }
+
+    /// Returns the address of a node's radio.
+    fn address(&self, node: &NodeId) -> MacAddress {
+        MacAddress(self.graph.address(node).expect("robots and radio units are hosts").mac)
+    }
+}
+
+/// Returns the name of a radio unit in its mobility domain: its address, which is always one.
+fn holder(bssid: MacAddress) -> KeyHolder {
+    bssid.to_string().parse().expect("an address is made of digits and colons")
+}
+
+fn interface(name: &str) -> InterfaceName {
+    name.parse().expect("the datapath names interfaces as Linux does")
+}
+
+/// Returns the background scans of a roaming policy. A station that decides by signal has those that NetworkManager asks
+/// wpa_supplicant for: wpa_supplicant knows neither a hysteresis nor a time to trigger.
+fn background_scan(roaming: Roaming) -> Option<BackgroundScan> {
+    let graph::BackgroundScan { threshold, short_interval, long_interval } = match roaming {
+        Roaming::Instructed => return None,
+        Roaming::Signal => graph::BackgroundScan::default(),
+        Roaming::Supplicant(scan) => scan,
+    };
+    // wpa_supplicant counts in whole seconds, and takes 0 for none.
+    let seconds = |interval: std::time::Duration| {
+        let seconds = interval.as_secs_f64().round().clamp(1.0, f64::from(u16::MAX));
+        seconds as u16
+    };
+    let threshold_dbm = threshold.0.round().clamp(f64::from(i8::MIN), f64::from(i8::MAX)) as i8;
+    Some(BackgroundScan {
+        method: BackgroundScanMethod::Simple,
+        threshold_dbm,
+        short_s: seconds(short_interval),
+        long_s: seconds(long_interval),
+    })
+}
+
+#[cfg(test)]
+mod tests;
