@@ -2,6 +2,7 @@
 
 use console::{Term, style};
 use cotorra_datapath::{CapabilityState, Privilege, enter_user_namespace_if_needed, probe};
+use cotorra_testbed::wifi_programs;
 
 use crate::{output, table::wrap};
 
@@ -11,7 +12,10 @@ const WIDEST: usize = 100;
 /// Tries every capability, and prints the results.
 pub fn doctor() -> miette::Result<()> {
     let privilege = enter_user_namespace_if_needed();
-    let capabilities = probe();
+    let mut capabilities = probe();
+    let of_radios = capabilities.iter().position(|c| c.name == "mac80211_hwsim");
+    let place = of_radios.map_or(capabilities.len(), |place| place + 1);
+    capabilities.splice(place..place, wifi_programs());
     let width = usize::from(Term::stdout().size().1).min(WIDEST);
     let widest = capabilities.iter().map(|c| c.name.len()).max().unwrap_or(0);
     let indent = " ".repeat(4);

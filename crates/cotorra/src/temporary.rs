@@ -8,7 +8,7 @@ use std::{
     process,
 };
 
-use cotorra_testbed::FolderError;
+use cotorra_testbed::{FolderError, WIFI_FOLDERS};
 
 /// Beginning of the folders' names. The process's id follows, and a number.
 const STEM: &str = "cotorra-testbeds-";
@@ -66,7 +66,8 @@ fn leftovers_in(base: &Path) -> Vec<PathBuf> {
     let Ok(own) = fs::metadata("/proc/self").map(|own| own.uid()) else { return Vec::new() };
     let entries = fs::read_dir(base).into_iter().flatten().flatten();
     let left = |name: &str| {
-        let (process, number) = name.strip_prefix(STEM)?.split_once('-')?;
+        let rest = [STEM, WIFI_FOLDERS].iter().find_map(|stem| name.strip_prefix(stem))?;
+        let (process, number) = rest.split_once('-')?;
         let (process, _) = (process.parse::<u32>().ok()?, number.parse::<usize>().ok()?);
         Some(!Path::new(&format!("/proc/{process}")).exists())
     };

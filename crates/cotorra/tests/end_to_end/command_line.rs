@@ -112,7 +112,7 @@ fn the_doctor_gives_a_reason_and_a_remedy_for_each_missing_capability() {
     let printed = output(["doctor"]);
     assert!(printed.status.success(), "{}", stderr(&printed));
     let text = stdout(&printed);
-    for name in ["network namespaces", "NetEm", "mac80211_hwsim", "container engine"] {
+    for name in ["network namespaces", "NetEm", "mac80211_hwsim", "hostapd", "container engine"] {
         assert!(text.contains(name), "{name} is not in {text}");
     }
     let count = |part: &str| text.matches(part).count();

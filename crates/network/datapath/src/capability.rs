@@ -110,7 +110,8 @@ pub fn probe() -> Vec<Capability> {
             "mac80211_hwsim",
             "simulated Wi-Fi hardware for real hostapd and wpa_supplicant",
             hwsim(),
-            "not needed for emulated radio; otherwise a kernel with the module mac80211_hwsim, and `modprobe` it",
+            "not needed for emulated radio; otherwise a kernel with the module, such as Debian's linux-image-amd64, and \
+             `modprobe mac80211_hwsim`",
         ),
         capability(
             "control groups",
