@@ -119,7 +119,7 @@ pub struct Daemon {
 impl std::fmt::Debug for Daemon {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut text = f.debug_struct("Daemon");
-        text.field("program", &self.program).field("folder", &self.folder.0).finish_non_exhaustive()
+        text.field("program", &self.program).field("folder", &self.folder.path).finish_non_exhaustive()
     }
 }
 
@@ -137,10 +137,30 @@ impl Daemon {
         folder: &Path,
         launch: &mut Launcher<'_>,
     ) -> Result<Self, StartError> {
-        let folder = Folder::new(folder)?;
+        Self::hostapd_in(Folder::new(folder, None)?, access_point, launch)
+    }
+
+    /// Does the same as [`Self::hostapd`], with the log appended to this file, which stays.
+    ///
+    /// # Errors
+    /// [`StartError`].
+    pub fn hostapd_with_log(
+        access_point: &AccessPoint,
+        folder: &Path,
+        log: &Path,
+        launch: &mut Launcher<'_>,
+    ) -> Result<Self, StartError> {
+        Self::hostapd_in(Folder::new(folder, Some(log))?, access_point, launch)
+    }
+
+    fn hostapd_in(
+        folder: Folder,
+        access_point: &AccessPoint,
+        launch: &mut Launcher<'_>,
+    ) -> Result<Self, StartError> {
         let configuration = folder.write("hostapd.conf", &access_point.configuration(&folder.control()))?;
         let mut command = Command::new(program("hostapd"));
-        command.arg("-g").arg(folder.global()).arg(configuration);
+        command.arg("-t").arg("-g").arg(folder.global()).arg(configuration);
         Self::start("hostapd", command, folder, access_point.interface.clone(), launch)
     }
 
@@ -153,10 +173,30 @@ impl Daemon {
         folder: &Path,
         launch: &mut Launcher<'_>,
     ) -> Result<Self, StartError> {
-        let folder = Folder::new(folder)?;
+        Self::wpa_supplicant_in(Folder::new(folder, None)?, station, launch)
+    }
+
+    /// Does the same as [`Self::wpa_supplicant`], with the log appended to this file, which stays.
+    ///
+    /// # Errors
+    /// [`StartError`].
+    pub fn wpa_supplicant_with_log(
+        station: &Station,
+        folder: &Path,
+        log: &Path,
+        launch: &mut Launcher<'_>,
+    ) -> Result<Self, StartError> {
+        Self::wpa_supplicant_in(Folder::new(folder, Some(log))?, station, launch)
+    }
+
+    fn wpa_supplicant_in(
+        folder: Folder,
+        station: &Station,
+        launch: &mut Launcher<'_>,
+    ) -> Result<Self, StartError> {
         let configuration = folder.write("wpa_supplicant.conf", &station.configuration(&folder.control()))?;
         let mut command = Command::new(program("wpa_supplicant"));
-        command.arg("-i").arg(station.interface.as_str()).arg("-D").arg(station.driver.name());
+        command.arg("-t").arg("-i").arg(station.interface.as_str()).arg("-D").arg(station.driver.name());
         command.arg("-c").arg(configuration).arg("-g").arg(folder.global());
         Self::start("wpa_supplicant", command, folder, station.interface.clone(), launch)
     }
@@ -168,7 +208,7 @@ impl Daemon {
         interface: InterfaceName,
         launch: &mut Launcher<'_>,
     ) -> Result<Self, StartError> {
-        let log = folder.create("log")?;
+        let log = folder.open_log()?;
         let also = log.try_clone().map_err(system("write the log"))?;
         command.stdin(Stdio::null()).stdout(log).stderr(also);
         let process = launch(command).map_err(system(format!("start {program} (is it installed?)")))?;
@@ -206,7 +246,7 @@ impl Daemon {
     /// # Errors
     /// As [`Client::connect`].
     pub fn client_of(&self, interface: &InterfaceName) -> Result<Client, ControlError> {
-        Client::connect(&self.folder.control().join(interface.as_str()), &self.folder.0)
+        Client::connect(&self.folder.control().join(interface.as_str()), &self.folder.path)
     }
 
     /// Connects to its global socket, by which interfaces are added and removed.
@@ -214,7 +254,7 @@ impl Daemon {
     /// # Errors
     /// As [`Client::connect`].
     pub fn global_client(&self) -> Result<Client, ControlError> {
-        Client::connect(&self.folder.global(), &self.folder.0)
+        Client::connect(&self.folder.global(), &self.folder.path)
     }
 
     /// Adds a BSS to a running access point, by hostapd's global socket.
@@ -269,10 +309,14 @@ impl Drop for Daemon {
 }
 
 /// A private folder, which is removed when it is dropped.
-struct Folder(PathBuf);
+struct Folder {
+    path: PathBuf,
+    /// The program's log, in the folder or elsewhere.
+    log: PathBuf,
+}
 
 impl Folder {
-    fn new(path: &Path) -> Result<Self, StartError> {
+    fn new(path: &Path, log: Option<&Path>) -> Result<Self, StartError> {
         let text = path.to_str().unwrap_or_default();
         let is_harmless = |character: char| !character.is_whitespace() && !"#\"'\\".contains(character);
         if !matches!(text.len(), 1..=LONGEST_PATH) || !text.chars().all(is_harmless) {
@@ -287,34 +331,41 @@ impl Folder {
             made => made,
         }
         .map_err(system(format!("make the folder {}", path.display())))?;
-        Ok(Self(path.to_owned()))
+        let log = log.map_or_else(|| path.join("log"), Path::to_owned);
+        Ok(Self { path: path.to_owned(), log })
     }
 
     fn control(&self) -> PathBuf {
-        self.0.join("control")
+        self.path.join("control")
     }
 
     fn global(&self) -> PathBuf {
-        self.0.join("global")
+        self.path.join("global")
     }
 
     fn create(&self, name: &str) -> Result<File, StartError> {
-        let path = self.0.join(name);
+        let path = self.path.join(name);
         let mut options = File::options();
         options.write(true).create(true).truncate(true).mode(0o600);
         options.open(&path).map_err(system(format!("write {}", path.display())))
     }
 
     fn write(&self, name: &str, text: &str) -> Result<PathBuf, StartError> {
-        let path = self.0.join(name);
+        let path = self.path.join(name);
         let written = self.create(name)?.write_all(text.as_bytes());
         written.map_err(system(format!("write {}", path.display())))?;
         Ok(path)
     }
 
+    fn open_log(&self) -> Result<File, StartError> {
+        let mut options = File::options();
+        options.append(true).create(true).mode(0o600);
+        options.open(&self.log).map_err(system(format!("write {}", self.log.display())))
+    }
+
     /// Returns the last lines of the program's log.
     fn log_end(&self) -> String {
-        let log = fs::read(self.0.join("log")).unwrap_or_default();
+        let log = fs::read(&self.log).unwrap_or_default();
         let end = &log[log.len().saturating_sub(LOG_END)..];
         String::from_utf8_lossy(end).trim().to_owned()
     }
@@ -322,15 +373,16 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        _ = fs::remove_dir_all(&self.0);
+        _ = fs::remove_dir_all(&self.path);
     }
 }
 
 /// Ends the program that a killed process left in a folder, and removes the folder.
 fn clear(path: &Path) -> Result<(), StartError> {
+    let is_a_programs = ["hostapd.conf", "wpa_supplicant.conf"].iter().any(|name| path.join(name).is_file());
     let is_ours = fs::symlink_metadata(path).is_ok_and(|folder| {
         let own = fs::metadata("/proc/self").is_ok_and(|process| process.uid() == folder.uid());
-        folder.is_dir() && folder.mode() & 0o077 == 0 && own && path.join("log").is_file()
+        folder.is_dir() && folder.mode() & 0o077 == 0 && own && is_a_programs
     });
     if !is_ours {
         return Err(StartError::Folder(path.to_owned()));

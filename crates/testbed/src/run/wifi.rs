@@ -50,6 +50,7 @@ pub(super) fn start(prepared: &Prepared, network: &NetworkUp) -> Result<Option<W
     let surroundings = Surroundings {
         now: Arc::clone(now),
         launch: Arc::new(launch),
+        logs: prepared.folder.logs(),
         change: change_in(datapath),
         report: Box::new(report),
     };

@@ -44,6 +44,14 @@ impl Program {
         let (Self::Hostapd(node) | Self::Supplicant(node)) = self;
         node
     }
+
+    /// Returns the name of its log.
+    pub(super) fn log(&self) -> String {
+        match self {
+            Self::Hostapd(unit) => format!("hostapd-{unit}.log"),
+            Self::Supplicant(robot) => format!("wpa_supplicant-{robot}.log"),
+        }
+    }
 }
 
 impl std::fmt::Display for Program {

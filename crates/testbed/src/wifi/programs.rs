@@ -36,6 +36,8 @@ pub(crate) struct Surroundings {
     pub(crate) now: Clock,
     /// Starts a program.
     pub(crate) launch: Launch,
+    /// Folder of the programs' logs.
+    pub(crate) logs: PathBuf,
     /// Changes the emulated network; returns the reason if it refuses.
     pub(crate) change: Box<dyn FnMut(Change) -> Result<(), String> + Send>,
     /// Reports an event to the core.
@@ -219,12 +221,13 @@ impl Programs {
         self.slots.insert(program.clone(), Slot { number: self.starts, running: None });
         // Not the node's name, which may be too long for the path of a socket.
         let folder = self.folder.join(self.starts.to_string());
+        let log = self.surroundings.logs.join(program.log());
         let (launch, inbox) = (Arc::clone(&self.surroundings.launch), self.inbox.clone());
         let name = format!("wifi-{}", program.node());
         let of_start = start.clone();
         let thread = thread::Builder::new()
             .name(name)
-            .spawn(move || run_program(&of_start, &configuration, &folder, &launch, &inbox));
+            .spawn(move || run_program(&of_start, &configuration, (&folder, &log), &launch, &inbox));
         self.threads.retain(|thread| !thread.is_finished());
         match thread {
             Ok(thread) => self.threads.push(thread),
@@ -263,12 +266,12 @@ impl Programs {
 fn run_program(
     start: &Start,
     configuration: &Configuration,
-    folder: &Path,
+    files: (&Path, &Path),
     launch: &Launch,
     inbox: &mpsc::Sender<Message>,
 ) {
     let node = start.program.node();
-    match begin(configuration, folder, &mut |command| launch(node, command)) {
+    match begin(configuration, files, &mut |command| launch(node, command)) {
         Err(error) => _ = inbox.send(Message::Failed(start.clone(), error)),
         Ok((started, mut events)) => {
             let mut tells = inbox.send(Message::Started(start.clone(), Box::new(started))).is_ok();
@@ -287,12 +290,14 @@ fn run_program(
 /// Starts a program, and reads what it did before its events can be read.
 fn begin(
     configuration: &Configuration,
-    folder: &Path,
+    (folder, log): (&Path, &Path),
     launch: &mut cotorra_wifi::Launcher<'_>,
 ) -> Result<(Started, Events), StartError> {
     let daemon = match configuration {
-        Configuration::AccessPoint(access_point) => Daemon::hostapd(access_point, folder, launch)?,
-        Configuration::Station(station) => Daemon::wpa_supplicant(station, folder, launch)?,
+        Configuration::AccessPoint(access_point) => {
+            Daemon::hostapd_with_log(access_point, folder, log, launch)?
+        }
+        Configuration::Station(station) => Daemon::wpa_supplicant_with_log(station, folder, log, launch)?,
     };
     let mut client = daemon.client()?.with_timeout(ANSWER);
     let events = client.events()?;
