@@ -74,6 +74,12 @@ impl HardwareGraph {
         })
     }
 
+    /// Returns the name that a wireless network has in its beacons.
+    pub fn ssid<'a>(&'a self, network: &'a str) -> &'a str {
+        let hwsim = self.wireless.get(network).and_then(|network| network.hwsim.as_ref());
+        hwsim.and_then(|hwsim| hwsim.ssid.as_deref()).unwrap_or(network)
+    }
+
     /// The servers, in order.
     pub fn servers(&self) -> impl Iterator<Item = (&Node, &Server)> {
         self.nodes.iter().filter_map(|n| if let NodeKind::Server(s) = &n.kind { Some((n, s)) } else { None })

@@ -9,6 +9,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Hwsim {
+    /// Name of the network in its beacons, of 1 to 32 bytes. Without one: the network's own name. Networks with the same name on
+    /// the air can be told apart only by their keys.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ssid: Option<String>,
     /// The security of its access points.
     pub security: Security,
 }

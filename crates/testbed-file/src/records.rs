@@ -210,6 +210,8 @@ record! {
         interference: Table<String, InterferenceRecord> = {},
         /// Software of its stations: the model, or hostapd and wpa_supplicant on simulated radios of Linux. These need EDCA.
         wifi: Spanned<WifiWord> = "model",
+        /// SSID of hostapd and wpa_supplicant, of 1 to 32 bytes. Without it: the network's name. The model has none.
+        ssid: Option<Spanned<String>>,
         /// Security of hostapd and wpa_supplicant: `open`, `wpa2` or `wpa3`, or a mapping with a passphrase. The model has
         /// none.
         security: Either<SecurityWord, SecurityRecord> = "wpa2",

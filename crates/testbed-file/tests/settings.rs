@@ -150,12 +150,15 @@ fn real_wifi_software_takes_the_place_of_the_model_and_gives_it_back() {
         management_frames: Protection::Optional,
         over_ds: false,
     };
-    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim"]), Some(Hwsim { security: usual }));
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim"]), Some(Hwsim { ssid: None, security: usual }));
     let wpa3 = "wireless.lab.security={ method: wpa3, passphrase: correct horse, over_ds: true }";
     let security = Security::Wpa3 { passphrase: "correct horse".to_owned(), over_ds: true };
-    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", wpa3]), Some(Hwsim { security }));
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", wpa3]), Some(Hwsim { ssid: None, security }));
+    let ssid = hwsim(&["wireless.lab.wifi=hwsim", "wireless.lab.ssid=campus"]).unwrap().ssid;
+    assert_eq!(ssid.as_deref(), Some("campus"));
     let open = "wireless.lab.security=open";
-    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", open]), Some(Hwsim { security: Security::Open }));
+    let unprotected = Hwsim { ssid: None, security: Security::Open };
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", open]), Some(unprotected));
     assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", open, "wireless.lab.wifi=model"]), None);
     let nodes = with(&["wireless.lab.access=edca", "wireless.lab.wifi=hwsim"]).unwrap().graph;
     let names: Vec<_> = nodes.hwsim_nodes().map(|(node, _)| node.id.as_str()).collect();

@@ -105,13 +105,17 @@ impl Measured<'_> {
 
     fn neighbors(&self, wanted: &NeighborReportConfig, reports: &mut Vec<NeighborReport>) {
         let serving = self.survey.unit_of(self.station);
-        let ssid = wanted.ssid.as_ref().unwrap_or(&serving.ssid);
+        // Networks may have the same SSID.
+        let is_wanted = |unit: &Unit| match &wanted.ssid {
+            Some(ssid) => unit.ssid == *ssid,
+            None => unit.network == serving.network,
+        };
         // Without an SSID, the BSSID is ignored, too.
         let bssid: Option<Mac> = wanted.bssid.filter(|_| wanted.ssid.is_some());
         for unit in self.survey.units() {
             let Some(operating_class) = unit.operating_class else { continue };
             let is_other = unit.identity.bssid != serving.identity.bssid;
-            if is_other && unit.ssid == *ssid && bssid.is_none_or(|bssid| bssid == unit.identity.bssid) {
+            if is_other && is_wanted(unit) && bssid.is_none_or(|bssid| bssid == unit.identity.bssid) {
                 reports.push(NeighborReport {
                     sta_id: self.sta_id(),
                     measurement_id: Arc::clone(self.id),
@@ -129,7 +133,7 @@ impl Measured<'_> {
 /// Returns the properties of an emulated access point as seen from the serving one.
 fn bssid_info(unit: &Unit, serving: &Unit) -> BssidInfo {
     use cotorra_graph::{WifiStandard::Ac, WifiStandard::N};
-    let same = unit.ssid == serving.ssid;
+    let same = unit.network == serving.network;
     BssidInfo {
         // Access points of the same network are reachable. For others this is unknown.
         ap_reachability: if same { 3 } else { 2 },

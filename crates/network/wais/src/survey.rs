@@ -36,6 +36,7 @@ pub struct Site {
 pub(crate) struct Unit {
     id: NodeId,
     pub(crate) identity: ApIdentity,
+    pub(crate) network: String,
     pub(crate) ssid: String,
     pub(crate) channel: u8,
     pub(crate) standard: WifiStandard,
@@ -116,11 +117,16 @@ impl Site {
                         let down = if is_second { Direction::Forward } else { Direction::Backward };
                         Uplink { link: link.id.clone(), down, medium: link.medium }
                     });
-                    let ssid = [unit.network.clone()].into();
+                    let ssid = graph.ssid(&unit.network);
                     units.push(Unit {
                         id: node.id.clone(),
-                        identity: ApIdentity { bssid: Mac(address.mac), ssid, ip_address: ip },
-                        ssid: unit.network.clone(),
+                        identity: ApIdentity {
+                            bssid: Mac(address.mac),
+                            ssid: [ssid.to_owned()].into(),
+                            ip_address: ip,
+                        },
+                        network: unit.network.clone(),
+                        ssid: ssid.to_owned(),
                         channel: unit.channel,
                         standard: network.standard,
                         operating_class: operating_class(network.standard, unit.channel),
@@ -132,7 +138,7 @@ impl Site {
                     });
                 }
                 NodeKind::Robot(robot) => {
-                    let ssid = [robot.network.clone()].into();
+                    let ssid = [graph.ssid(&robot.network).to_owned()].into();
                     let identity = StaIdentity { mac_id: Mac(address.mac), ssid, ip_address: ip };
                     stations.insert(node.id.clone(), identity);
                 }

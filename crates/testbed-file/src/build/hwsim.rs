@@ -8,9 +8,11 @@ use crate::{
         AccessWord, PassphraseRecord, SecurityRecord, SecurityWord, USUAL_PASSPHRASE, WifiWord,
         WirelessRecord, Wpa2Record, Wpa3Record,
     },
-    yaml::decode::Either,
+    yaml::decode::{Either, Spanned},
 };
 
+/// Lengths of an SSID in bytes (IEEE 802.11-2020, 9.4.2.2). That of 0 bytes names no network.
+const SSID: std::ops::RangeInclusive<usize> = 1..=32;
 /// Lengths of a passphrase (IEEE 802.11-2020, J.4.1).
 const PASSPHRASE: std::ops::RangeInclusive<usize> = 8..=63;
 
@@ -18,6 +20,7 @@ impl Builder<'_> {
     /// Returns the real software of a network; `Some(None)` if it has the model.
     pub(super) fn hwsim(&mut self, record: &WirelessRecord) -> Option<Option<Hwsim>> {
         let security = self.security(&record.security)?;
+        let ssid = self.ssid(record.ssid.as_ref())?;
         if record.wifi.value == WifiWord::Model {
             return Some(None);
         }
@@ -27,7 +30,18 @@ impl Builder<'_> {
                 .help("add `access: edca` to the network, so that its stations sense the channel");
             return None;
         }
-        Some(Some(Hwsim { security }))
+        Some(Some(Hwsim { ssid, security }))
+    }
+
+    fn ssid(&mut self, ssid: Option<&Spanned<String>>) -> Option<Option<String>> {
+        let Some(ssid) = ssid else { return Some(None) };
+        let length = ssid.value.len();
+        if !SSID.contains(&length) {
+            let wrong = format!("an SSID of {length} bytes");
+            self.sink.error(&ssid.span, wrong).help("write 1 to 32 bytes");
+            return None;
+        }
+        Some(Some(ssid.value.clone()))
     }
 
     fn security(&mut self, record: &Either<SecurityWord, SecurityRecord>) -> Option<Security> {

@@ -187,8 +187,8 @@ pub(super) struct Manager {
     stage: Stage,
     /// The first program that could not be started, with the reason.
     failure: Option<String>,
-    /// Access points with a network's name that were reported already.
-    strangers: BTreeSet<MacAddress>,
+    /// Access points with the SSID of a network that is not theirs, and were reported already for it.
+    strangers: BTreeSet<(String, MacAddress)>,
     /// The last time of each notice.
     notices: BTreeMap<String, Timestamp>,
     /// Whether all programs were stopped for good.

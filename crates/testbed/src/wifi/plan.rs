@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use cotorra_datapath::wifi::{BRIDGE, WLAN};
 use cotorra_graph as graph;
-use cotorra_graph::{HardwareGraph, Hwsim, NodeId, Roaming, WifiStandard, WirelessNetwork};
+use cotorra_graph::{
+    HardwareGraph, Hwsim, Node, NodeId, RadioUnit, Roaming, WifiStandard, WirelessNetwork,
+};
 use cotorra_wifi::{
     AccessPoint, AccessPointDriver, BackgroundScan, BackgroundScanMethod, Band, Bss, Channel, ChannelError,
     DomainKey, FastTransition, InterfaceName, KeyExchange, KeyHolder, MacAddress, MobilityDomain, NameError,
@@ -27,7 +29,7 @@ pub(super) struct PlannedUnit {
     /// Its access point, as the testbed file describes it.
     pub(super) access_point: AccessPoint,
     pub(super) bssid: MacAddress,
-    /// The same settings in the graph's terms.
+    /// The same settings in the graph's terms: the SSID is the name of its wireless network there.
     pub(super) settings: graph::AccessPoint,
     /// Whether it serves from the start.
     pub(super) serves: bool,
@@ -38,6 +40,8 @@ pub(super) struct PlannedUnit {
 pub(super) struct PlannedRobot {
     pub(super) station: Station,
     pub(super) address: MacAddress,
+    /// Its wireless network in the graph.
+    pub(super) network_name: String,
     /// Whether it changes its radio unit only when it is told to.
     pub(super) is_instructed: bool,
 }
@@ -79,10 +83,16 @@ impl Plan {
     /// [`PlanError`].
     pub(crate) fn new(graph: &HardwareGraph, key: &DomainKey) -> Result<Option<Self>, PlanError> {
         let mut plan = Self { units: BTreeMap::new(), robots: BTreeMap::new() };
-        for (name, network) in &graph.wireless {
-            if let Some(hwsim) = &network.hwsim {
-                PlannedNetwork { graph, name, network, hwsim, key }.add_to(&mut plan)?;
-            }
+        let networks = graph.wireless.iter().filter_map(|(name, network)| {
+            let hwsim = network.hwsim.as_ref()?;
+            Some(PlannedNetwork { graph, name, network, hwsim, key })
+        });
+        for network in networks.clone() {
+            network.add_units(&mut plan)?;
+        }
+        // A robot looks on the channels of all radio units that have its network's SSID, whatever their network.
+        for network in networks {
+            network.add_robots(&mut plan)?;
         }
         Ok((!plan.units.is_empty() || !plan.robots.is_empty()).then_some(plan))
     }
@@ -101,7 +111,13 @@ impl Plan {
         Some(access_point)
     }
 
-    /// Returns the radio unit with an address.
+    /// Returns the radio unit of a robot's network with an address.
+    pub(super) fn unit_of(&self, robot: &NodeId, bssid: MacAddress) -> Option<&NodeId> {
+        let network = &self.robots.get(robot)?.network_name;
+        self.unit_with(bssid).filter(|unit| self.units[*unit].network_name() == network)
+    }
+
+    /// Returns the radio unit with an address, whatever its network.
     pub(super) fn unit_with(&self, bssid: MacAddress) -> Option<&NodeId> {
         self.units.iter().find(|(_, unit)| unit.bssid == bssid).map(|(id, _)| id)
     }
@@ -109,7 +125,8 @@ impl Plan {
     /// Returns the radio units that stations of a radio unit are told about: all others of its network.
     pub(super) fn neighbours(&self, unit: &NodeId) -> Vec<Neighbour> {
         let Some(own) = self.units.get(unit) else { return Vec::new() };
-        let others = self.units.iter().filter(|(id, other)| *id != unit && other.ssid() == own.ssid());
+        let others = self.units.iter();
+        let others = others.filter(|(id, other)| *id != unit && other.network_name() == own.network_name());
         let neighbour = |(_, other): (&NodeId, &PlannedUnit)| {
             Neighbour::new(other.bssid, &other.access_point.bss, &other.access_point.radio)
         };
@@ -120,6 +137,11 @@ impl Plan {
 impl PlannedUnit {
     pub(super) fn ssid(&self) -> &Ssid {
         &self.access_point.bss.ssid
+    }
+
+    /// Returns its wireless network in the graph.
+    pub(super) fn network_name(&self) -> &str {
+        &self.settings.ssid
     }
 
     pub(super) fn channel(&self) -> Channel {
@@ -149,23 +171,30 @@ struct PlannedNetwork<'a> {
 }
 
 impl PlannedNetwork<'_> {
-    fn add_to(&self, plan: &mut Plan) -> Result<(), PlanError> {
-        let ssid = Ssid::new(self.name.as_bytes())
-            .map_err(|source| PlanError::Name { network: self.name.clone(), source })?;
-        let units: Vec<_> = self.graph.radio_units().filter(|(_, unit)| unit.network == *self.name).collect();
-        let members = units.iter().map(|(node, _)| self.address(&node.id));
-        let members: Vec<_> = members.map(|bssid| (bssid, holder(bssid))).collect();
-        let mut channels: Vec<Channel> = Vec::new();
-        for (node, unit) in &units {
+    fn ssid(&self) -> Result<Ssid, PlanError> {
+        let name = self.graph.ssid(self.name);
+        Ssid::new(name.as_bytes()).map_err(|source| PlanError::Name { network: self.name.clone(), source })
+    }
+
+    fn units(&self) -> impl Iterator<Item = (&Node, &RadioUnit)> {
+        self.graph.radio_units().filter(|(_, unit)| unit.network == *self.name)
+    }
+
+    /// Returns the radio units of its mobility domain.
+    fn members(&self) -> Vec<(MacAddress, KeyHolder)> {
+        let addresses = self.units().map(|(node, _)| self.address(&node.id));
+        addresses.map(|bssid| (bssid, holder(bssid))).collect()
+    }
+
+    fn add_units(&self, plan: &mut Plan) -> Result<(), PlanError> {
+        let (ssid, members) = (self.ssid()?, self.members());
+        for (node, unit) in self.units() {
             let band = match self.network.standard {
                 WifiStandard::G | WifiStandard::N => Band::Ghz2,
                 WifiStandard::A | WifiStandard::Ac => Band::Ghz5,
             };
             let channel = Channel::new(band, unit.channel, Width::Mhz20)
                 .map_err(|source| PlanError::Channel { unit: node.id.clone(), source })?;
-            if !channels.contains(&channel) {
-                channels.push(channel);
-            }
             let bssid = self.address(&node.id);
             let bridge = Some(interface(BRIDGE));
             let bss = Bss { bridge, ..Bss::new(ssid.clone(), self.security(bssid, &members)?) };
@@ -185,6 +214,18 @@ impl PlannedNetwork<'_> {
             let planned = PlannedUnit { access_point, bssid, settings, serves: unit.serving };
             plan.units.insert(node.id.clone(), planned);
         }
+        Ok(())
+    }
+
+    fn add_robots(&self, plan: &mut Plan) -> Result<(), PlanError> {
+        let (ssid, members) = (self.ssid()?, self.members());
+        let mut channels: Vec<Channel> = Vec::new();
+        for (node, _) in self.graph.radio_units() {
+            let unit = plan.units.get(&node.id).filter(|unit| *unit.ssid() == ssid);
+            if let Some(unit) = unit.filter(|unit| !channels.contains(&unit.channel())) {
+                channels.push(unit.channel());
+            }
+        }
         for (node, robot) in self.graph.robots().filter(|(_, robot)| robot.network == *self.name) {
             let address = self.address(&node.id);
             let credentials = self.security(address, &members)?.credentials();
@@ -200,7 +241,9 @@ impl PlannedNetwork<'_> {
                 networks: vec![network],
             };
             let is_instructed = robot.roaming == Roaming::Instructed;
-            plan.robots.insert(node.id.clone(), PlannedRobot { station, address, is_instructed });
+            let network_name = self.name.clone();
+            let planned = PlannedRobot { station, address, network_name, is_instructed };
+            plan.robots.insert(node.id.clone(), planned);
         }
         Ok(())
     }

@@ -32,7 +32,7 @@ impl Manager {
         use cotorra_fabric::FabricError::{NotServing, OtherNetwork, UnknownRadioUnit, UnknownRobot};
         let planned = self.plan.robots.get(robot).ok_or_else(|| UnknownRobot(robot.clone()))?;
         let to = self.plan.units.get(unit).ok_or_else(|| UnknownRadioUnit(unit.clone()))?;
-        if planned.network().ssid != *to.ssid() {
+        if planned.network_name != to.network_name() {
             return Err(OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() }.into());
         }
         if !self.units.get(unit).is_some_and(|unit| unit.serves) {

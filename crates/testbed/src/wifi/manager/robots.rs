@@ -1,7 +1,7 @@
 //! Robots: where they are, how they came there, and what they hear.
 
 use cotorra_graph::{NodeId, Timestamp};
-use cotorra_wifi::{DisabledReason, Event as WifiEvent, MacAddress, Ssid, wpa_supplicant::Heard};
+use cotorra_wifi::{DisabledReason, Event as WifiEvent, MacAddress, wpa_supplicant::Heard};
 
 use super::{
     Change, Configuration, MOST_STRANGERS, Manager, PATIENCE, Program, Rejected, Request, again,
@@ -199,14 +199,13 @@ impl Manager {
     fn connected(&mut self, now: Timestamp, robot: &NodeId, bssid: MacAddress) {
         let Some(state) = self.robots.get_mut(robot) else { return };
         let joining = state.joining.take().filter(|joining| joining.bssid == bssid);
-        let Some(unit) = self.plan.unit_with(bssid).cloned() else {
+        let Some(unit) = self.plan.unit_of(robot, bssid).cloned() else {
             state.at = None;
             self.change(Change::Disassociate { robot: robot.clone() });
-            self.end_errand(now, robot, "it joined an access point that is none of this testbed");
-            return self.notice(
-                now,
-                format!("`{robot}` joined an access point that is none of this testbed: {bssid}"),
-            );
+            self.end_errand(now, robot, "it joined an access point that is none of its network");
+            let who = self.stranger(bssid);
+            return self
+                .notice(now, format!("`{robot}` joined an access point that is none of its network: {who}"));
         };
         // A robot without a handshake has come by fast transition. The first association in a mobility domain has one.
         let fast = self.plan.units[&unit].fast_transition().is_some()
@@ -227,7 +226,7 @@ impl Manager {
         bssid: MacAddress,
         (reason, locally): (u16, bool),
     ) {
-        let unit = self.plan.unit_with(bssid).cloned();
+        let unit = self.plan.unit_of(robot, bssid).cloned();
         let Some(state) = self.robots.get_mut(robot) else { return };
         if state.at.is_none() || state.at != unit {
             return;
@@ -252,18 +251,29 @@ impl Manager {
         self.notice(now, format!("{who} refused `{robot}` with status {status}{}", words::status(status)));
     }
 
-    /// Reports access points with a robot's network's name that are none of the testbed.
+    /// Returns the name of an access point that is none of a robot's network, for people.
+    fn stranger(&self, bssid: MacAddress) -> String {
+        match self.plan.unit_with(bssid) {
+            Some(unit) => {
+                format!("`{unit}` of network `{}`, {bssid}", self.plan.units[unit].network_name())
+            }
+            None => bssid.to_string(),
+        }
+    }
+
+    /// Reports access points with the SSID of a robot's network that are none of that network.
     pub(super) fn heard(&mut self, now: Timestamp, robot: &NodeId, heard: &[Heard]) {
         let Some(planned) = self.plan.robots.get(robot) else { return };
-        let ssid: Ssid = planned.network().ssid.clone();
+        let (ssid, network) = (planned.network().ssid.clone(), planned.network_name.clone());
         for Heard { bssid, frequency_mhz, signal_dbm, ssid: name, .. } in heard {
-            let is_strange = name.as_ref() == Some(&ssid) && self.plan.unit_with(*bssid).is_none();
-            if is_strange && self.strangers.len() < MOST_STRANGERS && self.strangers.insert(*bssid) {
-                let name = String::from_utf8_lossy(ssid.as_bytes());
+            let is_strange = name.as_ref() == Some(&ssid) && self.plan.unit_of(robot, *bssid).is_none();
+            let stranger = (network.clone(), *bssid);
+            if is_strange && self.strangers.len() < MOST_STRANGERS && self.strangers.insert(stranger) {
+                let (name, who) = (String::from_utf8_lossy(ssid.as_bytes()), self.stranger(*bssid));
                 self.notice(
                     now,
                     format!(
-                        "`{robot}` hears an access point that calls itself `{name}` and is none of this testbed: {bssid} at \
+                        "`{robot}` hears an access point that calls itself `{name}` and is none of its network: {who} at \
                          {frequency_mhz} MHz with {signal_dbm} dBm"
                     ),
                 );

@@ -52,7 +52,7 @@ impl World {
             let passphrase = "correct horse".to_owned();
             let management_frames = graph::Protection::Optional;
             let security = Security::Wpa2 { passphrase, management_frames, over_ds: false };
-            network.hwsim = Some(Hwsim { security });
+            network.hwsim = Some(Hwsim { ssid: None, security });
         }
         change(&mut graph);
         let plan = Plan::new(&graph, &DomainKey::new([1; 32])).unwrap().unwrap();
@@ -381,7 +381,7 @@ fn fast_transitions_over_the_distribution_system_stay_in_a_mobility_domain() {
     let over_ds = |graph: &mut graph::HardwareGraph| {
         for network in graph.wireless.values_mut() {
             let security = Security::Wpa3 { passphrase: "correct horse".to_owned(), over_ds: true };
-            network.hwsim = Some(Hwsim { security });
+            network.hwsim = Some(Hwsim { ssid: None, security });
         }
     };
     let mut world = World::with(over_ds);
@@ -584,7 +584,7 @@ fn strange_access_points_with_the_networks_name_are_reported_once() {
         heard(MacAddress([2, 9, 9, 9, 9, 8]), "neighbours"),
     ];
     world.handle(Input::Heard { robot: id("r1"), heard: heard.clone() });
-    let message = "`r1` hears an access point that calls itself `lab` and is none of this testbed: 02:09:09:09:09:09 at \
+    let message = "`r1` hears an access point that calls itself `lab` and is none of its network: 02:09:09:09:09:09 at \
                    2437 MHz with -40 dBm";
     assert_eq!(world.notices(), [message]);
     world.pass(60_000);
@@ -593,6 +593,38 @@ fn strange_access_points_with_the_networks_name_are_reported_once() {
     world.event("r1", WifiEvent::Connected { bssid: stranger });
     let actions = world.actions();
     assert_eq!(actions[0], Action::Change(Change::Disassociate { robot: id("r1") }));
-    let message = "`r1` joined an access point that is none of this testbed: 02:09:09:09:09:09".to_owned();
+    let message = "`r1` joined an access point that is none of its network: 02:09:09:09:09:09".to_owned();
     assert_eq!(actions[1], Action::Report(Event::Notice { message }));
+}
+
+#[test]
+fn an_access_point_of_another_network_with_the_same_ssid_is_a_stranger() {
+    let mut world = World::with(|graph| {
+        graph.wireless.get_mut("other").unwrap().hwsim.as_mut().unwrap().ssid = Some("lab".to_owned());
+    });
+    world.serve_all();
+    world.run("r1");
+    world.run("r2");
+    world.join("r1", "A");
+    world.actions();
+    let rogue = world.bssid("X");
+    let ssid = "lab".parse().ok();
+    let heard =
+        Heard { bssid: rogue, frequency_mhz: 2462, signal_dbm: -40, flags: "[ESS]".to_owned(), ssid };
+    world.handle(Input::Heard { robot: id("r1"), heard: vec![heard] });
+    let who = format!("`X` of network `other`, {rogue}");
+    let message = format!(
+        "`r1` hears an access point that calls itself `lab` and is none of its network: {who} at 2462 MHz with -40 dBm"
+    );
+    assert_eq!(world.notices(), [message]);
+    assert!(world.attach("r1", "X").unwrap_err().contains("serves another network"));
+    world.join("r1", "X");
+    let message = format!("`r1` joined an access point that is none of its network: {who}");
+    let lost = Action::Change(Change::Disassociate { robot: id("r1") });
+    assert_eq!(world.actions(), [lost, Action::Report(Event::Notice { message })]);
+    // Its own network's radio units are not told about it, though its channel is scanned.
+    let neighbours = world.plan.neighbours(&id("A"));
+    assert!(neighbours.iter().all(|neighbour| neighbour.bssid != rogue));
+    let channels = &world.plan.robots[&id("r1")].network().channels;
+    assert_eq!(channels.iter().map(|channel| channel.number()).collect::<Vec<_>>(), [1, 6, 11]);
 }
