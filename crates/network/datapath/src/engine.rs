@@ -71,7 +71,13 @@ impl Shared {
     }
 
     pub(crate) fn count_drop(&self) {
-        self.dropped.fetch_add(1, Ordering::Relaxed);
+        self.count_drops(1);
+    }
+
+    pub(crate) fn count_drops(&self, count: u64) {
+        if count > 0 {
+            self.dropped.fetch_add(count, Ordering::Relaxed);
+        }
     }
 
     pub(crate) fn dropped(&self) -> u64 {
@@ -248,7 +254,7 @@ impl Engine {
         let _closing = Closing(Arc::clone(&self.shared));
         punctual::be_punctual();
         let mut ready: Vec<Ready> = Vec::new();
-        let mut deadline = self.poll()?;
+        let mut deadline = self.poll(self.clock.now())?;
         // Also where a command has cleared the wake-up of the stop.
         while !self.shared.stopping.load(Ordering::Relaxed) {
             let before = self.clock.now();
@@ -257,9 +263,13 @@ impl Engine {
             ready.extend(self.ports.epoll.wait(timeout)?);
             let now = self.clock.now();
             self.punctuality.woke(now, ready.is_empty());
+            let radios = self.ports.ports.len() + 1;
+            if let Some(air) = self.air.as_mut().filter(|_| ready.iter().all(|event| event.token != radios)) {
+                air.nothing_waits();
+            }
             // Frames that are due go first.
             if deadline.is_some_and(|at| at <= now + self.ports.handover) {
-                deadline = self.poll()?;
+                deadline = self.poll(now)?;
             }
             let mut arrived = Some(self.punctuality.event_at(before, now));
             for event in &ready {
@@ -278,36 +288,34 @@ impl Engine {
                     Some(0) => self.run_commands(),
                     Some(_) => self.receive_from_radios()?,
                 }
-                deadline = self.poll()?;
+                deadline = self.poll(self.clock.now())?;
             }
         }
         port::close(self.ports.ports);
         Ok(self.fabric)
     }
 
-    /// Lets the fabric deliver what is due, also to radios, and returns its next deadline.
-    fn poll(&mut self) -> io::Result<Option<Timestamp>> {
-        loop {
-            let deadline = self.poll_fabric();
-            let Some(air) = &mut self.air else { return Ok(deadline) };
-            if !air.deliver(&mut self.fabric, self.clock, &self.shared)? {
-                return Ok(deadline);
-            }
-        }
+    /// Lets the fabric deliver what is due at `now`, also to radios, and returns its next deadline.
+    fn poll(&mut self, now: Timestamp) -> io::Result<Option<Timestamp>> {
+        let deadline = self.poll_fabric(now);
+        let Some(air) = &mut self.air else { return Ok(deadline) };
+        air.deliver(now, &mut self.fabric, &self.shared)?;
+        // What radios have refused or been given may have changed it.
+        Ok(self.poll_fabric(now))
     }
 
     /// Takes what the kernel's radios send.
     fn receive_from_radios(&mut self) -> io::Result<()> {
         match &mut self.air {
-            Some(air) => air.receive(&mut self.fabric, self.clock, &self.shared),
+            Some(air) => air.receive(self.clock.now(), &mut self.fabric, &self.shared),
             None => Ok(()),
         }
     }
 
     /// Lets the fabric deliver what is due at ports, and returns its next deadline.
-    fn poll_fabric(&mut self) -> Option<Timestamp> {
+    fn poll_fabric(&mut self, now: Timestamp) -> Option<Timestamp> {
         let ports = &mut self.ports;
-        let out = self.clock.now() + ports.handover;
+        let out = now + ports.handover;
         let deadline = self.fabric.poll(out, &mut |port, frame| ports.send(port, frame));
         for frame in ports.spent.drain(..) {
             self.fabric.recycle(frame);

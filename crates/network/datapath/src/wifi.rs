@@ -14,12 +14,9 @@ use std::{
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{HardwareGraph, HostAddress, Node, NodeKind, Timestamp};
-use cotorra_hwsim::{
-    Error as HwsimError, Incoming, MacAddress, Medium, MediumSocket, Message, Outgoing, Phys, Radio, Radios,
-};
+use cotorra_hwsim::{Error as HwsimError, Exchange, MacAddress, MediumSocket, Phys, Radio, Radios};
 
 use crate::{
-    clock::Clock,
     engine::Shared,
     error::{Action, Error},
     hosts::{self, Addresses},
@@ -33,9 +30,6 @@ pub const WLAN: &str = "wlan0";
 
 /// The bridge of a radio unit.
 pub const BRIDGE: &str = "br0";
-
-/// Most messages of the kernel's that are handled before the ports' turn.
-const BATCH: usize = 64;
 
 /// Checks that this kernel and this user can have simulated radios, if the graph needs any.
 ///
@@ -51,8 +45,7 @@ pub fn check(graph: &HardwareGraph) -> Result<(), Error> {
 /// have theirs.
 pub(crate) struct Air {
     namespace: Namespace,
-    socket: MediumSocket,
-    medium: Medium,
+    exchange: Exchange,
     /// The radios go with this.
     radios: Radios,
     /// Begin of the radios' hardware addresses.
@@ -66,12 +59,11 @@ impl Air {
             return Ok(None);
         }
         let namespace = Namespace::new()?;
-        let socket = namespace.run(MediumSocket::register)?;
+        let exchange = Exchange::new(namespace.run(MediumSocket::register)?);
         // The kernel keeps the radios of all network namespaces in one table by these addresses, and does not compare them. Those
         // of interfaces may be the same in several runs.
         let [a, b, c, ..] = RandomState::new().hash_one(0_u8).to_ne_bytes();
-        let (medium, radios, prefix) = (Medium::new(), Radios::new(), [0x06, a, b, c]);
-        Ok(Some(Self { namespace, socket, medium, radios, prefix }))
+        Ok(Some(Self { namespace, exchange, radios: Radios::new(), prefix: [0x06, a, b, c] }))
     }
 
     /// Gives a robot or a radio unit its radio.
@@ -85,7 +77,7 @@ impl Air {
         let [high, low] = (place as u16).to_be_bytes();
         let [a, b, c, d] = self.prefix;
         let hardware = MacAddress([a, b, c, d, high, low]);
-        self.medium.join(Timestamp::ZERO, fabric, &node.id, hardware)?;
+        self.exchange.join(Timestamp::ZERO, fabric, &node.id, hardware)?;
         let radio = Radio {
             permanent_address: Some(hardware),
             channels: Some(1),
@@ -117,47 +109,24 @@ impl Air {
     }
 
     /// Hands the kernel's messages to the fabric.
-    pub(crate) fn receive(&mut self, fabric: &mut Fabric, clock: Clock, shared: &Shared) -> io::Result<()> {
-        for _ in 0..BATCH {
-            let Some(incoming) = self.socket.receive()? else { break };
-            match incoming {
-                Incoming::Message(message) => {
-                    if let Some(answer) = self.medium.handle(clock.now(), fabric, &message) {
-                        self.send(fabric, clock, &answer);
-                    }
-                }
-                Incoming::Refused { number, .. } => self.medium.refused(clock.now(), fabric, number),
-                Incoming::Overrun => shared.count_drop(),
-                Incoming::Unknown => {}
-            }
-        }
-        Ok(())
+    pub(crate) fn receive(&mut self, now: Timestamp, fabric: &mut Fabric, shared: &Shared) -> io::Result<()> {
+        self.exchange.receive(now, fabric).map(|lost| shared.count_drops(lost))
     }
 
-    /// Sends the kernel what the fabric reports. Returns whether there was anything.
-    pub(crate) fn deliver(&mut self, fabric: &mut Fabric, clock: Clock, shared: &Shared) -> io::Result<bool> {
-        let mut sent = false;
-        while let Some(outgoing) = self.medium.poll(fabric) {
-            sent = true;
-            self.send(fabric, clock, &outgoing);
-            // The kernel has refused it by now if the receiver does not listen, and its status depends on that.
-            if let Message::Delivery(_) = outgoing.message {
-                self.receive(fabric, clock, shared)?;
-            }
-        }
-        Ok(sent)
+    /// Records that the kernel has sent nothing since the last delivery.
+    pub(crate) fn nothing_waits(&mut self) {
+        self.exchange.nothing_waits();
     }
 
-    fn send(&mut self, fabric: &mut Fabric, clock: Clock, Outgoing { number, message }: &Outgoing) {
-        if self.socket.send(*number, message).is_err() {
-            self.medium.refused(clock.now(), fabric, *number);
-        }
+    /// Sends the kernel what the fabric reports.
+    pub(crate) fn deliver(&mut self, now: Timestamp, fabric: &mut Fabric, shared: &Shared) -> io::Result<()> {
+        self.exchange.deliver(now, fabric).map(|lost| shared.count_drops(lost))
     }
 }
 
 impl AsFd for Air {
     fn as_fd(&self) -> BorrowedFd<'_> {
-        self.socket.as_fd()
+        self.exchange.as_fd()
     }
 }
 

@@ -281,7 +281,8 @@ impl Fabric {
         let wired = self.timers.next().map(|(deadline, _)| deadline);
         let flows = self.observers.as_ref().and_then(|observers| observers.flows.deadline());
         let reports = self.radio.report_deadline();
-        [wired, self.radio_deadline, self.link_tests.deadline(), flows, reports].into_iter().flatten().min()
+        let air = self.radio.alarm();
+        [wired, air, self.link_tests.deadline(), flows, reports].into_iter().flatten().min()
     }
 
     /// Returns the next event: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned` of attachments, oldest first,

@@ -32,6 +32,11 @@ impl Timers {
         self.heap.first().map(|&owner| (self.deadline[owner as usize], owner as usize))
     }
 
+    /// Returns all deadlines with their owners, in no order.
+    pub(crate) fn all(&self) -> impl Iterator<Item = (Timestamp, usize)> + '_ {
+        self.heap.iter().map(|&owner| (self.deadline[owner as usize], owner as usize))
+    }
+
     /// Sets, moves or clears an owner's timer.
     pub(crate) fn set(&mut self, owner: usize, deadline: Option<Timestamp>) {
         let place = self.place[owner];

@@ -4,6 +4,7 @@
 
 mod address;
 mod error;
+mod exchange;
 mod header;
 mod medium;
 mod message;
@@ -15,6 +16,7 @@ mod socket;
 pub use address::MacAddress;
 pub use cotorra_netlink::DecodeError;
 pub use error::Error;
+pub use exchange::Exchange;
 pub use header::{FrameType, Header};
 pub use medium::{Medium, Outgoing};
 pub use message::{Alias, DELIVERABLE, Delivery, Frame, MOST_RATES, Message, Radio, Rates, Status, Tries};

@@ -23,8 +23,8 @@ const MOST_ADDRESSES: usize = 4096;
 ///
 /// It is a state machine without sockets and clocks. Give it what the kernel sends ([`Self::handle`]), and send the kernel
 /// what it returns. After each poll of the fabric, call [`Self::poll`] until there is nothing more to send. Tell it what the
-/// kernel [refuses](Self::refused) before the fabric's next poll, so that frames to radios that do not listen stay
-/// unacknowledged.
+/// kernel [refuses](Self::refused), so that frames to radios that do not listen stay unacknowledged, and when it has refused
+/// [nothing more](Self::confirm). [`Exchange`](crate::Exchange) does all of this.
 #[derive(Debug, Default)]
 pub struct Medium {
     radios: Vec<Member>,
@@ -38,6 +38,10 @@ pub struct Medium {
     /// Frames to one radio that the kernel may refuse: their numbers and that of the transmission.
     delivered: BTreeMap<u32, u64>,
     numbered: u32,
+    /// How often the kernel's refusals were known.
+    confirmed: u64,
+    /// A report that depends on refusals.
+    held: Option<Report>,
 }
 
 #[derive(Debug)]
@@ -55,8 +59,8 @@ struct UnderWay {
     no_ack: bool,
     rates: Rates,
     to: Receiver,
-    /// The number of its delivery to one radio, and whether the kernel refused it.
-    delivery: Option<u32>,
+    /// The number of its delivery to one radio; how often refusals had been known then; and whether the kernel refused it.
+    delivery: Option<(u32, u64)>,
     refused: bool,
 }
 
@@ -126,9 +130,30 @@ impl Medium {
         }
     }
 
+    /// Records that no refusal of what was sent so far waits. The kernel refuses a message before its sending returns.
+    pub fn confirm(&mut self) {
+        self.confirmed += 1;
+    }
+
+    /// Whether the next message depends on refusals that are not known yet. [`Self::poll`] returns nothing until
+    /// [they are](Self::confirm).
+    pub fn awaits_refusals(&self) -> bool {
+        self.held.as_ref().is_some_and(|report| self.depends_on_refusals(report))
+    }
+
+    fn depends_on_refusals(&self, report: &Report) -> bool {
+        let Report::Settled { id, acknowledged: Some(_), .. } = report else { return false };
+        let delivery = self.under_way.get(id).and_then(|sent| sent.delivery);
+        delivery.is_some_and(|(_, confirmed)| confirmed == self.confirmed)
+    }
+
     /// Returns the next message to the kernel: a frame that a radio receives now, or the status of one that is settled.
     pub fn poll(&mut self, fabric: &mut Fabric) -> Option<Outgoing> {
-        while let Some(report) = fabric.next_report() {
+        while let Some(report) = self.held.take().or_else(|| fabric.next_report()) {
+            if self.depends_on_refusals(&report) {
+                self.held = Some(report);
+                return None;
+            }
             let outgoing = match report {
                 Report::Received { id, by, signal, rate, .. } => self.deliver(id, by, signal, rate),
                 Report::Settled { id, tries, acknowledged, .. } => self.settle(id, &tries, acknowledged),
@@ -232,7 +257,7 @@ impl Medium {
         };
         self.numbered = outgoing.number;
         if let Some(sent) = self.under_way.get_mut(&id).filter(|sent| sent.to != Receiver::All) {
-            sent.delivery = Some(outgoing.number);
+            sent.delivery = Some((outgoing.number, self.confirmed));
             self.delivered.insert(outgoing.number, id);
         }
         Some(outgoing)
@@ -240,7 +265,7 @@ impl Medium {
 
     fn settle(&mut self, id: u64, tries: &[u32], acknowledged: Option<Dbm>) -> Option<Outgoing> {
         let sent = self.under_way.remove(&id)?;
-        if let Some(number) = sent.delivery {
+        if let Some((number, _)) = sent.delivery {
             self.delivered.remove(&number);
         }
         let acknowledged = acknowledged.filter(|_| !sent.refused);

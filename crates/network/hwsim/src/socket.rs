@@ -14,6 +14,8 @@ use crate::{error::Error, message::Message, radios::FAMILY};
 const RECEIVE_BUFFER: i32 = 8 << 20;
 /// The most that the kernel puts into one datagram: a page, and the frame's attributes.
 const DATAGRAM: usize = 16 << 10;
+/// The most that is sent to it in one, bytes. Half as much as a socket may send by default.
+const MOST_QUEUED: usize = 100 << 10;
 /// `NLMSG_ERROR`.
 const ERROR: u16 = 2;
 const ENOBUFS: i32 = 105;
@@ -24,6 +26,9 @@ pub struct MediumSocket {
     socket: Socket,
     family: u16,
     buffer: Vec<u8>,
+    /// Messages to be sent together, and their numbers.
+    queued: Vec<u8>,
+    numbers: Vec<u32>,
 }
 
 /// What comes from the kernel.
@@ -54,7 +59,8 @@ impl MediumSocket {
         let family = Family::new(FAMILY).number(&mut Netlink::new(NETLINK_GENERIC));
         let family = family.map_err(Error::of("name its medium"))?;
         let socket = open().map_err(Error::of("open a socket"))?;
-        let mut medium = Self { socket, family, buffer: Vec::with_capacity(DATAGRAM) };
+        let buffer = Vec::with_capacity(DATAGRAM);
+        let mut medium = Self { socket, family, buffer, queued: Vec::new(), numbers: Vec::new() };
         medium.write(ACK, 0, &Message::Register).map_err(Error::of_registration)?;
         // The kernel has answered before `write` returns, and frames come after the answer.
         match medium.read().map_err(Error::of_registration)? {
@@ -72,6 +78,29 @@ impl MediumSocket {
     /// The failure of the socket. What the kernel refuses comes back by [`Self::receive`].
     pub fn send(&self, number: u32, message: &Message) -> io::Result<()> {
         self.write(0, number, message)
+    }
+
+    /// Queues a message with a number. Returns whether there was room.
+    pub fn queue(&mut self, number: u32, queued: &Message) -> bool {
+        let bytes = message(self.family, REQUEST, number, &queued.encode());
+        let fits = self.queued.len() + bytes.len() <= MOST_QUEUED;
+        if fits {
+            self.queued.extend(bytes);
+            self.numbers.push(number);
+        }
+        fits
+    }
+
+    /// Sends the queued messages in one system call. Returns the numbers of those that could not be sent: none, or all of them.
+    /// What the kernel refuses comes back by [`Self::receive`].
+    pub fn flush(&mut self) -> Vec<u32> {
+        if self.queued.is_empty() {
+            return Vec::new();
+        }
+        let sent = self.socket.send(&self.queued, 0);
+        self.queued.clear();
+        let numbers = std::mem::take(&mut self.numbers);
+        if sent.is_ok() { Vec::new() } else { numbers }
     }
 
     /// Returns what came from the kernel; `None` if nothing did. Never waits: poll the socket for that.

@@ -221,6 +221,25 @@ impl Radio {
         if channel < self.channels { channel } else { channel + self.robots.len() }
     }
 
+    /// Returns the channel whose timer this is.
+    fn channel_of_timer(&self, owner: usize) -> Option<usize> {
+        let further = owner.checked_sub(self.robots.len()).filter(|channel| *channel >= self.channels);
+        further.or_else(|| (owner < self.channels).then_some(owner))
+    }
+
+    /// Returns when a caller can notice anything: when [`Self::poll`] is due, or later. Nobody notices a frame of a lent antenna
+    /// before its end, and a late poll changes nothing.
+    pub(crate) fn alarm(&self) -> Option<Timestamp> {
+        let Some(edca) = self.edca.as_ref().filter(|_| !self.lent.antennas.is_empty()) else {
+            return self.deadline();
+        };
+        let noticed = |(at, owner): (Timestamp, usize)| {
+            let channel = self.channel_of_timer(owner).filter(|channel| self.contends(*channel));
+            channel.and_then(|channel| edca.alarm(channel)).map_or(at, |alarm| alarm.max(at))
+        };
+        self.timers.all().map(noticed).chain(self.next_arrival()).min()
+    }
+
     pub(super) fn report(&mut self, report: Report) {
         self.lent.reports.push(report);
     }

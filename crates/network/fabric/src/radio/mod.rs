@@ -468,8 +468,11 @@ impl Radio {
     /// Returns when [`Self::poll`] is due.
     pub(crate) fn deadline(&self) -> Option<Timestamp> {
         let timer = self.timers.next().map(|(at, _)| at);
-        let arrival = self.in_flight.peek().map(|Reverse(f)| f.due);
-        timer.into_iter().chain(arrival).min()
+        timer.into_iter().chain(self.next_arrival()).min()
+    }
+
+    fn next_arrival(&self) -> Option<Timestamp> {
+        self.in_flight.peek().map(|Reverse(f)| f.due)
     }
 
     /// Returns the next event: handovers, scans, lost radio units.

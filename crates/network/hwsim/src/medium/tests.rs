@@ -87,6 +87,7 @@ impl World {
                     self.medium.refused(self.now, &mut self.fabric, outgoing.number);
                 }
                 self.sent.push((self.now, outgoing));
+                self.medium.confirm();
             }
         }
         self.now = end;
@@ -184,6 +185,26 @@ fn a_frame_that_the_kernel_refuses_is_not_acknowledged_nor_are_later_ones() {
     world.send(AP, STATION, CHANNEL_36);
     world.run();
     assert!(world.status().acknowledged, "it has sent again");
+}
+
+#[test]
+fn a_status_waits_until_refusals_of_its_frame_are_known() {
+    for refuses in [false, true] {
+        let mut world = World::new(5.0);
+        world.send(STATION, AP, CHANNEL_36);
+        // Its end and that of the acknowledgement are noticed late, together.
+        world.now = world.now + Duration::from_millis(10);
+        world.fabric.poll(world.now, &mut |_, _| {});
+        let delivery = world.medium.poll(&mut world.fabric).expect("it arrives");
+        assert_eq!((world.medium.poll(&mut world.fabric), world.medium.awaits_refusals()), (None, true));
+        if refuses {
+            world.medium.refused(world.now, &mut world.fabric, delivery.number);
+        }
+        world.medium.confirm();
+        assert!(!world.medium.awaits_refusals());
+        let status = world.medium.poll(&mut world.fabric).expect("it is settled").message;
+        assert!(matches!(status, Message::Status(Status { acknowledged, .. }) if acknowledged != refuses));
+    }
 }
 
 #[test]

@@ -71,14 +71,13 @@ fn radios_of_two_namespaces_talk_over_the_fabrics_air() {
     assert!(!air.reaches(&there, &here, Duration::from_secs(3)));
     air.walk_to(10.0);
     assert!(air.reaches(&there, &here, Duration::from_secs(10)));
-    eprintln!("{} frames until {}, {} refused", air.frames, air.now(), air.refused);
 
     // Radios go with the socket that created them, wherever their phys are.
     drop(std::mem::take(&mut air.radios));
     assert!(air.run_until(Duration::from_secs(5), || names(&mut Radios::new()).is_empty()));
     assert!(namespace.run(|| names(&mut Radios::new())).is_empty());
-    let Air { socket, turn, .. } = air;
-    drop(socket);
+    let Air { exchange, turn, .. } = air;
+    drop(exchange);
     MediumSocket::register().unwrap();
     drop(turn);
 }

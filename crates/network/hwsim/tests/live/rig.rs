@@ -12,7 +12,7 @@ use std::{
 use cotorra_datapath::Namespace;
 use cotorra_fabric::Fabric;
 use cotorra_graph::{HardwareGraph, NodeId, PathLoss, Position, Timestamp};
-use cotorra_hwsim::{Error, Incoming, MacAddress, Medium, MediumSocket, Message, Radio, Radios};
+use cotorra_hwsim::{Error, Exchange, MacAddress, MediumSocket, Radio, Radios};
 use parking_lot::{Mutex, MutexGuard};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
@@ -45,15 +45,12 @@ static TURN: Mutex<()> = Mutex::new(());
 
 /// A medium that runs while the test waits for something.
 pub(crate) struct Air {
-    pub(crate) socket: MediumSocket,
+    pub(crate) exchange: Exchange,
     /// One test at a time is the kernel's medium.
     pub(crate) turn: MutexGuard<'static, ()>,
-    medium: Medium,
     pub(crate) fabric: Fabric,
     began: Instant,
     pub(crate) radios: Radios,
-    pub(crate) frames: u64,
-    pub(crate) refused: u64,
 }
 
 /// Returns the address of a radio unit's radio.
@@ -77,12 +74,11 @@ impl Air {
             Err(error) => panic!("{error}"),
         };
         let fabric = Fabric::new(&graph(units), 1).unwrap();
-        let (medium, radios) = (Medium::new(), Radios::new());
-        let mut air =
-            Self { socket, turn, medium, fabric, began: Instant::now(), radios, frames: 0, refused: 0 };
+        let exchange = Exchange::new(socket);
+        let mut air = Self { exchange, turn, fabric, began: Instant::now(), radios: Radios::new() };
         let nodes = (0..units.len()).map(|index| (format!("ap{index}"), ap(index)));
         for (name, address) in nodes.chain([("robot".to_owned(), ROBOT)]) {
-            air.medium.join(Timestamp::ZERO, &mut air.fabric, &id(&name), address).unwrap();
+            air.exchange.join(Timestamp::ZERO, &mut air.fabric, &id(&name), address).unwrap();
             air.radios.create(&radio(&name, address)).unwrap();
         }
         Some(air)
@@ -111,31 +107,15 @@ impl Air {
     }
 
     fn step(&mut self) {
-        while let Some(incoming) = self.socket.receive().unwrap() {
-            let now = self.now();
-            match incoming {
-                Incoming::Message(message) => {
-                    self.frames += u64::from(matches!(message, Message::Frame(_)));
-                    if let Some(answer) = self.medium.handle(now, &mut self.fabric, &message) {
-                        self.socket.send(answer.number, &answer.message).unwrap();
-                    }
-                }
-                Incoming::Refused { number, .. } => {
-                    self.refused += 1;
-                    self.medium.refused(now, &mut self.fabric, number);
-                }
-                Incoming::Unknown => panic!("the kernel's messages are known"),
-                Incoming::Overrun => panic!("the medium keeps up"),
-            }
-        }
-        let deadline = self.fabric.poll(self.now(), &mut |_, _| {});
-        if let Some(outgoing) = self.medium.poll(&mut self.fabric) {
-            return self.socket.send(outgoing.number, &outgoing.message).unwrap();
-        }
+        let now = self.now();
+        assert_eq!(self.exchange.receive(now, &mut self.fabric).unwrap(), 0, "the medium keeps up");
+        self.fabric.poll(now, &mut |_, _| {});
+        assert_eq!(self.exchange.deliver(now, &mut self.fabric).unwrap(), 0, "the medium keeps up");
+        let deadline = self.fabric.poll(now, &mut |_, _| {});
         const LONGEST: Duration = Duration::from_millis(5);
         let wait = deadline.map_or(LONGEST, |deadline| deadline.since(self.now()).min(LONGEST));
         let wait = Timespec { tv_sec: 0, tv_nsec: wait.as_nanos() as i64 };
-        poll(&mut [PollFd::new(&self.socket, PollFlags::IN)], Some(&wait)).unwrap();
+        poll(&mut [PollFd::new(&self.exchange, PollFlags::IN)], Some(&wait)).unwrap();
     }
 
     /// Runs a command, whose interfaces need the medium, and returns what it prints.

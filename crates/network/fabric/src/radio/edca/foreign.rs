@@ -81,6 +81,24 @@ impl Foreign {
         self.waiting[category].len() > usize::from(self.on_air == Some(category))
     }
 
+    /// Returns how long its next try, or the RTS before that, takes at least. In each category, that is one of its first two
+    /// frames, of which the first may be on the air.
+    pub(super) fn least_airtime(&self) -> Duration {
+        let next = self.waiting.iter().flat_map(|waiting| waiting.iter().take(2));
+        let airtime = |Attempted { transmission, .. }: &Attempted| {
+            let Transmission { frequency_mhz, psdu_bytes, ref rates, .. } = *transmission;
+            let airtime = move |RateTries { rate, rts, .. }: &RateTries| {
+                if *rts {
+                    rate.rts_cts_airtimes(frequency_mhz)[0]
+                } else {
+                    rate.airtime(frequency_mhz, psdu_bytes.into())
+                }
+            };
+            rates.iter().map(airtime).min()
+        };
+        next.filter_map(airtime).min().unwrap_or_default()
+    }
+
     /// Returns the centre of the channel that it is tuned to.
     pub(super) fn frequency_mhz(&self) -> u16 {
         self.tuned.map_or(0, |tuned| tuned.frequency_mhz)

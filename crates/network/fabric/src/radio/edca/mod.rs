@@ -264,6 +264,17 @@ impl Edca {
 
     /// Returns when something happens on a channel.
     pub(super) fn wakes(&self, channel: usize) -> Option<Timestamp> {
+        self.next(channel, |foreign| foreign.node.next_access())
+    }
+
+    /// Returns when a caller can notice that something happens on a channel, at the earliest: a frame of a lent antenna is noticed
+    /// at its end.
+    pub(super) fn alarm(&self, channel: usize) -> Option<Timestamp> {
+        self.next(channel, |foreign| Some(foreign.node.next_access()? + foreign.least_airtime()))
+    }
+
+    /// Returns when something happens on a channel, of which `foreign` says what a lent antenna does next.
+    fn next(&self, channel: usize, foreign: impl Fn(&Foreign) -> Option<Timestamp>) -> Option<Timestamp> {
         let Channel { members, on_air, .. } = &self.channels[channel];
         let sends = members.iter().filter_map(|member| match member {
             Emitter::Robot(station) => self.peers[*station].node.next_access(),
@@ -272,7 +283,7 @@ impl Edca {
                 node.next_access().into_iter().chain(*beacon).min()
             }
             Emitter::Interference(source) => Some(self.interference[*source].deadline()),
-            Emitter::Foreign(radio) => self.foreign[*radio].node.next_access(),
+            Emitter::Foreign(radio) => foreign(&self.foreign[*radio]),
         });
         sends.chain(on_air.iter().map(|on_air| on_air.data_ends)).min()
     }

@@ -80,7 +80,7 @@ impl Air {
     }
 
     fn deadline(&self) -> Option<Timestamp> {
-        self.world.radio.deadline().into_iter().chain(self.world.radio.report_deadline()).min()
+        self.world.radio.alarm().into_iter().chain(self.world.radio.report_deadline()).min()
     }
 
     fn run(&mut self, until: Timestamp) {
@@ -136,6 +136,21 @@ fn a_frame_takes_its_airtime_and_is_acknowledged_after_sifs() {
     // 20 dBm, and 3 × 10 dB per decade from 1 m on at 5180 MHz.
     let loss = PathLoss::LogDistance { exponent: 3.0 }.loss_db(5.0, CHANNEL_36);
     assert!((signal - (20.0 - loss)).abs() < 1e-9);
+}
+
+#[test]
+fn a_frame_needs_two_polls() {
+    let mut air = Air::new(contending(), &[5.0]);
+    air.tune_all(Timestamp::ZERO);
+    let now = us(20_000);
+    let id = air.send(now, 1, 0, &[legacy(540, 1)]);
+    // At the end of the frame, whose first report is due then, and at the end of the acknowledgement.
+    let received = air.deadline().unwrap();
+    air.run(received);
+    assert!(matches!(air.reports[..], [Report::Received { at, .. }] if at == received));
+    let settled = air.deadline().unwrap();
+    air.run(settled);
+    assert_eq!((air.settled(id).0, air.reports.len()), (settled, 2));
 }
 
 #[test]
