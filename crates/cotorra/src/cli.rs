@@ -70,7 +70,7 @@ pub enum Command {
     Run(RunArgs),
     Sweep(SweepArgs),
     Margin(MarginArgs),
-    /// Repeat a published experiment, and compare it with the published result
+    /// Repeat a published experiment beside the published result, or compare kinds of radio
     Experiment {
         #[command(subcommand)]
         experiment: Experiment,

@@ -4,13 +4,15 @@
 //! [`Sweep`](sweep::Sweep) runs a testbed file in virtual time for all combinations of settings. [`Margin`](margin::Margin)
 //! searches for the smallest change that breaks a target, and [`Regret`](regret::Regret) replays decisions of plug-ins with
 //! their alternatives. These three share how runs are made and kept ([`Journal`](journal::Journal)). [`okpi::Comparison`] and
-//! [`federation::Comparison`] compare runs with published figures. They only read reports and histories: the caller runs
+//! [`federation::Comparison`] compare runs with published figures, and [`handover::Comparison`] compares kinds of radio. They only read reports and histories: the caller runs
 //! the testbeds, in real or in virtual time.
 #![forbid(unsafe_code)]
 
 mod batch;
+mod bootstrap;
 mod csv;
 pub mod federation;
+pub mod handover;
 pub mod journal;
 mod kept;
 pub mod margin;

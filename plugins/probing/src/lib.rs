@@ -41,7 +41,9 @@ impl Probing {
     /// - `interval`: the time from one scan to the next, `20 s`, or bounds between which each is drawn, by default
     ///   `[20 s, 25 s]`; the first scan comes so long after the start;
     /// - `margin`: a robot leaves its radio unit for one that is stronger by more than this, by default `0 dB`, the
-    ///   published behaviour: the time between scans already keeps it from going back and forth.
+    ///   published behaviour: the time between scans already keeps it from going back and forth;
+    /// - `always`: whether a robot goes to the strongest other radio unit after each scan, even if its own is stronger, by
+    ///   default `false`. It makes many handovers, to measure them.
     ///
     /// # Errors
     /// [`InvalidSettings`] for a setting that does not exist, or that has no such value.
@@ -74,7 +76,7 @@ impl Plugin for Probing {
             Event::Robot(context) => {
                 let radio = self.radios.get_mut(&context.robot);
                 if radio.is_some_and(|radio| std::mem::take(&mut radio.scanned)) {
-                    roam(context, self.settings.margin_db, actions);
+                    roam(context, &self.settings, actions);
                 }
             }
             _ => {}
@@ -94,8 +96,10 @@ impl Plugin for Probing {
 }
 
 /// Attaches a robot to the strongest radio unit, if that is not the present one or hardly stronger.
-fn roam(context: &RobotContext, margin_db: f64, actions: &mut Actions) {
-    let heard = |a: &&Attachment| a.signal.is_some_and(|signal| signal.0.is_finite());
+fn roam(context: &RobotContext, settings: &Settings, actions: &mut Actions) {
+    let heard = |a: &&Attachment| {
+        a.signal.is_some_and(|signal| signal.0.is_finite()) && !(settings.always && a.attached)
+    };
     let strength = |a: &Attachment| a.signal.map_or(f64::NEG_INFINITY, |signal| signal.0);
     let strongest =
         context.attachments.iter().filter(heard).max_by(|a, b| strength(a).total_cmp(&strength(b)));
@@ -106,7 +110,7 @@ fn roam(context: &RobotContext, margin_db: f64, actions: &mut Actions) {
     let better = format!("`{}` is received with {:.1} dBm", strongest.radio_unit, strength(strongest));
     match present {
         None => actions.instruct_because(instruction, better),
-        Some(present) if strength(strongest) - strength(present) > margin_db => {
+        Some(present) if settings.always || strength(strongest) - strength(present) > settings.margin_db => {
             let reason = format!("{better}, `{}` with {:.1} dBm", present.radio_unit, strength(present));
             actions.instruct_because(instruction, reason);
         }
@@ -206,7 +210,15 @@ links:
 
     /// Returns the instruction after a scan, and its reason.
     fn roams(margin: &str, attachments: &[(&str, bool, Option<f64>)]) -> Option<(NodeId, String)> {
-        let mut probing = started(json!({ "margin": margin }), 1);
+        roams_with(json!({ "margin": margin }), attachments)
+    }
+
+    /// Does the same with these settings.
+    fn roams_with(
+        settings: serde_json::Value,
+        attachments: &[(&str, bool, Option<f64>)],
+    ) -> Option<(NodeId, String)> {
+        let mut probing = started(settings, 1);
         let mut actions = Actions::default();
         probing.handle(Timestamp::ZERO, &Event::Scanned { robot: id("r1") }, &mut actions);
         probing.handle(Timestamp::ZERO, &context("r1", attachments), &mut actions);
@@ -247,6 +259,14 @@ links:
                 .unwrap();
         assert_eq!(radio_unit, id("B"));
         assert_eq!(reason, "`B` is received with -60.0 dBm, `A` with -71.2 dBm");
+    }
+
+    #[test]
+    fn always_goes_to_the_strongest_other_if_it_is_told_to() {
+        let roams = |attachments| roams_with(json!({ "always": true }), attachments).map(|(unit, _)| unit);
+        let heard = [("A", true, Some(-50.0)), ("B", false, Some(-80.0)), ("C", false, Some(-70.0))];
+        assert_eq!(roams(&heard), Some(id("C")));
+        assert_eq!(roams(&heard[..1]), None);
     }
 
     #[test]

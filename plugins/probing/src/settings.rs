@@ -15,11 +15,13 @@ pub(crate) struct Settings {
     /// Lead of another radio unit's signal at which the robot changes, dB.
     #[serde(rename = "margin", deserialize_with = "margin")]
     pub(crate) margin_db: f64,
+    /// Whether the robot changes after each scan.
+    pub(crate) always: bool,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { interval: Duration::from_secs(20)..=Duration::from_secs(25), margin_db: 0.0 }
+        Self { interval: Duration::from_secs(20)..=Duration::from_secs(25), margin_db: 0.0, always: false }
     }
 }
 
@@ -89,7 +91,7 @@ mod tests {
         let error = |settings| decode(settings).unwrap_err();
         assert_eq!(
             error(json!({ "intervall": "20 s" })),
-            "intervall: unknown field `intervall`, expected `interval` or `margin`"
+            "intervall: unknown field `intervall`, expected one of `interval`, `margin`, `always`"
         );
         for wrong in [
             json!(20),

@@ -3,11 +3,15 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::{Args, Subcommand};
-use cotorra_experiments::{federation::Account, okpi::Contender};
+use cotorra_experiments::{
+    federation::Account,
+    handover::{KINDS, Kind},
+    okpi::Contender,
+};
 use cotorra_graph::DomainId;
 use cotorra_testbed_file::Setting;
 
-use super::bundled::{CORRIDOR, FEDERATION};
+use super::bundled::{CORRIDOR, CORRIDOR_WIFI, FEDERATION};
 use crate::{
     arguments::parse_seed,
     duration::parse_duration,
@@ -20,6 +24,7 @@ use crate::{
 pub enum Experiment {
     Okpi(OkpiArgs),
     Federation(FederationArgs),
+    Handover(HandoverArgs),
 }
 
 /// Arguments of every experiment.
@@ -36,12 +41,6 @@ pub struct WalkArgs {
     /// Write plain lines instead of the live view
     #[arg(long)]
     pub headless: bool,
-    /// Let idle cores fall asleep
-    ///
-    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives
-    /// some 0.1 ms late.
-    #[arg(long, requires = "emulate")]
-    pub save_power: bool,
     /// Only list what would be run
     #[arg(long)]
     pub dry_run: bool,
@@ -101,6 +100,12 @@ pub struct OkpiArgs {
     /// with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
+    /// Let idle cores fall asleep
+    ///
+    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives
+    /// some 0.1 ms late.
+    #[arg(long, requires = "emulate")]
+    pub save_power: bool,
     #[command(flatten)]
     pub walks: WalkArgs,
 }
@@ -169,10 +174,68 @@ pub struct FederationArgs {
     /// robots for each figure
     #[arg(long, conflicts_with_all = ["emulate", "block_period", "seed", "until"])]
     pub dishonest: bool,
+    /// Let idle cores fall asleep
+    ///
+    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives
+    /// some 0.1 ms late.
+    #[arg(long, requires = "emulate")]
+    pub save_power: bool,
     #[command(flatten)]
     pub walks: WalkArgs,
     #[command(flatten)]
     pub ledger: LedgerArgs,
+}
+
+/// Compare handovers on the model of the radio with those of real Wi-Fi software
+///
+/// The robot walks the corridor twice on each kind of radio: once a plug-in sends it to the strongest other radio unit every
+/// few seconds, and once it roams by itself, as wpa_supplicant does. The experiment compares gaps, scans and the places of
+/// handovers, and says whether the model's gaps lie in the 95 % intervals of the real software's. The kinds are `model`, in
+/// virtual time, and `hwsim`: hostapd and wpa_supplicant on radios that Linux simulates, which needs a kernel with the module
+/// mac80211_hwsim. Where yours has none, build one by scripts/radio-kernel, and run the experiment in it by scripts/uml.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra experiment handover                          all kinds of radio that this machine has
+  cotorra experiment handover --kind model --runs 5
+  scripts/uml --radios 0 cotorra experiment handover --save-power --until 2min
+                                                       both kinds, in a kernel of its own with simulated radios
+  cotorra experiment handover --kind model --with runs/experiment-handover-…
+                                                       beside real software that was measured elsewhere
+
+Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
+pub struct HandoverArgs {
+    /// Kinds of radio: model, hwsim; by default, all that this machine has
+    #[arg(long = "kind", value_name = "KIND", value_delimiter = ',', value_parser = parse_kind)]
+    pub kinds: Vec<Kind>,
+    /// The testbed file: a robot that walks past radio units with `access: edca`, and its navigation; where the default does
+    /// not exist, it is bundled
+    #[arg(long, value_name = "FILE", default_value = CORRIDOR_WIFI)]
+    pub testbed: PathBuf,
+    /// Number of times that each walk is repeated, with other seeds
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub runs: u32,
+    /// Seed of the first repetition, from which the others count up; default: the file's
+    #[arg(long, value_name = "N", value_parser = parse_seed)]
+    pub seed: Option<u64>,
+    /// End each walk after this time, such as 60s or 2min
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub until: Option<Duration>,
+    /// Add the walks of an earlier experiment on kinds of radio that are not walked now
+    #[arg(long, value_name = "FOLDER")]
+    pub with: Vec<PathBuf>,
+    /// Let idle cores fall asleep while packets are real
+    ///
+    /// By default, a run keeps up to four cores awake, which would stop the virtual time of scripts/uml.
+    #[arg(long)]
+    pub save_power: bool,
+    #[command(flatten)]
+    pub walks: WalkArgs,
+}
+
+fn parse_kind(text: &str) -> Result<Kind, String> {
+    let names = || KINDS.map(|kind| kind.name).join(" or ");
+    KINDS.into_iter().find(|kind| kind.name == text).ok_or_else(|| format!("write {}", names()))
 }
 
 /// An existing Ethereum network.

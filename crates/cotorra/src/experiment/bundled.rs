@@ -13,10 +13,13 @@ use crate::temporary::TemporaryFolder;
 pub const CORRIDOR: &str = "testbeds/corridor.yaml";
 /// Default testbed file of `cotorra experiment federation`.
 pub const FEDERATION: &str = "testbeds/federation.yaml";
+/// Default testbed file of `cotorra experiment handover`.
+pub const CORRIDOR_WIFI: &str = "testbeds/corridor-wifi.yaml";
 
 /// The files, and the picture of the map: each run of equal bytes as that byte and a length of two bytes (build.rs).
-const FILES: [(&str, &str); 3] = [
+const FILES: [(&str, &str); 4] = [
     ("corridor.yaml", include_str!("../../../../testbeds/corridor.yaml")),
+    ("corridor-wifi.yaml", include_str!("../../../../testbeds/corridor-wifi.yaml")),
     ("federation.yaml", include_str!("../../../../testbeds/federation.yaml")),
     ("maps/corridor.yaml", include_str!("../../../../testbeds/maps/corridor.yaml")),
 ];
@@ -32,7 +35,8 @@ pub struct Bundled {
 impl Bundled {
     /// Writes the bundled testbeds if a default file does not exist, and lets `file` name the one that was meant.
     pub fn instead_of(file: &mut PathBuf) -> Result<Option<Self>, FolderError> {
-        let is_default = [CORRIDOR, FEDERATION].iter().any(|default| file == Path::new(default));
+        let is_default =
+            [CORRIDOR, FEDERATION, CORRIDOR_WIFI].iter().any(|default| file == Path::new(default));
         if !is_default || file.exists() {
             return Ok(None);
         }

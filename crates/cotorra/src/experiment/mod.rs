@@ -1,9 +1,11 @@
-//! `cotorra experiment`: repeats a published experiment, and shows the result beside the published one.
+//! `cotorra experiment`: repeats a published experiment, and shows the result beside the published one; or compares kinds of
+//! radio.
 
 mod args;
 mod bundled;
 mod federation;
 mod folder;
+mod handover;
 mod okpi;
 
 use std::process::ExitCode;
@@ -11,16 +13,18 @@ use std::process::ExitCode;
 use miette::IntoDiagnostic;
 
 pub use args::Experiment;
-use args::{FederationArgs, OkpiArgs};
+use args::{FederationArgs, HandoverArgs, OkpiArgs};
 use bundled::Bundled;
 
 /// Runs an experiment.
 pub fn experiment(mut experiment: Experiment) -> miette::Result<ExitCode> {
-    let (Experiment::Okpi(OkpiArgs { testbed, .. }) | Experiment::Federation(FederationArgs { testbed, .. })) =
-        &mut experiment;
+    let (Experiment::Okpi(OkpiArgs { testbed, .. })
+    | Experiment::Federation(FederationArgs { testbed, .. })
+    | Experiment::Handover(HandoverArgs { testbed, .. })) = &mut experiment;
     let _bundled = Bundled::instead_of(testbed).into_diagnostic()?;
     match &experiment {
         Experiment::Okpi(args) => okpi::okpi(args),
         Experiment::Federation(args) => federation::federation(args),
+        Experiment::Handover(args) => handover::handover(args),
     }
 }

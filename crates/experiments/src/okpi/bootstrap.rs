@@ -2,18 +2,15 @@
 //! Jackknife and the Bootstrap for General Stationary Observations", Annals of Statistics 17(3), 1989).
 
 use cotorra_graph::seed;
-use rand::{Rng, SeedableRng};
+use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::{
-    distribution::{Distribution, Interval, Intervals},
+    distribution::{Distribution, Intervals},
     times::Timed,
 };
+use crate::bootstrap::{RESAMPLES, below, middle};
 
-/// Number of resampled walks.
-const RESAMPLES: usize = 1000;
-/// Share of the resampled figures inside an interval.
-const LEVEL: f64 = 0.95;
 /// Length of a block, seconds: the longest period of the published walk, between two scans by probing.
 const BLOCK_S: f64 = 25.0;
 
@@ -49,22 +46,10 @@ fn block(walk: &[Timed]) -> usize {
     (within.min(walk.len() as f64 / 4.0) as usize).max(1)
 }
 
-/// Draws a number below `bound`, by Lemire's multiplication. Its bias is below `bound` / 2^64.
-fn below(random: &mut Xoshiro256PlusPlus, bound: usize) -> usize {
-    ((u128::from(random.next_u64()) * bound as u128) >> 64) as usize
-}
-
-/// Returns the interval with [`LEVEL`] of the values in its middle.
-fn middle(mut values: Vec<f64>) -> Option<Interval> {
-    values.sort_by(f64::total_cmp);
-    let outside = (1.0 - LEVEL) / 2.0 * values.len().checked_sub(1)? as f64;
-    let (low, high) = (outside.round() as usize, values.len() - 1 - outside.round() as usize);
-    Some(Interval { low: values[low], high: values[high] })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::okpi::Interval;
 
     /// A walk of 450 s with a sample each second.
     fn walk(ms: impl Fn(usize) -> f64) -> Vec<Timed> {

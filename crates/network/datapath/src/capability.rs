@@ -106,13 +106,7 @@ pub fn probe() -> Vec<Capability> {
             netem(),
             "not needed for emulated links; otherwise `modprobe sch_netem`, from linux-modules-extra or similar",
         ),
-        capability(
-            "mac80211_hwsim",
-            "simulated Wi-Fi hardware for real hostapd and wpa_supplicant",
-            hwsim(),
-            "not needed for emulated radio; otherwise a kernel with the module, such as Debian's linux-image-amd64, and \
-             `modprobe mac80211_hwsim`",
-        ),
+        simulated_radios(),
         capability(
             "control groups",
             "limits on CPU and memory of programs in nodes",
@@ -127,6 +121,17 @@ pub fn probe() -> Vec<Capability> {
             "not needed: VNFs run as processes; for images, install podman, or start docker",
         ),
     ]
+}
+
+/// Tests whether this kernel can simulate Wi-Fi radios. Unlike [`probe`], it starts no threads.
+pub fn simulated_radios() -> Capability {
+    let remedy = "not needed for emulated radio; otherwise a kernel with the module, such as Debian's linux-image-amd64, and \
+                  `modprobe mac80211_hwsim`";
+    Capability {
+        name: "mac80211_hwsim",
+        purpose: "simulated Wi-Fi hardware for real hostapd and wpa_supplicant",
+        state: CapabilityState::of(hwsim(), remedy),
+    }
 }
 
 fn network_namespaces() -> io::Result<String> {

@@ -43,7 +43,7 @@ mod vnet;
 pub mod wifi;
 
 pub use allowance::Allowance;
-pub use capability::{Capability, CapabilityState, probe};
+pub use capability::{Capability, CapabilityState, probe, simulated_radios};
 pub use clock::Clock;
 pub use confine::Confinement;
 pub use datapath::{Datapath, Options};
