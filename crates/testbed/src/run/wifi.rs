@@ -1,6 +1,6 @@
 //! Real Wi-Fi software of a run, in the nodes of its datapath.
 
-use std::sync::Arc;
+use std::{os::unix::process::CommandExt, process::Command, sync::Arc};
 
 use cotorra_datapath::{Datapath, SpawnOptions};
 use cotorra_engine::Process;
@@ -37,7 +37,9 @@ pub(super) fn start(prepared: &Prepared, network: &NetworkUp) -> Result<Option<W
     let Some(plan) = prepared.wifi.clone() else { return Ok(None) };
     let NetworkUp { now, datapath, messages, .. } = network;
     let launch_in = Arc::clone(datapath);
-    let launch = move |node: &_, command| {
+    let launch = move |node: &_, mut command: Command| {
+        // Ctrl-C at a terminal is not for them: they would end before the run, each for itself.
+        command.process_group(0);
         let child =
             launch_in.spawn(node, command, SpawnOptions { unique_number: true, ..SpawnOptions::default() });
         Ok(Box::new(NodeProcess(child.map_err(std::io::Error::other)?)) as Box<dyn Process>)
