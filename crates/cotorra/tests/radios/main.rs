@@ -11,6 +11,8 @@
 #[allow(dead_code, reason = "the end-to-end tests use the rest")]
 #[path = "../end_to_end/harness.rs"]
 mod harness;
+mod killed;
 mod packets;
+mod repeats;
 mod rig;
 mod roams;

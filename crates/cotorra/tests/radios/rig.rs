@@ -5,15 +5,16 @@
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the run's clock is the kernel's")]
 
 use std::{
+    collections::BTreeSet,
     env, fs,
     fs::File,
     os::{fd::AsFd, unix::fs::MetadataExt},
-    path::PathBuf,
     sync::mpsc::{self, Receiver},
     thread,
     time::{Duration, SystemTime},
 };
 
+use cotorra_hwsim::Radios;
 use rustix::{
     process::{Pid, Signal, kill_process, kill_process_group},
     thread::{LinkNameSpaceType, move_into_link_name_space},
@@ -21,7 +22,7 @@ use rustix::{
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::harness::Run;
+use crate::harness::{Run, are_held};
 
 /// Virtual time that nothing here needs.
 const LONG: Duration = Duration::from_secs(120);
@@ -86,10 +87,14 @@ pub struct Ended {
     pub summary: Value,
     /// The [`NEWS`] that it kept, in order.
     pub events: Vec<Value>,
-    pub log: String,
-    /// Its folder. It is removed with this.
-    pub folder: PathBuf,
-    _run: Run,
+    run: Run,
+}
+
+impl Ended {
+    /// Returns a log of its folder, such as `hostapd-A.log`.
+    pub fn log(&self, name: &str) -> String {
+        fs::read_to_string(self.run.folder.join("logs").join(name)).unwrap()
+    }
 }
 
 impl Rig {
@@ -181,14 +186,17 @@ impl Rig {
         self.seen.iter().filter(|event| is_news(event)).cloned().collect()
     }
 
-    /// Returns the events of these kinds that the run kept so far.
-    pub fn history(&self, kinds: &str) -> Vec<Value> {
-        events_of(&self.run, kinds)
-    }
-
     /// Returns the radio unit of a robot.
     pub fn place_of(&self, robot: &str) -> Option<String> {
-        self.run.get(&format!("/api/v1/robots/{robot}"))["attached_to"].as_str().map(str::to_owned)
+        let robot = self.robot(robot);
+        let mut attachments = robot["attachments"].as_array().unwrap().iter();
+        let here = attachments.find(|attachment| attachment["attached"] == true)?;
+        Some(here["radio_unit"].as_str().unwrap().to_owned())
+    }
+
+    /// Returns a robot's context, as the API describes it.
+    pub fn robot(&self, robot: &str) -> Value {
+        self.run.get(&format!("/api/v1/robots/{robot}"))
     }
 
     /// Returns a node, as the API describes it.
@@ -231,12 +239,27 @@ impl Rig {
 
     /// Ends the run in order, by Ctrl-C.
     pub fn end(mut self) -> Ended {
-        let events = events_of(&self.run, NEWS);
+        let (events, namespaces) = (kept(&self.run), self.run.namespaces());
         self.interrupt();
         let (summary, _) = self.run.report();
-        let log = fs::read_to_string(self.run.folder.join("logs/cotorra.log")).unwrap();
-        Ended { summary, events, log, folder: self.run.folder.clone(), _run: self.run }
+        nothing_is_left(&namespaces);
+        Ended { summary, events, run: self.run }
     }
+}
+
+/// Whether a run with these namespaces has left a Wi-Fi program, a radio, a process or a namespace.
+pub fn is_left(namespaces: &BTreeSet<u64>) -> bool {
+    let processes = fs::read_dir("/proc").unwrap().flatten();
+    let names = processes.map(|process| fs::read_to_string(process.path().join("comm")).unwrap_or_default());
+    let programs = names.filter(|name| ["hostapd", "wpa_supplicant"].contains(&name.trim_end())).count();
+    programs > 0 || are_held(namespaces) || !Radios::new().list().unwrap().is_empty()
+}
+
+/// Checks that a run that has ended has left nothing. The kernel may need a moment.
+pub fn nothing_is_left(namespaces: &BTreeSet<u64>) {
+    let checks = 0..100;
+    let mut checks = checks.map(|_| thread::sleep(Duration::from_millis(20)));
+    assert!(checks.any(|()| !is_left(namespaces)), "something is left");
 }
 
 /// Whether an event is of a kind, and one of its fields has a value.
@@ -249,12 +272,12 @@ pub fn is_news(event: &Value) -> bool {
     NEWS.split(',').any(|kind| event["event"] == kind)
 }
 
-/// Returns the events of these kinds that a run kept so far, in order.
-fn events_of(run: &Run, kinds: &str) -> Vec<Value> {
+/// Returns the [`NEWS`] that a run kept so far, in order.
+fn kept(run: &Run) -> Vec<Value> {
     let mut events: Vec<Value> = Vec::new();
     let mut after = String::new();
     loop {
-        let page = run.get(&format!("/api/v1/measurements/events?kinds={kinds}{after}"));
+        let page = run.get(&format!("/api/v1/measurements/events?kinds={NEWS}{after}"));
         events.extend(page["items"].as_array().unwrap().iter().cloned());
         match page["next"].as_str() {
             Some(next) => after = format!("&after={next}"),
