@@ -12,7 +12,7 @@ mod places;
 #[cfg(test)]
 mod tests;
 
-use std::{fs, io, path::Path};
+use std::{collections::BTreeSet, fs, io, path::Path};
 
 use cotorra_figure::Format;
 use cotorra_graph::{NodeId, NodeKind, Testbed};
@@ -71,6 +71,9 @@ impl Walk {
 const PACKETS: &str = "5 ms";
 /// Times between the scans, after which the robot is sent on.
 const BETWEEN: &str = "[2 s, 3 s]";
+/// Time of the model's scan on each channel, as Linux with 250 ticks a second has it: twice 8 ticks, and the changes of
+/// the channel.
+const DWELL: &str = "66 ms";
 /// Loss of power on the walk alone, dB. In a corridor with a radio unit each ten metres, wpa_supplicant stays where it is:
 /// its own signal is good everywhere.
 const WEAKER_DB: f64 = 15.0;
@@ -103,7 +106,8 @@ pub fn check(testbed: &Testbed) -> Result<(), Unfit> {
     Ok(())
 }
 
-/// Returns the settings of a walk on a kind of radio, as paths in the testbed file with values.
+/// Returns the settings of a walk on a kind of radio, as paths in the testbed file with values. The model's handovers are
+/// frames on the air, and its scans those of Linux.
 pub fn settings(testbed: &Testbed, kind: Kind, walk: Walk) -> Vec<(String, String)> {
     let mut settings = vec![
         ("plugin".to_owned(), "probing".to_owned()),
@@ -112,6 +116,12 @@ pub fn settings(testbed: &Testbed, kind: Kind, walk: Walk) -> Vec<(String, Strin
         ("plugins.probing.settings.interval".to_owned(), BETWEEN.to_owned()),
         ("plugins.probing.settings.always".to_owned(), "true".to_owned()),
     ];
+    if kind == MODEL {
+        settings.push(("wireless.*.handover.exchange".to_owned(), "frames".to_owned()));
+        let channels: BTreeSet<u8> = testbed.graph.radio_units().map(|(_, unit)| unit.channel).collect();
+        let scan = format!("{{ channels: {}, dwell: {DWELL} }}", channels.len());
+        settings.push(("wireless.*.handover.scan".to_owned(), scan));
+    }
     let roaming = if walk == Walk::Sent { "instructed" } else { "supplicant" };
     for node in &testbed.graph.nodes {
         let power = match &node.kind {

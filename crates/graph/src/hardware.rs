@@ -540,6 +540,19 @@ pub struct HandoverTimes {
     pub handshake: Duration,
     /// Each phase varies by up to this share, uniformly; 0 to 1.
     pub variation: f64,
+    /// Handovers whose phases take as long as their frames on the air, instead of the times above.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames: Option<Frames>,
+}
+
+/// Handovers as frames on the air: those of authentication, reassociation and, unless by fast transition, the key handshake.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Frames {
+    /// Interval of the timers of Linux, at whose ticks a station reassociates: 1 / HZ.
+    #[serde(rename = "tick_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub tick: Duration,
 }
 
 /// Visits of other channels, between which a station that scans is back on its own, as in Linux's software scan.

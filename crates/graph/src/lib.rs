@@ -59,9 +59,9 @@ pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
-    BackgroundScan, Capacity, Direction, Fading, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link,
-    Node, NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, ScanVisits, Server, Shadowing, Tier,
-    WifiStandard, WirelessNetwork,
+    BackgroundScan, Capacity, Direction, Fading, Frames, GapPolicy, HandoverTimes, HardwareGraph,
+    HostAddress, Link, Node, NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, ScanVisits, Server,
+    Shadowing, Tier, WifiStandard, WirelessNetwork,
 };
 pub use hwsim::{Hwsim, Protection, Security};
 pub use id::{

@@ -435,7 +435,25 @@ record! {
         handshake: Duration = "60 ms",
         /// Each phase varies by up to this share, uniformly.
         variation: Probability = "30 %",
+        /// What a handover takes: the `times` above, or that of its `frames` on the air. A mapping sets the kernel's timers,
+        /// too. Frames need EDCA: docs/radio.md.
+        exchange: Spanned<Either<ExchangeWord, ExchangeRecord>> = "times",
     }
+}
+
+record! {
+    /// Handovers as frames on the air.
+    ExchangeRecord {
+        /// Interval of the timers of Linux: 4 ms on Debian, 10 ms on OpenWrt.
+        tick: Duration = "4 ms",
+    }
+}
+
+/// A handover's exchange in one word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ExchangeWord {
+    Times,
+    Frames,
 }
 
 record! {
@@ -1369,6 +1387,10 @@ choice!(WifiStandard, "Wi-Fi standard", {
     "a" => Self::A, "IEEE 802.11a, 5 GHz";
     "n" => Self::N, "IEEE 802.11n, one stream, 20 MHz at 2.4 GHz";
     "ac" => Self::Ac, "IEEE 802.11ac, one stream, 20 MHz at 5 GHz";
+});
+choice!(ExchangeWord, "kind of exchange", {
+    "times" => Self::Times, "handovers take the times of their phases";
+    "frames" => Self::Frames, "handovers take as long as their frames on the air, with the timers of a kernel of 250 Hz";
 });
 choice!(FadingWord, "kind of fading", {
     "rayleigh" => Self::Rayleigh, "no line of sight, and still surroundings";

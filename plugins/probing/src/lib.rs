@@ -33,7 +33,12 @@ struct Radio {
     next_scan: Timestamp,
     /// Whether it has scanned since its last context, so that the next one's signals are fresh.
     scanned: bool,
+    /// When it goes to another radio unit, if it always does.
+    leaves: Option<(Timestamp, NodeId)>,
 }
+
+/// Longest wait after a scan of a robot that always goes on. Without it, contexts would give handovers the rhythm of clocks.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 impl Probing {
     /// Reads the settings of a testbed file:
@@ -43,7 +48,7 @@ impl Probing {
     /// - `margin`: a robot leaves its radio unit for one that is stronger by more than this, by default `0 dB`, the
     ///   published behaviour: the time between scans already keeps it from going back and forth;
     /// - `always`: whether a robot goes to the strongest other radio unit after each scan, even if its own is stronger, by
-    ///   default `false`. It makes many handovers, to measure them.
+    ///   default `false`, and at a random time within 100 ms. It makes many handovers, to measure them.
     ///
     /// # Errors
     /// [`InvalidSettings`] for a setting that does not exist, or that has no such value.
@@ -60,13 +65,13 @@ impl Plugin for Probing {
         let radio = |id: &NodeId| {
             let mut random = stream(self.seed, id.as_str());
             let next_scan = now + draw(&mut random, &self.settings);
-            (id.clone(), Radio { random, next_scan, scanned: false })
+            (id.clone(), Radio { random, next_scan, scanned: false, leaves: None })
         };
         let robots = testbed.graph.robots().filter(|(_, robot)| robot.roaming == Roaming::Instructed);
         self.radios = robots.map(|(node, _)| radio(&node.id)).collect();
     }
 
-    fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {
+    fn handle(&mut self, now: Timestamp, event: &Event, actions: &mut Actions) {
         match event {
             Event::Scanned { robot } => {
                 if let Some(radio) = self.radios.get_mut(robot) {
@@ -74,9 +79,16 @@ impl Plugin for Probing {
                 }
             }
             Event::Robot(context) => {
-                let radio = self.radios.get_mut(&context.robot);
-                if radio.is_some_and(|radio| std::mem::take(&mut radio.scanned)) {
-                    roam(context, &self.settings, actions);
+                let Some(radio) = self.radios.get_mut(&context.robot) else { return };
+                if !std::mem::take(&mut radio.scanned) {
+                    return;
+                }
+                let Some((radio_unit, reason)) = choose(context, &self.settings) else { return };
+                if self.settings.always {
+                    radio.leaves = Some((now + LONGEST_WAIT.mul_f64(share(&mut radio.random)), radio_unit));
+                } else {
+                    let robot = context.robot.clone();
+                    actions.instruct_because(Instruction::Attach { robot, radio_unit }, reason);
                 }
             }
             _ => {}
@@ -84,45 +96,54 @@ impl Plugin for Probing {
     }
 
     fn next_deadline(&self) -> Option<Timestamp> {
-        self.radios.values().map(|radio| radio.next_scan).min()
+        let leaves = |radio: &Radio| radio.leaves.as_ref().map(|(at, _)| *at);
+        self.radios.values().flat_map(|radio| leaves(radio).into_iter().chain([radio.next_scan])).min()
     }
 
     fn expire(&mut self, now: Timestamp, actions: &mut Actions) {
-        for (robot, radio) in self.radios.iter_mut().filter(|(_, radio)| radio.next_scan <= now) {
-            radio.next_scan = now + draw(&mut radio.random, &self.settings);
-            actions.instruct(Instruction::Scan { robot: robot.clone() });
+        for (robot, radio) in &mut self.radios {
+            if let Some((_, radio_unit)) = radio.leaves.take_if(|(at, _)| *at <= now) {
+                actions.instruct(Instruction::Attach { robot: robot.clone(), radio_unit });
+            }
+            if radio.next_scan <= now {
+                radio.next_scan = now + draw(&mut radio.random, &self.settings);
+                actions.instruct(Instruction::Scan { robot: robot.clone() });
+            }
         }
     }
 }
 
-/// Attaches a robot to the strongest radio unit, if that is not the present one or hardly stronger.
-fn roam(context: &RobotContext, settings: &Settings, actions: &mut Actions) {
+/// Returns the strongest radio unit, and the reason to go there, if it is not the present one or hardly stronger.
+fn choose(context: &RobotContext, settings: &Settings) -> Option<(NodeId, String)> {
     let heard = |a: &&Attachment| {
         a.signal.is_some_and(|signal| signal.0.is_finite()) && !(settings.always && a.attached)
     };
     let strength = |a: &Attachment| a.signal.map_or(f64::NEG_INFINITY, |signal| signal.0);
     let strongest =
-        context.attachments.iter().filter(heard).max_by(|a, b| strength(a).total_cmp(&strength(b)));
-    let Some(strongest) = strongest.filter(|strongest| !strongest.attached) else { return };
-    let present = context.attachments.iter().find(|a| a.attached);
-    let instruction =
-        Instruction::Attach { robot: context.robot.clone(), radio_unit: strongest.radio_unit.clone() };
-    let better = format!("`{}` is received with {:.1} dBm", strongest.radio_unit, strength(strongest));
-    match present {
-        None => actions.instruct_because(instruction, better),
-        Some(present) if settings.always || strength(strongest) - strength(present) > settings.margin_db => {
-            let reason = format!("{better}, `{}` with {:.1} dBm", present.radio_unit, strength(present));
-            actions.instruct_because(instruction, reason);
-        }
-        Some(_) => {}
+        context.attachments.iter().filter(heard).max_by(|a, b| strength(a).total_cmp(&strength(b)))?;
+    if strongest.attached {
+        return None;
     }
+    let better = format!("`{}` is received with {:.1} dBm", strongest.radio_unit, strength(strongest));
+    let reason = match context.attachments.iter().find(|a| a.attached) {
+        None => better,
+        Some(present) if settings.always || strength(strongest) - strength(present) > settings.margin_db => {
+            format!("{better}, `{}` with {:.1} dBm", present.radio_unit, strength(present))
+        }
+        Some(_) => return None,
+    };
+    Some((strongest.radio_unit.clone(), reason))
 }
 
 /// A time from one scan to the next.
 fn draw(random: &mut Xoshiro256PlusPlus, settings: &Settings) -> Duration {
     let (shortest, longest) = (*settings.interval.start(), *settings.interval.end());
-    let share = (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-    shortest + (longest - shortest).mul_f64(share)
+    shortest + (longest - shortest).mul_f64(share(random))
+}
+
+/// A number from 0 to 1.
+fn share(random: &mut Xoshiro256PlusPlus) -> f64 {
+    (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
 /// The robot's own stream of random numbers.
@@ -210,15 +231,7 @@ links:
 
     /// Returns the instruction after a scan, and its reason.
     fn roams(margin: &str, attachments: &[(&str, bool, Option<f64>)]) -> Option<(NodeId, String)> {
-        roams_with(json!({ "margin": margin }), attachments)
-    }
-
-    /// Does the same with these settings.
-    fn roams_with(
-        settings: serde_json::Value,
-        attachments: &[(&str, bool, Option<f64>)],
-    ) -> Option<(NodeId, String)> {
-        let mut probing = started(settings, 1);
+        let mut probing = started(json!({ "margin": margin }), 1);
         let mut actions = Actions::default();
         probing.handle(Timestamp::ZERO, &Event::Scanned { robot: id("r1") }, &mut actions);
         probing.handle(Timestamp::ZERO, &context("r1", attachments), &mut actions);
@@ -262,11 +275,25 @@ links:
     }
 
     #[test]
-    fn always_goes_to_the_strongest_other_if_it_is_told_to() {
-        let roams = |attachments| roams_with(json!({ "always": true }), attachments).map(|(unit, _)| unit);
+    fn always_goes_to_the_strongest_other_soon_after_each_scan() {
+        let after = |attachments: &[(&str, bool, Option<f64>)]| {
+            let mut probing = started(json!({ "always": true, "interval": "10 s" }), 1);
+            let mut actions = Actions::default();
+            let scanned = Timestamp::from_secs_f64(5.0);
+            probing.handle(scanned, &Event::Scanned { robot: id("r1") }, &mut actions);
+            probing.handle(scanned, &context("r1", attachments), &mut actions);
+            assert_eq!(actions.len(), 0);
+            let due = probing.next_deadline().unwrap();
+            probing.expire(due, &mut actions);
+            (due, actions.drain().next().unwrap().0)
+        };
         let heard = [("A", true, Some(-50.0)), ("B", false, Some(-80.0)), ("C", false, Some(-70.0))];
-        assert_eq!(roams(&heard), Some(id("C")));
-        assert_eq!(roams(&heard[..1]), None);
+        let (due, instruction) = after(&heard);
+        assert_eq!(instruction, Instruction::Attach { robot: id("r1"), radio_unit: id("C") });
+        assert!((5.0..5.1).contains(&due.as_secs_f64()), "{due:?}");
+        // There is no other: the next scan follows.
+        let (due, instruction) = after(&heard[..1]);
+        assert!(matches!(instruction, Instruction::Scan { .. }) && due.as_secs_f64() == 10.0);
     }
 
     #[test]

@@ -95,7 +95,8 @@ impl Walked {
         Ok(walked.with(testbed, &events))
     }
 
-    fn empty() -> Self {
+    /// Returns a walk without any event.
+    pub(super) fn empty() -> Self {
         Self {
             kind: String::new(),
             walk: Walk::Sent,

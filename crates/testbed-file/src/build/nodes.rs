@@ -3,9 +3,9 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, Capacity, DomainId, Fading, Gateway, HandoverTimes, HostAddress, Loss, Machine,
-    Node, NodeId, NodeKind, OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached, RealServer,
-    Roaming, Robot, ScanVisits, Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
+    AgentId, BackgroundScan, Capacity, DomainId, Fading, Frames, Gateway, HandoverTimes, HostAddress, Loss,
+    Machine, Node, NodeId, NodeKind, OccupancyGrid, PathLoss, Position, Probability, RadioUnit, Reached,
+    RealServer, Roaming, Robot, ScanVisits, Server, Shadowing, Walls, WifiStandard, WirelessNetwork,
 };
 
 use super::{
@@ -14,8 +14,9 @@ use super::{
 };
 use crate::{
     records::{
-        FadingRecord, FadingWord, GatewayRecord, MachineRecord, NodeRecord, PathLossRecord, RoamingRecord,
-        ScanRecord, ServerRecord, SupplicantRecord, WalkRecord, WallsRecord, WirelessRecord,
+        AccessWord, ExchangeRecord, ExchangeWord, FadingRecord, FadingWord, GatewayRecord, MachineRecord,
+        NodeRecord, PathLossRecord, RoamingRecord, ScanRecord, ServerRecord, SupplicantRecord, WalkRecord,
+        WallsRecord, WirelessRecord,
     },
     walls::WallLoss,
     yaml::{
@@ -26,6 +27,8 @@ use crate::{
 
 /// Loss of one wall, at most, dB. A shielded room has as much.
 const MOST_OF_A_WALL_DB: f64 = 100.0;
+/// Interval of timers with 250 a second, as Debian's kernels have them.
+const USUAL_TICK: Duration = Duration::from_millis(4);
 /// Shortest time between background scans: the unit of wpa_supplicant's intervals.
 const SHORTEST_SCAN_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -88,12 +91,30 @@ impl Builder<'_> {
                 reassociate: handover.reassociate,
                 handshake: handover.handshake,
                 variation: handover.variation.get(),
+                frames: self.frames(record)?,
             },
             gap: record.gap,
             access: self.access(record),
             interference: self.interference(ssid, record)?,
             hwsim: self.hwsim(record)?,
         })
+    }
+
+    /// Returns how a network's handovers are frames on the air; `Some(None)` if they are not.
+    fn frames(&mut self, record: &WirelessRecord) -> Option<Option<Frames>> {
+        let exchange = &record.handover.exchange;
+        let tick = match &exchange.value {
+            Either::Short(ExchangeWord::Times) => return Some(None),
+            Either::Short(ExchangeWord::Frames) => USUAL_TICK,
+            Either::Long(ExchangeRecord { tick }) => *tick,
+        };
+        if let Either::Short(AccessWord::Turns) = record.access.value {
+            self.sink
+                .error(&exchange.span, "frames of handovers in a network whose senders take turns")
+                .help("add `access: edca` to the network, or write `exchange: times`");
+            return None;
+        }
+        Some(Some(Frames { tick }))
     }
 
     /// Returns the duration of a scan, and its visits of other channels.

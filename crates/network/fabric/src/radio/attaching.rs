@@ -12,7 +12,11 @@ use super::{
 impl Radio {
     /// Does everything due by `now`, each step at its own time.
     pub(super) fn advance(&mut self, now: Timestamp) {
-        while let Some((at, owner)) = self.timers.next().filter(|(at, _)| *at <= now) {
+        loop {
+            if self.tell_station() {
+                continue;
+            }
+            let Some((at, owner)) = self.timers.next().filter(|(at, _)| *at <= now) else { return };
             self.timers.set(owner, None);
             match owner.checked_sub(self.channels) {
                 None if self.contends(owner) => self.contend(owner, at),
@@ -99,6 +103,11 @@ impl Radio {
     pub(super) fn leave(&mut self, robot: StationIndex, now: Timestamp) {
         self.leave_channel(robot, now);
         self.timers.set(self.channels + robot, self.robots[robot].station.deadline());
+        self.drop_queued(robot);
+    }
+
+    /// Loses queued frames of a station off its channel, if the network's [`GapPolicy`] says so.
+    fn drop_queued(&mut self, robot: StationIndex) {
         let Some(unit) = self.robots[robot].home else { return };
         if self.gap_policy(robot) == GapPolicy::Drop {
             let [up, down] = self.take_queued(robot);
@@ -122,9 +131,14 @@ impl Radio {
         let frames_wait = self.queued(robot)[Direction::Forward as usize] > 0;
         match self.robots[robot].station.expire(chosen, is_one_domain, frames_wait) {
             Step::Underway => {}
+            Step::Send(message, unit) => self.send_message(now, robot, unit, message),
+            Step::Failed => return self.fail(robot, now),
             Step::Scanned => {
-                let robot = self.robots[robot].id.clone();
-                self.emit(now, Event::Scanned { robot });
+                let id = self.robots[robot].id.clone();
+                self.emit(now, Event::Scanned { robot: id });
+                if self.robots[robot].station.is_exchanging() {
+                    self.drop_queued(robot);
+                }
             }
             Step::Attached(joined) => self.join(robot, now, joined),
         }
@@ -174,6 +188,15 @@ impl Radio {
         let (robot_id, from) = (self.robots[robot].id.clone(), self.units[unit].id.clone());
         self.emit(now, Event::Detached { robot: robot_id, from });
         self.begin_scan(robot, now, Purpose::Roam).expect("a station that lost its unit is not away");
+    }
+
+    /// Ends a handover whose frames were lost again and again. The station has left its former radio unit, and looks for
+    /// another.
+    fn fail(&mut self, robot: StationIndex, now: Timestamp) {
+        match self.robots[robot].station.attached() {
+            Some(from) => self.lose_unit(robot, from, now),
+            None => self.watch(robot, now),
+        }
     }
 
     fn join(&mut self, robot: StationIndex, now: Timestamp, joined: Joined) {

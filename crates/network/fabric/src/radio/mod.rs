@@ -7,8 +7,8 @@
 //!   the rate of a frame, by [`minstrel`] as Linux does; [`link`] adds the conditions of emulation.
 //! - [`hearing`] finds the radio units within a robot's reach; [`air`] carries frames.
 //! - [`access`] switches vAPs on and off and admits robots; [`station`] is the state machine of an attachment; [`roaming`]
-//!   decides from [`beacons`], [`supplicant`] as wpa_supplicant; [`attaching`] carries out handovers; [`elsewhere`] has
-//!   the robots that are with other cores.
+//!   decides from [`beacons`], [`supplicant`] as wpa_supplicant; [`attaching`] carries out handovers, [`exchange`] those that are
+//!   frames on the air; [`elsewhere`] has the robots that are with other cores.
 //! - [`foreign`] lends antennas to other radios; [`associations`] has what these radios are attached to.
 
 mod access;
@@ -19,6 +19,7 @@ mod beacons;
 mod channel;
 mod edca;
 mod elsewhere;
+mod exchange;
 mod fading;
 mod foreign;
 mod hearing;
@@ -60,6 +61,7 @@ pub use self::{
 
 use self::{
     edca::{Edca, Emitter, Interference},
+    exchange::Exchanges,
     foreign::Lent,
     link::WirelessLink,
     medium::{Flow, Medium, Waiting},
@@ -122,6 +124,7 @@ pub(crate) struct Radio {
     /// Channels with contention.
     contention: BTreeSet<usize>,
     lent: Lent,
+    exchanges: Exchanges,
     in_flight: BinaryHeap<Reverse<InFlight>>,
     sent: u64,
     events: VecDeque<Stamped>,
@@ -313,6 +316,7 @@ impl Radio {
             units,
             edca,
             lent: Lent::default(),
+            exchanges: Exchanges::default(),
             in_flight: BinaryHeap::new(),
             sent: 0,
             events: VecDeque::new(),
@@ -724,7 +728,12 @@ impl Radio {
         self.by_port.get(port.0).copied().flatten()
     }
 
+    /// Returns what happens to frames of a robot off its channel. In a handover whose frames are on the air, they are lost: Linux
+    /// has no carrier then, and the former radio unit does not pass frames on.
     fn gap_policy(&self, robot: StationIndex) -> GapPolicy {
+        if self.robots[robot].station.is_exchanging() {
+            return GapPolicy::Drop;
+        }
         self.networks[self.robots[robot].network].spec.gap
     }
 

@@ -3,11 +3,25 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{HandoverTimes, ScanVisits, Timestamp, WirelessNetwork};
+use cotorra_graph::{Frames, HandoverTimes, ScanVisits, Timestamp, WirelessNetwork};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use super::exchange::{Fate, Message};
 use crate::port::RadioUnitIndex;
 use crate::random::unit;
+
+/// Waits for the radio unit's answer to a management frame (`IEEE80211_AUTH_TIMEOUT` and `IEEE80211_ASSOC_TIMEOUT` in Linux's
+/// `net/mac80211/mlme.c`), and after the frame was acknowledged (`…_TIMEOUT_SHORT`).
+const ANSWER: Duration = Duration::from_millis(200);
+const ANSWER_ONCE_ACKNOWLEDGED: Duration = Duration::from_millis(100);
+/// Wait of the radio unit for the station's next key message (hostapd's `eapol_key_timeout_subseq`).
+const KEY_ANSWER: Duration = Duration::from_secs(1);
+/// Sendings of a frame without an answer, before the handover is given up (`IEEE80211_AUTH_MAX_TRIES`).
+const SENDINGS: u32 = 3;
+/// Time that the kernel of a radio unit needs at the least to forget what it knew of a station that comes by fast
+/// transition, before hostapd answers at the next tick. Measured with Linux 6.1 and hostapd 2.10: answers came 2.6 to 6.4 ms
+/// after the request.
+const FORGETTING: Duration = Duration::from_micros(2450);
 
 /// The purpose of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +42,8 @@ enum Phase {
     /// Back on its channel, and then this much more of the scan.
     Pause(Purpose, Duration),
     HandOver(Stage, RadioUnitIndex),
+    /// Waiting for a frame of a handover.
+    Exchange(Exchange, RadioUnitIndex),
 }
 
 /// A stage of a handover.
@@ -36,6 +52,19 @@ enum Stage {
     Authenticate,
     Reassociate,
     Handshake,
+}
+
+/// What a station does in a handover whose frames are on the air.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Exchange {
+    /// The frame to send when the phase ends: the next one, or once more the one without an answer.
+    next: Message,
+    /// Times that it was sent.
+    sendings: u32,
+    /// A frame that the other side sends, and when.
+    reply: Option<(Timestamp, Message)>,
+    /// Whether all is done, by fast transition or not.
+    done: Option<bool>,
 }
 
 /// A phase under way.
@@ -56,6 +85,10 @@ pub(super) enum Step {
     Scanned,
     /// The station is attached to another radio unit now.
     Attached(Joined),
+    /// A frame of a handover is sent, to or from this radio unit.
+    Send(Message, RadioUnitIndex),
+    /// Frames of the handover were lost again and again.
+    Failed,
 }
 
 /// A finished handover.
@@ -124,6 +157,11 @@ impl Station {
         self.activity.is_some()
     }
 
+    /// Whether it hands over, with its frames on the air.
+    pub(super) fn is_exchanging(&self) -> bool {
+        self.activity.is_some_and(|a| matches!(a.phase, Phase::Exchange(..)))
+    }
+
     /// Whether it has scanned all channels at the end of the current phase.
     pub(super) fn completes_scan(&self) -> bool {
         self.activity.is_some_and(|a| matches!(a.phase, Phase::Scan(_, Duration::ZERO)))
@@ -131,14 +169,18 @@ impl Station {
 
     /// Returns when [`Self::expire`] is due.
     pub(super) fn deadline(&self) -> Option<Timestamp> {
-        self.activity.map(|a| a.ends)
+        self.activity.map(|a| match a.phase {
+            Phase::Exchange(Exchange { reply: Some((at, _)), .. }, _) => at.min(a.ends),
+            _ => a.ends,
+        })
     }
 
     fn busy(&self) -> Option<Busy> {
         self.activity.map(|a| match a.phase {
             Phase::Scan(Purpose::Attach(to), _)
             | Phase::Pause(Purpose::Attach(to), _)
-            | Phase::HandOver(_, to) => Busy::HandingOver(to),
+            | Phase::HandOver(_, to)
+            | Phase::Exchange(_, to) => Busy::HandingOver(to),
             Phase::Scan(..) | Phase::Pause(..) => Busy::Scanning,
         })
     }
@@ -206,7 +248,8 @@ impl Station {
         is_one_domain: bool,
         frames_wait: bool,
     ) -> Step {
-        let Some(Activity { left, phase, ends }) = self.activity.take() else { return Step::Underway };
+        let Some(activity) = self.activity.take() else { return Step::Underway };
+        let Activity { left, phase, ends } = activity;
         match phase {
             Phase::Scan(purpose, Duration::ZERO) => {
                 let to = match purpose {
@@ -215,6 +258,8 @@ impl Station {
                     Purpose::Roam => chosen,
                 };
                 if let Some(to) = to.filter(|to| self.attached != Some(*to)) {
+                    // By frames, the station is back on its channel before it leaves again.
+                    let left = if self.times.frames.is_some() { ends } else { left };
                     self.begin(left, ends, Stage::Authenticate, to);
                 }
                 Step::Scanned
@@ -233,6 +278,7 @@ impl Station {
                 self.visit(ends, ends, purpose, rest);
                 Step::Underway
             }
+            Phase::Exchange(exchange, to) => self.go_on(activity, exchange, to),
             Phase::HandOver(Stage::Authenticate, to) => {
                 self.begin(left, ends, Stage::Reassociate, to);
                 Step::Underway
@@ -249,7 +295,8 @@ impl Station {
         }
     }
 
-    fn is_fast(&self, is_one_domain: bool) -> bool {
+    /// Whether a handover is a fast transition, within one mobility domain.
+    pub(super) fn is_fast(&self, is_one_domain: bool) -> bool {
         self.fast_transition && is_one_domain
     }
 
@@ -266,6 +313,12 @@ impl Station {
     }
 
     fn begin(&mut self, left: Timestamp, now: Timestamp, stage: Stage, to: RadioUnitIndex) {
+        if self.times.frames.is_some() {
+            let next = Message::Authenticate;
+            let exchange = Exchange { next, sendings: 0, reply: None, done: None };
+            self.activity = Some(Activity { left, phase: Phase::Exchange(exchange, to), ends: now });
+            return;
+        }
         let mean = match stage {
             Stage::Authenticate => self.times.authenticate,
             Stage::Reassociate => self.times.reassociate,
@@ -273,6 +326,71 @@ impl Station {
         };
         let ends = now + self.vary(mean);
         self.activity = Some(Activity { left, phase: Phase::HandOver(stage, to), ends });
+    }
+
+    /// Goes on with a handover whose frames are on the air: sends what is due, or ends it.
+    fn go_on(&mut self, activity: Activity, mut exchange: Exchange, to: RadioUnitIndex) -> Step {
+        let Activity { left, ends, .. } = activity;
+        let underway = |exchange, ends| Some(Activity { left, phase: Phase::Exchange(exchange, to), ends });
+        if let Some((_, reply)) = exchange.reply.take_if(|(at, _)| *at <= ends) {
+            self.activity = underway(exchange, ends);
+            return Step::Send(reply, to);
+        }
+        if let Some(fast) = exchange.done {
+            let from = self.attached.replace(to);
+            return Step::Attached(Joined { from, to, fast, gap: ends.since(left) });
+        }
+        if exchange.sendings == SENDINGS {
+            return Step::Failed;
+        }
+        exchange.sendings += 1;
+        let patience = if matches!(exchange.next, Message::Key(_)) { KEY_ANSWER } else { ANSWER };
+        self.activity = underway(exchange, ends + patience);
+        Step::Send(exchange.next, to)
+    }
+
+    /// Learns what became of a frame of its handover.
+    pub(super) fn hear(&mut self, now: Timestamp, message: Message, fate: Fate, is_one_domain: bool) {
+        let (fast, frames) = (self.is_fast(is_one_domain), self.times.frames);
+        let Some(Activity { phase: Phase::Exchange(exchange, _), ends, .. }) = &mut self.activity else {
+            return;
+        };
+        let tick = |at: Timestamp| frames.map_or(at, |frames| next_tick(at, frames));
+        use Message::{Authenticate, Authenticated, Key, Reassociate, Reassociated};
+        let next = match (exchange.next, message, fate) {
+            // hostapd waits for the station's answer, whatever became of its own message.
+            (Key(_), _, Fate::Settled { .. }) => return,
+            (next, sent, Fate::Settled { acknowledged }) => {
+                if next == sent {
+                    *ends = if acknowledged { now + ANSWER_ONCE_ACKNOWLEDGED } else { now };
+                }
+                return;
+            }
+            (Authenticate, Authenticate, Fate::Received) => {
+                let at = if fast { tick(now + FORGETTING) } else { now };
+                exchange.reply = Some((at, Authenticated));
+                return;
+            }
+            (Reassociate, Reassociate, Fate::Received) => {
+                exchange.reply = Some((now, Reassociated));
+                return;
+            }
+            (Key(sent @ (1 | 3)), Key(received), Fate::Received) if sent == received => {
+                exchange.reply = Some((now, Key(received + 1)));
+                return;
+            }
+            (Authenticate, Authenticated, Fate::Received) => (Reassociate, tick(now)),
+            (Reassociate, Reassociated, Fate::Received) if !fast => (Key(1), now),
+            (Key(1), Key(2), Fate::Received) => (Key(3), now),
+            (Reassociate, Reassociated, Fate::Received) | (Key(3), Key(4), Fate::Received) => {
+                (exchange.done, *ends) = (Some(fast), now);
+                return;
+            }
+            // Again, because the answer to it was lost or late.
+            (_, _, Fate::Received) => return,
+        };
+        *exchange = Exchange { next: next.0, sendings: 0, reply: None, done: None };
+        *ends = next.1;
     }
 
     fn vary(&mut self, mean: Duration) -> Duration {
@@ -283,6 +401,12 @@ impl Station {
             mean.mul_f64((1.0 + u * self.times.variation).max(0.0))
         }
     }
+}
+
+/// Returns the next tick of a kernel. All ticks coincide, as those of one kernel do.
+fn next_tick(now: Timestamp, Frames { tick }: Frames) -> Timestamp {
+    let tick = tick.as_nanos() as u64;
+    if tick == 0 { now } else { Timestamp::from_nanos((now.as_nanos() / tick + 1) * tick) }
 }
 
 #[cfg(test)]
@@ -325,6 +449,7 @@ mod tests {
                 reassociate: ms(20),
                 handshake: ms(40),
                 variation,
+                frames: None,
             },
             gap: GapPolicy::Hold,
         };

@@ -1,6 +1,7 @@
 //! Tests of the radio as the fabric uses it: frames in, frames and events out, in virtual time.
 
 mod contention;
+mod exchange;
 mod foreign;
 mod supplicant;
 
@@ -56,6 +57,7 @@ fn network() -> WirelessNetwork {
             reassociate: ms(20),
             handshake: ms(40),
             variation: 0.0,
+            frames: None,
         },
         gap: GapPolicy::Hold,
     }

@@ -39,6 +39,7 @@ impl Network {
                 reassociate: Duration::from_millis(20),
                 handshake: Duration::from_millis(40),
                 variation: 0.0,
+                frames: None,
             },
             gap: GapPolicy::Hold,
         };

@@ -28,6 +28,8 @@ pub(super) struct Foreign {
     pub(super) node: Node,
     /// Whose antenna it has.
     pub(super) place: Emitter,
+    /// Whether it is the fabric's after all, for the frames of handovers.
+    is_own: bool,
     /// The channel on which it sends and listens; `None` before its first frame.
     tuned: Option<Tuned>,
     /// The first of each category is sent next, or is on the air.
@@ -129,25 +131,44 @@ impl Edca {
         place: Emitter,
         sifs: Duration,
     ) -> usize {
+        self.channels.iter_mut().for_each(|channel| channel.members.retain(|member| *member != place));
+        self.equip(seed, &format!("foreign {node}"), place, sifs, false)
+    }
+
+    /// Adds a radio at the antenna of a robot or a radio unit. Returns its number.
+    pub(in crate::radio) fn equip(
+        &mut self,
+        seed: u64,
+        label: &str,
+        place: Emitter,
+        sifs: Duration,
+        is_own: bool,
+    ) -> usize {
         let parameters = match place {
             Emitter::Unit(_) => Category::of_access_point,
             _ => Category::of_station,
         };
-        self.channels.iter_mut().for_each(|channel| channel.members.retain(|member| *member != place));
         self.foreign.push(Foreign {
-            node: Node::new(seed, &format!("foreign {node}"), sifs, parameters),
+            node: Node::new(seed, label, sifs, parameters),
             place,
+            is_own,
             tuned: None,
             waiting: Default::default(),
             on_air: None,
             later: VecDeque::new(),
-            rng: stream(seed, &format!("foreign {node}")),
+            rng: stream(seed, label),
         });
         self.foreign.len() - 1
     }
 
     /// Tunes a radio to a channel. It listens there before it sends.
-    fn tune(&mut self, now: Timestamp, radio: usize, frequency_mhz: u16, channel: usize) {
+    pub(in crate::radio) fn tune(
+        &mut self,
+        now: Timestamp,
+        radio: usize,
+        frequency_mhz: u16,
+        channel: usize,
+    ) {
         while self.channels.len() <= channel {
             self.channels.push(Default::default());
         }
@@ -174,12 +195,23 @@ impl Edca {
 
 impl Radio {
     /// Sends a frame from a lent antenna.
-    pub(crate) fn transmit(&mut self, now: Timestamp, Antenna(radio): Antenna, transmission: Transmission) {
+    pub(crate) fn transmit(&mut self, now: Timestamp, antenna: Antenna, transmission: Transmission) {
         self.advance(now);
+        self.send_from(now, antenna, transmission);
+    }
+
+    /// Does the same once everything else that is due is done.
+    pub(in crate::radio) fn send_from(
+        &mut self,
+        now: Timestamp,
+        Antenna(radio): Antenna,
+        transmission: Transmission,
+    ) {
         let foreign = &mut self.edca().foreign[radio];
         if transmission.rates.is_empty() || foreign.len() >= MOST_WAITING {
             let Transmission { id, .. } = transmission;
-            return self.report(Report::Settled { at: now, id, tries: Vec::new(), acknowledged: None });
+            let report = Report::Settled { at: now, id, tries: Vec::new(), acknowledged: None };
+            return self.report_of(radio, report);
         }
         foreign.later.push_back(transmission);
         self.admit(now, radio);
@@ -270,14 +302,18 @@ impl Radio {
         };
         let (to_one, answers) = (to != Receiver::All, to.answers());
         let mut answered = None;
+        let is_own = self.edca().foreign[radio].is_own;
         for to in receivers.filter(|to| *to != radio) {
+            if self.edca().foreign[to].is_own != is_own {
+                continue;
+            }
             // One that scans hears group frames of all channels in turn, and has sent on none of them.
             if to_one && !self.edca().foreign[to].is_on(channel) {
                 continue;
             }
             let Some(signal) = self.receive_foreign(&ended, to, lost) else { continue };
             if protects.is_none() {
-                self.report(Report::Received { at: now, id, by: Antenna(to), signal, rate });
+                self.report_of(radio, Report::Received { at: now, id, by: Antenna(to), signal, rate });
             }
             answered = Some(to).filter(|_| answers);
         }
@@ -289,7 +325,7 @@ impl Radio {
         let settled = self.edca().conclude(radio, category, acknowledged.is_some());
         let done = settled.is_some();
         if let Some(Attempted { tries, .. }) = settled {
-            self.report(Report::Settled { at: ended.ends, id, tries, acknowledged });
+            self.report_of(radio, Report::Settled { at: ended.ends, id, tries, acknowledged });
         }
         self.edca().end_exchange(now, ended.emitter, category, done);
         if let Some(to) = answered {
@@ -300,6 +336,11 @@ impl Radio {
             }
         }
         self.admit(now, radio);
+    }
+
+    /// Reports what became of a frame of a radio.
+    fn report_of(&mut self, radio: usize, report: Report) {
+        if self.edca().foreign[radio].is_own { self.take_report(&report) } else { self.report(report) }
     }
 
     /// Returns the power with which a radio receives a try; `None` if it does not. `lost` is the probability of that at a
