@@ -4,7 +4,7 @@ use std::{env, fs, path::Path};
 
 use serde_json::Value;
 
-use crate::harness::{corridor, corridor_ending_in, cotorra, stderr, stdout};
+use crate::harness::{corridor, corridor_ending_in, cotorra, project_file, stderr, stdout};
 
 #[test]
 fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
@@ -249,4 +249,45 @@ fn a_robot_is_handed_to_another_domain_on_an_existing_network() {
     let run = &comparison["runs"][0];
     assert_eq!(run["attachments"], serde_json::json!(["R3", "n_AP"]), "{run}");
     assert_eq!(run["is_paid"], true, "{run}");
+}
+
+#[test]
+fn handovers_of_the_model_are_compared_with_those_of_another_kind_measured_elsewhere() {
+    let out = tempfile::tempdir().unwrap();
+    let run = |name: &str, extra: &[&str]| {
+        let mut command = cotorra(["experiment", "handover", "--headless", "--until", "15s", "--testbed"]);
+        command.arg(project_file("testbeds/corridor-wifi.yaml")).arg("--out").arg(out.path().join(name));
+        command.args(extra).output().unwrap()
+    };
+    let folder = |name: &str| fs::read_dir(out.path().join(name)).unwrap().next().unwrap().unwrap().path();
+    let dry = run("dry", &["--dry-run", "--kind", "model,hwsim", "--runs", "2"]);
+    assert!(dry.status.success(), "{}", stderr(&dry));
+    assert!(stdout(&dry).contains("hwsim-alone-2: hostapd and wpa_supplicant"), "{}", stdout(&dry));
+    assert!(!out.path().join("dry").exists(), "a dry run leaves nothing");
+
+    let first = run("first", &["--kind", "model"]);
+    assert!(first.status.success(), "{}", stderr(&first));
+    assert!(stdout(&first).contains("The model is compared with no other kind of radio"));
+    let data = folder("first").join("handover.json");
+    let text = fs::read_to_string(&data).unwrap();
+    let comparison: Value = serde_json::from_str(&text).unwrap();
+    let sent = &comparison["rows"][0];
+    let ms = |key: &str| sent[key].as_f64().unwrap_or_else(|| panic!("{key} of {sent}"));
+    // One each 2 to 3 s. Frames and waits take 14.2 to 18.2 ms on a channel where nobody else sends.
+    assert!(sent["roams"].as_u64().unwrap() >= 4 && sent["fast"] == sent["roams"], "{sent}");
+    assert!((14.2..30.0).contains(&ms("gap_p50_ms")) && ms("packet_gap_p50_ms") > ms("gap_p50_ms"), "{sent}");
+    // Three channels of 66 ms, and twice 200 ms between them.
+    assert!((590.0..610.0).contains(&ms("scan_p50_ms")), "{sent}");
+
+    // As if another kind had given the same.
+    fs::write(&data, text.replace("\"kind\": \"model\"", "\"kind\": \"hwsim\"")).unwrap();
+    let second = run("second", &["--kind", "model", "--with", folder("first").to_str().unwrap()]);
+    assert!(second.status.success(), "{}", stderr(&second));
+    let comparison = fs::read_to_string(folder("second").join("handover.json")).unwrap();
+    let comparison: Value = serde_json::from_str(&comparison).unwrap();
+    let verdicts = comparison["verdicts"].as_array().unwrap();
+    assert_eq!(verdicts.len(), 4);
+    for verdict in verdicts {
+        assert!(verdict["is_inside"] == true && verdict["model_ms"] == verdict["other_ms"], "{verdict}");
+    }
 }

@@ -8,6 +8,7 @@
 //! ```
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
+mod handover;
 #[allow(dead_code, reason = "the end-to-end tests use the rest")]
 #[path = "../end_to_end/harness.rs"]
 mod harness;
