@@ -121,6 +121,8 @@ pub(super) enum Request {
     Roam { to: MacAddress, over_ds: bool },
     /// To a robot: scan these channels. One that stays does not roam to what it finds.
     Scan { channels: Vec<Channel>, stays: bool },
+    /// To a robot: join this access point only; any again if there is none.
+    Pin { to: Option<MacAddress> },
     /// To a robot: tell what was heard lately.
     ReadHeard,
     /// To a radio unit: tell stations about a neighbour.
@@ -158,9 +160,6 @@ pub(crate) enum Rejected {
     /// The program is being started.
     #[error("{0} does not run now: ask again when it does")]
     NotRunning(String),
-    /// wpa_supplicant only roams from an access point to another.
-    #[error("`{0}` is at no radio unit now, and looks for one by itself")]
-    Alone(NodeId),
     /// hostapd has no keys of single stations.
     #[error("`{0}` has real Wi-Fi software, which takes no key for robots of other domains: leave `key` out")]
     Key(NodeId),

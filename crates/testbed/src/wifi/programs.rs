@@ -15,7 +15,7 @@ use cotorra_engine::Process;
 use cotorra_graph::{Event, NodeId};
 use cotorra_wifi::{
     AnswerError, Client, ControlError, Daemon, Event as WifiEvent, Events, StartError, hostapd,
-    wpa_supplicant,
+    wpa_supplicant::{self, Setting},
 };
 use parking_lot::Mutex;
 
@@ -26,6 +26,9 @@ use crate::clock::Clock;
 const ANSWER: Duration = Duration::from_secs(2);
 /// Interval of checks whether a program runs that reports nothing.
 const CHECK: Duration = Duration::from_millis(250);
+
+/// Number of the one network in a robot's configuration.
+const NETWORK: u32 = 0;
 
 /// Starts a program in a node, and returns its process.
 pub(crate) type Launch = Arc<dyn Fn(&NodeId, Command) -> io::Result<Box<dyn Process>> + Send + Sync>;
@@ -246,6 +249,7 @@ impl Programs {
             Request::Roam { to, over_ds: true } => client.request(&wpa_supplicant::roam_over_ds(*to)),
             Request::Scan { channels, stays: true } => client.request(&wpa_supplicant::scan_only(channels)),
             Request::Scan { channels, stays: false } => client.request(&wpa_supplicant::scan(channels)),
+            Request::Pin { to } => client.request(&wpa_supplicant::set(NETWORK, &Setting::Bssid(*to))),
             Request::SetNeighbour(neighbour) => client.request(&hostapd::set_neighbour(neighbour)),
             Request::ReadHeard => match client.request(&wpa_supplicant::scan_results()) {
                 Ok(heard) => return self.handle(Input::Heard { robot: program.node().clone(), heard }),

@@ -1,4 +1,5 @@
-//! Instructions that send a robot to a radio unit: it roams there, if need be after a scan of that unit's channel.
+//! Instructions that send a robot to a radio unit: it roams there, if need be after a scan of that unit's channel. One without a
+//! radio unit looks for that one only, and joins it.
 
 use cotorra_graph::{NodeId, Timestamp};
 
@@ -21,6 +22,8 @@ enum Step {
     Scanning,
     /// It roams to what it has heard.
     Second,
+    /// It is at no radio unit. Until the end of the errand, it may join no other.
+    Joining,
 }
 
 impl Manager {
@@ -29,7 +32,7 @@ impl Manager {
     /// # Errors
     /// [`Rejected`]. Nothing has changed then.
     pub(crate) fn attach(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) -> Result<(), Rejected> {
-        use cotorra_fabric::FabricError::{NotServing, OtherNetwork, UnknownRadioUnit, UnknownRobot};
+        use cotorra_fabric::FabricError::{Busy, NotServing, OtherNetwork, UnknownRadioUnit, UnknownRobot};
         let planned = self.plan.robots.get(robot).ok_or_else(|| UnknownRobot(robot.clone()))?;
         let to = self.plan.units.get(unit).ok_or_else(|| UnknownRadioUnit(unit.clone()))?;
         if planned.network_name != to.network_name() {
@@ -42,12 +45,23 @@ impl Manager {
         {
             return Ok(());
         }
-        let state = self.free(now, robot)?;
-        if !state.is_attached() {
-            return Err(Rejected::Alone(robot.clone()));
+        let (bssid, channel) = (to.bssid, to.channel());
+        let state = self.running(robot)?;
+        // One without a radio unit scans again and again.
+        let is_busy = if state.is_attached() { state.is_busy(now) } else { state.is_on_its_way(now) };
+        if is_busy {
+            return Err(Busy(robot.clone()).into());
         }
-        state.errand = Some(Errand { to: unit.clone(), until: now + PATIENCE, step: Step::First });
-        self.roam(robot);
+        let step = if state.is_attached() { Step::First } else { Step::Joining };
+        state.errand = Some(Errand { to: unit.clone(), until: now + PATIENCE, step });
+        if step == Step::First {
+            self.roam(robot);
+        } else {
+            let look = Request::Scan { channels: vec![channel], stays: false };
+            for request in [Request::Pin { to: Some(bssid) }, look] {
+                self.request(Program::Supplicant(robot.clone()), request);
+            }
+        }
         Ok(())
     }
 
@@ -89,9 +103,11 @@ impl Manager {
                 self.request(Program::Supplicant(robot.clone()), request);
             }
             (Request::Roam { .. }, ..) => self.end_errand(now, robot, "it does not hear it"),
+            (Request::Pin { to: Some(_) }, Step::Joining, _) => {
+                self.end_errand(now, robot, "its wpa_supplicant takes no access point");
+            }
             // The end of the present scan will do as well.
-            (Request::Scan { .. }, Step::Scanning, Refused::Busy) => {}
-            (Request::Scan { .. }, Step::Scanning, Refused::Other(reason)) => {
+            (Request::Scan { .. }, Step::Scanning | Step::Joining, Refused::Other(reason)) => {
                 self.end_errand(now, robot, &format!("it cannot scan: {reason}"));
             }
             _ => {}
@@ -111,7 +127,7 @@ impl Manager {
     pub(super) fn arrived(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) {
         let Some(state) = self.robots.get_mut(robot) else { return };
         match &state.errand {
-            Some(errand) if errand.to == *unit => state.errand = None,
+            Some(errand) if errand.to == *unit => drop(self.take_errand(robot)),
             Some(_) => self.end_errand(now, robot, &format!("it joined `{unit}` instead")),
             None => {}
         }
@@ -126,9 +142,17 @@ impl Manager {
 
     /// Gives an errand up, if there is one.
     pub(super) fn end_errand(&mut self, now: Timestamp, robot: &NodeId, why: &str) {
-        let errand = self.robots.get_mut(robot).and_then(|state| state.errand.take());
-        if let Some(Errand { to, .. }) = errand {
+        if let Some(Errand { to, .. }) = self.take_errand(robot) {
             self.notice(now, format!("`{robot}` was not attached to `{to}`: {why}"));
         }
+    }
+
+    /// Takes an errand from a robot, which may join any radio unit then.
+    fn take_errand(&mut self, robot: &NodeId) -> Option<Errand> {
+        let errand = self.robots.get_mut(robot).and_then(|state| state.errand.take())?;
+        if errand.step == Step::Joining {
+            self.request(Program::Supplicant(robot.clone()), Request::Pin { to: None });
+        }
+        Some(errand)
     }
 }

@@ -39,9 +39,14 @@ impl RobotState {
 
     /// Whether it scans, or is on its way to an access point.
     pub(super) fn is_busy(&self, now: Timestamp) -> bool {
+        self.scans || self.is_on_its_way(now)
+    }
+
+    /// Whether it is on its way to an access point.
+    pub(super) fn is_on_its_way(&self, now: Timestamp) -> bool {
         // wpa_supplicant does not report an access point that never answers.
         let joins = self.joining.is_some_and(|joining| now.since(joining.began) < PATIENCE);
-        self.scans || self.errand.is_some() || joins
+        self.errand.is_some() || joins
     }
 
     pub(super) fn deadline(&self) -> Option<Timestamp> {
@@ -64,25 +69,24 @@ impl Manager {
     /// # Errors
     /// [`Rejected`]. Nothing has changed then.
     pub(crate) fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), Rejected> {
-        self.free(now, robot)?;
+        if self.running(robot)?.is_busy(now) {
+            return Err(cotorra_fabric::FabricError::Busy(robot.clone()).into());
+        }
         let planned = &self.plan.robots[robot];
         let (channels, stays) = (planned.network().channels.clone(), planned.is_instructed);
         self.request(Program::Supplicant(robot.clone()), Request::Scan { channels, stays });
         Ok(())
     }
 
-    /// Returns a robot whose program runs and has nothing to do.
+    /// Returns a robot whose program runs.
     ///
     /// # Errors
     /// [`Rejected`].
-    pub(super) fn free(&mut self, now: Timestamp, robot: &NodeId) -> Result<&mut RobotState, Rejected> {
-        use cotorra_fabric::FabricError::{Busy, UnknownRobot};
-        let state = self.robots.get_mut(robot).ok_or_else(|| UnknownRobot(robot.clone()))?;
+    pub(super) fn running(&mut self, robot: &NodeId) -> Result<&mut RobotState, Rejected> {
+        let unknown = || cotorra_fabric::FabricError::UnknownRobot(robot.clone());
+        let state = self.robots.get_mut(robot).ok_or_else(unknown)?;
         if !state.life.is_running() {
             return Err(Rejected::NotRunning(Program::Supplicant(robot.clone()).to_string()));
-        }
-        if state.is_busy(now) {
-            return Err(Busy(robot.clone()).into());
         }
         Ok(state)
     }

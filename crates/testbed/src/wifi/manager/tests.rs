@@ -341,6 +341,44 @@ fn an_instructed_robot_scans_for_a_radio_unit_that_it_does_not_know() {
 }
 
 #[test]
+fn a_robot_without_a_radio_unit_looks_for_the_instructed_one_only() {
+    let mut world = World::up();
+    let [a, b] = ["A", "B"].map(|unit| world.bssid(unit));
+    let lose = |world: &mut World, bssid| {
+        world.event("r1", WifiEvent::Disconnected { bssid, reason: 3, locally: true });
+        // It looks around by itself.
+        world.event("r1", WifiEvent::ScanStarted);
+        world.actions();
+    };
+    lose(&mut world, a);
+    world.attach("r1", "B").unwrap();
+    let scan = Request::Scan { channels: vec![world.plan.units[&id("B")].channel()], stays: false };
+    assert_eq!(world.requests(), [Request::Pin { to: Some(b) }, scan.clone()]);
+    assert!(world.attach("r1", "A").unwrap_err().contains("`r1` is scanning or changing its radio unit"));
+    // Its own scan will do as well.
+    world.refuse("r1", scan.clone(), Refused::Busy);
+    world.event("r1", WifiEvent::ScanResults);
+    world.actions();
+    world.join("r1", "B");
+    assert_eq!(world.requests(), [Request::Pin { to: None }]);
+    assert_eq!(world.manager.deadline(), None);
+    // It does not come there, and may go anywhere again.
+    lose(&mut world, b);
+    world.attach("r1", "A").unwrap();
+    world.actions();
+    world.pass(10_000);
+    let message = "`r1` was not attached to `A`: it did not come there within 10 s".to_owned();
+    let any = Action::Request { program: supplicant("r1"), request: Request::Pin { to: None } };
+    assert_eq!(world.actions(), [any.clone(), Action::Report(Event::Notice { message })]);
+    // It cannot even look.
+    world.attach("r1", "B").unwrap();
+    world.actions();
+    world.refuse("r1", scan, Refused::Other("no memory".to_owned()));
+    let message = "`r1` was not attached to `B`: it cannot scan: no memory".to_owned();
+    assert_eq!(world.actions(), [any, Action::Report(Event::Notice { message })]);
+}
+
+#[test]
 fn failed_attachments_are_reported() {
     let mut world = World::up();
     world.attach("r1", "B").unwrap();
@@ -366,9 +404,6 @@ fn impossible_attachments_are_rejected() {
     assert_eq!(world.attach("r1", "D"), Err("there is no radio unit `D`".to_owned()));
     assert!(world.attach("r1", "X").unwrap_err().contains("serves another network"));
     assert!(world.attach("r1", "C").unwrap_err().contains("`C` is off"));
-    let a = world.bssid("A");
-    world.event("r1", WifiEvent::Disconnected { bssid: a, reason: 3, locally: true });
-    assert!(world.attach("r1", "B").unwrap_err().contains("`r1` is at no radio unit now"));
     world.handle(Input::Ended { program: supplicant("r2"), reason: "it was killed".to_owned() });
     assert!(world.attach("r2", "A").unwrap_err().contains("wpa_supplicant of `r2` does not run now"));
     world.actions();
