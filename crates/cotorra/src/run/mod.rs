@@ -208,7 +208,12 @@ impl Stage {
         self.log_to(&folder)?;
         let version = env!("CARGO_PKG_VERSION");
         tracing::info!(version, file = %file.display(), api = %run.api_address(), "up");
-        let places = Places { api: run.api_address(), foxglove: run.foxglove_address(), folder: &folder };
+        let places = Places {
+            api: run.api_address(),
+            foxglove: run.foxglove_address(),
+            folder: &folder,
+            wifi: run.wifi(),
+        };
         show(&format!("http://{}/", run.api_address()));
         let mut view = View::new(&loaded.testbed, until, &places, &self.terminal);
         watch(&run, &mut view, &self.interrupts);

@@ -25,6 +25,8 @@ pub struct Places<'a> {
     pub api: SocketAddr,
     pub foxglove: Option<SocketAddr>,
     pub folder: &'a Path,
+    /// Which radio units of real Wi-Fi software serve, and which robots have joined.
+    pub wifi: Option<String>,
 }
 
 /// View of a run's progress.
@@ -67,6 +69,9 @@ impl<'a> View<'a> {
         if let Some(foxglove) = places.foxglove {
             note!("Foxglove on ws://{foxglove}");
         }
+        if let Some(wifi) = &places.wifi {
+            note!("Wi-Fi: {wifi}");
+        }
         note!("Dashboard on http://{}/", places.api);
         note!("API on http://{}, run in {}", places.api, places.folder.display());
         Shape::Plain { next_s: LINE_EVERY_S }
@@ -90,6 +95,9 @@ impl<'a> View<'a> {
         }
         if let Some(foxglove) = places.foxglove {
             lines.add("Foxglove", &format!("ws://{foxglove}"));
+        }
+        if let Some(wifi) = &places.wifi {
+            lines.add("Wi-Fi", &format!("at the start: {wifi}"));
         }
         lines.add("Dashboard", &format!("http://{}/", places.api));
         let so_far = lines.add("so far", "");

@@ -58,6 +58,26 @@ fn killed_programs_are_started_again_and_the_robot_comes_back() {
 }
 
 #[test]
+fn a_robot_that_lost_its_radio_unit_is_sent_to_another() {
+    let Some(mut rig) = Rig::start(FLOOR) else { return };
+    rig.wait_until(Duration::from_secs(1));
+    let killed = rig.now().as_secs_f64();
+    rig.kill("A", "hostapd");
+    rig.wait_for(|event| event["event"] == "detached");
+    rig.attach("r1", "B").unwrap();
+    let there = rig.wait_for(|event| event["event"] == "handover");
+    println!("hostapd killed, robot sent to another: there after {:.2} s", seconds(&there) - killed);
+    assert_eq!(there["to"], "B");
+    // It would need longer by itself.
+    assert!(seconds(&there) - killed < 1.0);
+    // It may go anywhere again.
+    rig.wait(Duration::from_millis(500));
+    rig.attach("r1", "A").unwrap();
+    rig.wait_for_handover("r1", "A");
+    rig.end();
+}
+
+#[test]
 fn ctrl_c_in_the_middle_of_a_roam_leaves_nothing() {
     let Some(mut rig) = Rig::start(FLOOR) else { return };
     rig.wait_until(Duration::from_secs(1));

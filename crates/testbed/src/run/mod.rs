@@ -192,6 +192,12 @@ impl Run {
         self.recording.as_ref().and_then(Recording::foxglove)
     }
 
+    /// Returns which radio units of real Wi-Fi software serve now and which robots have joined, in a line for people; `None`
+    /// without such software.
+    pub fn wifi(&self) -> Option<String> {
+        self.wifi.as_ref().map(Wifi::standing)
+    }
+
     /// Returns a handle that ends the run early.
     pub fn stopper(&self) -> Stopper {
         Stopper(self.messages.clone())

@@ -26,6 +26,8 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const QUIET: Duration = Duration::from_secs(10);
 /// Most notices that are remembered. Others have strange addresses in them, and are left out.
 const MOST_NOTICES: usize = 100;
+/// Most robots, or radio units, that are listed by their names.
+const MOST_NAMED: usize = 6;
 /// Most access points that do not belong to the testbed and are remembered.
 const MOST_STRANGERS: usize = 1000;
 
@@ -293,6 +295,28 @@ impl Manager {
         let units = units.map(|(unit, _)| Program::Hostapd(unit.clone()).to_string());
         let robots = self.robots.iter().filter(|(_, robot)| !robot.is_attached());
         units.chain(robots.map(|(robot, _)| Program::Supplicant(robot.clone()).to_string())).collect()
+    }
+
+    /// Returns which radio units serve and which robots have joined, in a line for people.
+    pub(super) fn standing(&self) -> String {
+        let serving: Vec<_> =
+            self.units.iter().filter(|(_, unit)| unit.serves).map(|(id, _)| id.as_str()).collect();
+        let units = match &serving[..] {
+            [] => "no radio unit serves".to_owned(),
+            [one] => format!("radio unit {one} serves"),
+            few if few.len() <= MOST_NAMED => format!("radio units {} serve", few.join(", ")),
+            many => format!("{} radio units serve", many.len()),
+        };
+        let at = |state: &RobotState| state.at.as_ref().map_or("no radio unit", NodeId::as_str).to_owned();
+        let robots: Vec<_> =
+            self.robots.iter().map(|(robot, state)| format!("{robot} is at {}", at(state))).collect();
+        let robots = if robots.len() <= MOST_NAMED {
+            robots.join(", ")
+        } else {
+            let joined = self.robots.values().filter(|state| state.is_attached()).count();
+            format!("{joined} of {} robots have joined", robots.len())
+        };
+        if robots.is_empty() { units } else { format!("{units}; {robots}") }
     }
 
     /// Returns the reason why the first program could not be started, if one could not.

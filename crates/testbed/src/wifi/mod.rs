@@ -152,6 +152,11 @@ impl Wifi {
         }
     }
 
+    /// Returns which radio units serve and which robots have joined, in a line for people.
+    pub(crate) fn standing(&self) -> String {
+        self.handle.manager.lock().standing()
+    }
+
     /// Returns access for the core.
     pub(crate) fn handle(&self) -> Handle {
         self.handle.clone()

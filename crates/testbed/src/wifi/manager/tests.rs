@@ -211,6 +211,7 @@ fn a_robot_out_of_reach_holds_the_start_up_for_a_time() {
     world.join("r1", "A");
     assert!(!world.manager.is_up());
     assert_eq!(world.manager.awaited(), ["wpa_supplicant of `r2`"]);
+    assert_eq!(world.manager.standing(), "radio units A, B, X serve; r1 is at A, r2 is at no radio unit");
     assert_eq!(world.manager.deadline(), Some(Timestamp::ZERO + JOINING));
     world.pass(4999);
     assert!(!world.manager.is_up());
