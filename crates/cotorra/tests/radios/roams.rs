@@ -107,15 +107,18 @@ fn roams_without_fast_transition_have_their_gaps() {
 
 #[test]
 fn a_robot_roams_by_itself_as_it_walks() {
+    let number = number(2, 10);
+    let way: String = (0..=number).map(|leg| if leg % 2 == 0 { "[1, 0], " } else { "[15, 0], " }).collect();
     // It hears an access point with -65 dBm at a distance of 10 m.
     let floor = FLOOR
         .replace("roaming: instructed", "roaming: { policy: supplicant, short_interval: 2 s }")
         .replace("exponent: 3.0", "exponent: 4.0")
         .replace("position: [12, 0]", "position: [16, 0]")
-        .replace("[[4, 0], [8, 0]]", "[[1, 0], [15, 0]]")
+        .replace("[4, 0], [8, 0], [4, 0], [8, 0], [4, 0], [8, 0], [4, 0], [8, 0]", way.trim_end_matches(", "))
+        .replace("    and_back: true\n", "")
         .replace("speed_limit: 0.2 m/s", "speed_limit: 0.6 m/s");
     let Some(mut rig) = Rig::start(&floor) else { return };
-    for (from, to) in [("A", "B"), ("B", "A")].into_iter().cycle().take(number(2, 10)) {
+    for (from, to) in [("A", "B"), ("B", "A")].into_iter().cycle().take(number) {
         let handover = rig.wait_for_handover("r1", to);
         assert_eq!((&handover["from"], &handover["fast"]), (&from.into(), &true.into()), "{handover}");
         let robot = rig.run.get("/api/v1/robots/r1");
