@@ -118,6 +118,7 @@ pub fn settings(testbed: &Testbed, kind: Kind, walk: Walk) -> Vec<(String, Strin
     ];
     if kind == MODEL {
         settings.push(("wireless.*.handover.exchange".to_owned(), "frames".to_owned()));
+        settings.push(("wireless.*.handover.variation".to_owned(), "0 %".to_owned()));
         let channels: BTreeSet<u8> = testbed.graph.radio_units().map(|(_, unit)| unit.channel).collect();
         let scan = format!("{{ channels: {}, dwell: {DWELL} }}", channels.len());
         settings.push(("wireless.*.handover.scan".to_owned(), scan));

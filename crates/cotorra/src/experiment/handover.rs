@@ -85,6 +85,8 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
         }
         walks.push(measure(plan, &finished)?);
         done += 1;
+        // So that a walk that is done is not lost with a later one.
+        Comparison::of(walks.clone(), first.seed).write(&folder).map_err(Error::from)?;
         if !finished.summary.fidelity.valid {
             invalid = Some(finished.summary);
         }

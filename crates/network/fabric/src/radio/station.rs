@@ -21,7 +21,7 @@ const SENDINGS: u32 = 3;
 /// Time that the kernel of a radio unit needs at the least to forget what it knew of a station that comes by fast
 /// transition, before hostapd answers at the next tick. Measured with Linux 6.1 and hostapd 2.10: answers came 2.6 to 6.4 ms
 /// after the request.
-const FORGETTING: Duration = Duration::from_micros(2450);
+const FORGETTING: Duration = Duration::from_micros(2300);
 
 /// The purpose of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -46,7 +46,7 @@ fn a_fast_transition_takes_its_four_frames_and_the_waits_for_ticks() {
     let found = gaps(by_frames(true), &[1000, 2001, 3002, 4003]);
     assert_eq!(found.len(), 4);
     for (phase, gap) in (0..).zip(&found) {
-        // From when the radio unit can answer: at 4.16 to 4.21 ms, so at the tick of 8 ms less the phase, or a later one.
+        // From when the radio unit can answer: at 4.01 to 4.05 ms, so at the tick of 8 ms less the phase, or a later one.
         let answer = [8000_u64, 7000, 6000, 5000][phase];
         // The station's next tick, reassociation of 2.656 ms and its answer of 3.248 ms with their SIFS, ACK and backoffs.
         let least = us(answer + 4000 + 2656 + 3248);
