@@ -13,7 +13,7 @@ use std::{
 };
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{HardwareGraph, HostAddress, Node, NodeKind, Timestamp};
+use cotorra_graph::{Dbm, HardwareGraph, HostAddress, Node, NodeKind, Timestamp};
 use cotorra_hwsim::{Error as HwsimError, Exchange, MacAddress, MediumSocket, Phys, Radio, Radios};
 
 use crate::{
@@ -92,7 +92,10 @@ impl Air {
             Ok::<_, HwsimError>(phy)
         })?;
         host.run(|| {
-            Phys::new().add_station(&phy, WLAN)?;
+            let mut phys = Phys::new();
+            phys.add_station(&phy, WLAN)?;
+            // The kernel has no powers below 0 dBm. It only shows what is set here.
+            phys.set_power(&phy, power(node).0.max(0.0))?;
             let netlink = Netlink::open().action("open a netlink socket")?;
             match addresses(node) {
                 Addresses::Elsewhere => {
@@ -135,6 +138,14 @@ pub(crate) fn addresses(node: &Node) -> Addresses {
     match node.kind {
         NodeKind::RadioUnit(_) => Addresses::AtBridge,
         _ => Addresses::Elsewhere,
+    }
+}
+
+fn power(node: &Node) -> Dbm {
+    match &node.kind {
+        NodeKind::RadioUnit(unit) => unit.tx_power,
+        NodeKind::Robot(robot) => robot.tx_power,
+        _ => Dbm(0.0),
     }
 }
 

@@ -27,14 +27,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let began = Instant::now();
     let now = || Timestamp::ZERO + began.elapsed();
     be_punctual();
-    let mut deadline = fabric.poll(now(), &mut |_, _| {});
+    let mut woke = now();
+    let mut deadline = fabric.poll(woke, &mut |_, _| {});
     loop {
         let wait = deadline.map(|deadline| {
-            let wait = deadline.since(now());
+            let wait = deadline.since(woke);
             Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() }
         });
         let readable = poll(&mut [PollFd::new(&exchange, PollFlags::IN)], wait.as_ref())?;
-        let woke = now();
+        woke = now();
         if readable == 0 {
             exchange.nothing_waits();
         } else {

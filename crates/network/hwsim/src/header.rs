@@ -6,6 +6,14 @@ use crate::address::MacAddress;
 const THREE_ADDRESSES: usize = 24;
 /// Bytes of the fourth address.
 const FOURTH_ADDRESS: usize = 6;
+/// Bytes of the QoS control field (9.2.4.5).
+const QOS_CONTROL: usize = 2;
+/// Bytes of the CCMP header and of its integrity code (12.5.3.2).
+const CCMP: usize = 8 + 8;
+/// Bytes before a packet that with its type, by LLC (IEEE 802.2) and SNAP (RFC 1042). Ethernet has the type in its header.
+const LLC_AND_SNAP: usize = 8;
+/// Bytes of the header of an Ethernet frame.
+const ETHERNET_HEADER: usize = 14;
 /// Length of the shortest control frames, such as an acknowledgement, bytes (9.3.1).
 const SHORTEST: usize = 10;
 
@@ -86,6 +94,20 @@ impl Header {
         })
     }
 
+    /// Returns the length that the packet in a frame of this length, without check sequence, has as an Ethernet frame; `None` if
+    /// there is none. An encrypted one is taken as encrypted by CCMP.
+    pub fn packet_bytes(&self, frame_bytes: usize) -> Option<usize> {
+        const NO_DATA: u8 = 4;
+        if self.kind != FrameType::Data || self.subtype & NO_DATA != 0 {
+            return None;
+        }
+        let fourth = if self.to_ds && self.from_ds { FOURTH_ADDRESS } else { 0 };
+        let qos = if self.tid.is_some() { QOS_CONTROL } else { 0 };
+        let encryption = if self.protected { CCMP } else { 0 };
+        let payload = frame_bytes.checked_sub(THREE_ADDRESSES + fourth + qos + encryption + LLC_AND_SNAP)?;
+        Some(ETHERNET_HEADER + payload)
+    }
+
     /// Whether it is a beacon.
     pub const fn is_beacon(&self) -> bool {
         matches!((self.kind, self.subtype), (FrameType::Management, 8))
@@ -145,6 +167,27 @@ mod tests {
         assert!(header.is_acknowledged() && header.power_management);
         assert_eq!(header.sequence, None);
         assert_eq!(Header::parse(&ack[..9]), None);
+    }
+
+    #[test]
+    fn packets_are_as_long_as_on_ethernet() {
+        let header = |first: u8, flags: u8| {
+            let frame = [&[first, flags, 0, 0][..], &[2; 18], &[0; 10]].concat();
+            Header::parse(&frame).unwrap()
+        };
+        const IP: usize = 128;
+        for (first, flags, bytes, packet) in [
+            (0x08, 0x01, 24 + 8 + IP, Some(14 + IP)),
+            (0x88, 0x01, 26 + 8 + IP, Some(14 + IP)),
+            (0x88, 0x41, 26 + 16 + 8 + IP, Some(14 + IP)),
+            (0x88, 0x43, 32 + 16 + 8 + IP, Some(14 + IP)),
+            // A null frame, one that is too short, and a beacon.
+            (0xc8, 0x01, 26, None),
+            (0x08, 0x01, 30, None),
+            (0x80, 0x00, 200, None),
+        ] {
+            assert_eq!(header(first, flags).packet_bytes(bytes), packet, "{first:02x} {flags:02x}");
+        }
     }
 
     proptest! {

@@ -3,6 +3,7 @@
 #![warn(missing_docs)]
 
 mod address;
+mod agreements;
 mod error;
 mod exchange;
 mod header;

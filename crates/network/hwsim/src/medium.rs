@@ -9,6 +9,7 @@ use cotorra_graph::{Dbm, NodeId, Timestamp};
 
 use crate::{
     address::MacAddress,
+    agreements::Agreements,
     header::{FrameType, Header},
     message::{Alias, DELIVERABLE, Delivery, Frame, Message, Rates, Status, Tries},
     rate::{legacy_index, phy_rate, wants_rts},
@@ -32,6 +33,7 @@ pub struct Medium {
     by_antenna: BTreeMap<Antenna, usize>,
     /// Who receives frames to an address.
     by_address: BTreeMap<MacAddress, usize>,
+    agreements: Agreements,
     /// Frames that the air has not settled, by their number.
     under_way: BTreeMap<u64, UnderWay>,
     sent: u64,
@@ -192,6 +194,7 @@ impl Medium {
                 self.learn(transmitter, radio);
             }
         }
+        self.agreements.see(&header, frame);
         let (rates, tried) = usable(rates, frequency_mhz);
         let to = self.receiver(radio, &header, *no_ack);
         self.sent += 1;
@@ -201,6 +204,8 @@ impl Medium {
             psdu_bytes: (frame.len() + CHECK_SEQUENCE) as u32,
             category: category(&header),
             to,
+            packet_bytes: header.packet_bytes(frame.len()).map(|bytes| bytes as u32),
+            aggregates: self.agreements.cover(&header),
             rates: tried,
         };
         self.under_way.insert(

@@ -10,6 +10,7 @@ use crate::error::Error;
 /// `NL80211_CMD_*`.
 mod command {
     pub(super) const GET_WIPHY: u8 = 1;
+    pub(super) const SET_WIPHY: u8 = 2;
     pub(super) const NEW_INTERFACE: u8 = 7;
     pub(super) const SET_WIPHY_NETNS: u8 = 49;
 }
@@ -20,9 +21,15 @@ mod attr {
     pub(super) const WIPHY_NAME: u16 = 2;
     pub(super) const IFNAME: u16 = 4;
     pub(super) const IFTYPE: u16 = 5;
+    pub(super) const TX_POWER_SETTING: u16 = 97;
+    /// i32 in a u32, 0.01 dBm.
+    pub(super) const TX_POWER_LEVEL: u16 = 98;
     pub(super) const SPLIT_WIPHY_DUMP: u16 = 174;
     pub(super) const NETNS_FD: u16 = 219;
 }
+
+/// `NL80211_TX_POWER_LIMITED`.
+const LIMITED: u32 = 1;
 
 /// `NL80211_IFTYPE_STATION`.
 const STATION: u32 = 2;
@@ -66,6 +73,19 @@ impl Phys {
         attributes.words(attr::WIPHY, &[self.index(phy)?]).text(attr::IFNAME, interface);
         attributes.words(attr::IFTYPE, &[STATION]);
         self.execute("add an interface", command::NEW_INTERFACE, attributes)
+    }
+
+    /// Sets the transmit power of a phy, dBm, in steps of 1 dB, less where its regulatory domain allows less. Simulated radios show it;
+    /// with which power their frames arrive is for the medium to decide.
+    ///
+    /// # Errors
+    /// [`Error::NoPhy`], [`Error::NoRights`] or [`Error::Refused`], also for a power below 0 dBm.
+    pub fn set_power(&mut self, phy: &str, dbm: f64) -> Result<(), Error> {
+        let level = (dbm.round() * 100.0) as i32;
+        let mut attributes = Writer::default();
+        attributes.words(attr::WIPHY, &[self.index(phy)?]).words(attr::TX_POWER_SETTING, &[LIMITED]);
+        attributes.words(attr::TX_POWER_LEVEL, &[level.cast_unsigned()]);
+        self.execute("set a transmit power", command::SET_WIPHY, attributes)
     }
 
     fn index(&mut self, phy: &str) -> Result<u32, Error> {

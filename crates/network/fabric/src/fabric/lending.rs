@@ -91,9 +91,13 @@ impl Fabric {
     }
 
     /// Returns the next report of lent antennas, oldest first. Call it until there is none after each [`Self::poll`] if
-    /// antennas are lent: reports count for the next deadline.
+    /// antennas are lent: reports count for the next deadline. How late frames are reported is part of [`Self::lateness`].
     pub fn next_report(&mut self) -> Option<Report> {
-        self.radio.next_report(self.now)
+        let report = self.radio.next_report(self.now)?;
+        if let Report::Received { at, .. } = report {
+            self.lateness.record(self.now.since(at));
+        }
+        Some(report)
     }
 
     /// Returns the sender of a frame that comes to the port of a node whose antenna is lent: the robot that has its source

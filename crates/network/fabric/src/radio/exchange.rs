@@ -126,6 +126,8 @@ impl Radio {
             psdu_bytes: message.psdu_bytes(fast),
             category: Category::Voice,
             to: Receiver::One(to),
+            packet_bytes: None,
+            aggregates: false,
             rates: vec![RateTries { rate, tries: TRIES, rts: false }],
         };
         self.send_from(now, from, transmission);

@@ -29,6 +29,12 @@ pub struct Transmission {
     pub category: Category,
     /// Who it is for.
     pub to: Receiver,
+    /// Length of the packet that it carries, as an Ethernet frame without check sequence; `None` if it carries none. Packets
+    /// between a robot and a radio unit of its network count on their wireless link.
+    pub packet_bytes: Option<u32>,
+    /// Whether it may go in one A-MPDU with frames behind it: its receiver has agreed to block acknowledgements, and puts them in
+    /// order.
+    pub aggregates: bool,
     /// Rates to try, in this order, until it is acknowledged. A frame that nobody acknowledges is tried once.
     pub rates: Vec<RateTries>,
 }
@@ -81,7 +87,8 @@ pub enum Report {
         /// The rate.
         rate: PhyRate,
     },
-    /// Its last try is over.
+    /// Its last try is over. If its sender has more frames waiting, and it carried a packet, the report may come with the next
+    /// one.
     Settled {
         /// End of the acknowledgement, or of the time in which it would have come.
         at: Timestamp,
@@ -105,23 +112,32 @@ impl Report {
 /// Reports by time, those of one time in the order in which they came.
 #[derive(Debug, Default)]
 pub(super) struct Reports {
-    queue: BTreeMap<(Timestamp, u64), Report>,
+    queue: BTreeMap<(Timestamp, u64), (Report, Urgency)>,
     count: u64,
 }
 
+/// Whether a report is worth a poll of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Urgency {
+    AtOnce,
+    /// It waits for the next poll.
+    CanWait,
+}
+
 impl Reports {
-    fn push(&mut self, report: Report) {
+    fn push(&mut self, report: Report, urgency: Urgency) {
         self.count += 1;
-        self.queue.insert((report.at(), self.count), report);
+        self.queue.insert((report.at(), self.count), (report, urgency));
     }
 
     fn pop(&mut self, now: Timestamp) -> Option<Report> {
         let first = self.queue.first_entry().filter(|first| first.key().0 <= now);
-        first.map(|first| first.remove())
+        first.map(|first| first.remove().0)
     }
 
     fn deadline(&self) -> Option<Timestamp> {
-        self.queue.first_key_value().map(|((at, _), _)| *at)
+        let urgent = self.queue.iter().find(|(_, (_, urgency))| *urgency == Urgency::AtOnce);
+        urgent.map(|((at, _), _)| *at)
     }
 }
 
@@ -240,8 +256,8 @@ impl Radio {
         self.timers.all().map(noticed).chain(self.next_arrival()).min()
     }
 
-    pub(super) fn report(&mut self, report: Report) {
-        self.lent.reports.push(report);
+    pub(super) fn report(&mut self, report: Report, urgency: Urgency) {
+        self.lent.reports.push(report, urgency);
     }
 
     /// Returns when the next report is due.

@@ -234,6 +234,11 @@ impl Lane {
         &mut self.rates
     }
 
+    /// Whether the conditions of emulation lose the next packet.
+    pub(super) fn loses(&mut self) -> bool {
+        self.impairments.loses()
+    }
+
     /// Whether an RTS is received.
     pub(super) fn receives_rts(&mut self, reception: &Reception) -> bool {
         unit(&mut self.rng) >= reception.rts_error_rate()

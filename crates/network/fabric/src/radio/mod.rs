@@ -616,7 +616,12 @@ impl Radio {
     /// Returns the outcome of all frames that entered the radio, without those that only measure.
     pub(crate) fn balance(&self) -> Balance {
         let mut balance = Balance { stranded: self.without_carrier, ..Balance::default() };
-        self.links.iter().flatten().for_each(|link| balance += link.balance());
+        for (pair, link) in self.links.iter().enumerate() {
+            // Packets of lent antennas have entered at ports, if they have arrived at all.
+            if let Some(link) = link.as_deref().filter(|_| !self.is_lent(pair / self.units.len())) {
+                balance += link.balance();
+            }
+        }
         let flying = self.in_flight.iter().filter(|Reverse(flying)| !flying.is_probe).count() as u64;
         let contending = self.edca.as_ref().map_or(0, Edca::unicast_waiting);
         balance.under_way = self.medium.unicast_waiting() + contending + flying;

@@ -83,6 +83,10 @@ const ABOVE_2_4_GHZ: u16 = 3000;
 const RTS_BYTES: u64 = 20;
 const CTS_BYTES: u64 = 14;
 const ACK_BYTES: u64 = 14;
+/// Length of a compressed block acknowledgement (9.3.1.8.2).
+const BLOCK_ACK_BYTES: u64 = 32;
+/// Length of the longest A-MPDU of HT.
+const LONGEST_AMPDU: u64 = 65_535;
 
 /// Squared distances between the first codeword of CCK and all others, in units of a chip's energy, each with the number of
 /// codewords at that distance. A test counts them.
@@ -181,6 +185,20 @@ impl PhyRate {
     /// Returns the airtime of an acknowledgement of a frame.
     pub(super) fn ack_airtime(self, frequency_mhz: u16) -> Duration {
         self.answer().airtime(frequency_mhz, ACK_BYTES)
+    }
+
+    /// Returns the airtime of a block acknowledgement of frames at this rate.
+    pub(super) fn block_ack_airtime(self, frequency_mhz: u16) -> Duration {
+        self.answer().airtime(frequency_mhz, BLOCK_ACK_BYTES)
+    }
+
+    /// Returns the most bytes of an A-MPDU at this rate, that of HT (9.4.2.55.3); `None` for rates without
+    /// A-MPDUs.
+    pub(super) fn most_aggregated(self) -> Option<u64> {
+        match self.0 {
+            Kind::Dsss { .. } | Kind::Ofdm(_) => None,
+            Kind::Ht(_) | Kind::Vht(_) => Some(LONGEST_AMPDU),
+        }
     }
 
     /// Returns the airtimes of RTS and CTS before a frame. They go at the rate of its acknowledgement.

@@ -2,7 +2,10 @@
 
 use std::{sync::mpsc::channel, time::Duration};
 
-use cotorra_fabric::{Association, Datagrams, Fabric, FabricError, PortId, RoundTrip, Trip};
+use cotorra_fabric::{
+    Association, Category, Datagrams, Fabric, FabricError, PhyRate, PortId, RateTries, Receiver, RoundTrip,
+    Transmission, Trip,
+};
 use cotorra_graph::{AccessPoint, Conditions, Edca, Event, Handover, NodeId, Position, RateControl, Stamped};
 
 use crate::{
@@ -224,4 +227,31 @@ fn the_fabrics_own_radios_there_are_silent() {
     let p = "p".parse().unwrap();
     assert_eq!(fabric.lend_antenna(ms(5000.0), &p), Err(FabricError::Lent(p)));
     assert_eq!(fabric.next_report(), None);
+}
+
+#[test]
+fn frames_that_are_reported_late_count_as_late() {
+    let mut fabric = lent_but(&["p", "R1", "R2"]);
+    let antennas = ["p", "R1"].map(|node| fabric.lend_antenna(ms(0.0), &id(node)).unwrap());
+    let rate = RateTries { rate: PhyRate::legacy(10, false).unwrap(), tries: 1, rts: false };
+    for (number, from) in antennas.into_iter().enumerate() {
+        let transmission = Transmission {
+            id: number as u64,
+            frequency_mhz: 2412,
+            psdu_bytes: 100,
+            category: Category::BestEffort,
+            to: Receiver::All,
+            packet_bytes: None,
+            aggregates: false,
+            rates: vec![rate],
+        };
+        fabric.transmit(ms(5.0 * number as f64), from, transmission);
+    }
+    fabric.poll(ms(30.0), &mut |_, _| {});
+    assert_eq!(fabric.lateness().frames, 0);
+    while fabric.next_report().is_some() {}
+    // The other one hears each. The first ended at 1 ms, and the second at 6 ms.
+    let lateness = fabric.lateness();
+    assert_eq!(lateness.frames, 2);
+    assert!((23_000.0..26_000.0).contains(&lateness.p50_us), "{lateness:?}");
 }

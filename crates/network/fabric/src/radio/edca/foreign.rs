@@ -3,17 +3,17 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_graph::{Dbm, NodeId, Timestamp};
+use cotorra_graph::{Dbm, Direction, NodeId, Timestamp};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::{
     Category, Channel, Edca, Emitter, Node,
-    transmission::{Load, OnAir, Protected, milliwatts},
+    transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, milliwatts},
 };
 use crate::{
     radio::{
-        Radio,
-        foreign::{Antenna, RateTries, Receiver, Report, Transmission},
+        Path, Radio,
+        foreign::{Antenna, RateTries, Receiver, Report, Transmission, Urgency},
         phy_rate::{self, PhyRate},
     },
     random::{stream, unit},
@@ -21,6 +21,9 @@ use crate::{
 
 /// Frames of a radio that wait at most. Linux's simulated radios drop frames of which more than this many are not settled.
 const MOST_WAITING: usize = 96;
+
+/// Bytes of the delimiter before a frame of an A-MPDU (IEEE 802.11-2020, 9.7.1). Frames are padded to a multiple of four.
+const DELIMITER: u64 = 4;
 
 /// A radio that is none of the fabric's, at the antenna of a robot or a radio unit.
 #[derive(Debug)]
@@ -32,12 +35,13 @@ pub(super) struct Foreign {
     is_own: bool,
     /// The channel on which it sends and listens; `None` before its first frame.
     tuned: Option<Tuned>,
-    /// The first of each category is sent next, or is on the air.
+    /// The first of each category are sent next, or are on the air.
     waiting: [VecDeque<Attempted>; 4],
-    /// Category of its frame on the air.
-    on_air: Option<usize>,
-    /// Frames for other channels, from the first such frame on. They wait until all others are done.
-    later: VecDeque<Transmission>,
+    /// Category and number of its frames on the air.
+    on_air: Option<(usize, usize)>,
+    /// Frames for other channels, from the first such frame on, with their times of entry. They wait until all others are
+    /// done.
+    later: VecDeque<(Timestamp, Transmission)>,
     /// Random numbers for what it receives.
     rng: Xoshiro256PlusPlus,
 }
@@ -53,8 +57,28 @@ struct Tuned {
 #[derive(Debug)]
 struct Attempted {
     transmission: Transmission,
+    /// When it entered the radio.
+    since: Timestamp,
     /// Tries of each rate.
     tries: Vec<u32>,
+}
+
+/// A frame of a try.
+#[derive(Debug, Clone, Copy)]
+struct Sent {
+    id: u64,
+    since: Timestamp,
+    psdu_bytes: u64,
+    packet_bytes: Option<u32>,
+    to_all: bool,
+}
+
+impl Sent {
+    fn of(Attempted { transmission, since, .. }: &Attempted) -> Self {
+        let Transmission { id, psdu_bytes, packet_bytes, to, .. } = *transmission;
+        let (psdu_bytes, to_all) = (psdu_bytes.into(), to == Receiver::All);
+        Self { id, since: *since, psdu_bytes, packet_bytes, to_all }
+    }
 }
 
 /// A try on the air.
@@ -62,6 +86,8 @@ struct Attempted {
 pub(super) struct Try {
     radio: usize,
     category: usize,
+    /// Frames in it.
+    frames: usize,
     rate: PhyRate,
     /// End of the transmission opportunity.
     until: Timestamp,
@@ -80,23 +106,24 @@ impl Foreign {
 
     /// Whether a frame of a category can be sent.
     pub(super) fn is_ready(&self, category: usize) -> bool {
-        self.waiting[category].len() > usize::from(self.on_air == Some(category))
+        self.waiting[category].len() > self.on_air(category)
     }
 
-    /// Returns how long its next try, or the RTS before that, takes at least. In each category, that is one of its first two
-    /// frames, of which the first may be on the air.
+    /// Returns the number of frames of a category on the air.
+    fn on_air(&self, category: usize) -> usize {
+        self.on_air.filter(|(of, _)| *of == category).map_or(0, |(_, frames)| frames)
+    }
+
+    /// Returns how long its next try, or the RTS before that, takes at least. In each category, it begins with one of the frames
+    /// on the air, or with the one behind them.
     pub(super) fn least_airtime(&self) -> Duration {
-        let next = self.waiting.iter().flat_map(|waiting| waiting.iter().take(2));
-        let airtime = |Attempted { transmission, .. }: &Attempted| {
-            let Transmission { frequency_mhz, psdu_bytes, ref rates, .. } = *transmission;
-            let airtime = move |RateTries { rate, rts, .. }: &RateTries| {
-                if *rts {
-                    rate.rts_cts_airtimes(frequency_mhz)[0]
-                } else {
-                    rate.airtime(frequency_mhz, psdu_bytes.into())
-                }
-            };
-            rates.iter().map(airtime).min()
+        let categories = self.waiting.iter().enumerate();
+        let next = categories.flat_map(|(category, waiting)| waiting.iter().take(self.on_air(category) + 1));
+        let airtime = |next: &Attempted| {
+            let Transmission { frequency_mhz, psdu_bytes, ref rates, .. } = next.transmission;
+            let RateTries { rate, rts, .. } = rates[next.stage()?];
+            let [first, _] = rate.rts_cts_airtimes(frequency_mhz);
+            Some(if rts { first } else { rate.airtime(frequency_mhz, psdu_bytes.into()) })
         };
         next.filter_map(airtime).min().unwrap_or_default()
     }
@@ -120,6 +147,38 @@ impl Attempted {
         }
         rates.iter().zip(&self.tries).position(|(rate, tries)| *tries < rate.tries.max(1))
     }
+
+    /// Returns the rate of the next try.
+    fn next_rate(&self) -> Option<RateTries> {
+        self.stage().map(|stage| self.transmission.rates[stage])
+    }
+
+    fn count_try(&mut self) {
+        if let Some(stage) = self.stage() {
+            self.tries[stage] += 1;
+        }
+    }
+}
+
+/// Returns how many of the frames that wait go in the next transmission, and the length of its PSDU.
+fn aggregate(waiting: &VecDeque<Attempted>) -> Option<(usize, u64)> {
+    let first = waiting.front()?;
+    let RateTries { rate, .. } = first.next_rate()?;
+    let Transmission { to, frequency_mhz, psdu_bytes, .. } = first.transmission;
+    let Some(most) = rate.most_aggregated() else { return Some((1, psdu_bytes.into())) };
+    let goes_along = |next: &&Attempted| {
+        let same = next.transmission.aggregates && next.transmission.to == to;
+        same && next.next_rate().is_some_and(|next| next.rate == rate)
+    };
+    let (mut frames, mut bytes) = (0, 0);
+    for next in waiting.iter().take_while(goes_along).take(AGGREGATED_FRAMES) {
+        let more = bytes + DELIMITER + u64::from(next.transmission.psdu_bytes).next_multiple_of(4);
+        if more > most || rate.airtime(frequency_mhz, more) > LONGEST_AGGREGATE {
+            break;
+        }
+        (frames, bytes) = (frames + 1, more);
+    }
+    Some(if frames > 1 { (frames, bytes) } else { (1, psdu_bytes.into()) })
 }
 
 impl Edca {
@@ -184,12 +243,22 @@ impl Edca {
         foreign.node.pause(now, (*busy_until).max(now));
     }
 
-    /// Ends the try on the air. Returns the frame if it is settled.
-    fn conclude(&mut self, radio: usize, category: usize, received: bool) -> Option<Attempted> {
+    /// Ends the try on the air, of whose frames these were received. Returns those that are settled, and whether they were.
+    fn conclude(&mut self, radio: usize, category: usize, received: &[bool]) -> Vec<(Attempted, bool)> {
         let Foreign { waiting, on_air, .. } = &mut self.foreign[radio];
         *on_air = None;
-        let frame = waiting[category].front()?;
-        if received || frame.stage().is_none() { waiting[category].pop_front() } else { None }
+        let waiting = &mut waiting[category];
+        let tried: Vec<_> = waiting.drain(..received.len().min(waiting.len())).zip(received).collect();
+        let (mut settled, mut again) = (Vec::new(), Vec::new());
+        for (frame, received) in tried {
+            if *received || frame.stage().is_none() {
+                settled.push((frame, *received));
+            } else {
+                again.push(frame);
+            }
+        }
+        again.into_iter().rev().for_each(|frame| waiting.push_front(frame));
+        settled
     }
 }
 
@@ -209,11 +278,14 @@ impl Radio {
     ) {
         let foreign = &mut self.edca().foreign[radio];
         if transmission.rates.is_empty() || foreign.len() >= MOST_WAITING {
+            if let Some(path) = self.link_of(radio, transmission.to, transmission.packet_bytes) {
+                self.lane(path).meter().counters.overflowed += 1;
+            }
             let Transmission { id, .. } = transmission;
-            let report = Report::Settled { at: now, id, tries: Vec::new(), acknowledged: None };
-            return self.report_of(radio, report);
+            let settled = Report::Settled { at: now, id, tries: Vec::new(), acknowledged: None };
+            return self.report_of(radio, settled, Urgency::AtOnce);
         }
-        foreign.later.push_back(transmission);
+        foreign.later.push_back((now, transmission));
         self.admit(now, radio);
     }
 
@@ -228,7 +300,7 @@ impl Radio {
     /// Queues the frames that the channel of a radio can take now, after it has tuned to that of the first.
     fn admit(&mut self, now: Timestamp, radio: usize) {
         let foreign = &self.edca().foreign[radio];
-        let Some(first) = foreign.later.front() else { return };
+        let Some((_, first)) = foreign.later.front() else { return };
         let frequency_mhz = first.frequency_mhz;
         if foreign.tuned.is_none_or(|tuned| tuned.frequency_mhz != frequency_mhz) {
             if !foreign.is_idle() {
@@ -239,9 +311,9 @@ impl Radio {
         }
         let edca = self.edca();
         let Foreign { later, waiting, tuned, .. } = &mut edca.foreign[radio];
-        while let Some(next) = later.pop_front_if(|next| next.frequency_mhz == frequency_mhz) {
+        while let Some((since, next)) = later.pop_front_if(|(_, next)| next.frequency_mhz == frequency_mhz) {
             let tries = vec![0; next.rates.len()];
-            waiting[next.category as usize].push_back(Attempted { transmission: next, tries });
+            waiting[next.category as usize].push_back(Attempted { transmission: next, since, tries });
         }
         let Some(tuned) = tuned else { return };
         tuned.listens = true;
@@ -256,23 +328,35 @@ impl Radio {
         let emitter = Emitter::Foreign(radio);
         let until = edca.begin_opportunity(now, emitter, category);
         let foreign = &mut edca.foreign[radio];
-        foreign.on_air = Some(category);
-        let sent = foreign.waiting[category].front_mut().expect("a category that contends has a frame");
-        let stage = sent.stage().expect("a frame that waits has tries left");
-        sent.tries[stage] += 1;
-        let RateTries { rate, rts, .. } = sent.transmission.rates[stage];
-        let Transmission { frequency_mhz, psdu_bytes, to, .. } = sent.transmission;
+        let waiting = &mut foreign.waiting[category];
+        let (frames, psdu_bytes) = aggregate(waiting).expect("a category that contends has a frame");
+        let first = &waiting[0];
+        let RateTries { rate, rts, .. } = first.next_rate().expect("a frame that waits has tries left");
+        let Transmission { frequency_mhz, to, .. } = first.transmission;
+        let tried = waiting.iter().take(frames);
+        let packets: Vec<_> = tried.filter_map(|frame| frame.transmission.packet_bytes).collect();
+        waiting.iter_mut().take(frames).for_each(Attempted::count_try);
+        foreign.on_air = Some((category, frames));
         edca.see_frames(now, emitter);
-        let airtime = rate.airtime(frequency_mhz, psdu_bytes.into());
+        let path = self.link_of(radio, to, packets.first().copied());
+        let least = path.map(|path| {
+            let lane = self.lane(path);
+            packets.iter().map(|bytes| lane.least_airtime(*bytes as usize)).sum()
+        });
+        let airtime = rate.airtime(frequency_mhz, psdu_bytes).max(least.unwrap_or_default());
         let sifs = phy_rate::sifs(frequency_mhz);
-        let answer = if to.answers() { sifs + rate.ack_airtime(frequency_mhz) } else { Duration::ZERO };
+        let answer = match frames {
+            _ if !to.answers() => Duration::ZERO,
+            1 => sifs + rate.ack_airtime(frequency_mhz),
+            _ => sifs + rate.block_ack_airtime(frequency_mhz),
+        };
         let on_air = |data_ends, ends, protects| OnAir {
             emitter,
             start: now,
             data_ends,
             ends,
             overlaps: Vec::new(),
-            load: Load::Foreign(Try { radio, category, rate, until, protects }),
+            load: Load::Foreign(Try { radio, category, frames, rate, until, protects }),
         };
         if !rts || !to.answers() {
             return on_air(now + airtime, now + airtime + answer, None);
@@ -286,21 +370,20 @@ impl Radio {
 
     /// Decides who received a try, and what its sender does next.
     pub(super) fn end_foreign(&mut self, channel: usize, ended: OnAir) {
-        let Load::Foreign(Try { radio, category, rate, until, protects }) = ended.load else { return };
-        let now = ended.data_ends;
-        let Some(sent) = self.edca().foreign[radio].waiting[category].front() else { return };
-        let Transmission { id, psdu_bytes, to, .. } = sent.transmission;
-        let bytes = u64::from(psdu_bytes);
-        let lost = |snr_db: f64| match protects {
-            Some(_) => rate.rts_error_rate(snr_db),
-            None => rate.error_rate(snr_db, bytes),
+        let Load::Foreign(Try { radio, category, frames, rate, until, protects }) = ended.load else {
+            return;
         };
+        let now = ended.data_ends;
+        let waiting = &self.edca().foreign[radio].waiting[category];
+        let sent: Vec<_> = waiting.iter().take(frames).map(Sent::of).collect();
+        let Some(to) = waiting.front().map(|frame| frame.transmission.to) else { return };
         let receivers = match to {
             Receiver::All => 0..self.edca().foreign.len(),
             Receiver::One(Antenna(to)) | Receiver::OneWithoutAnswer(Antenna(to)) => to..to + 1,
             Receiver::Nobody => 0..0,
         };
-        let (to_one, answers) = (to != Receiver::All, to.answers());
+        let (to_all, answers) = (to == Receiver::All, to.answers());
+        let mut received = vec![false; sent.len()];
         let mut answered = None;
         let is_own = self.edca().foreign[radio].is_own;
         for to in receivers.filter(|to| *to != radio) {
@@ -308,24 +391,41 @@ impl Radio {
                 continue;
             }
             // One that scans hears group frames of all channels in turn, and has sent on none of them.
-            if to_one && !self.edca().foreign[to].is_on(channel) {
+            if !to_all && !self.edca().foreign[to].is_on(channel) {
                 continue;
             }
-            let Some(signal) = self.receive_foreign(&ended, to, lost) else { continue };
-            if protects.is_none() {
-                self.report_of(radio, Report::Received { at: now, id, by: Antenna(to), signal, rate });
+            if protects.is_some() {
+                let signal = self.receive_foreign(&ended, to, |snr_db| rate.rts_error_rate(snr_db));
+                answered = signal.map(|_| to);
+                continue;
             }
-            answered = Some(to).filter(|_| answers);
+            for (place, frame) in sent.iter().enumerate() {
+                let lost = |snr_db| rate.error_rate(snr_db, frame.psdu_bytes);
+                let signal = self.receive_foreign(&ended, to, lost);
+                self.land_foreign(now, [radio, to], frame, signal.map(|signal| (signal, rate)));
+                if signal.is_some() && answers {
+                    received[place] = true;
+                    answered = Some(to);
+                }
+            }
         }
         if let (Some(to), Some(protected)) = (answered, protects) {
             return self.begin_protected(channel, ended, Emitter::Foreign(to), protected);
         }
-        let acknowledged =
-            answered.map(|to| self.signal_foreign(ended.start, Emitter::Foreign(to), ended.emitter));
-        let settled = self.edca().conclude(radio, category, acknowledged.is_some());
-        let done = settled.is_some();
-        if let Some(Attempted { tries, .. }) = settled {
-            self.report_of(radio, Report::Settled { at: ended.ends, id, tries, acknowledged });
+        let answer = answered.map(|to| self.signal_foreign(ended.start, Emitter::Foreign(to), ended.emitter));
+        let settled = self.edca().conclude(radio, category, &received);
+        let done = !settled.is_empty();
+        for (Attempted { transmission, tries, .. }, received) in settled {
+            let Transmission { id, to, packet_bytes, .. } = transmission;
+            if let Some(path) = self.link_of(radio, to, packet_bytes).filter(|_| !received) {
+                self.count_lost(path);
+            }
+            // Its sender goes on without it, and rate control is content with it later.
+            let goes_on = packet_bytes.is_some() && !self.edca().foreign[radio].is_idle();
+            let urgency = if goes_on { Urgency::CanWait } else { Urgency::AtOnce };
+            let acknowledged = answer.filter(|_| received);
+            let report = Report::Settled { at: ended.ends, id, tries, acknowledged };
+            self.report_of(radio, report, urgency);
         }
         self.edca().end_exchange(now, ended.emitter, category, done);
         if let Some(to) = answered {
@@ -339,8 +439,66 @@ impl Radio {
     }
 
     /// Reports what became of a frame of a radio.
-    fn report_of(&mut self, radio: usize, report: Report) {
-        if self.edca().foreign[radio].is_own { self.take_report(&report) } else { self.report(report) }
+    fn report_of(&mut self, radio: usize, report: Report, urgency: Urgency) {
+        if self.edca().foreign[radio].is_own {
+            self.take_report(&report);
+        } else {
+            self.report(report, urgency);
+        }
+    }
+
+    /// Reports a frame that one radio received from another, with signal and rate, and counts its packet; or counts that of a group
+    /// frame that it missed.
+    fn land_foreign(
+        &mut self,
+        now: Timestamp,
+        [from, to]: [usize; 2],
+        sent: &Sent,
+        received: Option<(Dbm, PhyRate)>,
+    ) {
+        let path = sent.packet_bytes.and_then(|_| self.link_between(from, to));
+        let Some((signal, rate)) = received else {
+            if let Some(path) = path.filter(|_| sent.to_all) {
+                self.count_lost(path);
+            }
+            return;
+        };
+        // The conditions of emulation come behind the radios, which do not notice such a loss.
+        if let Some(path) = path.filter(|path| self.lane(*path).loses()) {
+            return self.count_lost(path);
+        }
+        let report = Report::Received { at: now, id: sent.id, by: Antenna(to), signal, rate };
+        self.report_of(from, report, Urgency::AtOnce);
+        if let (Some(path), Some(bytes)) = (path, sent.packet_bytes) {
+            self.lane(path).meter().crossed(sent.since, now, 1, bytes.into());
+        }
+    }
+
+    /// Returns the wireless link on which a frame's packet counts; `None` for one to all, which counts where it arrives or not.
+    fn link_of(&self, from: usize, to: Receiver, packet_bytes: Option<u32>) -> Option<Path> {
+        match (packet_bytes, to) {
+            (Some(_), Receiver::One(Antenna(to)) | Receiver::OneWithoutAnswer(Antenna(to))) => {
+                self.link_between(from, to)
+            }
+            _ => None,
+        }
+    }
+
+    /// Returns the way from one radio to another over a wireless link: those of a robot and of the radio unit that it is
+    /// associated with.
+    fn link_between(&self, from: usize, to: usize) -> Option<Path> {
+        let [from, to] = [from, to].map(|radio| self.place_of(Emitter::Foreign(radio)));
+        let (robot, unit, direction) = match (from, to) {
+            (Emitter::Robot(robot), Emitter::Unit(unit)) => (robot, unit, Direction::Forward),
+            (Emitter::Unit(unit), Emitter::Robot(robot)) => (robot, unit, Direction::Backward),
+            _ => return None,
+        };
+        let associated = self.robots[robot].station.attached() == Some(unit);
+        associated.then_some(Path { robot, unit, direction })
+    }
+
+    fn count_lost(&mut self, path: Path) {
+        self.lane(path).meter().counters.lost += 1;
     }
 
     /// Returns the power with which a radio receives a try; `None` if it does not. `lost` is the probability of that at a

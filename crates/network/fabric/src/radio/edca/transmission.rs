@@ -26,9 +26,9 @@ const GROUP: Attempt = Attempt { mode: 0, rts: false, alone: true, most: 1 };
 /// A frame by itself.
 const SINGLE: Batch = Batch { frames: 1, cost: 0 };
 /// Frames of an A-MPDU, at most (IEEE 802.11-2020, 10.12.2).
-const AGGREGATED_FRAMES: usize = 64;
+pub(super) const AGGREGATED_FRAMES: usize = 64;
 /// Airtime of an A-MPDU, at most, as Linux's drivers limit it.
-const LONGEST_AGGREGATE: Duration = Duration::from_millis(4);
+pub(super) const LONGEST_AGGREGATE: Duration = Duration::from_millis(4);
 
 /// A transmission, from its start to the end of its acknowledgement.
 #[derive(Debug)]
