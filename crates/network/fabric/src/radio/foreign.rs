@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use cotorra_graph::{Dbm, Direction, NodeId, Timestamp};
 
 use super::{
-    Path, PhyRate, Radio, StationIndex,
+    Path, PhyRate, Radio, RadioUnitIndex, StationIndex,
     edca::{Category, Emitter},
 };
 use crate::settings::FabricError;
@@ -148,6 +148,19 @@ pub(super) struct Lent {
     pub(super) frequencies: Vec<u16>,
     antennas: BTreeSet<NodeId>,
     reports: Reports,
+    /// Rates of the last acknowledged packets of a robot and a radio unit, in each direction.
+    rates: BTreeMap<(StationIndex, RadioUnitIndex), [Option<PhyRate>; 2]>,
+}
+
+impl Lent {
+    pub(super) fn keep_rate(&mut self, Path { robot, unit, direction }: Path, rate: PhyRate) {
+        self.rates.entry((robot, unit)).or_default()[direction as usize] = Some(rate);
+    }
+
+    /// Returns the rates that the owners of lent antennas chose last, in each direction.
+    pub(super) fn rates(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Option<PhyRate>; 2] {
+        self.rates.get(&(robot, unit)).copied().unwrap_or_default()
+    }
 }
 
 impl Radio {

@@ -606,7 +606,11 @@ impl Radio {
         let [signal, _] = self.signals(robot, unit);
         let link = self.links[self.pair(robot, unit)].as_deref();
         let [up, down] = self.receptions(robot, unit, 0.0);
+        let chosen = self.lent.rates(robot, unit);
         let bps = |direction, reception: &Reception| {
+            if let Some(rate) = chosen[direction as usize] {
+                return rate.bits_per_second() as f64;
+            }
             1e6 * link.map_or_else(|| reception.mbps(), |link| link.mbps(direction, reception))
         };
         let [uplink_bps, downlink_bps] = [bps(Direction::Forward, &up), bps(Direction::Backward, &down)];

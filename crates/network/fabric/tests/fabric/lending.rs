@@ -3,8 +3,8 @@
 use std::{sync::mpsc::channel, time::Duration};
 
 use cotorra_fabric::{
-    Association, Category, Datagrams, Fabric, FabricError, PhyRate, PortId, RateTries, Receiver, RoundTrip,
-    Transmission, Trip,
+    Antenna, Association, Category, Datagrams, Fabric, FabricError, PhyRate, PortId, RateTries, Receiver,
+    RoundTrip, Transmission, Trip,
 };
 use cotorra_graph::{AccessPoint, Conditions, Edca, Event, Handover, NodeId, Position, RateControl, Stamped};
 
@@ -254,4 +254,44 @@ fn frames_that_are_reported_late_count_as_late() {
     let lateness = fabric.lateness();
     assert_eq!(lateness.frames, 2);
     assert!((23_000.0..26_000.0).contains(&lateness.p50_us), "{lateness:?}");
+}
+
+#[test]
+fn rates_of_a_station_are_those_that_its_radio_and_the_radio_units_chose() {
+    let mut fabric = lent_but(&["p", "R1"]);
+    let [p, r1] = ["p", "R1"].map(id);
+    let [station, unit] = [&p, &r1].map(|node| fabric.lend_antenna(ms(0.0), node).unwrap());
+    fabric.associate(ms(0.0), &p, &r1, Association { began: ms(0.0), fast: false }).unwrap();
+    let rates = |fabric: &Fabric, at: f64| {
+        let contexts = fabric.radio_contexts(ms(at));
+        let station = &contexts.iter().find(|context| context.radio_unit == r1).unwrap().stations[0];
+        (station.downlink_bps / 1e6, station.uplink_bps / 1e6)
+    };
+    let send = |fabric: &mut Fabric, at: f64, [from, to]: [Antenna; 2], packet_bytes, mbps: u16| {
+        let rate = PhyRate::legacy(10 * mbps, false).unwrap();
+        let rates = vec![RateTries { rate, tries: 7, rts: false }];
+        let (to, frequency_mhz) = (Receiver::One(to), 2412);
+        let transmission = Transmission {
+            id: at as u64,
+            frequency_mhz,
+            psdu_bytes: 136,
+            category: Category::BestEffort,
+            to,
+            packet_bytes,
+            aggregates: false,
+            rates,
+        };
+        fabric.transmit(ms(at), from, transmission);
+        run(fabric, ms(at), ms(at + 50.0));
+    };
+    let modelled = rates(&fabric, 0.0);
+    // The station has sent nothing, so nobody knows that it listens.
+    send(&mut fabric, 100.0, [unit, station], Some(100), 12);
+    assert_eq!(rates(&fabric, 150.0), modelled);
+    send(&mut fabric, 200.0, [station, unit], Some(100), 24);
+    send(&mut fabric, 300.0, [unit, station], Some(100), 48);
+    assert_eq!(rates(&fabric, 350.0), (48.0, 24.0));
+    // Management frames have other rates than packets.
+    send(&mut fabric, 400.0, [unit, station], None, 1);
+    assert_eq!(rates(&fabric, 450.0), (48.0, 24.0));
 }

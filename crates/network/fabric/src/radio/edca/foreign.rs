@@ -417,8 +417,10 @@ impl Radio {
         let done = !settled.is_empty();
         for (Attempted { transmission, tries, .. }, received) in settled {
             let Transmission { id, to, packet_bytes, .. } = transmission;
-            if let Some(path) = self.link_of(radio, to, packet_bytes).filter(|_| !received) {
-                self.count_lost(path);
+            match self.link_of(radio, to, packet_bytes) {
+                Some(path) if received => self.lent.keep_rate(path, rate),
+                Some(path) => self.count_lost(path),
+                None => {}
             }
             // Its sender goes on without it, and rate control is content with it later.
             let goes_on = packet_bytes.is_some() && !self.edca().foreign[radio].is_idle();
