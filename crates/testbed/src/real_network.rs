@@ -12,8 +12,8 @@ use cotorra_graph::{
 };
 use cotorra_network_control::{
     Deployment, InstructionError, Network, NetworkGone, attach_in_fabric, change_fabric,
-    check_switch_on_in_fabric, scan_in_fabric, switch_off_in_fabric, switch_on_in_fabric,
-    test_fabric_throughput,
+    check_switch_on_in_fabric, provision_in_fabric, scan_in_fabric, switch_off_in_fabric,
+    switch_on_in_fabric, test_fabric_throughput,
 };
 
 use crate::{
@@ -225,6 +225,18 @@ impl Network for RealNetwork {
         match self.wifi(robot) {
             Some(wifi) => wifi.attach(robot, radio_unit).map_err(rejected),
             None => attach_in_fabric(self, robot, radio_unit),
+        }
+    }
+
+    fn provision(
+        &self,
+        robot: &NodeId,
+        radio_unit: &NodeId,
+        access_point: AccessPoint,
+    ) -> Result<(), InstructionError> {
+        match self.wifi(robot) {
+            Some(wifi) => wifi.provision(robot, radio_unit, access_point).map_err(rejected),
+            None => provision_in_fabric(self, robot, radio_unit, access_point),
         }
     }
 

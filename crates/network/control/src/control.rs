@@ -388,9 +388,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 self.access_points.remove(&radio_unit, &self.network, &mut self.vim)
             }
             Instruction::Provision { robot, radio_unit, access_point } => {
-                let provision =
-                    move |fabric: &mut Fabric, _| fabric.provision(&robot, &radio_unit, access_point);
-                self.network.with(provision).map_err(rejected)?.map_err(rejected)?;
+                self.network.provision(&robot, &radio_unit, access_point)?;
                 Ok(Vec::new())
             }
             Instruction::Note { process, step, .. } => {

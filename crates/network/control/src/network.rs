@@ -59,6 +59,19 @@ pub trait Network {
         attach_in_fabric(self, robot, radio_unit)
     }
 
+    /// Gives a robot the settings and the key with which it attaches to a vAP. Without a key, takes them back.
+    ///
+    /// # Errors
+    /// [`InstructionError`]. Nothing has changed then.
+    fn provision(
+        &self,
+        robot: &NodeId,
+        radio_unit: &NodeId,
+        access_point: AccessPoint,
+    ) -> Result<(), InstructionError> {
+        provision_in_fabric(self, robot, radio_unit, access_point)
+    }
+
     /// Checks whether [`Self::switch_on`] would succeed now. Returns who takes the deployment's time.
     ///
     /// # Errors
@@ -156,6 +169,21 @@ pub fn attach_in_fabric<N: Network + ?Sized>(
     let (robot, radio_unit) = (robot.clone(), radio_unit.clone());
     let attach = move |fabric: &mut Fabric, now| fabric.attach(now, &robot, &radio_unit);
     network.with(attach).map_err(rejected)?.map_err(rejected)
+}
+
+/// [`Network::provision`] in the fabric alone.
+///
+/// # Errors
+/// Those of [`Network::provision`].
+pub fn provision_in_fabric<N: Network + ?Sized>(
+    network: &N,
+    robot: &NodeId,
+    radio_unit: &NodeId,
+    access_point: AccessPoint,
+) -> Result<(), InstructionError> {
+    let (robot, radio_unit) = (robot.clone(), radio_unit.clone());
+    let provision = move |fabric: &mut Fabric, _| fabric.provision(&robot, &radio_unit, access_point);
+    network.with(provision).map_err(rejected)?.map_err(rejected)
 }
 
 /// [`Network::check_switch_on`] in the fabric alone.

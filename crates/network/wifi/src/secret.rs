@@ -12,6 +12,13 @@ use crate::{hex, names::Ssid};
 pub struct Passphrase(String);
 
 impl Passphrase {
+    /// Makes one of a key: its first 63 hexadecimal digits, because 64 are too many.
+    pub fn of_key(key: &[u8; 32]) -> Self {
+        let mut digits = hex::encode(key);
+        digits.truncate(63);
+        Self(digits)
+    }
+
     /// Returns the characters, for hostapd's file, which takes all of them as they are.
     pub(crate) fn expose(&self) -> &str {
         &self.0
@@ -98,6 +105,8 @@ mod tests {
         assert_eq!(parse(&"x".repeat(64)), Err(PassphraseError::Length(64)));
         assert_eq!(parse("password\n"), Err(PassphraseError::Character));
         assert_eq!(parse("pässword"), Err(PassphraseError::Character));
+        let of_key = Passphrase::of_key(&[0xab; 32]);
+        assert_eq!(of_key.expose().parse(), Ok(of_key.clone()));
     }
 
     // The test vectors of IEEE 802.11-2020, J.4.2.

@@ -2,6 +2,7 @@
 //! socket: events, answers and instructions go in, each with the time, and actions come out.
 
 mod attaching;
+mod keys;
 mod robots;
 mod units;
 
@@ -13,7 +14,9 @@ use std::{
 use cotorra_engine::Backoff;
 use cotorra_fabric::FabricError;
 use cotorra_graph::{Event, NodeId, Timestamp};
-use cotorra_wifi::{AccessPoint, Channel, MacAddress, Station, hostapd::Neighbour, wpa_supplicant::Heard};
+use cotorra_wifi::{
+    AccessPoint, Channel, MacAddress, Passphrase, Ssid, Station, hostapd::Neighbour, wpa_supplicant::Heard,
+};
 
 use self::{robots::RobotState, units::UnitState};
 use super::plan::Plan;
@@ -125,6 +128,10 @@ pub(super) enum Request {
     Scan { channels: Vec<Channel>, stays: bool },
     /// To a robot: join this access point only; any again if there is none.
     Pin { to: Option<MacAddress> },
+    /// To a robot: use another passphrase from the next handshake on.
+    SetPassphrase { ssid: Ssid, passphrase: Passphrase },
+    /// To a robot: leave its access point, and join one.
+    Rejoin,
     /// To a robot: tell what was heard lately.
     ReadHeard,
     /// To a radio unit: tell stations about a neighbour.
@@ -162,8 +169,8 @@ pub(crate) enum Rejected {
     /// The program is being started.
     #[error("{0} does not run now: ask again when it does")]
     NotRunning(String),
-    /// hostapd has no keys of single stations.
-    #[error("`{0}` has real Wi-Fi software, which takes no key for robots of other domains: leave `key` out")]
+    /// Without a passphrase there is no key, and wpa_supplicant would leave its access point for another key of SAE.
+    #[error("`{0}` has real Wi-Fi software, which takes a `key` with `security: wpa2` only")]
     Key(NodeId),
 }
 

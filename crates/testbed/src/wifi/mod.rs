@@ -195,6 +195,19 @@ impl Handle {
         self.instruct(|manager| manager.attach((self.now)(), robot, radio_unit))
     }
 
+    /// Gives a robot the settings and the key of a radio unit. Without a key, takes them back.
+    ///
+    /// # Errors
+    /// [`Rejected`]. Nothing has changed then.
+    pub(crate) fn provision(
+        &self,
+        robot: &NodeId,
+        radio_unit: &NodeId,
+        access_point: graph::AccessPoint,
+    ) -> Result<(), Rejected> {
+        self.instruct(|manager| manager.provision(robot, radio_unit, access_point))
+    }
+
     /// Checks whether [`Self::switch_on`] would succeed now.
     ///
     /// # Errors

@@ -4,14 +4,12 @@ use std::collections::BTreeMap;
 
 use cotorra_datapath::wifi::{BRIDGE, WLAN};
 use cotorra_graph as graph;
-use cotorra_graph::{
-    HardwareGraph, Hwsim, Node, NodeId, RadioUnit, Roaming, WifiStandard, WirelessNetwork,
-};
+use cotorra_graph::{HardwareGraph, Hwsim, Node, NodeId, RadioUnit, Roaming, WifiStandard, WirelessNetwork};
 use cotorra_wifi::{
     AccessPoint, AccessPointDriver, BackgroundScan, BackgroundScanMethod, Band, Bss, Channel, ChannelError,
-    DomainKey, FastTransition, InterfaceName, KeyExchange, KeyHolder, MacAddress, MobilityDomain, NameError,
-    Network, Passphrase, PassphraseError, Protection, Radio, Security, Ssid, Station, StationDriver, Units,
-    Width, hostapd::Neighbour,
+    Credentials, DomainKey, FastTransition, InterfaceName, KeyExchange, KeyHolder, MacAddress,
+    MobilityDomain, NameError, Network, Passphrase, PassphraseError, Protection, Radio, Security, Ssid,
+    Station, StationDriver, Units, Width, hostapd::Neighbour,
 };
 
 /// What the Wi-Fi programs of a testbed are to do.
@@ -97,16 +95,23 @@ impl Plan {
         Ok((!plan.units.is_empty() || !plan.robots.is_empty()).then_some(plan))
     }
 
-    /// Returns a radio unit's access point in a mobility domain.
-    pub(super) fn in_domain(&self, unit: &NodeId, domain: u16) -> Option<AccessPoint> {
+    /// Returns a radio unit's access point with these settings. One with a key has a passphrase of its
+    /// own, and therefore no fast transition.
+    pub(super) fn access_point(&self, unit: &NodeId, settings: &graph::AccessPoint) -> Option<AccessPoint> {
         let mut access_point = self.units.get(unit)?.access_point.clone();
         let fast = match &mut access_point.bss.security {
             Security::Open => None,
-            Security::Wpa2 { fast_transition, .. } => fast_transition.as_mut(),
+            Security::Wpa2 { passphrase, fast_transition, .. } => {
+                if let Some(key) = &settings.key {
+                    *passphrase = Passphrase::of_key(&key.0);
+                    *fast_transition = None;
+                }
+                fast_transition.as_mut()
+            }
             Security::Wpa3 { fast_transition, .. } => fast_transition.as_mut().map(|(fast, _)| fast),
         };
         if let Some(fast) = fast {
-            fast.domain = MobilityDomain(domain);
+            fast.domain = MobilityDomain(settings.mobility_domain);
         }
         Some(access_point)
     }
@@ -148,6 +153,11 @@ impl PlannedUnit {
         self.access_point.radio.channel
     }
 
+    /// Whether it can have a key of its own.
+    pub(super) fn takes_keys(&self) -> bool {
+        matches!(self.access_point.bss.security, Security::Wpa2 { .. })
+    }
+
     /// Returns its part in a mobility domain; `None` if stations do not roam fast.
     pub(super) fn fast_transition(&self) -> Option<&FastTransition> {
         self.access_point.bss.security.fast_transition()
@@ -158,6 +168,14 @@ impl PlannedRobot {
     /// Returns the network that it joins.
     pub(super) fn network(&self) -> &Network {
         &self.station.networks[0]
+    }
+
+    /// Returns its passphrase of WPA2.
+    pub(super) fn passphrase(&self) -> Option<&Passphrase> {
+        match &self.network().credentials {
+            Credentials::Wpa2 { passphrase, .. } => Some(passphrase),
+            Credentials::Open | Credentials::Wpa3 { .. } => None,
+        }
     }
 }
 

@@ -250,6 +250,12 @@ impl Programs {
             Request::Scan { channels, stays: true } => client.request(&wpa_supplicant::scan_only(channels)),
             Request::Scan { channels, stays: false } => client.request(&wpa_supplicant::scan(channels)),
             Request::Pin { to } => client.request(&wpa_supplicant::set(NETWORK, &Setting::Bssid(*to))),
+            Request::SetPassphrase { ssid, passphrase } => {
+                client.request(&wpa_supplicant::set_passphrase(NETWORK, ssid, passphrase))
+            }
+            Request::Rejoin => client
+                .request(&wpa_supplicant::disconnect())
+                .and_then(|()| client.request(&wpa_supplicant::reconnect())),
             Request::SetNeighbour(neighbour) => client.request(&hostapd::set_neighbour(neighbour)),
             Request::ReadHeard => match client.request(&wpa_supplicant::scan_results()) {
                 Ok(heard) => return self.handle(Input::Heard { robot: program.node().clone(), heard }),

@@ -8,6 +8,7 @@ use crate::{
         request::Request,
     },
     names::Ssid,
+    secret::Passphrase,
     station::{BackgroundScan, frequencies},
 };
 
@@ -178,6 +179,12 @@ pub fn roam(to: MacAddress) -> Request<()> {
 /// if the other access point does not answer there, e.g. because it belongs to another mobility domain.
 pub fn roam_over_ds(to: MacAddress) -> Request<()> {
     Request::new(format!("FT_DS {to}"), done)
+}
+
+/// Returns the request to use another passphrase of WPA2 from the next 4-way handshake on, in the station's network of this number.
+/// A present association stays.
+pub fn set_passphrase(network: u32, ssid: &Ssid, passphrase: &Passphrase) -> Request<()> {
+    Request::new(format!("SET_NETWORK {network} psk {}", passphrase.psk_hex(ssid)), done)
 }
 
 /// Returns the request to leave the network, and to stay away until [`reconnect`].

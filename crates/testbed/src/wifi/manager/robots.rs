@@ -5,7 +5,7 @@ use cotorra_wifi::{DisabledReason, Event as WifiEvent, MacAddress, wpa_supplican
 
 use super::{
     Change, Configuration, MOST_STRANGERS, Manager, PATIENCE, Program, Rejected, Request, again,
-    attaching::Errand,
+    attaching::Errand, keys::Keys,
 };
 use crate::wifi::{lifecycle::Lifecycle, words};
 
@@ -21,6 +21,8 @@ pub(super) struct RobotState {
     pub(super) scans: bool,
     /// Where it is sent.
     pub(super) errand: Option<Errand>,
+    /// Its keys of radio units, and the one that it uses in place of its network's passphrase.
+    pub(super) keys: Keys,
 }
 
 /// A robot on its way to an access point.
@@ -130,6 +132,8 @@ impl Manager {
     pub(super) fn supplicant_ended(&mut self, now: Timestamp, robot: &NodeId, reason: &str) {
         let Some(state) = self.robots.get_mut(robot) else { return };
         let Some(until) = state.life.ended(now) else { return };
+        // It begins with its network's passphrase.
+        state.keys.forget();
         let was_attached = state.at.take().is_some();
         (state.joining, state.scans) = (None, false);
         if was_attached {
@@ -141,8 +145,13 @@ impl Manager {
 
     /// Records that a radio unit is off: robots there have lost it, whether they know it already or not.
     pub(super) fn robots_lose(&mut self, unit: &NodeId) {
-        let there = self.robots.values_mut().filter(|state| state.at.as_ref() == Some(unit));
-        there.for_each(|state| state.at = None);
+        let there = self.robots.iter().filter(|(_, state)| state.at.as_ref() == Some(unit));
+        for robot in there.map(|(robot, _)| robot.clone()).collect::<Vec<_>>() {
+            if let Some(state) = self.robots.get_mut(&robot) {
+                state.at = None;
+            }
+            self.return_key(&robot);
+        }
     }
 
     pub(super) fn robot_event(&mut self, now: Timestamp, robot: &NodeId, event: &WifiEvent) {
@@ -190,7 +199,7 @@ impl Manager {
                 state.scans = false;
                 self.change(Change::Scanned { robot: robot.clone() });
                 self.request(Program::Supplicant(robot.clone()), Request::ReadHeard);
-                self.go_on_after_scan(robot);
+                self.go_on_after_scan(now, robot);
             }
             WifiEvent::ScanFailed => {
                 state.scans = false;
@@ -214,7 +223,8 @@ impl Manager {
         // A robot without a handshake has come by fast transition. The first association in a mobility domain has one.
         let fast = self.plan.units[&unit].fast_transition().is_some()
             && joining.is_some_and(|joining| !joining.shakes_hands);
-        let began = joining.map_or(now, |joining| joining.began);
+        let left = state.errand.as_ref().and_then(Errand::rejoins_since);
+        let began = left.or(joining.map(|joining| joining.began)).unwrap_or(now);
         if state.at.as_ref() != Some(&unit) {
             state.at = Some(unit.clone());
             let (robot, radio_unit) = (robot.clone(), unit.clone());
@@ -232,11 +242,13 @@ impl Manager {
     ) {
         let unit = self.plan.unit_of(robot, bssid).cloned();
         let Some(state) = self.robots.get_mut(robot) else { return };
-        if state.at.is_none() || state.at != unit {
+        let rejoins = state.errand.as_ref().and_then(Errand::rejoins_since).is_some();
+        if state.at.is_none() || state.at != unit || (locally && rejoins) {
             return;
         }
         state.at = None;
         self.change(Change::Disassociate { robot: robot.clone() });
+        self.return_key(robot);
         if let (false, Some(unit)) = (locally, unit) {
             let words = words::reason(reason);
             self.notice(now, format!("`{unit}` disconnected `{robot}` for reason {reason}{words}"));

@@ -523,8 +523,6 @@ fn vaps_are_deployed_and_removed() {
     assert!(check(&world, "D", &lab(7)).unwrap_err().contains("no radio unit `D`"));
     let other = graph::AccessPoint { ssid: "other".into(), ..lab(7) };
     assert!(check(&world, "C", &other).unwrap_err().contains("made for the network `lab`"));
-    let with_key = graph::AccessPoint { key: Some(graph::FtKey([1; 32])), ..lab(7) };
-    assert!(check(&world, "C", &with_key).unwrap_err().contains("takes no key"));
     assert!(world.manager.switch_off(&id("C")).unwrap_err().to_string().contains("`C` is off"));
     world.manager.switch_on(&id("C"), lab(9)).unwrap();
     let [Action::Start { program, configuration: Configuration::AccessPoint(access_point) }] =
@@ -645,8 +643,7 @@ fn an_access_point_of_another_network_with_the_same_ssid_is_a_stranger() {
     world.actions();
     let rogue = world.bssid("X");
     let ssid = "lab".parse().ok();
-    let heard =
-        Heard { bssid: rogue, frequency_mhz: 2462, signal_dbm: -40, flags: "[ESS]".to_owned(), ssid };
+    let heard = Heard { bssid: rogue, frequency_mhz: 2462, signal_dbm: -40, flags: "[ESS]".to_owned(), ssid };
     world.handle(Input::Heard { robot: id("r1"), heard: vec![heard] });
     let who = format!("`X` of network `other`, {rogue}");
     let message = format!(
@@ -663,4 +660,85 @@ fn an_access_point_of_another_network_with_the_same_ssid_is_a_stranger() {
     assert!(neighbours.iter().all(|neighbour| neighbour.bssid != rogue));
     let channels = &world.plan.robots[&id("r1")].network().channels;
     assert_eq!(channels.iter().map(|channel| channel.number()).collect::<Vec<_>>(), [1, 6, 11]);
+}
+
+fn with_key(byte: u8) -> graph::AccessPoint {
+    graph::AccessPoint { key: Some(graph::FtKey([byte; 32])), ..lab(7) }
+}
+
+#[test]
+fn an_access_point_with_a_key_takes_only_robots_that_have_it() {
+    let mut world = World::up();
+    world.manager.switch_on(&id("C"), with_key(1)).unwrap();
+    world.handle(Input::Started(hostapd("C")));
+    world.unit_event("C", WifiEvent::AccessPointEnabled);
+    assert!(world.attach("r1", "C").unwrap_err().contains("does not admit `r1`"));
+    world.manager.provision(&id("r1"), &id("C"), with_key(2)).unwrap();
+    assert!(world.attach("r1", "C").unwrap_err().contains("does not admit `r1`"));
+    world.manager.provision(&id("r1"), &id("C"), with_key(1)).unwrap();
+    world.actions();
+    let ssid = world.plan.robots[&id("r1")].network().ssid.clone();
+    let [a, c] = ["A", "C"].map(|unit| world.bssid(unit));
+    let set = |passphrase| Request::SetPassphrase { ssid: ssid.clone(), passphrase };
+    let [key, usual] = [Passphrase::of_key(&[1; 32]), "correct horse".parse().unwrap()].map(set);
+    let pin = |to| Request::Pin { to };
+    // It looks for it, leaves its radio unit, and joins no other one.
+    let leave = |world: &mut World, from: &str, to: &str| {
+        world.attach("r1", to).unwrap();
+        let channels = vec![world.plan.units[&id(to)].channel()];
+        assert_eq!(world.requests(), [Request::Scan { channels, stays: true }]);
+        world.event("r1", WifiEvent::ScanResults);
+        let requests = world.requests();
+        let bssid = world.bssid(from);
+        world.event("r1", WifiEvent::Disconnected { bssid, reason: 3, locally: true });
+        assert_eq!(world.actions(), []);
+        requests
+    };
+    let began = world.now;
+    let expected = [Request::ReadHeard, key.clone(), pin(Some(c)), Request::Rejoin];
+    assert_eq!(leave(&mut world, "A", "C"), expected);
+    world.pass(30);
+    world.event("r1", WifiEvent::Authenticating { bssid: c });
+    world.event("r1", WifiEvent::AssociationHandled);
+    world.event("r1", WifiEvent::Connected { bssid: c });
+    let (robot, radio_unit) = (id("r1"), id("C"));
+    let associate = Action::Change(Change::Associate { robot, radio_unit, began, fast: false });
+    let request = |request| Action::Request { program: supplicant("r1"), request };
+    assert_eq!(world.actions(), [associate, request(pin(None))]);
+    let expected = [Request::ReadHeard, usual.clone(), pin(Some(a)), Request::Rejoin];
+    assert_eq!(leave(&mut world, "C", "A"), expected);
+    world.join("r1", "A");
+    assert_eq!(world.requests(), [pin(None)]);
+    // It does not come there: it is nowhere, and may join any that takes its network's passphrase.
+    leave(&mut world, "A", "C");
+    world.pass(10_000);
+    let lost = Action::Change(Change::Disassociate { robot: id("r1") });
+    assert_eq!(world.actions()[..3], [lost, request(pin(None)), request(usual.clone())]);
+    // From nowhere, it looks for it at once.
+    world.attach("r1", "C").unwrap();
+    let channels = vec![world.plan.units[&id("C")].channel()];
+    assert_eq!(world.requests(), [key, pin(Some(c)), Request::Scan { channels, stays: false }]);
+    world.join("r1", "C");
+    world.actions();
+    // It loses the radio unit.
+    world.manager.switch_off(&id("C")).unwrap();
+    assert_eq!(world.requests(), [usual]);
+    world.join("r1", "A");
+    // The key is taken back.
+    world.manager.provision(&id("r1"), &id("C"), lab(7)).unwrap();
+    world.manager.switch_on(&id("C"), with_key(1)).unwrap();
+    world.handle(Input::Started(hostapd("C")));
+    world.unit_event("C", WifiEvent::AccessPointEnabled);
+    assert!(world.attach("r1", "C").unwrap_err().contains("does not admit `r1`"));
+}
+
+#[test]
+fn keys_need_the_passphrase_of_wpa2() {
+    let open = |graph: &mut graph::HardwareGraph| {
+        let hwsim = Hwsim { ssid: None, security: Security::Open };
+        graph.wireless.values_mut().for_each(|network| network.hwsim = Some(hwsim.clone()));
+    };
+    let world = World::with(open);
+    let rejected = world.manager.check_switch_on(&id("C"), &with_key(1)).unwrap_err();
+    assert!(rejected.to_string().contains("`security: wpa2` only"));
 }

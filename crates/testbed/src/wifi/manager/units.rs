@@ -13,7 +13,7 @@ pub(super) struct UnitState {
     /// Whether it sends beacons.
     pub(super) serves: bool,
     /// Settings of its access point.
-    access_point: graph::AccessPoint,
+    pub(super) access_point: graph::AccessPoint,
     /// Whether its next beginning is news: it was deployed, or has died before.
     is_news: bool,
 }
@@ -26,10 +26,6 @@ impl UnitState {
             access_point: unit.settings.clone(),
             is_news: !unit.serves,
         }
-    }
-
-    pub(super) fn mobility_domain(&self) -> u16 {
-        self.access_point.mobility_domain
     }
 }
 
@@ -52,7 +48,7 @@ impl Manager {
             let (network, asked) = (state.access_point.ssid.clone(), access_point.ssid.clone());
             return Err(OtherSsid { radio_unit: unit.clone(), network, asked }.into());
         }
-        if access_point.key.is_some() {
+        if access_point.key.is_some() && !self.plan.units[unit].takes_keys() {
             return Err(Rejected::Key(unit.clone()));
         }
         Ok(())
@@ -119,8 +115,8 @@ impl Manager {
     }
 
     fn launch(&mut self, unit: &NodeId) {
-        let domain = self.units.get(unit).map(UnitState::mobility_domain);
-        let access_point = domain.and_then(|domain| self.plan.in_domain(unit, domain));
+        let settings = self.units.get(unit).map(|state| &state.access_point);
+        let access_point = settings.and_then(|settings| self.plan.access_point(unit, settings));
         let Some(access_point) = access_point else { return };
         let configuration = Configuration::AccessPoint(Box::new(access_point));
         self.start(Program::Hostapd(unit.clone()), configuration);

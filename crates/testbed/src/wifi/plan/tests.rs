@@ -67,10 +67,16 @@ fn radio_units_of_a_network_are_one_mobility_domain() {
 #[test]
 fn a_virtual_access_point_can_be_in_another_mobility_domain() {
     let plan = plan("lab", wpa2("correct horse")).unwrap().unwrap();
-    let elsewhere = plan.in_domain(&id("B"), 0xabc).unwrap();
+    let settings =
+        |mobility_domain, key| graph::AccessPoint { ssid: "lab".into(), mobility_domain, key, core: None };
+    let elsewhere = plan.access_point(&id("B"), &settings(0xabc, None)).unwrap();
     assert_eq!(elsewhere.bss.security.fast_transition().unwrap().domain, MobilityDomain(0xabc));
-    assert_eq!(plan.in_domain(&id("B"), 7).unwrap(), plan.units[&id("B")].access_point);
-    assert!(plan.in_domain(&id("C"), 7).is_none());
+    let usual = settings(7, None);
+    assert_eq!(plan.access_point(&id("B"), &usual).unwrap(), plan.units[&id("B")].access_point);
+    assert!(plan.access_point(&id("C"), &usual).is_none());
+    let with_key = plan.access_point(&id("B"), &settings(7, Some(graph::FtKey([0xab; 32])))).unwrap();
+    let Security::Wpa2 { passphrase, fast_transition: None, .. } = with_key.bss.security else { panic!() };
+    assert_eq!(passphrase, Passphrase::of_key(&[0xab; 32]));
 }
 
 #[test]
@@ -114,7 +120,8 @@ fn impossible_networks_are_rejected() {
         "the passphrase of wireless network `lab` is none: a passphrase has 8 to 63 characters, not 5"
     );
     let mut graph = testbed().graph;
-    graph.wireless.get_mut("guests").unwrap().hwsim = Some(Hwsim { ssid: None, security: graph::Security::Open });
+    graph.wireless.get_mut("guests").unwrap().hwsim =
+        Some(Hwsim { ssid: None, security: graph::Security::Open });
     for node in &mut graph.nodes {
         if let graph::NodeKind::RadioUnit(unit) = &mut node.kind {
             unit.channel = 14;
