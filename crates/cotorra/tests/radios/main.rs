@@ -8,6 +8,8 @@
 //! ```
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
+mod air;
+mod attacks;
 mod handover;
 #[allow(dead_code, reason = "the end-to-end tests use the rest")]
 #[path = "../end_to_end/harness.rs"]
@@ -17,3 +19,4 @@ mod packets;
 mod repeats;
 mod rig;
 mod roams;
+mod vaps;

@@ -9,6 +9,7 @@ use std::{
     env, fs,
     fs::File,
     os::{fd::AsFd, unix::fs::MetadataExt},
+    process::Command,
     sync::mpsc::{self, Receiver},
     thread,
     time::{Duration, SystemTime},
@@ -204,6 +205,13 @@ impl Rig {
         self.run.get(&format!("/api/v1/network/nodes/{node}"))
     }
 
+    /// Returns the address of a node's radio, which is the BSSID of a radio unit.
+    pub fn mac(&self, node: &str) -> String {
+        let node = self.node(node);
+        let bytes = node["address"]["mac"].as_array().unwrap().iter();
+        bytes.map(|byte| format!("{:02x}", byte.as_u64().unwrap())).collect::<Vec<_>>().join(":")
+    }
+
     /// Runs a closure in a node's network namespace. Sockets that it opens stay there.
     pub fn inside<T: Send>(&self, node: &str, work: impl FnOnce() -> T + Send) -> T {
         let namespace = File::open(self.node(node)["namespace"].as_str().unwrap()).unwrap();
@@ -212,6 +220,14 @@ impl Rig {
             work()
         };
         thread::scope(|scope| scope.spawn(work).join().unwrap())
+    }
+
+    /// Runs a command in a node, and returns what it printed.
+    pub fn output(&self, node: &str, command: &str) -> String {
+        let [program, arguments @ ..] = &command.split(' ').collect::<Vec<_>>()[..] else { panic!() };
+        let output = self.inside(node, || Command::new(program).args(arguments).output().unwrap());
+        assert!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
     }
 
     /// Returns the number of a node's process with this program, such as `hostapd`.
