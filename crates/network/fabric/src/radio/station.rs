@@ -406,7 +406,8 @@ impl Station {
 /// Returns the next tick of a kernel. All ticks coincide, as those of one kernel do.
 fn next_tick(now: Timestamp, Frames { tick }: Frames) -> Timestamp {
     let tick = tick.as_nanos() as u64;
-    if tick == 0 { now } else { Timestamp::from_nanos((now.as_nanos() / tick + 1) * tick) }
+    let passed = now.as_nanos().checked_div(tick);
+    passed.map_or(now, |passed| Timestamp::from_nanos((passed + 1) * tick))
 }
 
 #[cfg(test)]
