@@ -63,11 +63,15 @@ impl Packets {
         Self { goes_on, sender, receiver }
     }
 
-    /// Ends them. Returns the longest time between two arrivals.
+    /// Ends them. Returns the longest time between two arrivals. A gap that lasts counts until now.
     pub fn longest_gap(self) -> Duration {
+        let now = SystemTime::now();
         self.goes_on.store(false, Ordering::Relaxed);
         self.sender.join().unwrap();
-        let arrivals = self.receiver.join().unwrap();
+        let mut arrivals = self.receiver.join().unwrap();
+        if arrivals.last().is_some_and(|last| *last < now) {
+            arrivals.push(now);
+        }
         let gaps = arrivals.windows(2).map(|pair| pair[1].duration_since(pair[0]).unwrap());
         gaps.max().expect("packets arrive")
     }
