@@ -1,4 +1,5 @@
 //! Access points that are deployed and removed while the run goes on, and the WLAN Access Information Service over them.
+#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the run's clock is the kernel's")]
 
 use std::time::{Duration, SystemTime};
 
@@ -15,7 +16,6 @@ fn with_key() -> Value {
 }
 
 #[test]
-#[allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the run's clock is the kernel's")]
 fn a_vap_with_a_key_beacons_within_a_second_and_takes_its_holder() {
     let Some(mut rig) = Rig::start(FLOOR) else { return };
     let (air, bssid) = (Air::listen(), rig.mac("C"));
