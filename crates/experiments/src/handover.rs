@@ -3,7 +3,7 @@
 //! other it roams by itself, which shows where.
 //!
 //! [`Comparison`] says whether the model's gaps lie in the confidence intervals of the real software's. Results can be
-//! [read](read) again, because not every machine has all kinds of radio.
+//! [read] again, because not every machine has all kinds of radio.
 
 mod drawn;
 mod figures;
