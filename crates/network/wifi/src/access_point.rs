@@ -2,6 +2,8 @@
 
 use std::{fmt::Write, num::NonZeroU8, path::Path};
 
+use serde::{Deserialize, Serialize};
+
 use crate::{
     address::MacAddress,
     channel::{Band, Channel, Width},
@@ -10,7 +12,7 @@ use crate::{
 };
 
 /// An access point: one radio with one BSS or more.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AccessPoint {
     /// The radio's interface.
     pub interface: InterfaceName,
@@ -25,7 +27,8 @@ pub struct AccessPoint {
 }
 
 /// What carries an access point's frames.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum AccessPointDriver {
     /// Linux's cfg80211, through nl80211.
     #[default]
@@ -35,7 +38,7 @@ pub enum AccessPointDriver {
 }
 
 /// The settings of an access point's radio.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Radio {
     /// The channel.
     pub channel: Channel,
@@ -80,7 +83,7 @@ impl Default for BeaconInterval {
 }
 
 /// A basic service set: a network on an access point.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bss {
     /// Its name.
     pub ssid: Ssid,

@@ -1,7 +1,10 @@
 //! Channels at 2.4 and 5 GHz.
 
+use serde::{Deserialize, Serialize};
+
 /// A frequency band.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Band {
     /// 2.4 GHz.
     Ghz2,
@@ -10,7 +13,8 @@ pub enum Band {
 }
 
 /// The width of a channel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Width {
     /// 20 MHz.
     Mhz20,

@@ -11,12 +11,14 @@ use std::{
     time::Duration,
 };
 
-use crate::control::{AnswerError, Message, Request, attach, hostapd};
+use crate::control::{AnswerError, Message, Request, attach, hostapd, wpa_supplicant};
 
 /// Longest datagram that is read, in bytes. Both programs answer with 8192 at most.
 const LONGEST: usize = 16 * 1024;
 /// Most stations of an access point: association identifiers go up to 2007 (IEEE 802.11-2020, 9.4.1.8).
 const MOST_STATIONS: usize = 2007;
+/// Most networks that are read of a station's configuration.
+const MOST_NETWORKS: usize = 10_000;
 
 /// A request that failed.
 #[derive(Debug, thiserror::Error)]
@@ -127,6 +129,25 @@ impl Client {
             };
         }
         Ok(stations)
+    }
+
+    /// Returns the networks of a station's configuration, at most 10 000.
+    ///
+    /// # Errors
+    /// As [`Self::request`].
+    pub fn networks(&mut self) -> Result<Vec<wpa_supplicant::Listed>, ControlError> {
+        let mut networks = Vec::new();
+        loop {
+            let last = networks.last().map(|listed: &wpa_supplicant::Listed| listed.network);
+            let more = self.request(&wpa_supplicant::networks(last))?;
+            // They come in the order of their numbers.
+            let new = more.into_iter().filter(|listed| last.is_none_or(|last| listed.network > last));
+            let before = networks.len();
+            networks.extend(new);
+            if networks.len() == before || networks.len() >= MOST_NETWORKS {
+                return Ok(networks);
+            }
+        }
     }
 
     /// Opens another socket to the program, for events.

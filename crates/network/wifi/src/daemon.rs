@@ -378,7 +378,7 @@ impl Drop for Folder {
 }
 
 /// Ends the program that a killed process left in a folder, and removes the folder.
-fn clear(path: &Path) -> Result<(), StartError> {
+pub(crate) fn clear(path: &Path) -> Result<(), StartError> {
     let is_a_programs = ["hostapd.conf", "wpa_supplicant.conf"].iter().any(|name| path.join(name).is_file());
     let is_ours = fs::symlink_metadata(path).is_ok_and(|folder| {
         let own = fs::metadata("/proc/self").is_ok_and(|process| process.uid() == folder.uid());

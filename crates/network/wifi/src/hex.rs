@@ -15,3 +15,12 @@ pub(crate) fn encode(bytes: &[u8]) -> String {
 pub(crate) fn digit(character: u8) -> Option<u8> {
     char::from(character).to_digit(16).and_then(|value| value.try_into().ok())
 }
+
+/// Reads pairs of digits; `None` if there is anything else.
+pub(crate) fn decode(text: &str) -> Option<Vec<u8>> {
+    let pair = |pair: &[u8]| match *pair {
+        [high, low] => Some(16 * digit(high)? + digit(low)?),
+        _ => None,
+    };
+    text.as_bytes().chunks(2).map(pair).collect()
+}

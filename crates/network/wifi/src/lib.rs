@@ -14,6 +14,7 @@ mod names;
 mod power;
 mod secret;
 mod security;
+mod serialized;
 mod station;
 
 pub use access_point::{AccessPoint, AccessPointDriver, BeaconInterval, Bss, Radio};
@@ -44,5 +45,6 @@ pub fn read_anything(bytes: &[u8]) {
         hostapd::first_station().read(bytes),
     );
     _ = (wpa_supplicant::status().read(bytes), wpa_supplicant::scan_results().read(bytes));
+    _ = (wpa_supplicant::networks(None).read(bytes), wpa_supplicant::add_network().read(bytes));
     _ = (wpa_supplicant::signal().read(bytes), ping().read(bytes), attach().read(bytes));
 }

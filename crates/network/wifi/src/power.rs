@@ -9,6 +9,8 @@ use netlink_packet_core::{
 use netlink_sys::{Socket, protocols::NETLINK_GENERIC};
 use rustix::net::{AddressFamily, SocketType, netdevice};
 
+use serde::{Deserialize, Serialize};
+
 use crate::names::InterfaceName;
 
 /// `GENL_ID_CTRL`, the family that knows the numbers of others, with its `CTRL_CMD_GETFAMILY`.
@@ -33,7 +35,8 @@ const HEADERS: (usize, usize) = (16, 4);
 const LONGEST: usize = 16 * 1024;
 
 /// A transmit power.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Power {
     /// What the driver and the regulatory domain choose.
     Automatic,
@@ -94,7 +97,11 @@ impl TransmitPower {
         self.change(power)
     }
 
-    fn change(&mut self, power: Power) -> io::Result<()> {
+    /// Changes the power for good: it is not put back.
+    ///
+    /// # Errors
+    /// As [`Self::set`].
+    pub fn change(&mut self, power: Power) -> io::Result<()> {
         let (kind, level) = power.parts();
         let mut attributes = vec![(INTERFACE, self.interface), (POWER_KIND, kind)];
         attributes.extend(level.map(|level| (POWER_LEVEL, level.cast_unsigned())));

@@ -2,6 +2,8 @@
 
 use std::{fmt, str::FromStr};
 
+use serde::{Deserialize, Serialize};
+
 use crate::{
     address::MacAddress,
     names::NameError,
@@ -9,7 +11,8 @@ use crate::{
 };
 
 /// The security of a BSS.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Security {
     /// Everybody may join, and nothing is encrypted.
     Open,
@@ -32,7 +35,8 @@ pub enum Security {
 }
 
 /// Protection of management frames (802.11w): without it, anybody can disconnect a station by a forged frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Protection {
     /// No station has it.
     Off,
@@ -44,7 +48,7 @@ pub enum Protection {
 }
 
 /// The identity of a mobility domain (802.11r). Stations roam fast between units of the same domain, SSID and security.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct MobilityDomain(pub u16);
 
 impl fmt::Display for MobilityDomain {
@@ -54,7 +58,7 @@ impl fmt::Display for MobilityDomain {
 }
 
 /// A unit's part in a mobility domain.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FastTransition {
     /// The domain.
     pub domain: MobilityDomain,
@@ -85,7 +89,7 @@ impl FromStr for KeyHolder {
 }
 
 /// How the units of a mobility domain exchange keys. They reach each other through the bridges of their BSSs.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyExchange {
     /// The key of all units.
     pub key: DomainKey,
@@ -94,7 +98,8 @@ pub struct KeyExchange {
 }
 
 /// Units of a mobility domain.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Units {
     /// All that know the key. Units find each other by broadcasts, which costs the first roam a round trip.
     Any,
@@ -192,7 +197,8 @@ impl Protection {
 }
 
 /// What a station needs to join a network.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Credentials {
     /// Nothing.
     Open,

@@ -2,6 +2,8 @@
 
 use std::{fmt::Write, path::Path};
 
+use serde::{Deserialize, Serialize};
+
 use crate::{
     address::MacAddress,
     channel::Channel,
@@ -46,7 +48,7 @@ impl StationDriver {
 }
 
 /// A network that a station may join.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Network {
     /// Its name.
     pub ssid: Ssid,
@@ -68,7 +70,7 @@ impl Network {
 }
 
 /// Scans of a connected station, from which it decides whether to roam.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct BackgroundScan {
     /// Which channels are scanned.
     pub method: BackgroundScanMethod,
@@ -81,7 +83,8 @@ pub struct BackgroundScan {
 }
 
 /// The channels of background scans.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum BackgroundScanMethod {
     /// All channels.
     Simple,
@@ -123,7 +126,8 @@ impl Station {
 }
 
 impl Network {
-    fn lines(&self) -> Vec<String> {
+    /// Returns the lines of its block in the file.
+    pub(crate) fn lines(&self) -> Vec<String> {
         let mut lines = vec![format!("ssid={}", self.ssid.in_file())];
         if let Some(bssid) = self.bssid {
             lines.push(format!("bssid={bssid}"));

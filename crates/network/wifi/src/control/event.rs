@@ -2,6 +2,8 @@
 
 use std::{str::FromStr, time::Duration};
 
+use serde::{Deserialize, Serialize};
+
 use crate::{address::MacAddress, names::InterfaceName};
 
 /// Longest text of an [`Event::Other`], in characters. More is cut off.
@@ -19,7 +21,8 @@ pub struct Message {
 }
 
 /// Something that happened at an access point or at a station.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Event {
     /// A station: it asks an access point for authentication.
     Authenticating {
@@ -156,7 +159,8 @@ pub enum Event {
 }
 
 /// Why a station could not join a network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum DisabledReason {
     /// Its passphrase is wrong.
     WrongKey,

@@ -3,6 +3,8 @@
 use std::{path::Path, time::Duration};
 
 pub use super::neighbour::Neighbour;
+use serde::{Deserialize, Serialize};
+
 use crate::{
     access_point::BeaconInterval,
     address::MacAddress,
@@ -264,7 +266,8 @@ pub fn remove_neighbour(bssid: MacAddress, ssid: &Ssid) -> Request<()> {
 }
 
 /// What a station is asked for (802.11v).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Urgency {
     /// It may stay.
     Suggestion,

@@ -1,5 +1,7 @@
 //! Neighbours of an access point, as stations are told about them.
 
+use serde::{Deserialize, Serialize};
+
 use crate::{
     access_point::{Bss, Radio},
     address::MacAddress,
@@ -8,7 +10,7 @@ use crate::{
 };
 
 /// A BSS that stations are told about, to roam to (802.11k and 802.11v).
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Neighbour {
     /// Its address.
     pub bssid: MacAddress,

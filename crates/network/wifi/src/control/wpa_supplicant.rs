@@ -1,5 +1,7 @@
 //! Requests to wpa_supplicant.
 
+use serde::{Deserialize, Serialize};
+
 use crate::{
     address::MacAddress,
     channel::Channel,
@@ -9,7 +11,7 @@ use crate::{
     },
     names::Ssid,
     secret::Passphrase,
-    station::{BackgroundScan, frequencies},
+    station::{BackgroundScan, Network, frequencies},
 };
 
 /// State of a station.
@@ -98,7 +100,7 @@ fn frequencies_of(channels: &[Channel]) -> String {
 }
 
 /// A BSS that a station has heard.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Heard {
     /// Its address.
     pub bssid: MacAddress,
@@ -282,6 +284,79 @@ pub(crate) fn put_back(network: u32, variable: Variable, value: Option<&str>) ->
     Request::new(format!("SET_NETWORK {network} {} {value}", variable.name()), done)
 }
 
+/// A network of a station's configuration.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Listed {
+    /// Its number.
+    pub network: u32,
+    /// Whether the station may join it.
+    pub is_enabled: bool,
+}
+
+/// Returns the request for the networks after this one, in the order of their numbers. wpa_supplicant ends the list after 4096
+/// bytes.
+pub fn networks(after: Option<u32>) -> Request<Vec<Listed>> {
+    let after = after.map(|last| format!(" LAST_ID={last}")).unwrap_or_default();
+    Request::new(format!("LIST_NETWORKS{after}"), |answer| {
+        let mut lines = answer?.lines();
+        if !lines.next().is_some_and(|head| head.starts_with("network id / ")) {
+            return Err(AnswerError::Unexpected("head of the table"));
+        }
+        let listed = |line: &str| {
+            let number = line.split('\t').next().and_then(|number| number.parse().ok());
+            let flags = line.rsplit('\t').next().unwrap_or_default();
+            let network = number.ok_or(AnswerError::Unexpected("network id"))?;
+            Ok(Listed { network, is_enabled: !flags.contains("[DISABLED]") })
+        };
+        lines.map(listed).collect()
+    })
+}
+
+/// Returns the request to add a network. It is disabled, and the answer is its number.
+pub fn add_network() -> Request<u32> {
+    Request::new("ADD_NETWORK", |answer| {
+        answer?.trim().parse().map_err(|_| AnswerError::Unexpected("network id"))
+    })
+}
+
+/// Returns the requests to make an added network like this.
+pub fn describe(number: u32, network: &Network) -> Vec<Request<()>> {
+    let lines = network.lines().into_iter();
+    let set = |line: String| {
+        let (name, value) = line.split_once('=').unwrap_or((&line, ""));
+        Request::new(format!("SET_NETWORK {number} {name} {value}"), done)
+    };
+    lines.map(set).collect()
+}
+
+/// Returns the request to name a network for programs. The name has letters, digits and `-` only.
+pub fn mark(number: u32, name: &str) -> Request<()> {
+    Request::new(format!("SET_NETWORK {number} id_str \"{name}\""), done)
+}
+
+/// Returns the request for a network's name for programs, in quotes; `None` if it has none.
+pub fn marked(number: u32) -> Request<Option<String>> {
+    Request::new(format!("GET_NETWORK {number} id_str"), |answer| match answer {
+        Err(AnswerError::Failed) => Ok(None),
+        answer => answer.map(|name| Some(name.to_owned())),
+    })
+}
+
+/// Returns the request to join a network, and to disable all others.
+pub fn select_network(number: u32) -> Request<()> {
+    Request::new(format!("SELECT_NETWORK {number}"), done)
+}
+
+/// Returns the request to let the station join a network.
+pub fn enable_network(number: u32) -> Request<()> {
+    Request::new(format!("ENABLE_NETWORK {number}"), done)
+}
+
+/// Returns the request to remove a network.
+pub fn remove_network(number: u32) -> Request<()> {
+    Request::new(format!("REMOVE_NETWORK {number}"), done)
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -294,6 +369,33 @@ mod tests {
 
     fn address(last: u8) -> MacAddress {
         MacAddress([2, 0, 0, 0, 0, last])
+    }
+
+    #[test]
+    fn networks_are_listed_with_whether_they_are_enabled() {
+        let answer = b"network id / ssid / bssid / flags\n0\thome\tany\t[CURRENT]\n2\t\tany\t[DISABLED]\n";
+        let listed = |network, is_enabled| Listed { network, is_enabled };
+        assert_eq!(networks(None).read(answer), Ok(vec![listed(0, true), listed(2, false)]));
+        assert_eq!(networks(None).read(b"FAIL\n"), Err(AnswerError::Failed));
+        assert_eq!(networks(Some(7)).text(), "LIST_NETWORKS LAST_ID=7");
+        assert_eq!(add_network().read(b"3\n"), Ok(3));
+    }
+
+    #[test]
+    fn an_added_network_is_described_as_in_a_file() {
+        let network = Network {
+            background_scan: Some(BackgroundScan {
+                method: BackgroundScanMethod::Simple,
+                threshold_dbm: -65,
+                short_s: 5,
+                long_s: 60,
+            }),
+            ..Network::new("corridor".parse().expect("an SSID"), crate::security::Credentials::Open)
+        };
+        let requests = describe(4, &network);
+        let texts: Vec<_> = requests.iter().map(Request::text).collect();
+        let expected = ["ssid \"corridor\"", "key_mgmt NONE", "bgscan \"simple:5:-65:60\""];
+        assert_eq!(texts, expected.map(|line| format!("SET_NETWORK 4 {line}")));
     }
 
     #[test]
