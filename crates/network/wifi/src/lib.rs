@@ -10,12 +10,15 @@ mod client;
 mod control;
 mod daemon;
 mod hex;
+mod interface;
 mod names;
+mod owner;
 mod power;
 mod secret;
 mod security;
 mod serialized;
 mod station;
+mod takeover;
 
 pub use access_point::{AccessPoint, AccessPointDriver, BeaconInterval, Bss, Radio};
 pub use address::{MacAddress, MacAddressError};
@@ -28,12 +31,14 @@ pub use control::{
 };
 pub use daemon::{Daemon, Launcher, StartError, installed, launch_here};
 pub use names::{CountryCode, InterfaceName, NameError, Ssid};
+pub use owner::{Owner, TakeoverError};
 pub use power::{Power, TransmitPower};
 pub use secret::{DomainKey, Passphrase, PassphraseError};
 pub use security::{
     Credentials, FastTransition, KeyExchange, KeyHolder, MobilityDomain, Protection, Security, Units,
 };
 pub use station::{BackgroundScan, BackgroundScanMethod, Network, Station, StationDriver};
+pub use takeover::{AccessPointSettings, Taken};
 
 /// Reads any bytes as each answer and as an event. For fuzzing.
 #[doc(hidden)]
