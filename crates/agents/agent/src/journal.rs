@@ -1,8 +1,9 @@
 //! The wanted state in a file, which survives a kill of the agent.
 
 use std::{
-    fs::{self, File, TryLockError},
-    io,
+    fs::{self, File, OpenOptions, TryLockError},
+    io::{self, Write},
+    os::unix::fs::OpenOptionsExt,
     path::{Path, PathBuf},
 };
 
@@ -42,11 +43,12 @@ impl Journal {
     }
 
     /// Saves the wanted state. Does not wait for the disk: a state is of no use after the machine's next start, and one that is
-    /// torn by a loss of power is ignored.
+    /// torn by a loss of power is ignored. It can have passphrases, which only the agent's user may read.
     pub(crate) fn save(&self, wanted: &Wanted) -> io::Result<()> {
         let saved = Saved { boot: boot(), wanted: wanted.clone() };
         let (path, new) = (self.folder.join(NAME), self.folder.join("wanted.new"));
-        fs::write(&new, serde_json::to_vec(&saved).map_err(io::Error::other)?)?;
+        let mut file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&new)?;
+        file.write_all(&serde_json::to_vec(&saved).map_err(io::Error::other)?)?;
         fs::rename(&new, &path)
     }
 
@@ -95,6 +97,7 @@ mod tests {
             instances: BTreeMap::new(),
             robot: None,
             links: BTreeMap::new(),
+            wifi: Default::default(),
         }
     }
 

@@ -12,6 +12,7 @@ mod journal;
 mod launcher;
 mod links;
 mod options;
+mod radios;
 mod robot;
 mod service;
 mod works;
@@ -55,7 +56,8 @@ Examples:
   cotorra-agent run /etc/cotorra/edge1.agent
   cotorra-agent run edge1.agent --state /tmp/edge1 --allow-trusted
   cotorra-agent run edge1.agent --images podman
-  cotorra-agent run gate1.agent --allow-interface eth0")]
+  cotorra-agent run gate1.agent --allow-interface eth0
+  cotorra-agent run ap1.agent --wifi wlan0")]
     Run(RunArgs),
     /// Try the connection to the core once, and report what is wrong
     Check {
@@ -111,6 +113,11 @@ struct RunArgs {
     /// Let NetEm replace queueing disciplines that somebody put on interfaces; they are put back afterwards
     #[arg(long)]
     replace: bool,
+    /// Lend a Wi-Fi interface to testbeds, which put their own access point or network there; can be repeated
+    ///
+    /// What is there now is put back at the end of a run, when the core is lost, and by the next start after a kill.
+    #[arg(long, value_name = "INTERFACE")]
+    wifi: Vec<cotorra_wifi::InterfaceName>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -144,9 +151,10 @@ fn dispatch(command: Command) -> Result<ExitCode, AgentError> {
             #[cfg(not(feature = "containers"))]
             let images = None;
             let confirmed = Confirmed { replace: args.replace, interfaces: args.allow_interface };
+            let wifi = args.wifi.into_iter().collect();
             let RunArgs { credentials, state, vnf_user, allow_trusted, .. } = args;
             let options = Options::new(credentials, state, vnf_user, allow_trusted, images, confirmed)?;
-            Service::start(options)?.run();
+            Service::start(Options { wifi, ..options })?.run();
         }
         Command::Check { credentials } => {
             let bundle = options::bundle(&credentials)?;

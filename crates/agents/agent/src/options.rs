@@ -1,6 +1,7 @@
 //! Options of an agent.
 
 use std::{
+    collections::BTreeSet,
     env, fs,
     path::{Path, PathBuf},
     str::FromStr,
@@ -9,6 +10,7 @@ use std::{
 use cotorra_agent_transport::Credentials;
 use cotorra_enrolment::Bundle;
 use cotorra_netem::Confirmed;
+use cotorra_wifi::InterfaceName;
 
 use crate::error::{AgentError, at};
 
@@ -62,10 +64,12 @@ pub(crate) struct Options {
     pub(crate) images: Option<ImageEngine>,
     /// What the core may do to interfaces.
     pub(crate) confirmed: Confirmed,
+    /// Wi-Fi interfaces that the core may use.
+    pub(crate) wifi: BTreeSet<InterfaceName>,
 }
 
 impl Options {
-    /// Completes the options with what depends on the user.
+    /// Completes the options with what depends on the user. No Wi-Fi interface may be used.
     pub(crate) fn new(
         credentials: PathBuf,
         state: Option<PathBuf>,
@@ -82,7 +86,15 @@ impl Options {
         };
         // VNFs have another working folder.
         let state = std::path::absolute(&state).map_err(at("find", &state))?;
-        Ok(Self { credentials, state, user: is_root.then_some(user), allow_trusted, images, confirmed })
+        Ok(Self {
+            credentials,
+            state,
+            user: is_root.then_some(user),
+            allow_trusted,
+            images,
+            confirmed,
+            wifi: BTreeSet::new(),
+        })
     }
 }
 

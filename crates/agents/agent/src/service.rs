@@ -24,6 +24,7 @@ use crate::{
     journal::Journal,
     links::Links,
     options::{self, Options},
+    radios::{News, Radios},
     robot::{Inbox, Robot},
     works::{Wake, Works},
 };
@@ -57,6 +58,7 @@ pub(crate) struct Service {
     works: Option<Works>,
     robot: Robot,
     links: Links,
+    radios: Radios,
     inbox: mpsc::Receiver<Message>,
     messages: mpsc::SyncSender<Message>,
     began: Instant,
@@ -87,6 +89,10 @@ impl Service {
         let node = NodeId::new(name.as_str()).expect("names of agents and nodes have the same characters");
         tracing::info!("agent `{name}`: connecting to {}", bundle.core());
         let links = Links::new(options.confirmed.clone());
+        let wake = messages.clone();
+        // A full inbox wakes the loop anyway.
+        let wake: Wake = Arc::new(move || drop(wake.try_send(Message::Wake)));
+        let radios = Radios::new(options.wifi.clone(), &options.state, wake);
         Ok(Self {
             agent: Agent::new(Timestamp::ZERO, boot, journal.load()),
             options,
@@ -97,6 +103,7 @@ impl Service {
             works: None,
             robot,
             links,
+            radios,
             inbox,
             messages,
             began,
@@ -120,6 +127,7 @@ impl Service {
             self.agent.set_robot_state(now, state);
             self.links.advance(now);
             self.agent.set_link_states(now, self.links.states());
+            self.follow_radios(now);
             while let Some(action) = self.agent.poll(now) {
                 self.act(action);
             }
@@ -139,6 +147,7 @@ impl Service {
         // A robot may move, interfaces may carry others' packets, and VNFs take their time.
         drop(self.robot);
         drop(self.links);
+        drop(self.radios);
         if let Some(works) = &mut self.works {
             works.shut_down();
         }
@@ -218,12 +227,34 @@ impl Service {
                 self.links.want(now, links);
                 self.agent.set_link_states(now, self.links.states());
             }
+            Action::UseRadios(radios) => {
+                self.radios.want(radios);
+                let now = self.now();
+                self.agent.set_radio_states(now, self.radios.states());
+            }
+            Action::Request(number, request) => {
+                if let Err(reason) = self.radios.request(number, request) {
+                    let now = self.now();
+                    self.agent.answered(now, number, Err(reason));
+                }
+            }
             Action::Report(report) => {
                 if let Err(error) = self.dialer.report(&report) {
                     tracing::debug!("cannot report: {error}");
                 }
             }
         }
+    }
+
+    /// Tells the core's side what happened at Wi-Fi interfaces.
+    fn follow_radios(&mut self, now: Timestamp) {
+        while let Some(news) = self.radios.poll() {
+            match news {
+                News::Answered(number, answer) => self.agent.answered(now, number, answer),
+                News::Happened(interface, event) => self.agent.happened(now, interface, event),
+            }
+        }
+        self.agent.set_radio_states(now, self.radios.states());
     }
 
     /// Makes ready to run VNFs of a run, unless that is done. VNFs of an earlier run end first.
@@ -280,7 +311,8 @@ impl Service {
         self.agent.set_link_states(now, self.links.states());
         let Some(run) = self.agent.run() else { return };
         let (boot, read_ns, context) = (self.agent.boot(), now.as_nanos(), reading.context);
-        let reading = MachineReading { boot, read_ns, context, links };
+        let heard = self.radios.heard();
+        let reading = MachineReading { boot, read_ns, context, links, heard };
         if let Err(error) = self.dialer.context(run, reading.encode()) {
             tracing::debug!("cannot send the context: {error}");
         }

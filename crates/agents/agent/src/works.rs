@@ -161,6 +161,7 @@ pub(crate) mod tests {
             allow_trusted: false,
             images: None,
             confirmed: Default::default(),
+            wifi: Default::default(),
         };
         let works = Works::new(Run(1), &options, folder.path().join("runs/1"), Arc::new(|| {}));
         (folder, works)

@@ -7,11 +7,13 @@ use std::{
 
 use cotorra_engine::{EngineEvent, InstanceId, Outcome};
 use cotorra_graph::{LinkId, Timestamp};
+use cotorra_wifi::{Event, InterfaceName};
 
 use crate::{
     link::{LinkState, WantedLink},
     message::{Beat, Echo, Instance, InstanceState, LEASE, Report, Run, Wanted, WantedInstance, short},
     robot::{RobotState, WantedRobot},
+    wifi::{AgentWifi, RadioState, WantedRadio, WantedRequest, WantedWifi},
 };
 
 /// Reports in each lease, so that some can be lost.
@@ -32,6 +34,10 @@ pub enum Action {
     /// Give these links their conditions, and restore all other interfaces. [`Agent::set_link_states`] takes what became of
     /// it, before the next action.
     Emulate(BTreeMap<LinkId, WantedLink>),
+    /// Make these Wi-Fi interfaces so, and put all others back. [`Agent::set_radio_states`] takes what becomes of it.
+    UseRadios(BTreeMap<InterfaceName, WantedRadio>),
+    /// Carry out a request to the program of a Wi-Fi interface. [`Agent::answered`] takes what becomes of it.
+    Request(u64, WantedRequest),
     /// Send a report.
     Report(Report),
 }
@@ -71,6 +77,7 @@ pub struct Agent {
     /// The links that are to have their conditions, and what became of them.
     emulated: BTreeMap<LinkId, WantedLink>,
     links: BTreeMap<LinkId, LinkState>,
+    wifi: AgentWifi,
     /// State of the wanted robot.
     robot: Option<RobotState>,
     /// The last beat and the time of its arrival.
@@ -94,6 +101,7 @@ impl Agent {
             has_heard: false,
             emulated: BTreeMap::new(),
             links: BTreeMap::new(),
+            wifi: saved.as_ref().map(|saved| AgentWifi::after_a_restart(&saved.wifi)).unwrap_or_default(),
             robot: None,
             beat: None,
             next_report: now,
@@ -137,11 +145,11 @@ impl Agent {
         Some((wanted.run, wanted.robot.as_ref()?))
     }
 
-    /// Returns the links to emulate now. Without the core, and after their run, interfaces are as their owner left them. A new
+    /// Returns what interfaces shall do now. Without the core, and after their run, they are as their owner left them. A new
     /// process waits for the core: the run may have ended meanwhile.
-    fn wanted_links(&self) -> Option<&BTreeMap<LinkId, WantedLink>> {
+    fn wanted_of_interfaces(&self) -> Option<(&BTreeMap<LinkId, WantedLink>, &WantedWifi)> {
         let wanted = self.wanted.as_ref().filter(|_| self.has_heard && !self.is_alone)?;
-        (Some(wanted.run) == self.run).then_some(&wanted.links)
+        (Some(wanted.run) == self.run).then_some((&wanted.links, &wanted.wifi))
     }
 
     /// Takes the state of each link of the last [`Action::Emulate`].
@@ -153,6 +161,27 @@ impl Agent {
         let states = states.into_iter().map(|(link, state)| (link, cut(state))).collect();
         if self.links != states {
             self.links = states;
+            self.next_report = now;
+        }
+    }
+
+    /// Takes the state of each Wi-Fi interface that is wanted, or is being put back.
+    pub fn set_radio_states(&mut self, now: Timestamp, states: BTreeMap<InterfaceName, RadioState>) {
+        if self.wifi.set_states(states) {
+            self.next_report = now;
+        }
+    }
+
+    /// Takes whether the program of a Wi-Fi interface took a request, or the reason why not.
+    pub fn answered(&mut self, now: Timestamp, request: u64, answer: Result<(), String>) {
+        self.wifi.answered(request, answer);
+        self.next_report = now;
+    }
+
+    /// Takes an event of the program of a Wi-Fi interface.
+    pub fn happened(&mut self, now: Timestamp, interface: InterfaceName, event: Event) {
+        if self.run.is_some() {
+            self.wifi.happened(now, interface, event);
             self.next_report = now;
         }
     }
@@ -188,6 +217,8 @@ impl Agent {
             if before.run != wanted.run {
                 let all: Vec<_> = self.instances.keys().copied().collect();
                 all.into_iter().for_each(|id| self.forget(id));
+                self.wifi.forget();
+                self.actions.extend(self.wifi.poll(None));
                 if !std::mem::take(&mut self.emulated).is_empty() {
                     self.actions.push_back(Action::Emulate(BTreeMap::new()));
                 }
@@ -202,6 +233,7 @@ impl Agent {
                 self.start(*id, instance);
             }
         }
+        self.wifi.want(&wanted.wifi);
         self.wanted = Some(wanted);
         self.next_report = now;
     }
@@ -210,6 +242,9 @@ impl Agent {
     pub fn beat(&mut self, now: Timestamp, beat: Beat) {
         if self.hear(now, beat.run) {
             self.beat = Some((beat, now));
+            if let Some(last) = beat.last_event.filter(|last| last.boot == self.boot) {
+                self.wifi.acknowledge(last.number);
+            }
             // A core that has started anew waits for a report.
             if self.wanted.as_ref().is_none_or(|wanted| wanted.generation != beat.generation) {
                 self.next_report = now;
@@ -255,6 +290,7 @@ impl Agent {
         let reason = format!("its core was away for longer than {:?}", self.lease());
         let ends: Vec<_> = self.instances.iter().filter(|(_, its)| !its.keep).map(|(id, _)| *id).collect();
         ends.into_iter().for_each(|id| self.end(id, &reason));
+        self.wifi.refuse(&reason);
     }
 
     /// Returns the next action.
@@ -262,11 +298,15 @@ impl Agent {
         if let Some(action) = self.actions.pop_front() {
             return Some(action);
         }
-        let links = self.wanted_links();
+        let links = self.wanted_of_interfaces().map(|(links, _)| links);
         if links.map_or(!self.emulated.is_empty(), |links| *links != self.emulated) {
             let links = links.cloned().unwrap_or_default();
             self.emulated.clone_from(&links);
             return Some(Action::Emulate(links));
+        }
+        let wifi = self.wanted_of_interfaces().map(|(_, wifi)| wifi.clone());
+        if let Some(action) = self.wifi.poll(wifi.as_ref()) {
+            return Some(action);
         }
         let run = self.run.filter(|_| now >= self.next_report)?;
         self.next_report = now + self.lease() / REPORTS_A_LEASE;
@@ -287,6 +327,7 @@ impl Agent {
             stopping: self.stopping,
             robot: self.robot.clone().filter(|_| wanted.is_some()),
             links: self.links.clone(),
+            wifi: self.wifi.report(wanted.is_some()),
         }))
     }
 

@@ -7,6 +7,7 @@ use std::{
 
 use cotorra_engine::{EngineEvent, InstanceId, Outcome};
 use cotorra_graph::{AgentId, LinkId, ReadingTime, Timestamp};
+use cotorra_wifi::InterfaceName;
 
 use crate::{
     clock::AgentClock,
@@ -14,6 +15,7 @@ use crate::{
     message::{Beat, InstanceState, Report, Run, Wanted, WantedInstance},
     robot::{RobotState, WantedRobot},
     shipped::Shipped,
+    wifi::{RadioEvent, RadioState, RemoteWifi, WantedRadio, WantedRequest},
 };
 
 /// Beats in each lease, so that some can be lost.
@@ -34,6 +36,12 @@ pub enum ControllerEvent {
     Robot(AgentId, RobotState),
     /// A link over an interface of an agent's machine has another state.
     Link(AgentId, LinkId, LinkState),
+    /// A wanted Wi-Fi interface of an agent's machine has another state.
+    Radio(AgentId, InterfaceName, RadioState),
+    /// The program of a Wi-Fi interface took a request, or refused it with this reason.
+    Request(AgentId, u64, Result<(), String>),
+    /// The program of a Wi-Fi interface reports an event.
+    Wifi(AgentId, RadioEvent),
 }
 
 /// A message to send.
@@ -67,6 +75,7 @@ struct KnownLink {
 struct Remote {
     instances: BTreeMap<u64, Known>,
     links: BTreeMap<LinkId, KnownLink>,
+    wifi: RemoteWifi,
     robot: Option<WantedRobot>,
     /// State of the robot in its last report.
     robot_state: Option<RobotState>,
@@ -102,6 +111,8 @@ pub struct Controller {
     files: Vec<Shipped>,
     agents: BTreeMap<AgentId, Remote>,
     events: VecDeque<ControllerEvent>,
+    /// Number of the last request to a Wi-Fi program.
+    last_request: u64,
 }
 
 impl Controller {
@@ -115,7 +126,7 @@ impl Controller {
         // Each agent has a wanted state from the start: nothing. It ends what an earlier run left there.
         let remote = || Remote { generation: 1, must_send: true, ..Remote::default() };
         let agents = agents.into_iter().map(|agent| (agent, remote())).collect();
-        Self { run, lease, files, agents, events: VecDeque::new() }
+        Self { run, lease, files, agents, events: VecDeque::new(), last_request: 0 }
     }
 
     /// Wants an instance to run. It starts when its agent reports.
@@ -160,12 +171,44 @@ impl Controller {
         remote.links.insert(link, KnownLink { wanted, since: remote.generation, state });
     }
 
+    /// Wants a Wi-Fi interface of an agent's machine to be like this. Ignores an unknown agent.
+    pub fn use_radio(&mut self, agent: &AgentId, interface: InterfaceName, wanted: WantedRadio) {
+        if let Some(remote) = self.agents.get_mut(agent) {
+            remote.change();
+            remote.wifi.want(interface, wanted, remote.generation);
+        }
+    }
+
+    /// Leaves a Wi-Fi interface of an agent's machine to its owner again.
+    pub fn release_radio(&mut self, agent: &AgentId, interface: &InterfaceName) {
+        if let Some(remote) = self.agents.get_mut(agent)
+            && remote.wifi.release(interface)
+        {
+            remote.change();
+        }
+    }
+
+    /// Wants the program of a Wi-Fi interface to carry out a request once. Returns the number with which
+    /// [`ControllerEvent::Request`] tells what became of it.
+    ///
+    /// # Errors
+    /// The reason, for people, if the agent is not there, or has too much to do.
+    pub fn request(&mut self, agent: &AgentId, wanted: WantedRequest) -> Result<u64, String> {
+        let present = self.agents.get_mut(agent).filter(|remote| remote.seen.is_some());
+        let remote = present.ok_or_else(|| format!("agent `{agent}` is not connected"))?;
+        self.last_request += 1;
+        remote.wifi.request(self.last_request, wanted, remote.generation + 1)?;
+        remote.change();
+        Ok(self.last_request)
+    }
+
     /// Does not want anything any more.
     pub fn stop_all(&mut self) {
         for remote in self.agents.values_mut() {
             let had_robot = remote.robot.take().is_some();
             let had_links = !std::mem::take(&mut remote.links).is_empty();
-            if !std::mem::take(&mut remote.instances).is_empty() || had_robot || had_links {
+            let had_wifi = remote.wifi.stop();
+            if !std::mem::take(&mut remote.instances).is_empty() || had_robot || had_links || had_wifi {
                 remote.change();
             }
         }
@@ -178,6 +221,7 @@ impl Controller {
                 && remote.running == remote.instances.len()
                 && remote.stopping == 0
                 && remote.emulated == remote.links.len()
+                && remote.wifi.is_settled()
                 && remote.robot_state.is_some() == remote.robot.is_some()
         })
     }
@@ -208,6 +252,9 @@ impl Controller {
             let was_ready = |known: &Known| known.is_ready;
             end(remote, &mut self.events, was_ready, "its agent was restarted");
             forget_links(remote);
+            if remote.wifi.lose(agent, "its agent was restarted", &mut self.events) {
+                remote.change();
+            }
         }
         if remote.seen.replace(now).is_none() {
             self.events.push_back(ControllerEvent::Joined(agent.clone()));
@@ -239,7 +286,8 @@ impl Controller {
             let state = remote.robot_state.clone().filter(|_| remote.robot.is_some());
             self.events.extend(state.map(|state| ControllerEvent::Robot(agent.clone(), state)));
         }
-        let mut has_ended = false;
+        let mut has_ended =
+            remote.wifi.receive(agent, (report.boot, report.generation), report.wifi, &mut self.events);
         let events = &mut self.events;
         remote.instances.retain(|id, known| {
             let mut tell = |outcome| {
@@ -297,8 +345,12 @@ impl Controller {
             remote.clock.reset();
             self.events.push_back(ControllerEvent::Left(agent.clone(), reason.to_owned()));
             let ends = |known: &Known| known.is_ready && !known.wanted.keep;
-            end(remote, &mut self.events, ends, &format!("its agent `{agent}` is lost: {reason}"));
+            let reason = format!("its agent `{agent}` is lost: {reason}");
+            end(remote, &mut self.events, ends, &reason);
             forget_links(remote);
+            if remote.wifi.lose(agent, &reason, &mut self.events) {
+                remote.change();
+            }
         }
     }
 
@@ -323,12 +375,14 @@ impl Controller {
                         .iter()
                         .map(|(id, known)| (id.clone(), known.wanted.clone()))
                         .collect(),
+                    wifi: remote.wifi.wanted(),
                 };
                 return Some(Transmit::Wanted(agent.clone(), Box::new(wanted)));
             }
             if now >= remote.next_beat {
                 remote.next_beat = now + lease / BEATS_A_LEASE;
-                let beat = Beat { run, generation: remote.generation, sent_ns: now.as_nanos() };
+                let last_event = remote.wifi.last_event();
+                let beat = Beat { run, generation: remote.generation, sent_ns: now.as_nanos(), last_event };
                 return Some(Transmit::Beat(agent.clone(), beat));
             }
         }

@@ -11,6 +11,8 @@
 //! [Links](WantedLink) over interfaces of its machine are part of the wanted state. They have their conditions only as long as
 //! the agent hears the core.
 //!
+//! So are [Wi-Fi interfaces](WantedWifi), which are their owner's again when the agent does not hear the core.
+//!
 //! A [robot](WantedRobot) at an agent is part of the wanted state, too. Its readings and commands go beside it, between a
 //! [`DrivenRobot`] and a [`RemoteRobot`].
 #![forbid(unsafe_code)]
@@ -23,6 +25,7 @@ mod machine_reading;
 mod message;
 mod robot;
 mod shipped;
+mod wifi;
 
 pub use agent::{Action, Agent};
 pub use clock::AgentClock;
@@ -35,3 +38,7 @@ pub use robot::{
     TurnError, WantedRobot,
 };
 pub use shipped::Shipped;
+pub use wifi::{
+    LastEvent, MOST_HEARD, RadioEvent, RadioState, RequestState, WantedRadio, WantedRequest, WantedWifi,
+    WifiReport, WifiRequest,
+};

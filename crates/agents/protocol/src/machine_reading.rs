@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{LinkId, MachineContext};
+use cotorra_wifi::{InterfaceName, wpa_supplicant::Heard};
 use serde::{Deserialize, Serialize};
 
 use crate::link::LinkReading;
@@ -20,4 +21,7 @@ pub struct MachineReading {
     /// The links that have their conditions.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub links: BTreeMap<LinkId, LinkReading>,
+    /// Access points that each wanted station heard lately, strongest first.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub heard: BTreeMap<InterfaceName, Vec<Heard>>,
 }

@@ -10,6 +10,7 @@ use crate::{
     machine_reading::MachineReading,
     robot::{RobotState, WantedRobot},
     shipped::Shipped,
+    wifi::{LastEvent, WantedWifi, WifiReport, check_heard},
 };
 
 /// Time without a message after which each end takes the other for lost.
@@ -41,6 +42,9 @@ pub struct Wanted {
     /// The links over interfaces of its machine.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub links: BTreeMap<LinkId, WantedLink>,
+    /// The Wi-Fi interfaces of its machine.
+    #[serde(default, skip_serializing_if = "WantedWifi::is_empty")]
+    pub wifi: WantedWifi,
 }
 
 /// An instance of a VNF that shall run.
@@ -66,6 +70,9 @@ pub struct Beat {
     pub generation: u64,
     /// Time of sending on the core's clock, nanoseconds.
     pub sent_ns: u64,
+    /// The last event of a Wi-Fi program that the core has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_event: Option<LastEvent>,
 }
 
 /// What runs on an agent's machine.
@@ -90,6 +97,9 @@ pub struct Report {
     /// The state of each wanted link; empty while the agent does not hear the core.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub links: BTreeMap<LinkId, LinkState>,
+    /// Wi-Fi interfaces that are not their owner's now, and what happened there.
+    #[serde(default, skip_serializing_if = "WifiReport::is_empty")]
+    pub wifi: WifiReport,
 }
 
 /// The answer to a beat, from which the core learns the distance of the two clocks.
@@ -134,6 +144,9 @@ pub enum MessageError {
     /// A link would be probed too often, or over too long a time.
     #[error("probes of `{0}` beyond the bounds")]
     Probes(LinkId),
+    /// It is more than Wi-Fi interfaces can have.
+    #[error("{number} {what}, of at most {most}")]
+    TooMuchWifi { what: &'static str, number: usize, most: usize },
     /// No robot can say it.
     #[error("readings beyond those of a robot")]
     Impossible,
@@ -185,8 +198,12 @@ pub(crate) use message;
 
 message!(Wanted, 1 << 20, Wanted::check_bounds);
 message!(Beat, 256);
-message!(Report, 512 << 10, |its: &Report| few(its.instances.len(), its.links.len()));
-message!(MachineReading, 256 << 10, |its: &MachineReading| few(0, its.links.len()));
+message!(Report, 512 << 10, |its: &Report| {
+    few(its.instances.len(), its.links.len()).and_then(|()| its.wifi.check())
+});
+message!(MachineReading, 256 << 10, |its: &MachineReading| {
+    few(0, its.links.len()).and_then(|()| check_heard(&its.heard))
+});
 
 pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
     if bytes.len() > M::LONGEST {
@@ -200,6 +217,7 @@ pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
 impl Wanted {
     fn check_bounds(&self) -> Result<(), MessageError> {
         few(self.instances.len(), self.links.len())?;
+        self.wifi.check()?;
         let is_bounded = |wanted: &WantedLink| wanted.probes.is_none_or(|probes| probes.are_bounded());
         match self.links.iter().find(|(_, wanted)| !is_bounded(wanted)) {
             Some((link, _)) => Err(MessageError::Probes(link.clone())),

@@ -265,7 +265,7 @@ fn an_answer_to_a_beat_of_an_earlier_run_counts_for_none() {
     // The agent is on its way to answer the first core, when the second one sends what it wants.
     let start = Timestamp::from_nanos;
     let mut agent = Agent::new(Timestamp::ZERO, 1, None);
-    agent.beat(start(1), Beat { run: Run(1), generation: 1, sent_ns: 5 });
+    agent.beat(start(1), Beat { run: Run(1), generation: 1, sent_ns: 5, last_event: None });
     let mut second = Controller::new(Run(2), LEASE, Vec::new(), [name()]);
     let Some(Transmit::Wanted(_, wanted)) = second.poll_transmit(Timestamp::ZERO) else {
         panic!("it wants nothing")

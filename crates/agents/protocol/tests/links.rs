@@ -409,6 +409,7 @@ fn probed(count: usize, probing: Probing) -> Wanted {
         instances: BTreeMap::new(),
         robot: None,
         links: (0..count).map(link).collect(),
+        wifi: Default::default(),
     }
 }
 

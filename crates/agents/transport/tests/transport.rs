@@ -104,11 +104,12 @@ fn report(boot: u64) -> Report {
         stopping: 0,
         robot: None,
         links: BTreeMap::new(),
+        wifi: Default::default(),
     }
 }
 
 fn beat(router: &Router, agent: &str) {
-    router.send(RUN, &Transmit::Beat(name(agent), Beat { run: RUN, generation: 1, sent_ns: 2 })).unwrap();
+    router.send(RUN, &Transmit::Beat(name(agent), Beat { run: RUN, generation: 1, sent_ns: 2, last_event: None })).unwrap();
 }
 
 /// Sends beats until the agent receives one.
@@ -160,6 +161,7 @@ fn both_ends_exchange_messages_and_files() {
         instances: BTreeMap::new(),
         robot: None,
         links: BTreeMap::new(),
+        wifi: Default::default(),
     };
     router.send(RUN, &Transmit::Wanted(name("edge1"), Box::new(wanted.clone()))).unwrap();
     loop {

@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_agent_protocol::{
-    Controller, ControllerEvent, LinkState, MachineReading, RobotState, Run, Shipped, WantedInstance,
-    WantedLink, WantedRobot,
+    Controller, ControllerEvent, LinkState, MachineReading, RadioState, RobotState, Run, Shipped,
+    WantedInstance, WantedLink, WantedRobot,
 };
 use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
 use cotorra_engine::{EngineEvent, InstanceId};
@@ -191,6 +191,20 @@ impl Link {
                     };
                     self.tell(now, Event::Notice { message });
                 }
+                ControllerEvent::Radio(agent, interface, state) => {
+                    let message = match state {
+                        RadioState::Changing => continue,
+                        RadioState::Ready => format!("`{interface}` at agent `{agent}` is as wanted"),
+                        RadioState::Failed(reason) => {
+                            format!("`{interface}` at agent `{agent}` is not as wanted: {reason}")
+                        }
+                    };
+                    self.tell(now, Event::Notice { message });
+                }
+                ControllerEvent::Request(agent, number, answer) => {
+                    tracing::debug!("agent `{agent}`: Wi-Fi request {number}: {answer:?}");
+                }
+                ControllerEvent::Wifi(agent, event) => tracing::debug!("agent `{agent}`: {event:?}"),
                 ControllerEvent::Joined(agent) => {
                     self.parts.links.set_present(&agent, true);
                     self.tell(now, Event::Notice { message: format!("agent `{agent}` is connected") });

@@ -305,7 +305,8 @@ links:
             };
             let links = reading.into_iter().collect();
             let read_ns = seconds * 1_000_000_000;
-            self.reports.read(&agent(), &MachineReading { boot, read_ns, context, links });
+            self.reports
+                .read(&agent(), &MachineReading { boot, read_ns, context, links, heard: BTreeMap::new() });
         }
 
         /// Returns the context of the direction in which packets leave, and of the other one.

@@ -68,8 +68,13 @@ fn agent(lab: &Lab, number: usize, mut schedule: Schedule) {
         if let Some(context) = schedule.poll() {
             let key = format!("bench/{name}/{}", context.node);
             let read_ns = began.elapsed().as_nanos() as u64;
-            let reading =
-                MachineReading { boot: number as u64 + 1, read_ns, context, links: Default::default() };
+            let reading = MachineReading {
+                boot: number as u64 + 1,
+                read_ns,
+                context,
+                links: Default::default(),
+                heard: Default::default(),
+            };
             let put = session.put(key, reading.encode()).congestion_control(CongestionControl::Drop);
             put.express(true).wait().unwrap();
         }

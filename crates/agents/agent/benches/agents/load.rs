@@ -53,8 +53,15 @@ struct Usage {
 
 pub fn measure() {
     let context = context(COUNTED);
-    let length =
-        MachineReading { boot: 1, read_ns: 1_000_000_000, context, links: Default::default() }.encode().len();
+    let length = MachineReading {
+        boot: 1,
+        read_ns: 1_000_000_000,
+        context,
+        links: Default::default(),
+        heard: Default::default(),
+    }
+    .encode()
+    .len();
     println!("{AGENTS} agents, contexts of {length} bytes at 10 Hz, {CONTEXTS} of each agent counted");
     println!("core                CPU     memory     lost   others' CPU");
     let mut all = [const { Vec::new() }; 2];

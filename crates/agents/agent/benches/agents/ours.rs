@@ -71,8 +71,14 @@ fn agent(lab: &Lab, number: usize, mut schedule: Schedule) {
             dialer
                 .context(
                     run,
-                    MachineReading { boot, read_ns: now().as_nanos(), context, links: Default::default() }
-                        .encode(),
+                    MachineReading {
+                        boot,
+                        read_ns: now().as_nanos(),
+                        context,
+                        links: Default::default(),
+                        heard: Default::default(),
+                    }
+                    .encode(),
                 )
                 .unwrap();
         }

@@ -183,7 +183,9 @@ impl World {
                     self.machine.running.remove(&id).expect("only running instances are stopped");
                 }
                 Action::Report(report) => reports.push(report),
-                Action::Emulate(links) => panic!("nobody wants {links:?}"),
+                action @ (Action::Emulate(_) | Action::UseRadios(_) | Action::Request(..)) => {
+                    panic!("nobody wants {action:?}")
+                }
             }
         }
         for (id, (_, is_told)) in &mut self.machine.running {
@@ -362,6 +364,7 @@ fn instances_of_a_wanted_state_that_cannot_be_saved_fail() {
         instances,
         robot: None,
         links: BTreeMap::new(),
+        wifi: Default::default(),
     };
     agent.want(Timestamp::ZERO, wanted);
     assert!(matches!(agent.poll(Timestamp::ZERO), Some(Action::Save(_))));
@@ -429,6 +432,7 @@ fn an_unknown_agent_is_refused_and_its_reports_are_ignored() {
         stopping: 0,
         robot: None,
         links: BTreeMap::new(),
+        wifi: Default::default(),
     };
     controller.receive(Timestamp::ZERO, &other, report);
     assert_eq!(controller.poll_event(), None);

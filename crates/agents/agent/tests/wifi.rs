@@ -1,0 +1,422 @@
+//! Three machines with real agents, two access points and a robot, whose radios are emulated (mac80211_hwsim): a core serves a
+//! network there, and sends the robot from one access point to the other. In the end, all is as their owners had it.
+//!
+//! Needs root of a kernel with three such radios, which `COTORRA_RADIOS` promises.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the core's only clock")]
+
+use std::{
+    collections::BTreeMap,
+    env, fs,
+    path::Path,
+    process::{Child, Command, Stdio},
+    sync::{Arc, mpsc},
+    time::{Duration, Instant},
+};
+
+use cotorra_agent_protocol::{
+    Controller, ControllerEvent, LEASE, MachineReading, RadioEvent, RadioState, Run, WantedRadio,
+    WantedRequest, WifiRequest,
+};
+use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
+use cotorra_enrolment::Authority;
+use cotorra_graph::{AgentId, Timestamp};
+use cotorra_wifi::{
+    AccessPointSettings, Band, Bss, Channel, Client, Event, FastTransition, InterfaceName, MacAddress,
+    MobilityDomain, Network, Protection, Radio, Security, Width, hostapd,
+};
+
+const RUN: Run = Run(1);
+const CORE: &str = "10.9.0.1:7448";
+const ROBOT: MacAddress = MacAddress([2, 0, 0, 0, 0, 0]);
+/// What nothing here needs.
+const LONG: Duration = Duration::from_secs(60);
+const HOSTAPD: &str = "interface=wlan1
+bridge=br0
+ctrl_interface=/run/hostapd
+ssid=home
+channel=11
+hw_mode=g
+wpa=2
+wpa_key_mgmt=WPA-PSK
+rsn_pairwise=CCMP
+wpa_passphrase=the owner's secret
+";
+const SUPPLICANT: &str = "ctrl_interface=/run/wpa_supplicant
+network={
+ ssid=\"home\"
+ key_mgmt=WPA-PSK
+ psk=\"the owner's secret\"
+ scan_freq=2412 2437 2462
+}
+";
+
+fn sh(script: &str) -> String {
+    let output = Command::new("sh").args(["-ec", script]).output().unwrap();
+    assert!(output.status.success(), "{script}: {output:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn name(number: usize) -> AgentId {
+    AgentId::new(["robot1", "ap1", "ap2"][number]).unwrap()
+}
+
+fn interface(number: usize) -> InterfaceName {
+    format!("wlan{number}").parse().unwrap()
+}
+
+fn bssid(unit: u8) -> MacAddress {
+    MacAddress([2, 0, 0, 0, unit, 0])
+}
+
+fn channel(unit: u8) -> Channel {
+    Channel::new(Band::Ghz2, if unit == 1 { 1 } else { 6 }, Width::Mhz20).unwrap()
+}
+
+fn security(unit: u8) -> Security {
+    let holder = format!("unit{unit}").parse().unwrap();
+    Security::Wpa2 {
+        passphrase: "correct horse".parse().unwrap(),
+        protection: Protection::Required,
+        fast_transition: Some(FastTransition { domain: MobilityDomain(0xc070), holder, over_ds: true }),
+    }
+}
+
+fn access_point(unit: u8) -> WantedRadio {
+    WantedRadio::AccessPoint(Box::new(AccessPointSettings {
+        radio: Radio::new(channel(unit)),
+        bss: Bss { bridge: "br0".parse().ok(), ..Bss::new("corridor".parse().unwrap(), security(unit)) },
+        virtual_aps: Vec::new(),
+        power: None,
+        neighbours: Vec::new(),
+    }))
+}
+
+fn station() -> WantedRadio {
+    let network = Network::new("corridor".parse().unwrap(), security(1).credentials());
+    WantedRadio::Station(Box::new(Network { channels: vec![channel(1), channel(2)], ..network }))
+}
+
+/// Makes a namespace for each machine, with its radio and a cable to the core.
+fn connect_machines() {
+    sh("ip link add lan type bridge
+        ip address add 10.9.0.1/24 dev lan
+        ip address add 10.8.0.1/24 dev lan
+        ip link set lan up
+        for n in 0 1 2; do
+            ip netns add u$n
+            iw phy phy$n set netns name u$n
+            ip link add up$n type veth peer name eth0 netns u$n
+            ip link set up$n master lan up
+            ip -n u$n link set lo up
+            ip -n u$n link add br0 type bridge
+            ip -n u$n link set br0 up
+            ip -n u$n link set eth0 master br0 up
+            ip -n u$n address add 10.9.0.1$n/24 dev br0
+        done
+        ip -n u0 address add 10.8.0.10/24 dev wlan0");
+}
+
+/// Starts the programs of the owners: an access point at machine 1, nothing at machine 2, and a station at the robot.
+fn start_owners() {
+    fs::write("/run/hostapd.conf", HOSTAPD).unwrap();
+    fs::write("/run/supplicant.conf", SUPPLICANT).unwrap();
+    sh("ip netns exec u1 hostapd -B -f /run/hostapd.log /run/hostapd.conf
+        ip netns exec u0 wpa_supplicant -B -f /run/supplicant.log -i wlan0 -D nl80211 -c /run/supplicant.conf");
+    is_home();
+}
+
+/// Waits until the machines are as their owners had them.
+fn is_home() {
+    let is_home = || {
+        sh("ip netns exec u1 iw dev; ip netns exec u2 iw dev; ip netns exec u0 iw dev wlan0 link; \
+            ip netns exec u0 wpa_cli -p /run/wpa_supplicant list_networks")
+    };
+    let mut seen = String::new();
+    for _ in 0..100 {
+        seen = is_home();
+        let own = ["wlan0", "wlan1", "wlan2"].map(|its| Path::new("/run").join(its).join("wifi").join(its));
+        let is_clean = own.iter().all(|its| !its.join("own").exists() && !its.join("owner.json").exists());
+        let networks = seen.matches("\tany\t").count();
+        if seen.contains("ssid home")
+            && seen.contains("channel 11")
+            && seen.contains("type managed")
+            && seen.contains("SSID: home")
+            && networks == 1
+            && is_clean
+        {
+            return;
+        }
+        sh("sleep 0.1");
+    }
+    panic!("not as before: {seen}");
+}
+
+fn start_agent(number: usize) -> Child {
+    let log = fs::File::options().create(true).append(true).open(format!("/run/agent{number}.log")).unwrap();
+    Command::new("ip")
+        .args(["netns", "exec", &format!("u{number}"), env!("CARGO_BIN_EXE_cotorra-agent"), "run"])
+        .args([&format!("/run/{}.agent", name(number)), "--state", &format!("/run/wlan{number}")])
+        .args(["--wifi", &format!("wlan{number}")])
+        .stdout(Stdio::null())
+        .stderr(log)
+        .spawn()
+        .unwrap()
+}
+
+/// The core: a router, and the state of the protocol.
+struct Core {
+    router: Router,
+    controller: Controller,
+    inbox: mpsc::Receiver<(AgentId, FromAgent)>,
+    began: Instant,
+    /// The newest reading of each machine.
+    readings: BTreeMap<AgentId, MachineReading>,
+}
+
+impl Core {
+    fn start(authority: &Authority) -> Self {
+        let today = chrono::Utc::now();
+        let core = authority.core(today).unwrap();
+        let credentials = Credentials {
+            authority: &core.authority_pem,
+            certificate: &core.certificate_pem,
+            key: &core.key_pem,
+        };
+        let granted = authority.granted(today).unwrap().into_iter();
+        let granted: Vec<_> =
+            granted.map(|its| Granted { agent: its.name, common_name: its.common_name }).collect();
+        let (arrived, inbox) = mpsc::channel();
+        let receiver: Receiver = Arc::new(move |agent, message, _| drop(arrived.send((agent, message))));
+        let router =
+            Router::open(CORE.parse().unwrap(), credentials, &granted, RUN, BTreeMap::new(), &receiver);
+        let controller = Controller::new(RUN, LEASE, Vec::new(), (0..3).map(name));
+        let (router, began, readings) = (router.unwrap(), Instant::now(), BTreeMap::new());
+        Self { router, controller, inbox, began, readings }
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::ZERO + self.began.elapsed()
+    }
+
+    /// Runs until an event is the last that `is_last` waits for. Returns all events.
+    fn until(
+        &mut self,
+        mut is_last: impl FnMut(&Self, Option<&ControllerEvent>) -> bool,
+    ) -> Vec<ControllerEvent> {
+        let (ends, mut seen) = (self.now() + LONG, Vec::new());
+        loop {
+            let now = self.now();
+            assert!(now < ends, "only {seen:?}");
+            self.controller.advance(now);
+            while let Some(transmit) = self.controller.poll_transmit(now) {
+                self.router.send(RUN, &transmit).unwrap();
+            }
+            while let Some(event) = self.controller.poll_event() {
+                seen.push(event);
+                if is_last(self, seen.last()) {
+                    return seen;
+                }
+            }
+            if is_last(self, None) {
+                return seen;
+            }
+            let Ok((agent, message)) = self.inbox.recv_timeout(self.controller.next_deadline().since(now))
+            else {
+                continue;
+            };
+            let now = self.now();
+            match message {
+                FromAgent::Connection { boot, is_there } => {
+                    self.controller.connection(now, &agent, boot, is_there);
+                }
+                FromAgent::Report(report) => self.controller.receive(now, &agent, report),
+                FromAgent::Context(bytes) => {
+                    self.readings.insert(agent, MachineReading::decode(&bytes).unwrap());
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    /// Runs until each of these events has happened.
+    fn until_all(&mut self, mut wanted: Vec<(usize, Event)>) -> Vec<RadioEvent> {
+        let seen = self.until(|_, event| {
+            if let Some(ControllerEvent::Wifi(agent, happened)) = event {
+                wanted.retain(|(number, event)| *agent != name(*number) || happened.event != *event);
+            }
+            wanted.is_empty()
+        });
+        let event = |event| match event {
+            ControllerEvent::Wifi(_, event) => Some(event),
+            _ => None,
+        };
+        seen.into_iter().filter_map(event).collect()
+    }
+
+    fn want_all(&mut self) {
+        for unit in [1, 2] {
+            let number = usize::from(unit);
+            self.controller.use_radio(&name(number), interface(number), access_point(unit));
+        }
+        self.controller.use_radio(&name(0), interface(0), station());
+    }
+
+    fn ask_robot(&mut self, request: WifiRequest) -> u64 {
+        let request = WantedRequest { interface: interface(0), request };
+        self.controller.request(&name(0), request).unwrap()
+    }
+}
+
+/// Starts a ping from the robot over its radio, each millisecond.
+fn start_ping() -> Child {
+    let log = fs::File::create("/run/ping.log").unwrap();
+    let mut ping = Command::new("ip");
+    ping.args("netns exec u0 ping -n -D -i 0.001 10.8.0.1".split(' ')).stdout(log).spawn().unwrap()
+}
+
+/// Ends a ping. Returns the longest time between two answers, and their number.
+fn end_ping(mut ping: Child) -> (Duration, usize) {
+    sh(&format!("kill {}", ping.id()));
+    ping.wait().unwrap();
+    let log = fs::read_to_string("/run/ping.log").unwrap();
+    let answer = |line: &str| line.strip_prefix('[')?.split_once("] 64 bytes")?.0.parse::<f64>().ok();
+    let answers: Vec<_> = log.lines().filter_map(answer).collect();
+    let longest = answers.windows(2).map(|two| two[1] - two[0]).fold(0.0, f64::max);
+    (Duration::from_secs_f64(longest), answers.len())
+}
+
+/// Returns the time from a robot's first frame to the next access point until it may send data there.
+fn gap(events: &[RadioEvent], to: MacAddress) -> Duration {
+    let at = |wanted: &dyn Fn(&Event) -> bool| events.iter().rfind(|its| wanted(&its.event)).unwrap().at_ns;
+    let connected = at(&|event| *event == Event::Connected { bssid: to });
+    let began =
+        at(&|event| [Event::Authenticating { bssid: to }, Event::Associating { bssid: to }].contains(event));
+    Duration::from_nanos(connected - began)
+}
+
+#[test]
+fn a_core_serves_a_network_by_agents_and_leaves_all_as_it_was() {
+    if env::var_os("COTORRA_RADIOS").is_none() {
+        eprintln!("skipped: COTORRA_RADIOS promises no radios");
+        return;
+    }
+    connect_machines();
+    start_owners();
+    let today = chrono::Utc::now();
+    let authority = Authority::create_or_open("/run/authority", today).unwrap();
+    for number in 0..3 {
+        let bundle = authority
+            .enrol(&name(number), &CORE.parse().unwrap(), Duration::from_secs(86400), today)
+            .unwrap();
+        bundle.write(Path::new(&format!("/run/{}.agent", name(number)))).unwrap();
+    }
+    let mut agents: Vec<_> = (0..3).map(start_agent).collect();
+    let mut core = Core::start(&authority);
+
+    core.want_all();
+    let joined = core.until(|_, event| {
+        matches!(event, Some(ControllerEvent::Wifi(_, RadioEvent { event: Event::Connected { .. }, .. })))
+    });
+    let is_ready = |number: usize| {
+        joined.contains(&ControllerEvent::Radio(name(number), interface(number), RadioState::Ready))
+    };
+    assert!(is_ready(1) && is_ready(2), "{joined:?}");
+    let Some(ControllerEvent::Wifi(_, RadioEvent { event: Event::Connected { bssid: at }, .. })) =
+        joined.last()
+    else {
+        panic!("{joined:?}")
+    };
+    let (here, there) = if *at == bssid(1) { (1, 2) } else { (2, 1) };
+
+    // Contexts: who is there with which signal, and which radio units the robot hears.
+    core.ask_robot(WifiRequest::Scan { channels: vec![channel(1), channel(2)], stays: true });
+    core.until_all(vec![(0, Event::ScanResults)]);
+    core.until(|core, _| {
+        let station = core.readings.get(&name(here)).and_then(|reading| {
+            reading
+                .context
+                .wifi
+                .iter()
+                .flat_map(|wifi| &wifi.stations)
+                .find(|its| its.mac == ROBOT.to_string())
+        });
+        let heard = core.readings.get(&name(0)).and_then(|reading| reading.heard.get(&interface(0)));
+        station.is_some_and(|station| station.signal.is_some())
+            && heard.is_some_and(|heard| {
+                [1, 2].iter().all(|unit| heard.iter().any(|its| its.bssid == bssid(*unit)))
+            })
+    });
+
+    // There over the air, and back over the distribution system.
+    for (unit, over_ds) in [(there, false), (here, true)] {
+        let to = bssid(u8::try_from(unit).unwrap());
+        let ping = start_ping();
+        sh("sleep 0.1");
+        let number = core.ask_robot(WifiRequest::Roam { to, over_ds });
+        let mut is_taken = false;
+        let mut wanted =
+            vec![(0, Event::Connected { bssid: to }), (unit, Event::StationConnected { station: ROBOT })];
+        let seen = core.until(|_, event| {
+            match event {
+                Some(ControllerEvent::Request(agent, its, answer)) => {
+                    assert_eq!((agent, *its, answer), (&name(0), number, &Ok(())));
+                    is_taken = true;
+                }
+                Some(ControllerEvent::Wifi(agent, happened)) => {
+                    wanted.retain(|(number, event)| *agent != name(*number) || happened.event != *event);
+                }
+                _ => {}
+            }
+            wanted.is_empty() && is_taken
+        });
+        let events: Vec<_> = seen
+            .into_iter()
+            .filter_map(|event| match event {
+                ControllerEvent::Wifi(agent, event) if agent == name(0) => Some(event),
+                _ => None,
+            })
+            .collect();
+        assert!(!events.iter().any(|its| matches!(its.event, Event::Disconnected { .. })), "{events:?}");
+        let gap = gap(&events, to);
+        sh("sleep 0.1");
+        let (without_answers, answers) = end_ping(ping);
+        let way = if over_ds { "over the DS" } else { "over the air" };
+        eprintln!("FT {way}: gap {gap:?} by frames, {without_answers:?} by {answers} answers");
+        let most = Duration::from_millis(50);
+        assert!(gap < most && without_answers < most && answers > 100, "802.11r aims at 50 ms");
+    }
+
+    // The owner's neighbour knows nobody.
+    let nobody = core.ask_robot(WifiRequest::Roam { to: bssid(9), over_ds: false });
+    core.until(
+        |_, event| matches!(event, Some(ControllerEvent::Request(_, number, Err(_))) if *number == nobody),
+    );
+
+    // A killed agent's hostapd goes on until its next start, which puts it back, and then serves again.
+    agents[1].kill().unwrap();
+    agents[1].wait().unwrap();
+    core.until(|_, event| matches!(event, Some(ControllerEvent::Left(agent, _)) if *agent == name(1)));
+    assert!(sh("ip netns exec u1 iw dev").contains("ssid corridor"));
+    agents[1] = start_agent(1);
+    core.until_all(vec![(1, Event::AccessPointEnabled)]);
+    assert!(fs::read_to_string("/run/agent1.log").unwrap().contains("which a killed agent left"));
+
+    // The end of a run.
+    core.controller.stop_all();
+    core.until(|core, _| core.controller.is_settled());
+    is_home();
+
+    // The loss of the core.
+    core.want_all();
+    core.until_all(vec![(1, Event::AccessPointEnabled), (2, Event::AccessPointEnabled)]);
+    drop(core);
+    is_home();
+    let mut client = Client::connect("/run/hostapd/wlan1".as_ref(), "/run".as_ref()).unwrap();
+    assert_eq!(client.request(&hostapd::status()).unwrap().state, hostapd::State::Enabled);
+
+    for agent in &mut agents {
+        sh(&format!("kill {}", agent.id()));
+        assert!(agent.wait().unwrap().success());
+    }
+}

@@ -1,0 +1,161 @@
+//! The core's part: what is wanted of the Wi-Fi interfaces of an agent, and what became of it.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use cotorra_graph::AgentId;
+use cotorra_wifi::InterfaceName;
+
+use super::{
+    LastEvent, MOST_REQUESTS, RadioEvent, RadioState, RequestState, WantedRadio, WantedRequest, WantedWifi,
+    WifiReport,
+};
+use crate::controller::ControllerEvent;
+
+/// Most earlier processes that are remembered.
+const MOST_EARLIER: usize = 16;
+
+/// A wanted interface, or request.
+#[derive(Debug)]
+struct Known<W> {
+    wanted: W,
+    /// The generation that it came with.
+    since: u64,
+    /// The state that was reported last, since the agent's process is there.
+    state: Option<RadioState>,
+}
+
+/// The Wi-Fi interfaces of an agent.
+#[derive(Debug, Default)]
+pub(crate) struct RemoteWifi {
+    radios: BTreeMap<InterfaceName, Known<WantedRadio>>,
+    requests: BTreeMap<u64, Known<WantedRequest>>,
+    /// Number of interfaces in the last report.
+    reported: usize,
+    /// The last event of the agent's process.
+    last_event: Option<LastEvent>,
+    /// Earlier processes of the agent, whose reports can still arrive.
+    earlier: VecDeque<u64>,
+}
+
+impl RemoteWifi {
+    /// Wants an interface to be like this from this generation on.
+    pub(crate) fn want(&mut self, interface: InterfaceName, wanted: WantedRadio, since: u64) {
+        let state = self.radios.remove(&interface).and_then(|before| before.state);
+        self.radios.insert(interface, Known { wanted, since, state });
+    }
+
+    /// Leaves an interface to its owner. Returns whether that is new.
+    pub(crate) fn release(&mut self, interface: &InterfaceName) -> bool {
+        self.radios.remove(interface).is_some()
+    }
+
+    /// Wants a request to be carried out.
+    ///
+    /// # Errors
+    /// The reason, for people, if too many are under way.
+    pub(crate) fn request(&mut self, number: u64, wanted: WantedRequest, since: u64) -> Result<(), String> {
+        if self.requests.len() >= MOST_REQUESTS {
+            return Err(format!("{MOST_REQUESTS} requests to Wi-Fi programs are under way"));
+        }
+        self.requests.insert(number, Known { wanted, since, state: None });
+        Ok(())
+    }
+
+    /// Does not want anything any more. Returns whether that is new.
+    pub(crate) fn stop(&mut self) -> bool {
+        let had_radios = !std::mem::take(&mut self.radios).is_empty();
+        let had_requests = !std::mem::take(&mut self.requests).is_empty();
+        had_radios || had_requests
+    }
+
+    /// Whether the last report has as many interfaces as are wanted, each as wanted or failed.
+    pub(crate) fn is_settled(&self) -> bool {
+        self.reported == self.radios.len()
+    }
+
+    pub(crate) fn wanted(&self) -> WantedWifi {
+        let radios = self.radios.iter().map(|(interface, known)| (interface.clone(), known.wanted.clone()));
+        let requests = self.requests.iter().map(|(number, known)| (*number, known.wanted.clone()));
+        WantedWifi { radios: radios.collect(), requests: requests.collect() }
+    }
+
+    /// Returns what a beat acknowledges.
+    pub(crate) fn last_event(&self) -> Option<LastEvent> {
+        self.last_event
+    }
+
+    /// Returns the events that are new.
+    fn new_events(&mut self, boot: u64, events: Vec<RadioEvent>) -> Vec<RadioEvent> {
+        if self.earlier.contains(&boot) {
+            return Vec::new();
+        }
+        let before = self.last_event.filter(|last| last.boot == boot);
+        if let Some(last) = self.last_event.filter(|_| before.is_none()) {
+            if self.earlier.len() == MOST_EARLIER {
+                self.earlier.pop_front();
+            }
+            self.earlier.push_back(last.boot);
+        }
+        let mut last = before.map_or(0, |before| before.number);
+        let mut new = Vec::new();
+        for event in events {
+            if event.number > last {
+                last = event.number;
+                new.push(event);
+            }
+        }
+        self.last_event = Some(LastEvent { boot, number: last });
+        new
+    }
+
+    /// Takes a report of the agent's process `boot`, on this generation. Returns whether requests have ended.
+    pub(crate) fn receive(
+        &mut self,
+        agent: &AgentId,
+        (boot, generation): (u64, u64),
+        report: WifiReport,
+        events: &mut VecDeque<ControllerEvent>,
+    ) -> bool {
+        self.reported = report.radios.len();
+        let new = self.new_events(boot, report.events);
+        events.extend(new.into_iter().map(|event| ControllerEvent::Wifi(agent.clone(), event)));
+        // Before that generation, the report is on something else.
+        for (interface, known) in self.radios.iter_mut().filter(|(_, known)| generation >= known.since) {
+            let state = report.radios.get(interface).cloned();
+            if known.state != state {
+                known.state.clone_from(&state);
+                let told = |state| ControllerEvent::Radio(agent.clone(), interface.clone(), state);
+                events.extend(state.map(told));
+            }
+        }
+        let before = self.requests.len();
+        self.requests.retain(|number, known| {
+            let answer = match report.requests.get(number) {
+                Some(RequestState::UnderWay) => return true,
+                Some(RequestState::Done) => Ok(()),
+                Some(RequestState::Refused(reason)) => Err(reason.clone()),
+                None if generation < known.since => return true,
+                None => Err("its agent does not know it".to_owned()),
+            };
+            events.push_back(ControllerEvent::Request(agent.clone(), *number, answer));
+            false
+        });
+        self.requests.len() != before
+    }
+
+    /// Takes the loss of the agent, or of its process. Returns whether requests have ended.
+    pub(crate) fn lose(
+        &mut self,
+        agent: &AgentId,
+        reason: &str,
+        events: &mut VecDeque<ControllerEvent>,
+    ) -> bool {
+        self.radios.values_mut().for_each(|known| known.state = None);
+        let requests = std::mem::take(&mut self.requests);
+        let has_ended = !requests.is_empty();
+        for number in requests.into_keys() {
+            events.push_back(ControllerEvent::Request(agent.clone(), number, Err(reason.to_owned())));
+        }
+        has_ended
+    }
+}
