@@ -168,6 +168,9 @@ impl Taken {
                 for request in wpa_supplicant::describe(number, wanted) {
                     client.request(&request)?;
                 }
+                // An access point that was taken over, too, may have been heard on its owner's channel. wpa_supplicant looks for
+                // it there when it roams over the distribution system.
+                client.request(&wpa_supplicant::forget_heard())?;
                 client.request(&wpa_supplicant::select_network(number))?;
                 OnAir::AddedNetwork { socket: socket.clone(), network }
             }

@@ -284,6 +284,11 @@ pub(crate) fn put_back(network: u32, variable: Variable, value: Option<&str>) ->
     Request::new(format!("SET_NETWORK {network} {} {value}", variable.name()), done)
 }
 
+/// Returns the request to forget all BSSs that were heard, but for that at which the station is.
+pub fn forget_heard() -> Request<()> {
+    Request::new("BSS_FLUSH 0", done)
+}
+
 /// A network of a station's configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Listed {
