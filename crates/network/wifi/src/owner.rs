@@ -55,8 +55,6 @@ pub(crate) enum OwnersProgram {
         socket: PathBuf,
         /// The networks that it may join.
         enabled: Vec<u32>,
-        /// Whether it was told to stay away from all.
-        is_away: bool,
     },
 }
 
@@ -117,11 +115,9 @@ impl Owner {
         }
         for socket in sockets(interface, "wpa_supplicant").into_iter().filter(|_| program.is_none()) {
             if let Some(mut client) = connect(&socket, own)? {
-                let state = client.request(&wpa_supplicant::status())?.state;
                 let enabled = client.networks()?.into_iter().filter(|listed| listed.is_enabled);
                 let enabled = enabled.map(|listed| listed.network).collect();
-                let is_away = state == wpa_supplicant::State::Disconnected;
-                program = Some(OwnersProgram::Supplicant { socket, enabled, is_away });
+                program = Some(OwnersProgram::Supplicant { socket, enabled });
                 break;
             }
         }
@@ -174,17 +170,16 @@ impl Owner {
                 }
                 Ok(())
             }
-            Some(OwnersProgram::Supplicant { socket, enabled, is_away }) => {
+            Some(OwnersProgram::Supplicant { socket, enabled }) => {
                 let Some(mut client) = connect(socket, folder)? else { return Ok(()) };
                 let present = client.networks()?;
-                let has_ours = remove_ours(&mut client, &present)?;
+                remove_ours(&mut client, &present)?;
+                // The owner's access point may have the address of one that has just ended.
+                _ = client.request(&wpa_supplicant::ignore_none());
                 for Listed { network, is_enabled } in present {
                     if enabled.contains(&network) && !is_enabled {
                         client.request(&wpa_supplicant::enable_network(network))?;
                     }
-                }
-                if has_ours && *is_away {
-                    client.request(&wpa_supplicant::disconnect())?;
                 }
                 Ok(())
             }
@@ -235,17 +230,15 @@ impl Owner {
     }
 }
 
-/// Removes networks that a takeover added. Returns whether there were any.
-fn remove_ours(client: &mut Client, present: &[Listed]) -> Result<bool, TakeoverError> {
-    let mut has_ours = false;
+/// Removes networks that a takeover added.
+fn remove_ours(client: &mut Client, present: &[Listed]) -> Result<(), TakeoverError> {
     for listed in present {
         let mark = client.request(&wpa_supplicant::marked(listed.network))?;
         if mark.as_deref() == Some(&format!("\"{MARK}\"")) {
             client.request(&wpa_supplicant::remove_network(listed.network))?;
-            has_ours = true;
         }
     }
-    Ok(has_ours)
+    Ok(())
 }
 
 /// Returns the folder of a takeover's own program.
@@ -280,11 +273,8 @@ mod tests {
 
     #[test]
     fn a_note_survives_its_way_to_the_disk() {
-        let program = OwnersProgram::Supplicant {
-            socket: "/run/wpa_supplicant/wlan0".into(),
-            enabled: vec![0, 2],
-            is_away: false,
-        };
+        let program =
+            OwnersProgram::Supplicant { socket: "/run/wpa_supplicant/wlan0".into(), enabled: vec![0, 2] };
         let owner = Owner {
             interface: "wlan0".parse().expect("a name"),
             program: Some(program),

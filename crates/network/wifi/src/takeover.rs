@@ -171,6 +171,7 @@ impl Taken {
                 // An access point that was taken over, too, may have been heard on its owner's channel. wpa_supplicant looks for
                 // it there when it roams over the distribution system.
                 client.request(&wpa_supplicant::forget_heard())?;
+                _ = client.request(&wpa_supplicant::ignore_none());
                 client.request(&wpa_supplicant::select_network(number))?;
                 OnAir::AddedNetwork { socket: socket.clone(), network }
             }

@@ -289,6 +289,12 @@ pub fn forget_heard() -> Request<()> {
     Request::new("BSS_FLUSH 0", done)
 }
 
+/// Returns the request to try all access points again that the station ignores after failures. Programs before 2.10 do not know
+/// it.
+pub fn ignore_none() -> Request<()> {
+    Request::new("BSSID_IGNORE clear", done)
+}
+
 /// A network of a station's configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Listed {
