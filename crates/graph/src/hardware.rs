@@ -12,13 +12,13 @@ use crate::{
     conditions::{Conditions, Loss, Scale},
     contention::{Edca, Interferer},
     driver::Driver,
-    hwsim::Hwsim,
     id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
-    real::{Gateway, Machine, RealServer},
+    real::{Gateway, Machine, RealRadio, RealServer},
     sensor::Sensor,
     units::{BitRate, Dbm, Position, millis},
     walls::Walls,
+    wifi_software::{RadioKind, WifiSoftware},
 };
 
 /// The hardware graph. Made by the crate `testbed-file`, which checks what this type takes for granted: names are
@@ -62,22 +62,23 @@ impl HardwareGraph {
             .filter_map(|n| if let NodeKind::RadioUnit(r) = &n.kind { Some((n, r)) } else { None })
     }
 
-    /// The robots and radio units of networks with real Wi-Fi software, in order, with the settings of their network.
-    pub fn hwsim_nodes(&self) -> impl Iterator<Item = (&Node, &Hwsim)> {
-        self.nodes.iter().filter_map(|node| {
+    /// The robots and radio units of networks with real Wi-Fi software on these radios, in order.
+    pub fn nodes_with(&self, radios: RadioKind) -> impl Iterator<Item = &Node> {
+        self.nodes.iter().filter(move |node| {
             let network = match &node.kind {
                 NodeKind::Robot(robot) => &robot.network,
                 NodeKind::RadioUnit(unit) => &unit.network,
-                _ => return None,
+                _ => return false,
             };
-            Some((node, self.wireless.get(network)?.hwsim.as_ref()?))
+            let software = self.wireless.get(network).and_then(|network| network.software.as_ref());
+            software.is_some_and(|software| software.radios == radios)
         })
     }
 
     /// Returns the name that a wireless network has in its beacons.
     pub fn ssid<'a>(&'a self, network: &'a str) -> &'a str {
-        let hwsim = self.wireless.get(network).and_then(|network| network.hwsim.as_ref());
-        hwsim.and_then(|hwsim| hwsim.ssid.as_deref()).unwrap_or(network)
+        let software = self.wireless.get(network).and_then(|network| network.software.as_ref());
+        software.and_then(|software| software.ssid.as_deref()).unwrap_or(network)
     }
 
     /// The servers, in order.
@@ -206,6 +207,9 @@ pub struct Robot {
     /// Declared sensors, in the file's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Sensor>,
+    /// Its real radio, in a network whose radios are hardware.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radio: Option<RealRadio>,
 }
 
 /// Bases that the simulated robot knows.
@@ -319,6 +323,9 @@ pub struct RadioUnit {
     /// The agent of a real access point, which reports its context as that of this node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agent: Option<AgentId>,
+    /// Its real radio, in a network whose radios are hardware.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radio: Option<RealRadio>,
 }
 
 const fn yes() -> bool {
@@ -450,9 +457,9 @@ pub struct WirelessNetwork {
     /// What else sends on its channels. Only where stations contend.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub interference: Vec<Interferer>,
-    /// Real Wi-Fi software on simulated radios of Linux. Without it, stations are modelled. Only where stations contend.
+    /// Real Wi-Fi software. Without it, stations are modelled. Only where stations contend.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub hwsim: Option<Hwsim>,
+    pub software: Option<WifiSoftware>,
 }
 
 /// Physical layers whose rates are modelled.

@@ -16,7 +16,6 @@ mod exposure;
 mod flow;
 mod goal;
 mod hardware;
-mod hwsim;
 mod id;
 mod jitter;
 mod machine_context;
@@ -38,6 +37,7 @@ mod testbed;
 mod time_parts;
 mod units;
 mod walls;
+mod wifi_software;
 
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
@@ -63,7 +63,6 @@ pub use hardware::{
     HostAddress, Link, Node, NodeKind, PathLoss, RadioUnit, Roaming, Robot, RobotModel, ScanVisits, Server,
     Shadowing, Tier, WifiStandard, WirelessNetwork,
 };
-pub use hwsim::{Hwsim, Protection, Security};
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
@@ -76,7 +75,7 @@ pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use nodes::{InvalidNodes, Nodes};
 pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
-pub use real::{Gateway, Machine, Reached, RealLink, RealPort, RealServer};
+pub use real::{Gateway, Machine, Reached, RealLink, RealPort, RealRadio, RealServer};
 pub use routing::{Arrival, Edge, Route, Topology};
 pub use schedule::{Scheduled, Script, When};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
@@ -87,3 +86,4 @@ pub use testbed::{
 pub use time_parts::{LinkTime, TimeParts};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
 pub use walls::Walls;
+pub use wifi_software::{Protection, RadioKind, Security, WifiSoftware};

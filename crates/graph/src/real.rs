@@ -29,6 +29,16 @@ pub struct RealServer {
     pub address: Ipv4Addr,
 }
 
+/// A Wi-Fi interface of a real machine: the radio of a robot, or of a radio unit.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct RealRadio {
+    /// The agent of the machine.
+    pub agent: AgentId,
+    /// The interface, as `iw dev` names it there.
+    pub interface: String,
+}
+
 /// A port of the emulated network on an interface of this machine: a gateway's, or a real server's.
 #[derive(Debug, Clone)]
 pub struct RealPort<'a> {
@@ -181,8 +191,19 @@ impl Node {
             NodeKind::Server(server) => server.real.as_ref().map(|real| &real.agent),
             NodeKind::Machine(machine) => machine.agent.as_ref(),
             NodeKind::RadioUnit(unit) => unit.agent.as_ref(),
-            NodeKind::Robot(robot) => robot.driver.agent(),
+            NodeKind::Robot(robot) => {
+                robot.driver.agent().or(robot.radio.as_ref().map(|radio| &radio.agent))
+            }
             NodeKind::Switch | NodeKind::Gateway(_) => None,
+        }
+    }
+
+    /// Returns the real radio of a robot or a radio unit, if it has one.
+    pub fn radio(&self) -> Option<&RealRadio> {
+        match &self.kind {
+            NodeKind::Robot(robot) => robot.radio.as_ref(),
+            NodeKind::RadioUnit(unit) => unit.radio.as_ref(),
+            _ => None,
         }
     }
 

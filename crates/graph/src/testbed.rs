@@ -78,14 +78,15 @@ impl Testbed {
         self.walks.iter().find(|w| w.robot == *robot)
     }
 
-    /// The nodes whose agents the testbed cannot run without: real servers on which a VNF starts, robots, and machines on
-    /// whose interfaces links are emulated, in order.
+    /// The nodes whose agents the testbed cannot run without: real servers on which a VNF starts, robots, real radios, and
+    /// machines on whose interfaces links are emulated, in order.
     pub fn agents_at_start(&self) -> impl Iterator<Item = (&Node, &AgentId)> {
         let carriers: HashSet<_> =
             self.graph.real_links().filter_map(|real| real.reached.via.as_ref()).collect();
         let starts_on = |node| self.vnfs().any(|vnf| vnf.node.all().contains(node));
-        self.graph.agents().filter(move |(node, agent)| match node.kind {
+        self.graph.agents().filter(move |(node, agent)| match &node.kind {
             NodeKind::Robot(_) => true,
+            NodeKind::RadioUnit(unit) => unit.radio.is_some(),
             NodeKind::Server(_) => starts_on(&node.id),
             NodeKind::Machine(_) => carriers.contains(agent),
             _ => false,

@@ -7,7 +7,6 @@ mod builder;
 mod compose;
 mod containers;
 mod flows;
-mod hwsim;
 mod kobuki;
 mod links;
 mod nodes;
@@ -17,6 +16,7 @@ mod ros;
 mod script;
 mod sensors;
 mod services;
+mod wifi_software;
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},

@@ -27,6 +27,7 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     machines::machines(record, &testbed.graph, sink);
     real_ports::real_ports(record, &testbed.graph, sink);
     agents::agents(record, sink);
+    agents::services(record, &testbed.graph, sink);
     containers::hosts(record, testbed, sink);
     radio_units(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);

@@ -208,7 +208,8 @@ record! {
         access: Spanned<Either<AccessWord, AccessRecord>> = "turns",
         /// What else sends on its channels, by name. It needs EDCA.
         interference: Table<String, InterferenceRecord> = {},
-        /// Software of its stations: the model, or hostapd and wpa_supplicant on simulated radios of Linux. These need EDCA.
+        /// Software of its stations: the model, or hostapd and wpa_supplicant, on simulated radios of Linux or on hardware. These
+        /// need EDCA.
         wifi: Spanned<WifiWord> = "model",
         /// SSID of hostapd and wpa_supplicant, of 1 to 32 bytes. Without it: the network's name. The model has none.
         ssid: Option<Spanned<String>>,
@@ -230,6 +231,7 @@ pub(crate) enum AccessWord {
 pub(crate) enum WifiWord {
     Model,
     Hwsim,
+    Hardware,
 }
 
 /// Security whose settings are left as they are.
@@ -557,9 +559,11 @@ record! {
         roaming: Either<Roaming, RoamingRecord> = "instructed",
         /// Driver: the simulation, a robot that is reached over ROS, or a TurtleBot 2 at serial ports. A word, or a mapping.
         driver: Spanned<Either<DriverWord, DriverRecord>> = "simulated",
-        /// The agent on whose machine the serial ports of its driver are. Without one: they are this machine's. Virtual time
-        /// simulates a robot with an agent.
+        /// The agent on whose machine the serial ports of its driver and its radio are. Without one: the ports are this machine's.
+        /// Virtual time simulates a robot with an agent.
         agent: Option<Spanned<AgentId>>,
+        /// Its Wi-Fi interface on the agent's machine, in a network with `wifi: hardware`.
+        interface: Option<Spanned<String>>,
         /// ROS interface of a simulated robot. A word, or a mapping.
         offer: Option<Spanned<Either<OfferWord, OfferRecord>>>,
         /// Sensors by name, beside those of its contexts.
@@ -841,6 +845,8 @@ record! {
         deployment: Duration = "400 ms",
         /// The agent of a real access point, which reports its context as that of this node.
         agent: Option<Spanned<AgentId>>,
+        /// Its Wi-Fi interface on the agent's machine, in a network with `wifi: hardware`.
+        interface: Option<Spanned<String>>,
         /// CPUs for VNFs.
         cpus: Amount = 1,
         /// Memory for VNFs.
@@ -1418,6 +1424,7 @@ choice!(AccessWord, "way to share a channel", {
 choice!(WifiWord, "kind of Wi-Fi software", {
     "model" => Self::Model, "the model of this page's keys";
     "hwsim" => Self::Hwsim, "hostapd and wpa_supplicant, on radios of `mac80211_hwsim`";
+    "hardware" => Self::Hardware, "hostapd and wpa_supplicant, on the radios of real machines with agents";
 });
 choice!(SecurityWord, "kind of security", {
     "open" => Self::Open, "everybody may join, and nothing is encrypted";

@@ -2,7 +2,7 @@
 
 use std::{path::Path, time::Duration};
 
-use cotorra_graph::{Hwsim, Protection, ScanVisits, Security, Testbed};
+use cotorra_graph::{Protection, RadioKind, ScanVisits, Security, Testbed, WifiSoftware};
 use cotorra_testbed_file::Setting;
 
 const FILE: &str = "\
@@ -142,7 +142,7 @@ fn a_robot_on_its_way_starts_at_its_position() {
 fn real_wifi_software_takes_the_place_of_the_model_and_gives_it_back() {
     let hwsim = |settings: &[&str]| {
         let settings = [&["wireless.lab.access=edca"], settings].concat();
-        with(&settings).unwrap().graph.wireless["lab"].hwsim.clone()
+        with(&settings).unwrap().graph.wireless["lab"].software.clone()
     };
     assert_eq!(hwsim(&[]), None);
     let usual = Security::Wpa2 {
@@ -150,17 +150,46 @@ fn real_wifi_software_takes_the_place_of_the_model_and_gives_it_back() {
         management_frames: Protection::Optional,
         over_ds: false,
     };
-    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim"]), Some(Hwsim { ssid: None, security: usual }));
+    let wanted = |security| Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security });
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim"]), wanted(usual));
     let wpa3 = "wireless.lab.security={ method: wpa3, passphrase: correct horse, over_ds: true }";
     let security = Security::Wpa3 { passphrase: "correct horse".to_owned(), over_ds: true };
-    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", wpa3]), Some(Hwsim { ssid: None, security }));
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", wpa3]), wanted(security));
     let ssid = hwsim(&["wireless.lab.wifi=hwsim", "wireless.lab.ssid=campus"]).unwrap().ssid;
     assert_eq!(ssid.as_deref(), Some("campus"));
     let open = "wireless.lab.security=open";
-    let unprotected = Hwsim { ssid: None, security: Security::Open };
-    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", open]), Some(unprotected));
+    assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", open]), wanted(Security::Open));
     assert_eq!(hwsim(&["wireless.lab.wifi=hwsim", open, "wireless.lab.wifi=model"]), None);
     let nodes = with(&["wireless.lab.access=edca", "wireless.lab.wifi=hwsim"]).unwrap().graph;
-    let names: Vec<_> = nodes.hwsim_nodes().map(|(node, _)| node.id.as_str()).collect();
+    let names: Vec<_> = nodes.nodes_with(RadioKind::Hwsim).map(|node| node.id.as_str()).collect();
     assert_eq!(names, ["robot", "R1", "R2"]);
+}
+
+#[test]
+fn radios_of_real_machines_have_an_agent_and_an_interface_which_the_model_ignores() {
+    let on_hardware = [
+        "wireless.lab.access=edca",
+        "wireless.lab.wifi=hardware",
+        "nodes.robot.agent=turtle1",
+        "nodes.robot.interface=wlan0",
+        "nodes.R1.agent=ap1",
+        "nodes.R1.interface=wlan0",
+        "nodes.R2.agent=ap2",
+        "nodes.R2.interface=wlan1",
+        "services={}",
+    ];
+    let testbed = with(&on_hardware).unwrap();
+    let radios: Vec<_> = testbed
+        .graph
+        .nodes_with(RadioKind::Hardware)
+        .map(|node| (node.id.as_str(), node.radio().unwrap()))
+        .map(|(node, radio)| (node, radio.agent.as_str(), radio.interface.as_str()))
+        .collect();
+    assert_eq!(radios, [("robot", "turtle1", "wlan0"), ("R1", "ap1", "wlan0"), ("R2", "ap2", "wlan1")]);
+    assert_eq!(testbed.graph.nodes_with(RadioKind::Hwsim).count(), 0);
+    let at_start: Vec<_> = testbed.agents_at_start().map(|(_, agent)| agent.as_str()).collect();
+    assert_eq!(at_start, ["turtle1", "ap1", "ap2"]);
+    let model = with(&[&on_hardware[..], &["wireless.lab.wifi=model"]].concat()).unwrap();
+    assert!(model.graph.nodes.iter().all(|node| node.radio().is_none()));
+    assert_eq!(model.agents_at_start().count(), 0);
 }

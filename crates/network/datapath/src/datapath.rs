@@ -9,7 +9,7 @@ use std::{
 };
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{HardwareGraph, Node, NodeId, NodeKind};
+use cotorra_graph::{HardwareGraph, Node, NodeId, NodeKind, RadioKind};
 
 use crate::{
     awake::Awake,
@@ -77,7 +77,7 @@ impl Datapath {
         let (gateways, mut real_ports) = gateway::open(graph, &options.allowed_interfaces)?;
         let emulated = graph.hosts().enumerate().filter(|(_, node)| node.real_server().is_none());
         let emulated: Vec<_> = emulated.filter(|_| kernel.is_none()).collect();
-        let radios: BTreeSet<_> = graph.hwsim_nodes().map(|(node, _)| &node.id).collect();
+        let radios: BTreeSet<_> = graph.nodes_with(RadioKind::Hwsim).map(|node| &node.id).collect();
         let addresses = |node: &Node| {
             if radios.contains(&node.id) { wifi::addresses(node) } else { Addresses::AtPort }
         };

@@ -1,5 +1,5 @@
 //! Simulated radios of Linux for the robots and radio units of networks with real Wi-Fi software
-//! ([`Hwsim`](cotorra_graph::Hwsim)).
+//! ([`RadioKind::Hwsim`]).
 //!
 //! A robot's addresses are on its [`WLAN`]. A radio unit's are on its [`BRIDGE`], which joins its port of the fabric with its
 //! [`WLAN`], once hostapd adds that. All have the MAC addresses of [`HostAddress`], which are the radio units' BSSIDs, too.
@@ -13,7 +13,7 @@ use std::{
 };
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{Dbm, HardwareGraph, HostAddress, Node, NodeKind, Timestamp};
+use cotorra_graph::{Dbm, HardwareGraph, HostAddress, Node, NodeKind, RadioKind, Timestamp};
 use cotorra_hwsim::{Error as HwsimError, Exchange, MacAddress, MediumSocket, Phys, Radio, Radios};
 
 use crate::{
@@ -55,7 +55,7 @@ pub(crate) struct Air {
 impl Air {
     /// Becomes the medium of the graph's simulated radios; `None` if it has none.
     pub(crate) fn register(graph: &HardwareGraph) -> Result<Option<Self>, Error> {
-        if graph.hwsim_nodes().next().is_none() {
+        if graph.nodes_with(RadioKind::Hwsim).next().is_none() {
             return Ok(None);
         }
         let namespace = Namespace::new()?;

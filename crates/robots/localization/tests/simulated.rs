@@ -66,6 +66,7 @@ impl Drive {
             roaming: Roaming::Instructed,
             driver: Driver::default(),
             sensors: Vec::new(),
+            radio: None,
         };
         let node = Node {
             id: NodeId::new("robot").unwrap(),

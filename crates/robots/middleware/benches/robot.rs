@@ -45,6 +45,7 @@ fn robot(world: Arc<World>) -> SimulatedRobot {
         roaming: Roaming::Instructed,
         driver: Driver::default(),
         sensors: Vec::new(),
+        radio: None,
     };
     let node = Node {
         id: NodeId::new("robot1").expect("a name"),

@@ -41,6 +41,7 @@ pub fn robot(name: &str, position: Option<Position>) -> Node {
         roaming: Roaming::Instructed,
         driver: Driver::default(),
         sensors: Vec::new(),
+        radio: None,
     };
     Node { id: id(name), domain: DomainId::new("main").unwrap(), position, kind: NodeKind::Robot(robot) }
 }

@@ -96,7 +96,7 @@ impl Builder<'_> {
             gap: record.gap,
             access: self.access(record),
             interference: self.interference(ssid, record)?,
-            hwsim: self.hwsim(record)?,
+            software: self.software(record)?,
         })
     }
 
@@ -193,6 +193,8 @@ impl Builder<'_> {
             NodeRecord::Robot(r) => {
                 let position = self.start(id, r.position.as_ref());
                 let network = self.network(id, r.network.as_ref());
+                let places = (r.agent.as_ref(), r.interface.as_ref());
+                let radio = network.as_ref().and_then(|network| self.radio(id, network, places));
                 let walk = self.record.walks.0.iter().find(|(robot, _)| robot.value == id.value);
                 let facing = |walk: &WalkRecord| {
                     let way: Vec<_> = walk.waypoints.value.iter().take(2).map(|w| w.value).collect();
@@ -212,13 +214,16 @@ impl Builder<'_> {
                     roaming: self.roaming(&r.roaming),
                     sensors: sensors::sensors(r, driver.as_ref(), self.sink),
                     driver: driver?,
+                    radio: radio?,
                 };
                 (Some(position?), NodeKind::Robot(robot))
             }
             NodeRecord::RadioUnit(r) => {
+                let network = self.network(id, r.network.as_ref())?;
                 let unit = RadioUnit {
                     capacity: capacity(r.cpus, r.memory),
-                    network: self.network(id, r.network.as_ref())?,
+                    radio: self.radio(id, &network, (r.agent.as_ref(), r.interface.as_ref()))?,
+                    network,
                     channel: r.channel.value,
                     tx_power: r.tx_power,
                     serving: r.serving,
@@ -375,7 +380,7 @@ impl Builder<'_> {
     }
 
     /// Returns the name of an interface, as the kernel has it (dev_valid_name).
-    fn interface(&mut self, interface: &Spanned<String>) -> Option<String> {
+    pub(super) fn interface(&mut self, interface: &Spanned<String>) -> Option<String> {
         let name = &interface.value;
         let fits = |c: char| !c.is_whitespace() && !matches!(c, '/' | ':');
         if !(1..=15).contains(&name.len()) || matches!(name.as_str(), "." | "..") || !name.chars().all(fits) {

@@ -49,7 +49,7 @@ pub(super) fn driver(
         Either::Long(DriverRecord::Ros1(ros1)) => Some(RosSettings::Ros1(ros1)),
         Either::Long(DriverRecord::Ros2(ros2)) => Some(RosSettings::Ros2(ros2)),
     };
-    if let Some(agent) = &record.agent {
+    if let Some(agent) = record.agent.as_ref().filter(|_| record.interface.is_none()) {
         sink.error(&agent.span, format!("`{robot}` has an agent, but no serial ports"))
             .help("write `driver: kobuki`, or leave out `agent`");
     }

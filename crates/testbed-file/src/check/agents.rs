@@ -1,8 +1,8 @@
-//! Checks of agents.
+//! Checks of agents, and of radios at agents.
 
 use std::collections::HashMap;
 
-use cotorra_graph::AgentId;
+use cotorra_graph::{AgentId, HardwareGraph, NodeKind};
 
 use crate::{
     records::{NodeRecord, TestbedRecord},
@@ -17,6 +17,23 @@ pub(super) fn agents(record: &TestbedRecord, sink: &mut Sink) {
         if let Some(other) = nodes.insert(&agent.value, &id.value) {
             sink.error(&agent.span, format!("`{other}` has the agent `{}`, too", agent.value))
                 .help("name the agent of this machine: each runs one, with a name of its own");
+        }
+    }
+}
+
+/// A robot with a real radio has no services: cotorra does not carry its packets.
+pub(super) fn services(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    for (service, its) in &record.services.0 {
+        let node = graph.node(&its.robot.value);
+        if let Some(NodeKind::Robot(robot)) = node.map(|node| &node.kind)
+            && robot.radio.is_some()
+        {
+            let wrong = format!("the service `{}` of a robot with a real radio", service.value);
+            sink.error(&its.robot.span, wrong).help(format!(
+                "leave it out, because cotorra does not carry the packets of real radios, or take the model by \
+                 `--set wireless.{}.wifi=model`",
+                robot.network
+            ));
         }
     }
 }

@@ -437,7 +437,7 @@ mod tests {
             walls: None,
             access: None,
             interference: Vec::new(),
-            hwsim: None,
+            software: None,
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 1.0 },
             fading: None,
             noise_floor: Dbm(-95.0),

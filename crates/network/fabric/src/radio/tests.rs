@@ -44,7 +44,7 @@ fn network() -> WirelessNetwork {
         walls: None,
         access: None,
         interference: Vec::new(),
-        hwsim: None,
+        software: None,
         shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
         fading: None,
         noise_floor: Dbm(-95.0),
@@ -78,6 +78,7 @@ fn unit(name: &str, x: f64, channel: u8) -> Node {
         serving: true,
         deployment: Duration::ZERO,
         agent: None,
+        radio: None,
     };
     node(name, x, NodeKind::RadioUnit(unit))
 }
@@ -92,6 +93,7 @@ fn robot(name: &str, x: f64, roaming: Roaming) -> Node {
         roaming,
         driver: Driver::default(),
         sensors: Vec::new(),
+        radio: None,
     };
     node(name, x, NodeKind::Robot(robot))
 }

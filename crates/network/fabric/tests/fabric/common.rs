@@ -26,7 +26,7 @@ impl Network {
             walls: None,
             access: None,
             interference: Vec::new(),
-            hwsim: None,
+            software: None,
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
             fading: None,
             noise_floor: Dbm(-95.0),
@@ -70,6 +70,7 @@ impl Network {
             serving: true,
             deployment: Duration::ZERO,
             agent: None,
+            radio: None,
         };
         self.node(name, x, NodeKind::RadioUnit(unit))
     }
@@ -85,6 +86,7 @@ impl Network {
             roaming: Roaming::Instructed,
             driver: Driver::default(),
             sensors: Vec::new(),
+            radio: None,
         };
         self.node(name, x, NodeKind::Robot(robot))
     }

@@ -1,6 +1,6 @@
 //! Networks with hostapd and wpa_supplicant in place of the model.
 
-use cotorra_graph::{Hwsim, Security};
+use cotorra_graph::{AgentId, NodeId, RadioKind, RealRadio, Security, WifiSoftware};
 
 use super::builder::Builder;
 use crate::{
@@ -18,19 +18,54 @@ const PASSPHRASE: std::ops::RangeInclusive<usize> = 8..=63;
 
 impl Builder<'_> {
     /// Returns the real software of a network; `Some(None)` if it has the model.
-    pub(super) fn hwsim(&mut self, record: &WirelessRecord) -> Option<Option<Hwsim>> {
+    pub(super) fn software(&mut self, record: &WirelessRecord) -> Option<Option<WifiSoftware>> {
         let security = self.security(&record.security)?;
         let ssid = self.ssid(record.ssid.as_ref())?;
-        if record.wifi.value == WifiWord::Model {
-            return Some(None);
-        }
+        let radios = match record.wifi.value {
+            WifiWord::Model => return Some(None),
+            WifiWord::Hwsim => RadioKind::Hwsim,
+            WifiWord::Hardware => RadioKind::Hardware,
+        };
         if let Either::Short(AccessWord::Turns) = record.access.value {
             self.sink
                 .error(&record.wifi.span, "hostapd and wpa_supplicant in a network whose senders take turns")
                 .help("add `access: edca` to the network, so that its stations sense the channel");
             return None;
         }
-        Some(Some(Hwsim { ssid, security }))
+        Some(Some(WifiSoftware { radios, ssid, security }))
+    }
+
+    /// Returns the real radio of a robot or a radio unit of a network; `Some(None)` if the network's radios are no hardware.
+    pub(super) fn radio(
+        &mut self,
+        id: &Spanned<NodeId>,
+        network: &str,
+        (agent, interface): (Option<&Spanned<AgentId>>, Option<&Spanned<String>>),
+    ) -> Option<Option<RealRadio>> {
+        let interface = interface.map(|interface| Some((interface, self.interface(interface)?)));
+        let record = self.record.wireless.0.iter().find(|(name, _)| name.value == network);
+        let is_hardware = record.is_some_and(|(_, record)| record.wifi.value == WifiWord::Hardware);
+        match (agent, interface) {
+            (None, Some(interface)) => {
+                let (given, _) = interface?;
+                self.sink.error(&given.span, "an interface, and no agent of its machine").help(
+                    "add the agent that runs there, such as `agent: ap1`, or leave out `interface`",
+                );
+                None
+            }
+            (Some(agent), Some(interface)) => {
+                let (_, interface) = interface?;
+                Some(is_hardware.then(|| RealRadio { agent: agent.value.clone(), interface }))
+            }
+            (_, None) if is_hardware => {
+                let wrong = format!("`{}` has no radio, and its network has `wifi: hardware`", id.value);
+                self.sink
+                    .error(&id.span, wrong)
+                    .help("name its Wi-Fi interface and the agent there, such as `agent: ap1, interface: wlan0`");
+                None
+            }
+            (_, None) => Some(None),
+        }
     }
 
     fn ssid(&mut self, ssid: Option<&Spanned<String>>) -> Option<Option<String>> {

@@ -1,20 +1,32 @@
-//! Wireless networks with real Wi-Fi software on simulated radios of Linux.
+//! Wireless networks with real Wi-Fi software, on radios that Linux simulates or on real ones.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// Real software in place of the modelled stations: each robot and radio unit has a radio of mac80211_hwsim, with
-/// wpa_supplicant or hostapd. The air between them is the model's.
+/// Real software in place of the modelled stations: wpa_supplicant at each robot, and hostapd at each radio unit.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-pub struct Hwsim {
+pub struct WifiSoftware {
+    /// The radios that it drives.
+    pub radios: RadioKind,
     /// Name of the network in its beacons, of 1 to 32 bytes. Without one: the network's own name. Networks with the same name on
     /// the air can be told apart only by their keys.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ssid: Option<String>,
     /// The security of its access points.
     pub security: Security,
+}
+
+/// RadioKind of real Wi-Fi software.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum RadioKind {
+    /// RadioKind of mac80211_hwsim in the nodes. The air between them is the model's.
+    Hwsim,
+    /// RadioKind of real machines, each with an agent. The air between them is real.
+    Hardware,
 }
 
 /// How stations prove who they are, and how frames are protected. The passphrase is neither serialized nor printed.
