@@ -176,7 +176,6 @@ fn radios_of_real_machines_have_an_agent_and_an_interface_which_the_model_ignore
         "nodes.R1.interface=wlan0",
         "nodes.R2.agent=ap2",
         "nodes.R2.interface=wlan1",
-        "services={}",
     ];
     let testbed = with(&on_hardware).unwrap();
     let radios: Vec<_> = testbed

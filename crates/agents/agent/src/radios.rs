@@ -12,8 +12,8 @@ use std::{
     sync::mpsc,
 };
 
-use cotorra_agent_protocol::{RadioState, WantedRadio, WantedRequest};
-use cotorra_wifi::{Event, InterfaceName, wpa_supplicant::Heard};
+use cotorra_agent_protocol::{MOST_RADIOS, RadioState, WantedRadio, WantedRequest};
+use cotorra_wifi::{Event, InterfaceName, MacAddress, interface_address, wpa_supplicant::Heard};
 
 use self::{
     interface::{Command, Interface},
@@ -134,6 +134,12 @@ impl Radios {
     /// Returns the state of each interface that is wanted, or is being put back.
     pub(crate) fn states(&self) -> BTreeMap<InterfaceName, RadioState> {
         self.states.clone()
+    }
+
+    /// Returns the addresses of the interfaces that the owner lends.
+    pub(crate) fn addresses(&self) -> BTreeMap<InterfaceName, MacAddress> {
+        let address = |interface: &InterfaceName| Some((interface.clone(), interface_address(interface)?));
+        self.lent.iter().filter_map(address).take(MOST_RADIOS).collect()
     }
 
     /// Returns what stations heard last.

@@ -311,8 +311,8 @@ impl Service {
         self.agent.set_link_states(now, self.links.states());
         let Some(run) = self.agent.run() else { return };
         let (boot, read_ns, context) = (self.agent.boot(), now.as_nanos(), reading.context);
-        let heard = self.radios.heard();
-        let reading = MachineReading { boot, read_ns, context, links, heard };
+        let (heard, addresses) = (self.radios.heard(), self.radios.addresses());
+        let reading = MachineReading { boot, read_ns, context, links, heard, addresses };
         if let Err(error) = self.dialer.context(run, reading.encode()) {
             tracing::debug!("cannot send the context: {error}");
         }

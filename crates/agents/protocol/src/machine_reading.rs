@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{LinkId, MachineContext};
-use cotorra_wifi::{InterfaceName, wpa_supplicant::Heard};
+use cotorra_wifi::{InterfaceName, MacAddress, wpa_supplicant::Heard};
 use serde::{Deserialize, Serialize};
 
 use crate::link::LinkReading;
@@ -24,4 +24,7 @@ pub struct MachineReading {
     /// Access points that each wanted station heard lately, strongest first.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub heard: BTreeMap<InterfaceName, Vec<Heard>>,
+    /// Addresses of the Wi-Fi interfaces that the machine's owner lends.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub addresses: BTreeMap<InterfaceName, MacAddress>,
 }

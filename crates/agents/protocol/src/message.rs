@@ -202,7 +202,7 @@ message!(Report, 512 << 10, |its: &Report| {
     few(its.instances.len(), its.links.len()).and_then(|()| its.wifi.check())
 });
 message!(MachineReading, 256 << 10, |its: &MachineReading| {
-    few(0, its.links.len()).and_then(|()| check_heard(&its.heard))
+    few(0, its.links.len()).and_then(|()| check_heard(&its.heard, &its.addresses))
 });
 
 pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {

@@ -9,7 +9,8 @@ mod controller;
 use std::collections::BTreeMap;
 
 use cotorra_wifi::{
-    AccessPointSettings, Bss, Channel, Event, InterfaceName, MacAddress, Network, Security, Units,
+    AccessPointSettings, Bss, Channel, Event, InterfaceName, MacAddress, Network, Passphrase, Security, Ssid,
+    Units,
     hostapd::{Neighbour, Urgency},
     wpa_supplicant::Heard,
 };
@@ -19,7 +20,7 @@ pub(crate) use self::{agent::AgentWifi, controller::RemoteWifi};
 use crate::message::MessageError;
 
 /// Most interfaces of one machine.
-const MOST_RADIOS: usize = 8;
+pub const MOST_RADIOS: usize = 8;
 /// Most virtual access points of an interface.
 const MOST_VIRTUAL_APS: usize = 15;
 /// Most neighbours of an access point, units of a mobility domain, and channels of a scan.
@@ -78,6 +79,16 @@ pub enum WifiRequest {
         /// Whether by way of the present access point, over the distribution system.
         over_ds: bool,
     },
+    /// A station: join this access point of its network only; any again if there is none.
+    Pin { to: Option<MacAddress> },
+    /// A station: use another passphrase from the next handshake on.
+    SetPassphrase {
+        /// The name of its network.
+        ssid: Ssid,
+        passphrase: Passphrase,
+    },
+    /// A station: leave its access point, and join one.
+    Rejoin,
     /// An access point: ask a station to move to one of these, best first (802.11v).
     AskToMove { station: MacAddress, to: Vec<Neighbour>, urgency: Urgency },
     /// An access point: disconnect a station, with a reason (IEEE 802.11-2020, table 9-49).
@@ -153,7 +164,11 @@ impl WantedWifi {
         self.requests.values().try_for_each(|wanted| match &wanted.request {
             WifiRequest::Scan { channels, .. } => at_most("channels", channels.len(), MOST_OTHERS),
             WifiRequest::AskToMove { to, .. } => at_most("neighbours", to.len(), MOST_OTHERS),
-            WifiRequest::Roam { .. } | WifiRequest::Disconnect { .. } => Ok(()),
+            WifiRequest::Roam { .. }
+            | WifiRequest::Pin { .. }
+            | WifiRequest::SetPassphrase { .. }
+            | WifiRequest::Rejoin
+            | WifiRequest::Disconnect { .. } => Ok(()),
         })
     }
 }
@@ -194,9 +209,12 @@ impl WifiReport {
     }
 }
 
-/// Checks what the stations of a machine heard.
-pub(crate) fn check_heard(heard: &BTreeMap<InterfaceName, Vec<Heard>>) -> Result<(), MessageError> {
-    at_most("Wi-Fi interfaces", heard.len(), MOST_RADIOS)?;
+/// Checks what the stations of a machine heard, and the addresses of its interfaces.
+pub(crate) fn check_heard(
+    heard: &BTreeMap<InterfaceName, Vec<Heard>>,
+    addresses: &BTreeMap<InterfaceName, MacAddress>,
+) -> Result<(), MessageError> {
+    at_most("Wi-Fi interfaces", heard.len().max(addresses.len()), MOST_RADIOS)?;
     heard.values().try_for_each(|heard| at_most("access points that are heard", heard.len(), MOST_HEARD))
 }
 

@@ -6,7 +6,7 @@ use netlink_packet_core::{NLM_F_ACK, NLM_F_REQUEST, NLMSG_ERROR, NetlinkBuffer, 
 use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
 use rustix::net::{AddressFamily, SocketType, netdevice};
 
-use crate::names::InterfaceName;
+use crate::{address::MacAddress, names::InterfaceName};
 
 /// `IFF_UP`.
 const UP: u32 = 1;
@@ -18,6 +18,11 @@ const HEADERS: (usize, usize) = (16, 16);
 /// Whether there is such an interface, with a radio.
 pub(crate) fn has_radio(interface: &InterfaceName) -> bool {
     of(interface, "phy80211").exists()
+}
+
+/// Returns the address of an interface of this network namespace; `None` if there is no such interface.
+pub fn interface_address(interface: &InterfaceName) -> Option<MacAddress> {
+    fs::read_to_string(of(interface, "address")).ok()?.trim().parse().ok()
 }
 
 /// Whether it is set up.
@@ -97,6 +102,8 @@ mod tests {
         let loopback: InterfaceName = "lo".parse().expect("a name");
         assert!(!has_radio(&loopback));
         assert_eq!(bridge(&loopback), None);
+        assert_eq!(interface_address(&loopback), Some(MacAddress([0; 6])));
+        assert_eq!(interface_address(&"missing0".parse().expect("a name")), None);
     }
 
     #[test]

@@ -30,6 +30,7 @@ pub use control::{
     wpa_supplicant,
 };
 pub use daemon::{Daemon, Launcher, StartError, installed, launch_here};
+pub use interface::interface_address;
 pub use names::{CountryCode, InterfaceName, NameError, Ssid};
 pub use owner::{Owner, TakeoverError};
 pub use power::{Power, TransmitPower};

@@ -58,7 +58,7 @@ pub struct Taken {
 enum OnAir {
     AccessPoint { daemon: Daemon, settings: Box<AccessPointSettings> },
     OwnStation { daemon: Daemon, network: Box<Network> },
-    AddedNetwork { socket: PathBuf, network: Box<Network> },
+    AddedNetwork { socket: PathBuf, number: u32, network: Box<Network> },
 }
 
 impl Taken {
@@ -173,7 +173,7 @@ impl Taken {
                 client.request(&wpa_supplicant::forget_heard())?;
                 _ = client.request(&wpa_supplicant::ignore_none());
                 client.request(&wpa_supplicant::select_network(number))?;
-                OnAir::AddedNetwork { socket: socket.clone(), network }
+                OnAir::AddedNetwork { socket: socket.clone(), number, network }
             }
             _ => {
                 let station = Station {
@@ -216,6 +216,15 @@ impl Taken {
             }
             Some(OnAir::AddedNetwork { socket, .. }) => Some(Client::connect(socket, &self.folder)?),
         })
+    }
+
+    /// Returns the number that wpa_supplicant has for the network that is joined; `None` for anything but a station.
+    pub fn network(&self) -> Option<u32> {
+        match &self.on_air {
+            Some(OnAir::OwnStation { .. }) => Some(0),
+            Some(OnAir::AddedNetwork { number, .. }) => Some(*number),
+            _ => None,
+        }
     }
 
     /// Returns the number of programs so far. As long as it stays, so does the program of [`Self::client`].

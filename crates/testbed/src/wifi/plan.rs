@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use cotorra_datapath::wifi::{BRIDGE, WLAN};
 use cotorra_graph as graph;
-use cotorra_graph::{HardwareGraph, Hwsim, Node, NodeId, RadioUnit, Roaming, WifiStandard, WirelessNetwork};
+use cotorra_graph::{
+    HardwareGraph, Node, NodeId, RadioKind, RadioUnit, Roaming, WifiSoftware, WifiStandard, WirelessNetwork,
+};
 use cotorra_wifi::{
     AccessPoint, AccessPointDriver, BackgroundScan, BackgroundScanMethod, Band, Bss, Channel, ChannelError,
     Credentials, DomainKey, FastTransition, InterfaceName, KeyExchange, KeyHolder, MacAddress,
@@ -31,6 +33,8 @@ pub(super) struct PlannedUnit {
     pub(super) settings: graph::AccessPoint,
     /// Whether it serves from the start.
     pub(super) serves: bool,
+    /// Its greatest power, dBm.
+    pub(super) power_dbm: f64,
 }
 
 /// A robot with a wpa_supplicant.
@@ -71,19 +75,49 @@ pub enum PlanError {
         /// The reason.
         source: ChannelError,
     },
+    /// An interface that these programs cannot have.
+    #[error("the radio of `{node}` cannot have real Wi-Fi software: {source}")]
+    Interface {
+        /// The robot or radio unit.
+        node: NodeId,
+        /// The reason.
+        source: NameError,
+    },
 }
 
 impl Plan {
-    /// Makes the plan of a graph; `None` if no network of it has real Wi-Fi software. The units of mobility domains encrypt what
-    /// they tell each other by `key`.
+    /// Makes the plan of a graph's simulated radios; `None` if it has none. The units of mobility domains encrypt what they tell
+    /// each other by `key`.
     ///
     /// # Errors
     /// [`PlanError`].
     pub(crate) fn new(graph: &HardwareGraph, key: &DomainKey) -> Result<Option<Self>, PlanError> {
+        let address = |node: &NodeId| graph.address(node).map(|address| MacAddress(address.mac));
+        Self::with(graph, RadioKind::Hwsim, &address, key)
+    }
+
+    /// Makes the plan of a graph's real radios; `None` if it has none. All of them have these addresses.
+    ///
+    /// # Errors
+    /// [`PlanError`].
+    pub(crate) fn of_hardware(
+        graph: &HardwareGraph,
+        addresses: &BTreeMap<NodeId, MacAddress>,
+        key: &DomainKey,
+    ) -> Result<Option<Self>, PlanError> {
+        Self::with(graph, RadioKind::Hardware, &|node| addresses.get(node).copied(), key)
+    }
+
+    fn with(
+        graph: &HardwareGraph,
+        radios: RadioKind,
+        address: &dyn Fn(&NodeId) -> Option<MacAddress>,
+        key: &DomainKey,
+    ) -> Result<Option<Self>, PlanError> {
         let mut plan = Self { units: BTreeMap::new(), robots: BTreeMap::new() };
         let networks = graph.wireless.iter().filter_map(|(name, network)| {
-            let hwsim = network.hwsim.as_ref()?;
-            Some(PlannedNetwork { graph, name, network, hwsim, key })
+            let software = network.software.as_ref().filter(|software| software.radios == radios)?;
+            Some(PlannedNetwork { graph, name, network, software, address, key })
         });
         for network in networks.clone() {
             network.add_units(&mut plan)?;
@@ -184,7 +218,8 @@ struct PlannedNetwork<'a> {
     graph: &'a HardwareGraph,
     name: &'a String,
     network: &'a WirelessNetwork,
-    hwsim: &'a Hwsim,
+    software: &'a WifiSoftware,
+    address: &'a dyn Fn(&NodeId) -> Option<MacAddress>,
     key: &'a DomainKey,
 }
 
@@ -214,10 +249,11 @@ impl PlannedNetwork<'_> {
             let channel = Channel::new(band, unit.channel, Width::Mhz20)
                 .map_err(|source| PlanError::Channel { unit: node.id.clone(), source })?;
             let bssid = self.address(&node.id);
-            let bridge = Some(interface(BRIDGE));
+            // A real one joins the bridge in which its interface was found.
+            let bridge = node.radio().is_none().then(|| interface(BRIDGE));
             let bss = Bss { bridge, ..Bss::new(ssid.clone(), self.security(bssid, &members)?) };
             let access_point = AccessPoint {
-                interface: interface(WLAN),
+                interface: interface_of(node)?,
                 driver: AccessPointDriver::Nl80211,
                 radio: Radio::new(channel),
                 bss,
@@ -229,7 +265,8 @@ impl PlannedNetwork<'_> {
                 key: None,
                 core: None,
             };
-            let planned = PlannedUnit { access_point, bssid, settings, serves: unit.serving };
+            let (serves, power_dbm) = (unit.serving, unit.tx_power.0);
+            let planned = PlannedUnit { access_point, bssid, settings, serves, power_dbm };
             plan.units.insert(node.id.clone(), planned);
         }
         Ok(())
@@ -253,7 +290,7 @@ impl PlannedNetwork<'_> {
                 ..Network::new(ssid.clone(), credentials)
             };
             let station = Station {
-                interface: interface(WLAN),
+                interface: interface_of(node)?,
                 driver: StationDriver::Nl80211,
                 country: None,
                 networks: vec![network],
@@ -281,7 +318,7 @@ impl PlannedNetwork<'_> {
             let fast = FastTransition { domain, holder: holder(bssid), over_ds };
             self.network.fast_transition.then_some(fast)
         };
-        Ok(match &self.hwsim.security {
+        Ok(match &self.software.security {
             graph::Security::Open => Security::Open,
             graph::Security::Wpa2 { passphrase: text, management_frames, over_ds } => Security::Wpa2 {
                 passphrase: passphrase(text)?,
@@ -304,13 +341,19 @@ impl PlannedNetwork<'_> {
 
     /// Returns the address of a node's radio.
     fn address(&self, node: &NodeId) -> MacAddress {
-        MacAddress(self.graph.address(node).expect("robots and radio units are hosts").mac)
+        (self.address)(node).expect("all radios have addresses")
     }
 }
 
 /// Returns the name of a radio unit in its mobility domain: its address, which is always one.
 fn holder(bssid: MacAddress) -> KeyHolder {
     bssid.to_string().parse().expect("an address is made of digits and colons")
+}
+
+/// Returns the interface of a node's radio.
+fn interface_of(node: &Node) -> Result<InterfaceName, PlanError> {
+    let Some(radio) = node.radio() else { return Ok(interface(WLAN)) };
+    radio.interface.parse().map_err(|source| PlanError::Interface { node: node.id.clone(), source })
 }
 
 fn interface(name: &str) -> InterfaceName {

@@ -74,6 +74,7 @@ fn agent(lab: &Lab, number: usize, mut schedule: Schedule) {
                 context,
                 links: Default::default(),
                 heard: Default::default(),
+                addresses: Default::default(),
             };
             let put = session.put(key, reading.encode()).congestion_control(CongestionControl::Drop);
             put.express(true).wait().unwrap();

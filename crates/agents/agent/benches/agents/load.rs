@@ -59,6 +59,7 @@ pub fn measure() {
         context,
         links: Default::default(),
         heard: Default::default(),
+        addresses: Default::default(),
     }
     .encode()
     .len();

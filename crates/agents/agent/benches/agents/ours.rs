@@ -77,6 +77,7 @@ fn agent(lab: &Lab, number: usize, mut schedule: Schedule) {
                         context,
                         links: Default::default(),
                         heard: Default::default(),
+                        addresses: Default::default(),
                     }
                     .encode(),
                 )

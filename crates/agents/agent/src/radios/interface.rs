@@ -12,7 +12,8 @@ use std::{
 
 use cotorra_agent_protocol::{MOST_HEARD, RadioState, WantedRadio, WifiRequest};
 use cotorra_wifi::{
-    Client, ControlError, Event, Events, InterfaceName, Owner, Request, Taken, hostapd, wpa_supplicant,
+    Client, ControlError, Event, Events, InterfaceName, Owner, Request, Taken, hostapd,
+    wpa_supplicant::{self, Setting},
 };
 
 use super::{Reported, notes::Notes};
@@ -230,14 +231,24 @@ impl Worker {
     }
 
     fn request(&mut self, request: &WifiRequest) -> Result<(), String> {
+        let network = self.taken.as_ref().and_then(Taken::network);
         let Some(Listened { client, .. }) = &mut self.listened else {
             return Err(format!("no program runs on `{}` now", self.interface));
         };
+        let network = || network.ok_or_else(|| format!("`{}` is no station now", self.interface));
         let request: Request<()> = match request {
             WifiRequest::Scan { channels, stays: true } => wpa_supplicant::scan_only(channels),
             WifiRequest::Scan { channels, stays: false } => wpa_supplicant::scan(channels),
             WifiRequest::Roam { to, over_ds: false } => wpa_supplicant::roam(*to),
             WifiRequest::Roam { to, over_ds: true } => wpa_supplicant::roam_over_ds(*to),
+            WifiRequest::Pin { to } => wpa_supplicant::set(network()?, &Setting::Bssid(*to)),
+            WifiRequest::SetPassphrase { ssid, passphrase } => {
+                wpa_supplicant::set_passphrase(network()?, ssid, passphrase)
+            }
+            WifiRequest::Rejoin => {
+                client.request(&wpa_supplicant::disconnect()).map_err(|error| error.to_string())?;
+                wpa_supplicant::reconnect()
+            }
             WifiRequest::AskToMove { station, to, urgency } => hostapd::ask_to_move(*station, to, *urgency),
             WifiRequest::Disconnect { station, reason } => hostapd::deauthenticate(*station, *reason),
         };
