@@ -1,5 +1,5 @@
 //! Agents of a run: VNFs on real servers run there, robots have their ports there, links are emulated on interfaces there, and
-//! real machines report their contexts.
+//! real machines report their contexts, and serve and join wireless networks.
 //!
 //! A thread of its own owns the router and the protocol's state. It talks to the core by messages.
 
@@ -31,7 +31,14 @@ use self::{
     links::{LinkReports, LinksAtAgents},
     robot::Robots,
 };
-use crate::{clock::Clock, message::Message, real_network::AgentLinks, report::RunFolder, robots::AtAgents};
+use crate::{
+    clock::Clock,
+    message::Message,
+    real_network::AgentLinks,
+    report::RunFolder,
+    robots::AtAgents,
+    wifi::{AtAgentsMessage, Place, Wish, Wishes},
+};
 
 /// Where agents connect to a run.
 #[derive(Debug, Clone)]
@@ -95,6 +102,8 @@ pub(crate) struct AgentEngine {
     robots: Robots,
     links: LinkReports,
     events: mpsc::Receiver<EngineEvent>,
+    /// Where news of real radios go and arrive, until somebody takes them.
+    radios: Option<(mpsc::Sender<AtAgentsMessage>, mpsc::Receiver<AtAgentsMessage>)>,
     thread: Option<thread::JoinHandle<()>>,
 }
 
@@ -112,6 +121,7 @@ impl AgentEngine {
         let (files, paths) = shipped::list(folder.path())?;
         let (commands, inbox) = mpsc::channel();
         let (report, events) = mpsc::channel();
+        let radios = mpsc::channel();
         let robots = Robots::new(&testbed.graph, run);
         let links = LinkReports::new(&testbed.graph);
         let wanted_robots = testbed.graph.robots_at_agents().map(|(node, kobuki, agent)| {
@@ -126,6 +136,7 @@ impl AgentEngine {
             wanted_robots: wanted_robots.collect(),
             robots: robots.clone(),
             links: links.clone(),
+            radios: radios.0.clone(),
             files,
             paths,
             now: Arc::clone(now),
@@ -137,7 +148,24 @@ impl AgentEngine {
             .name("agents".to_owned())
             .spawn(move || link.run(&inbox))
             .map_err(AgentsError::Thread)?;
-        Ok(Self { testbed: Arc::clone(testbed), commands, robots, links, events, thread: Some(thread) })
+        let (testbed, radios) = (Arc::clone(testbed), Some(radios));
+        Ok(Self { testbed, commands, robots, links, events, radios, thread: Some(thread) })
+    }
+
+    /// Takes where news of real radios go and arrive; `None` if somebody has them.
+    pub(crate) fn take_radios(
+        &mut self,
+    ) -> Option<(mpsc::Sender<AtAgentsMessage>, mpsc::Receiver<AtAgentsMessage>)> {
+        self.radios.take()
+    }
+
+    /// Returns what hands agents the wishes of the core for their radios.
+    pub(crate) fn wishes(&self) -> Wishes {
+        let commands = self.commands.clone();
+        Box::new(move |place: &Place, wish: Wish| {
+            // Fails only if the thread has ended, and has left all radios to their owners.
+            _ = commands.send(Command::Radio(place.clone(), wish));
+        })
     }
 
     /// Returns what drives each robot at an agent.

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use cotorra_datapath::{Datapath, Handle, KernelNetwork, KernelNetworkError, Observed};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    AccessPoint, AgentId, ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId,
-    NodeId, RealLink, Testbed, ThroughputTest, Timestamp,
+    AccessPoint, AgentId, Attachment, ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId,
+    NodeId, RadioContext, RealLink, Testbed, ThroughputTest, Timestamp,
 };
 use cotorra_network_control::{
     Deployment, InstructionError, Network, NetworkGone, attach_in_fabric, change_fabric,
@@ -29,7 +29,9 @@ pub(crate) struct RealNetwork {
     kernel: Option<Arc<KernelNetwork>>,
     real: Option<RealLinks>,
     agents: Option<Box<dyn AgentLinks>>,
-    wifi: Option<wifi::Handle>,
+    /// Real Wi-Fi software: that on simulated radios, and that on real ones.
+    wifi: Vec<wifi::Handle>,
+    figures: Option<Arc<dyn RadioFigures>>,
     traffic: Traffic,
 }
 
@@ -47,6 +49,15 @@ pub(crate) trait AgentLinks: Send {
 
     /// Completes the contexts of such links. λ and the counters are those that the agents reported last.
     fn complete(&self, contexts: &mut [LinkContext]);
+}
+
+/// Figures of radios that are none of the fabric's.
+pub(crate) trait RadioFigures: Send + Sync {
+    /// Completes φ of a robot with such a radio, and leaves all others as they are.
+    fn complete_attachments(&self, robot: &NodeId, attachments: &mut [Attachment]);
+
+    /// Completes ι of a radio unit with such a radio, and leaves all others as they are.
+    fn complete_radio(&self, context: &mut RadioContext);
 }
 
 /// Returns the kernel's network, if the testbed wants it. If the kernel cannot emulate the testbed, this logs the reason,
@@ -104,7 +115,8 @@ impl RealNetwork {
             kernel: datapath.kernel(),
             real,
             agents: None,
-            wifi: None,
+            wifi: Vec::new(),
+            figures: None,
             traffic: Traffic::default(),
         }
     }
@@ -116,13 +128,19 @@ impl RealNetwork {
     }
 
     /// Lets these programs carry out instructions to their robots and radio units from now on.
-    pub(crate) fn set_wifi(&mut self, wifi: wifi::Handle) {
-        self.wifi = Some(wifi);
+    pub(crate) fn add_wifi(&mut self, wifi: wifi::Handle) {
+        self.wifi.push(wifi);
+    }
+
+    /// Takes φ and ι of real radios from there from now on.
+    #[cfg(feature = "agents")]
+    pub(crate) fn set_radio_figures(&mut self, figures: Arc<dyn RadioFigures>) {
+        self.figures = Some(figures);
     }
 
     /// Returns the Wi-Fi programs, if a robot or a radio unit has one.
     fn wifi(&self, node: &NodeId) -> Option<&wifi::Handle> {
-        self.wifi.as_ref().filter(|wifi| wifi.has(node))
+        self.wifi.iter().find(|wifi| wifi.has(node))
     }
 
     /// Returns the carrier of a link's packets, if it is not the fabric.
@@ -268,6 +286,18 @@ impl Network for RealNetwork {
         match self.wifi(radio_unit) {
             Some(wifi) => wifi.switch_off(radio_unit).map_err(rejected),
             None => switch_off_in_fabric(self, radio_unit),
+        }
+    }
+
+    fn complete_attachments(&self, robot: &NodeId, attachments: &mut [Attachment]) {
+        if let Some(figures) = &self.figures {
+            figures.complete_attachments(robot, attachments);
+        }
+    }
+
+    fn complete_radio(&self, context: &mut RadioContext) {
+        if let Some(figures) = &self.figures {
+            figures.complete_radio(context);
         }
     }
 

@@ -131,14 +131,25 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// # Errors
     /// [`NetworkGone`].
     pub fn locate(&self, robots: Vec<(NodeId, Position)>) -> Result<Vec<Vec<Attachment>>, NetworkGone> {
-        self.network.with(move |fabric, now| {
-            for (robot, position) in &robots {
-                if let Err(error) = fabric.move_robot(now, robot, *position) {
+        let located = self.network.with(move |fabric, now| {
+            let locate = |(robot, position): (NodeId, Position)| {
+                if let Err(error) = fabric.move_robot(now, &robot, position) {
                     tracing::warn!("cannot move {robot} in the emulated network: {error}");
                 }
-            }
-            robots.iter().map(|(robot, _)| fabric.attachments(robot)).collect()
-        })
+                robot
+            };
+            let robots: Vec<_> = robots.into_iter().map(locate).collect();
+            let with_attachments = |robot: NodeId| {
+                let attachments = fabric.attachments(&robot);
+                (robot, attachments)
+            };
+            robots.into_iter().map(with_attachments).collect::<Vec<_>>()
+        })?;
+        let complete = |(robot, mut attachments): (NodeId, Vec<Attachment>)| {
+            self.network.complete_attachments(&robot, &mut attachments);
+            attachments
+        };
+        Ok(located.into_iter().map(complete).collect())
     }
 
     /// Records that a robot went to a radio unit of another core. Its packets leave there, and those to it at the border.
@@ -198,7 +209,10 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             (now, fabric.radio_contexts(now), fabric.link_contexts(now), fabric.lateness())
         })?;
         let (links, lateness) = (self.network.complete(now, links), self.network.lateness(lateness));
-        let radios = radios.into_iter().map(Event::Radio);
+        let radios = radios.into_iter().map(|mut context| {
+            self.network.complete_radio(&mut context);
+            Event::Radio(context)
+        });
         let mut events: Vec<_> =
             radios.chain(links.into_iter().map(Event::Link)).chain([Event::Lateness(lateness)]).collect();
         events.extend(self.settle()?);

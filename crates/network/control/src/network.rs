@@ -2,7 +2,8 @@
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    AccessPoint, ConditionChange, Direction, Lateness, LinkContext, LinkId, NodeId, ThroughputTest, Timestamp,
+    AccessPoint, Attachment, ConditionChange, Direction, Lateness, LinkContext, LinkId, NodeId, RadioContext,
+    ThroughputTest, Timestamp,
 };
 
 /// The emulated network: on another thread in real time, in the same one in virtual time.
@@ -108,6 +109,12 @@ pub trait Network {
     fn complete(&self, _now: Timestamp, contexts: Vec<LinkContext>) -> Vec<LinkContext> {
         contexts
     }
+
+    /// Completes φ of a robot, if its radio is none of the fabric's.
+    fn complete_attachments(&self, _robot: &NodeId, _attachments: &mut [Attachment]) {}
+
+    /// Completes ι of a radio unit, if its radio is none of the fabric's.
+    fn complete_radio(&self, _context: &mut RadioContext) {}
 
     /// Completes the fabric's lateness, if other networks carry packets, too.
     fn lateness(&self, fabric: Lateness) -> Lateness {

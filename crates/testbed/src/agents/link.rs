@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_agent_protocol::{
-    Controller, ControllerEvent, LinkState, MachineReading, RadioState, RobotState, Run, Shipped,
-    WantedInstance, WantedLink, WantedRobot,
+    Controller, ControllerEvent, LinkState, MachineReading, RadioEvent, RadioState, RobotState, Run, Shipped,
+    WantedInstance, WantedLink, WantedRequest, WantedRobot,
 };
 use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
 use cotorra_engine::{EngineEvent, InstanceId};
@@ -19,7 +19,11 @@ use cotorra_graph::{AgentId, Event, LinkId, NodeId, Stamped, Timestamp};
 use parking_lot::Mutex;
 
 use super::{error::AgentsError, links::LinkReports, robot::Robots, today};
-use crate::{clock::Clock, message::Message};
+use crate::{
+    clock::Clock,
+    message::Message,
+    wifi::{AtAgentsMessage, News, Place, Reading, Wish},
+};
 
 /// Interval of looking for enrolled, renewed and revoked agents.
 const LOOK: Duration = Duration::from_secs(1);
@@ -33,6 +37,8 @@ pub(super) enum Command {
     Stop(InstanceId),
     /// An agent shall emulate a link like this.
     Emulate(AgentId, LinkId, Box<WantedLink>),
+    /// The core has a wish for a Wi-Fi interface.
+    Radio(Place, Wish),
     /// A command to a robot is to be sent.
     Wake,
     /// Something arrived from an agent. The last part is held until it is handled, to bound the number that waits.
@@ -52,6 +58,8 @@ pub(super) struct Parts {
     pub(super) wanted_robots: Vec<(AgentId, WantedRobot)>,
     pub(super) robots: Robots,
     pub(super) links: LinkReports,
+    /// Receiver of news of Wi-Fi interfaces.
+    pub(super) radios: mpsc::Sender<AtAgentsMessage>,
     pub(super) files: Vec<Shipped>,
     /// Paths of the files by their SHA-256.
     pub(super) paths: BTreeMap<String, PathBuf>,
@@ -64,6 +72,8 @@ pub(super) struct Parts {
 pub(super) struct Link {
     parts: Parts,
     controller: Arc<Mutex<Controller>>,
+    /// Requests that are under way, by the controller's numbers, with those of the wishes.
+    requests: BTreeMap<u64, u64>,
     granted: Vec<Granted>,
     /// `None` if it could not be opened.
     router: Option<Router>,
@@ -80,7 +90,7 @@ impl Link {
         }
         let controller = Arc::new(Mutex::new(controller));
         let router = Some(open(&parts, &granted, &controller)?);
-        Ok(Self { parts, controller, granted, router })
+        Ok(Self { parts, controller, requests: BTreeMap::new(), granted, router })
     }
 
     /// Runs until it is told to end, and what it runs has been stopped.
@@ -129,6 +139,7 @@ impl Link {
             }
             Command::Stop(instance) => self.controller.lock().stop(instance),
             Command::Emulate(agent, link, wanted) => self.controller.lock().emulate(&agent, link, *wanted),
+            Command::Radio(place, wish) => self.wish(place, wish),
             Command::Arrived(agent, arrived, _waiting) => match arrived {
                 FromAgent::Connection { boot, is_there } => {
                     self.controller.lock().connection(now, &agent, boot, is_there);
@@ -145,6 +156,29 @@ impl Link {
             },
             Command::Wake | Command::End => {}
         }
+    }
+
+    /// Hands a wish to an agent.
+    fn wish(&mut self, Place { agent, interface }: Place, wish: Wish) {
+        let mut controller = self.controller.lock();
+        match wish {
+            Wish::Use(wanted) => controller.use_radio(&agent, interface, wanted),
+            Wish::Release => controller.release_radio(&agent, &interface),
+            Wish::Request(number, request) => {
+                match controller.request(&agent, WantedRequest { interface, request }) {
+                    Ok(its) => drop(self.requests.insert(its, number)),
+                    Err(reason) => {
+                        drop(controller);
+                        self.tell_radios(News::Answered(number, Err(reason)));
+                    }
+                }
+            }
+        }
+    }
+
+    fn tell_radios(&self, news: News) {
+        // Nobody waits in a testbed without real radios, or any more.
+        _ = self.parts.radios.send(AtAgentsMessage::News(news));
     }
 
     fn send(&mut self, now: Timestamp) {
@@ -192,19 +226,33 @@ impl Link {
                     self.tell(now, Event::Notice { message });
                 }
                 ControllerEvent::Radio(agent, interface, state) => {
-                    let message = match state {
-                        RadioState::Changing => continue,
-                        RadioState::Ready => format!("`{interface}` at agent `{agent}` is as wanted"),
+                    let message = match &state {
+                        RadioState::Changing => None,
+                        RadioState::Ready => Some(format!("`{interface}` at agent `{agent}` is as wanted")),
                         RadioState::Failed(reason) => {
-                            format!("`{interface}` at agent `{agent}` is not as wanted: {reason}")
+                            Some(format!("`{interface}` at agent `{agent}` is not as wanted: {reason}"))
                         }
                     };
-                    self.tell(now, Event::Notice { message });
+                    if let Some(message) = message {
+                        self.tell(now, Event::Notice { message });
+                    }
+                    self.tell_radios(News::State(Place { agent, interface }, state));
                 }
                 ControllerEvent::Request(agent, number, answer) => {
                     tracing::debug!("agent `{agent}`: Wi-Fi request {number}: {answer:?}");
+                    if let Some(number) = self.requests.remove(&number) {
+                        self.tell_radios(News::Answered(number, answer));
+                    }
                 }
-                ControllerEvent::Wifi(agent, event) => tracing::debug!("agent `{agent}`: {event:?}"),
+                ControllerEvent::Wifi(agent, RadioEvent { at_ns, interface, event, .. }) => {
+                    let at = {
+                        let controller = self.controller.lock();
+                        let process = controller.process(&agent).map(|(boot, _)| boot);
+                        process.and_then(|boot| controller.core_time(&agent, boot, at_ns))
+                    };
+                    let at = at.map_or(now, |at| at.measured.min(now));
+                    self.tell_radios(News::Event(Place { agent, interface }, at, event));
+                }
                 ControllerEvent::Joined(agent) => {
                     self.parts.links.set_present(&agent, true);
                     self.tell(now, Event::Notice { message: format!("agent `{agent}` is connected") });
@@ -212,6 +260,7 @@ impl Link {
                 ControllerEvent::Left(agent, reason) => {
                     self.parts.links.set_present(&agent, false);
                     self.tell(now, Event::Notice { message: format!("agent `{agent}` is lost: {reason}") });
+                    self.tell_radios(News::Left(agent, reason));
                 }
             }
         }
@@ -262,6 +311,7 @@ fn open(
     let contexts = Contexts {
         nodes: parts.nodes.clone(),
         links: parts.links.clone(),
+        radios: parts.radios.clone(),
         controller: Arc::clone(controller),
         messages: parts.messages.clone(),
     };
@@ -284,6 +334,7 @@ fn open(
 struct Contexts {
     nodes: BTreeMap<AgentId, NodeId>,
     links: LinkReports,
+    radios: mpsc::Sender<AtAgentsMessage>,
     controller: Arc<Mutex<Controller>>,
     messages: mpsc::Sender<Message>,
 }
@@ -301,7 +352,9 @@ impl Contexts {
                 if controller.process(agent).is_some_and(|(boot, _)| boot == reading.boot) {
                     self.links.read(agent, &reading);
                 }
-                let MachineReading { boot, read_ns, mut context, .. } = reading;
+                let MachineReading { boot, read_ns, mut context, heard, addresses, .. } = reading;
+                let reading = Reading { addresses, heard, wifi: context.wifi.clone() };
+                _ = self.radios.send(AtAgentsMessage::News(News::Read(agent.clone(), reading)));
                 context.node = node.clone();
                 context.reading = controller.core_time(agent, boot, read_ns);
                 drop(controller);

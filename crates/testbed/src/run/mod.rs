@@ -76,8 +76,8 @@ pub struct Run {
     core: Option<thread::JoinHandle<(Report, Timestamp, End)>>,
     _masters: Masters,
     _pruner: Option<Pruner>,
-    /// Before the datapath: it is stopped while packets still pass.
-    wifi: Option<Wifi>,
+    /// Real Wi-Fi software. Before the datapath: it is stopped while packets still pass.
+    wifi: Vec<Wifi>,
     datapath: Arc<Datapath>,
     recording: Option<Recording>,
     keeping: Option<Keeping>,
@@ -98,7 +98,7 @@ impl Run {
         let (mut network, mut real_network) = NetworkUp::start(&prepared)?;
         let wifi = wifi::start(&prepared, &network)?;
         if let Some(wifi) = &wifi {
-            real_network.set_wifi(wifi.handle());
+            real_network.add_wifi(wifi.handle());
         }
         let nodes = NodesUp::start(&prepared, &mut network, real_network, script, confined)?;
         let services = ServicesUp::start(&prepared, &network, listener, plugins)?;
@@ -115,7 +115,7 @@ impl Run {
         start_receivers(&nodes.sockets, &network)?;
         let Prepared { testbed, folder, history, run, recorder, recording, keeping, .. } = prepared;
         let NetworkUp { datapath, now, inbox, messages, is_probed, .. } = network;
-        let NodesUp { mut core, masters, sockets, image_sockets } = nodes;
+        let NodesUp { mut core, masters, sockets, image_sockets, radios } = nodes;
         let ServicesUp { live, stream, server, plugins } = services;
         let tap = recording.as_ref().map(Recording::tap);
         if tap.is_some() {
@@ -161,7 +161,7 @@ impl Run {
             core: Some(core),
             _masters: masters,
             _pruner: pruner,
-            wifi,
+            wifi: wifi.into_iter().chain(radios).collect(),
             datapath,
             recording,
             keeping,
@@ -195,7 +195,8 @@ impl Run {
     /// Returns which radio units of real Wi-Fi software serve now and which robots have joined, in a line for people; `None`
     /// without such software.
     pub fn wifi(&self) -> Option<String> {
-        self.wifi.as_ref().map(Wifi::standing)
+        let standing: Vec<_> = self.wifi.iter().map(Wifi::standing).collect();
+        (!standing.is_empty()).then(|| standing.join("; "))
     }
 
     /// Returns a handle that ends the run early.
@@ -215,7 +216,7 @@ impl Run {
     pub fn finish(mut self) -> Result<Finished, RunError> {
         let core = self.core.take().ok_or(RunError::Panicked)?;
         let (mut report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
-        drop(self.wifi.take());
+        self.wifi.clear();
         let recording = self.recording.take().map(Recording::finish);
         let mut unrecorded: Vec<_> = self.keeping.take().and_then(Keeping::finish).into_iter().collect();
         if let Err(error) = self.recorder.flush() {

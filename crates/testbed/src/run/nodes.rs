@@ -25,6 +25,7 @@ use crate::{
     real_network::RealNetwork,
     robots::{AtAgents, Masters, Robots},
     script::Script,
+    wifi::Wifi,
 };
 
 /// A run whose robots and VNFs are controlled by a core, which does not run yet. Fields are dropped in order: the latest
@@ -36,6 +37,8 @@ pub(super) struct NodesUp {
     pub(super) image_sockets: BTreeMap<NodeId, UdpSocket>,
     /// A socket in each robot.
     pub(super) sockets: BTreeMap<NodeId, UdpSocket>,
+    /// The Wi-Fi programs at agents, if there are any.
+    pub(super) radios: Option<Wifi>,
 }
 
 impl NodesUp {
@@ -71,19 +74,21 @@ impl NodesUp {
         #[cfg(not(feature = "containers"))]
         let containers = None;
         #[cfg(feature = "agents")]
-        let (agents, at_agents) = match prepared.agents(&network.now, &network.messages)? {
-            Some(agents) => {
+        let (agents, at_agents, radios) = match prepared.agents(&network.now, &network.messages)? {
+            Some(mut agents) => {
+                let radios =
+                    super::wifi::start_at_agents(testbed, network, &mut agents, &mut real_network)?;
                 let contexts = real_network.with(|fabric, now| fabric.link_contexts(now));
                 let contexts =
                     contexts.map_err(io::Error::other).map_err(system("read the links' conditions"))?;
                 real_network.set_agents(agents.links(&contexts));
                 let robots = agents.robots();
-                (Some(Box::new(agents) as Box<dyn Engine + Send>), robots)
+                (Some(Box::new(agents) as Box<dyn Engine + Send>), robots, radios)
             }
-            None => (None, AtAgents::new()),
+            None => (None, AtAgents::new(), None),
         };
         #[cfg(not(feature = "agents"))]
-        let (agents, at_agents) = (None, AtAgents::new());
+        let (agents, at_agents, radios) = (None, AtAgents::new(), None);
         let engine = Engines::new(&testbed.graph, local, containers, agents);
         let now = Arc::clone(&network.now);
         let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), now, at_agents);
@@ -107,7 +112,7 @@ impl NodesUp {
             let tunnels = Tunnels::start(testbed, border, datapath, departures, &network.messages)?;
             core.open_border(Border::new(Arc::clone(testbed), border.clone(), tunnels, places));
         }
-        Ok(Self { core, masters: robots.masters(), image_sockets, sockets })
+        Ok(Self { core, masters: robots.masters(), image_sockets, sockets, radios })
     }
 }
 

@@ -1,15 +1,24 @@
-//! Real Wi-Fi software of a run, in the nodes of its datapath.
+//! Real Wi-Fi software of a run: in the nodes of its datapath, and at agents.
 
-use std::{os::unix::process::CommandExt, process::Command, sync::Arc};
+use std::{
+    os::unix::process::CommandExt,
+    process::Command,
+    sync::{Arc, mpsc::Sender},
+};
 
 use cotorra_datapath::{Datapath, SpawnOptions};
 use cotorra_engine::Process;
 use cotorra_fabric::{Association, Fabric, FabricError};
-use cotorra_graph::{Stamped, Testbed, Timestamp};
+#[cfg(feature = "agents")]
+use cotorra_graph::RadioKind;
+use cotorra_graph::{Event, Stamped, Testbed, Timestamp};
 use cotorra_wifi::DomainKey;
 
 use super::{launcher::NodeProcess, network::NetworkUp, prepared::Prepared};
+#[cfg(feature = "agents")]
+use crate::{agents::AgentEngine, real_network::RealNetwork, wifi::Outlets};
 use crate::{
+    clock::Clock,
     error::RunError,
     message::Message,
     wifi::{Change, Plan, Surroundings, Wifi, WifiError, check_programs},
@@ -20,16 +29,21 @@ use crate::{
 /// # Errors
 /// [`RunError::Wifi`] if the programs are not installed, or cannot serve the testbed.
 pub(super) fn plan(testbed: &Testbed) -> Result<Option<Plan>, RunError> {
-    let mut key = [0; 32];
-    getrandom::fill(&mut key).expect("the system has random numbers");
-    let plan = Plan::new(&testbed.graph, &DomainKey::new(key)).map_err(WifiError::from)?;
+    let plan = Plan::new(&testbed.graph, &domain_key()).map_err(WifiError::from)?;
     if plan.is_some() {
         check_programs()?;
     }
     Ok(plan)
 }
 
-/// Starts the Wi-Fi software of a run, if it has any.
+/// Returns a key of mobility domains that nobody else has.
+fn domain_key() -> DomainKey {
+    let mut key = [0; 32];
+    getrandom::fill(&mut key).expect("the system has random numbers");
+    DomainKey::new(key)
+}
+
+/// Starts the Wi-Fi software in the nodes of a run, if it has any.
 ///
 /// # Errors
 /// [`RunError::Wifi`]. Nothing runs then.
@@ -44,19 +58,58 @@ pub(super) fn start(prepared: &Prepared, network: &NetworkUp) -> Result<Option<W
             launch_in.spawn(node, command, SpawnOptions { unique_number: true, ..SpawnOptions::default() });
         Ok(Box::new(NodeProcess(child.map_err(std::io::Error::other)?)) as Box<dyn Process>)
     };
-    let (reports, reports_at) = (messages.clone(), Arc::clone(now));
-    let report = move |event| {
-        // The core's thread may have ended already.
-        _ = reports.send(Message::Network(Stamped { at: reports_at(), event }));
-    };
     let surroundings = Surroundings {
         now: Arc::clone(now),
         launch: Arc::new(launch),
         logs: prepared.folder.logs(),
         change: change_in(datapath),
-        report: Box::new(report),
+        report: report_to(messages, now),
     };
     Ok(Some(Wifi::start(plan, surroundings)?))
+}
+
+/// Makes agents serve and join the networks of a run's real radios, and lets the core have them; `None` if it has none.
+///
+/// # Errors
+/// [`RunError::Wifi`]. All radios are their owners' again when the agents' engine ends.
+#[cfg(feature = "agents")]
+pub(super) fn start_at_agents(
+    testbed: &Testbed,
+    network: &NetworkUp,
+    agents: &mut AgentEngine,
+    real_network: &mut RealNetwork,
+) -> Result<Option<Wifi>, RunError> {
+    let NetworkUp { now, datapath, messages, .. } = network;
+    let Some(radios) = agents.take_radios() else { return Ok(None) };
+    let nodes: Vec<_> =
+        testbed.graph.nodes_with(RadioKind::Hardware).map(|node| node.id.clone()).collect();
+    // The emulated network follows what the radios do, and carries nothing there.
+    let lend = move |fabric: &mut Fabric, now| {
+        nodes.iter().try_for_each(|node| fabric.lend_antenna(now, node).map(drop))
+    };
+    let lent = datapath.handle().with(lend).map_err(|gone| WifiError::Start(gone.to_string()))?;
+    lent.map_err(|error| WifiError::Start(error.to_string()))?;
+    let outlets = Outlets {
+        now: Arc::clone(now),
+        wishes: agents.wishes(),
+        change: change_in(datapath),
+        report: report_to(messages, now),
+    };
+    let started = Wifi::start_at_agents(&testbed.graph, &domain_key(), outlets, radios)?;
+    Ok(started.map(|(wifi, figures)| {
+        real_network.add_wifi(wifi.handle());
+        real_network.set_radio_figures(figures);
+        wifi
+    }))
+}
+
+/// Returns what reports events to the core.
+fn report_to(messages: &Sender<Message>, now: &Clock) -> Box<dyn FnMut(Event) + Send> {
+    let (messages, now) = (messages.clone(), Arc::clone(now));
+    Box::new(move |event| {
+        // The core's thread may have ended already.
+        _ = messages.send(Message::Network(Stamped { at: now(), event }));
+    })
 }
 
 /// Returns what changes the fabric of a datapath.

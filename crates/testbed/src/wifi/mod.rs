@@ -1,8 +1,13 @@
 //! Real Wi-Fi software in a run: starts hostapd in radio units and wpa_supplicant in robots, carries instructions out by them,
 //! and tells the emulated network and the core what they did.
 //!
-//! [`plan`] writes their configurations, [`manager`] decides, and [`programs`] has the processes and sockets.
+//! [`plan`] writes their configurations, and [`manager`] decides. [`programs`] has the processes and sockets of simulated radios;
+//! those of real radios are at agents.
 
+#[cfg(feature = "agents")]
+mod at_agents;
+#[cfg(feature = "agents")]
+mod figures;
 mod lifecycle;
 mod manager;
 mod plan;
@@ -21,9 +26,15 @@ use std::{
 
 use cotorra_datapath::{Capability, CapabilityState};
 use cotorra_graph::{self as graph, NodeId};
+#[cfg(feature = "agents")]
+use cotorra_graph::HardwareGraph;
+#[cfg(feature = "agents")]
+use cotorra_wifi::DomainKey;
 use cotorra_wifi::installed;
 use parking_lot::Mutex;
 
+#[cfg(feature = "agents")]
+pub(crate) use self::at_agents::{Message as AtAgentsMessage, News, Outlets, Place, Reading, Wish, Wishes};
 pub use self::plan::PlanError;
 use self::{manager::Manager, programs::Programs};
 pub(crate) use self::{
@@ -32,6 +43,8 @@ pub(crate) use self::{
     programs::Surroundings,
 };
 use crate::clock::Clock;
+#[cfg(feature = "agents")]
+use crate::real_network::RadioFigures;
 
 /// Beginning of the names of folders for Wi-Fi programs, in the folder for temporary files. The process's id follows, and a number.
 pub const WIFI_FOLDERS: &str = "cotorra-wifi-";
@@ -43,15 +56,21 @@ const START: Duration = Duration::from_secs(60);
 /// The Wi-Fi programs of a run. Dropping it stops them.
 pub(crate) struct Wifi {
     handle: Handle,
+    /// Ends the thread.
+    stop: Signal,
     thread: Option<thread::JoinHandle<()>>,
-    _folder: Folder,
+    _folder: Option<Folder>,
 }
+
+/// Tells the thread that carries out actions something.
+type Signal = Arc<dyn Fn() + Send + Sync>;
 
 /// Gives the programs instructions.
 #[derive(Clone)]
 pub(crate) struct Handle {
     manager: Arc<Mutex<Manager>>,
-    inbox: mpsc::Sender<programs::Message>,
+    /// There may be actions.
+    wake: Signal,
     now: Clock,
 }
 
@@ -73,6 +92,15 @@ pub enum WifiError {
     #[error("Wi-Fi is not up after {} s: {missing} are missing", START.as_secs())]
     Slow {
         /// Those that are missing.
+        missing: String,
+    },
+    /// Real radios that no agent reports.
+    #[error(
+        "no agent reports the radios of {missing} within {} s: is it running there, with `--wifi` and that interface?",
+        START.as_secs()
+    )]
+    Unreported {
+        /// The nodes, each with its agent and interface.
         missing: String,
     },
     /// A folder or a thread.
@@ -140,13 +168,72 @@ impl Wifi {
             .name("wifi".to_owned())
             .spawn(move || programs.run(&progress))
             .map_err(system("start the thread of the Wi-Fi programs"))?;
-        let handle = Handle { manager, inbox, now };
-        let wifi = Self { handle, thread: Some(thread), _folder: folder };
+        let signal = |message: fn() -> programs::Message| -> Signal {
+            let inbox = inbox.clone();
+            // Fails only if the thread has ended.
+            Arc::new(move || {
+                _ = inbox.send(message());
+            })
+        };
+        let handle = Handle { manager, wake: signal(|| programs::Message::Wake), now };
+        let stop = signal(|| programs::Message::Stop);
+        Self { handle, stop, thread: Some(thread), _folder: Some(folder) }.begun(&begun)
+    }
+
+    /// Serves and joins the networks of a graph's real radios by agents, and waits until radio units serve and robots have joined,
+    /// as [`Self::start`] does. Returns the radios' figures, too. `None` if the graph has no such radios.
+    ///
+    /// # Errors
+    /// [`WifiError`].
+    #[cfg(feature = "agents")]
+    pub(crate) fn start_at_agents(
+        graph: &HardwareGraph,
+        key: &DomainKey,
+        outlets: Outlets,
+        (sender, inbox): (mpsc::Sender<AtAgentsMessage>, mpsc::Receiver<AtAgentsMessage>),
+    ) -> Result<Option<(Self, Arc<dyn RadioFigures>)>, WifiError> {
+        let places = at_agents::places(graph)?;
+        if places.is_empty() {
+            return Ok(None);
+        }
+        let now = Arc::clone(&outlets.now);
+        let addresses = at_agents::await_addresses(&places, &inbox, &now, START).map_err(|missing| {
+            let missing: Vec<_> = missing
+                .iter()
+                .map(|(node, Place { agent, interface })| format!("`{node}` (`{interface}` at agent `{agent}`)"))
+                .collect();
+            WifiError::Unreported { missing: missing.join(", ") }
+        })?;
+        let Some(plan) = Plan::of_hardware(graph, &addresses, key)? else { return Ok(None) };
+        let figures = Arc::new(figures::Figures::new(addresses));
+        let manager = Arc::new(Mutex::new(Manager::new(now(), plan.clone())));
+        let programs = at_agents::programs(graph, &places);
+        let radios =
+            at_agents::AtAgents::new(Arc::clone(&manager), plan, outlets, Arc::clone(&figures), programs);
+        let (progress, begun) = mpsc::channel();
+        let thread = thread::Builder::new()
+            .name("radios".to_owned())
+            .spawn(move || radios.run(&inbox, &progress))
+            .map_err(system("start the thread of the real radios"))?;
+        let signal = |message: fn() -> AtAgentsMessage| -> Signal {
+            let sender = sender.clone();
+            Arc::new(move || {
+                _ = sender.send(message());
+            })
+        };
+        let handle = Handle { manager, wake: signal(|| AtAgentsMessage::Wake), now };
+        let stop = signal(|| AtAgentsMessage::Stop);
+        let wifi = Self { handle, stop, thread: Some(thread), _folder: None }.begun(&begun)?;
+        Ok(Some((wifi, figures)))
+    }
+
+    /// Waits until all is up.
+    fn begun(self, begun: &mpsc::Receiver<Result<(), String>>) -> Result<Self, WifiError> {
         match begun.recv_timeout(START) {
-            Ok(Ok(())) => Ok(wifi),
+            Ok(Ok(())) => Ok(self),
             Ok(Err(reason)) => Err(WifiError::Start(reason)),
             Err(_) => {
-                let missing = wifi.handle.manager.lock().awaited().join(", ");
+                let missing = self.handle.manager.lock().awaited().join(", ");
                 Err(WifiError::Slow { missing })
             }
         }
@@ -165,8 +252,7 @@ impl Wifi {
 
 impl Drop for Wifi {
     fn drop(&mut self) {
-        // Fails only if the thread has ended.
-        _ = self.handle.inbox.send(programs::Message::Stop);
+        (self.stop)();
         if let Some(thread) = self.thread.take() {
             _ = thread.join();
         }
@@ -245,8 +331,7 @@ impl Handle {
         instruction: impl FnOnce(&mut Manager) -> Result<(), Rejected>,
     ) -> Result<(), Rejected> {
         instruction(&mut self.manager.lock())?;
-        // Fails only if the run ends.
-        _ = self.inbox.send(programs::Message::Wake);
+        (self.wake)();
         Ok(())
     }
 }

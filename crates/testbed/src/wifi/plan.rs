@@ -34,6 +34,7 @@ pub(super) struct PlannedUnit {
     /// Whether it serves from the start.
     pub(super) serves: bool,
     /// Its greatest power, dBm.
+    #[cfg_attr(not(feature = "agents"), expect(dead_code, reason = "simulated radios have it from the graph"))]
     pub(super) power_dbm: f64,
 }
 
@@ -100,6 +101,7 @@ impl Plan {
     ///
     /// # Errors
     /// [`PlanError`].
+    #[cfg(feature = "agents")]
     pub(crate) fn of_hardware(
         graph: &HardwareGraph,
         addresses: &BTreeMap<NodeId, MacAddress>,
@@ -351,7 +353,7 @@ fn holder(bssid: MacAddress) -> KeyHolder {
 }
 
 /// Returns the interface of a node's radio.
-fn interface_of(node: &Node) -> Result<InterfaceName, PlanError> {
+pub(super) fn interface_of(node: &Node) -> Result<InterfaceName, PlanError> {
     let Some(radio) = node.radio() else { return Ok(interface(WLAN)) };
     radio.interface.parse().map_err(|source| PlanError::Interface { node: node.id.clone(), source })
 }

@@ -1,0 +1,407 @@
+//! Wi-Fi programs at agents, which drive real radios.
+//!
+//! A thread carries out the [`Manager`]'s actions, as [`Programs`](super::programs::Programs) does in nodes of this machine.
+//! Agents start their programs anew by themselves, and tell what these do with times of their own.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::{Arc, mpsc},
+    time::Duration,
+};
+
+use cotorra_agent_protocol::{RadioState, WantedRadio, WifiRequest};
+use cotorra_graph::{AgentId, Event, HardwareGraph, NodeId, NodeKind, RadioKind, Timestamp, WifiContext};
+use cotorra_wifi::{
+    AccessPointSettings, AnswerError, Event as WifiEvent, InterfaceName, MacAddress, Power,
+    wpa_supplicant::Heard,
+};
+use parking_lot::Mutex;
+
+use super::{
+    figures::{Figures, Read},
+    manager::{Action, Change, Configuration, Input, Manager, Program, Refused, Request},
+    plan::{Plan, PlanError, interface_of},
+};
+use crate::clock::Clock;
+
+/// A Wi-Fi interface of an agent's machine.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Place {
+    pub(crate) agent: AgentId,
+    pub(crate) interface: InterfaceName,
+}
+
+/// Something that an agent is to do.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Wish {
+    /// Make the interface so.
+    Use(WantedRadio),
+    /// Leave the interface to its owner.
+    Release,
+    /// Send its program a request. [`News::Answered`] has the number.
+    Request(u64, WifiRequest),
+}
+
+/// Hands a wish to an agent.
+pub(crate) type Wishes = Box<dyn FnMut(&Place, Wish) + Send>;
+
+/// Something that agents say of radios.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum News {
+    /// What was read of an agent's machine.
+    Read(AgentId, Reading),
+    /// A wanted interface has another state.
+    State(Place, RadioState),
+    /// A program reported an event, at this time.
+    Event(Place, Timestamp, WifiEvent),
+    /// What became of a request.
+    Answered(u64, Result<(), String>),
+    /// An agent is lost, with the reason.
+    Left(AgentId, String),
+}
+
+/// What was read of the Wi-Fi interfaces of a machine.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Reading {
+    /// Addresses of those that its owner lends.
+    pub(crate) addresses: BTreeMap<InterfaceName, MacAddress>,
+    /// What stations heard lately.
+    pub(crate) heard: BTreeMap<InterfaceName, Vec<Heard>>,
+    /// What its kernel reports.
+    pub(crate) wifi: Vec<WifiContext>,
+}
+
+/// A message to the thread that carries out actions.
+pub(crate) enum Message {
+    /// There may be actions.
+    Wake,
+    /// Leave all radios to their owners.
+    Stop,
+    News(News),
+}
+
+/// What becomes of what the programs do.
+pub(crate) struct Outlets {
+    /// The run's clock.
+    pub(crate) now: Clock,
+    /// Hands wishes to agents.
+    pub(crate) wishes: Wishes,
+    /// Changes the emulated network; returns the reason if it refuses.
+    pub(crate) change: Box<dyn FnMut(Change) -> Result<(), String> + Send>,
+    /// Reports an event to the core.
+    pub(crate) report: Box<dyn FnMut(Event) + Send>,
+}
+
+/// Returns the real radios of a graph, by their nodes.
+///
+/// # Errors
+/// [`PlanError::Interface`].
+pub(super) fn places(graph: &HardwareGraph) -> Result<BTreeMap<NodeId, Place>, PlanError> {
+    let radios = graph.nodes_with(RadioKind::Hardware).filter_map(|node| Some((node, node.radio()?)));
+    let place = |(node, radio): (&cotorra_graph::Node, &cotorra_graph::RealRadio)| {
+        let interface = interface_of(node)?;
+        Ok((node.id.clone(), Place { agent: radio.agent.clone(), interface }))
+    };
+    radios.map(place).collect()
+}
+
+/// Returns the programs of a graph's real radios.
+pub(super) fn programs(graph: &HardwareGraph, places: &BTreeMap<NodeId, Place>) -> BTreeMap<Program, Place> {
+    let nodes = graph.nodes.iter().filter_map(|node| Some((node, places.get(&node.id)?)));
+    let program = |(node, place): (&cotorra_graph::Node, &Place)| {
+        let id = node.id.clone();
+        let is_robot = matches!(node.kind, NodeKind::Robot(_));
+        (if is_robot { Program::Supplicant(id) } else { Program::Hostapd(id) }, place.clone())
+    };
+    nodes.map(program).collect()
+}
+
+/// Waits until the address of each radio is known. Returns them, or the places that no agent reported in this time. What else
+/// agents say meanwhile is about nothing that is wanted of them yet.
+pub(super) fn await_addresses(
+    places: &BTreeMap<NodeId, Place>,
+    inbox: &mpsc::Receiver<Message>,
+    now: &Clock,
+    longest: Duration,
+) -> Result<BTreeMap<NodeId, MacAddress>, Vec<(NodeId, Place)>> {
+    let until = now() + longest;
+    let mut addresses = BTreeMap::new();
+    while addresses.len() < places.len() {
+        let left = until.since(now());
+        match inbox.recv_timeout(left) {
+            Ok(Message::News(News::Read(agent, reading))) => {
+                for (node, place) in places.iter().filter(|(_, place)| place.agent == agent) {
+                    if let Some(address) = reading.addresses.get(&place.interface) {
+                        addresses.insert(node.clone(), *address);
+                    }
+                }
+            }
+            Ok(_) => {}
+            Err(_) => {
+                let missing = places.iter().filter(|(node, _)| !addresses.contains_key(*node));
+                return Err(missing.map(|(node, place)| (node.clone(), place.clone())).collect());
+            }
+        }
+    }
+    Ok(addresses)
+}
+
+/// What is known of a program at an agent.
+#[derive(Debug, Default)]
+struct Remote {
+    /// What its interface is to be; `None` leaves it to its owner.
+    wanted: Option<WantedRadio>,
+    /// Whether the agent says that it is so.
+    is_ready: bool,
+    /// Whether the manager knows that.
+    is_started: bool,
+    /// The last event that says where it is: an access point serves, or a station is connected.
+    standing: Option<WifiEvent>,
+}
+
+/// The programs of a run at agents.
+pub(super) struct AtAgents {
+    manager: Arc<Mutex<Manager>>,
+    plan: Plan,
+    outlets: Outlets,
+    figures: Arc<Figures>,
+    places: BTreeMap<Program, Place>,
+    programs: BTreeMap<Program, Remote>,
+    requests: BTreeMap<u64, (Program, Request)>,
+    last_request: u64,
+}
+
+impl AtAgents {
+    pub(super) fn new(
+        manager: Arc<Mutex<Manager>>,
+        plan: Plan,
+        outlets: Outlets,
+        figures: Arc<Figures>,
+        places: BTreeMap<Program, Place>,
+    ) -> Self {
+        let programs = places.keys().map(|program| (program.clone(), Remote::default())).collect();
+        Self { manager, plan, outlets, figures, places, programs, requests: BTreeMap::new(), last_request: 0 }
+    }
+
+    /// Carries out actions until [`Message::Stop`]. Reports once that all is up, or why not.
+    pub(super) fn run(
+        mut self,
+        inbox: &mpsc::Receiver<Message>,
+        begun: &mpsc::Sender<Result<(), String>>,
+    ) {
+        let mut is_begun = false;
+        loop {
+            let now = (self.outlets.now)();
+            self.manager.lock().advance(now);
+            self.act(now);
+            let (outcome, deadline) = {
+                let manager = self.manager.lock();
+                let failed = manager.failure().map(|reason| Err(reason.to_owned()));
+                (failed.or_else(|| manager.is_up().then_some(Ok(()))), manager.deadline())
+            };
+            if let Some(outcome) = outcome.filter(|_| !is_begun) {
+                is_begun = true;
+                // Nobody waits any more after a time.
+                _ = begun.send(outcome);
+            }
+            let message = match deadline {
+                Some(deadline) => inbox.recv_timeout(deadline.since((self.outlets.now)())),
+                None => inbox.recv().map_err(|_| mpsc::RecvTimeoutError::Disconnected),
+            };
+            match message {
+                Err(mpsc::RecvTimeoutError::Timeout) | Ok(Message::Wake) => {}
+                Err(mpsc::RecvTimeoutError::Disconnected) | Ok(Message::Stop) => break,
+                Ok(Message::News(news)) => self.take(news),
+            }
+        }
+        self.manager.lock().stop();
+        self.act((self.outlets.now)());
+    }
+
+    /// Takes what an agent says, and does what follows from it.
+    fn take(&mut self, news: News) {
+        let now = (self.outlets.now)();
+        match news {
+            News::Read(agent, reading) => self.read(now, &agent, &reading),
+            News::State(place, state) => {
+                for program in self.at(&place) {
+                    match &state {
+                        RadioState::Ready => self.begin(now, &program),
+                        RadioState::Changing => self.lose(now, &program, "its agent begins it anew", false),
+                        RadioState::Failed(reason) => self.lose(now, &program, reason, true),
+                    }
+                }
+            }
+            News::Event(place, at, event) => {
+                for program in self.at(&place) {
+                    tracing::debug!("{program}: {event:?}");
+                    // An event comes before the state in the report that has both.
+                    self.begin(at, &program);
+                    let Some(remote) = self.programs.get_mut(&program) else { continue };
+                    match event {
+                        WifiEvent::AccessPointEnabled | WifiEvent::Connected { .. } => {
+                            remote.standing = Some(event.clone());
+                        }
+                        WifiEvent::AccessPointDisabled | WifiEvent::Disconnected { .. } => {
+                            remote.standing = None;
+                        }
+                        _ => {}
+                    }
+                    self.handle(at, Input::Event { program, event: event.clone() });
+                }
+                self.act(at);
+            }
+            News::Answered(number, answer) => {
+                let Some((program, request)) = self.requests.remove(&number) else { return };
+                if let Err(reason) = answer {
+                    let is_busy = reason.ends_with(&AnswerError::Busy.to_string());
+                    let reason = if is_busy { Refused::Busy } else { Refused::Other(reason) };
+                    self.handle(now, Input::Refused { program, request, reason });
+                }
+            }
+            News::Left(agent, reason) => {
+                let its = self.places.iter().filter(|(_, place)| place.agent == agent);
+                for program in its.map(|(program, _)| program.clone()).collect::<BTreeSet<_>>() {
+                    self.figures.forget(program.node());
+                    self.lose(now, &program, &format!("its agent is lost: {reason}"), false);
+                }
+            }
+        }
+    }
+
+    /// Returns the programs of an interface: one, or none.
+    fn at(&self, place: &Place) -> Vec<Program> {
+        let here = self.places.iter().filter(|(_, its)| *its == place);
+        here.map(|(program, _)| program.clone()).collect()
+    }
+
+    fn handle(&self, at: Timestamp, input: Input) {
+        self.manager.lock().handle(at, input);
+    }
+
+    fn read(&mut self, now: Timestamp, agent: &AgentId, reading: &Reading) {
+        let its = self.places.iter().filter(|(_, place)| place.agent == *agent);
+        for (program, Place { interface, .. }) in its {
+            let wifi = reading.wifi.iter().find(|wifi| wifi.interface == interface.as_str()).cloned();
+            let heard = reading.heard.get(interface).cloned().unwrap_or_default();
+            let is_news = self.figures.read(program.node(), Read { wifi, heard: heard.clone() });
+            if let (true, Program::Supplicant(robot)) = (is_news, program) {
+                self.handle(now, Input::Heard { robot: robot.clone(), heard });
+            }
+        }
+    }
+
+    /// Records that a program answers.
+    fn begin(&mut self, at: Timestamp, program: &Program) {
+        let Some(remote) = self.programs.get_mut(program) else { return };
+        remote.is_ready = true;
+        if remote.wanted.is_none() || std::mem::replace(&mut remote.is_started, true) {
+            return;
+        }
+        let standing = remote.standing.clone();
+        self.handle(at, Input::Started(program.clone()));
+        if let Some(event) = standing {
+            self.handle(at, Input::Event { program: program.clone(), event });
+        }
+    }
+
+    /// Records that a program does not answer. `has_failed` is whether it could not even be started.
+    fn lose(&mut self, now: Timestamp, program: &Program, reason: &str, has_failed: bool) {
+        let Some(remote) = self.programs.get_mut(program) else { return };
+        let is_news = std::mem::take(&mut remote.is_started) || has_failed;
+        (remote.is_ready, remote.standing) = (false, None);
+        if is_news && remote.wanted.is_some() {
+            self.handle(now, Input::Ended { program: program.clone(), reason: reason.to_owned() });
+        }
+    }
+
+    /// Carries out the manager's actions, which follow from something of this time.
+    fn act(&mut self, at: Timestamp) {
+        loop {
+            let Some(action) = self.manager.lock().poll_action() else { return };
+            match action {
+                Action::Start { program, configuration } => self.start(at, &program, configuration),
+                Action::Stop(program) => {
+                    self.programs.insert(program.clone(), Remote::default());
+                    self.wish(&program, Wish::Release);
+                }
+                Action::Request { program, request } => self.request(program, request),
+                Action::Change(change) => {
+                    // The emulated network takes the present for the end of a handover.
+                    let late = (self.outlets.now)().since(at);
+                    let change = match change {
+                        Change::Associate { robot, radio_unit, began, fast } => {
+                            Change::Associate { robot, radio_unit, began: began + late, fast }
+                        }
+                        change => change,
+                    };
+                    if let Err(reason) = (self.outlets.change)(change.clone()) {
+                        tracing::debug!("the emulated network refused {change:?}: {reason}");
+                    }
+                }
+                Action::Report(event) => (self.outlets.report)(event),
+            }
+        }
+    }
+
+    fn start(&mut self, at: Timestamp, program: &Program, configuration: Configuration) {
+        let wanted = self.wanted(program, configuration);
+        let Some(remote) = self.programs.get_mut(program) else { return };
+        let is_same = remote.wanted.as_ref() == Some(&wanted);
+        if !is_same {
+            (remote.is_ready, remote.standing) = (false, None);
+        }
+        (remote.wanted, remote.is_started) = (Some(wanted.clone()), false);
+        let is_ready = remote.is_ready;
+        self.wish(program, Wish::Use(wanted));
+        if is_ready {
+            self.begin(at, program);
+        }
+    }
+
+    fn wanted(&self, program: &Program, configuration: Configuration) -> WantedRadio {
+        match configuration {
+            Configuration::AccessPoint(access_point) => {
+                let power = self.plan.units.get(program.node()).map(|unit| unit.power_dbm);
+                let hundredths = |dbm: f64| Power::AtMost((dbm * 100.0).round() as i32);
+                WantedRadio::AccessPoint(Box::new(AccessPointSettings {
+                    radio: access_point.radio,
+                    bss: access_point.bss,
+                    virtual_aps: Vec::new(),
+                    power: power.map(hundredths),
+                    neighbours: self.plan.neighbours(program.node()),
+                }))
+            }
+            Configuration::Station(mut station) => {
+                WantedRadio::Station(Box::new(station.networks.swap_remove(0)))
+            }
+        }
+    }
+
+    fn request(&mut self, program: Program, request: Request) {
+        let wanted = match request.clone() {
+            Request::Roam { to, over_ds } => WifiRequest::Roam { to, over_ds },
+            Request::Scan { channels, stays } => WifiRequest::Scan { channels, stays },
+            Request::Pin { to } => WifiRequest::Pin { to },
+            Request::SetPassphrase { ssid, passphrase } => WifiRequest::SetPassphrase { ssid, passphrase },
+            Request::Rejoin => WifiRequest::Rejoin,
+            // It comes with the next reading.
+            Request::ReadHeard => return,
+            // They are among its settings.
+            Request::SetNeighbour(_) => return,
+        };
+        self.last_request += 1;
+        let number = self.last_request;
+        self.wish(&program, Wish::Request(number, wanted));
+        self.requests.insert(number, (program, request));
+    }
+
+    fn wish(&mut self, program: &Program, wish: Wish) {
+        if let Some(place) = self.places.get(program) {
+            (self.outlets.wishes)(place, wish);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
