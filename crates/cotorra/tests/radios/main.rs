@@ -11,6 +11,8 @@
 mod air;
 mod attacks;
 mod handover;
+#[cfg(feature = "agents")]
+mod hardware;
 #[allow(dead_code, reason = "the end-to-end tests use the rest")]
 #[path = "../end_to_end/harness.rs"]
 mod harness;
