@@ -37,6 +37,9 @@ pub struct RealRadio {
     pub agent: AgentId,
     /// The interface, as `iw dev` names it there.
     pub interface: String,
+    /// The bridge that an access point joins; `None` for that in which the interface is found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bridge: Option<String>,
 }
 
 /// A port of the emulated network on an interface of this machine: a gateway's, or a real server's.

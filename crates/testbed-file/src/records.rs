@@ -847,6 +847,8 @@ record! {
         agent: Option<Spanned<AgentId>>,
         /// Its Wi-Fi interface on the agent's machine, in a network with `wifi: hardware`.
         interface: Option<Spanned<String>>,
+        /// The bridge that its access point joins there. Without it: the one in which the interface is found.
+        bridge: Option<Spanned<String>>,
         /// CPUs for VNFs.
         cpus: Amount = 1,
         /// Memory for VNFs.

@@ -176,6 +176,7 @@ fn radios_of_real_machines_have_an_agent_and_an_interface_which_the_model_ignore
         "nodes.R1.interface=wlan0",
         "nodes.R2.agent=ap2",
         "nodes.R2.interface=wlan1",
+        "nodes.R2.bridge=br0",
     ];
     let testbed = with(&on_hardware).unwrap();
     let radios: Vec<_> = testbed
@@ -185,6 +186,8 @@ fn radios_of_real_machines_have_an_agent_and_an_interface_which_the_model_ignore
         .map(|(node, radio)| (node, radio.agent.as_str(), radio.interface.as_str()))
         .collect();
     assert_eq!(radios, [("robot", "turtle1", "wlan0"), ("R1", "ap1", "wlan0"), ("R2", "ap2", "wlan1")]);
+    let bridges = testbed.graph.radio_units().map(|(_, unit)| unit.radio.as_ref()?.bridge.as_deref());
+    assert_eq!(bridges.collect::<Vec<_>>(), [None, Some("br0")]);
     assert_eq!(testbed.graph.nodes_with(RadioKind::Hwsim).count(), 0);
     let at_start: Vec<_> = testbed.agents_at_start().map(|(_, agent)| agent.as_str()).collect();
     assert_eq!(at_start, ["turtle1", "ap1", "ap2"]);

@@ -26,8 +26,8 @@ name: hardware
 wireless: { lab: { access: edca, wifi: hardware, security: { method: wpa2, passphrase: correct horse } } }
 nodes:
   r1: { kind: robot, position: [4, 0], agent: robot1, interface: wlan0 }
-  A: { kind: radio_unit, position: [0, 0], channel: 1, agent: ap1, interface: wlan0 }
-  B: { kind: radio_unit, position: [12, 0], channel: 6, agent: ap2, interface: wlan0 }
+  A: { kind: radio_unit, position: [0, 0], channel: 1, agent: ap1, interface: wlan0, bridge: br0 }
+  B: { kind: radio_unit, position: [12, 0], channel: 6, agent: ap2, interface: wlan0, bridge: br0 }
   lan: { kind: switch }
 links:
   - { ends: [lan, [A, B]] }

@@ -194,7 +194,7 @@ impl Builder<'_> {
                 let position = self.start(id, r.position.as_ref());
                 let network = self.network(id, r.network.as_ref());
                 let places = (r.agent.as_ref(), r.interface.as_ref());
-                let radio = network.as_ref().and_then(|network| self.radio(id, network, places));
+                let radio = network.as_ref().and_then(|network| self.radio(id, network, places, None));
                 let walk = self.record.walks.0.iter().find(|(robot, _)| robot.value == id.value);
                 let facing = |walk: &WalkRecord| {
                     let way: Vec<_> = walk.waypoints.value.iter().take(2).map(|w| w.value).collect();
@@ -220,9 +220,10 @@ impl Builder<'_> {
             }
             NodeRecord::RadioUnit(r) => {
                 let network = self.network(id, r.network.as_ref())?;
+                let places = (r.agent.as_ref(), r.interface.as_ref());
                 let unit = RadioUnit {
                     capacity: capacity(r.cpus, r.memory),
-                    radio: self.radio(id, &network, (r.agent.as_ref(), r.interface.as_ref()))?,
+                    radio: self.radio(id, &network, places, r.bridge.as_ref())?,
                     network,
                     channel: r.channel.value,
                     tx_power: r.tx_power,

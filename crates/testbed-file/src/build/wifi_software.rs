@@ -41,8 +41,10 @@ impl Builder<'_> {
         id: &Spanned<NodeId>,
         network: &str,
         (agent, interface): (Option<&Spanned<AgentId>>, Option<&Spanned<String>>),
+        bridge: Option<&Spanned<String>>,
     ) -> Option<Option<RealRadio>> {
         let interface = interface.map(|interface| Some((interface, self.interface(interface)?)));
+        let bridge = bridge.map_or(Some(None), |bridge| self.interface(bridge).map(Some))?;
         let record = self.record.wireless.0.iter().find(|(name, _)| name.value == network);
         let is_hardware = record.is_some_and(|(_, record)| record.wifi.value == WifiWord::Hardware);
         match (agent, interface) {
@@ -55,7 +57,7 @@ impl Builder<'_> {
             }
             (Some(agent), Some(interface)) => {
                 let (_, interface) = interface?;
-                Some(is_hardware.then(|| RealRadio { agent: agent.value.clone(), interface }))
+                Some(is_hardware.then(|| RealRadio { agent: agent.value.clone(), interface, bridge }))
             }
             (_, None) if is_hardware => {
                 let wrong = format!("`{}` has no radio, and its network has `wifi: hardware`", id.value);

@@ -251,8 +251,10 @@ impl PlannedNetwork<'_> {
             let channel = Channel::new(band, unit.channel, Width::Mhz20)
                 .map_err(|source| PlanError::Channel { unit: node.id.clone(), source })?;
             let bssid = self.address(&node.id);
-            // A real one joins the bridge in which its interface was found.
-            let bridge = node.radio().is_none().then(|| interface(BRIDGE));
+            let bridge = match node.radio() {
+                None => Some(interface(BRIDGE)),
+                Some(radio) => radio.bridge.as_deref().map(|bridge| named(node, bridge)).transpose()?,
+            };
             let bss = Bss { bridge, ..Bss::new(ssid.clone(), self.security(bssid, &members)?) };
             let access_point = AccessPoint {
                 interface: interface_of(node)?,
@@ -354,8 +356,12 @@ fn holder(bssid: MacAddress) -> KeyHolder {
 
 /// Returns the interface of a node's radio.
 pub(super) fn interface_of(node: &Node) -> Result<InterfaceName, PlanError> {
-    let Some(radio) = node.radio() else { return Ok(interface(WLAN)) };
-    radio.interface.parse().map_err(|source| PlanError::Interface { node: node.id.clone(), source })
+    node.radio().map_or_else(|| Ok(interface(WLAN)), |radio| named(node, &radio.interface))
+}
+
+/// Returns an interface of a node's machine.
+fn named(node: &Node, name: &str) -> Result<InterfaceName, PlanError> {
+    name.parse().map_err(|source| PlanError::Interface { node: node.id.clone(), source })
 }
 
 fn interface(name: &str) -> InterfaceName {
