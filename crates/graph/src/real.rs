@@ -194,9 +194,7 @@ impl Node {
             NodeKind::Server(server) => server.real.as_ref().map(|real| &real.agent),
             NodeKind::Machine(machine) => machine.agent.as_ref(),
             NodeKind::RadioUnit(unit) => unit.agent.as_ref(),
-            NodeKind::Robot(robot) => {
-                robot.driver.agent().or(robot.radio.as_ref().map(|radio| &radio.agent))
-            }
+            NodeKind::Robot(robot) => robot.driver.agent().or(robot.radio.as_ref().map(|radio| &radio.agent)),
             NodeKind::Switch | NodeKind::Gateway(_) => None,
         }
     }

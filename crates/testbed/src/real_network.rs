@@ -7,8 +7,8 @@ use std::sync::Arc;
 use cotorra_datapath::{Datapath, Handle, KernelNetwork, KernelNetworkError, Observed};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    AccessPoint, AgentId, Attachment, ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId,
-    NodeId, RadioContext, RealLink, Testbed, ThroughputTest, Timestamp,
+    AccessPoint, AgentId, Attachment, ConditionChange, Conditions, Direction, Emulation, Lateness,
+    LinkContext, LinkId, NodeId, RadioContext, RealLink, Testbed, ThroughputTest, Timestamp,
 };
 use cotorra_network_control::{
     Deployment, InstructionError, Network, NetworkGone, attach_in_fabric, change_fabric,

@@ -109,7 +109,12 @@ fn report(boot: u64) -> Report {
 }
 
 fn beat(router: &Router, agent: &str) {
-    router.send(RUN, &Transmit::Beat(name(agent), Beat { run: RUN, generation: 1, sent_ns: 2, last_event: None })).unwrap();
+    router
+        .send(
+            RUN,
+            &Transmit::Beat(name(agent), Beat { run: RUN, generation: 1, sent_ns: 2, last_event: None }),
+        )
+        .unwrap();
 }
 
 /// Sends beats until the agent receives one.

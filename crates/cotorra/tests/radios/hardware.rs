@@ -118,7 +118,8 @@ impl Machines {
     fn become_home(&self) {
         let mut seen = String::new();
         for _ in 0..100 {
-            seen = sh("ip netns exec u1 iw dev; ip netns exec u2 iw dev; ip netns exec u0 iw dev wlan0 link; \
+            seen =
+                sh("ip netns exec u1 iw dev; ip netns exec u2 iw dev; ip netns exec u0 iw dev wlan0 link; \
                 ip netns exec u0 wpa_cli -p /run/wpa_supplicant -i wlan0 list_networks");
             let signs = ["ssid home", "channel 11", "type managed", "SSID: home"];
             if signs.iter().all(|sign| seen.contains(sign)) && seen.matches("\tany\t").count() == 1 {
@@ -187,16 +188,20 @@ impl Ping {
 /// Returns the signals of a robot's attachments that have one, by their radio units.
 fn signals(rig: &Rig) -> Vec<(String, f64)> {
     let robot = rig.robot("r1");
-    let signal = |its: &Value| {
-        Some((its["radio_unit"].as_str()?.to_owned(), its["signal_dbm"].as_f64()?))
-    };
+    let signal = |its: &Value| Some((its["radio_unit"].as_str()?.to_owned(), its["signal_dbm"].as_f64()?));
     robot["attachments"].as_array().unwrap().iter().filter_map(signal).collect()
 }
 
 /// Waits until something holds that the agents report.
 fn wait_for(rig: &Rig, what: &str, holds: impl Fn() -> bool) {
     let mut checks = 0..100;
-    assert!(checks.any(|_| holds() || { rig.wait(Duration::from_millis(100)); false }), "{what}");
+    assert!(
+        checks.any(|_| holds() || {
+            rig.wait(Duration::from_millis(100));
+            false
+        }),
+        "{what}"
+    );
 }
 
 #[test]
@@ -218,7 +223,9 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
         let handover = rig.wait_for_handover("r1", unit);
         rig.wait(Duration::from_millis(200));
         let (by_frames, by_packets) = (handover["gap_ms"].as_f64().unwrap(), ping.longest_gap());
-        println!("real radios, roam to {unit}: gap by frames {by_frames:.2} ms, by packets {by_packets:.2} ms");
+        println!(
+            "real radios, roam to {unit}: gap by frames {by_frames:.2} ms, by packets {by_packets:.2} ms"
+        );
         assert_eq!(handover["fast"], true, "{handover}");
         assert!(by_frames > 0.0 && by_frames <= MOST_MS && by_packets <= MOST_MS, "{handover}, {by_packets}");
     }

@@ -50,9 +50,9 @@ impl Builder<'_> {
         match (agent, interface) {
             (None, Some(interface)) => {
                 let (given, _) = interface?;
-                self.sink.error(&given.span, "an interface, and no agent of its machine").help(
-                    "add the agent that runs there, such as `agent: ap1`, or leave out `interface`",
-                );
+                self.sink
+                    .error(&given.span, "an interface, and no agent of its machine")
+                    .help("add the agent that runs there, such as `agent: ap1`, or leave out `interface`");
                 None
             }
             (Some(agent), Some(interface)) => {
@@ -61,9 +61,9 @@ impl Builder<'_> {
             }
             (_, None) if is_hardware => {
                 let wrong = format!("`{}` has no radio, and its network has `wifi: hardware`", id.value);
-                self.sink
-                    .error(&id.span, wrong)
-                    .help("name its Wi-Fi interface and the agent there, such as `agent: ap1, interface: wlan0`");
+                self.sink.error(&id.span, wrong).help(
+                    "name its Wi-Fi interface and the agent there, such as `agent: ap1, interface: wlan0`",
+                );
                 None
             }
             (_, None) => Some(None),

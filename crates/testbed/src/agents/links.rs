@@ -305,8 +305,17 @@ links:
             };
             let links = reading.into_iter().collect();
             let read_ns = seconds * 1_000_000_000;
-            self.reports
-                .read(&agent(), &MachineReading { boot, read_ns, context, links, heard: BTreeMap::new(), addresses: BTreeMap::new() });
+            self.reports.read(
+                &agent(),
+                &MachineReading {
+                    boot,
+                    read_ns,
+                    context,
+                    links,
+                    heard: BTreeMap::new(),
+                    addresses: BTreeMap::new(),
+                },
+            );
         }
 
         /// Returns the context of the direction in which packets leave, and of the other one.

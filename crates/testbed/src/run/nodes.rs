@@ -76,8 +76,7 @@ impl NodesUp {
         #[cfg(feature = "agents")]
         let (agents, at_agents, radios) = match prepared.agents(&network.now, &network.messages)? {
             Some(mut agents) => {
-                let radios =
-                    super::wifi::start_at_agents(testbed, network, &mut agents, &mut real_network)?;
+                let radios = super::wifi::start_at_agents(testbed, network, &mut agents, &mut real_network)?;
                 let contexts = real_network.with(|fabric, now| fabric.link_contexts(now));
                 let contexts =
                     contexts.map_err(io::Error::other).map_err(system("read the links' conditions"))?;

@@ -81,8 +81,7 @@ pub(super) fn start_at_agents(
 ) -> Result<Option<Wifi>, RunError> {
     let NetworkUp { now, datapath, messages, .. } = network;
     let Some(radios) = agents.take_radios() else { return Ok(None) };
-    let nodes: Vec<_> =
-        testbed.graph.nodes_with(RadioKind::Hardware).map(|node| node.id.clone()).collect();
+    let nodes: Vec<_> = testbed.graph.nodes_with(RadioKind::Hardware).map(|node| node.id.clone()).collect();
     // The emulated network follows what the radios do, and carries nothing there.
     let lend = move |fabric: &mut Fabric, now| {
         nodes.iter().try_for_each(|node| fabric.lend_antenna(now, node).map(drop))

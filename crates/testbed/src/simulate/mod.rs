@@ -142,7 +142,8 @@ impl Simulation {
         if testbed.border.is_some() {
             return Err(RunError::VirtualBorder);
         }
-        if let Some((network, _)) = testbed.graph.wireless.iter().find(|(_, network)| network.software.is_some())
+        if let Some((network, _)) =
+            testbed.graph.wireless.iter().find(|(_, network)| network.software.is_some())
         {
             return Err(RunError::VirtualWifi(network.clone()));
         }

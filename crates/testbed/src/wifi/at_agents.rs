@@ -184,11 +184,7 @@ impl AtAgents {
     }
 
     /// Carries out actions until [`Message::Stop`]. Reports once that all is up, or why not.
-    pub(super) fn run(
-        mut self,
-        inbox: &mpsc::Receiver<Message>,
-        begun: &mpsc::Sender<Result<(), String>>,
-    ) {
+    pub(super) fn run(mut self, inbox: &mpsc::Receiver<Message>, begun: &mpsc::Sender<Result<(), String>>) {
         let mut is_begun = false;
         loop {
             let now = (self.outlets.now)();

@@ -76,9 +76,8 @@ impl RadioFigures for Figures {
         context.load = in_use.and_then(|channel| channel.busy).map_or(0.0, |busy| busy.get());
         let station = |station: &WifiStation| {
             let robot = self.addresses.keys().find(|node| self.has_address(node, &station.mac))?;
-            let bps = |rate: Option<cotorra_graph::BitRate>| {
-                rate.map_or(0.0, |rate| rate.bits_per_second() as f64)
-            };
+            let bps =
+                |rate: Option<cotorra_graph::BitRate>| rate.map_or(0.0, |rate| rate.bits_per_second() as f64);
             Some(StationContext {
                 robot: robot.clone(),
                 signal: station.signal?,
@@ -181,12 +180,8 @@ mod tests {
         let stations = vec![station(0, Some(-55.0)), station(9, Some(-30.0)), station(2, None)];
         figures.read(&id("A"), Read { wifi: wifi(WifiRole::AccessPoint, stations), heard: Vec::new() });
         figures.complete_radio(&mut context);
-        let known = StationContext {
-            robot: id("r1"),
-            signal: Dbm(-55.0),
-            downlink_bps: 65e6,
-            uplink_bps: 0.0,
-        };
+        let known =
+            StationContext { robot: id("r1"), signal: Dbm(-55.0), downlink_bps: 65e6, uplink_bps: 0.0 };
         assert_eq!((context.load, &context.stations[..]), (0.25, &[known][..]));
         let untouched = RadioContext { radio_unit: id("other"), load: 0.5, ..context.clone() };
         let mut other = untouched.clone();

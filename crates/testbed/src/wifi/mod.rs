@@ -25,9 +25,9 @@ use std::{
 };
 
 use cotorra_datapath::{Capability, CapabilityState};
-use cotorra_graph::{self as graph, NodeId};
 #[cfg(feature = "agents")]
 use cotorra_graph::HardwareGraph;
+use cotorra_graph::{self as graph, NodeId};
 #[cfg(feature = "agents")]
 use cotorra_wifi::DomainKey;
 use cotorra_wifi::installed;
@@ -200,7 +200,9 @@ impl Wifi {
         let addresses = at_agents::await_addresses(&places, &inbox, &now, START).map_err(|missing| {
             let missing: Vec<_> = missing
                 .iter()
-                .map(|(node, Place { agent, interface })| format!("`{node}` (`{interface}` at agent `{agent}`)"))
+                .map(|(node, Place { agent, interface })| {
+                    format!("`{node}` (`{interface}` at agent `{agent}`)")
+                })
                 .collect();
             WifiError::Unreported { missing: missing.join(", ") }
         })?;

@@ -34,7 +34,10 @@ pub(super) struct PlannedUnit {
     /// Whether it serves from the start.
     pub(super) serves: bool,
     /// Its greatest power, dBm.
-    #[cfg_attr(not(feature = "agents"), expect(dead_code, reason = "simulated radios have it from the graph"))]
+    #[cfg_attr(
+        not(feature = "agents"),
+        expect(dead_code, reason = "simulated radios have it from the graph")
+    )]
     pub(super) power_dbm: f64,
 }
 

@@ -225,7 +225,8 @@ fn a_program_that_is_back_before_it_is_wanted_again_counts_then() {
     world.event("A", 10, WifiEvent::AccessPointEnabled);
     assert!(world.ready("A").is_empty());
     let out = world.pass_until(100);
-    let on = |out: &Out| matches!(out, Out::Change(Change::SwitchOn { radio_unit, .. }) if *radio_unit == id("A"));
+    let on =
+        |out: &Out| matches!(out, Out::Change(Change::SwitchOn { radio_unit, .. }) if *radio_unit == id("A"));
     assert!(out.iter().any(on), "{out:?}");
 }
 

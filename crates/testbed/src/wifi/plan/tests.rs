@@ -31,7 +31,8 @@ fn wpa2(passphrase: &str) -> graph::Security {
 
 fn plan(network: &str, security: graph::Security) -> Result<Option<Plan>, PlanError> {
     let mut graph = testbed().graph;
-    graph.wireless.get_mut(network).unwrap().software = Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security });
+    graph.wireless.get_mut(network).unwrap().software =
+        Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security });
     Plan::new(&graph, &DomainKey::new([1; 32]))
 }
 
