@@ -74,6 +74,8 @@ pub(super) struct Link {
     controller: Arc<Mutex<Controller>>,
     /// Requests that are under way, by the controller's numbers, with those of the wishes.
     requests: BTreeMap<u64, u64>,
+    /// Whether everything is being stopped.
+    is_ending: bool,
     granted: Vec<Granted>,
     /// `None` if it could not be opened.
     router: Option<Router>,
@@ -90,7 +92,7 @@ impl Link {
         }
         let controller = Arc::new(Mutex::new(controller));
         let router = Some(open(&parts, &granted, &controller)?);
-        Ok(Self { parts, controller, requests: BTreeMap::new(), granted, router })
+        Ok(Self { parts, controller, requests: BTreeMap::new(), is_ending: false, granted, router })
     }
 
     /// Runs until it is told to end, and what it runs has been stopped.
@@ -120,6 +122,7 @@ impl Link {
             match inbox.recv_timeout(deadline.since((self.parts.now)())) {
                 Ok(Command::End) | Err(mpsc::RecvTimeoutError::Disconnected) => {
                     self.controller.lock().stop_all();
+                    self.is_ending = true;
                     ends_at = Some((self.parts.now)() + LONGEST_END);
                 }
                 Ok(command) => self.take(command),
@@ -158,8 +161,11 @@ impl Link {
         }
     }
 
-    /// Hands a wish to an agent.
+    /// Hands a wish to an agent. In the end, all radios are their owners'.
     fn wish(&mut self, Place { agent, interface }: Place, wish: Wish) {
+        if self.is_ending {
+            return;
+        }
         let mut controller = self.controller.lock();
         match wish {
             Wish::Use(wanted) => controller.use_radio(&agent, interface, wanted),

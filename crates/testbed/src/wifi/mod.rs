@@ -226,6 +226,7 @@ impl Wifi {
         let handle = Handle { manager, wake: signal(|| AtAgentsMessage::Wake), now };
         let stop = signal(|| AtAgentsMessage::Stop);
         let wifi = Self { handle, stop, thread: Some(thread), _folder: None }.begun(&begun)?;
+        let figures: Arc<dyn RadioFigures> = figures;
         Ok(Some((wifi, figures)))
     }
 
