@@ -10,7 +10,7 @@ wireless:
   lab: { access: edca, wifi: hardware, security: { method: wpa2, passphrase: correct horse } }
 nodes:
   A: { kind: radio_unit, position: [0, 0], channel: 1, tx_power: 10 dBm, agent: ap1, interface: wlan1 }
-  B: { kind: radio_unit, position: [9, 0], channel: 6, agent: ap2, interface: wlan2 }
+  B: { kind: radio_unit, position: [9, 0], channel: 6, agent: ap2, interface: wlan2, bridge: br0 }
   r1: { kind: robot, position: [4, 0], agent: turtle1, interface: wlan0 }
 links:
   - { ends: [A, B] }
@@ -151,9 +151,12 @@ fn radio_units_serve_before_robots_join_and_bring_their_settings() {
     let mut world = World::new();
     // The manager's first actions were carried out before.
     let wanted = |program: &Program| world.radios.programs[program].wanted.clone();
-    let WantedRadio::AccessPoint(a) = wanted(&Program::Hostapd(id("A"))).unwrap() else {
-        panic!("it is an access point")
+    let access_point = |unit| match wanted(&Program::Hostapd(id(unit))) {
+        Some(WantedRadio::AccessPoint(settings)) => settings,
+        other => panic!("{other:?}"),
     };
+    let (a, b) = (access_point("A"), access_point("B"));
+    assert_eq!(b.bss.bridge, "br0".parse().ok());
     assert_eq!(a.power, Some(Power::AtMost(1000)));
     assert_eq!(a.neighbours.iter().map(|its| its.bssid).collect::<Vec<_>>(), [bssid("B")]);
     assert_eq!((a.bss.bridge.clone(), a.bss.bssid), (None, None), "its owner's bridge and address");
