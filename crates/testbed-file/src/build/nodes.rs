@@ -204,7 +204,8 @@ impl Builder<'_> {
                 let mut host = |node: &Spanned<NodeId>, sink: &mut Sink| {
                     find(nodes, node, "node with a network of its own", has_namespace, sink)
                 };
-                let driver = ros::driver(r, &id.value, &mut host, self.sink);
+                let at_ports = r.interface.is_none() && radio == Some(None);
+                let driver = ros::driver(r, &id.value, at_ports, &mut host, self.sink);
                 let robot = Robot {
                     capacity: capacity(r.cpus, r.memory),
                     model: r.model,

@@ -32,10 +32,11 @@ impl RosSettings<'_> {
 }
 
 /// Builds the driver of a robot, and the ROS interface of a simulated one. `host` looks up a node with a network
-/// namespace, and reports an unknown name.
+/// namespace, and reports an unknown name. `at_ports` is whether its agent, if it has one, is for serial ports alone.
 pub(super) fn driver(
     record: &RobotRecord,
     robot: &NodeId,
+    at_ports: bool,
     host: &mut dyn FnMut(&Spanned<NodeId>, &mut Sink) -> Option<NodeId>,
     sink: &mut Sink,
 ) -> Option<Driver> {
@@ -49,7 +50,7 @@ pub(super) fn driver(
         Either::Long(DriverRecord::Ros1(ros1)) => Some(RosSettings::Ros1(ros1)),
         Either::Long(DriverRecord::Ros2(ros2)) => Some(RosSettings::Ros2(ros2)),
     };
-    if let Some(agent) = record.agent.as_ref().filter(|_| record.interface.is_none()) {
+    if let Some(agent) = record.agent.as_ref().filter(|_| at_ports) {
         sink.error(&agent.span, format!("`{robot}` has an agent, but no serial ports"))
             .help("write `driver: kobuki`, or leave out `agent`");
     }
