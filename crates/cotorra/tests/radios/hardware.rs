@@ -107,7 +107,7 @@ impl Machines {
         sh("ip -n u0 address add 10.8.0.10/24 dev wlan0
             ip netns exec u1 hostapd -B -f /run/hostapd.log /run/hostapd.conf
             ip netns exec u0 wpa_supplicant -B -f /run/supplicant.log -i wlan0 -D nl80211 -c /run/supplicant.conf");
-        let agents = (0..3).map(start_agent).collect();
+        let agents = (0..3).inspect(|number| enrol(MACHINES[*number])).map(start_agent).collect();
         let machines = Self { agents, _radios: radios };
         machines.become_home();
         machines
@@ -143,15 +143,19 @@ impl Drop for Machines {
     }
 }
 
-fn start_agent(number: usize) -> Child {
-    let name = MACHINES[number];
+/// Writes the credentials of an agent.
+fn enrol(name: &str) {
     let enrolled = cotorra(["agent", "enrol", name, "--core", CORE, "--authority", AUTHORITY])
         .current_dir("/run")
         .output()
         .unwrap();
     assert!(enrolled.status.success(), "{enrolled:?}");
+}
+
+fn start_agent(number: usize) -> Child {
+    let name = MACHINES[number];
     let program = PathBuf::from(cotorra([""; 0]).get_program()).with_file_name("cotorra-agent");
-    let log = fs::File::create(format!("/run/{name}.log")).unwrap();
+    let log = fs::File::options().create(true).append(true).open(format!("/run/{name}.log")).unwrap();
     Command::new("ip")
         .args(["netns", "exec", &format!("u{number}")])
         .arg(program)
@@ -210,7 +214,7 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
         eprintln!("skipped: COTORRA_RADIOS promises no radios");
         return;
     }
-    let machines = Machines::start();
+    let mut machines = Machines::start();
     let arguments = ["--agents", CORE, "--authority", AUTHORITY];
     let mut rig = Rig::start_with(FLOOR, &arguments).expect("there are radios");
     wait_for(&rig, "the robot joins", || rig.place_of("r1").is_some());
@@ -242,10 +246,18 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
         })
     });
 
+    // A radio unit is off while its agent is away.
+    let number = if there == "A" { 1 } else { 2 };
+    let is_now = |event: &Value, state| is(event, "vnf", "node", there) && event["state"] == state;
+    machines.agents[number].kill().unwrap();
+    machines.agents[number].wait().unwrap();
+    rig.wait_for(|event| is_now(event, "died"));
+    machines.agents[number] = start_agent(number);
+    rig.wait_for(|event| is_now(event, "started"));
+
     // An access point that nobody wants is its owner's meanwhile.
     rig.instruct(json!({ "instruction": "remove", "radio_unit": there })).unwrap();
     wait_for(&rig, "the other radio unit is its owner's", || {
-        let number = if there == "A" { 1 } else { 2 };
         !sh(&format!("ip netns exec u{number} iw dev")).contains("ssid lab")
     });
     let news = rig.news();
