@@ -220,7 +220,7 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
     wait_for(&rig, "the robot joins", || rig.place_of("r1").is_some());
     let here = rig.place_of("r1").unwrap();
     let there = if here == "A" { "B" } else { "A" };
-    for unit in [there, &here] {
+    for unit in [there, here.as_str()] {
         let ping = Ping::start();
         rig.wait(Duration::from_millis(100));
         rig.attach("r1", unit).unwrap();
@@ -240,7 +240,7 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
     wait_for(&rig, "signals of both", || signals(&rig).len() == 2);
     wait_for(&rig, "the radio unit's station", || {
         let units = rig.run.get("/api/v1/network/radio-units");
-        let unit = units.as_array().unwrap().iter().find(|unit| unit["radio_unit"] == *here).cloned();
+        let unit = units.as_array().unwrap().iter().find(|unit| unit["radio_unit"] == here.as_str()).cloned();
         unit.is_some_and(|unit| {
             unit["stations"][0]["robot"] == "r1" && unit["stations"][0]["signal_dbm"].is_number()
         })
@@ -248,7 +248,7 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
 
     // A radio unit is off while its agent is away.
     let number = if there == "A" { 1 } else { 2 };
-    let is_now = |event: &Value, state| is(event, "vnf", "node", there) && event["state"] == state;
+    let is_now = |event: &Value, state: &str| is(event, "vnf", "node", there) && event["state"] == state;
     machines.agents[number].kill().unwrap();
     machines.agents[number].wait().unwrap();
     rig.wait_for(|event| is_now(event, "died"));
