@@ -24,6 +24,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
         network: "corridor".to_owned(),
         tx_power: Dbm(15.0),
         heading: 0.0,
+        radio: None,
         roaming: Roaming::Instructed,
         driver: Driver::default(),
         sensors: Vec::new(),

@@ -131,19 +131,21 @@ impl World {
 }
 
 fn used(out: &[Out]) -> Vec<(&Place, &WantedRadio)> {
-    let used = |out| match out {
-        Out::Wish(place, Wish::Use(wanted)) => Some((place, wanted)),
-        _ => None,
-    };
-    out.iter().filter_map(used).collect()
+    out.iter()
+        .filter_map(|out| match out {
+            Out::Wish(place, Wish::Use(wanted)) => Some((place, wanted)),
+            _ => None,
+        })
+        .collect()
 }
 
 fn requests(out: &[Out]) -> Vec<(u64, &WifiRequest)> {
-    let request = |out| match out {
-        Out::Wish(_, Wish::Request(number, request)) => Some((*number, request)),
-        _ => None,
-    };
-    out.iter().filter_map(request).collect()
+    out.iter()
+        .filter_map(|out| match out {
+            Out::Wish(_, Wish::Request(number, request)) => Some((*number, request)),
+            _ => None,
+        })
+        .collect()
 }
 
 #[test]
