@@ -26,15 +26,15 @@ name: hardware
 wireless: { lab: { access: edca, wifi: hardware, security: { method: wpa2, passphrase: correct horse } } }
 nodes:
   r1: { kind: robot, position: [4, 0], agent: robot1, interface: wlan0 }
-  A: { kind: radio_unit, position: [0, 0], channel: 1, agent: ap1, interface: wlan0, bridge: br0 }
-  B: { kind: radio_unit, position: [12, 0], channel: 6, agent: ap2, interface: wlan0, bridge: br0 }
+  A: { kind: radio_unit, position: [0, 0], channel: 1, agent: ap1, interface: wlan1, bridge: br0 }
+  B: { kind: radio_unit, position: [12, 0], channel: 6, agent: ap2, interface: wlan2, bridge: br0 }
   lan: { kind: switch }
 links:
   - { ends: [lan, [A, B]] }
 ";
 
 const HOSTAPD: &str = "\
-interface=wlan0
+interface=wlan1
 bridge=br0
 ctrl_interface=/run/hostapd
 ssid=home
@@ -56,7 +56,8 @@ network={
 }
 ";
 
-/// The machines: a robot, and two access points. Machine `n` is the namespace `un`.
+/// The machines: a robot, and two access points. Machine `n` is the namespace `un`, with the interface `wlann`: all see one
+/// `/run`, where hostapd and wpa_supplicant have a socket for each interface.
 const MACHINES: [&str; 3] = ["robot1", "ap1", "ap2"];
 
 fn sh(script: &str) -> String {
@@ -92,7 +93,7 @@ impl Machines {
                 ip netns add u$n
                 iw phy {phy} set netns name u$n
                 wlan=$(ip netns exec u$n iw dev | sed -n 's/.*Interface //p')
-                [ $wlan = wlan0 ] || ip -n u$n link set $wlan name wlan0
+                [ $wlan = wlan$n ] || ip -n u$n link set $wlan name wlan$n
                 ip link add up$n type veth peer name eth0 netns u$n
                 ip link set up$n master lan up
                 ip -n u$n link set lo up
@@ -160,7 +161,7 @@ fn start_agent(number: usize) -> Child {
         .args(["netns", "exec", &format!("u{number}")])
         .arg(program)
         .args(["run", &format!("/run/{name}.agent"), "--state", &format!("/run/state-{name}")])
-        .args(["--wifi", "wlan0"])
+        .args(["--wifi", &format!("wlan{number}")])
         .stdout(Stdio::null())
         .stderr(log)
         .spawn()
