@@ -13,13 +13,16 @@ use crate::{
     link::{LinkState, WantedLink},
     message::{Beat, Echo, Instance, InstanceState, LEASE, Report, Run, Wanted, WantedInstance, short},
     robot::{RobotState, WantedRobot},
-    wifi::{AgentWifi, RadioState, WantedRadio, WantedRequest, WantedWifi},
+    wifi::{AgentWifi, RadioState, WantedRadio, WantedRequest},
 };
 
 /// Reports in each lease, so that some can be lost.
 const REPORTS_A_LEASE: u32 = 4;
 /// Shortest and longest lease that a core can set.
 const LEASES: [Duration; 2] = [Duration::from_millis(200), Duration::from_hours(1)];
+/// Time for which Wi-Fi interfaces stay with a silent core, unless its lease is longer. A robot may hear the core over its own
+/// radio only, and be on the way to an access point.
+pub const RADIOS_KEPT: Duration = Duration::from_secs(15);
 
 /// Something that the agent's shell has to do, in this order.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,6 +43,17 @@ pub enum Action {
     Request(u64, WantedRequest),
     /// Send a report.
     Report(Report),
+}
+
+/// How long the core has been silent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Silence {
+    /// Not for longer than the lease.
+    Short,
+    /// For longer than the lease: the core is taken for lost.
+    Long,
+    /// For longer than Wi-Fi interfaces stay with it.
+    Longest,
 }
 
 /// A wanted instance.
@@ -70,8 +84,7 @@ pub struct Agent {
     run: Option<Run>,
     /// Time of the last sign of life of the core.
     heard: Timestamp,
-    /// Whether the core is taken for lost.
-    is_alone: bool,
+    silence: Silence,
     /// Whether this process heard the core.
     has_heard: bool,
     /// The links that are to have their conditions, and what became of them.
@@ -97,7 +110,7 @@ impl Agent {
             instances: BTreeMap::new(),
             stopping: 0,
             heard: now,
-            is_alone: false,
+            silence: Silence::Short,
             has_heard: false,
             emulated: BTreeMap::new(),
             links: BTreeMap::new(),
@@ -131,7 +144,7 @@ impl Agent {
 
     /// Whether the core has been silent for longer than the lease.
     pub fn is_alone(&self) -> bool {
-        self.is_alone
+        self.silence >= Silence::Long
     }
 
     /// Returns the wanted state.
@@ -141,15 +154,15 @@ impl Agent {
 
     /// Returns the robot to drive now. Its ports stay closed while the core is away, and also those of a run that is over.
     pub fn robot(&self) -> Option<(Run, &WantedRobot)> {
-        let wanted = self.wanted.as_ref().filter(|wanted| !self.is_alone && Some(wanted.run) == self.run)?;
+        let wanted = self.wanted.as_ref().filter(|wanted| !self.is_alone() && Some(wanted.run) == self.run)?;
         Some((wanted.run, wanted.robot.as_ref()?))
     }
 
-    /// Returns what interfaces shall do now. Without the core, and after their run, they are as their owner left them. A new
-    /// process waits for the core: the run may have ended meanwhile.
-    fn wanted_of_interfaces(&self) -> Option<(&BTreeMap<LinkId, WantedLink>, &WantedWifi)> {
-        let wanted = self.wanted.as_ref().filter(|_| self.has_heard && !self.is_alone)?;
-        (Some(wanted.run) == self.run).then_some((&wanted.links, &wanted.wifi))
+    /// Returns what interfaces shall do now, unless the core has been silent for longer than this. Without the core, and after
+    /// their run, they are as their owner left them. A new process waits for the core: the run may have ended meanwhile.
+    fn wanted_of_interfaces(&self, longest: Silence) -> Option<&Wanted> {
+        let is_there = self.has_heard && self.silence <= longest;
+        self.wanted.as_ref().filter(|wanted| is_there && Some(wanted.run) == self.run)
     }
 
     /// Takes the state of each link of the last [`Action::Emulate`].
@@ -283,10 +296,15 @@ impl Agent {
 
     /// Does what is due.
     pub fn advance(&mut self, now: Timestamp) {
-        if self.is_alone || now < self.heard + self.lease() {
+        let before = self.silence;
+        self.silence = match now.since(self.heard) {
+            silence if silence >= self.radios_kept() => Silence::Longest,
+            silence if silence >= self.lease() => Silence::Long,
+            _ => Silence::Short,
+        };
+        if before >= Silence::Long || !self.is_alone() {
             return;
         }
-        self.is_alone = true;
         let reason = format!("its core was away for longer than {:?}", self.lease());
         let ends: Vec<_> = self.instances.iter().filter(|(_, its)| !its.keep).map(|(id, _)| *id).collect();
         ends.into_iter().for_each(|id| self.end(id, &reason));
@@ -298,13 +316,13 @@ impl Agent {
         if let Some(action) = self.actions.pop_front() {
             return Some(action);
         }
-        let links = self.wanted_of_interfaces().map(|(links, _)| links);
+        let links = self.wanted_of_interfaces(Silence::Short).map(|wanted| &wanted.links);
         if links.map_or(!self.emulated.is_empty(), |links| *links != self.emulated) {
             let links = links.cloned().unwrap_or_default();
             self.emulated.clone_from(&links);
             return Some(Action::Emulate(links));
         }
-        let wifi = self.wanted_of_interfaces().map(|(_, wifi)| wifi.clone());
+        let wifi = self.wanted_of_interfaces(Silence::Long).map(|wanted| wanted.wifi.clone());
         if let Some(action) = self.wifi.poll(wifi.as_ref()) {
             return Some(action);
         }
@@ -333,9 +351,17 @@ impl Agent {
 
     /// Returns the time at which [`Self::advance`] or [`Self::poll`] has something to do.
     pub fn next_deadline(&self) -> Timestamp {
-        let lease = if self.is_alone { Timestamp::MAX } else { self.heard + self.lease() };
+        let silence = match self.silence {
+            Silence::Short => self.heard + self.lease(),
+            Silence::Long => self.heard + self.radios_kept(),
+            Silence::Longest => Timestamp::MAX,
+        };
         let report = if self.run.is_some() { self.next_report } else { Timestamp::MAX };
-        lease.min(report)
+        silence.min(report)
+    }
+
+    fn radios_kept(&self) -> Duration {
+        self.lease().max(RADIOS_KEPT)
     }
 
     fn lease(&self) -> Duration {
@@ -349,7 +375,7 @@ impl Agent {
             return false;
         }
         self.run = Some(run);
-        (self.heard, self.is_alone, self.has_heard) = (now, false, true);
+        (self.heard, self.silence, self.has_heard) = (now, Silence::Short, true);
         true
     }
 

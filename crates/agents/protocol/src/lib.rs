@@ -27,7 +27,7 @@ mod robot;
 mod shipped;
 mod wifi;
 
-pub use agent::{Action, Agent};
+pub use agent::{Action, Agent, RADIOS_KEPT};
 pub use clock::AgentClock;
 pub use controller::{Controller, ControllerEvent, Transmit};
 pub use link::{LinkReading, LinkState, WantedLink, WantedProbes};

@@ -8,7 +8,7 @@ use std::{
 };
 
 use cotorra_agent_protocol::{
-    Action, Agent, Controller, ControllerEvent, LEASE, RadioState, Report, Run, Transmit, Wanted,
+    Action, Agent, Controller, ControllerEvent, LEASE, RADIOS_KEPT, RadioState, Report, Run, Transmit, Wanted,
     WantedRadio, WantedRequest, WantedWifi, WifiRequest,
 };
 use cotorra_graph::{AgentId, Timestamp};
@@ -258,7 +258,7 @@ impl World {
                 action => panic!("nobody wants {action:?}"),
             }
         }
-        if now >= self.machine.heard + LEASE {
+        if now >= self.machine.heard + RADIOS_KEPT {
             assert_eq!(self.machine.used, Radios::new(), "the core is away");
         }
         self.machine.agent = Some(agent);
@@ -271,7 +271,11 @@ impl World {
 
     /// Steps until a lease and what is under way have passed, several times over.
     fn settle(&mut self) {
-        self.steps((LEASE * 4).as_millis() as u32 / STEP.as_millis() as u32);
+        self.pass(LEASE * 4);
+    }
+
+    fn pass(&mut self, time: Duration) {
+        self.steps(time.as_millis() as u32 / STEP.as_millis() as u32);
     }
 }
 
@@ -287,6 +291,7 @@ enum Step {
     Cut,
     Heal,
     Wait(u8),
+    Outlast,
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -301,6 +306,7 @@ fn step() -> impl Strategy<Value = Step> {
         1 => Just(Step::Cut),
         1 => Just(Step::Heal),
         6 => any::<u8>().prop_map(Step::Wait),
+        1 => Just(Step::Outlast),
     ]
 }
 
@@ -329,6 +335,7 @@ proptest! {
                 Step::Cut => world.is_cut = true,
                 Step::Heal => world.is_cut = false,
                 Step::Wait(steps) => world.steps(steps.into()),
+                Step::Outlast => world.pass(RADIOS_KEPT),
             }
         }
         if world.machine.agent.is_none() {
@@ -379,6 +386,23 @@ fn an_agent_that_is_away_takes_no_request() {
     world.request();
     world.settle();
     assert_eq!(world.requests[&2], Some(false));
+}
+
+#[test]
+fn radios_stay_with_a_core_that_is_silent_for_a_while() {
+    let mut world = World::new(|| 2);
+    world.want(1, 6);
+    world.settle();
+    world.is_cut = true;
+    world.under_way.clear();
+    world.pass(RADIOS_KEPT - LEASE);
+    assert!(world.machine.agent.as_ref().unwrap().is_alone());
+    assert_eq!(world.machine.used, world.wanted);
+    world.pass(LEASE * 2);
+    assert_eq!(world.machine.used, Radios::new());
+    world.is_cut = false;
+    world.settle();
+    assert_eq!(world.machine.used, world.wanted);
 }
 
 fn wanted(wifi: WantedWifi) -> Wanted {
