@@ -154,7 +154,8 @@ impl Agent {
 
     /// Returns the robot to drive now. Its ports stay closed while the core is away, and also those of a run that is over.
     pub fn robot(&self) -> Option<(Run, &WantedRobot)> {
-        let wanted = self.wanted.as_ref().filter(|wanted| !self.is_alone() && Some(wanted.run) == self.run)?;
+        let wanted =
+            self.wanted.as_ref().filter(|wanted| !self.is_alone() && Some(wanted.run) == self.run)?;
         Some((wanted.run, wanted.robot.as_ref()?))
     }
 

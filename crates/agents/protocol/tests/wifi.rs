@@ -8,8 +8,8 @@ use std::{
 };
 
 use cotorra_agent_protocol::{
-    Action, Agent, Controller, ControllerEvent, LEASE, RADIOS_KEPT, RadioState, Report, Run, Transmit, Wanted,
-    WantedRadio, WantedRequest, WantedWifi, WifiRequest,
+    Action, Agent, Controller, ControllerEvent, LEASE, RADIOS_KEPT, RadioState, Report, Run, Transmit,
+    Wanted, WantedRadio, WantedRequest, WantedWifi, WifiRequest,
 };
 use cotorra_graph::{AgentId, Timestamp};
 use cotorra_wifi::{

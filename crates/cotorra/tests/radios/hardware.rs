@@ -73,8 +73,9 @@ struct Machines {
 }
 
 impl Machines {
-    /// Connects the machines to the core by cables, starts their owners' programs, and then the agents.
-    fn start() -> Self {
+    /// Connects the machines to the core, starts their owners' programs, and then the agents. Access points have a cable; a robot
+    /// without one reaches the core by the first access point.
+    fn start(robot_has_cable: bool) -> Self {
         let mut radios = Radios::new();
         sh("ip link add lan type bridge
             ip address add 10.9.0.1/24 dev lan
@@ -103,10 +104,17 @@ impl Machines {
                 ip -n u$n address add 10.9.0.1$n/24 dev br0"
             ));
         }
+        if !robot_has_cable {
+            sh("ip -n u0 link delete eth0");
+        }
         fs::write("/run/hostapd.conf", HOSTAPD).unwrap();
         fs::write("/run/supplicant.conf", SUPPLICANT).unwrap();
-        sh("ip -n u0 address add 10.8.0.10/24 dev wlan0
-            ip netns exec u1 hostapd -B -f /run/hostapd.log /run/hostapd.conf
+        let address = if robot_has_cable { "10.8.0.10/24" } else { "10.9.0.10/24" };
+        if !robot_has_cable {
+            sh("ip -n u0 address flush dev br0");
+        }
+        sh(&format!("ip -n u0 address add {address} dev wlan0"));
+        sh("ip netns exec u1 hostapd -B -f /run/hostapd.log /run/hostapd.conf
             ip netns exec u0 wpa_supplicant -B -f /run/supplicant.log -i wlan0 -D nl80211 -c /run/supplicant.conf");
         let agents = (0..3).inspect(|number| enrol(MACHINES[*number])).map(start_agent).collect();
         let machines = Self { agents, _radios: radios };
@@ -215,7 +223,7 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
         eprintln!("skipped: COTORRA_RADIOS promises no radios");
         return;
     }
-    let mut machines = Machines::start();
+    let mut machines = Machines::start(true);
     let arguments = ["--agents", CORE, "--authority", AUTHORITY];
     let mut rig = Rig::start_with(FLOOR, &arguments).expect("there are radios");
     wait_for(&rig, "the robot joins", || rig.place_of("r1").is_some());
@@ -264,6 +272,30 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
     let news = rig.news();
     assert!(!news.iter().any(|event| event["event"] == "detached"), "{news:#?}");
 
+    rig.interrupt();
+    rig.run.report();
+    machines.become_home();
+}
+
+#[test]
+fn a_robot_without_a_cable_reports_over_the_radio_that_roams() {
+    if std::env::var_os("COTORRA_RADIOS").is_none() {
+        eprintln!("skipped: COTORRA_RADIOS promises no radios");
+        return;
+    }
+    let machines = Machines::start(false);
+    let mut rig =
+        Rig::start_with(FLOOR, &["--agents", CORE, "--authority", AUTHORITY]).expect("there are radios");
+    wait_for(&rig, "the robot joins", || rig.place_of("r1").is_some());
+    let here = rig.place_of("r1").unwrap();
+    let there = if here == "A" { "B" } else { "A" };
+    for unit in [there, here.as_str()] {
+        rig.attach("r1", unit).unwrap();
+        let handover = rig.wait_for_handover("r1", unit);
+        println!("a robot without a cable, roam to {unit}: {handover}");
+        assert_eq!(handover["fast"], true, "{handover}");
+        assert!(handover["gap_ms"].as_f64().unwrap() <= MOST_MS, "{handover}");
+    }
     rig.interrupt();
     rig.run.report();
     machines.become_home();

@@ -262,6 +262,10 @@ impl Link {
                 ControllerEvent::Joined(agent) => {
                     self.parts.links.set_present(&agent, true);
                     self.tell(now, Event::Notice { message: format!("agent `{agent}` is connected") });
+                    let boot = self.controller.lock().process(&agent).map(|(boot, _)| boot);
+                    if let Some(boot) = boot {
+                        self.tell_radios(News::Joined { agent, boot });
+                    }
                 }
                 ControllerEvent::Left(agent, reason) => {
                     self.parts.links.set_present(&agent, false);

@@ -56,6 +56,8 @@ pub(crate) enum News {
     Event(Place, Timestamp, WifiEvent),
     /// What became of a request.
     Answered(u64, Result<(), String>),
+    /// A process of an agent reports, for the first time or again.
+    Joined { agent: AgentId, boot: u64 },
     /// An agent is lost, with the reason.
     Left(AgentId, String),
 }
@@ -146,11 +148,16 @@ pub(super) fn await_addresses(
     Ok(addresses)
 }
 
+/// Time that agents of robots have to answer, before radio units begin.
+const AHEAD: Duration = Duration::from_secs(2);
+
 /// What is known of a program at an agent.
 #[derive(Debug, Default)]
 struct Remote {
-    /// What its interface is to be; `None` leaves it to its owner.
-    wanted: Option<WantedRadio>,
+    /// What its agent was told to make of its interface; `None` leaves it to its owner.
+    told: Option<WantedRadio>,
+    /// Whether the manager wants it.
+    is_wanted: bool,
     /// Whether the agent says that it is so.
     is_ready: bool,
     /// Whether the manager knows that.
@@ -167,6 +174,8 @@ pub(super) struct AtAgents {
     figures: Arc<Figures>,
     places: BTreeMap<Program, Place>,
     programs: BTreeMap<Program, Remote>,
+    /// The last process of each agent.
+    boots: BTreeMap<AgentId, u64>,
     requests: BTreeMap<u64, (Program, Request)>,
     last_request: u64,
 }
@@ -180,12 +189,28 @@ impl AtAgents {
         places: BTreeMap<Program, Place>,
     ) -> Self {
         let programs = places.keys().map(|program| (program.clone(), Remote::default())).collect();
-        Self { manager, plan, outlets, figures, places, programs, requests: BTreeMap::new(), last_request: 0 }
+        let (boots, requests) = (BTreeMap::new(), BTreeMap::new());
+        Self { manager, plan, outlets, figures, places, programs, boots, requests, last_request: 0 }
     }
 
     /// Carries out actions until [`Message::Stop`]. Reports once that all is up, or why not.
     pub(super) fn run(mut self, inbox: &mpsc::Receiver<Message>, begun: &mpsc::Sender<Result<(), String>>) {
         let mut is_begun = false;
+        let mut ahead = self.send_robots_ahead();
+        let until = (self.outlets.now)() + AHEAD;
+        while !ahead.is_empty() {
+            match inbox.recv_timeout(until.since((self.outlets.now)())) {
+                Ok(Message::News(news)) => {
+                    if let News::State(place, _) = &news {
+                        ahead.remove(place);
+                    }
+                    self.take(news);
+                }
+                Ok(Message::Wake) => {}
+                Ok(Message::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => return,
+                Err(mpsc::RecvTimeoutError::Timeout) => break,
+            }
+        }
         loop {
             let now = (self.outlets.now)();
             self.manager.lock().advance(now);
@@ -212,6 +237,17 @@ impl AtAgents {
         }
         self.manager.lock().stop();
         self.act((self.outlets.now)());
+    }
+
+    /// Tells agents of robots which network to join, before any serves: a robot may hear the core only by way of an access point
+    /// of its owner's that is to serve the run. Returns where. Each answers with a state.
+    fn send_robots_ahead(&mut self) -> BTreeSet<Place> {
+        for (robot, planned) in self.plan.robots.clone() {
+            let configuration = Configuration::Station(Box::new(planned.station));
+            self.tell(&Program::Supplicant(robot), configuration);
+        }
+        let robots = self.places.iter().filter(|(program, _)| matches!(program, Program::Supplicant(_)));
+        robots.map(|(_, place)| place.clone()).collect()
     }
 
     /// Takes what an agent says, and does what follows from it.
@@ -243,7 +279,9 @@ impl AtAgents {
                         }
                         _ => {}
                     }
-                    self.handle(at, Input::Event { program, event: event.clone() });
+                    if remote.is_wanted {
+                        self.handle(at, Input::Event { program, event: event.clone() });
+                    }
                 }
                 self.act(at);
             }
@@ -255,14 +293,29 @@ impl AtAgents {
                     self.handle(now, Input::Refused { program, request, reason });
                 }
             }
+            // A process that was out of reach reports no event again.
+            News::Joined { agent, boot } => {
+                if self.boots.insert(agent.clone(), boot) != Some(boot) {
+                    for program in self.of(&agent) {
+                        self.programs.entry(program).or_default().standing = None;
+                    }
+                }
+            }
             News::Left(agent, reason) => {
-                let its = self.places.iter().filter(|(_, place)| place.agent == agent);
-                for program in its.map(|(program, _)| program.clone()).collect::<BTreeSet<_>>() {
+                for program in self.of(&agent) {
                     self.figures.forget(program.node());
+                    let standing = self.programs.get(&program).and_then(|remote| remote.standing.clone());
                     self.lose(now, &program, &format!("its agent is lost: {reason}"), false);
+                    self.programs.entry(program).or_default().standing = standing;
                 }
             }
         }
+    }
+
+    /// Returns the programs of an agent.
+    fn of(&self, agent: &AgentId) -> Vec<Program> {
+        let its = self.places.iter().filter(|(_, place)| place.agent == *agent);
+        its.map(|(program, _)| program.clone()).collect()
     }
 
     /// Returns the programs of an interface: one, or none.
@@ -291,7 +344,7 @@ impl AtAgents {
     fn begin(&mut self, at: Timestamp, program: &Program) {
         let Some(remote) = self.programs.get_mut(program) else { return };
         remote.is_ready = true;
-        if remote.wanted.is_none() || std::mem::replace(&mut remote.is_started, true) {
+        if !remote.is_wanted || std::mem::replace(&mut remote.is_started, true) {
             return;
         }
         let standing = remote.standing.clone();
@@ -306,7 +359,7 @@ impl AtAgents {
         let Some(remote) = self.programs.get_mut(program) else { return };
         let is_news = std::mem::take(&mut remote.is_started) || has_failed;
         (remote.is_ready, remote.standing) = (false, None);
-        if is_news && remote.wanted.is_some() {
+        if is_news && remote.is_wanted {
             self.handle(now, Input::Ended { program: program.clone(), reason: reason.to_owned() });
         }
     }
@@ -341,17 +394,22 @@ impl AtAgents {
     }
 
     fn start(&mut self, at: Timestamp, program: &Program, configuration: Configuration) {
+        self.tell(program, configuration);
+        let Some(remote) = self.programs.get_mut(program) else { return };
+        (remote.is_wanted, remote.is_started) = (true, false);
+        if remote.is_ready {
+            self.begin(at, program);
+        }
+    }
+
+    /// Tells an agent what to make of an interface.
+    fn tell(&mut self, program: &Program, configuration: Configuration) {
         let wanted = self.wanted(program, configuration);
         let Some(remote) = self.programs.get_mut(program) else { return };
-        let is_same = remote.wanted.as_ref() == Some(&wanted);
-        if !is_same {
+        if remote.told.as_ref() != Some(&wanted) {
             (remote.is_ready, remote.standing) = (false, None);
-        }
-        (remote.wanted, remote.is_started) = (Some(wanted.clone()), false);
-        let is_ready = remote.is_ready;
-        self.wish(program, Wish::Use(wanted));
-        if is_ready {
-            self.begin(at, program);
+            remote.told = Some(wanted.clone());
+            self.wish(program, Wish::Use(wanted));
         }
     }
 

@@ -85,7 +85,10 @@ impl World {
         let programs = programs(&graph, &places);
         let radios = AtAgents::new(manager, plan, outlets, Arc::new(Figures::new(addresses)), programs);
         let mut world = Self { radios, now, out };
-        world.act();
+        assert_eq!(world.radios.send_robots_ahead(), [place("r1")].into());
+        let out = world.act();
+        let order: Vec<_> = used(&out).into_iter().map(|(place, _)| place.clone()).collect();
+        assert_eq!(order, ["r1", "A", "B"].map(place));
         world
     }
 
@@ -149,10 +152,9 @@ fn requests(out: &[Out]) -> Vec<(u64, &WifiRequest)> {
 }
 
 #[test]
-fn radio_units_serve_before_robots_join_and_bring_their_settings() {
+fn robots_are_told_before_radio_units_serve_which_bring_their_settings() {
     let mut world = World::new();
-    // The manager's first actions were carried out before.
-    let wanted = |program: &Program| world.radios.programs[program].wanted.clone();
+    let wanted = |program: &Program| world.radios.programs[program].told.clone();
     let access_point = |unit| match wanted(&Program::Hostapd(id(unit))) {
         Some(WantedRadio::AccessPoint(settings)) => settings,
         other => panic!("{other:?}"),
@@ -162,13 +164,12 @@ fn radio_units_serve_before_robots_join_and_bring_their_settings() {
     assert_eq!(a.power, Some(Power::AtMost(1000)));
     assert_eq!(a.neighbours.iter().map(|its| its.bssid).collect::<Vec<_>>(), [bssid("B")]);
     assert_eq!((a.bss.bridge.clone(), a.bss.bssid), (None, None), "its owner's bridge and address");
-    assert_eq!(wanted(&Program::Supplicant(id("r1"))), None);
+    world.ready("r1");
     world.ready("A");
-    assert!(used(&world.event("A", 0, WifiEvent::AccessPointEnabled)).is_empty());
+    world.event("A", 0, WifiEvent::AccessPointEnabled);
     // The event comes before the state.
     let out = world.event("B", 0, WifiEvent::AccessPointEnabled);
-    assert!(matches!(used(&out)[..], [(at, WantedRadio::Station(_))] if *at == place("r1")), "{out:?}");
-    world.ready("r1");
+    assert!(used(&out).is_empty(), "its agent knows: {out:?}");
     world.event("r1", 0, WifiEvent::Connected { bssid: bssid("B") });
     assert_eq!(world.radios.manager.lock().standing(), "radio units A, B serve; r1 is at B");
 }
@@ -212,14 +213,36 @@ fn a_radio_unit_is_off_while_its_agent_is_lost() {
     let out = world.take(News::Left("ap1".parse().unwrap(), "its connection ended".to_owned()));
     assert!(out.contains(&Out::Change(Change::SwitchOff { radio_unit: id("A") })), "{out:?}");
     assert!(out.contains(&Out::Vnf(id("A"), cotorra_graph::VnfState::Died)));
-    // It is wanted again, and comes back with its agent.
-    let out = world.pass_until(100);
-    assert_eq!(used(&out).len(), 1);
+    // It is wanted again, and comes back with its agent, which knows.
+    assert_eq!(world.pass_until(100), []);
+    world.take(News::Joined { agent: "ap1".parse().unwrap(), boot: 2 });
     assert!(world.take(News::State(place("A"), RadioState::Changing)).is_empty());
     let out = world.event("A", 100, WifiEvent::AccessPointEnabled);
     assert!(matches!(&out[0], Out::Change(Change::SwitchOn { radio_unit, .. }) if *radio_unit == id("A")));
     world.ready("A");
     assert_eq!(world.radios.manager.lock().standing(), "radio units A, B serve; r1 is at no radio unit");
+}
+
+#[test]
+fn a_robot_that_was_out_of_reach_is_where_it_was() {
+    let mut world = World::up();
+    let agent: AgentId = "turtle1".parse().unwrap();
+    world.take(News::Joined { agent: agent.clone(), boot: 1 });
+    world.event("r1", 0, WifiEvent::Connected { bssid: bssid("A") });
+    let out = world.take(News::Left(agent.clone(), "it did not report for 2s".to_owned()));
+    assert!(out.contains(&Out::Change(Change::Disassociate { robot: id("r1") })), "{out:?}");
+    world.pass_until(100);
+    // Its process is the same, and reports nothing that it did before.
+    world.take(News::Joined { agent: agent.clone(), boot: 1 });
+    let out = world.ready("r1");
+    assert!(
+        matches!(&out[..], [Out::Change(Change::Associate { radio_unit, .. })] if *radio_unit == id("A"))
+    );
+    // A new process begins anew.
+    world.take(News::Left(agent.clone(), "its connection ended".to_owned()));
+    world.pass_until(1000);
+    world.take(News::Joined { agent, boot: 2 });
+    assert_eq!(world.ready("r1"), []);
 }
 
 #[test]
