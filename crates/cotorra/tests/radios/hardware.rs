@@ -148,7 +148,8 @@ impl Drop for Machines {
         }
         sh("kill $(ip netns pids u0) $(ip netns pids u1)
             for n in 0 1 2; do ip netns delete u$n; done
-            ip link delete lan");
+            ip link delete lan
+            rm -r /run/authority /run/*.agent /run/state-*");
     }
 }
 

@@ -4,7 +4,6 @@
 
 mod access_point;
 mod address;
-mod borrowed;
 mod channel;
 mod client;
 mod control;
@@ -22,7 +21,6 @@ mod takeover;
 
 pub use access_point::{AccessPoint, AccessPointDriver, BeaconInterval, Bss, Radio};
 pub use address::{MacAddress, MacAddressError};
-pub use borrowed::{AddedBss, BorrowError, BorrowedAccessPoint, BorrowedStation};
 pub use channel::{Band, Channel, ChannelError, Width};
 pub use client::{Client, ControlError, Events};
 pub use control::{

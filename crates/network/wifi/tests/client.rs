@@ -3,20 +3,15 @@
 use std::{
     os::unix::net::UnixDatagram,
     path::{Path, PathBuf},
-    sync::mpsc,
     thread,
     time::Duration,
 };
 
-use cotorra_wifi::{
-    AnswerError, BackgroundScan, BackgroundScanMethod, Band, BorrowedAccessPoint, BorrowedStation, Channel,
-    Client, ControlError, Event, Width, hostapd, ping, wpa_supplicant,
-};
+use cotorra_wifi::{AnswerError, Client, ControlError, Event, ping, wpa_supplicant};
 
 /// A program that answers each request by a function, until it is asked to end. `None` is silence.
 struct Program {
     folder: tempfile::TempDir,
-    requests: mpsc::Receiver<String>,
     thread: Option<thread::JoinHandle<()>>,
 }
 
@@ -24,7 +19,6 @@ impl Program {
     fn start(mut answer: impl FnMut(&str) -> Option<String> + Send + 'static) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let socket = UnixDatagram::bind(folder.path().join("program")).expect("a socket");
-        let (heard, requests) = mpsc::channel();
         let thread = thread::spawn(move || {
             let mut buffer = [0; 4096];
             loop {
@@ -35,15 +29,13 @@ impl Program {
                 }
                 let from = from.as_pathname().expect("an address");
                 let answer = answer(&request);
-                // Before the answer, after which the test looks.
-                let _ = heard.send(request);
                 if let Some(answer) = answer {
                     // A client that gave up is gone.
                     let _ = socket.send_to(answer.as_bytes(), from);
                 }
             }
         });
-        Self { folder, requests, thread: Some(thread) }
+        Self { folder, thread: Some(thread) }
     }
 
     fn path(&self) -> PathBuf {
@@ -59,10 +51,6 @@ impl Program {
         let socket = UnixDatagram::unbound().expect("a socket");
         socket.send_to(b"END", self.path()).expect("the program listens");
         self.thread.take().expect("it runs").join().expect("it does not panic");
-    }
-
-    fn requests(&self) -> Vec<String> {
-        self.requests.try_iter().collect()
     }
 }
 
@@ -175,105 +163,4 @@ fn stations_are_read_one_after_the_other() {
     let stations: Vec<_> =
         stations.iter().map(|station| (station.address.0[5], station.authorized)).collect();
     assert_eq!(stations, [(1, true), (2, false)]);
-}
-
-const STATUS: &str = "state=ENABLED\nfreq=2412\nsecondary_channel=0\nbeacon_int=100\ndtim_period=3\n";
-const CONFIGURATION: &str = "bssid=02:00:00:00:00:01\nssid=theirs\n";
-
-fn hostapd_of_others(request: &str) -> Option<String> {
-    Some(match request {
-        "STATUS" => STATUS.to_owned(),
-        "GET_CONFIG" => CONFIGURATION.to_owned(),
-        _ => "OK\n".to_owned(),
-    })
-}
-
-#[test]
-fn settings_of_others_are_put_back_last_first() {
-    let program = Program::start(hostapd_of_others);
-    let mut borrowed = BorrowedAccessPoint::new(program.client());
-    let ours = [
-        hostapd::Setting::Ssid("ours".parse().expect("an SSID")),
-        hostapd::Setting::DtimPeriod(1.try_into().expect("not zero")),
-    ];
-    borrowed.set(&ours).expect("it is set");
-    let channel = Channel::new(Band::Ghz2, 6, Width::Mhz20).expect("a channel");
-    borrowed.switch_channel(channel, 3).expect("it is switched");
-    borrowed.serve(false).expect("it stops");
-    let changes = [
-        "STATUS",
-        "GET_CONFIG",
-        "SET ssid2 6f757273",
-        "SET dtim_period 1",
-        "RELOAD",
-        "STATUS",
-        "CHAN_SWITCH 3 2437 bandwidth=20 ht",
-        "STATUS",
-        "DISABLE",
-    ];
-    assert_eq!(program.requests(), changes);
-    borrowed.give_back().expect("it is put back");
-    let back = [
-        "ENABLE",
-        "CHAN_SWITCH 3 2412 bandwidth=20 ht",
-        "SET dtim_period 3",
-        "SET ssid2 746865697273",
-        "RELOAD",
-    ];
-    assert_eq!(program.requests(), back);
-}
-
-#[test]
-fn what_cannot_be_read_is_not_changed() {
-    let program = Program::start(|request| match request {
-        "STATUS" => Some("state=ENABLED\nfreq=5955\n".to_owned()),
-        other => hostapd_of_others(other),
-    });
-    let mut borrowed = BorrowedAccessPoint::new(program.client());
-    let beacon_interval = hostapd::Setting::BeaconInterval(Default::default());
-    assert!(borrowed.set(&[beacon_interval]).is_err());
-    let channel = Channel::new(Band::Ghz2, 6, Width::Mhz20).expect("a channel");
-    assert!(borrowed.switch_channel(channel, 3).is_err());
-    drop(borrowed);
-    assert_eq!(program.requests(), ["STATUS", "GET_CONFIG", "STATUS"]);
-}
-
-#[test]
-fn everything_is_put_back_even_if_something_fails() {
-    let program = Program::start(|request| match request {
-        "CHAN_SWITCH 3 2412 bandwidth=20 ht" => Some("FAIL\n".to_owned()),
-        other => hostapd_of_others(other),
-    });
-    let mut borrowed = BorrowedAccessPoint::new(program.client());
-    borrowed.serve(false).expect("it stops");
-    let channel = Channel::new(Band::Ghz2, 6, Width::Mhz20).expect("a channel");
-    borrowed.switch_channel(channel, 3).expect("it is switched");
-    program.requests();
-    assert!(borrowed.give_back().is_err());
-    assert_eq!(program.requests(), ["CHAN_SWITCH 3 2412 bandwidth=20 ht", "ENABLE"]);
-}
-
-#[test]
-fn variables_of_others_are_put_back_once() {
-    let program = Program::start(|request| match request {
-        "GET_NETWORK 0 bgscan" => Some("\"simple:30:-65:300\"".to_owned()),
-        get if get.starts_with("GET_NETWORK") => Some("FAIL\n".to_owned()),
-        _ => Some("OK\n".to_owned()),
-    });
-    let mut borrowed = BorrowedStation::new(program.client());
-    let scan = |short_s| {
-        let method = BackgroundScanMethod::Simple;
-        wpa_supplicant::Setting::BackgroundScan(Some(BackgroundScan {
-            method,
-            threshold_dbm: -60,
-            short_s,
-            long_s: 60,
-        }))
-    };
-    borrowed.set(0, &scan(5)).expect("it is set");
-    borrowed.set(0, &scan(6)).expect("it is set again");
-    borrowed.set(1, &wpa_supplicant::Setting::Bssid("02:00:00:00:00:01".parse().ok())).expect("it is set");
-    program.requests();
-    drop(borrowed);
-    assert_eq!(program.requests(), ["SET_NETWORK 1 bssid any", "SET_NETWORK 0 bgscan \"simple:30:-65:300\""]);
 }

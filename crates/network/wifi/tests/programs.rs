@@ -11,8 +11,8 @@ use std::{
 };
 
 use cotorra_wifi::{
-    AccessPoint, AccessPointDriver, BackgroundScan, BackgroundScanMethod, Bss, ControlError, Daemon, Event,
-    Security, StartError, Station, StationDriver, hostapd, launch_here, ping, wpa_supplicant,
+    AccessPoint, AccessPointDriver, Bss, ControlError, Daemon, Event, Security, StartError, Station,
+    StationDriver, hostapd, launch_here, ping, wpa_supplicant,
 };
 
 /// Whether all programs are there. In continuous integration they must be.
@@ -122,27 +122,6 @@ fn hostapd_stops_and_starts_serving() {
     assert_eq!(client.stations().expect("stations"), []);
     let nobody = "02:00:00:00:00:09".parse().expect("an address");
     assert_eq!(client.request(&hostapd::station(nobody)).expect("an answer"), None);
-}
-
-#[test]
-fn settings_of_a_running_hostapd_are_put_back() {
-    if !installed() {
-        return;
-    }
-    let fixture = Fixture::new();
-    let daemon = fixture.hostapd(&fixture::access_point("wlan0", Security::Open)).expect("hostapd starts");
-    let mut borrowed = cotorra_wifi::BorrowedAccessPoint::new(daemon.client().expect("a client"));
-    let ours = fixture::ssid("a\"b\n");
-    let settings =
-        [hostapd::Setting::Ssid(ours.clone()), hostapd::Setting::DtimPeriod(5.try_into().expect("not zero"))];
-    borrowed.set(&settings).expect("it is set");
-    let read = |client: &mut cotorra_wifi::Client| {
-        let ssid = client.request(&hostapd::configuration()).expect("a configuration").ssid;
-        (ssid, client.request(&hostapd::status()).expect("a status").dtim_period)
-    };
-    assert_eq!(read(borrowed.client()), (Some(ours), Some(5)));
-    borrowed.give_back().expect("it is put back");
-    assert_eq!(read(&mut daemon.client().expect("a client")), (Some(fixture::ssid("corridor")), Some(2)));
 }
 
 #[test]
@@ -293,32 +272,6 @@ fn wpa_supplicant_takes_each_network() {
     }
     daemon.stop();
     assert_eq!(count(fixture.folder.path()), 0);
-}
-
-#[test]
-fn variables_of_a_running_wpa_supplicant_are_put_back() {
-    if !installed() {
-        return;
-    }
-    let fixture = Fixture::new();
-    let daemon = fixture.wpa_supplicant(&fixture::station("lo"));
-    let mut borrowed = cotorra_wifi::BorrowedStation::new(daemon.client().expect("a client"));
-    let method = BackgroundScanMethod::Simple;
-    let scan = BackgroundScan { method, threshold_dbm: -50, short_s: 1, long_s: 10 };
-    let get = |variable| wpa_cli(&fixture, &["get_network", "0", variable]);
-    let read = || ["bgscan", "scan_freq", "bssid"].map(get);
-    let before = read();
-    assert_eq!(before, ["\"learn:5:-65:300\"", "2412 5180", "02:00:00:00:00:01"]);
-    for setting in [
-        wpa_supplicant::Setting::BackgroundScan(Some(scan)),
-        wpa_supplicant::Setting::Channels(Vec::new()),
-        wpa_supplicant::Setting::Bssid(None),
-    ] {
-        borrowed.set(0, &setting).expect("it is set");
-    }
-    assert_eq!(read(), ["\"simple:1:-50:10\"", "FAIL", "FAIL"]);
-    borrowed.give_back().expect("it is put back");
-    assert_eq!(read(), before);
 }
 
 #[test]

@@ -210,7 +210,7 @@ pub fn watch_signal(threshold_dbm: i8, hysteresis_db: u8) -> Request<()> {
     Request::new(format!("SIGNAL_MONITOR THRESHOLD={threshold_dbm} HYSTERESIS={hysteresis_db}"), done)
 }
 
-/// A setting of a network that wpa_supplicant also reports, so that it can be put back.
+/// A setting of a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Setting {
     /// Scans while it is connected; `None` for none.
@@ -221,67 +221,16 @@ pub enum Setting {
     Bssid(Option<MacAddress>),
 }
 
-impl Setting {
-    /// Returns the variable that wpa_supplicant has for it.
-    pub(crate) fn variable(&self) -> Variable {
-        match self {
-            Self::BackgroundScan(_) => Variable::BackgroundScan,
-            Self::Channels(_) => Variable::Channels,
-            Self::Bssid(_) => Variable::Bssid,
-        }
-    }
-}
-
-/// A variable of a network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Variable {
-    BackgroundScan,
-    Channels,
-    Bssid,
-}
-
-impl Variable {
-    fn name(self) -> &'static str {
-        match self {
-            Self::BackgroundScan => "bgscan",
-            Self::Channels => "scan_freq",
-            Self::Bssid => "bssid",
-        }
-    }
-
-    /// Returns the value that unsets it.
-    fn nothing(self) -> &'static str {
-        match self {
-            Self::BackgroundScan => "NULL",
-            Self::Channels => "",
-            Self::Bssid => "any",
-        }
-    }
-}
-
 /// Returns the request to change a setting of a network.
 pub fn set(network: u32, setting: &Setting) -> Request<()> {
-    let value = match setting {
-        Setting::BackgroundScan(scan) => scan.map(|scan| format!("\"{scan}\"")),
-        Setting::Channels(channels) if channels.is_empty() => None,
-        Setting::Channels(channels) => Some(frequencies(channels)),
-        Setting::Bssid(bssid) => bssid.map(|bssid| bssid.to_string()),
+    let assignment = match setting {
+        Setting::BackgroundScan(Some(scan)) => format!("bgscan \"{scan}\""),
+        Setting::BackgroundScan(None) => "bgscan NULL".to_owned(),
+        Setting::Channels(channels) => format!("scan_freq {}", frequencies(channels)),
+        Setting::Bssid(Some(bssid)) => format!("bssid {bssid}"),
+        Setting::Bssid(None) => "bssid any".to_owned(),
     };
-    put_back(network, setting.variable(), value.as_deref())
-}
-
-/// Returns the request for the value of a network's variable; `None` if it is not set.
-pub(crate) fn get(network: u32, variable: Variable) -> Request<Option<String>> {
-    Request::new(format!("GET_NETWORK {network} {}", variable.name()), |answer| match answer {
-        Err(AnswerError::Failed) => Ok(None),
-        answer => answer.map(|value| Some(value.to_owned())),
-    })
-}
-
-/// Returns the request to set a network's variable to what [`get`] returned.
-pub(crate) fn put_back(network: u32, variable: Variable, value: Option<&str>) -> Request<()> {
-    let value = value.unwrap_or(variable.nothing());
-    Request::new(format!("SET_NETWORK {network} {} {value}", variable.name()), done)
+    Request::new(format!("SET_NETWORK {network} {assignment}"), done)
 }
 
 /// Returns the request to forget all BSSs that were heard, but for that at which the station is.
@@ -502,13 +451,6 @@ mod tests {
         );
     }
 
-    #[test]
-    fn unset_variables_are_put_back_as_such() {
-        assert_eq!(get(0, Variable::Channels).read(b"FAIL\n"), Ok(None));
-        assert_eq!(get(0, Variable::Channels).read(b"2412 2437"), Ok(Some("2412 2437".to_owned())));
-        assert_eq!(put_back(0, Variable::Bssid, None).text(), "SET_NETWORK 0 bssid any");
-    }
-
     proptest! {
         #[test]
         fn no_answer_makes_the_readers_panic(bytes: Vec<u8>, text in "(bssid / \n)?.*") {
@@ -516,7 +458,6 @@ mod tests {
                 _ = status().read(bytes);
                 _ = scan_results().read(bytes);
                 _ = signal().read(bytes);
-                _ = get(0, Variable::Bssid).read(bytes);
             }
         }
     }
