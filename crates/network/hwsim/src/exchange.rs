@@ -10,7 +10,7 @@ use cotorra_graph::{NodeId, Timestamp};
 
 use crate::{
     address::MacAddress,
-    medium::Medium,
+    medium::{Medium, TryCounts},
     message::Message,
     socket::{Incoming, MediumSocket},
 };
@@ -47,6 +47,11 @@ impl Exchange {
         hardware: MacAddress,
     ) -> Result<(), FabricError> {
         self.medium.join(now, fabric, node, hardware)
+    }
+
+    /// Returns the counts of a radio's frames, as [`Medium::counts`] does.
+    pub fn counts(&self, hardware: MacAddress) -> Option<TryCounts> {
+        self.medium.counts(hardware)
     }
 
     /// Takes messages that the kernel has sent; perhaps not all of them, so that the socket stays readable. Returns the number of

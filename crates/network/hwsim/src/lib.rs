@@ -19,7 +19,7 @@ pub use cotorra_netlink::DecodeError;
 pub use error::Error;
 pub use exchange::Exchange;
 pub use header::{FrameType, Header};
-pub use medium::{Medium, Outgoing};
+pub use medium::{Medium, Outgoing, TryCounts};
 pub use message::{Alias, DELIVERABLE, Delivery, Frame, MOST_RATES, Message, Radio, Rates, Status, Tries};
 pub use phys::Phys;
 pub use radios::Radios;

@@ -50,6 +50,20 @@ pub struct Medium {
 struct Member {
     hardware: MacAddress,
     antenna: Antenna,
+    counts: TryCounts,
+}
+
+/// Counts of a radio's frames that are to be acknowledged, and whose last try is over.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TryCounts {
+    /// Frames.
+    pub frames: u64,
+    /// Frames that were acknowledged.
+    pub acknowledged: u64,
+    /// Tries of all frames.
+    pub tries: u64,
+    /// Frames of which the kernel said that they may go in an A-MPDU.
+    pub aggregates: u64,
 }
 
 #[derive(Debug)]
@@ -59,6 +73,7 @@ struct UnderWay {
     frequency_mhz: u16,
     cookie: u64,
     no_ack: bool,
+    aggregates: bool,
     rates: Rates,
     to: Receiver,
     /// The number of its delivery to one radio; how often refusals had been known then; and whether the kernel refused it.
@@ -95,7 +110,7 @@ impl Medium {
     ) -> Result<(), FabricError> {
         let antenna = fabric.lend_antenna(now, node)?;
         let radio = self.radios.len();
-        self.radios.push(Member { hardware, antenna });
+        self.radios.push(Member { hardware, antenna, counts: TryCounts::default() });
         self.by_hardware.insert(hardware, radio);
         self.by_antenna.insert(antenna, radio);
         Ok(())
@@ -172,8 +187,13 @@ impl Medium {
         self.under_way.len()
     }
 
+    /// Returns the counts of a radio's frames; `None` for one that has not joined.
+    pub fn counts(&self, hardware: MacAddress) -> Option<TryCounts> {
+        self.by_hardware.get(&hardware).map(|radio| self.radios[*radio].counts)
+    }
+
     fn transmit(&mut self, now: Timestamp, fabric: &mut Fabric, sent: &Frame) -> Option<Outgoing> {
-        let Frame { radio, frame, frequency_mhz, no_ack, rates, cookie, .. } = sent;
+        let Frame { radio, frame, frequency_mhz, no_ack, aggregates, rates, cookie, .. } = sent;
         let known = self.by_hardware.get(radio).copied();
         let frequency_mhz = frequency_mhz.and_then(|mhz| u16::try_from(mhz).ok());
         let (Some(radio), Some(frequency_mhz), Some(header)) = (known, frequency_mhz, Header::parse(frame))
@@ -205,7 +225,7 @@ impl Medium {
             category: category(&header),
             to,
             packet_bytes: header.packet_bytes(frame.len()).map(|bytes| bytes as u32),
-            aggregates: self.agreements.cover(&header),
+            aggregates: *aggregates || self.agreements.cover(&header),
             rates: tried,
         };
         self.under_way.insert(
@@ -216,6 +236,7 @@ impl Medium {
                 frequency_mhz,
                 cookie: *cookie,
                 no_ack: *no_ack,
+                aggregates: *aggregates,
                 rates,
                 to,
                 delivery: None,
@@ -280,13 +301,20 @@ impl Medium {
             count: if all { rate.count.max(1) } else { u8::try_from(*made).unwrap_or(u8::MAX) },
             ..rate
         };
-        let rates = sent.rates.iter().zip(tries).map(made).take_while(|rate| rate.count > 0);
+        let rates = Rates::new(sent.rates.iter().zip(tries).map(made).take_while(|rate| rate.count > 0));
+        let radio = self.radios.get_mut(sent.radio)?;
+        if matches!(sent.to, Receiver::One(_) | Receiver::Nobody) {
+            radio.counts.frames += 1;
+            radio.counts.acknowledged += u64::from(acknowledged.is_some());
+            radio.counts.tries += rates.iter().map(|tries| u64::from(tries.count)).sum::<u64>();
+            radio.counts.aggregates += u64::from(sent.aggregates);
+        }
         let status = Status {
-            radio: self.radios.get(sent.radio)?.hardware,
+            radio: radio.hardware,
             cookie: sent.cookie,
             acknowledged: acknowledged.is_some(),
             no_ack: sent.no_ack,
-            rates: Rates::new(rates),
+            rates,
             signal_dbm: acknowledged.map_or(0, rounded),
         };
         Some(self.number(Message::Status(status)))

@@ -67,6 +67,8 @@ mod flag {
     pub(super) const REQ_TX_STATUS: u32 = 1 << 0;
     pub(super) const NO_ACK: u32 = 1 << 1;
     pub(super) const ACK: u32 = 1 << 2;
+    /// Linux 6.1 has no such flag; that of `scripts/radio-kernel` does.
+    pub(super) const AGGREGATES: u32 = 1 << 3;
 }
 
 /// A message between a medium and the kernel's radios.
@@ -106,6 +108,8 @@ pub struct Frame {
     pub wants_status: bool,
     /// Whether nobody is to acknowledge it.
     pub no_ack: bool,
+    /// Whether it may go in an A-MPDU. Only the kernel of `scripts/radio-kernel` says so.
+    pub aggregates: bool,
     /// Rates to try, in this order; none if rate control is off.
     pub rates: Rates,
     /// Number by which the radio knows the frame.
@@ -346,6 +350,7 @@ fn frame(body: &[u8]) -> Result<Message, DecodeError> {
         frequency_mhz: frequency,
         wants_status: flags & flag::REQ_TX_STATUS != 0,
         no_ack: flags & flag::NO_ACK != 0,
+        aggregates: flags & flag::AGGREGATES != 0,
         rates: Rates::decode(required(info)?, info_flags)?,
         cookie: required(cookie)?,
     }))
@@ -359,7 +364,11 @@ fn flags(flags: &[(bool, u32)]) -> u32 {
 impl Frame {
     fn encode(&self, w: &mut Writer) {
         w.bytes(attr::ADDR_TRANSMITTER, &self.radio.0).bytes(attr::FRAME, &self.frame);
-        let flags = flags(&[(self.wants_status, flag::REQ_TX_STATUS), (self.no_ack, flag::NO_ACK)]);
+        let flags = flags(&[
+            (self.wants_status, flag::REQ_TX_STATUS),
+            (self.no_ack, flag::NO_ACK),
+            (self.aggregates, flag::AGGREGATES),
+        ]);
         w.words(attr::FLAGS, &[flags]);
         if let Some(mhz) = self.frequency_mhz {
             w.words(attr::FREQ, &[mhz]);

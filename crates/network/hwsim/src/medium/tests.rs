@@ -65,6 +65,7 @@ impl World {
             frequency_mhz: Some(frequency_mhz),
             wants_status: true,
             no_ack,
+            aggregates: false,
             rates: Rates::new([rate(7, 3), rate(0, 2)]),
             cookie: 42,
         }));
@@ -139,6 +140,8 @@ fn a_distant_frame_falls_back_to_its_slower_rate() {
     world.run();
     assert_eq!(tries(world.status()), [(7, 3), (0, 1)]);
     assert_eq!(world.deliveries()[0].rate, 0);
+    let counts = TryCounts { frames: 1, acknowledged: 1, tries: 4, aggregates: 0 };
+    assert_eq!(world.medium.counts(STATION), Some(counts));
 }
 
 #[test]

@@ -64,9 +64,18 @@ fn radio() -> impl Strategy<Value = Radio> {
 }
 
 fn message() -> impl Strategy<Value = Message> {
-    let sent = (address(), bytes(), option::of(any::<u32>()), any::<[bool; 2]>(), rates(), any::<u64>())
-        .prop_map(|(radio, frame, frequency_mhz, [wants_status, no_ack], rates, cookie)| {
-            Message::Frame(Frame { radio, frame, frequency_mhz, wants_status, no_ack, rates, cookie })
+    let sent = (address(), bytes(), option::of(any::<u32>()), any::<[bool; 3]>(), rates(), any::<u64>())
+        .prop_map(|(radio, frame, frequency_mhz, [wants_status, no_ack, aggregates], rates, cookie)| {
+            Message::Frame(Frame {
+                radio,
+                frame,
+                frequency_mhz,
+                wants_status,
+                no_ack,
+                aggregates,
+                rates,
+                cookie,
+            })
         });
     let received = (address(), bytes(), any::<u32>(), any::<i32>(), option::of(any::<u32>())).prop_map(
         |(radio, frame, rate, signal_dbm, frequency_mhz)| {

@@ -6,3 +6,4 @@
 mod pair;
 mod rig;
 mod roaming;
+mod tries;

@@ -147,6 +147,10 @@ impl Air {
     }
 }
 
+pub(crate) fn is_installed(program: &str) -> bool {
+    Command::new(program).arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).spawn().is_ok()
+}
+
 pub(crate) fn radio(name: &str, address: MacAddress) -> Radio {
     Radio {
         name: Some(name.to_owned()),

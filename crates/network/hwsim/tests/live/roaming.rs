@@ -1,22 +1,13 @@
 //! wpa_supplicant roams between two hostapds by 802.11r, as they are.
 
-use std::{
-    fs,
-    os::unix::net::UnixDatagram,
-    process::{Command, Stdio},
-    time::Duration,
-};
+use std::{fs, os::unix::net::UnixDatagram, time::Duration};
 
 use cotorra_datapath::Namespace;
 use cotorra_hwsim::Phys;
 
-use crate::rig::{Air, ap};
+use crate::rig::{Air, ap, is_installed};
 
 const LONG: Duration = Duration::from_secs(30);
-
-fn is_installed(program: &str) -> bool {
-    Command::new(program).arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).spawn().is_ok()
-}
 
 fn hostapd(index: usize, channel: u8) -> String {
     format!(

@@ -25,6 +25,8 @@ use cotorra_graph::{
     NodeId, PathLoss, Position, Probability, Stamped,
 };
 use cotorra_hwsim::Radios;
+mod throughput;
+
 use cotorra_wifi::{
     AccessPoint, Band, Bss, Channel, Client, Daemon, Event, Events, FastTransition, MacAddress,
     MobilityDomain, Network, Protection, Radio, Security, Station, Width, hostapd, wpa_supplicant,
@@ -68,7 +70,7 @@ fn channel_number(number: u8) -> Channel {
     Channel::new(Band::Ghz2, number, Width::Mhz20).unwrap()
 }
 
-fn security(unit: usize) -> Security {
+fn security(unit: usize, protection: Protection) -> Security {
     let transition = FastTransition {
         domain: MobilityDomain(1),
         holder: format!("ap{unit}").parse().unwrap(),
@@ -76,7 +78,7 @@ fn security(unit: usize) -> Security {
     };
     Security::Wpa2 {
         passphrase: "an emulated network".parse().unwrap(),
-        protection: Protection::Optional,
+        protection,
         fast_transition: Some(transition),
     }
 }
@@ -132,6 +134,11 @@ struct Floor {
 impl Floor {
     /// Brings the floor up, with folders of this name; `None` where that cannot be.
     fn up(name: &str) -> Option<Self> {
+        Self::protected(name, Protection::Optional)
+    }
+
+    /// Brings it up with or without protected management frames.
+    fn protected(name: &str, protection: Protection) -> Option<Self> {
         let graph = graph();
         if let Err(error) = wifi::check(&graph) {
             eprintln!("nothing is tested: {error}");
@@ -149,7 +156,7 @@ impl Floor {
         for (unit, channel) in CHANNELS.into_iter().enumerate() {
             let bss = Bss {
                 bridge: Some(BRIDGE.parse().unwrap()),
-                ..Bss::new("lab".parse().unwrap(), security(unit))
+                ..Bss::new("lab".parse().unwrap(), security(unit, protection))
             };
             let access_point = AccessPoint {
                 interface: WLAN.parse().unwrap(),
@@ -170,7 +177,7 @@ impl Floor {
         }
         let network = Network {
             channels: CHANNELS.map(channel_number).to_vec(),
-            ..Network::new("lab".parse().unwrap(), security(0).credentials())
+            ..Network::new("lab".parse().unwrap(), security(0, protection).credentials())
         };
         let station = Station {
             interface: WLAN.parse().unwrap(),
