@@ -1,5 +1,6 @@
 //! Datagrams that a robot sends faster than its radio can, with and without protected management frames, beside the fabric's own
 //! radio at the same place.
+#![allow(clippy::disallowed_methods, reason = "senders and radios run by the kernel's clock")]
 
 use std::{
     net::{SocketAddr, UdpSocket},

@@ -253,3 +253,33 @@ fn categories_are_those_of_the_user_priority() {
     let beacon = [&[0x80, 0, 0, 0][..], &BROADCAST.0, &AP.0, &AP.0, &[0, 0]].concat();
     assert_eq!(category(&Header::parse(&beacon).unwrap()), Voice);
 }
+
+#[test]
+fn frames_that_the_kernel_would_aggregate_arrive_together() {
+    for (aggregates, times) in [(false, 3), (true, 1)] {
+        let mut world = World::new(5.0);
+        // Encrypted QoS data, as with protected management frames, whose agreement nobody can read.
+        let frame = [&[0x88, 0x41, 0, 0][..], &AP.0, &STATION.0, &AP.0, &[0; 200]].concat();
+        for cookie in 1..=3 {
+            world.handle(&Message::Frame(Frame {
+                radio: STATION,
+                frame: frame.clone().into(),
+                frequency_mhz: Some(CHANNEL_36),
+                wants_status: true,
+                no_ack: false,
+                aggregates,
+                // MCS 7.
+                rates: Rates::new([Tries { index: 7, count: 3, flags: 1 << 3 }]),
+                cookie,
+            }));
+        }
+        world.run();
+        let arrivals = world.sent.iter().filter(|(_, sent)| matches!(sent.message, Message::Delivery(_)));
+        let mut arrivals: Vec<_> = arrivals.map(|(at, _)| *at).collect();
+        assert_eq!(arrivals.len(), 3);
+        arrivals.dedup();
+        assert_eq!(arrivals.len(), times);
+        let counts = world.medium.counts(STATION).unwrap();
+        assert_eq!((counts.frames, counts.aggregates), (3, if aggregates { 3 } else { 0 }));
+    }
+}
