@@ -9,10 +9,11 @@ use cotorra_graph::{
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Figure, Kind, LinkQuantity, Page, PageRequest, Run, RunId, Values,
+    Figure, Kind, LinkQuantity, Run, RunId, Values,
     curve::Gathered,
     error::Result,
     kind::Series,
+    page::pages,
     store::{Selection, Span, Store},
 };
 
@@ -333,16 +334,5 @@ impl Side {
             Event::Lateness(lateness) => self.doubts.lateness_p99_us = Some(lateness.p99_us),
             _ => {}
         }
-    }
-}
-
-/// Reads all pages of an answer.
-fn pages<T>(ask: impl Fn(PageRequest) -> Result<Page<T>>, mut each: impl FnMut(T)) -> Result<()> {
-    let mut request = PageRequest::first(PageRequest::MAX);
-    loop {
-        let page = ask(request)?;
-        page.items.into_iter().for_each(&mut each);
-        let Some(next) = page.next else { return Ok(()) };
-        request = PageRequest::after(next, PageRequest::MAX);
     }
 }

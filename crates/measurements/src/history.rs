@@ -23,7 +23,7 @@ use crate::{
     location::Location,
     memory::Memory,
     paced::PacedRecorder,
-    page::{Page, PageRequest},
+    page::{Page, PageRequest, pages},
     recorder::{Queue, Recorder},
     run::{Gap, Run, RunId, RunInfo},
     sqlite::Sqlite,
@@ -301,6 +301,16 @@ impl History {
         self.store.events(run, &Selection::Kinds(kinds), span(&range), page)
     }
 
+    /// Returns all events of some kinds; of all kinds for an empty list.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn all_events(&self, run: RunId, kinds: &[Kind]) -> Result<Vec<Stamped>> {
+        let mut events = Vec::new();
+        pages(|page| self.events(run, kinds, .., page), |event| events.push(event))?;
+        Ok(events)
+    }
+
     /// Returns gaps that begin in a range of time.
     ///
     /// # Errors
@@ -506,6 +516,8 @@ mod tests {
         assert_eq!(page.items.len(), PageRequest::MAX);
         let rest = history.events(run, &[], .., PageRequest::after(page.next.unwrap(), 0)).unwrap();
         assert_eq!((rest.items.len(), rest.next), (1, None));
+        assert_eq!(history.all_events(run, &[]).unwrap(), events);
+        assert_eq!(history.all_events(run, &[Kind::Robot]).unwrap(), []);
     }
 
     #[test]

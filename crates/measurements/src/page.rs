@@ -4,6 +4,8 @@ use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::Error;
+
 /// The place where a page ends and the next one begins: an event's time, and its place in the order of recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -95,6 +97,20 @@ impl PageRequest {
 
     pub(crate) fn size(self) -> usize {
         self.limit.clamp(1, Self::MAX)
+    }
+}
+
+/// Reads all pages of an answer.
+pub(crate) fn pages<T>(
+    ask: impl Fn(PageRequest) -> Result<Page<T>, Error>,
+    mut each: impl FnMut(T),
+) -> Result<(), Error> {
+    let mut request = PageRequest::first(PageRequest::MAX);
+    loop {
+        let page = ask(request)?;
+        page.items.into_iter().for_each(&mut each);
+        let Some(next) = page.next else { return Ok(()) };
+        request = PageRequest::after(next, PageRequest::MAX);
     }
 }
 

@@ -8,7 +8,7 @@ use cotorra_graph::{
     Decision, Event, Instruction, PluginId, PluginProgram, PluginSpec, RobotContext, Stamped, Testbed,
     Timestamp,
 };
-use cotorra_measurements::{History, Kind, PageRequest, Run};
+use cotorra_measurements::{History, Kind, Run};
 use cotorra_plugin::Noted;
 use cotorra_testbed_file::{Diagnostics, Setting};
 
@@ -96,14 +96,9 @@ impl PreviousRun {
 
     /// Reads the notes of a run.
     pub(crate) fn kept(history: &History, run: &Run) -> Result<Self, cotorra_measurements::Error> {
-        let mut notes = Vec::new();
-        let mut request = PageRequest::default();
-        loop {
-            let page = history.events(run.id, &[Kind::Decision], .., request)?;
-            notes.extend(page.items.into_iter().filter_map(|event| note(run.info.started_at_unix_ns, event)));
-            let Some(next) = page.next else { return Ok(Self { robots: Vec::new(), notes }) };
-            request.after = Some(next);
-        }
+        let decisions = history.all_events(run.id, &[Kind::Decision])?;
+        let notes = decisions.into_iter().filter_map(|event| note(run.info.started_at_unix_ns, event));
+        Ok(Self { robots: Vec::new(), notes: notes.collect() })
     }
 
     /// Returns the notes of a plug-in.

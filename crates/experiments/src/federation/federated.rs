@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_federation::Step;
 use cotorra_graph::{Event, Instruction, NodeId, ServiceId, Stamped, Testbed, Timestamp};
-use cotorra_measurements::{History, Kind, PageRequest, RunId};
+use cotorra_measurements::{History, Kind, RunId};
 use serde::Serialize;
 
 /// The steps in the order of the published figure.
@@ -80,14 +80,7 @@ impl Federated {
         seed: u64,
     ) -> Result<Self, NoFederation> {
         let kinds = [Kind::Decision, Kind::Handover, Kind::Robot, Kind::ServiceTime];
-        let mut events = Vec::new();
-        let mut request = PageRequest::default();
-        loop {
-            let page = history.events(run, &kinds, .., request)?;
-            events.extend(page.items);
-            let Some(next) = page.next else { break };
-            request.after = Some(next);
-        }
+        let mut events = history.all_events(run, &kinds)?;
         let navigates = |id: &ServiceId| testbed.services.iter().any(|its| its.id == *id && its.navigates());
         events.retain(|stamped: &Stamped| match &stamped.event {
             Event::ServiceTime(sample) => navigates(&sample.service),

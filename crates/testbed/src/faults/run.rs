@@ -13,7 +13,7 @@ use std::{
 };
 
 use cotorra_graph::{PluginId, Stamped, Testbed, Timestamp};
-use cotorra_measurements::{Error as HistoryError, History, PacedRecorder, PageRequest, RunId, RunInfo};
+use cotorra_measurements::{Error as HistoryError, History, PacedRecorder, RunId, RunInfo};
 
 use super::{
     error::FaultTestError,
@@ -248,9 +248,9 @@ impl<'a> Run<'a> {
         let found = if on_disk {
             let copy = self.folder.join("crashed");
             self.copy_history(&copy).map_err(|e| lost(&e))?;
-            History::open(copy.join(HISTORY)).and_then(|history| all(&history, self.run))
+            History::open(copy.join(HISTORY)).and_then(|history| history.all_events(self.run, &[]))
         } else {
-            all(&self.history, self.run)
+            self.history.all_events(self.run, &[])
         };
         let checked = &mut self.watch.checked[Invariant::Kept as usize];
         kept(&self.events[..self.acknowledged], &found.map_err(|e| lost(&e))?, checked)
@@ -267,18 +267,6 @@ impl<'a> Run<'a> {
             }
         }
         Ok(())
-    }
-}
-
-/// Returns all events of a run.
-fn all(history: &History, run: RunId) -> Result<Vec<Stamped>, HistoryError> {
-    let mut request = PageRequest::first(PageRequest::MAX);
-    let mut events = Vec::new();
-    loop {
-        let page = history.events(run, &[], .., request)?;
-        events.extend(page.items);
-        let Some(next) = page.next else { return Ok(events) };
-        request.after = Some(next);
     }
 }
 
