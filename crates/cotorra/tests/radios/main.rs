@@ -17,6 +17,8 @@ mod hardware;
 #[path = "../end_to_end/harness.rs"]
 mod harness;
 mod killed;
+#[cfg(feature = "agents")]
+mod machines;
 mod packets;
 mod repeats;
 mod rig;
