@@ -1,6 +1,33 @@
-//! Parsing of seeds and addresses, with errors that say what to write.
+//! Arguments that several subcommands have, and parsing of seeds and addresses, with errors that say what to write.
 
 use std::net::SocketAddr;
+#[cfg(feature = "agents")]
+use std::path::PathBuf;
+
+#[cfg(feature = "agents")]
+use clap::Args;
+#[cfg(feature = "agents")]
+use cotorra_testbed::AgentOptions;
+
+/// Agents of real machines.
+#[cfg(feature = "agents")]
+#[derive(Debug, Args)]
+pub struct AgentArgs {
+    /// Address at which agents of real machines connect
+    #[arg(long, value_name = "ADDR:PORT", default_value_t = AgentOptions::default().listen, value_parser = parse_address)]
+    pub agents: SocketAddr,
+    /// Folder of the authority with which agents were enrolled; default: cotorra/agents in $XDG_CONFIG_HOME or ~/.config
+    #[arg(long, value_name = "DIR")]
+    pub authority: Option<PathBuf>,
+}
+
+#[cfg(feature = "agents")]
+impl AgentArgs {
+    /// Returns the options of a run.
+    pub fn options(&self) -> AgentOptions {
+        AgentOptions { listen: self.agents, authority: self.authority.clone() }
+    }
+}
 
 /// Parses a seed.
 pub fn parse_seed(text: &str) -> Result<u64, String> {

@@ -9,7 +9,7 @@ mod ledger_backend;
 use std::{fmt::Write as _, path::Path, time::Duration};
 
 use cotorra_figure::Format;
-use cotorra_graph::{DomainId, Testbed, Walk};
+use cotorra_graph::{DomainId, Testbed};
 use cotorra_testbed::{DataTable, FolderError, Quantiles, orchestrators, write_file};
 use serde::Serialize;
 
@@ -18,6 +18,7 @@ pub use self::{
     federated::{Federated, NoFederation, STEPS},
     ledger_backend::LedgerBackend,
 };
+use crate::walk_time;
 pub use cotorra_federation::{Access, Account, LedgerError, Network, PASSWORD};
 
 /// Files that [`Comparison::write`] makes.
@@ -204,12 +205,8 @@ pub fn settings(
 
 /// Returns the time after which a run is surely over. A robot without a radio unit would wait at the edge forever.
 pub fn longest(testbed: &Testbed) -> Duration {
-    let walk = |walk: &Walk| {
-        let length: f64 = walk.waypoints.windows(2).map(|leg| leg[0].distance(leg[1])).sum();
-        length / walk.speed_limit
-    };
-    let walks = testbed.walks.iter().map(walk).fold(0.0_f64, f64::max);
-    Duration::from_secs_f64((2.0 * walks).min(86_400.0)) + Duration::from_secs(60)
+    let walks = testbed.walks.iter().map(walk_time).max().unwrap_or_default();
+    2 * walks + Duration::from_secs(60)
 }
 
 /// Returns the domains of the orchestrators, in the order of their plug-ins.

@@ -1,6 +1,6 @@
-//! Handovers on several kinds of radio: the model of the radio, and real Wi-Fi software on the same air. On each of them a
-//! robot walks twice. On one walk it is sent to another radio unit every few seconds, which measures gaps and scans. On the
-//! other it roams by itself, which shows where.
+//! Handovers on several kinds of radio: the model of the radio, real Wi-Fi software on the same air, and real radios. On each of
+//! them a robot walks twice. On one walk it is sent to another radio unit every few seconds, which measures gaps and scans. On
+//! the other it roams by itself, which shows where. A robot with a real radio is only sent: nothing here moves it.
 //!
 //! [`Comparison`] says whether the model's gaps lie in the confidence intervals of the real software's. Results can be
 //! [read] again, because not every machine has all kinds of radio.
@@ -32,17 +32,43 @@ pub struct Kind {
     pub name: &'static str,
     /// The software of its stations.
     pub software: &'static str,
-    /// Whether it needs a run with real packets.
+    /// Whether it needs a run in real time.
     pub is_real: bool,
+    /// Whether the run moves the robot and carries its packets. Otherwise it has no services, and neither gaps by packets nor
+    /// places are measured.
+    pub is_emulated: bool,
+}
+
+impl Kind {
+    /// Returns the walks that it can have. Nobody knows where a robot roams by itself that is not emulated.
+    pub const fn walks(self) -> &'static [Walk] {
+        if self.is_emulated { &Walk::ALL } else { &[Walk::Sent] }
+    }
+
+    fn named(name: &str) -> Option<Self> {
+        KINDS.into_iter().find(|kind| kind.name == name)
+    }
 }
 
 /// The model of the radio, in virtual time.
-pub const MODEL: Kind = Kind { name: "model", software: "the model of the radio", is_real: false };
+pub const MODEL: Kind =
+    Kind { name: "model", software: "the model of the radio", is_real: false, is_emulated: true };
 /// Real Wi-Fi software on simulated radios of Linux.
-pub const HWSIM: Kind =
-    Kind { name: "hwsim", software: "hostapd and wpa_supplicant on simulated radios", is_real: true };
+pub const HWSIM: Kind = Kind {
+    name: "hwsim",
+    software: "hostapd and wpa_supplicant on simulated radios",
+    is_real: true,
+    is_emulated: true,
+};
+/// Real radios at agents.
+pub const HARDWARE: Kind = Kind {
+    name: "hardware",
+    software: "hostapd and wpa_supplicant at agents",
+    is_real: true,
+    is_emulated: false,
+};
 /// All kinds. The first is compared with each of the others.
-pub const KINDS: [Kind; 2] = [MODEL, HWSIM];
+pub const KINDS: [Kind; 3] = [MODEL, HWSIM, HARDWARE];
 
 /// A walk, by who decides on handovers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -199,6 +225,10 @@ impl Comparison {
             text += "\n";
             text += &places::table(&self.places).to_markdown();
         }
+        if self.rows.iter().any(|row| Kind::named(&row.kind).is_some_and(|kind| !kind.is_emulated)) {
+            text += "\nPackets and places are not measured on real radios: the packets go between programs of other machines, \
+                     and nothing here moves the robot. Single frames that are sent again are counted there alone.\n";
+        }
         text
     }
 
@@ -226,6 +256,9 @@ impl Comparison {
         write_file(folder, for_papers, papers.iter().map(DataTable::to_latex).collect::<Vec<_>>().join("\n"))
     }
 }
+
+/// What a table says of a figure that a kind of radio does not have.
+const NOT_MEASURED: &str = "not measured";
 
 /// Returns a figure for readers.
 fn shown(figure: Option<f64>) -> String {

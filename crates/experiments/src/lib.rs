@@ -4,8 +4,8 @@
 //! [`Sweep`](sweep::Sweep) runs a testbed file in virtual time for all combinations of settings. [`Margin`](margin::Margin)
 //! searches for the smallest change that breaks a target, and [`Regret`](regret::Regret) replays decisions of plug-ins with
 //! their alternatives. These three share how runs are made and kept ([`Journal`](journal::Journal)). [`okpi::Comparison`] and
-//! [`federation::Comparison`] compare runs with published figures, and [`handover::Comparison`] compares kinds of radio. They only read reports and histories: the caller runs
-//! the testbeds, in real or in virtual time.
+//! [`federation::Comparison`] compare runs with published figures, and [`handover::Comparison`] compares kinds of radio. They
+//! only read reports and histories: the caller runs the testbeds, in real or in virtual time.
 #![forbid(unsafe_code)]
 
 mod batch;
@@ -19,5 +19,7 @@ pub mod margin;
 pub mod okpi;
 pub mod regret;
 pub mod sweep;
+mod walk_time;
 
 pub use batch::BatchError;
+pub use walk_time::walk_time;

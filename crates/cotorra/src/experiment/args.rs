@@ -5,19 +5,24 @@ use std::{path::PathBuf, time::Duration};
 use clap::{Args, Subcommand};
 use cotorra_experiments::{
     federation::Account,
-    handover::{KINDS, Kind},
+    handover::{HARDWARE, KINDS, Kind},
     okpi::Contender,
 };
 use cotorra_graph::DomainId;
 use cotorra_testbed_file::Setting;
 
 use super::bundled::{CORRIDOR, CORRIDOR_WIFI, FEDERATION};
+#[cfg(feature = "agents")]
+use crate::arguments::AgentArgs;
 use crate::{
     arguments::parse_seed,
     duration::parse_duration,
     figures::FigureArgs,
     history::{HISTORY_VARIABLE, Place},
 };
+
+/// Whether this build reaches agents.
+pub const HAS_AGENTS: bool = cfg!(feature = "agents");
 
 /// Published experiments.
 #[derive(Debug, Subcommand)]
@@ -47,6 +52,17 @@ pub struct WalkArgs {
     /// Log more on standard error; give it twice for even more
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
+}
+
+/// Cores of experiments that run in virtual time by default.
+#[derive(Debug, Args)]
+pub struct PowerArgs {
+    /// Let idle cores fall asleep
+    ///
+    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives
+    /// some 0.1 ms late.
+    #[arg(long, requires = "emulate")]
+    pub save_power: bool,
 }
 
 /// Compare OKpi with the state of the art, along the corridor and back
@@ -100,12 +116,8 @@ pub struct OkpiArgs {
     /// with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
-    /// Let idle cores fall asleep
-    ///
-    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives
-    /// some 0.1 ms late.
-    #[arg(long, requires = "emulate")]
-    pub save_power: bool,
+    #[command(flatten)]
+    pub power: PowerArgs,
     #[command(flatten)]
     pub walks: WalkArgs,
 }
@@ -174,38 +186,41 @@ pub struct FederationArgs {
     /// robots for each figure
     #[arg(long, conflicts_with_all = ["emulate", "block_period", "seed", "until"])]
     pub dishonest: bool,
-    /// Let idle cores fall asleep
-    ///
-    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives
-    /// some 0.1 ms late.
-    #[arg(long, requires = "emulate")]
-    pub save_power: bool,
+    #[command(flatten)]
+    pub power: PowerArgs,
     #[command(flatten)]
     pub walks: WalkArgs,
     #[command(flatten)]
     pub ledger: LedgerArgs,
 }
 
-/// Compare handovers on the model of the radio with those of real Wi-Fi software
+/// Compare handovers on the model of the radio with those of real Wi-Fi software and of real radios
 ///
 /// The robot walks the corridor twice on each kind of radio: once a plug-in sends it to the strongest other radio unit every
 /// few seconds, and once it roams by itself, as wpa_supplicant does. The experiment compares gaps, scans and the places of
-/// handovers, and says whether the model's gaps lie in the 95 % intervals of the real software's. The kinds are `model`, in
-/// virtual time, and `hwsim`: hostapd and wpa_supplicant on radios that Linux simulates, which needs a kernel with the module
-/// mac80211_hwsim. Where yours has none, build one by scripts/radio-kernel, and run the experiment in it by scripts/uml.
+/// handovers, and says whether the model's gaps lie in the 95 % intervals of the others. The kinds are `model`, in virtual
+/// time; `hwsim`: hostapd and wpa_supplicant on radios that Linux simulates, which needs a kernel with the module
+/// mac80211_hwsim; and `hardware`: real radios at agents. Where your kernel has no simulated radios, build one by
+/// scripts/radio-kernel, and run the experiment in it by scripts/uml.
+///
+/// Hardware needs a testbed file whose robots and radio units have `agent` and `interface`; the other kinds ignore them.
+/// Nothing drives a real robot, unless it drives itself. So it is only sent, for as long as its walk would take, at the times at
+/// which the emulated robots are. Its packets and places are not measured, and the file's services are left out.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra experiment handover                          all kinds of radio that this machine has
   cotorra experiment handover --kind model --runs 5
   scripts/uml --radios 0 cotorra experiment handover --save-power --until 2min
-                                                       both kinds, in a kernel of its own with simulated radios
+                                                       in a kernel of its own with simulated radios
   cotorra experiment handover --kind model --with runs/experiment-handover-…
                                                        beside real software that was measured elsewhere
+  cotorra experiment handover --testbed floor.yaml --kind model,hardware --until 5min
+                                                       beside the access points of a floor, which have agents
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
 pub struct HandoverArgs {
-    /// Kinds of radio: model, hwsim; by default, all that this machine has
+    /// Kinds of radio: model, hwsim, hardware; by default, all that this machine and the testbed file have
     #[arg(long = "kind", value_name = "KIND", value_delimiter = ',', value_parser = parse_kind)]
     pub kinds: Vec<Kind>,
     /// The testbed file: a robot that walks past radio units with `access: edca`, and its navigation; where the default does
@@ -229,13 +244,23 @@ pub struct HandoverArgs {
     /// By default, a run keeps up to four cores awake, which would stop the virtual time of scripts/uml.
     #[arg(long)]
     pub save_power: bool,
+    #[cfg(feature = "agents")]
+    #[command(flatten)]
+    pub agents: AgentArgs,
     #[command(flatten)]
     pub walks: WalkArgs,
 }
 
 fn parse_kind(text: &str) -> Result<Kind, String> {
-    let names = || KINDS.map(|kind| kind.name).join(" or ");
-    KINDS.into_iter().find(|kind| kind.name == text).ok_or_else(|| format!("write {}", names()))
+    let names = || KINDS.map(|kind| kind.name).join(", ");
+    let kind = KINDS
+        .into_iter()
+        .find(|kind| kind.name == text)
+        .ok_or_else(|| format!("write one of {}", names()))?;
+    if kind == HARDWARE && !HAS_AGENTS {
+        return Err("this cotorra has no agents: build it with `--features agents`".to_owned());
+    }
+    Ok(kind)
 }
 
 /// An existing Ethereum network.

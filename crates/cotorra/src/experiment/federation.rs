@@ -99,7 +99,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             folder: Place::At(folder.join(&name)),
             runs: Some(known.clone()),
             tokens: run::tokens()?,
-            save_power: args.save_power,
+            save_power: args.power.save_power,
             ..Options::default()
         };
         let what = format!("{name}: ");

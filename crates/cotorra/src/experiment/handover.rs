@@ -1,24 +1,31 @@
-//! `cotorra experiment handover`: handovers on the model of the radio, and on real Wi-Fi software.
+//! `cotorra experiment handover`: handovers on the model of the radio, on real Wi-Fi software, and on real radios.
 
 use std::{
     path::{Path, PathBuf},
     process::ExitCode,
+    time::Duration,
 };
 
 use cotorra_datapath::{CapabilityState, simulated_radios};
-use cotorra_experiments::handover::{
-    Comparison, FILES, HWSIM, KINDS, Kind, Unfit, Walk, Walked, check, read, settings,
+use cotorra_experiments::{
+    handover::{
+        Comparison, FILES, HARDWARE, HWSIM, KINDS, Kind, MODEL, Unfit, Walk, Walked, check, read, settings,
+    },
+    walk_time,
 };
 use cotorra_measurements::History;
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{Finished, FolderError, Options, Place, Recorded, RecordedError, wifi_programs};
 use cotorra_testbed_file::Setting;
 
-use super::{args::HandoverArgs, folder::withdraw};
+use super::{
+    args::{HAS_AGENTS, HandoverArgs},
+    folder::withdraw,
+};
 use crate::{
     output,
     run::{self, Stage},
-    testbed_file::{self, Loaded},
+    testbed_file::{self, FileError, Loaded},
     words::count,
 };
 
@@ -39,10 +46,13 @@ enum Error {
 }
 
 /// A walk of the experiment.
+#[derive(Debug)]
 struct Planned {
     kind: Kind,
     walk: Walk,
     seed: u64,
+    /// When it ends, if not with the robot's walk.
+    until: Option<Duration>,
     loaded: Loaded,
 }
 
@@ -107,49 +117,68 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
     Ok(invalid.map_or(ExitCode::SUCCESS, |summary| run::verdict(&summary)))
 }
 
-/// Returns the kinds of radio to walk on, and what is said about one that this machine lacks.
+/// Returns the kinds of radio to walk on, and what is said about those that this machine or the file lacks.
 fn kinds(args: &HandoverArgs) -> (Vec<Kind>, Option<String>) {
     if !args.kinds.is_empty() {
         return (KINDS.into_iter().filter(|kind| args.kinds.contains(kind)).collect(), None);
     }
+    let mut kinds = KINDS.to_vec();
     let needed = wifi_programs().into_iter().chain([simulated_radios()]);
     let lacking = needed.into_iter().find_map(|capability| match capability.state {
         CapabilityState::Available(_) => None,
         CapabilityState::Missing { reason, .. } => Some(format!("{}: {reason}", capability.name)),
     });
-    match lacking {
-        None => (KINDS.to_vec(), None),
-        Some(lacking) => {
-            let rest = KINDS.into_iter().filter(|kind| *kind != HWSIM).collect();
-            let missing = format!(
-                "Real Wi-Fi software (hwsim) is left out: {lacking}. It needs hostapd, wpa_supplicant, and a kernel with \
-                 simulated radios, which scripts/radio-kernel builds: scripts/uml --radios 0 cotorra experiment handover \
-                 --save-power"
-            );
-            (rest, Some(missing))
-        }
+    let missing = lacking.map(|lacking| {
+        kinds.retain(|kind| *kind != HWSIM);
+        format!(
+            "Real Wi-Fi software (hwsim) is left out: {lacking}. It needs hostapd, wpa_supplicant, and a kernel with simulated \
+             radios, which scripts/radio-kernel builds: scripts/uml --radios 0 cotorra experiment handover --save-power"
+        )
+    });
+    // Most files name no agents, which is nothing to talk about.
+    if !HAS_AGENTS || load(args, HARDWARE, Walk::Sent).is_err() {
+        kinds.retain(|kind| *kind != HARDWARE);
     }
+    (kinds, missing)
 }
 
 fn plan(args: &HandoverArgs, kinds: &[Kind]) -> miette::Result<Vec<Planned>> {
-    let plain = testbed_file::load(&args.testbed, &args.walks.settings)?;
-    check(&plain.testbed).map_err(|unfit| Error::Unfit { file: args.testbed.clone(), unfit })?;
+    let plain = load_as_model(args)?.testbed;
+    check(&plain).map_err(|unfit| Error::Unfit { file: args.testbed.clone(), unfit })?;
+    let walk_time = plain.walks.first().map(walk_time);
     let mut planned = Vec::new();
     for &kind in kinds {
         for number in 0..args.runs {
-            for walk in Walk::ALL {
-                let own = settings(&plain.testbed, kind, walk).into_iter().map(|(path, value)| {
-                    Setting::new(&path, &value).expect("paths and values of the experiment are settings")
-                });
-                // The user's settings come last, so that they take precedence.
-                let settings: Vec<_> = own.chain(args.walks.settings.iter().cloned()).collect();
-                let loaded = testbed_file::load(&args.testbed, &settings)?;
-                let seed = args.seed.unwrap_or(plain.testbed.seed) + u64::from(number);
-                planned.push(Planned { kind, walk, seed, loaded });
+            for &walk in kind.walks() {
+                let loaded = load(args, kind, walk)?;
+                let seed = args.seed.unwrap_or(plain.seed) + u64::from(number);
+                // A robot that nothing drives does not arrive.
+                let until = args.until.or(walk_time.filter(|_| !kind.is_emulated));
+                planned.push(Planned { kind, walk, seed, until, loaded });
             }
         }
     }
     Ok(planned)
+}
+
+/// Reads the file as that of the model, which every kind's is.
+fn load_as_model(args: &HandoverArgs) -> Result<Loaded, FileError> {
+    let model = setting("wireless.*.wifi", MODEL.name);
+    testbed_file::load(&args.testbed, &[vec![model], args.walks.settings.clone()].concat())
+}
+
+/// Reads the file with the settings of a walk.
+fn load(args: &HandoverArgs, kind: Kind, walk: Walk) -> Result<Loaded, FileError> {
+    let own = settings(&load_as_model(args)?.testbed, kind, walk);
+    let own = own.iter().map(|(path, value)| setting(path, value));
+    // The user's settings come after them, so that they take precedence.
+    let mut settings: Vec<_> = own.chain(args.walks.settings.iter().cloned()).collect();
+    settings.extend((!kind.is_emulated).then(|| setting("services", "{}")));
+    testbed_file::load(&args.testbed, &settings)
+}
+
+fn setting(path: &str, value: &str) -> Setting {
+    Setting::new(path, value).expect("paths and values of the experiment are settings")
 }
 
 fn walk(
@@ -162,11 +191,13 @@ fn walk(
     let name = plan.name();
     let options = Options {
         seed: Some(plan.seed),
-        until: args.until,
+        until: plan.until,
         folder: Place::At(folder.join(&name)),
         runs: Some(known.clone()),
         tokens: run::tokens()?,
         save_power: args.save_power,
+        #[cfg(feature = "agents")]
+        agents: args.agents.options(),
         ..Options::default()
     };
     if plan.kind.is_real {
@@ -188,10 +219,87 @@ fn describe_plan(args: &HandoverArgs, planned: &[Planned], missing: Option<&str>
     let overview = planned.first().map(|plan| testbed_file::overview(&plan.loaded.testbed));
     let mut text = format!("{}: {}\n\n", args.testbed.display(), overview.unwrap_or_default());
     for plan in planned {
-        let how = if plan.kind.is_real { "with real packets" } else { "in virtual time" };
+        let how = match plan.kind {
+            Kind { is_emulated: false, .. } => "without services",
+            Kind { is_real: true, .. } => "with real packets",
+            Kind { .. } => "in virtual time",
+        };
         text += &format!("  {}: {}, {how}\n", plan.name(), plan.kind.software);
     }
     text += &missing.map(|missing| format!("\n{missing}\n")).unwrap_or_default();
     let folder = args.walks.out.join("experiment-handover-<time>");
     text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
+}
+
+#[cfg(all(test, feature = "agents"))]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    const TESTBED: &str = "
+name: small
+wireless: { lab: { access: edca } }
+nodes:
+  robot: { kind: robot, agent: turtle1, interface: wlan0 }
+  A: { kind: radio_unit, position: [0, 1], channel: 1, agent: ap1, interface: wlan0 }
+  B: { kind: radio_unit, position: [9, 1], channel: 6, agent: ap2, interface: wlan0 }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 4 GB }
+links:
+  - { ends: [edge, [A, B]] }
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 15 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: edge, cpus: 1 }
+walks:
+  robot: { waypoints: [[0, 0], [9, 0]], speed_limit: 0.3 m/s }
+";
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: HandoverArgs,
+    }
+
+    /// Plans walks on a testbed, on these kinds of radio.
+    fn planned(testbed: &str, on: &str) -> Result<Vec<Planned>, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("testbed.yaml");
+        std::fs::write(&file, testbed).unwrap();
+        let line = ["handover", "--kind", on, "--testbed", file.to_str().unwrap()];
+        let args = Line::try_parse_from(line).map_err(|error| error.to_string())?.args;
+        plan(&args, &kinds(&args).0).map_err(|report| match report.downcast_ref() {
+            Some(FileError::Wrong { mistakes, .. }) => mistakes[0].to_string(),
+            _ => report.to_string(),
+        })
+    }
+
+    #[test]
+    fn the_same_file_is_walked_on_all_kinds() {
+        for wifi in ["", ", wifi: hardware"] {
+            let testbed = TESTBED.replace("access: edca", &format!("access: edca{wifi}"));
+            let planned = planned(&testbed, "model,hwsim,hardware").unwrap();
+            let names: Vec<_> = planned.iter().map(Planned::name).collect();
+            let expected =
+                ["model-sent-1", "model-alone-1", "hwsim-sent-1", "hwsim-alone-1", "hardware-sent-1"];
+            assert_eq!(names, expected);
+            let [model, .., hardware] = &planned[..] else { panic!() };
+            // Its own walk ends the run of the model.
+            assert_eq!((model.until, hardware.until), (None, Some(Duration::from_secs(30))));
+            assert_eq!((model.loaded.testbed.services.len(), hardware.loaded.testbed.services.len()), (1, 0));
+            assert_eq!(hardware.loaded.testbed.agents_at_start().count(), 3);
+        }
+    }
+
+    #[test]
+    fn hardware_needs_an_interface_of_each_radio() {
+        let testbed = TESTBED.replace(", agent: ap2, interface: wlan0", "");
+        assert!(planned(&testbed, "model").is_ok());
+        let error = planned(&testbed, "hardware").unwrap_err();
+        assert_eq!(error, "`B` has no radio, and its network has `wifi: hardware`");
+        assert!(planned(&testbed, "radar").unwrap_err().contains("write one of model, hwsim, hardware"));
+    }
 }

@@ -148,7 +148,7 @@ impl Conduct<'_> {
             folder: Place::At(self.folder.join(folder)),
             runs: Some(self.known.clone()),
             tokens: run::tokens()?,
-            save_power: args.save_power,
+            save_power: args.power.save_power,
             history: self.history.cloned(),
             ..Options::default()
         };

@@ -7,6 +7,8 @@ use cotorra_graph::IpNetwork;
 use cotorra_testbed::{CapturePlan, Speed};
 use cotorra_testbed_file::Setting;
 
+#[cfg(feature = "agents")]
+use crate::arguments::AgentArgs;
 use crate::{
     arguments::{parse_address, parse_seed},
     duration::parse_duration,
@@ -150,15 +152,9 @@ pub struct RunArgs {
     /// traffic as it is. Can be given several times.
     #[arg(long, value_name = "NAME")]
     pub allow_interface: Vec<String>,
-    /// Address at which agents of real servers connect
     #[cfg(feature = "agents")]
-    #[arg(long, value_name = "ADDR:PORT", default_value_t = cotorra_testbed::AgentOptions::default().listen,
-        value_parser = parse_address)]
-    pub agents: SocketAddr,
-    /// Folder of the authority with which agents were enrolled; default: cotorra/agents in $XDG_CONFIG_HOME or ~/.config
-    #[cfg(feature = "agents")]
-    #[arg(long, value_name = "DIR")]
-    pub authority: Option<PathBuf>,
+    #[command(flatten)]
+    pub agents: AgentArgs,
     /// Only list what would be started, and what would be changed on interfaces of this machine
     #[arg(long)]
     pub dry_run: bool,

@@ -19,8 +19,6 @@ use cotorra_graph::{DomainId, Timestamp};
 use cotorra_netem::{Confirmed, HoldError};
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::{RecordingPlace, Wanted};
-#[cfg(feature = "agents")]
-use cotorra_testbed::AgentOptions;
 use cotorra_testbed::{
     CannotGoOn, Finished, Options, Place, PreviousRun, RealLinkError, Run, RunError, Speed, Summary, Token,
     Tokens, TokensError, Watched, interface_plans, simulate_watched,
@@ -114,7 +112,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         captures: args.captures.clone(),
         after: None,
         #[cfg(feature = "agents")]
-        agents: AgentOptions { listen: args.agents, authority: args.authority.clone() },
+        agents: args.agents.options(),
     };
     if args.dry_run {
         previous(&args, &mut loaded)?;

@@ -58,8 +58,8 @@ fn places(walks: &[Walked]) -> Option<Panel> {
     let mut series = Vec::new();
     let (mut farthest, mut longest) = (0.0_f64, 0.0_f64);
     for (look, kind) in KINDS.iter().enumerate() {
-        let point = |roam: &Roam| Sample { x: roam.walked_m, y: roam.gap_ms, range: None };
-        let points: Vec<_> = of(walks, kind.name, Walk::Alone).map(point).collect();
+        let point = |roam: &Roam| Some(Sample { x: roam.walked_m?, y: roam.gap_ms, range: None });
+        let points: Vec<_> = of(walks, kind.name, Walk::Alone).filter_map(point).collect();
         for point in &points {
             (farthest, longest) = (farthest.max(point.x), longest.max(point.y));
         }

@@ -3,7 +3,7 @@
 use cotorra_testbed::{DataTable, Quantiles};
 use serde::Serialize;
 
-use super::{KINDS, Walk, Walked, measured::Roam, shown};
+use super::{KINDS, Kind, NOT_MEASURED, Walk, Walked, measured::Roam, shown};
 use crate::{bootstrap, okpi::Interval};
 
 /// Figures of one kind of radio and one walk, over all seeds. `None` without samples.
@@ -29,6 +29,8 @@ pub struct Row {
     /// Further tries of handovers, and radio units lost.
     pub retries: usize,
     pub losses: usize,
+    /// Frames that the robot's radio sent again.
+    pub frames_again: Option<u64>,
     /// Share of position packets without an answer.
     pub unanswered: Option<f64>,
 }
@@ -95,6 +97,7 @@ pub(super) fn rows(walks: &[Walked]) -> Vec<Row> {
                 scan_packet_gap_p50_ms: away.map(|its| its.p50),
                 retries: of.clone().map(|walked| walked.retries).sum(),
                 losses: of.clone().map(|walked| walked.losses).sum(),
+                frames_again: of.clone().filter_map(|walked| walked.frames_again).reduce(|a, b| a + b),
                 unanswered: (all > 0).then(|| unanswered as f64 / all as f64),
             });
         }
@@ -118,10 +121,13 @@ pub(super) fn table(rows: &[Row]) -> DataTable {
         "without packets",
         "retries",
         "lost",
+        "frames again",
         "unanswered, %",
     ])
     .right_after(2);
     for row in rows {
+        let is_emulated = Kind::named(&row.kind).is_none_or(|kind| kind.is_emulated);
+        let of_packets = |figure| if is_emulated { shown(figure) } else { NOT_MEASURED.to_owned() };
         table.row([
             row.walk.name().to_owned(),
             row.kind.clone(),
@@ -129,15 +135,16 @@ pub(super) fn table(rows: &[Row]) -> DataTable {
             row.fast.to_string(),
             shown(row.gap_p50_ms),
             shown(row.gap_p95_ms),
-            shown(row.packet_gap_p50_ms),
-            shown(row.packet_gap_p95_ms),
+            of_packets(row.packet_gap_p50_ms),
+            of_packets(row.packet_gap_p95_ms),
             row.scans.to_string(),
             shown(row.scan_p50_ms),
             shown(row.scan_p95_ms),
-            shown(row.scan_packet_gap_p50_ms),
+            of_packets(row.scan_packet_gap_p50_ms),
             row.retries.to_string(),
             row.losses.to_string(),
-            shown(row.unanswered.map(|share| share * 100.0)),
+            row.frames_again.map_or_else(|| NOT_MEASURED.to_owned(), |frames| frames.to_string()),
+            of_packets(row.unanswered.map(|share| share * 100.0)),
         ]);
     }
     table

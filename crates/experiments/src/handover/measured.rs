@@ -1,7 +1,9 @@
 //! Handovers and scans of one walk, from its events.
 
-use cotorra_graph::{Event, Instruction, NodeId, Position, Stamped, Testbed, Timestamp, millis};
-use cotorra_measurements::{History, Kind as EventKind, PageRequest, RunId};
+use cotorra_graph::{
+    Event, Instruction, Node, NodeId, Position, Stamped, Testbed, Timestamp, WifiContext, WifiStation, millis,
+};
+use cotorra_measurements::{History, Kind as EventKind, RunId};
 use cotorra_testbed::DataTable;
 use serde::{Deserialize, Serialize};
 
@@ -27,8 +29,8 @@ pub struct Roam {
     pub packet_gap_ms: Option<f64>,
     /// Where the robot was, x and y in metres; `None` if that was not known yet.
     pub position: Option<[f64; 2]>,
-    /// How far the robot had come, metres along its way.
-    pub walked_m: f64,
+    /// How far the robot had come, metres along its way; `None` if nobody knows.
+    pub walked_m: Option<f64>,
 }
 
 /// A scan that a plug-in asked for.
@@ -61,6 +63,10 @@ pub struct Walked {
     /// Position packets, and those without an answer.
     pub packets: usize,
     pub unanswered: usize,
+    /// Frames that the robot's radio sent again, as its kernel counts them. Those after the last reading before a handover are
+    /// missing. `None` if nobody reads its kernel.
+    #[serde(default)]
+    pub frames_again: Option<u64>,
 }
 
 impl Walked {
@@ -82,15 +88,9 @@ impl Walked {
             EventKind::Scanned,
             EventKind::Decision,
             EventKind::ServiceTime,
+            EventKind::Machine,
         ];
-        let mut events = Vec::new();
-        let mut request = PageRequest::default();
-        loop {
-            let page = history.events(run, &kinds, .., request)?;
-            events.extend(page.items);
-            let Some(next) = page.next else { break };
-            request.after = Some(next);
-        }
+        let events = history.all_events(run, &kinds)?;
         let walked = Self { kind: kind.name.to_owned(), walk, seed, is_valid, ..Self::empty() };
         Ok(walked.with(testbed, &events))
     }
@@ -109,6 +109,7 @@ impl Walked {
             retries: 0,
             packets: 0,
             unanswered: 0,
+            frames_again: None,
         }
     }
 
@@ -131,15 +132,29 @@ impl Walked {
         }
         answers.sort_by(f64::total_cmp);
         let answers = Answers(answers);
-        let (mut place, mut walked_m) = (None::<Position>, 0.0);
+        let moves = Kind::named(&self.kind).is_none_or(|kind| kind.is_emulated);
+        let radio = testbed.graph.node(&walk.robot).and_then(Node::radio);
+        let mut counter = Counter::default();
+        let (mut place, mut walked_m) = (None::<Position>, moves.then_some(0.0));
         let (mut asked_scan, mut last_attach) = (None::<Timestamp>, None::<NodeId>);
         for Stamped { at, event } in events {
             let at_s = at.as_secs_f64();
             match event {
-                Event::Robot(context) if own(&context.robot) => {
+                Event::Robot(context) if moves && own(&context.robot) => {
                     let now = context.sensors.pose.position();
-                    walked_m += place.map_or(0.0, |before| before.distance(now));
+                    let further = place.map_or(0.0, |before| before.distance(now));
+                    walked_m = walked_m.map(|walked_m| walked_m + further);
                     place = Some(now);
+                }
+                Event::Machine(context) if own(&context.node) => {
+                    let its =
+                        |wifi: &&WifiContext| radio.is_some_and(|radio| radio.interface == wifi.interface);
+                    // A client's only station is its access point.
+                    let station = context.wifi.iter().find(its).and_then(|wifi| wifi.stations.first());
+                    let further = station.and_then(|station| counter.advance(station));
+                    if let Some(further) = further {
+                        *self.frames_again.get_or_insert(0) += u64::from(further);
+                    }
                 }
                 Event::Decision(decision) if decision.refused.is_none() => match &decision.instruction {
                     Instruction::Scan { robot } if own(robot) => asked_scan = Some(*at),
@@ -179,6 +194,25 @@ impl Walked {
             }
         }
         self
+    }
+}
+
+/// A counter of frames that a station sent again, which begins anew at each access point.
+#[derive(Default)]
+struct Counter {
+    last: Option<(String, u32)>,
+}
+
+impl Counter {
+    /// Returns the number of frames since the last reading; `None` if the driver does not count them.
+    fn advance(&mut self, access_point: &WifiStation) -> Option<u32> {
+        let now = access_point.retransmissions?;
+        Some(match self.last.replace((access_point.mac.clone(), now)) {
+            // It may have counted since long before the run.
+            None => 0,
+            Some((mac, before)) if mac == access_point.mac && before <= now => now - before,
+            Some(_) => now,
+        })
     }
 }
 
@@ -228,7 +262,7 @@ pub(super) fn roams(walks: &[Walked]) -> DataTable {
             roam.packet_gap_ms.map_or_else(String::new, |ms| ms.to_string()),
             x,
             y,
-            roam.walked_m.to_string(),
+            roam.walked_m.map_or_else(String::new, |walked_m| walked_m.to_string()),
         ]);
     }
     table

@@ -4,7 +4,7 @@ use cotorra_graph::NodeId;
 use cotorra_testbed::DataTable;
 use serde::Serialize;
 
-use super::{Walk, Walked, figures::kinds};
+use super::{Kind, NOT_MEASURED, Walk, Walked, figures::kinds};
 
 /// A handover that a robot decided on by itself, on the walks of all kinds with one seed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -28,10 +28,10 @@ pub(super) fn places(walks: &[Walked]) -> Vec<Place> {
                     && place.walked_m[column].1.is_none()
             });
             match free {
-                Some(place) => place.walked_m[column].1 = Some(roam.walked_m),
+                Some(place) => place.walked_m[column].1 = roam.walked_m,
                 None => {
                     let mut walked_m: Vec<_> = kinds.iter().map(|kind| (*kind, None)).collect();
-                    walked_m[column].1 = Some(roam.walked_m);
+                    walked_m[column].1 = roam.walked_m;
                     let (from, to) = (roam.from.clone(), roam.to.clone());
                     places.push(Place { seed: walked.seed, from, to, walked_m });
                 }
@@ -52,10 +52,11 @@ pub(super) fn table(places: &[Place]) -> DataTable {
     let heads = ["roamed by itself", "seed"].map(str::to_owned).into_iter();
     let mut table = DataTable::new(heads.chain(kinds.iter().map(|kind| format!("{kind}, m")))).right_after(1);
     for place in places {
-        let walked = place
-            .walked_m
-            .iter()
-            .map(|(_, walked)| walked.map_or_else(|| "–".to_owned(), |walked| format!("{walked:.1}")));
+        let walked = place.walked_m.iter().map(|(kind, walked)| match walked {
+            Some(walked) => format!("{walked:.1}"),
+            None if Kind::named(kind).is_some_and(|kind| !kind.is_emulated) => NOT_MEASURED.to_owned(),
+            None => "–".to_owned(),
+        });
         let names = [format!("{} to {}", place.from, place.to), place.seed.to_string()];
         table.row(names.into_iter().chain(walked));
     }

@@ -1,8 +1,8 @@
 use std::{path::Path, time::Duration};
 
 use cotorra_graph::{
-    Decision, Event, Handover, Instruction, NodeId, Pose, PoseSource, RobotContext, SensorData, ServiceTime,
-    Stamped, Timestamp, Velocity,
+    Decision, Event, Handover, Instruction, MachineContext, NodeId, Pose, PoseSource, RealRadio,
+    RobotContext, SensorData, ServiceTime, Stamped, Timestamp, Velocity, WifiContext, WifiRole, WifiStation,
 };
 
 use super::*;
@@ -147,7 +147,7 @@ fn gaps_scans_and_places_are_read_from_events() {
     near(roam.gap_ms, 20.0);
     // From the answer at 989 ms to that at 1029 ms.
     near(roam.packet_gap_ms.unwrap(), 40.0);
-    assert_eq!((roam.position, roam.walked_m), (Some([2.0, 0.0]), 4.0));
+    assert_eq!((roam.position, roam.walked_m), (Some([2.0, 0.0]), Some(4.0)));
     let [scan] = &walked.scans[..] else { panic!("{:?}", walked.scans) };
     near(scan.took_ms, 90.0);
     near(scan.packet_gap_ms.unwrap(), 81.0);
@@ -197,6 +197,82 @@ fn roams_of_all_kinds_are_matched_in_their_order() {
     ];
     assert_eq!(found, expected);
     assert!(comparison.to_markdown().contains("| B to A | 0 | 7.0 | – |"));
+}
+
+/// What the robot's machine reads of its radio.
+fn counted(ms: f64, access_point: &str, retransmissions: u32) -> Stamped {
+    let station = WifiStation {
+        mac: access_point.to_owned(),
+        signal: None,
+        transmit_rate: None,
+        receive_rate: None,
+        retransmissions: Some(retransmissions),
+        transmissions_failed: None,
+        transmit_airtime: None,
+        receive_airtime: None,
+        inactive: None,
+    };
+    let wifi = WifiContext {
+        interface: "wlan0".to_owned(),
+        role: WifiRole::Client,
+        ssid: None,
+        stations: vec![station],
+        stations_left_out: 0,
+        channels: Vec::new(),
+        channels_left_out: 0,
+    };
+    let machine = MachineContext {
+        node: id("robot"),
+        reading: None,
+        cpu: None,
+        load_average: None,
+        memory: None,
+        interfaces: Vec::new(),
+        interfaces_left_out: 0,
+        wifi: vec![wifi],
+        wifi_left_out: 0,
+    };
+    stamped(ms, Event::Machine(machine))
+}
+
+#[test]
+fn real_radios_have_gaps_and_counters_but_neither_packets_nor_places() {
+    let mut testbed = testbed();
+    let robot = testbed.graph.nodes.iter_mut().find(|node| node.id == "robot").unwrap();
+    let NodeKind::Robot(robot) = &mut robot.kind else { panic!() };
+    robot.radio =
+        Some(RealRadio { agent: "turtle1".parse().unwrap(), interface: "wlan0".to_owned(), bridge: None });
+    testbed.services.clear();
+    let events = [
+        // Counted for the owner.
+        counted(10.0, "a", 40),
+        place(100.0, 0.0),
+        counted(200.0, "a", 43),
+        handover(1000.0, Some("A"), "B", 9.0),
+        counted(1100.0, "b", 2),
+        // The same access point, joined again.
+        counted(2100.0, "b", 1),
+    ];
+    let real = Walked { kind: "hardware".to_owned(), ..Walked::empty() }.with(&testbed, &events);
+    assert_eq!((real.frames_again, real.packets), (Some(6), 0));
+    let [roam] = &real.roams[..] else { panic!("{:?}", real.roams) };
+    assert_eq!((roam.gap_ms, roam.packet_gap_ms, roam.position, roam.walked_m), (9.0, None, None, None));
+
+    let alone = walked("model", Walk::Alone, &[place(0.0, 0.0), handover(1000.0, Some("A"), "B", 9.0)]);
+    let comparison = Comparison::of(vec![sent("model", &[9.5]), alone, real], 1);
+    let text = comparison.to_markdown();
+    let row = "| sent | hardware | 1 | 1 | 9.00 | 9.00 | not measured | not measured | 0 | – | – | not measured | 0 | 0 | 6 |";
+    assert!(text.contains(row), "{text}");
+    assert!(text.contains("| A to B | 0 | 0.0 | not measured |"), "{text}");
+    assert!(text.contains("Packets and places are not measured on real radios"), "{text}");
+    let figures: Vec<_> = comparison.verdicts.iter().map(|verdict| verdict.figure.as_str()).collect();
+    assert_eq!(figures, ["gap p50", "gap p95"]);
+}
+
+#[test]
+fn only_emulated_robots_roam_by_themselves() {
+    assert_eq!(KINDS.map(|kind| kind.walks().len()), [2, 2, 1]);
+    assert_eq!(HARDWARE.walks(), [Walk::Sent]);
 }
 
 #[test]
