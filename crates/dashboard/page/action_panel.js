@@ -32,7 +32,7 @@ export function kinds(model) {
     /** @type {Kind[]} */
     const all = [
         {
-            key: "attach", name: "Attach", submits: [["attach", "Attach"], ["scan", "Scan"]], hint: attachment,
+            key: "attach", name: "Attach", submits: [["attach", "Attach"], ["suggest", "Suggest"], ["scan", "Scan"]], hint: attachment,
             fields: [robot, { name: "radio_unit", label: "Radio unit", options: model.units }],
         },
         {

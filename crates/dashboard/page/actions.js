@@ -3,7 +3,7 @@
 /** @typedef {import("#api").components["schemas"]} Schemas */
 /** @typedef {Schemas["Direction"]} Direction */
 /**
- * @typedef {{ action: "attach", robot: string, radio_unit: string }
+ * @typedef {{ action: "attach" | "suggest", robot: string, radio_unit: string }
  *     | { action: "place", vnf: string, node: string }
  *     | { action: "send", robot: string, x: number, y: number, z: number | null }
  *     | { action: "return" | "halt" | "go" | "scan", robot: string }
@@ -46,6 +46,7 @@ export function call(form) {
 function instruct(form) {
     switch (form.action) {
         case "attach": return { instruction: "attach", robot: form.robot, radio_unit: form.radio_unit };
+        case "suggest": return { instruction: "suggest", robot: form.robot, radio_unit: form.radio_unit };
         case "place": return { instruction: "place", vnf: form.vnf, node: form.node };
         case "send": {
             const { x, y, z } = form;

@@ -23,11 +23,12 @@ import { Series } from "./series.js";
 /** Kinds of events that the page reads. */
 export const KINDS = [
     "robot", "link", "placement", "virtual_link", "service_time", "handover", "detached", "vnf", "decision", "plugin_fault",
-    "lateness", "goal", "walk_finished", "machine", "notice",
+    "lateness", "goal", "walk_finished", "machine", "notice", "suggestion_answered",
 ];
 /** Kinds of which the timeline has all. */
 export const HAPPENINGS = [
     "placement", "handover", "detached", "vnf", "decision", "plugin_fault", "goal", "walk_finished", "notice",
+    "suggestion_answered",
 ];
 
 /** Groups of entries in the timeline. */
@@ -437,6 +438,11 @@ export function describe(event) {
         }
         case "detached":
             return { group: "handover", title: `${event.robot} has no radio unit`, detail: "", bad: true, robot: event.robot };
+        case "suggestion_answered": {
+            const { robot, radio_unit, status } = event;
+            const moves = status === 0;
+            return { group: "handover", title: `${robot} ${moves ? "moves" : "does not move"} to ${radio_unit}`, detail: moves ? "as suggested" : `status ${status}`, bad: !moves, robot };
+        }
         case "placement":
             return { group: "placement", title: `${event.vnf} on ${[event.node].flat().join(", ")}`, detail: "answers from there" };
         case "vnf": {
@@ -489,6 +495,7 @@ function changes({ delay_ms, jitter, loss, rate, delay_scale, drop_scale }) {
 export function instruction(given) {
     switch (given.instruction) {
         case "attach": return `attach ${given.robot} to ${given.radio_unit}`;
+        case "suggest": return `suggest ${given.radio_unit} to ${given.robot}`;
         case "place": return `place ${given.vnf} on ${[given.node].flat().join(", ")}`;
         case "move": return `move ${given.robot}`;
         case "navigate_to": return given.goal ? `send ${given.robot} to (${given.goal.x.toFixed(1)}, ${given.goal.y.toFixed(1)})` : `send ${given.robot} back to its walk`;

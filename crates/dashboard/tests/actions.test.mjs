@@ -17,6 +17,7 @@ test("each form gives the instruction that it names", () => {
     const link = "a-b";
     for (const [form, expected] of [
         [{ action: "attach", robot: "r", radio_unit: "R1" }, { instruction: "attach", robot: "r", radio_unit: "R1" }],
+        [{ action: "suggest", robot: "r", radio_unit: "R1" }, { instruction: "suggest", robot: "r", radio_unit: "R1" }],
         [{ action: "place", vnf: "v", node: "fog" }, { instruction: "place", vnf: "v", node: "fog" }],
         [{ action: "send", robot: "r", x: 1, y: -2.5, z: null }, { instruction: "navigate_to", robot: "r", goal: { x: 1, y: -2.5 } }],
         [{ action: "send", robot: "r", x: 1, y: 2, z: 3 }, { instruction: "navigate_to", robot: "r", goal: { x: 1, y: 2, z: 3 } }],

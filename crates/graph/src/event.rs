@@ -68,6 +68,16 @@ pub enum Event {
         /// The robot.
         robot: NodeId,
     },
+    /// A robot answered its radio unit's suggestion to move to another one ([`Instruction::Suggest`]).
+    SuggestionAnswered {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit that was suggested.
+        radio_unit: NodeId,
+        /// Status of the BSS transition (IEEE 802.11-2020, table 9-428): 0 if the robot moves there; otherwise it stays, e.g. 7
+        /// if it hears the radio unit too weakly.
+        status: u8,
+    },
     /// A VNF's process began, ended or was begun again.
     Vnf(VnfEvent),
     /// A plug-in gave an instruction.
@@ -194,6 +204,14 @@ pub enum Instruction {
         /// The radio unit.
         radio_unit: NodeId,
     },
+    /// Let a robot's radio unit suggest that it moves to another radio unit (802.11v), which the robot decides.
+    /// [`Event::SuggestionAnswered`] reports its answer. Does nothing where it is attached there already.
+    Suggest {
+        /// The robot.
+        robot: NodeId,
+        /// The other radio unit.
+        radio_unit: NodeId,
+    },
     /// Run a VNF on a node, or an instance of it on each of several. New instances start first, then packets go to them, then
     /// old instances stop. Instances that run there already stay.
     Place {
@@ -303,6 +321,7 @@ impl Instruction {
             Self::Report { .. } => "report",
             Self::Scan { .. } => "scan",
             Self::Attach { .. } => "attach",
+            Self::Suggest { .. } => "suggest",
             Self::Place { .. } => "place",
             Self::AddVnf { .. } => "add_vnf",
             Self::RemoveVnf { .. } => "remove_vnf",

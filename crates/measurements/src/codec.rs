@@ -88,6 +88,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::Handover => plain(&["robot", "from_radio_unit", "to_radio_unit", "fast", "gap_ms"]),
         Kind::Detached => plain(&["robot", "from_radio_unit"]),
         Kind::Scanned | Kind::WalkFinished => plain(&["robot"]),
+        Kind::SuggestionAnswered => plain(&["robot", "radio_unit", "status"]),
         Kind::Vnf => plain(&["vnf", "node", "state", "detail"]),
         Kind::Decision => plain(&[
             "plugin", "instruction", "subject", "object", "linear", "angular", "waypoint",

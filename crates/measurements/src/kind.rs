@@ -62,6 +62,8 @@ kinds! {
     Sensor = "sensor",
     /// Contexts of machines.
     Machine = "machine",
+    /// Answers to suggestions of radio units.
+    SuggestionAnswered = "suggestion_answered",
 }
 
 impl Kind {
@@ -91,6 +93,7 @@ impl Kind {
             Event::Goal(_) => Self::Goal,
             Event::Sensor(_) => Self::Sensor,
             Event::Machine(_) => Self::Machine,
+            Event::SuggestionAnswered { .. } => Self::SuggestionAnswered,
         }
     }
 }

@@ -344,6 +344,7 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         }),
         node().prop_map(|robot| Instruction::Scan { robot }),
         (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),
+        (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Suggest { robot, radio_unit }),
         (vnf(), nodes()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
         added_vnf().prop_map(|vnf| Instruction::AddVnf { vnf: Box::new(vnf) }),
         vnf().prop_map(|vnf| Instruction::RemoveVnf { vnf }),
@@ -491,6 +492,11 @@ pub fn event() -> impl Strategy<Value = Event> {
         }),
         (node(), node()).prop_map(|(robot, from)| Event::Detached { robot, from }),
         node().prop_map(|robot| Event::Scanned { robot }),
+        (node(), node(), any::<u8>()).prop_map(|(robot, radio_unit, status)| Event::SuggestionAnswered {
+            robot,
+            radio_unit,
+            status
+        }),
         vnf_event().prop_map(Event::Vnf),
         decision().prop_map(Event::Decision),
         (plugin(), ".*").prop_map(|(plugin, reason)| Event::PluginFault { plugin, reason }),

@@ -245,7 +245,9 @@ impl DomainView {
             Event::AnswersRejected(counts) => self.owns(&counts.robot),
             Event::Handover(handover) => self.owns(&handover.robot),
             Event::Detached { robot, from } => self.owns(robot) || self.owns(from),
-            Event::Scanned { robot } | Event::WalkFinished { robot } => self.owns(robot),
+            Event::Scanned { robot }
+            | Event::SuggestionAnswered { robot, .. }
+            | Event::WalkFinished { robot } => self.owns(robot),
             Event::Decision(Decision { plugin, instruction, .. }) => {
                 let is_note = matches!(instruction, Instruction::Note { .. });
                 self.has_plugin(plugin) || (!is_note && self.check(instruction, |_| None).is_ok())
@@ -295,6 +297,7 @@ impl DomainView {
             | Instruction::Halt { robot }
             | Instruction::Go { robot }
             | Instruction::Attach { robot, .. }
+            | Instruction::Suggest { robot, .. }
             | Instruction::Provision { robot, .. } => node(robot),
             Instruction::Deploy { radio_unit, .. } | Instruction::Remove { radio_unit } => node(radio_unit),
             Instruction::Place { vnf, node: to } => {

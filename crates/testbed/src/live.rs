@@ -150,6 +150,7 @@ impl Live {
             | Event::Handover(_)
             | Event::Detached { .. }
             | Event::Scanned { .. }
+            | Event::SuggestionAnswered { .. }
             | Event::Decision(_)
             | Event::Notice { .. } => {}
         }

@@ -12,7 +12,7 @@ use cotorra_graph::{
 };
 use cotorra_network_control::{
     Deployment, InstructionError, Network, NetworkGone, attach_in_fabric, change_fabric,
-    check_switch_on_in_fabric, provision_in_fabric, scan_in_fabric, switch_off_in_fabric,
+    check_switch_on_in_fabric, provision_in_fabric, scan_in_fabric, suggest_in_fabric, switch_off_in_fabric,
     switch_on_in_fabric, test_fabric_throughput,
 };
 
@@ -243,6 +243,13 @@ impl Network for RealNetwork {
         match self.wifi(robot) {
             Some(wifi) => wifi.attach(robot, radio_unit).map_err(rejected),
             None => attach_in_fabric(self, robot, radio_unit),
+        }
+    }
+
+    fn suggest(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<Option<u8>, InstructionError> {
+        match self.wifi(robot) {
+            Some(wifi) => wifi.suggest(robot, radio_unit).map(|()| None).map_err(rejected),
+            None => suggest_in_fabric(self, robot, radio_unit),
         }
     }
 

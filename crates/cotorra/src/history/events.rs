@@ -142,6 +142,12 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
         }
         Event::Machine(context) => machine(context),
         Event::Scanned { robot } | Event::WalkFinished { robot } => robot.to_string(),
+        Event::SuggestionAnswered { robot, radio_unit, status: 0 } => {
+            format!("{robot} moves to {radio_unit}")
+        }
+        Event::SuggestionAnswered { robot, radio_unit, status } => {
+            format!("{robot} does not move to {radio_unit}: status {status}")
+        }
         Event::Vnf(event) => {
             let state = format!("{:?}", event.state).to_lowercase();
             let detail = event.detail.as_ref().map(|detail| format!(": {detail}")).unwrap_or_default();
@@ -207,6 +213,7 @@ fn instruction(instruction: &Instruction) -> String {
         Instruction::Report { robot, sensor, values } => format!("report {values:?} as {sensor} of {robot}"),
         Instruction::Scan { robot } => format!("scan with {robot}"),
         Instruction::Attach { robot, radio_unit } => format!("attach {robot} to {radio_unit}"),
+        Instruction::Suggest { robot, radio_unit } => format!("suggest {radio_unit} to {robot}"),
         Instruction::Place { vnf, node } => format!("place {vnf} on {node}"),
         Instruction::AddVnf { vnf } => format!("add {} on {}", vnf.id, vnf.node),
         Instruction::RemoveVnf { vnf } => format!("remove {vnf}"),

@@ -95,6 +95,13 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
         assert!(by_frames > 0.0 && by_frames <= MOST_MS && by_packets <= MOST_MS, "{handover}, {by_packets}");
     }
 
+    // Its radio unit suggests the other one, and it follows.
+    for unit in [there, here.as_str()] {
+        assert_eq!(rig.suggest("r1", unit), 0);
+        let handover = rig.wait_for_handover("r1", unit);
+        assert_eq!(handover["fast"], true, "{handover}");
+    }
+
     // φ has what the robot hears, and ι what the access point reports. The kernel's air is the same everywhere.
     rig.instruct(json!({ "instruction": "scan", "robot": "r1" })).unwrap();
     rig.wait_for(|event| is(event, "scanned", "robot", "r1"));

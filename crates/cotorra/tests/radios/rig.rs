@@ -28,7 +28,7 @@ use crate::harness::{Run, are_held};
 /// Virtual time that nothing here needs.
 const LONG: Duration = Duration::from_secs(120);
 /// Kinds of events that happen now and then, and are no readings or samples.
-const NEWS: &str = "handover,detached,scanned,vnf,decision,plugin_fault,notice";
+const NEWS: &str = "handover,detached,scanned,suggestion_answered,vnf,decision,plugin_fault,notice";
 
 /// A robot `r1` that follows instructions, between the access points `A` and `B`, with a server `fog` behind them. `C` is off.
 ///
@@ -151,6 +151,14 @@ impl Rig {
     /// Sends a robot to a radio unit.
     pub fn attach(&self, robot: &str, unit: &str) -> Result<(), String> {
         self.instruct(json!({ "instruction": "attach", "robot": robot, "radio_unit": unit }))
+    }
+
+    /// Lets a robot's radio unit suggest another one, and returns the status of its answer.
+    pub fn suggest(&mut self, robot: &str, unit: &str) -> u64 {
+        self.instruct(json!({ "instruction": "suggest", "robot": robot, "radio_unit": unit })).unwrap();
+        let answer = self.wait_for(|event| is(event, "suggestion_answered", "robot", robot));
+        assert_eq!(answer["radio_unit"], unit);
+        answer["status"].as_u64().unwrap()
     }
 
     /// Waits for the next event that is wanted, behind the one that it returned last.

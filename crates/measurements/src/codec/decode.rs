@@ -310,6 +310,9 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
         }),
         Kind::Detached => Event::Detached { robot: row.name()?, from: row.name()? },
         Kind::Scanned => Event::Scanned { robot: row.name()? },
+        Kind::SuggestionAnswered => {
+            Event::SuggestionAnswered { robot: row.name()?, radio_unit: row.name()?, status: row.small()? }
+        }
         Kind::AnswersRejected => Event::AnswersRejected(AnswersRejected {
             robot: row.name()?,
             late: row.unsigned()?,
@@ -419,6 +422,7 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
         },
         "scan" => Instruction::Scan { robot: robot()? },
         "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
+        "suggest" => Instruction::Suggest { robot: robot()?, radio_unit: node()? },
         "place" => {
             let several = change.as_deref().map(json).transpose()?;
             let node = several.map_or_else(|| node().map(Into::into), Ok)?;

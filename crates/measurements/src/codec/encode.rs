@@ -199,6 +199,9 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
         Event::Scanned { robot } | Event::WalkFinished { robot } => {
             row.name(robot.as_str());
         }
+        Event::SuggestionAnswered { robot, radio_unit, status } => {
+            row.name(robot.as_str()).name(radio_unit.as_str()).integer((*status).into());
+        }
         Event::Vnf(vnf) => {
             row.name(vnf.vnf.as_str())
                 .name(vnf.node.as_str())
@@ -346,6 +349,10 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
         }
         Instruction::Attach { robot, radio_unit } => {
             put("attach", robot.as_str(), Some(radio_unit.as_str()));
+            row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::Suggest { robot, radio_unit } => {
+            put("suggest", robot.as_str(), Some(radio_unit.as_str()));
             row.0.extend([const { Value::Null }; 5]);
         }
         Instruction::Place { vnf, node } => {

@@ -382,6 +382,11 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 self.network.attach(&robot, &radio_unit)?;
                 Ok(Vec::new())
             }
+            Instruction::Suggest { robot, radio_unit } => {
+                let status = self.network.suggest(&robot, &radio_unit)?;
+                let answer = |status| Event::SuggestionAnswered { robot, radio_unit, status };
+                Ok(status.map(answer).into_iter().collect())
+            }
             Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(rejected),
             Instruction::AddVnf { vnf } => self.vim.add(now, &vnf).map_err(rejected),
             Instruction::RemoveVnf { vnf } => self.vim.remove(now, &vnf).map_err(rejected),

@@ -1,9 +1,9 @@
 //! The interface to the emulated network, and its errors.
 
-use cotorra_fabric::Fabric;
+use cotorra_fabric::{Fabric, FabricError};
 use cotorra_graph::{
-    AccessPoint, Attachment, ConditionChange, Direction, Lateness, LinkContext, LinkId, NodeId, RadioContext,
-    ThroughputTest, Timestamp,
+    AccessPoint, Attachment, ConditionChange, Dbm, Direction, Lateness, LinkContext, LinkId, NodeId,
+    RadioContext, ThroughputTest, Timestamp,
 };
 
 /// The emulated network: on another thread in real time, in the same one in virtual time.
@@ -58,6 +58,15 @@ pub trait Network {
     /// [`InstructionError`]. Nothing has changed then.
     fn attach(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<(), InstructionError> {
         attach_in_fabric(self, robot, radio_unit)
+    }
+
+    /// Lets a robot's radio unit suggest that it moves to another one. Returns the status of its answer, if that is known at once;
+    /// otherwise an event reports it. Does nothing if the robot is there.
+    ///
+    /// # Errors
+    /// [`InstructionError`]. Nobody was asked then.
+    fn suggest(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<Option<u8>, InstructionError> {
+        suggest_in_fabric(self, robot, radio_unit)
     }
 
     /// Gives a robot the settings and the key with which it attaches to a vAP. Without a key, takes them back.
@@ -178,6 +187,54 @@ pub fn attach_in_fabric<N: Network + ?Sized>(
     network.with(attach).map_err(rejected)?.map_err(rejected)
 }
 
+/// [`Network::suggest`] in the fabric alone. The robot answers at once, by the signals that it heard last.
+///
+/// # Errors
+/// Those of [`Network::suggest`].
+pub fn suggest_in_fabric<N: Network + ?Sized>(
+    network: &N,
+    robot: &NodeId,
+    radio_unit: &NodeId,
+) -> Result<Option<u8>, InstructionError> {
+    let (robot, radio_unit) = (robot.clone(), radio_unit.clone());
+    let suggest = move |fabric: &mut Fabric, now| {
+        let attachments = fabric.attachments(&robot);
+        let own = attachments.iter().find(|its| its.attached);
+        let other = attachments.iter().find(|its| its.radio_unit == radio_unit);
+        match (own, other) {
+            (Some(own), Some(other)) if own.radio_unit == other.radio_unit => return Ok(None),
+            (Some(own), Some(other)) if is_too_weak(own.signal, other.signal) => {
+                return Ok(Some(NO_CANDIDATE));
+            }
+            (None, Some(_)) => {
+                return Err(InstructionError(format!(
+                    "`{robot}` is at no radio unit, which could suggest another one"
+                )));
+            }
+            // Unknown robots and radio units are rejected below.
+            _ => {}
+        }
+        match fabric.attach(now, &robot, &radio_unit) {
+            Ok(()) => Ok(Some(ACCEPTED)),
+            Err(FabricError::OutOfReach { .. }) => Ok(Some(NO_CANDIDATE)),
+            Err(error) => Err(rejected(error)),
+        }
+    };
+    network.with(suggest).map_err(rejected)?
+}
+
+/// Status of a station that moves (IEEE 802.11-2020, table 9-428).
+const ACCEPTED: u8 = 0;
+/// Status of a station that finds no suitable candidate.
+const NO_CANDIDATE: u8 = 7;
+
+/// Whether a suggested radio unit is too weak for a station, by the signals that it heard last. This is the rule of wpa_supplicant
+/// 2.10, which scans first if it has not heard the radio unit.
+fn is_too_weak(own: Option<Dbm>, other: Option<Dbm>) -> bool {
+    const WEAK: Dbm = Dbm(-80.0);
+    other.is_some_and(|other| other < WEAK && own.is_some_and(|own| other < own))
+}
+
 /// [`Network::provision`] in the fabric alone.
 ///
 /// # Errors
@@ -256,4 +313,17 @@ pub struct InstructionError(pub String);
 
 pub(crate) fn rejected(reason: impl ToString) -> InstructionError {
     InstructionError(reason.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_radio_unit_is_too_weak_if_it_is_weaker_than_the_own_one_and_weak() {
+        let is_too_weak = |own: f64, other: f64| is_too_weak(Some(Dbm(own)), Some(Dbm(other)));
+        assert!(is_too_weak(-70.0, -81.0) && is_too_weak(-81.0, -82.0));
+        assert!(!is_too_weak(-50.0, -79.0) && !is_too_weak(-85.0, -82.0));
+        assert!(!super::is_too_weak(Some(Dbm(-70.0)), None), "it has not looked for it");
+    }
 }

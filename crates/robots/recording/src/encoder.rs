@@ -127,6 +127,7 @@ impl Encoder {
             | Event::Goal(_)
             | Event::Machine(_)
             | Event::Scanned { .. }
+            | Event::SuggestionAnswered { .. }
             | Event::Sensor(_)
             | Event::Vnf(_)
             | Event::PluginFault { .. }

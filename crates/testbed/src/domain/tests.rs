@@ -102,6 +102,7 @@ fn events_of_other_domains_are_not_seen() {
     for event in [
         Event::ServiceTime(sample),
         Event::Scanned { robot: id("r1") },
+        Event::SuggestionAnswered { robot: id("r1"), radio_unit: id("B"), status: 0 },
         Event::WalkFinished { robot: id("r1") },
         Event::Goal(cotorra_graph::GoalEvent {
             robot: id("r1"),
@@ -240,6 +241,7 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
             Instruction::Halt { robot: robot() },
             Instruction::Go { robot: robot() },
             Instruction::Attach { robot: robot(), radio_unit: id("B") },
+            Instruction::Suggest { robot: robot(), radio_unit: id("B") },
             Instruction::Provision { robot: robot(), radio_unit: id("B"), access_point: deployed.clone() },
             Instruction::Deploy { radio_unit: id(radio_unit), access_point: deployed },
             Instruction::Remove { radio_unit: id(radio_unit) },

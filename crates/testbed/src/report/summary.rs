@@ -339,7 +339,9 @@ impl Report {
             }
             Event::Decision(decision) if decision.refused.is_none() => {
                 let position = match &decision.instruction {
-                    Instruction::Attach { robot, .. } => self.positions.get(robot).copied(),
+                    Instruction::Attach { robot, .. } | Instruction::Suggest { robot, .. } => {
+                        self.positions.get(robot).copied()
+                    }
                     Instruction::Place { vnf, .. } => self.position_for(vnf),
                     Instruction::AddVnf { .. } | Instruction::RemoveVnf { .. } => None,
                     _ => return,

@@ -12,7 +12,7 @@ use std::{
 use cotorra_agent_protocol::{RadioState, WantedRadio, WifiRequest};
 use cotorra_graph::{AgentId, Event, HardwareGraph, NodeId, NodeKind, RadioKind, Timestamp, WifiContext};
 use cotorra_wifi::{
-    AccessPointSettings, AnswerError, Event as WifiEvent, InterfaceName, MacAddress, Power,
+    AccessPointSettings, AnswerError, Event as WifiEvent, InterfaceName, MacAddress, Power, hostapd::Urgency,
     wpa_supplicant::Heard,
 };
 use parking_lot::Mutex;
@@ -439,6 +439,9 @@ impl AtAgents {
             Request::Pin { to } => WifiRequest::Pin { to },
             Request::SetPassphrase { ssid, passphrase } => WifiRequest::SetPassphrase { ssid, passphrase },
             Request::Rejoin => WifiRequest::Rejoin,
+            Request::Suggest { station, to } => {
+                WifiRequest::AskToMove { station, to: vec![*to], urgency: Urgency::Suggestion }
+            }
             // It comes with the next reading.
             Request::ReadHeard => return,
             // They are among its settings.

@@ -4,6 +4,7 @@
 mod attaching;
 mod keys;
 mod robots;
+mod suggesting;
 mod units;
 
 use std::{
@@ -136,6 +137,8 @@ pub(super) enum Request {
     ReadHeard,
     /// To a radio unit: tell stations about a neighbour.
     SetNeighbour(Box<Neighbour>),
+    /// To a radio unit: suggest to a station that it moves to a neighbour.
+    Suggest { station: MacAddress, to: Box<Neighbour> },
 }
 
 /// A change of the emulated network, which follows what the programs did.
@@ -172,6 +175,17 @@ pub(crate) enum Rejected {
     /// Without a passphrase there is no key, and wpa_supplicant would leave its access point for another key of SAE.
     #[error("`{0}` has real Wi-Fi software, which takes a `key` with `security: wpa2` only")]
     Key(NodeId),
+    /// Only a radio unit can suggest another one.
+    #[error("`{0}` is at no radio unit, which could suggest another one")]
+    Nowhere(NodeId),
+    /// wpa_supplicant would move with the passphrase that it has.
+    #[error("`{radio_unit}` takes another key than `{robot}` uses where it is: send it there by `attach`")]
+    OtherKey {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit.
+        radio_unit: NodeId,
+    },
 }
 
 /// How far the start is.
@@ -245,8 +259,8 @@ impl Manager {
             Input::Refused { program: Program::Supplicant(robot), request, reason } => {
                 self.robot_refused(now, &robot, &request, reason);
             }
-            Input::Refused { program, request, reason } => {
-                tracing::debug!("{program} refused {request:?}: {reason:?}");
+            Input::Refused { program: Program::Hostapd(unit), request, reason } => {
+                self.unit_refused(now, &unit, &request, &reason);
             }
             Input::Heard { robot, heard } => self.heard(now, &robot, &heard),
         }

@@ -284,6 +284,14 @@ impl Handle {
         self.instruct(|manager| manager.attach((self.now)(), robot, radio_unit))
     }
 
+    /// Lets a robot's radio unit suggest another one. An event reports the robot's answer.
+    ///
+    /// # Errors
+    /// [`Rejected`]. Nobody was asked then.
+    pub(crate) fn suggest(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<(), Rejected> {
+        self.instruct(|manager| manager.suggest((self.now)(), robot, radio_unit))
+    }
+
     /// Gives a robot the settings and the key of a radio unit. Without a key, takes them back.
     ///
     /// # Errors

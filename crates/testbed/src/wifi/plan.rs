@@ -171,10 +171,7 @@ impl Plan {
         let Some(own) = self.units.get(unit) else { return Vec::new() };
         let others = self.units.iter();
         let others = others.filter(|(id, other)| *id != unit && other.network_name() == own.network_name());
-        let neighbour = |(_, other): (&NodeId, &PlannedUnit)| {
-            Neighbour::new(other.bssid, &other.access_point.bss, &other.access_point.radio)
-        };
-        others.map(neighbour).collect()
+        others.map(|(_, other)| other.as_neighbour()).collect()
     }
 }
 
@@ -186,6 +183,11 @@ impl PlannedUnit {
     /// Returns its wireless network in the graph.
     pub(super) fn network_name(&self) -> &str {
         &self.settings.ssid
+    }
+
+    /// Returns what stations are told about it.
+    pub(super) fn as_neighbour(&self) -> Neighbour {
+        Neighbour::new(self.bssid, &self.access_point.bss, &self.access_point.radio)
     }
 
     pub(super) fn channel(&self) -> Channel {

@@ -256,6 +256,11 @@ impl Programs {
             Request::Rejoin => client
                 .request(&wpa_supplicant::disconnect())
                 .and_then(|()| client.request(&wpa_supplicant::reconnect())),
+            Request::Suggest { station, to } => client.request(&hostapd::ask_to_move(
+                *station,
+                std::slice::from_ref(&**to),
+                hostapd::Urgency::Suggestion,
+            )),
             Request::SetNeighbour(neighbour) => client.request(&hostapd::set_neighbour(neighbour)),
             Request::ReadHeard => match client.request(&wpa_supplicant::scan_results()) {
                 Ok(heard) => return self.handle(Input::Heard { robot: program.node().clone(), heard }),

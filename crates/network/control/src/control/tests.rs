@@ -256,6 +256,39 @@ fn a_path_over_another_radio_unit_waits_for_the_robot() {
     assert_eq!(reported(lab.0.remap().unwrap()).0, ["r-brain r-driver shortest", "r-driver r-brain mapped"]);
 }
 
+fn suggest(unit: &str) -> Instruction {
+    Instruction::Suggest { robot: node("r"), radio_unit: node(unit) }
+}
+
+fn answer(status: u8) -> Event {
+    Event::SuggestionAnswered { robot: node("r"), radio_unit: node("S"), status }
+}
+
+#[test]
+fn a_robot_follows_a_suggestion() {
+    let mut lab = Lab::new();
+    assert_eq!(lab.0.instruct(Timestamp::ZERO, &suggest("R")).unwrap(), [], "it is there");
+    assert_eq!(lab.0.instruct(Timestamp::ZERO, &suggest("S")).unwrap(), [answer(0)]);
+    {
+        let mut fabric = lab.0.network.0.borrow_mut();
+        fabric.poll(Timestamp::from_secs_f64(1.0), &mut |_, _| {});
+        assert_eq!(fabric.attached_to(&node("r")), Some(&node("S")));
+    }
+    assert_eq!(lab.instruct(&suggest("one")).unwrap_err(), "there is no radio unit `one`");
+}
+
+#[test]
+fn a_robot_rejects_a_radio_unit_out_of_reach() {
+    let mut lab = Lab::new();
+    let far = Position { x: -5000.0, y: 0.0, z: 0.0 };
+    lab.0.network.0.borrow_mut().move_robot(Timestamp::ZERO, &node("r"), far).unwrap();
+    assert_eq!(lab.0.instruct(Timestamp::ZERO, &suggest("S")).unwrap(), [answer(7)]);
+    assert_eq!(lab.0.network.0.borrow().attached_to(&node("r")), Some(&node("R")));
+    lab.0.network.0.borrow_mut().switch_off(Timestamp::ZERO, &node("R")).unwrap();
+    let rejected = lab.instruct(&suggest("S")).unwrap_err();
+    assert_eq!(rejected, "`r` is at no radio unit, which could suggest another one");
+}
+
 #[test]
 fn a_node_that_is_a_container_is_managed_there_and_takes_no_room() {
     let mut testbed =

@@ -47,6 +47,7 @@ enum Out {
     Change(Change),
     Notice(String),
     Vnf(NodeId, cotorra_graph::VnfState),
+    Answered(NodeId, u8),
 }
 
 struct World {
@@ -76,6 +77,7 @@ impl World {
                 reports.lock().push(match event {
                     Event::Notice { message } => Out::Notice(message),
                     Event::Vnf(event) => Out::Vnf(event.node, event.state),
+                    Event::SuggestionAnswered { robot, status, .. } => Out::Answered(robot, status),
                     other => panic!("{other:?}"),
                 });
             }),
@@ -205,6 +207,22 @@ fn a_refused_roam_is_tried_again_after_a_scan_and_then_reported() {
     assert!(matches!(requests(&out)[..], [(3, WifiRequest::Roam { .. })]), "{out:?}");
     let out = world.take(News::Answered(3, Err("ROAM at /run: the program failed".to_owned())));
     assert_eq!(out, [Out::Notice("`r1` was not attached to `B`: it does not hear it".to_owned())]);
+}
+
+#[test]
+fn the_agent_of_the_radio_unit_suggests_another_one() {
+    let mut world = World::up();
+    world.radios.manager.lock().suggest(at(0), &id("r1"), &id("B")).unwrap();
+    let out = world.act();
+    let [Out::Wish(asked, Wish::Request(1, WifiRequest::AskToMove { station, to, urgency }))] = &out[..]
+    else {
+        panic!("{out:?}")
+    };
+    assert_eq!((asked, *station, to[0].bssid), (&place("A"), bssid("r1"), bssid("B")));
+    assert_eq!((to.len(), *urgency), (1, Urgency::Suggestion));
+    assert_eq!(world.take(News::Answered(1, Ok(()))), []);
+    let event = WifiEvent::MoveAnswered { station: bssid("r1"), status: 1, target: None };
+    assert_eq!(world.event("A", 3, event), [Out::Answered(id("r1"), 1)]);
 }
 
 #[test]

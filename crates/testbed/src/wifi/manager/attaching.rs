@@ -1,6 +1,7 @@
 //! Instructions that send a robot to a radio unit: it roams there, if need be after a scan of that unit's channel. One without a
 //! radio unit looks for that one only, and joins it.
 
+use cotorra_fabric::FabricError;
 use cotorra_graph::{NodeId, Timestamp};
 
 use super::{Change, Manager, PATIENCE, Program, Refused, Rejected, Request};
@@ -42,26 +43,18 @@ impl Manager {
     /// # Errors
     /// [`Rejected`]. Nothing has changed then.
     pub(crate) fn attach(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) -> Result<(), Rejected> {
-        use cotorra_fabric::FabricError::{Busy, NotServing, OtherNetwork, UnknownRadioUnit, UnknownRobot};
-        let planned = self.plan.robots.get(robot).ok_or_else(|| UnknownRobot(robot.clone()))?;
-        let to = self.plan.units.get(unit).ok_or_else(|| UnknownRadioUnit(unit.clone()))?;
-        if planned.network_name != to.network_name() {
-            return Err(OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() }.into());
-        }
-        if !self.units.get(unit).is_some_and(|unit| unit.serves) {
-            return Err(NotServing(unit.clone()).into());
-        }
-        self.check_key(robot, unit)?;
+        self.check_takes(robot, unit)?;
         if self.robots.get(robot).is_some_and(|state| state.at.as_ref() == Some(unit) && !state.is_busy(now))
         {
             return Ok(());
         }
+        let to = &self.plan.units[unit];
         let (bssid, channel) = (to.bssid, to.channel());
         let state = self.running(robot)?;
         // One without a radio unit scans again and again.
         let is_busy = if state.is_attached() { state.is_busy(now) } else { state.is_on_its_way(now) };
         if is_busy {
-            return Err(Busy(robot.clone()).into());
+            return Err(FabricError::Busy(robot.clone()).into());
         }
         let step = if state.is_attached() { Step::First } else { Step::Joining };
         state.errand = Some(Errand { to: unit.clone(), until: now + PATIENCE, step });
@@ -78,6 +71,23 @@ impl Manager {
             }
         }
         Ok(())
+    }
+
+    /// Checks that a radio unit serves a robot that comes.
+    ///
+    /// # Errors
+    /// [`Rejected`].
+    pub(super) fn check_takes(&self, robot: &NodeId, unit: &NodeId) -> Result<(), Rejected> {
+        use FabricError::{NotServing, OtherNetwork, UnknownRadioUnit, UnknownRobot};
+        let planned = self.plan.robots.get(robot).ok_or_else(|| UnknownRobot(robot.clone()))?;
+        let to = self.plan.units.get(unit).ok_or_else(|| UnknownRadioUnit(unit.clone()))?;
+        if planned.network_name != to.network_name() {
+            return Err(OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() }.into());
+        }
+        if !self.units.get(unit).is_some_and(|unit| unit.serves) {
+            return Err(NotServing(unit.clone()).into());
+        }
+        self.check_key(robot, unit)
     }
 
     /// Takes a step of a robot's errand: it looks for the access point.

@@ -5,7 +5,7 @@ use cotorra_wifi::{DisabledReason, Event as WifiEvent, MacAddress, wpa_supplican
 
 use super::{
     Change, Configuration, MOST_STRANGERS, Manager, PATIENCE, Program, Rejected, Request, again,
-    attaching::Errand, keys::Keys,
+    attaching::Errand, keys::Keys, suggesting::Suggestion,
 };
 use crate::wifi::{lifecycle::Lifecycle, words};
 
@@ -21,6 +21,8 @@ pub(super) struct RobotState {
     pub(super) scans: bool,
     /// Where it is sent.
     pub(super) errand: Option<Errand>,
+    /// What its radio unit suggested, and it has not answered.
+    pub(super) suggestion: Option<Suggestion>,
     /// Its keys of radio units, and the one that it uses in place of its network's passphrase.
     pub(super) keys: Keys,
 }
@@ -52,7 +54,9 @@ impl RobotState {
     }
 
     pub(super) fn deadline(&self) -> Option<Timestamp> {
-        [self.life.deadline(), self.errand.as_ref().map(|errand| errand.until)].into_iter().flatten().min()
+        let errand = self.errand.as_ref().map(|errand| errand.until);
+        let suggestion = self.suggestion.as_ref().map(|suggestion| suggestion.until);
+        [self.life.deadline(), errand, suggestion].into_iter().flatten().min()
     }
 
     /// Records a step on the way to an access point.
@@ -108,6 +112,7 @@ impl Manager {
                 self.launch_supplicant(&robot);
             }
             self.end_late_errand(now, &robot);
+            self.end_late_suggestion(now, &robot);
         }
     }
 

@@ -5,6 +5,8 @@ use cotorra_wifi::{DisabledReason, DomainKey, Event as WifiEvent};
 
 use super::*;
 
+mod suggesting;
+
 const TESTBED: &str = "
 name: corridor
 wireless:

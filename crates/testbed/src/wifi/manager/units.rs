@@ -139,6 +139,9 @@ impl Manager {
         match event {
             WifiEvent::AccessPointEnabled => self.serves(unit),
             WifiEvent::AccessPointDisabled => self.silence(unit),
+            WifiEvent::MoveAnswered { station, status, .. } => {
+                self.suggestion_answered(unit, *station, *status);
+            }
             WifiEvent::PossibleWrongKey { station } if !self.is_robot(*station) => {
                 let message =
                     format!("a station that is no robot, {station}, has a wrong passphrase for `{unit}`");

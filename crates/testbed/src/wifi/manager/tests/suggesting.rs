@@ -1,0 +1,86 @@
+use super::*;
+
+impl World {
+    fn suggest(&mut self, robot: &str, unit: &str) -> Result<(), String> {
+        self.manager.suggest(self.now, &id(robot), &id(unit)).map_err(|reason| reason.to_string())
+    }
+
+    /// Returns the request to `A` that suggests `B` to `r1`.
+    fn suggestion(&self) -> Request {
+        let (station, unit) = (self.plan.robots[&id("r1")].address, &self.plan.units[&id("B")]);
+        Request::Suggest { station, to: Box::new(unit.as_neighbour()) }
+    }
+
+    fn answer(&mut self, by: &str, status: u8) {
+        let station = self.plan.robots[&id("r1")].address;
+        let target = (status == 0).then(|| self.bssid("B"));
+        self.unit_event(by, WifiEvent::MoveAnswered { station, status, target });
+    }
+}
+
+fn answered(status: u8) -> Action {
+    Action::Report(Event::SuggestionAnswered { robot: id("r1"), radio_unit: id("B"), status })
+}
+
+#[test]
+fn a_radio_unit_asks_its_robot_whose_answer_is_reported() {
+    let mut world = World::up();
+    world.suggest("r1", "B").unwrap();
+    let request = world.suggestion();
+    assert_eq!(world.actions(), [Action::Request { program: hostapd("A"), request }]);
+    assert!(world.suggest("r1", "B").unwrap_err().contains("is scanning or changing"));
+    // Others do not answer for it.
+    world.answer("B", 0);
+    assert_eq!(world.actions(), []);
+    world.answer("A", 0);
+    assert_eq!(world.actions(), [answered(0)]);
+    world.join("r1", "B");
+    assert!(matches!(world.changes()[..], [Change::Associate { .. }]));
+    world.suggest("r1", "B").unwrap();
+    assert_eq!((world.actions(), world.manager.deadline()), (vec![], None), "it is there");
+}
+
+#[test]
+fn a_rejected_suggestion_is_reported_and_another_may_follow() {
+    let mut world = World::up();
+    world.suggest("r1", "B").unwrap();
+    world.answer("A", 7);
+    assert_eq!(world.actions()[1..], [answered(7)]);
+    // An answer that nobody waits for is none to a suggestion.
+    world.answer("A", 0);
+    assert_eq!(world.actions(), []);
+    world.suggest("r1", "B").unwrap();
+}
+
+#[test]
+fn a_suggestion_without_an_answer_is_reported() {
+    let mut world = World::up();
+    world.suggest("r1", "B").unwrap();
+    assert_eq!(world.manager.deadline(), Some(world.now + PATIENCE));
+    world.pass(10_000);
+    assert_eq!(world.notices(), ["`r1` did not answer within 10 s that `A` suggests `B`"]);
+    assert_eq!(world.manager.deadline(), None);
+    world.suggest("r1", "B").unwrap();
+    let request = world.suggestion();
+    let reason = Refused::Other("the program failed".to_owned());
+    world.handle(Input::Refused { program: hostapd("A"), request, reason });
+    assert_eq!(world.notices(), ["`A` did not suggest `B` to `r1`: the program failed"]);
+}
+
+#[test]
+fn only_radio_units_that_would_take_the_robot_are_suggested() {
+    let mut world = World::up();
+    for (unit, reason) in [("X", "another network"), ("C", "is off"), ("Z", "no radio unit `Z`")] {
+        let rejected = world.suggest("r1", unit).unwrap_err();
+        assert!(rejected.contains(reason), "{rejected}");
+    }
+    world.manager.provision(&id("r1"), &id("C"), with_key(1)).unwrap();
+    world.manager.switch_on(&id("C"), with_key(1)).unwrap();
+    world.handle(Input::Started(hostapd("C")));
+    world.unit_event("C", WifiEvent::AccessPointEnabled);
+    let rejected = world.suggest("r1", "C").unwrap_err();
+    assert!(rejected.contains("takes another key"), "{rejected}");
+    let bssid = world.bssid("A");
+    world.event("r1", WifiEvent::Disconnected { bssid, reason: 3, locally: true });
+    assert!(world.suggest("r1", "B").unwrap_err().contains("is at no radio unit"));
+}
