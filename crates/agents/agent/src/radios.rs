@@ -12,7 +12,7 @@ use std::{
     sync::mpsc,
 };
 
-use cotorra_agent_protocol::{MOST_RADIOS, RadioState, WantedRadio, WantedRequest};
+use cotorra_agent_protocol::{MOST_RADIOS, RadioState, RequestError, WantedRadio, WantedRequest};
 use cotorra_wifi::{Event, InterfaceName, MacAddress, interface_address, wpa_supplicant::Heard};
 
 use self::{
@@ -26,7 +26,7 @@ pub(crate) enum Reported {
     /// An interface has another state, on what was wanted last with this number; `None` if it is its owner's again.
     State(InterfaceName, u64, Option<RadioState>),
     /// A request was taken, or refused with this reason.
-    Answered(u64, Result<(), String>),
+    Answered(u64, Result<(), RequestError>),
     Happened(InterfaceName, Event),
     /// A station heard these.
     Heard(InterfaceName, Vec<Heard>),
@@ -48,7 +48,7 @@ pub(crate) struct Radios {
 
 /// Something that the core is to learn.
 pub(crate) enum News {
-    Answered(u64, Result<(), String>),
+    Answered(u64, Result<(), RequestError>),
     Happened(InterfaceName, Event),
 }
 

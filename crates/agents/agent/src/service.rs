@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant, SystemTime},
 };
 
-use cotorra_agent_protocol::{Action, Agent, MachineReading, Run, Wanted};
+use cotorra_agent_protocol::{Action, Agent, MachineReading, RequestError, Run, Wanted};
 use cotorra_agent_transport::{Dialer, FromCore, diagnose};
 use cotorra_engine::{EngineEvent, InstanceId, Outcome};
 use cotorra_enrolment::{Bundle, CORE_COMMON_NAME};
@@ -235,7 +235,7 @@ impl Service {
             Action::Request(number, request) => {
                 if let Err(reason) = self.radios.request(number, request) {
                     let now = self.now();
-                    self.agent.answered(now, number, Err(reason));
+                    self.agent.answered(now, number, Err(RequestError::Refused(reason)));
                 }
             }
             Action::Report(report) => {

@@ -13,7 +13,7 @@ use crate::{
     link::{LinkState, WantedLink},
     message::{Beat, Echo, Instance, InstanceState, LEASE, Report, Run, Wanted, WantedInstance, short},
     robot::{RobotState, WantedRobot},
-    wifi::{AgentWifi, RadioState, WantedRadio, WantedRequest},
+    wifi::{AgentWifi, RadioState, RequestError, WantedRadio, WantedRequest},
 };
 
 /// Reports in each lease, so that some can be lost.
@@ -187,7 +187,7 @@ impl Agent {
     }
 
     /// Takes whether the program of a Wi-Fi interface took a request, or the reason why not.
-    pub fn answered(&mut self, now: Timestamp, request: u64, answer: Result<(), String>) {
+    pub fn answered(&mut self, now: Timestamp, request: u64, answer: Result<(), RequestError>) {
         self.wifi.answered(request, answer);
         self.next_report = now;
     }

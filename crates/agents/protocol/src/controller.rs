@@ -15,7 +15,7 @@ use crate::{
     message::{Beat, InstanceState, Report, Run, Wanted, WantedInstance},
     robot::{RobotState, WantedRobot},
     shipped::Shipped,
-    wifi::{RadioEvent, RadioState, RemoteWifi, WantedRadio, WantedRequest},
+    wifi::{RadioEvent, RadioState, RemoteWifi, RequestError, WantedRadio, WantedRequest},
 };
 
 /// Beats in each lease, so that some can be lost.
@@ -39,7 +39,7 @@ pub enum ControllerEvent {
     /// A wanted Wi-Fi interface of an agent's machine has another state.
     Radio(AgentId, InterfaceName, RadioState),
     /// The program of a Wi-Fi interface took a request, or refused it with this reason.
-    Request(AgentId, u64, Result<(), String>),
+    Request(AgentId, u64, Result<(), RequestError>),
     /// The program of a Wi-Fi interface reports an event.
     Wifi(AgentId, RadioEvent),
 }

@@ -39,6 +39,6 @@ pub use robot::{
 };
 pub use shipped::Shipped;
 pub use wifi::{
-    LastEvent, MOST_HEARD, MOST_RADIOS, RadioEvent, RadioState, RequestState, WantedRadio, WantedRequest,
-    WantedWifi, WifiReport, WifiRequest,
+    LastEvent, MOST_HEARD, MOST_RADIOS, RadioEvent, RadioState, RequestError, RequestState, WantedRadio,
+    WantedRequest, WantedWifi, WifiReport, WifiRequest,
 };

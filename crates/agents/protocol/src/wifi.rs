@@ -114,7 +114,20 @@ pub enum RequestState {
     UnderWay,
     /// The program took it. Its events tell what becomes of it.
     Done,
+    /// It cannot do it now.
+    Busy,
     /// It did not, with the reason.
+    Refused(String),
+}
+
+/// Why the program of a Wi-Fi interface did not take a request.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RequestError {
+    /// It cannot do it now.
+    #[error("the program is busy")]
+    Busy,
+    /// Another reason, for people.
+    #[error("{0}")]
     Refused(String),
 }
 

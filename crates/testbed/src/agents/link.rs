@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_agent_protocol::{
-    Controller, ControllerEvent, LinkState, MachineReading, RadioEvent, RadioState, RobotState, Run, Shipped,
-    WantedInstance, WantedLink, WantedRequest, WantedRobot,
+    Controller, ControllerEvent, LinkState, MachineReading, RadioEvent, RadioState, RequestError, RobotState,
+    Run, Shipped, WantedInstance, WantedLink, WantedRequest, WantedRobot,
 };
 use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
 use cotorra_engine::{EngineEvent, InstanceId};
@@ -175,7 +175,7 @@ impl Link {
                     Ok(its) => drop(self.requests.insert(its, number)),
                     Err(reason) => {
                         drop(controller);
-                        self.tell_radios(News::Answered(number, Err(reason)));
+                        self.tell_radios(News::Answered(number, Err(RequestError::Refused(reason))));
                     }
                 }
             }

@@ -9,10 +9,10 @@ use std::{
     time::Duration,
 };
 
-use cotorra_agent_protocol::{RadioState, WantedRadio, WifiRequest};
+use cotorra_agent_protocol::{RadioState, RequestError, WantedRadio, WifiRequest};
 use cotorra_graph::{AgentId, Event, HardwareGraph, NodeId, NodeKind, RadioKind, Timestamp, WifiContext};
 use cotorra_wifi::{
-    AccessPointSettings, AnswerError, Event as WifiEvent, InterfaceName, MacAddress, Power, hostapd::Urgency,
+    AccessPointSettings, Event as WifiEvent, InterfaceName, MacAddress, Power, hostapd::Urgency,
     wpa_supplicant::Heard,
 };
 use parking_lot::Mutex;
@@ -55,7 +55,7 @@ pub(crate) enum News {
     /// A program reported an event, at this time.
     Event(Place, Timestamp, WifiEvent),
     /// What became of a request.
-    Answered(u64, Result<(), String>),
+    Answered(u64, Result<(), RequestError>),
     /// A process of an agent reports, for the first time or again.
     Joined { agent: AgentId, boot: u64 },
     /// An agent is lost, with the reason.
@@ -287,9 +287,11 @@ impl AtAgents {
             }
             News::Answered(number, answer) => {
                 let Some((program, request)) = self.requests.remove(&number) else { return };
-                if let Err(reason) = answer {
-                    let is_busy = reason.ends_with(&AnswerError::Busy.to_string());
-                    let reason = if is_busy { Refused::Busy } else { Refused::Other(reason) };
+                if let Err(error) = answer {
+                    let reason = match error {
+                        RequestError::Busy => Refused::Busy,
+                        RequestError::Refused(reason) => Refused::Other(reason),
+                    };
                     self.handle(now, Input::Refused { program, request, reason });
                 }
             }

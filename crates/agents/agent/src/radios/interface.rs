@@ -10,9 +10,9 @@ use std::{
     time::Duration,
 };
 
-use cotorra_agent_protocol::{MOST_HEARD, RadioState, WantedRadio, WifiRequest};
+use cotorra_agent_protocol::{MOST_HEARD, RadioState, RequestError, WantedRadio, WifiRequest};
 use cotorra_wifi::{
-    Client, ControlError, Event, Events, InterfaceName, Owner, Request, Taken, hostapd,
+    AnswerError, Client, ControlError, Event, Events, InterfaceName, Owner, Request, Taken, hostapd,
     wpa_supplicant::{self, Setting},
 };
 
@@ -230,12 +230,13 @@ impl Worker {
         Ok(())
     }
 
-    fn request(&mut self, request: &WifiRequest) -> Result<(), String> {
+    fn request(&mut self, request: &WifiRequest) -> Result<(), RequestError> {
         let network = self.taken.as_ref().and_then(Taken::network);
         let Some(Listened { client, .. }) = &mut self.listened else {
-            return Err(format!("no program runs on `{}` now", self.interface));
+            return Err(RequestError::Refused(format!("no program runs on `{}` now", self.interface)));
         };
-        let network = || network.ok_or_else(|| format!("`{}` is no station now", self.interface));
+        let no_station = || RequestError::Refused(format!("`{}` is no station now", self.interface));
+        let network = || network.ok_or_else(no_station);
         let request: Request<()> = match request {
             WifiRequest::Scan { channels, stays: true } => wpa_supplicant::scan_only(channels),
             WifiRequest::Scan { channels, stays: false } => wpa_supplicant::scan(channels),
@@ -246,13 +247,13 @@ impl Worker {
                 wpa_supplicant::set_passphrase(network()?, ssid, passphrase)
             }
             WifiRequest::Rejoin => {
-                client.request(&wpa_supplicant::disconnect()).map_err(|error| error.to_string())?;
+                client.request(&wpa_supplicant::disconnect()).map_err(refused)?;
                 wpa_supplicant::reconnect()
             }
             WifiRequest::AskToMove { station, to, urgency } => hostapd::ask_to_move(*station, to, *urgency),
             WifiRequest::Disconnect { station, reason } => hostapd::deauthenticate(*station, *reason),
         };
-        client.request(&request).map_err(|error| error.to_string())
+        client.request(&request).map_err(refused)
     }
 
     fn happened(&mut self, event: Event) {
@@ -295,6 +296,13 @@ impl Worker {
         // Fails only if the agent ends.
         let _ = self.report.send(reported);
         (self.wake)();
+    }
+}
+
+fn refused(error: ControlError) -> RequestError {
+    match error {
+        ControlError::Answer { error: AnswerError::Busy, .. } => RequestError::Busy,
+        error => RequestError::Refused(error.to_string()),
     }
 }
 

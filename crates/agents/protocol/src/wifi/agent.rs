@@ -6,7 +6,8 @@ use cotorra_graph::Timestamp;
 use cotorra_wifi::{Event, InterfaceName};
 
 use super::{
-    MOST_EVENTS, RadioEvent, RadioState, RequestState, WantedRadio, WantedRequest, WantedWifi, WifiReport,
+    MOST_EVENTS, RadioEvent, RadioState, RequestError, RequestState, WantedRadio, WantedRequest, WantedWifi,
+    WifiReport,
 };
 use crate::{agent::Action, message::short};
 
@@ -85,11 +86,12 @@ impl AgentWifi {
     }
 
     /// Takes what became of a request.
-    pub(crate) fn answered(&mut self, number: u64, answer: Result<(), String>) {
+    pub(crate) fn answered(&mut self, number: u64, answer: Result<(), RequestError>) {
         if let Some(state @ RequestState::UnderWay) = self.requests.get_mut(&number) {
             *state = match answer {
                 Ok(()) => RequestState::Done,
-                Err(reason) => RequestState::Refused(short(&reason)),
+                Err(RequestError::Busy) => RequestState::Busy,
+                Err(RequestError::Refused(reason)) => RequestState::Refused(short(&reason)),
             };
         }
     }

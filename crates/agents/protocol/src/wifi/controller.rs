@@ -6,8 +6,8 @@ use cotorra_graph::AgentId;
 use cotorra_wifi::InterfaceName;
 
 use super::{
-    LastEvent, MOST_REQUESTS, RadioEvent, RadioState, RequestState, WantedRadio, WantedRequest, WantedWifi,
-    WifiReport,
+    LastEvent, MOST_REQUESTS, RadioEvent, RadioState, RequestError, RequestState, WantedRadio, WantedRequest,
+    WantedWifi, WifiReport,
 };
 use crate::controller::ControllerEvent;
 
@@ -133,9 +133,10 @@ impl RemoteWifi {
             let answer = match report.requests.get(number) {
                 Some(RequestState::UnderWay) => return true,
                 Some(RequestState::Done) => Ok(()),
-                Some(RequestState::Refused(reason)) => Err(reason.clone()),
+                Some(RequestState::Busy) => Err(RequestError::Busy),
+                Some(RequestState::Refused(reason)) => Err(RequestError::Refused(reason.clone())),
                 None if generation < known.since => return true,
-                None => Err("its agent does not know it".to_owned()),
+                None => Err(RequestError::Refused("its agent does not know it".to_owned())),
             };
             events.push_back(ControllerEvent::Request(agent.clone(), *number, answer));
             false
@@ -154,7 +155,8 @@ impl RemoteWifi {
         let requests = std::mem::take(&mut self.requests);
         let has_ended = !requests.is_empty();
         for number in requests.into_keys() {
-            events.push_back(ControllerEvent::Request(agent.clone(), number, Err(reason.to_owned())));
+            let answer = Err(RequestError::Refused(reason.to_owned()));
+            events.push_back(ControllerEvent::Request(agent.clone(), number, answer));
         }
         has_ended
     }

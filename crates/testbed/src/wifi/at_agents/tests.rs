@@ -153,6 +153,10 @@ fn requests(out: &[Out]) -> Vec<(u64, &WifiRequest)> {
         .collect()
 }
 
+fn failed() -> Result<(), RequestError> {
+    Err(RequestError::Refused("ROAM at /run: the program failed".to_owned()))
+}
+
 #[test]
 fn robots_are_told_before_radio_units_serve_which_bring_their_settings() {
     let mut world = World::new();
@@ -199,14 +203,25 @@ fn a_refused_roam_is_tried_again_after_a_scan_and_then_reported() {
     let mut world = World::up();
     world.radios.manager.lock().attach(at(0), &id("r1"), &id("B")).unwrap();
     world.act();
-    let out = world.take(News::Answered(1, Err("ROAM at /run: the program failed".to_owned())));
+    let out = world.take(News::Answered(1, failed()));
     assert!(matches!(requests(&out)[..], [(2, WifiRequest::Scan { stays: true, .. })]), "{out:?}");
     world.take(News::Answered(2, Ok(())));
     let out = world.event("r1", 0, WifiEvent::ScanResults);
     assert!(out.contains(&Out::Change(Change::Scanned { robot: id("r1") })));
     assert!(matches!(requests(&out)[..], [(3, WifiRequest::Roam { .. })]), "{out:?}");
-    let out = world.take(News::Answered(3, Err("ROAM at /run: the program failed".to_owned())));
+    let out = world.take(News::Answered(3, failed()));
     assert_eq!(out, [Out::Notice("`r1` was not attached to `B`: it does not hear it".to_owned())]);
+}
+
+#[test]
+fn a_scan_that_is_under_way_will_do_for_a_robot_that_is_sent_elsewhere() {
+    let mut world = World::up();
+    world.radios.manager.lock().attach(at(0), &id("r1"), &id("B")).unwrap();
+    world.act();
+    world.take(News::Answered(1, failed()));
+    assert_eq!(world.take(News::Answered(2, Err(RequestError::Busy))), []);
+    let out = world.event("r1", 0, WifiEvent::ScanResults);
+    assert!(matches!(requests(&out)[..], [(3, WifiRequest::Roam { .. })]), "{out:?}");
 }
 
 #[test]
