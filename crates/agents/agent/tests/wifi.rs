@@ -23,7 +23,7 @@ use cotorra_enrolment::Authority;
 use cotorra_graph::{AgentId, Timestamp};
 use cotorra_wifi::{
     AccessPointSettings, Band, Bss, Channel, Client, Event, FastTransition, InterfaceName, MacAddress,
-    MobilityDomain, Network, Protection, Radio, Security, Width, hostapd,
+    MobilityDomain, Network, Protection, Radio, Security, StationSettings, Width, hostapd,
 };
 
 const RUN: Run = Run(1);
@@ -94,7 +94,8 @@ fn access_point(unit: u8) -> WantedRadio {
 
 fn station() -> WantedRadio {
     let network = Network::new("corridor".parse().unwrap(), security(1).credentials());
-    WantedRadio::Station(Box::new(Network { channels: vec![channel(1), channel(2)], ..network }))
+    let network = Network { channels: vec![channel(1), channel(2)], ..network };
+    WantedRadio::Station(Box::new(StationSettings { network, power: None }))
 }
 
 /// Makes a namespace for each machine, with its radio and a cable to the core.

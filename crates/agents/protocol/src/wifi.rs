@@ -9,8 +9,8 @@ mod controller;
 use std::collections::BTreeMap;
 
 use cotorra_wifi::{
-    AccessPointSettings, Bss, Channel, Event, InterfaceName, MacAddress, Network, Passphrase, Security, Ssid,
-    Units,
+    AccessPointSettings, Bss, Channel, Event, InterfaceName, MacAddress, Passphrase, Security, Ssid,
+    StationSettings, Units,
     hostapd::{Neighbour, Urgency},
     wpa_supplicant::Heard,
 };
@@ -49,8 +49,8 @@ pub struct WantedWifi {
 pub enum WantedRadio {
     /// An access point.
     AccessPoint(Box<AccessPointSettings>),
-    /// A station that joins this network, and no other.
-    Station(Box<Network>),
+    /// A station.
+    Station(Box<StationSettings>),
     /// Nothing: its owner's access point is off, too.
     Silent,
 }
@@ -203,7 +203,7 @@ impl WantedRadio {
                 let all = virtual_aps.iter().map(|(_, bss)| bss).chain([&settings.bss]);
                 all.into_iter().try_for_each(|bss| at_most("units of a domain", units(bss), MOST_OTHERS))
             }
-            Self::Station(network) => at_most("channels", network.channels.len(), MOST_OTHERS),
+            Self::Station(settings) => at_most("channels", settings.network.channels.len(), MOST_OTHERS),
             Self::Silent => Ok(()),
         }
     }

@@ -13,8 +13,8 @@ use cotorra_agent_protocol::{
 };
 use cotorra_graph::{AgentId, Timestamp};
 use cotorra_wifi::{
-    AccessPointSettings, Band, Bss, Channel, Credentials, Event, InterfaceName, MacAddress, Network, Radio,
-    Security, Ssid, Width,
+    AccessPointSettings, Band, Bss, Channel, Credentials, Event, InterfaceName, MacAddress, Network, Power,
+    Radio, Security, Ssid, StationSettings, Width,
 };
 use proptest::prelude::*;
 
@@ -427,6 +427,7 @@ fn wanted_radios_are_read_as_they_were_written() {
             Credentials::Wpa3 { passphrase: "correct horse".parse().unwrap(), fast_transition: true },
         )
     };
+    let station = StationSettings { network: station, power: Some(Power::AtMost(1000)) };
     let radios = [radio(3), WantedRadio::Station(Box::new(station)), WantedRadio::Silent];
     let radios = (0..).map(interface).zip(radios).collect();
     let wanted = wanted(WantedWifi { radios, requests: BTreeMap::from([(7, roam())]) });

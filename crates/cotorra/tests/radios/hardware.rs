@@ -9,7 +9,7 @@ use std::{
 use serde_json::{Value, json};
 
 use crate::{
-    machines::{AUTHORITY, CORE, Machines, sh, start_agent},
+    machines::{AUTHORITY, CORE, Machines, robot_power_is, sh, start_agent},
     rig::{Rig, is},
 };
 
@@ -20,7 +20,7 @@ const FLOOR: &str = "\
 name: hardware
 wireless: { lab: { access: edca, wifi: hardware, security: { method: wpa2, passphrase: correct horse } } }
 nodes:
-  r1: { kind: robot, position: [4, 0], agent: robot1, interface: wlan0 }
+  r1: { kind: robot, position: [4, 0], tx_power: 9 dBm, agent: robot1, interface: wlan0 }
   A: { kind: radio_unit, position: [0, 0], channel: 1, agent: ap1, interface: wlan1, bridge: br0 }
   B: { kind: radio_unit, position: [12, 0], channel: 6, agent: ap2, interface: wlan2, bridge: br0 }
   lan: { kind: switch }
@@ -79,6 +79,7 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
     let arguments = ["--agents", CORE, "--authority", AUTHORITY];
     let mut rig = Rig::start_with(FLOOR, &arguments).expect("there are radios");
     wait_for(&rig, "the robot joins", || rig.place_of("r1").is_some());
+    assert!(robot_power_is(9));
     let here = rig.place_of("r1").unwrap();
     let there = if here == "A" { "B" } else { "A" };
     for unit in [there, here.as_str()] {
@@ -110,7 +111,9 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
         let units = rig.run.get("/api/v1/network/radio-units");
         let unit = units.as_array().unwrap().iter().find(|unit| unit["radio_unit"] == here.as_str()).cloned();
         unit.is_some_and(|unit| {
-            unit["stations"][0]["robot"] == "r1" && unit["stations"][0]["signal_dbm"].is_number()
+            let station = &unit["stations"][0];
+            let figures = ["signal_dbm", "retransmissions", "transmissions_failed"];
+            station["robot"] == "r1" && figures.iter().all(|name| station[*name].is_number())
         })
     });
 

@@ -115,7 +115,9 @@ impl Machines {
                 sh("ip netns exec u1 iw dev; ip netns exec u2 iw dev; ip netns exec u0 iw dev wlan0 link; \
                 ip netns exec u0 wpa_cli -p /run/wpa_supplicant -i wlan0 list_networks");
             let signs = ["ssid home", "channel 11", "type managed", "SSID: home"];
-            if signs.iter().all(|sign| seen.contains(sign)) && seen.matches("\tany\t").count() == 1 {
+            let is_home =
+                signs.iter().all(|sign| seen.contains(sign)) && seen.matches("\tany\t").count() == 1;
+            if is_home && robot_power_is(20) {
                 return;
             }
             sh("sleep 0.1");
@@ -160,4 +162,9 @@ pub fn start_agent(number: usize) -> Child {
         .stderr(log)
         .spawn()
         .unwrap()
+}
+
+/// Whether the robot's radio sends with this many dBm at most.
+pub fn robot_power_is(dbm: u8) -> bool {
+    sh("ip netns exec u0 iw dev wlan0 info").contains(&format!("txpower {dbm}.00 dBm"))
 }

@@ -37,7 +37,7 @@ pub use security::{
     Credentials, FastTransition, KeyExchange, KeyHolder, MobilityDomain, Protection, Security, Units,
 };
 pub use station::{BackgroundScan, BackgroundScanMethod, Network, Station, StationDriver};
-pub use takeover::{AccessPointSettings, Taken};
+pub use takeover::{AccessPointSettings, StationSettings, Taken};
 
 /// Reads any bytes as each answer and as an event. For fuzzing.
 #[doc(hidden)]

@@ -42,6 +42,16 @@ pub struct AccessPointSettings {
     pub neighbours: Vec<Neighbour>,
 }
 
+/// What a station is to be, on whichever interface.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StationSettings {
+    /// The network that it joins, and no other.
+    pub network: Network,
+    /// The most power; `None` leaves it as it was found.
+    pub power: Option<Power>,
+}
+
 /// A Wi-Fi interface that is taken over. It is put back when this is dropped.
 #[derive(Debug)]
 pub struct Taken {
@@ -138,11 +148,17 @@ impl Taken {
         change().map_err(self.owner.system("limit the power of"))
     }
 
-    /// Joins a network from now on, and no other. The kernel keeps its neighbours' addresses at roams.
+    /// Joins a network from now on, and no other. The kernel keeps its neighbours' addresses at roams. A change of the power alone
+    /// leaves the station where it is.
     ///
     /// # Errors
     /// [`TakeoverError`].
-    pub fn join(&mut self, wanted: &Network) -> Result<(), TakeoverError> {
+    pub fn join(&mut self, wanted: &StationSettings) -> Result<(), TakeoverError> {
+        self.join_network(&wanted.network)?;
+        self.limit_power(wanted.power)
+    }
+
+    fn join_network(&mut self, wanted: &Network) -> Result<(), TakeoverError> {
         let is_joined = match &self.on_air {
             Some(OnAir::OwnStation { network, .. } | OnAir::AddedNetwork { network, .. }) => {
                 **network == *wanted

@@ -10,8 +10,8 @@ use std::{env, fs, path::Path, process::Command, time::Duration};
 
 use cotorra_wifi::{
     AccessPointSettings, Band, Bss, Channel, Client, Event, Events, FastTransition, InterfaceName,
-    MacAddress, MobilityDomain, Network, Owner, Power, Protection, Radio, Security, Taken, TakeoverError,
-    Width, hostapd, launch_here, wpa_supplicant,
+    MacAddress, MobilityDomain, Network, Owner, Power, Protection, Radio, Security, StationSettings, Taken,
+    TakeoverError, Width, hostapd, launch_here, wpa_supplicant,
 };
 
 const ROBOT: MacAddress = MacAddress([2, 0, 0, 0, 0, 0]);
@@ -150,9 +150,10 @@ fn settings() -> AccessPointSettings {
     }
 }
 
-fn corridor() -> Network {
+fn corridor() -> StationSettings {
     let network = Network::new(fixture::ssid("corridor"), security().credentials());
-    Network { channels: [1, 6, 11].map(channel).to_vec(), ..network }
+    let network = Network { channels: [1, 6, 11].map(channel).to_vec(), ..network };
+    StationSettings { network, power: Some(Power::AtMost(900)) }
 }
 
 /// Makes a folder for the takeover of an interface, and looks at the interface.
@@ -275,6 +276,7 @@ fn an_owners_station_returns_to_its_network() {
         robot.join(&corridor()).expect("it joins");
         connected(&mut owner.1);
         assert_eq!(owner.station().ssid, Some(fixture::ssid("corridor")));
+        assert!(iw("wlan0").contains("txpower 9.00 dBm"), "{}", iw("wlan0"));
         let neighbours = "/proc/sys/net/ipv4/conf/wlan0/arp_evict_nocarrier";
         assert_eq!(fs::read_to_string(neighbours).expect("a number").trim(), "0");
         if is_killed {
@@ -288,6 +290,7 @@ fn an_owners_station_returns_to_its_network() {
         let networks = owner.2.networks().expect("networks");
         let enabled: Vec<_> = networks.iter().map(|its| (its.network, its.is_enabled)).collect();
         assert_eq!(enabled, [(0, true), (1, false)]);
+        assert!(iw("wlan0").contains("txpower 20.00 dBm"), "{}", iw("wlan0"));
         assert_eq!(fs::read_to_string(neighbours).expect("a number").trim(), "1");
     }
 }

@@ -12,8 +12,8 @@ use std::{
 use cotorra_agent_protocol::{RadioState, RequestError, WantedRadio, WifiRequest};
 use cotorra_graph::{AgentId, Event, HardwareGraph, NodeId, NodeKind, RadioKind, Timestamp, WifiContext};
 use cotorra_wifi::{
-    AccessPointSettings, Event as WifiEvent, InterfaceName, MacAddress, Power, hostapd::Urgency,
-    wpa_supplicant::Heard,
+    AccessPointSettings, Event as WifiEvent, InterfaceName, MacAddress, Power, StationSettings,
+    hostapd::Urgency, wpa_supplicant::Heard,
 };
 use parking_lot::Mutex;
 
@@ -416,21 +416,21 @@ impl AtAgents {
     }
 
     fn wanted(&self, program: &Program, configuration: Configuration) -> WantedRadio {
+        let power = |dbm: Option<f64>| dbm.map(|dbm| Power::AtMost((dbm * 100.0).round() as i32));
         match configuration {
             Configuration::AccessPoint(access_point) => {
-                let power = self.plan.units.get(program.node()).map(|unit| unit.power_dbm);
-                let hundredths = |dbm: f64| Power::AtMost((dbm * 100.0).round() as i32);
                 WantedRadio::AccessPoint(Box::new(AccessPointSettings {
                     radio: access_point.radio,
                     bss: access_point.bss,
                     virtual_aps: Vec::new(),
-                    power: power.map(hundredths),
+                    power: power(self.plan.units.get(program.node()).map(|unit| unit.power_dbm)),
                     neighbours: self.plan.neighbours(program.node()),
                 }))
             }
-            Configuration::Station(mut station) => {
-                WantedRadio::Station(Box::new(station.networks.swap_remove(0)))
-            }
+            Configuration::Station(mut station) => WantedRadio::Station(Box::new(StationSettings {
+                network: station.networks.swap_remove(0),
+                power: power(self.plan.robots.get(program.node()).map(|robot| robot.power_dbm)),
+            })),
         }
     }
 

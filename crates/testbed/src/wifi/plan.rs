@@ -50,6 +50,12 @@ pub(super) struct PlannedRobot {
     pub(super) network_name: String,
     /// Whether it changes its radio unit only when it is told to.
     pub(super) is_instructed: bool,
+    /// Its greatest power, dBm.
+    #[cfg_attr(
+        not(feature = "agents"),
+        expect(dead_code, reason = "simulated radios have it from the graph")
+    )]
+    pub(super) power_dbm: f64,
 }
 
 /// A graph that real Wi-Fi programs cannot serve.
@@ -306,7 +312,8 @@ impl PlannedNetwork<'_> {
             };
             let is_instructed = robot.roaming == Roaming::Instructed;
             let network_name = self.name.clone();
-            let planned = PlannedRobot { station, address, network_name, is_instructed };
+            let power_dbm = robot.tx_power.0;
+            let planned = PlannedRobot { station, address, network_name, is_instructed, power_dbm };
             plan.robots.insert(node.id.clone(), planned);
         }
         Ok(())

@@ -164,7 +164,7 @@ impl Worker {
         let taken = self.taken.insert(taken);
         let done = match wanted {
             WantedRadio::AccessPoint(settings) => taken.serve(settings),
-            WantedRadio::Station(network) => taken.join(network),
+            WantedRadio::Station(settings) => taken.join(settings),
             WantedRadio::Silent => taken.leave(),
         };
         done.map_err(|error| error.to_string())?;

@@ -11,7 +11,7 @@ wireless:
 nodes:
   A: { kind: radio_unit, position: [0, 0], channel: 1, tx_power: 10 dBm, agent: ap1, interface: wlan1 }
   B: { kind: radio_unit, position: [9, 0], channel: 6, agent: ap2, interface: wlan2, bridge: br0 }
-  r1: { kind: robot, position: [4, 0], agent: turtle1, interface: wlan0 }
+  r1: { kind: robot, position: [4, 0], tx_power: 15 dBm, agent: turtle1, interface: wlan0 }
 links:
   - { ends: [A, B] }
 ";
@@ -176,6 +176,10 @@ fn robots_are_told_before_radio_units_serve_which_bring_their_settings() {
     // The event comes before the state.
     let out = world.event("B", 0, WifiEvent::AccessPointEnabled);
     assert!(used(&out).is_empty(), "its agent knows: {out:?}");
+    let Some(WantedRadio::Station(station)) = wanted(&Program::Supplicant(id("r1"))) else {
+        panic!("it is a station")
+    };
+    assert_eq!(station.power, Some(Power::AtMost(1500)));
     world.event("r1", 0, WifiEvent::Connected { bssid: bssid("B") });
     assert_eq!(world.radios.manager.lock().standing(), "radio units A, B serve; r1 is at B");
 }
