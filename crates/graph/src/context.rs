@@ -285,6 +285,30 @@ pub struct StationContext {
     pub downlink_bps: f64,
     /// PHY rate from it, bit/s.
     pub uplink_bps: f64,
+    /// What the radio unit's kernel counts of it.
+    #[serde(flatten)]
+    pub counted: StationCounts,
+}
+
+/// Retries and airtime of a station since it joined. Each figure is `None` if the driver does not report it, and for radios that no
+/// agent drives.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct StationCounts {
+    /// Retransmissions to it.
+    #[serde(default)]
+    pub retransmissions: Option<u32>,
+    /// Frames to it that were lost after the last retransmission.
+    #[serde(default)]
+    pub transmissions_failed: Option<u32>,
+    /// Airtime of frames sent to it.
+    #[serde(rename = "transmit_airtime_ms", default, with = "millis::option")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub transmit_airtime: Option<Duration>,
+    /// Airtime of frames received from it.
+    #[serde(rename = "receive_airtime_ms", default, with = "millis::option")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub receive_airtime: Option<Duration>,
 }
 
 /// d, λ and the effective conditions of one direction of a link, with what it did since the run began.

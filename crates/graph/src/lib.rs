@@ -48,7 +48,7 @@ pub use contention::{Edca, Interferer, InterfererKind, PowerSave, Presence, Rate
 pub use context::{
     AnswersRejected, Attachment, Handover, InstancePath, Lateness, LinkContext, LinkCounters, PathKind,
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,
-    StationContext, Velocity, VirtualLinkMapping,
+    StationContext, StationCounts, Velocity, VirtualLinkMapping,
 };
 pub use driver::{
     Driver, Kobuki, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, Rplidar, SensorMessage,

@@ -56,7 +56,10 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::Radio => Table {
             columns: &["radio_unit", "channel", "load"],
             series: &["radio_unit"],
-            children: Some(("station", &["robot", "signal_dbm", "downlink_bps", "uplink_bps"])),
+            children: Some(("station", &[
+                "robot", "signal_dbm", "downlink_bps", "uplink_bps",
+                "retransmissions", "transmissions_failed", "transmit_airtime_ms", "receive_airtime_ms",
+            ])),
         },
         Kind::Link => Table {
             columns: &[

@@ -11,8 +11,8 @@ use cotorra_graph::{
     LinkId, LinkTime, ListenPort, Loss, NodeId, Nodes, PathKind, Pie, Placement, PluginId, Pose, PoseSource,
     Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext, Rate, Red,
     RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId,
-    ServiceTime, Stamped, StationContext, Tested, ThroughputTest, TimeParts, Timestamp, Trace, Transport,
-    Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
+    ServiceTime, Stamped, StationContext, StationCounts, Tested, ThroughputTest, TimeParts, Timestamp, Trace,
+    Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -125,8 +125,12 @@ prop_compose! {
 prop_compose! {
     fn station()(
         robot in node(), signal in real().prop_map(Dbm), downlink_bps in real(), uplink_bps in real(),
+        retransmissions in of(any::<u32>()), transmissions_failed in of(any::<u32>()),
+        transmit_airtime in of(duration()), receive_airtime in of(duration()),
     ) -> StationContext {
-        StationContext { robot, signal, downlink_bps, uplink_bps }
+        let counted =
+            StationCounts { retransmissions, transmissions_failed, transmit_airtime, receive_airtime };
+        StationContext { robot, signal, downlink_bps, uplink_bps, counted }
     }
 }
 

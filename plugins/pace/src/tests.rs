@@ -51,6 +51,7 @@ fn received(signal: f64) -> Event {
         signal: Dbm(signal),
         downlink_bps: 6.5 * 1e6,
         uplink_bps: 6.5 * 1e6,
+        counted: Default::default(),
     };
     // One that the testbed does not have is nobody's.
     let stations = vec![station("r"), station("visitor")];

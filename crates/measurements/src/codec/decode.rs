@@ -9,8 +9,8 @@ use cotorra_graph::{
     Direction, Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, LargeData,
     Lateness, LinkContext, LinkCounters, LinkId, LinkTime, Loss, NodeId, Nodes, PathKind, Placement,
     PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
-    RobotFault, Scale, SensorData, SensorReading, ServiceId, ServiceTime, StationContext, Tested, TimeParts,
-    Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
+    RobotFault, Scale, SensorData, SensorReading, ServiceId, ServiceTime, StationContext, StationCounts,
+    Tested, TimeParts, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
 use super::{direction_of, time_parts};
@@ -244,6 +244,12 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                     signal: Dbm(row.real()?),
                     downlink_bps: row.real()?,
                     uplink_bps: row.real()?,
+                    counted: StationCounts {
+                        retransmissions: row.optional_small()?,
+                        transmissions_failed: row.optional_small()?,
+                        transmit_airtime: row.duration()?,
+                        receive_airtime: row.duration()?,
+                    },
                 })
             })?;
             Event::Radio(RadioContext { radio_unit, channel, load, stations })

@@ -112,7 +112,11 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                     .name(station.robot.as_str())
                     .real(station.signal.0)
                     .real(station.downlink_bps)
-                    .real(station.uplink_bps);
+                    .real(station.uplink_bps)
+                    .optional(station.counted.retransmissions, |f, count| f.integer(count.into()))
+                    .optional(station.counted.transmissions_failed, |f, count| f.integer(count.into()))
+                    .optional(station.counted.transmit_airtime, Fields::duration)
+                    .optional(station.counted.receive_airtime, Fields::duration);
             }
         }
         Event::Link(context) => {

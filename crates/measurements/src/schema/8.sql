@@ -8,3 +8,10 @@ CREATE TABLE suggestion_answered (
     status     INTEGER NOT NULL,
     PRIMARY KEY (run, at_ns, seq)
 ) WITHOUT ROWID;
+
+-- Retries and airtime since a station joined, as its radio unit's kernel counts them; NULL: its driver does not report them, or no
+-- agent drives the radio unit.
+ALTER TABLE station ADD COLUMN retransmissions INTEGER;
+ALTER TABLE station ADD COLUMN transmissions_failed INTEGER;
+ALTER TABLE station ADD COLUMN transmit_airtime_ms REAL;
+ALTER TABLE station ADD COLUMN receive_airtime_ms REAL;

@@ -357,6 +357,7 @@ fn odd_figures_come_back() {
             signal: Dbm(f64::NEG_INFINITY),
             downlink_bps: f64::NAN,
             uplink_bps: 0.1 + 0.2,
+            counted: Default::default(),
         }],
     };
     let recorder = history.recorder(run).unwrap();

@@ -76,6 +76,7 @@ fn serve() -> SocketAddr {
             signal: Dbm(-40.0 - (station % 50) as f64),
             downlink_bps: 65e6,
             uplink_bps: 58.5e6,
+            counted: Default::default(),
         });
         let load = ap as f64 / ACCESS_POINTS as f64;
         let channel = 1 + ap as u8 % 3 * 5;

@@ -52,6 +52,7 @@ pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f
             signal: Dbm(-60.0),
             downlink_bps: mbps * 1e6,
             uplink_bps: mbps / 2.0 * 1e6,
+            counted: Default::default(),
         });
         (id(unit), RadioContext { radio_unit: id(unit), channel, load, stations: stations.collect() })
     });

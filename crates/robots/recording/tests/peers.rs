@@ -120,6 +120,7 @@ fn events() -> Vec<Event> {
                 signal: Dbm(-60.0),
                 downlink_bps: 65e6,
                 uplink_bps: 58.5e6,
+                counted: Default::default(),
             }],
         }),
         Event::Link(LinkContext {

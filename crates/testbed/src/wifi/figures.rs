@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use cotorra_graph::{Attachment, Dbm, NodeId, RadioContext, StationContext, WifiContext, WifiStation};
+use cotorra_graph::{
+    Attachment, Dbm, NodeId, RadioContext, StationContext, StationCounts, WifiContext, WifiStation,
+};
 use cotorra_wifi::{MacAddress, wpa_supplicant::Heard};
 use parking_lot::Mutex;
 
@@ -83,6 +85,12 @@ impl RadioFigures for Figures {
                 signal: station.signal?,
                 downlink_bps: bps(station.transmit_rate),
                 uplink_bps: bps(station.receive_rate),
+                counted: StationCounts {
+                    retransmissions: station.retransmissions,
+                    transmissions_failed: station.transmissions_failed,
+                    transmit_airtime: station.transmit_airtime,
+                    receive_airtime: station.receive_airtime,
+                },
             })
         };
         context.stations = wifi.into_iter().flat_map(|wifi| &wifi.stations).filter_map(station).collect();
@@ -91,6 +99,8 @@ impl RadioFigures for Figures {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use cotorra_graph::{BitRate, Probability, WifiChannel, WifiRole};
 
     use super::*;
@@ -111,7 +121,7 @@ mod tests {
             receive_rate: None,
             retransmissions: Some(3),
             transmissions_failed: None,
-            transmit_airtime: None,
+            transmit_airtime: Some(Duration::from_millis(7)),
             receive_airtime: None,
             inactive: None,
         }
@@ -180,8 +190,13 @@ mod tests {
         let stations = vec![station(0, Some(-55.0)), station(9, Some(-30.0)), station(2, None)];
         figures.read(&id("A"), Read { wifi: wifi(WifiRole::AccessPoint, stations), heard: Vec::new() });
         figures.complete_radio(&mut context);
-        let known =
-            StationContext { robot: id("r1"), signal: Dbm(-55.0), downlink_bps: 65e6, uplink_bps: 0.0 };
+        let counted = StationCounts {
+            retransmissions: Some(3),
+            transmit_airtime: Some(Duration::from_millis(7)),
+            ..StationCounts::default()
+        };
+        let (robot, signal) = (id("r1"), Dbm(-55.0));
+        let known = StationContext { robot, signal, downlink_bps: 65e6, uplink_bps: 0.0, counted };
         assert_eq!((context.load, &context.stations[..]), (0.25, &[known][..]));
         let untouched = RadioContext { radio_unit: id("other"), load: 0.5, ..context.clone() };
         let mut other = untouched.clone();

@@ -47,7 +47,7 @@ use std::{
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy, HardwareGraph,
     LinkContext, LinkCounters, LinkId, NodeId, Position, Probed, QueueLimit, RadioContext, Stamped,
-    StationContext, Timestamp, WirelessNetwork,
+    StationContext, StationCounts, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -614,7 +614,8 @@ impl Radio {
             1e6 * link.map_or_else(|| reception.mbps(), |link| link.mbps(direction, reception))
         };
         let [uplink_bps, downlink_bps] = [bps(Direction::Forward, &up), bps(Direction::Backward, &down)];
-        StationContext { robot: self.robots[robot].id.clone(), signal, downlink_bps, uplink_bps }
+        let counted = StationCounts::default();
+        StationContext { robot: self.robots[robot].id.clone(), signal, downlink_bps, uplink_bps, counted }
     }
 
     /// Returns the outcome of all frames that entered the radio, without those that only measure.
