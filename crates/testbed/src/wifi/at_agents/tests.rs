@@ -160,7 +160,13 @@ fn failed() -> Result<(), RequestError> {
 #[test]
 fn robots_are_told_before_radio_units_serve_which_bring_their_settings() {
     let mut world = World::new();
-    let wanted = |program: &Program| world.radios.programs[program].told.clone();
+    let programs: BTreeMap<_, _> = world
+        .radios
+        .programs
+        .iter()
+        .map(|(program, remote)| (program.clone(), remote.told.clone()))
+        .collect();
+    let wanted = |program: &Program| programs[program].clone();
     let access_point = |unit| match wanted(&Program::Hostapd(id(unit))) {
         Some(WantedRadio::AccessPoint(settings)) => settings,
         other => panic!("{other:?}"),
