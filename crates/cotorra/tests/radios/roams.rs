@@ -107,20 +107,6 @@ fn roams_without_fast_transition_have_their_gaps() {
 }
 
 #[test]
-fn a_robot_follows_a_suggestion_unless_it_does_not_hear_the_radio_unit() {
-    let floor = FLOOR.replace("[12, 5], channel: 11, serving: false", "[4000, 0], channel: 11");
-    let Some(mut rig) = Rig::start(&floor) else { return };
-    for unit in ["B", "A"] {
-        assert_eq!(rig.suggest("r1", unit), 0);
-        let handover = rig.wait_for_handover("r1", unit);
-        assert_eq!(handover["fast"], true, "{handover}");
-    }
-    assert_eq!(rig.suggest("r1", "C"), 7, "no suitable candidate");
-    assert_eq!(rig.place_of("r1").as_deref(), Some("A"));
-    rig.end();
-}
-
-#[test]
 fn a_robot_roams_by_itself_as_it_walks() {
     let number = number(2, 10);
     let way: String = (0..=number).map(|leg| if leg % 2 == 0 { "[1, 0], " } else { "[15, 0], " }).collect();
