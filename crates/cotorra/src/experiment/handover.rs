@@ -266,10 +266,10 @@ walks:
 
     /// Plans walks on a testbed, on these kinds of radio.
     fn planned(testbed: &str, on: &str) -> Result<Vec<Planned>, String> {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("testbed.yaml");
-        std::fs::write(&file, testbed).unwrap();
-        let line = ["handover", "--kind", on, "--testbed", file.to_str().unwrap()];
+        std::fs::write(&file, testbed).expect("it is written");
+        let line = ["handover", "--kind", on, "--testbed", file.to_str().expect("a path in UTF-8")];
         let args = Line::try_parse_from(line).map_err(|error| error.to_string())?.args;
         plan(&args, &kinds(&args).0).map_err(|report| match report.downcast_ref() {
             Some(FileError::Wrong { mistakes, .. }) => mistakes[0].to_string(),

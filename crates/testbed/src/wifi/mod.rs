@@ -62,6 +62,10 @@ pub(crate) struct Wifi {
     _folder: Option<Folder>,
 }
 
+/// The programs of real radios, and what these report.
+#[cfg(feature = "agents")]
+pub(crate) type WithFigures = (Wifi, Arc<dyn RadioFigures>);
+
 /// Tells the thread that carries out actions something.
 type Signal = Arc<dyn Fn() + Send + Sync>;
 
@@ -191,7 +195,7 @@ impl Wifi {
         key: &DomainKey,
         outlets: Outlets,
         (sender, inbox): (mpsc::Sender<AtAgentsMessage>, mpsc::Receiver<AtAgentsMessage>),
-    ) -> Result<Option<(Self, Arc<dyn RadioFigures>)>, WifiError> {
+    ) -> Result<Option<WithFigures>, WifiError> {
         let places = at_agents::places(graph)?;
         if places.is_empty() {
             return Ok(None);
