@@ -134,7 +134,8 @@ fn is_home() {
             ip netns exec u0 wpa_cli -p /run/wpa_supplicant list_networks")
     };
     let mut seen = String::new();
-    for _ in 0..100 {
+    // Longer than radios are kept without the core.
+    for _ in 0..300 {
         seen = is_home();
         let own = ["wlan0", "wlan1", "wlan2"].map(|its| Path::new("/run").join(its).join("wifi").join(its));
         let is_clean = own.iter().all(|its| !its.join("own").exists() && !its.join("owner.json").exists());

@@ -85,6 +85,7 @@ fn gaps_of_the_model_are_beside_those_of_real_software() {
     );
 }
 
+/// With `COTORRA_FULL` alone: other tests have each kind for itself.
 #[cfg(feature = "agents")]
 #[test]
 fn one_file_is_walked_on_all_three_kinds() {
@@ -93,8 +94,8 @@ fn one_file_is_walked_on_all_three_kinds() {
     /// Most of a gap: IEEE 802.11r aims at 50 ms.
     const MOST_MS: f64 = 50.0;
 
-    if env::var_os("COTORRA_RADIOS").is_none() {
-        eprintln!("skipped: COTORRA_RADIOS promises no radios");
+    if env::var_os("COTORRA_RADIOS").is_none() || env::var_os("COTORRA_FULL").is_none() {
+        eprintln!("skipped: it needs radios, which COTORRA_RADIOS promises, and COTORRA_FULL");
         return;
     }
     let machines = Machines::start(true);

@@ -36,7 +36,7 @@ pub struct Owner {
     pub(crate) bridge: Option<InterfaceName>,
     /// Whether it is set up.
     is_up: bool,
-    /// Its power, in hundredths of dBm; `None` if the driver does not report it.
+    /// Its power, in hundredths of dBm; `None` if it is down, or its driver does not report it.
     power: Option<i32>,
     /// Whether the kernel forgets its neighbours' addresses at a roam; `None` for a kernel that always does.
     forgets_neighbours: Option<bool>,
@@ -124,13 +124,15 @@ impl Owner {
         if program.is_none() && interface::has_carrier(interface) {
             return Err(TakeoverError::Unknown(interface.clone()));
         }
-        let power = TransmitPower::of(interface).and_then(|mut power| power.read()).ok().flatten();
+        let is_up = interface::is_up(interface);
+        let read_power = || TransmitPower::of(interface).and_then(|mut power| power.read()).ok().flatten();
+        let power = is_up.then(read_power).flatten();
         let forgets = fs::read_to_string(interface::forgets_neighbours(interface)).ok();
         Ok(Self {
             interface: interface.clone(),
             program,
             bridge: interface::bridge(interface),
-            is_up: interface::is_up(interface),
+            is_up,
             power,
             forgets_neighbours: forgets.map(|forgets| forgets.trim() != "0"),
         })
@@ -187,15 +189,10 @@ impl Owner {
     }
 
     pub(crate) fn put_back_power(&self) -> Result<(), TakeoverError> {
-        let Some(before) = self.power else { return Ok(()) };
-        let put_back = || {
-            let mut power = TransmitPower::of(&self.interface)?;
-            // The kernel does not tell whether it was automatic.
-            if power.read()?.is_some_and(|now| now != before) {
-                power.change(Power::AtMost(before))?;
-            }
-            Ok(())
-        };
+        // Whatever the kernel reports: a station that has no access point may have a limit that does not show. It does not tell
+        // either whether the power was automatic.
+        let before = self.power.map_or(Power::Automatic, Power::AtMost);
+        let put_back = || TransmitPower::of(&self.interface)?.change(before);
         put_back().map_err(self.system("put back the power of"))
     }
 

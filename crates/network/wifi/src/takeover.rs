@@ -59,6 +59,8 @@ pub struct Taken {
     folder: PathBuf,
     /// `None` while nothing is on the air.
     on_air: Option<OnAir>,
+    /// Whether its power is limited.
+    is_limited: bool,
     /// Number of times that a program was begun, or told to join another network.
     programs: u64,
 }
@@ -75,7 +77,7 @@ impl Taken {
     /// Prepares to take an interface over. Files of the takeover are in the private folder `folder`. Save the [`Owner`] before
     /// anything else.
     pub fn new(owner: Owner, folder: &Path) -> Self {
-        Self { owner, folder: folder.to_owned(), on_air: None, programs: 0 }
+        Self { owner, folder: folder.to_owned(), on_air: None, is_limited: false, programs: 0 }
     }
 
     /// Sets an owner's access point aside.
@@ -142,10 +144,14 @@ impl Taken {
         Bss { bridge, ..bss.clone() }
     }
 
-    fn limit_power(&self, power: Option<Power>) -> Result<(), TakeoverError> {
-        let Some(power) = power else { return self.owner.put_back_power() };
-        let change = || TransmitPower::of(&self.owner.interface)?.change(power);
-        change().map_err(self.owner.system("limit the power of"))
+    fn limit_power(&mut self, power: Option<Power>) -> Result<(), TakeoverError> {
+        let was_limited = std::mem::replace(&mut self.is_limited, power.is_some());
+        let change = |power| TransmitPower::of(&self.owner.interface)?.change(power);
+        match power {
+            Some(power) => change(power).map_err(self.owner.system("limit the power of")),
+            None if was_limited => self.owner.put_back_power(),
+            None => Ok(()),
+        }
     }
 
     /// Joins a network from now on, and no other. The kernel keeps its neighbours' addresses at roams. A change of the power alone
