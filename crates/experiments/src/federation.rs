@@ -206,7 +206,7 @@ pub fn settings(
 /// Returns the time after which a run is surely over. A robot without a radio unit would wait at the edge forever.
 pub fn longest(testbed: &Testbed) -> Duration {
     let walks = testbed.walks.iter().map(walk_time).max().unwrap_or_default();
-    2 * walks + Duration::from_secs(60)
+    (2 * walks).min(Duration::from_hours(24)) + Duration::from_secs(60)
 }
 
 /// Returns the domains of the orchestrators, in the order of their plug-ins.
