@@ -13,6 +13,7 @@ use cotorra_experiments::{
     },
     walk_time,
 };
+use cotorra_graph::Testbed;
 use cotorra_measurements::History;
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{Finished, FolderError, Options, Place, Recorded, RecordedError, wifi_programs};
@@ -136,7 +137,8 @@ fn kinds(args: &HandoverArgs) -> (Vec<Kind>, Option<String>) {
         )
     });
     // Most files name no agents, which is nothing to talk about.
-    if !HAS_AGENTS || load(args, HARDWARE, Walk::Sent).is_err() {
+    let has_hardware = || load(args, &load_as_model(args)?.testbed, HARDWARE, Walk::Sent);
+    if !HAS_AGENTS || has_hardware().is_err() {
         kinds.retain(|kind| *kind != HARDWARE);
     }
     (kinds, missing)
@@ -150,7 +152,7 @@ fn plan(args: &HandoverArgs, kinds: &[Kind]) -> miette::Result<Vec<Planned>> {
     for &kind in kinds {
         for number in 0..args.runs {
             for &walk in kind.walks() {
-                let loaded = load(args, kind, walk)?;
+                let loaded = load(args, &plain, kind, walk)?;
                 let seed = args.seed.unwrap_or(plain.seed) + u64::from(number);
                 // A robot that nothing drives does not arrive.
                 let until = args.until.or(walk_time.filter(|_| !kind.is_emulated));
@@ -167,9 +169,9 @@ fn load_as_model(args: &HandoverArgs) -> Result<Loaded, FileError> {
     testbed_file::load(&args.testbed, &[vec![model], args.walks.settings.clone()].concat())
 }
 
-/// Reads the file with the settings of a walk.
-fn load(args: &HandoverArgs, kind: Kind, walk: Walk) -> Result<Loaded, FileError> {
-    let own = settings(&load_as_model(args)?.testbed, kind, walk);
+/// Reads the file with the settings of a walk, which depend on what [`load_as_model`] returns.
+fn load(args: &HandoverArgs, plain: &Testbed, kind: Kind, walk: Walk) -> Result<Loaded, FileError> {
+    let own = settings(plain, kind, walk);
     let own = own.iter().map(|(path, value)| setting(path, value));
     // The user's settings come after them, so that they take precedence.
     let mut settings: Vec<_> = own.chain(args.walks.settings.iter().cloned()).collect();
