@@ -1,8 +1,5 @@
 //! Logs of a run: complete in its folder, and warnings also on the terminal, around the live view.
 
-#[cfg(feature = "agents")]
-mod refusals;
-
 use std::{
     env,
     fs::File,
@@ -37,12 +34,10 @@ pub fn begin(verbose: u8, view: &MultiProgress) -> LogFile {
         .with_writer(move || Terminal(view.clone()));
     let kept_log =
         fmt::layer().with_ansi(false).with_timer(fmt::time::uptime()).with_writer(move || to_file.clone());
-    let logs = tracing_subscriber::registry()
+    tracing_subscriber::registry()
         .with(terminal.with_filter(filter(shown)))
-        .with(kept_log.with_filter(filter(kept)));
-    #[cfg(feature = "agents")]
-    let logs = logs.with(refusals::refusals());
-    logs.init();
+        .with(kept_log.with_filter(filter(kept)))
+        .init();
     file
 }
 
@@ -66,9 +61,8 @@ fn targets(filter: &str) -> Targets {
 /// Returns the default filters of the terminal and of the file.
 fn usual(verbose: u8) -> (&'static str, &'static str) {
     match verbose {
-        // Warnings of libraries help only to debug: RustDDS warns of each datagram that cannot be sent, and Zenoh of too few
-        // open files when it refuses an agent.
-        0 => ("error,cotorra=warn", "info,rustdds=error,zenoh_link_tls=error"),
+        // Warnings of libraries help only to debug: RustDDS warns of each datagram that cannot be sent.
+        0 => ("error,cotorra=warn", "info,rustdds=error"),
         1 => ("info", "debug"),
         _ => ("debug", "trace"),
     }

@@ -39,11 +39,11 @@ pub(crate) fn folder(state: &Path, run: Run) -> PathBuf {
     state.join("runs").join(run.0.to_string())
 }
 
-/// Makes a run's files in its folder, with what `fetch` returns for their SHA-256. Files that are there already are not fetched.
+/// Makes a run's files in its folder, with what `fetch` returns for each. Files that are there already are not fetched.
 pub(crate) fn complete(
     folder: &Path,
     files: &[Shipped],
-    mut fetch: impl FnMut(&str) -> Result<Vec<u8>, String>,
+    mut fetch: impl FnMut(&Shipped) -> Result<Vec<u8>, String>,
 ) -> Result<(), FilesError> {
     let total = files.iter().fold(0_u64, |sum, file| sum.saturating_add(file.bytes));
     if total > MOST {
@@ -54,7 +54,7 @@ pub(crate) fn complete(
         if fs::read(&path).is_ok_and(|contents| file.has(&contents)) {
             continue;
         }
-        let bytes = fetch(&file.sha256).map_err(FilesError::Fetch)?;
+        let bytes = fetch(file).map_err(FilesError::Fetch)?;
         if !file.has(&bytes) {
             return Err(FilesError::Damaged(file.path.clone()));
         }

@@ -25,13 +25,7 @@ use std::{
 use clap::{Args, Parser, Subcommand};
 use cotorra_agent_transport::diagnose;
 use cotorra_netem::Confirmed;
-use tracing_subscriber::{
-    Layer,
-    filter::{LevelFilter, Targets},
-    fmt,
-    layer::SubscriberExt,
-    util::SubscriberInitExt,
-};
+use tracing_subscriber::{Layer, filter::Targets, fmt, layer::SubscriberExt, util::SubscriberInitExt};
 
 use crate::{error::AgentError, options::Options, service::Service};
 
@@ -127,11 +121,8 @@ enum BundledVnf {
 }
 
 fn main() -> ExitCode {
-    // Zenoh says too much that only its developers understand.
-    let filter = Targets::new()
-        .with_default(tracing::Level::WARN)
-        .with_target("cotorra_agent", tracing::Level::INFO)
-        .with_target("zenoh", LevelFilter::OFF);
+    let filter =
+        Targets::new().with_default(tracing::Level::WARN).with_target("cotorra_agent", tracing::Level::INFO);
     let stderr = fmt::layer().with_target(false).with_ansi(io::stderr().is_terminal());
     tracing_subscriber::registry().with(stderr.with_writer(io::stderr).with_filter(filter)).init();
     match dispatch(Cli::parse().command) {

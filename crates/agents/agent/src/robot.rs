@@ -170,11 +170,9 @@ fn drive(mut robot: DrivenRobot, clock: &Clock, inbox: &Inbox) {
         for command in &commands {
             robot.receive(clock(), command);
         }
-        if let (Some((reading, turn)), Some(sender)) = (robot.poll(clock()), sender)
-            && let Err(error) =
-                sender.reading(&reading).and_then(|()| turn.map_or(Ok(()), |turn| sender.turn(&turn)))
-        {
-            tracing::debug!("cannot send what the robot says: {error}");
+        if let (Some((reading, turn)), Some(sender)) = (robot.poll(clock()), sender) {
+            sender.reading(&reading);
+            turn.iter().for_each(|turn| sender.turn(turn));
         }
     }
 }

@@ -239,9 +239,7 @@ impl Service {
                 }
             }
             Action::Report(report) => {
-                if let Err(error) = self.dialer.report(&report) {
-                    tracing::debug!("cannot report: {error}");
-                }
+                self.dialer.report(&report);
             }
         }
     }
@@ -283,8 +281,8 @@ impl Service {
         let (fetcher, messages) = (self.dialer.fetcher(), self.messages.clone());
         let (run, shipped) = (wanted.run, wanted.files.clone());
         let fetch = move || {
-            let fetched = files::complete(&folder, &shipped, |sha256| {
-                fetcher.fetch(run, sha256).map_err(|e| e.to_string())
+            let fetched = files::complete(&folder, &shipped, |file| {
+                fetcher.fetch(&file.sha256, file.bytes).map_err(|e| e.to_string())
             });
             let _ = messages.send(Message::Files(run, fetched.map_err(|e| e.to_string())));
         };
@@ -309,13 +307,13 @@ impl Service {
         }
         let links = self.links.read(now);
         self.agent.set_link_states(now, self.links.states());
-        let Some(run) = self.agent.run() else { return };
+        if self.agent.run().is_none() {
+            return;
+        }
         let (boot, read_ns, context) = (self.agent.boot(), now.as_nanos(), reading.context);
         let (heard, addresses) = (self.radios.heard(), self.radios.addresses());
         let reading = MachineReading { boot, read_ns, context, links, heard, addresses };
-        if let Err(error) = self.dialer.context(run, reading.encode()) {
-            tracing::debug!("cannot send the context: {error}");
-        }
+        self.dialer.context(reading.encode());
     }
 
     /// Connects anew if the file with the credentials has changed.

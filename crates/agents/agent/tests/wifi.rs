@@ -190,8 +190,7 @@ impl Core {
             granted.map(|its| Granted { agent: its.name, common_name: its.common_name }).collect();
         let (arrived, inbox) = mpsc::channel();
         let receiver: Receiver = Arc::new(move |agent, message, _| drop(arrived.send((agent, message))));
-        let router =
-            Router::open(CORE.parse().unwrap(), credentials, &granted, RUN, BTreeMap::new(), &receiver);
+        let router = Router::open(CORE.parse().unwrap(), credentials, &granted, BTreeMap::new(), &receiver);
         let controller = Controller::new(RUN, LEASE, Vec::new(), (0..3).map(name));
         let (router, began, readings) = (router.unwrap(), Instant::now(), BTreeMap::new());
         Self { router, controller, inbox, began, readings }
@@ -212,7 +211,7 @@ impl Core {
             assert!(now < ends, "only {seen:?}");
             self.controller.advance(now);
             while let Some(transmit) = self.controller.poll_transmit(now) {
-                self.router.send(RUN, &transmit).unwrap();
+                self.router.send(&transmit);
             }
             while let Some(event) = self.controller.poll_event() {
                 seen.push(event);

@@ -1,6 +1,10 @@
 //! Makes and reads the X.509 certificates of the authority, the core and agents.
 
-use std::{collections::BTreeSet, fmt::Display, net::Ipv4Addr};
+use std::{
+    collections::BTreeSet,
+    fmt::Display,
+    net::{Ipv4Addr, Ipv6Addr},
+};
 
 use chrono::{DateTime, TimeDelta, Utc};
 use cotorra_graph::AgentId;
@@ -119,9 +123,10 @@ impl Credentials {
 fn host(name: &GeneralName<'_>) -> Option<String> {
     match name {
         GeneralName::DNSName(name) => Some((*name).to_owned()),
-        GeneralName::IPAddress(octets) => {
-            <[u8; 4]>::try_from(*octets).ok().map(|octets| Ipv4Addr::from(octets).to_string())
-        }
+        GeneralName::IPAddress(octets) => match **octets {
+            [a, b, c, d] => Some(Ipv4Addr::new(a, b, c, d).to_string()),
+            _ => <[u8; 16]>::try_from(*octets).ok().map(|octets| Ipv6Addr::from(octets).to_string()),
+        },
         _ => None,
     }
 }

@@ -9,9 +9,8 @@
 //! one before ends after an overlap. The transport grants exact common names, so that both can be told apart. Agents'
 //! certificates are for clients only, and the core's is for servers only, so that no agent can pass for the core.
 //!
-//! Zenoh's TLS also trusts the public certificate authorities of the web when it connects. An agent must therefore verify
-//! the host's name, which the core's certificate has, and accept messages only of [`CORE_COMMON_NAME`], which no public
-//! authority certifies.
+//! An agent trusts this authority alone. It verifies the host's name, which the core's certificate has, and accepts messages
+//! only of [`CORE_COMMON_NAME`].
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 

@@ -1,18 +1,17 @@
-//! Why a connection does not come about. Zenoh itself only reports a timeout.
+//! Why a connection does not come about.
 
 use std::{
     io::{self, Read, Write},
     net::{TcpStream, ToSocketAddrs},
-    sync::Arc,
     time::Duration,
 };
 
-use rustls::{
-    AlertDescription, ClientConfig, ClientConnection, RootCertStore, StreamOwned,
-    pki_types::{CertificateDer, PrivateKeyDer, ServerName, pem::PemObject},
-};
+use rustls::{AlertDescription, ClientConnection, StreamOwned};
 
-use crate::config::Credentials;
+use crate::{
+    dialer::server_name,
+    tls::{self, Credentials},
+};
 
 /// Time for each step.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -30,10 +29,9 @@ pub fn diagnose(core: &str, credentials: Credentials<'_>) -> Result<(), String> 
     for set in [TcpStream::set_read_timeout, TcpStream::set_write_timeout] {
         set(&stream, Some(TIMEOUT)).map_err(|e| e.to_string())?;
     }
-    let config = config(credentials)?;
-    let name = host.trim_matches(['[', ']']);
-    let name = ServerName::try_from(name.to_owned()).map_err(|e| format!("`{name}`: {e}"))?;
-    let connection = ClientConnection::new(Arc::new(config), name).map_err(|e| e.to_string())?;
+    let config = tls::client(credentials).map_err(|e| e.to_string())?;
+    let name = server_name(core).map_err(|e| e.to_string())?;
+    let connection = ClientConnection::new(config, name).map_err(|e| e.to_string())?;
     let mut stream = StreamOwned::new(connection, stream);
     // The core checks the agent's certificate after the handshake, and refuses it by an alert in place of data.
     match stream.flush().and_then(|()| stream.read(&mut [0; 1])) {
@@ -41,24 +39,6 @@ pub fn diagnose(core: &str, credentials: Credentials<'_>) -> Result<(), String> 
         Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => Ok(()),
         Err(error) => Err(explained(&error)),
     }
-}
-
-fn config(credentials: Credentials<'_>) -> Result<ClientConfig, String> {
-    let text = |e: &dyn std::fmt::Display| format!("the credentials are not valid: {e}");
-    let mut roots = RootCertStore::empty();
-    for certificate in CertificateDer::pem_slice_iter(credentials.authority.as_bytes()) {
-        roots.add(certificate.map_err(|e| text(&e))?).map_err(|e| text(&e))?;
-    }
-    let chain: Result<Vec<_>, _> =
-        CertificateDer::pem_slice_iter(credentials.certificate.as_bytes()).collect();
-    let key = PrivateKeyDer::from_pem_slice(credentials.key.as_bytes()).map_err(|e| text(&e))?;
-    let provider = Arc::new(rustls::crypto::ring::default_provider());
-    ClientConfig::builder_with_provider(provider)
-        .with_safe_default_protocol_versions()
-        .map_err(|e| text(&e))?
-        .with_root_certificates(roots)
-        .with_client_auth_cert(chain.map_err(|e| text(&e))?, key)
-        .map_err(|e| text(&e))
 }
 
 fn explained(error: &io::Error) -> String {
@@ -71,6 +51,9 @@ fn explained(error: &io::Error) -> String {
             AlertDescription::UnknownCA | AlertDescription::DecryptError => {
                 "the core does not know the authority of this agent's certificate; was the agent enrolled on that machine?"
                     .to_owned()
+            }
+            AlertDescription::NoApplicationProtocol => {
+                "the core is of another version; use the agent and the core of one release".to_owned()
             }
             other => format!("the core refuses this agent's certificate: {other:?}"),
         },

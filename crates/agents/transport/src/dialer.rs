@@ -1,27 +1,49 @@
-//! An agent's end.
+//! An agent's end: one thread, which connects again whenever the connection was lost.
+#![allow(clippy::disallowed_types, reason = "a shell with a clock")]
 
-use std::{thread, time::Duration};
-
-use cotorra_agent_protocol::{Beat, Report, RobotCommand, RobotReading, RobotTurn, Run, Wanted};
-use cotorra_graph::AgentId;
-use zenoh::{
-    Session, Wait,
-    liveliness::LivelinessToken,
-    qos::{CongestionControl, Priority},
-    sample::Sample,
+use std::{
+    collections::BTreeMap,
+    convert::Infallible,
+    io,
+    net::{self, ToSocketAddrs},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
+    thread,
+    time::{Duration, Instant},
 };
+
+use cotorra_agent_protocol::{Beat, LEASE, Report, RobotCommand, RobotReading, RobotTurn, Run, Wanted};
+use cotorra_graph::AgentId;
+use mio::{Events, Interest, Poll, Token, Waker, net::TcpStream};
+use parking_lot::Mutex;
+use rustls::{ClientConfig, ClientConnection, pki_types::ServerName};
 
 use crate::{
-    config::{self, Credentials},
-    error::{TransportError, session},
-    keys,
+    connection::{Closed, Connection},
+    error::TransportError,
+    frame::{self, Frame, Kind, numbered},
+    tls::{self, Credentials},
 };
 
-/// Time for one file.
+/// Pauses between attempts to connect: the first, the longest, and how each grows.
+const PAUSE: Duration = Duration::from_millis(200);
+const LONGEST_PAUSE: Duration = Duration::from_secs(2);
+const GROWTH: f64 = 1.5;
+/// Interval of what is due at the connection.
+const TICK: Duration = LEASE.checked_div(8).expect("not by 0");
+/// Time without a part of a file.
 const FILE_TIMEOUT: Duration = Duration::from_secs(10);
-/// Attempts to fetch a file, and the pause after each.
-const FILE_ATTEMPTS: u32 = 10;
-const FILE_PAUSE: Duration = Duration::from_millis(200);
+/// Attempts to fetch a file over connections that are lost meanwhile.
+const ATTEMPTS: u32 = 10;
+/// Why a file may be fetched again.
+const LOST: &str = "the connection is lost";
+
+const SOCKET: Token = Token(0);
+const WAKER: Token = Token(1);
+
 /// Something that arrived from the core.
 #[derive(Debug)]
 pub enum FromCore {
@@ -33,159 +55,358 @@ pub enum FromCore {
     Rejected(String),
 }
 
-/// A connection to the core, which returns by itself when it was lost.
-pub struct Dialer {
-    session: Session,
-    agent: AgentId,
-    alive: Option<(Run, LivelinessToken)>,
+/// A part of a file; none at its end.
+type Part = Option<Vec<u8>>;
+
+/// What the dialer's thread and those that send share.
+#[derive(Debug)]
+struct Shared {
+    /// The connection, once the core is known to be at its other end.
+    connection: Mutex<Option<Connection>>,
+    /// The number of the agent's process, once it reported.
+    alive: Mutex<Option<(Run, u64)>>,
+    fetches: Mutex<Fetches>,
+    ends: AtomicBool,
+    waker: Waker,
 }
 
-impl std::fmt::Debug for Dialer {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Dialer").field("agent", &self.agent).finish_non_exhaustive()
+/// Files that are being fetched, by the numbers of the fetches.
+#[derive(Debug, Default)]
+struct Fetches {
+    last: u32,
+    waiting: BTreeMap<u32, mpsc::Sender<Part>>,
+}
+
+impl Shared {
+    /// Sends a message. Returns whether there is a connection; without one, the message is lost.
+    fn send(&self, kind: Kind, message: Vec<u8>) -> bool {
+        let mut connection = self.connection.lock();
+        let Some(open) = &mut *connection else { return false };
+        if let Err(reason) = open.send(Instant::now(), Frame { kind, message }) {
+            tracing::debug!("cannot send to the core: {reason}");
+            // The dialer's thread notices it.
+            open.close();
+        }
+        true
     }
 }
 
+/// A connection to the core, which returns by itself when it was lost. Dropping it ends the connection.
+#[derive(Debug)]
+pub struct Dialer(Arc<Shared>);
+
 impl Dialer {
-    /// Begins to connect to the core at `core`, such as `192.168.1.2:7447`, whose certificate has this common name. Passes what arrives to `receiver`, from
-    /// threads of Zenoh.
+    /// Begins to connect to the core at `core`, such as `192.168.1.2:7448`, whose certificate has this common name. Passes what
+    /// arrives to `receiver`, from a thread of its own.
     ///
     /// # Errors
-    /// [`TransportError`] if a credential is not valid.
+    /// [`TransportError`] if the address or a credential is not valid.
     pub fn open(
         core: &str,
         core_common_name: &str,
         agent: AgentId,
         credentials: Credentials<'_>,
-        receiver: impl Fn(FromCore) + Clone + Send + Sync + 'static,
+        receiver: impl Fn(FromCore) + Send + 'static,
     ) -> Result<Self, TransportError> {
-        let opened = zenoh::open(config::client(core, core_common_name, &agent, credentials)?)
-            .wait()
-            .map_err(session)?;
-        for kind in [keys::WANTED, keys::BEAT, keys::COMMAND] {
-            let receiver = receiver.clone();
-            opened
-                .declare_subscriber(format!("{}/{kind}", keys::of_agent(&agent)))
-                .callback(move |sample: Sample| {
-                    let bytes = sample.payload().to_bytes();
-                    let message = match kind {
-                        keys::WANTED => {
-                            Wanted::decode(&bytes).map(|wanted| FromCore::Wanted(Box::new(wanted)))
-                        }
-                        keys::BEAT => Beat::decode(&bytes).map(FromCore::Beat),
-                        _ => RobotCommand::decode(&bytes).map(FromCore::Command),
-                    };
-                    let message = message.unwrap_or_else(|error| FromCore::Rejected(error.to_string()));
-                    receiver(message);
-                })
-                .background()
-                .wait()
-                .map_err(session)?;
-        }
-        Ok(Self { session: opened, agent, alive: None })
+        let config = tls::client(credentials)?;
+        let host = server_name(core)?;
+        let poll = Poll::new()?;
+        let shared = Arc::new(Shared {
+            connection: Mutex::default(),
+            alive: Mutex::default(),
+            fetches: Mutex::default(),
+            ends: AtomicBool::new(false),
+            waker: Waker::new(poll.registry(), WAKER)?,
+        });
+        let service = Service {
+            core: core.to_owned(),
+            host,
+            core_common_name: core_common_name.to_owned(),
+            agent,
+            config,
+            poll,
+            shared: Arc::clone(&shared),
+            receiver,
+        };
+        thread::Builder::new().name("agent-dialer".to_owned()).spawn(move || service.run())?;
+        Ok(Self(shared))
     }
 
     /// Sends a report. Without a connection it is lost.
-    ///
-    /// # Errors
-    /// [`TransportError::Session`].
-    pub fn report(&mut self, report: &Report) -> Result<(), TransportError> {
-        let keys = keys::in_run(report.run, &self.agent);
-        if self.alive.as_ref().is_none_or(|(run, _)| *run != report.run) {
-            let token =
-                self.session.liveliness().declare_token(format!("{keys}/{}/{}", keys::ALIVE, report.boot));
-            self.alive = Some((report.run, token.wait().map_err(session)?));
+    pub fn report(&mut self, report: &Report) {
+        let alive = Some((report.run, report.boot));
+        if std::mem::replace(&mut *self.0.alive.lock(), alive) != alive {
+            self.0.send(Kind::Alive, report.boot.to_be_bytes().to_vec());
         }
-        put(&self.session, &format!("{keys}/{}", keys::STATE), report.encode(), Priority::RealTime)
+        self.0.send(Kind::Report, report.encode());
     }
 
     /// Sends the context of the machine, encoded. Without a connection it is lost.
-    ///
-    /// # Errors
-    /// [`TransportError::Session`].
-    pub fn context(&self, run: Run, context: Vec<u8>) -> Result<(), TransportError> {
-        let key = format!("{}/{}", keys::in_run(run, &self.agent), keys::CONTEXT);
-        put(&self.session, &key, context, Priority::Data)
+    pub fn context(&self, context: Vec<u8>) {
+        self.0.send(Kind::Context, context);
     }
 
     /// Returns a way to send what the agent's robot says on another thread.
     pub fn robot_sender(&self) -> RobotSender {
-        RobotSender { session: self.session.clone(), agent: self.agent.clone() }
+        RobotSender(Arc::clone(&self.0))
     }
 
     /// Returns a way to fetch files on another thread.
     pub fn fetcher(&self) -> Fetcher {
-        Fetcher { session: self.session.clone(), agent: self.agent.clone() }
+        Fetcher(Arc::clone(&self.0))
     }
 }
 
-/// Sends a message at once. One that does not fit into the buffers is lost.
-fn put(opened: &Session, key: &str, bytes: Vec<u8>, priority: Priority) -> Result<(), TransportError> {
-    opened
-        .put(key, bytes)
-        .congestion_control(CongestionControl::Drop)
-        .priority(priority)
-        .express(true)
-        .wait()
-        .map_err(session)
+impl Drop for Dialer {
+    fn drop(&mut self) {
+        self.0.ends.store(true, Ordering::Relaxed);
+        if let Some(connection) = &mut *self.0.connection.lock() {
+            connection.close();
+        }
+        if let Err(error) = self.0.waker.wake() {
+            tracing::debug!("cannot wake the connection to the core: {error}");
+        }
+    }
 }
 
 /// Sends what a robot says. Without a connection it is lost.
-#[derive(Clone)]
-pub struct RobotSender {
-    session: Session,
-    agent: AgentId,
-}
+#[derive(Debug, Clone)]
+pub struct RobotSender(Arc<Shared>);
 
 impl RobotSender {
     /// Sends a reading.
-    ///
-    /// # Errors
-    /// [`TransportError::Session`].
-    pub fn reading(&self, reading: &RobotReading) -> Result<(), TransportError> {
-        let key = format!("{}/{}", keys::in_run(reading.session.run, &self.agent), keys::READING);
-        put(&self.session, &key, reading.encode(), Priority::RealTime)
+    pub fn reading(&self, reading: &RobotReading) {
+        self.0.send(Kind::Reading, reading.encode());
     }
 
     /// Sends a turn of its lidar.
+    pub fn turn(&self, turn: &RobotTurn) {
+        self.0.send(Kind::Turn, turn.encode());
+    }
+}
+
+/// Fetches files of a run from the core.
+#[derive(Debug, Clone)]
+pub struct Fetcher(Arc<Shared>);
+
+impl Fetcher {
+    /// Fetches a file of at most `most` bytes by its SHA-256. Blocks until it is there. The bytes are not verified.
     ///
     /// # Errors
-    /// [`TransportError::Session`].
-    pub fn turn(&self, turn: &RobotTurn) -> Result<(), TransportError> {
-        let key = format!("{}/{}", keys::in_run(turn.session.run, &self.agent), keys::TURN);
-        put(&self.session, &key, turn.encode(), Priority::InteractiveHigh)
+    /// [`TransportError::NoFile`], also if no part of it arrives for ten seconds, or the connection stays lost.
+    pub fn fetch(&self, sha256: &str, most: u64) -> Result<Vec<u8>, TransportError> {
+        let mut fetched = self.attempt(sha256, most);
+        for _ in 1..ATTEMPTS {
+            if fetched != Err(LOST) {
+                break;
+            }
+            pause();
+            fetched = self.attempt(sha256, most);
+        }
+        fetched.map_err(|reason| TransportError::NoFile { sha256: sha256.to_owned(), reason })
+    }
+
+    fn attempt(&self, sha256: &str, most: u64) -> Result<Vec<u8>, &'static str> {
+        let (sender, parts) = mpsc::channel();
+        let number = {
+            let mut fetches = self.0.fetches.lock();
+            fetches.last = fetches.last.wrapping_add(1);
+            let number = fetches.last;
+            fetches.waiting.insert(number, sender);
+            number
+        };
+        let is_sent = self.0.send(Kind::Fetch, numbered(number, sha256.as_bytes()));
+        let fetched = if is_sent { collect(&parts, most) } else { Err(LOST) };
+        self.0.fetches.lock().waiting.remove(&number);
+        fetched
     }
 }
 
 #[allow(clippy::disallowed_methods, reason = "waits for the other end on a thread that does nothing else")]
 fn pause() {
-    thread::sleep(FILE_PAUSE);
+    thread::sleep(PAUSE);
 }
 
-/// Fetches files of a run from the core.
-#[derive(Clone)]
-pub struct Fetcher {
-    session: Session,
-    agent: AgentId,
-}
-
-impl Fetcher {
-    /// Fetches a file by its SHA-256. Blocks until it is there, or for some seconds. The bytes are not verified.
-    ///
-    /// # Errors
-    /// [`TransportError::NoFile`].
-    pub fn fetch(&self, run: Run, sha256: &str) -> Result<Vec<u8>, TransportError> {
-        let key = format!("{}/{}/{sha256}", keys::in_run(run, &self.agent), keys::FILE);
-        // A core can send what it wants before this end of the connection knows that the core has files.
-        for _ in 0..FILE_ATTEMPTS {
-            let replies = self.session.get(&key).timeout(FILE_TIMEOUT).wait().map_err(session)?;
-            while let Ok(reply) = replies.recv() {
-                if let Ok(sample) = reply.result() {
-                    return Ok(sample.payload().to_bytes().into_owned());
-                }
+/// Returns the parts of a file as one.
+fn collect(parts: &mpsc::Receiver<Part>, most: u64) -> Result<Vec<u8>, &'static str> {
+    let mut file = Vec::new();
+    loop {
+        match parts.recv_timeout(FILE_TIMEOUT) {
+            Ok(Some(part)) if part.is_empty() => return Ok(file),
+            Ok(Some(part)) if (file.len() + part.len()) as u64 > most => {
+                return Err("it is longer than announced");
             }
-            pause();
+            Ok(Some(part)) => file.extend_from_slice(&part),
+            Ok(None) => return Err("it has no such file"),
+            Err(mpsc::RecvTimeoutError::Timeout) => return Err("nothing arrives"),
+            Err(mpsc::RecvTimeoutError::Disconnected) => return Err(LOST),
         }
-        Err(TransportError::NoFile(sha256.to_owned()))
     }
+}
+
+/// Returns the host of an address as its certificate has it.
+pub(crate) fn server_name(core: &str) -> Result<ServerName<'static>, TransportError> {
+    let invalid = || TransportError::Address(core.to_owned());
+    let (host, _) = core.rsplit_once(':').ok_or_else(invalid)?;
+    ServerName::try_from(host.trim_matches(['[', ']']).to_owned()).map_err(|_| invalid())
+}
+
+/// The dialer's thread.
+struct Service<R> {
+    core: String,
+    host: ServerName<'static>,
+    core_common_name: String,
+    agent: AgentId,
+    config: Arc<ClientConfig>,
+    poll: Poll,
+    shared: Arc<Shared>,
+    receiver: R,
+}
+
+impl<R: Fn(FromCore)> Service<R> {
+    fn run(mut self) {
+        let mut pause = PAUSE;
+        while !self.ends() {
+            match self.connect() {
+                Ok(connection) => {
+                    let (reason, was_accepted) = self.serve(connection);
+                    tracing::debug!("the connection to {} ended: {reason}", self.core);
+                    if was_accepted {
+                        pause = PAUSE;
+                    }
+                }
+                Err(error) => tracing::debug!("cannot connect to {}: {error}", self.core),
+            }
+            self.wait(pause);
+            pause = pause.mul_f64(GROWTH).min(LONGEST_PAUSE);
+        }
+    }
+
+    fn ends(&self) -> bool {
+        self.shared.ends.load(Ordering::Relaxed)
+    }
+
+    /// Waits so long, or until the end.
+    fn wait(&mut self, pause: Duration) {
+        let mut events = Events::with_capacity(4);
+        let until = Instant::now() + pause;
+        while !self.ends() {
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() || self.poll.poll(&mut events, Some(left)).is_err_and(|e| !is_interrupted(&e)) {
+                return;
+            }
+        }
+    }
+
+    fn connect(&self) -> Result<Connection, Closed> {
+        let mut failed = io::Error::other("its host has no address");
+        for address in self.core.to_socket_addrs()? {
+            match net::TcpStream::connect_timeout(&address, LEASE) {
+                Ok(socket) => {
+                    socket.set_nonblocking(true)?;
+                    let mut socket = TcpStream::from_std(socket);
+                    let interests = Interest::READABLE | Interest::WRITABLE;
+                    self.poll.registry().register(&mut socket, SOCKET, interests)?;
+                    let tls = ClientConnection::new(Arc::clone(&self.config), self.host.clone())?;
+                    return Ok(Connection::new(Instant::now(), socket, tls.into()));
+                }
+                Err(error) => failed = error,
+            }
+        }
+        Err(failed.into())
+    }
+
+    /// Serves a connection until it ends. Returns the reason, and whether the core said anything.
+    fn serve(&mut self, mut connection: Connection) -> (Closed, bool) {
+        let mut was_accepted = false;
+        let greeted = self.greet(&mut connection).and_then(|()| {
+            // A process that reports now says its number on this connection, or finds it there.
+            let mut shared = self.shared.connection.lock();
+            if let Some((_, boot)) = *self.shared.alive.lock() {
+                let message = boot.to_be_bytes().to_vec();
+                connection.send(Instant::now(), Frame { kind: Kind::Alive, message })?;
+            }
+            *shared = Some(connection);
+            Ok(())
+        });
+        let Err(reason) = greeted.and_then(|()| self.follow(&mut was_accepted));
+        if let Some(mut connection) = self.shared.connection.lock().take() {
+            connection.close();
+        }
+        // Those that fetch notice it.
+        self.shared.fetches.lock().waiting.clear();
+        (reason, was_accepted)
+    }
+
+    /// Waits until something can be read or written, or for a tick.
+    fn poll(&mut self, wait: Duration) -> Result<(), Closed> {
+        match self.poll.poll(&mut Events::with_capacity(4), Some(wait)) {
+            Err(error) if !is_interrupted(&error) => Err(error.into()),
+            _ if self.ends() => Err(Closed::Ended),
+            _ => Ok(()),
+        }
+    }
+
+    /// Makes the handshake, and says which agent this is, if the core is there.
+    fn greet(&mut self, connection: &mut Connection) -> Result<(), Closed> {
+        loop {
+            let now = Instant::now();
+            connection.exchange(now)?;
+            if let Some(identity) = connection.identity() {
+                let common_name = identity.map_err(Closed::Stranger)?.common_name;
+                if common_name != self.core_common_name {
+                    return Err(Closed::Stranger(format!("`{common_name}` is there, and not the core")));
+                }
+                let message = self.agent.as_str().as_bytes().to_vec();
+                return connection.send(now, Frame { kind: Kind::Hello, message });
+            }
+            connection.advance(now)?;
+            self.poll(TICK)?;
+        }
+    }
+
+    /// Passes on what the core says, until the connection ends.
+    fn follow(&mut self, was_accepted: &mut bool) -> Result<Infallible, Closed> {
+        let mut frames = Vec::new();
+        loop {
+            let exchanged = {
+                let mut shared = self.shared.connection.lock();
+                let connection = shared.as_mut().ok_or(Closed::Ended)?;
+                let now = Instant::now();
+                let exchanged = connection.exchange(now);
+                while let Some(frame) = connection.poll(frame::LONGEST)? {
+                    frames.push(frame);
+                }
+                exchanged.and_then(|more| connection.advance(now).map(|()| more))
+            };
+            *was_accepted |= !frames.is_empty();
+            frames.drain(..).for_each(|frame| self.take(frame));
+            self.poll(if exchanged? { Duration::ZERO } else { TICK })?;
+        }
+    }
+
+    fn take(&self, Frame { kind, message }: Frame) {
+        let rejected = |error: &dyn std::fmt::Display| FromCore::Rejected(error.to_string());
+        (self.receiver)(match kind {
+            Kind::Quiet => return,
+            Kind::Wanted => Wanted::decode(&message)
+                .map_or_else(|e| rejected(&e), |wanted| FromCore::Wanted(Box::new(wanted))),
+            Kind::Beat => Beat::decode(&message).map_or_else(|e| rejected(&e), FromCore::Beat),
+            Kind::Command => RobotCommand::decode(&message).map_or_else(|e| rejected(&e), FromCore::Command),
+            Kind::Part | Kind::Missing => {
+                if let Some((number, part)) = frame::number(&message)
+                    && let Some(fetch) = self.shared.fetches.lock().waiting.get(&number)
+                {
+                    // Nobody waits for a file that is longer than announced.
+                    _ = fetch.send((kind == Kind::Part).then(|| part.to_vec()));
+                }
+                return;
+            }
+            kind => FromCore::Rejected(format!("the core does not say {kind:?}")),
+        });
+    }
+}
+
+fn is_interrupted(error: &io::Error) -> bool {
+    error.kind() == io::ErrorKind::Interrupted
 }

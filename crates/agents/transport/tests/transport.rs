@@ -3,7 +3,8 @@
 
 use std::{
     collections::BTreeMap,
-    net::{SocketAddr, TcpListener},
+    io::{Read, Write},
+    net::{SocketAddr, TcpListener, TcpStream},
     path::PathBuf,
     sync::{Arc, mpsc},
     thread,
@@ -14,9 +15,14 @@ use chrono::{DateTime, TimeDelta, Utc};
 use cotorra_agent_protocol::{Beat, Report, Run, Transmit, Wanted};
 use cotorra_agent_transport::{
     Credentials, Dialer, FromAgent, FromCore, Granted, Receiver, Router, TransportError, diagnose,
+    frame::{Frame, Kind},
 };
 use cotorra_enrolment::{Authority, Bundle, CORE_COMMON_NAME};
 use cotorra_graph::AgentId;
+use rustls::{
+    ClientConfig, ClientConnection, RootCertStore, StreamOwned,
+    pki_types::{CertificateDer, PrivateKeyDer, ServerName, pem::PemObject},
+};
 
 /// Longer than any step takes on a busy machine. A test that waits so long fails.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -72,7 +78,7 @@ impl Lab {
             certificate: &core.certificate_pem,
             key: &core.key_pem,
         };
-        let router = Router::open(self.address, credentials, &self.granted(), RUN, files, &receiver).unwrap();
+        let router = Router::open(self.address, credentials, &self.granted(), files, &receiver).unwrap();
         (router, received)
     }
 }
@@ -109,12 +115,8 @@ fn report(boot: u64) -> Report {
 }
 
 fn beat(router: &Router, agent: &str) {
-    router
-        .send(
-            RUN,
-            &Transmit::Beat(name(agent), Beat { run: RUN, generation: 1, sent_ns: 2, last_event: None }),
-        )
-        .unwrap();
+    let beat = Beat { run: RUN, generation: 1, sent_ns: 2, last_event: None };
+    router.send(&Transmit::Beat(name(agent), beat));
 }
 
 /// Sends beats until the agent receives one.
@@ -148,7 +150,7 @@ fn both_ends_exchange_messages_and_files() {
     let (router, arrived) = lab.router(BTreeMap::from([("abc".to_owned(), file.path().to_owned())]));
     let (mut dialer, received) = dial(&bundle, "edge1");
     wait_for_core(&router, "edge1", &received);
-    dialer.report(&report(5)).unwrap();
+    dialer.report(&report(5));
     let mut is_connected = false;
     let (agent, reported) = loop {
         match arrived.recv_timeout(PATIENCE).unwrap() {
@@ -168,7 +170,7 @@ fn both_ends_exchange_messages_and_files() {
         links: BTreeMap::new(),
         wifi: Default::default(),
     };
-    router.send(RUN, &Transmit::Wanted(name("edge1"), Box::new(wanted.clone()))).unwrap();
+    router.send(&Transmit::Wanted(name("edge1"), Box::new(wanted.clone())));
     loop {
         match received.recv_timeout(PATIENCE).unwrap() {
             FromCore::Wanted(got) => break assert_eq!(*got, wanted),
@@ -176,7 +178,7 @@ fn both_ends_exchange_messages_and_files() {
             other => panic!("{other:?}"),
         }
     }
-    dialer.context(RUN, b"{}".to_vec()).unwrap();
+    dialer.context(b"{}".to_vec());
     loop {
         match arrived.recv_timeout(PATIENCE).unwrap().1 {
             FromAgent::Context(context) => break assert_eq!(context, b"{}"),
@@ -184,7 +186,7 @@ fn both_ends_exchange_messages_and_files() {
             other => panic!("{other:?}"),
         }
     }
-    assert_eq!(dialer.fetcher().fetch(RUN, "abc").unwrap(), [7; 100_000]);
+    assert_eq!(dialer.fetcher().fetch("abc", 100_000).unwrap(), [7; 100_000]);
     drop(dialer);
     while is_connected || matches!(arrived.try_recv(), Ok((_, FromAgent::Connection { is_there: true, .. })))
     {
@@ -201,8 +203,8 @@ fn a_file_that_is_not_of_the_run_is_not_sent() {
     let (router, _arrived) = lab.router(BTreeMap::new());
     let (dialer, received) = dial(&bundle, "edge1");
     wait_for_core(&router, "edge1", &received);
-    let fetched = dialer.fetcher().fetch(RUN, "passwd");
-    assert!(matches!(fetched, Err(TransportError::NoFile(_))), "{fetched:?}");
+    let fetched = dialer.fetcher().fetch("passwd", 100);
+    assert!(matches!(fetched, Err(TransportError::NoFile { .. })), "{fetched:?}");
 }
 
 #[test]
@@ -224,7 +226,7 @@ fn an_agent_connects_again_when_the_core_is_back() {
     drop(router);
     let (router, arrived) = lab.router(BTreeMap::new());
     wait_for_core(&router, "edge1", &received);
-    dialer.report(&report(9)).unwrap();
+    dialer.report(&report(9));
     assert_eq!(next_report(&arrived).1.boot, 9);
 }
 
@@ -240,10 +242,10 @@ fn an_agent_cannot_speak_for_another() {
     let (mut same_session, received) = dial(&first, "edge1");
     wait_for_core(&router, "edge1", &received);
     for _ in 0..50 {
-        liar.report(&report(66)).unwrap();
+        liar.report(&report(66));
     }
-    same_session.report(&report(1)).unwrap();
-    honest.report(&report(2)).unwrap();
+    same_session.report(&report(1));
+    honest.report(&report(2));
     let mut reports = [next_report(&arrived), next_report(&arrived)];
     reports.sort_by_key(|(agent, _)| agent.clone());
     assert_eq!(reports, [(name("edge1"), report(1)), (name("edge2"), report(2))]);
@@ -263,10 +265,10 @@ fn a_revoked_agent_is_not_heard() {
     let (mut renewed, received) = dial(&again, "edge1");
     wait_for_core(&router, "edge1", &received);
     for _ in 0..50 {
-        dialer.report(&report(66)).unwrap();
+        dialer.report(&report(66));
     }
-    second.report(&report(1)).unwrap();
-    renewed.report(&report(2)).unwrap();
+    second.report(&report(1));
+    renewed.report(&report(2));
     let boots = [next_report(&arrived).1.boot, next_report(&arrived).1.boot];
     assert!(!boots.contains(&66), "{boots:?}");
 }
@@ -294,7 +296,6 @@ fn both_ends_explain_a_connection_that_is_refused() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
     let server = thread::spawn(move || {
-        use std::io::Write;
         listener.accept().unwrap().0.write_all(b"SSH-2.0-x\r\n").unwrap();
     });
     let refused = diagnose(&address, credentials(&bundle)).unwrap_err();
@@ -316,19 +317,18 @@ fn a_flood_by_one_agent_leaves_room_for_others() {
         certificate: &core.certificate_pem,
         key: &core.key_pem,
     };
-    let router =
-        Router::open(lab.address, credentials, &lab.granted(), RUN, BTreeMap::new(), &receiver).unwrap();
+    let router = Router::open(lab.address, credentials, &lab.granted(), BTreeMap::new(), &receiver).unwrap();
     let (mut loud, from_core) = dial(&loud, "loud");
     wait_for_core(&router, "loud", &from_core);
     let (mut quiet, from_core) = dial(&quiet, "quiet");
     wait_for_core(&router, "quiet", &from_core);
     for boot in 0..5000 {
-        loud.report(&report(boot)).unwrap();
+        loud.report(&report(boot));
     }
     let mut kept = Vec::new();
     let mut of_loud = 0;
     loop {
-        quiet.report(&report(1)).unwrap();
+        quiet.report(&report(1));
         let (agent, message, waiting) = received.recv_timeout(PATIENCE).unwrap();
         kept.push(waiting);
         match message {
@@ -338,4 +338,111 @@ fn a_flood_by_one_agent_leaves_room_for_others() {
         }
     }
     assert!((1..=64).contains(&of_loud), "{of_loud}");
+}
+
+/// Speaks TLS to the core with these credentials and this protocol (RFC 7301).
+fn speak(bundle: &Bundle, protocol: &[u8]) -> StreamOwned<ClientConnection, TcpStream> {
+    let mut roots = RootCertStore::empty();
+    roots.add(CertificateDer::from_pem_slice(bundle.authority_pem().as_bytes()).unwrap()).unwrap();
+    let chain = vec![CertificateDer::from_pem_slice(bundle.certificate_pem().as_bytes()).unwrap()];
+    let key = PrivateKeyDer::from_pem_slice(bundle.key_pem().as_bytes()).unwrap();
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let config = ClientConfig::builder_with_provider(provider).with_safe_default_protocol_versions().unwrap();
+    let mut config = config.with_root_certificates(roots).with_client_auth_cert(chain, key).unwrap();
+    config.alpn_protocols = vec![protocol.to_vec()];
+    let host = ServerName::try_from(bundle.core().host().to_owned()).unwrap();
+    let connection = ClientConnection::new(Arc::new(config), host).unwrap();
+    StreamOwned::new(connection, TcpStream::connect(bundle.core().to_string()).unwrap())
+}
+
+fn frame(kind: Kind, message: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    Frame { kind, message: message.to_vec() }.write(&mut bytes).unwrap();
+    bytes
+}
+
+/// Says this, and reads until the core closes the connection.
+fn say(bundle: &Bundle, frames: &[Vec<u8>]) {
+    let mut stream = speak(bundle, b"cotorra-agent/1");
+    stream.write_all(&frames.concat()).unwrap();
+    stream.read_to_end(&mut Vec::new()).unwrap();
+}
+
+#[test]
+fn messages_that_are_not_an_agents_end_its_connection() {
+    let lab = Lab::new();
+    let bundle = lab.enrol("edge1");
+    let (_router, arrived) = lab.router(BTreeMap::new());
+    let hello = frame(Kind::Hello, b"edge1");
+    for (wrong, part) in [
+        (frame(Kind::Wanted, b"{}"), "does not say Wanted"),
+        (hello.clone(), "does not say Hello"),
+        (frame(Kind::Alive, b"1"), "number of a process"),
+        (frame(Kind::Fetch, b"1"), "without a number"),
+        (vec![Kind::Report as u8, 0, 0x10, 0, 1], "of at most 1048576"),
+        (vec![99, 0, 0, 0, 0], "unknown kind 99"),
+    ] {
+        say(&bundle, &[hello.clone(), wrong]);
+        match arrived.recv_timeout(PATIENCE).unwrap() {
+            (agent, FromAgent::Rejected(reason)) => {
+                assert!(agent == "edge1" && reason.contains(part), "{reason}")
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    // One that cannot be decoded harms nothing else.
+    let harmless = [frame(Kind::Report, b"{}"), frame(Kind::Quiet, b"")];
+    say(&bundle, &[hello, harmless.concat(), frame(Kind::Wanted, b"")]);
+    assert!(matches!(arrived.recv_timeout(PATIENCE).unwrap().1, FromAgent::Rejected(_)));
+    assert!(matches!(arrived.recv_timeout(PATIENCE).unwrap().1, FromAgent::Rejected(_)));
+    assert!(arrived.try_recv().is_err());
+}
+
+#[test]
+fn connections_that_do_not_begin_with_the_agents_name_are_closed() {
+    let lab = Lab::new();
+    let bundle = lab.enrol("edge1");
+    let (_router, arrived) = lab.router(BTreeMap::new());
+    let report = report(1).encode();
+    for first in [
+        frame(Kind::Hello, b"edge2"),
+        frame(Kind::Hello, &[b'a'; 1000])[..5].to_vec(),
+        frame(Kind::Quiet, b""),
+        frame(Kind::Report, &report)[..5].to_vec(),
+    ] {
+        say(&bundle, &[first]);
+    }
+    assert!(arrived.try_recv().is_err());
+}
+
+#[test]
+fn another_version_of_the_protocol_is_noticed_in_the_handshake() {
+    let lab = Lab::new();
+    let bundle = lab.enrol("edge1");
+    let (_router, _arrived) = lab.router(BTreeMap::new());
+    let error = speak(&bundle, b"cotorra-agent/0").read(&mut [0]).unwrap_err().to_string();
+    assert!(error.contains("NoApplicationProtocol"), "{error}");
+}
+
+#[test]
+fn a_longer_file_than_announced_is_not_taken() {
+    let lab = Lab::new();
+    let bundle = lab.enrol("edge1");
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(&file, [7; 100_000]).unwrap();
+    let (router, _arrived) = lab.router(BTreeMap::from([("abc".to_owned(), file.path().to_owned())]));
+    let (dialer, received) = dial(&bundle, "edge1");
+    wait_for_core(&router, "edge1", &received);
+    let fetched = dialer.fetcher().fetch("abc", 99_999).unwrap_err().to_string();
+    assert!(fetched.contains("longer than announced"), "{fetched}");
+}
+
+#[test]
+fn silent_connections_do_not_keep_agents_out() {
+    let lab = Lab::new();
+    let bundle = lab.enrol("edge1");
+    let (router, _arrived) = lab.router(BTreeMap::new());
+    let _silent: Vec<_> = (0..300).map(|_| TcpStream::connect(lab.address).unwrap()).collect();
+    let (_dialer, received) = dial(&bundle, "edge1");
+    wait_for_core(&router, "edge1", &received);
 }

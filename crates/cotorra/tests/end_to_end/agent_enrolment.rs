@@ -154,7 +154,7 @@ fn mistakes_are_explained_and_change_nothing() {
         ("revoke rob", 1, "there are robot"),
         ("enrol edge --core lab:7448 --valid 4000d", 1, "ends with that of the authority, 20"),
         ("enrol edge --core lab", 2, "it has no port: write a host and a port"),
-        ("enrol edge --core [::1]:7448", 2, "IPv6"),
+        ("enrol edge --core fe80::1:7448", 2, "brackets"),
         ("enrol edge", 2, "--core <HOST:PORT>"),
         ("enrol edge.1 --core lab:7448", 2, "`edge.1` is not a name: use 1 to 53 letters"),
         ("enrol ../edge --core lab:7448", 2, "`../edge` is not a name"),

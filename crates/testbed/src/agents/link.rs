@@ -153,7 +153,7 @@ impl Link {
                         self.parts.robots.follow(&agent, boot, clock);
                     }
                 }
-                // Threads of Zenoh took them. Only an agent with a robot has something to say of one.
+                // The router's thread took them. Only an agent with a robot has something to say of one.
                 FromAgent::Context(_) | FromAgent::Reading(_) | FromAgent::Turn(_) => {}
                 FromAgent::Rejected(reason) => tracing::warn!("agent `{agent}`: rejected {reason}"),
             },
@@ -190,15 +190,13 @@ impl Link {
     fn send(&mut self, now: Timestamp) {
         loop {
             let Some(transmit) = self.controller.lock().poll_transmit(now) else { break };
-            if let Some(Err(error)) =
-                self.router.as_ref().map(|router| router.send(self.parts.run, &transmit))
-            {
-                tracing::warn!("{error}");
+            if let Some(router) = &self.router {
+                router.send(&transmit);
             }
         }
         for (agent, command) in self.parts.robots.poll_commands() {
-            if let Some(Err(error)) = self.router.as_ref().map(|router| router.command(agent, &command)) {
-                tracing::warn!("{error}");
+            if let Some(router) = &self.router {
+                router.command(agent, &command);
             }
         }
     }
@@ -304,7 +302,7 @@ fn granted(parts: &Parts) -> Result<Vec<Granted>, AgentsError> {
     Ok(ours.map(|granted| Granted { agent: granted.name, common_name: granted.common_name }).collect())
 }
 
-/// Opens the router. Contexts are taken on its threads, because a hop to another thread costs as much as the rest of their
+/// Opens the router. Contexts are taken on its thread, because a hop to another thread costs as much as the rest of their
 /// way.
 fn open(
     parts: &Parts,
@@ -337,7 +335,7 @@ fn open(
             let _ = commands.send(Command::Wake);
         }
     });
-    Ok(Router::open(parts.listen, credentials, granted, parts.run, parts.paths.clone(), &receiver)?)
+    Ok(Router::open(parts.listen, credentials, granted, parts.paths.clone(), &receiver)?)
 }
 
 /// Takes the contexts of agents' machines.

@@ -14,7 +14,7 @@ use parking_lot::Mutex;
 use super::link::Command;
 use crate::robots::AtAgents;
 
-/// The robots of a run at agents. Drivers, the agents' thread and those of Zenoh share them. Nothing waits: each robot keeps
+/// The robots of a run at agents. Drivers, the agents' thread and the router's share them. Nothing waits: each robot keeps
 /// its newest reading, turn and command.
 #[derive(Clone, Default)]
 pub(super) struct Robots(Arc<BTreeMap<AgentId, Mutex<RemoteRobot>>>);

@@ -49,7 +49,7 @@ pub fn start(
         key: &core.key_pem,
     };
     let router =
-        Router::open(lab.address(), credentials, &lab.granted(), RUN, BTreeMap::new(), &receiver).unwrap();
+        Router::open(lab.address(), credentials, &lab.granted(), BTreeMap::new(), &receiver).unwrap();
     thread::spawn(move || run(router, &controller, &inbox, on_event));
     commands
 }
@@ -66,7 +66,7 @@ fn run(
         controller.lock().advance(now());
         loop {
             let Some(transmit) = controller.lock().poll_transmit(now()) else { break };
-            router.send(RUN, &transmit).unwrap();
+            router.send(&transmit);
         }
         loop {
             let Some(event) = controller.lock().poll_event() else { break };

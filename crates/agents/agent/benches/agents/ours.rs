@@ -62,26 +62,21 @@ fn agent(lab: &Lab, number: usize, mut schedule: Schedule) {
         agent.advance(now());
         while let Some(action) = agent.poll(now()) {
             if let Action::Report(report) = action {
-                dialer.report(&report).unwrap();
+                dialer.report(&report);
             }
         }
         if let Some(context) = schedule.poll()
-            && let Some(run) = agent.run()
+            && agent.run().is_some()
         {
-            dialer
-                .context(
-                    run,
-                    MachineReading {
-                        boot,
-                        read_ns: now().as_nanos(),
-                        context,
-                        links: Default::default(),
-                        heard: Default::default(),
-                        addresses: Default::default(),
-                    }
-                    .encode(),
-                )
-                .unwrap();
+            let reading = MachineReading {
+                boot,
+                read_ns: now().as_nanos(),
+                context,
+                links: Default::default(),
+                heard: Default::default(),
+                addresses: Default::default(),
+            };
+            dialer.context(reading.encode());
         }
         let deadline = agent.next_deadline().since(now());
         match inbox.recv_timeout(deadline.min(schedule.next().saturating_duration_since(Instant::now()))) {
