@@ -46,15 +46,33 @@ pub struct Radio {
     pub country: Option<CountryCode>,
     /// Time between two beacons.
     pub beacon_interval: BeaconInterval,
-    /// Whether it offers Wi-Fi 6 (802.11ax). It always offers Wi-Fi 4, and Wi-Fi 5 at 5 GHz.
-    pub wifi6: bool,
+    /// The newest generation of Wi-Fi that it offers.
+    pub generation: Generation,
 }
 
 impl Radio {
-    /// Returns the usual settings for a channel.
+    /// Returns the usual settings for a channel: Wi-Fi 4 at 2.4 GHz, and Wi-Fi 5 at 5 GHz.
     pub fn new(channel: Channel) -> Self {
-        Self { channel, country: None, beacon_interval: BeaconInterval::default(), wifi6: false }
+        let generation = match channel.band() {
+            Band::Ghz2 => Generation::Wifi4,
+            Band::Ghz5 => Generation::Wifi5,
+        };
+        Self { channel, country: None, beacon_interval: BeaconInterval::default(), generation }
     }
+}
+
+/// A generation of Wi-Fi. A radio offers the earlier ones, too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Generation {
+    /// 802.11g at 2.4 GHz, and 802.11a at 5 GHz.
+    Ofdm,
+    /// 802.11n.
+    Wifi4,
+    /// 802.11ac, which is 802.11n at 2.4 GHz.
+    Wifi5,
+    /// 802.11ax.
+    Wifi6,
 }
 
 /// Time between two beacons, in time units of 1.024 ms: 15 to 65535. The default is 100.
@@ -163,11 +181,14 @@ impl Radio {
         lines.push(format!("hw_mode={mode}"));
         lines.push(format!("channel={}", channel.number()));
         lines.push(format!("beacon_int={}", self.beacon_interval.time_units()));
-        lines.extend(["wmm_enabled=1", "ieee80211n=1"].map(str::to_owned));
-        match channel.secondary() {
-            1 => lines.push("ht_capab=[HT40+]".to_owned()),
-            -1 => lines.push("ht_capab=[HT40-]".to_owned()),
-            _ => {}
+        lines.push("wmm_enabled=1".to_owned());
+        if self.generation >= Generation::Wifi4 {
+            lines.push("ieee80211n=1".to_owned());
+            match channel.secondary() {
+                1 => lines.push("ht_capab=[HT40+]".to_owned()),
+                -1 => lines.push("ht_capab=[HT40-]".to_owned()),
+                _ => {}
+            }
         }
         let mut with_width = |generation: &str, on: &str| {
             lines.push(format!("{on}=1"));
@@ -181,10 +202,10 @@ impl Radio {
                 lines.push(format!("{generation}_oper_centr_freq_seg0_idx={}", channel.center()));
             }
         };
-        if channel.band() == Band::Ghz5 {
+        if self.generation >= Generation::Wifi5 && channel.band() == Band::Ghz5 {
             with_width("vht", "ieee80211ac");
         }
-        if self.wifi6 {
+        if self.generation >= Generation::Wifi6 {
             with_width("he", "ieee80211ax");
         }
         lines

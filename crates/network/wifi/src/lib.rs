@@ -19,7 +19,7 @@ mod serialized;
 mod station;
 mod takeover;
 
-pub use access_point::{AccessPoint, AccessPointDriver, BeaconInterval, Bss, Radio};
+pub use access_point::{AccessPoint, AccessPointDriver, BeaconInterval, Bss, Generation, Radio};
 pub use address::{MacAddress, MacAddressError};
 pub use channel::{Band, Channel, ChannelError, Width};
 pub use client::{Client, ControlError, Events};

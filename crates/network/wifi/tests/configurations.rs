@@ -5,7 +5,7 @@ mod fixture;
 
 use std::{env, fs, path::Path};
 
-use cotorra_wifi::AccessPointDriver;
+use cotorra_wifi::{AccessPointDriver, Generation, Security};
 
 const CONTROL: &str = "/run/cotorra/control";
 
@@ -32,6 +32,13 @@ fn radio_and_virtual_access_points_have_their_lines() {
     access_point.driver = AccessPointDriver::Nl80211;
     access_point.bss.bridge = Some("br0".parse().expect("a name"));
     compare("wide.conf", &access_point.configuration(CONTROL.as_ref()));
+}
+
+#[test]
+fn radio_without_802_11n_does_not_offer_it() {
+    let mut access_point = fixture::access_point("wlan0", Security::Open);
+    access_point.radio.generation = Generation::Ofdm;
+    compare("ofdm.conf", &access_point.configuration(CONTROL.as_ref()));
 }
 
 #[test]

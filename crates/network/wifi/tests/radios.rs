@@ -12,9 +12,9 @@ use std::{env, io, os::fd::AsFd, process::Command, sync::OnceLock, thread, time:
 use cotorra_engine::Process;
 use cotorra_wifi::{
     AccessPoint, AccessPointDriver, Band, Bss, Channel, Client, Credentials, Daemon, DisabledReason,
-    DomainKey, Event, Events, FastTransition, KeyExchange, MacAddress, MobilityDomain, Network, Passphrase,
-    Power, Protection, Radio, Security, Station, StationDriver, TransmitPower, Units, Width, hostapd,
-    launch_here, wpa_supplicant,
+    DomainKey, Event, Events, FastTransition, Generation, KeyExchange, MacAddress, MobilityDomain, Network,
+    Passphrase, Power, Protection, Radio, Security, Station, StationDriver, TransmitPower, Units, Width,
+    hostapd, launch_here, wpa_supplicant,
 };
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 
@@ -436,7 +436,8 @@ fn robot_joins_a_wide_channel_at_5_ghz() {
     let security = wpa2(fixture::passphrase(), None);
     let mut access_point = access_point(1, security.clone());
     let channel = fixture::channel(Band::Ghz5, 44, Width::Mhz80);
-    access_point.radio = Radio { country: "DE".parse().ok(), wifi6: true, ..Radio::new(channel) };
+    let generation = Generation::Wifi6;
+    access_point.radio = Radio { country: "DE".parse().ok(), generation, ..Radio::new(channel) };
     let mut unit = unit_of(access_point);
     let mut robot = robot_on(&[channel], security.credentials());
     robot.wait(connected_to(1));

@@ -9,7 +9,7 @@ use cotorra_graph::{
 };
 use cotorra_wifi::{
     AccessPoint, AccessPointDriver, BackgroundScan, BackgroundScanMethod, Band, Bss, Channel, ChannelError,
-    Credentials, DomainKey, FastTransition, InterfaceName, KeyExchange, KeyHolder, MacAddress,
+    Credentials, DomainKey, FastTransition, Generation, InterfaceName, KeyExchange, KeyHolder, MacAddress,
     MobilityDomain, NameError, Network, Passphrase, PassphraseError, Protection, Radio, Security, Ssid,
     Station, StationDriver, Units, Width, hostapd::Neighbour,
 };
@@ -259,6 +259,11 @@ impl PlannedNetwork<'_> {
                 WifiStandard::G | WifiStandard::N => Band::Ghz2,
                 WifiStandard::A | WifiStandard::Ac => Band::Ghz5,
             };
+            let generation = match self.network.standard {
+                WifiStandard::A | WifiStandard::G => Generation::Ofdm,
+                WifiStandard::N => Generation::Wifi4,
+                WifiStandard::Ac => Generation::Wifi5,
+            };
             let channel = Channel::new(band, unit.channel, Width::Mhz20)
                 .map_err(|source| PlanError::Channel { unit: node.id.clone(), source })?;
             let bssid = self.address(&node.id);
@@ -270,7 +275,7 @@ impl PlannedNetwork<'_> {
             let access_point = AccessPoint {
                 interface: interface_of(node)?,
                 driver: AccessPointDriver::Nl80211,
-                radio: Radio::new(channel),
+                radio: Radio { generation, ..Radio::new(channel) },
                 bss,
                 virtual_aps: Vec::new(),
             };

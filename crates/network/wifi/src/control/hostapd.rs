@@ -317,7 +317,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::channel::Band;
+    use crate::{access_point::Generation, channel::Band};
 
     /// An answer of hostapd 2.10 on mac80211_hwsim, shortened.
     const STATUS: &[u8] = b"state=ENABLED\nphy=phy0\nfreq=2412\nnum_sta_non_erp=0\nchannel=1\nsecondary_channel=0\n\
@@ -338,7 +338,7 @@ mod tests {
             ssid: "ab".parse().expect("an SSID"),
             channel,
             same_domain: true,
-            wifi6: false,
+            generation: Generation::Wifi5,
         }
     }
 

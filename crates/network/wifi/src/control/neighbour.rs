@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    access_point::{Bss, Radio},
+    access_point::{Bss, Generation, Radio},
     address::MacAddress,
     channel::{Band, Channel},
     names::Ssid,
@@ -20,15 +20,16 @@ pub struct Neighbour {
     pub channel: Channel,
     /// Whether it is in the mobility domain of the BSS that tells.
     pub same_domain: bool,
-    /// Whether it has Wi-Fi 6.
-    pub wifi6: bool,
+    /// The newest generation of Wi-Fi that it offers.
+    pub generation: Generation,
 }
 
 impl Neighbour {
     /// Describes a BSS with this address to those of its own testbed.
     pub fn new(bssid: MacAddress, bss: &Bss, radio: &Radio) -> Self {
         let same_domain = bss.security.fast_transition().is_some();
-        Self { bssid, ssid: bss.ssid.clone(), channel: radio.channel, same_domain, wifi6: radio.wifi6 }
+        let (channel, generation) = (radio.channel, radio.generation);
+        Self { bssid, ssid: bss.ssid.clone(), channel, same_domain, generation }
     }
 
     /// Returns the BSSID information (IEEE 802.11-2020, figure 9-337): reachable, with the same security, QoS, and what else it
@@ -46,20 +47,24 @@ impl Neighbour {
             | SAME_SECURITY
             | QOS
             | RADIO_MEASUREMENT
-            | HT
+            | when(self.generation >= Generation::Wifi4, HT)
             | when(self.same_domain, MOBILITY_DOMAIN)
-            | when(self.channel.band() == Band::Ghz5, VHT)
+            | when(self.generation >= Generation::Wifi5 && self.channel.band() == Band::Ghz5, VHT)
     }
 
     /// Returns the PHY type (IEEE 802.11-2020, annex C, `dot11PHYType`).
     pub(crate) fn phy_type(&self) -> u8 {
+        const OFDM: u8 = 4;
+        const ERP: u8 = 6;
         const HT: u8 = 7;
         const VHT: u8 = 9;
         const HE: u8 = 14;
-        match self.channel.band() {
-            _ if self.wifi6 => HE,
-            Band::Ghz2 => HT,
-            Band::Ghz5 => VHT,
+        match (self.generation, self.channel.band()) {
+            (Generation::Wifi6, _) => HE,
+            (Generation::Wifi5, Band::Ghz5) => VHT,
+            (Generation::Wifi5 | Generation::Wifi4, _) => HT,
+            (Generation::Ofdm, Band::Ghz2) => ERP,
+            (Generation::Ofdm, Band::Ghz5) => OFDM,
         }
     }
 
