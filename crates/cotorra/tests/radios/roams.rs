@@ -72,8 +72,18 @@ fn number(few: usize, many: usize) -> usize {
 }
 
 #[test]
-fn fast_transitions_by_instruction_have_short_gaps() {
-    let Some(mut rig) = Rig::start(FLOOR) else { return };
+fn fast_transitions_by_suggestion_and_by_instruction_have_short_gaps() {
+    let floor = FLOOR.replace("[12, 5], channel: 11, serving: false", "[4000, 0], channel: 11");
+    let Some(mut rig) = Rig::start(&floor) else { return };
+    // The first suggestion comes before A has keys for the robot, and the next one right after a roam.
+    for unit in ["B", "A"] {
+        assert_eq!(rig.suggest("r1", unit), 0);
+        let handover = rig.wait_for_handover("r1", unit);
+        assert!(handover["fast"] == true && handover["gap_ms"].as_f64().unwrap() <= 40.0, "{handover}");
+    }
+    assert_eq!(rig.suggest("r1", "C"), 7, "no suitable candidate");
+    assert_eq!(rig.place_of("r1").as_deref(), Some("A"));
+
     let number = number(5, 50);
     let roams = Roams::by_attach(&mut rig, number, Duration::from_millis(50));
     roams.print("FT-PSK");

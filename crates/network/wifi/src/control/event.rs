@@ -124,7 +124,8 @@ pub enum Event {
     AccessPointEnabled,
     /// An access point: it no longer serves.
     AccessPointDisabled,
-    /// An access point: a station may send data.
+    /// An access point: a station may send data, and there are keys for it. hostapd reports it once or twice after a handshake of
+    /// keys, and once after a fast transition.
     StationConnected {
         /// The station.
         station: MacAddress,
@@ -256,7 +257,10 @@ impl Event {
             "CTRL-EVENT-CHANNEL-SWITCH" => Self::ChannelSwitched { frequency_mhz: value(rest, "freq")? },
             "AP-ENABLED" => Self::AccessPointEnabled,
             "AP-DISABLED" => Self::AccessPointDisabled,
-            "AP-STA-CONNECTED" => Self::StationConnected { station: first(rest)? },
+            // hostapd 2.10 leaves out the first of a station that comes back without fast transition.
+            "AP-STA-CONNECTED" | "EAPOL-4WAY-HS-COMPLETED" => {
+                Self::StationConnected { station: first(rest)? }
+            }
             "AP-STA-DISCONNECTED" => Self::StationDisconnected { station: first(rest)? },
             "AP-STA-POSSIBLE-PSK-MISMATCH" => Self::PossibleWrongKey { station: first(rest)? },
             "BSS-TM-RESP" => Self::MoveAnswered {
@@ -366,6 +370,7 @@ mod tests {
                 "AP-STA-CONNECTED 02:00:00:00:00:09 auth_alg=ft",
                 Event::StationConnected { station: address(9) },
             ),
+            ("EAPOL-4WAY-HS-COMPLETED 02:00:00:00:00:09", Event::StationConnected { station: address(9) }),
             ("AP-STA-DISCONNECTED 02:00:00:00:00:09", Event::StationDisconnected { station: address(9) }),
             (
                 "AP-STA-POSSIBLE-PSK-MISMATCH 02:00:00:00:00:09",

@@ -130,6 +130,7 @@ impl World {
         }
         world.ready("r1");
         world.event("r1", 0, WifiEvent::Connected { bssid: bssid("A") });
+        world.event("A", 0, WifiEvent::StationConnected { station: bssid("r1") });
         assert_eq!(world.radios.manager.lock().standing(), "radio units A, B serve; r1 is at A");
         world
     }

@@ -21,7 +21,9 @@ pub(super) struct RobotState {
     pub(super) scans: bool,
     /// Where it is sent.
     pub(super) errand: Option<Errand>,
-    /// What its radio unit suggested, and it has not answered.
+    /// The radio unit that has keys for it since it last began to join one, and since when.
+    pub(super) keys_at: Option<(NodeId, Timestamp)>,
+    /// What its radio unit suggested or is about to, and it has not answered.
     pub(super) suggestion: Option<Suggestion>,
     /// Its keys of radio units, and the one that it uses in place of its network's passphrase.
     pub(super) keys: Keys,
@@ -55,7 +57,7 @@ impl RobotState {
 
     pub(super) fn deadline(&self) -> Option<Timestamp> {
         let errand = self.errand.as_ref().map(|errand| errand.until);
-        let suggestion = self.suggestion.as_ref().map(|suggestion| suggestion.until);
+        let suggestion = self.suggestion.as_ref().map(Suggestion::deadline);
         [self.life.deadline(), errand, suggestion].into_iter().flatten().min()
     }
 
@@ -63,7 +65,11 @@ impl RobotState {
     fn joins(&mut self, now: Timestamp, bssid: MacAddress) -> &mut Joining {
         match &mut self.joining {
             Some(joining) if joining.bssid == bssid => {}
-            joining => *joining = Some(Joining { bssid, began: now, shakes_hands: false }),
+            joining => {
+                *joining = Some(Joining { bssid, began: now, shakes_hands: false });
+                // Agents report at different times, but each event with its own.
+                self.keys_at.take_if(|(_, since)| *since <= now);
+            }
         }
         self.joining.as_mut().expect("it was set above")
     }
@@ -97,8 +103,9 @@ impl Manager {
         Ok(state)
     }
 
-    pub(super) fn is_robot(&self, address: MacAddress) -> bool {
-        self.plan.robots.values().any(|robot| robot.address == address)
+    /// Returns the robot whose radio has this address.
+    pub(super) fn robot_with(&self, address: MacAddress) -> Option<&NodeId> {
+        self.plan.robots.iter().find(|(_, planned)| planned.address == address).map(|(robot, _)| robot)
     }
 
     /// Whether all robots have joined.
@@ -112,7 +119,7 @@ impl Manager {
                 self.launch_supplicant(&robot);
             }
             self.end_late_errand(now, &robot);
-            self.end_late_suggestion(now, &robot);
+            self.advance_suggestion(now, &robot);
         }
     }
 

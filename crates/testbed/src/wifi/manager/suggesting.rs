@@ -1,20 +1,35 @@
 //! Suggestions: the radio unit where a robot is asks it to move to another one (802.11v), and the robot's wpa_supplicant decides.
 
+use std::time::Duration;
+
 use cotorra_fabric::FabricError;
 use cotorra_graph::{Event, NodeId, Timestamp};
 use cotorra_wifi::MacAddress;
 
 use super::{Action, Manager, PATIENCE, Program, Refused, Rejected, Request};
 
+/// Time after which a radio unit asks a robot even if it has not reported keys for it: an agent may have lost the report.
+pub(super) const KEYS: Duration = Duration::from_secs(1);
+
 /// A suggestion that a robot has not answered.
 #[derive(Debug)]
 pub(super) struct Suggestion {
-    /// The radio unit that asked.
+    /// The radio unit that asks.
     by: NodeId,
-    /// The one that it suggested.
+    /// The one that it suggests.
     to: NodeId,
+    /// When it asks at the latest; `None` if it has asked.
+    ///
+    /// A robot is connected a little before its radio unit has keys for it. With 802.11w, it drops what comes without.
+    asks_by: Option<Timestamp>,
     /// When no answer is expected any more.
-    pub(super) until: Timestamp,
+    until: Timestamp,
+}
+
+impl Suggestion {
+    pub(super) fn deadline(&self) -> Timestamp {
+        self.asks_by.unwrap_or(self.until)
+    }
 }
 
 impl Manager {
@@ -35,12 +50,33 @@ impl Manager {
         if self.needs_other_key(robot, unit) {
             return Err(Rejected::OtherKey { robot: robot.clone(), radio_unit: unit.clone() });
         }
-        let to = Box::new(self.plan.units[unit].as_neighbour());
-        let station = self.plan.robots[robot].address;
-        let suggestion = Suggestion { by: by.clone(), to: unit.clone(), until: now + PATIENCE };
-        self.running(robot)?.suggestion = Some(suggestion);
-        self.request(Program::Hostapd(by), Request::Suggest { station, to });
+        let until = now + PATIENCE;
+        self.running(robot)?.suggestion =
+            Some(Suggestion { by, to: unit.clone(), asks_by: Some(now + KEYS), until });
+        self.ask_to_move(now, robot);
         Ok(())
+    }
+
+    /// Records that a radio unit has keys for a station, which it may ask now.
+    pub(super) fn has_keys(&mut self, now: Timestamp, unit: &NodeId, station: MacAddress) {
+        let Some(robot) = self.robot_with(station).cloned() else { return };
+        if let Some(state) = self.robots.get_mut(&robot) {
+            state.keys_at = Some((unit.clone(), now));
+        }
+        self.ask_to_move(now, &robot);
+    }
+
+    /// Lets a radio unit ask a robot, unless it has no keys for it yet, or has asked.
+    fn ask_to_move(&mut self, now: Timestamp, robot: &NodeId) {
+        let Some(state) = self.robots.get_mut(robot) else { return };
+        let Some(suggestion) = &mut state.suggestion else { return };
+        let has_keys = state.keys_at.as_ref().is_some_and(|(unit, _)| *unit == suggestion.by);
+        if suggestion.asks_by.take_if(|latest| has_keys || *latest <= now).is_none() {
+            return;
+        }
+        let (by, to) = (suggestion.by.clone(), Box::new(self.plan.units[&suggestion.to].as_neighbour()));
+        let station = self.plan.robots[robot].address;
+        self.request(Program::Hostapd(by), Request::Suggest { station, to });
     }
 
     /// Takes a station's answer to a radio unit.
@@ -70,7 +106,9 @@ impl Manager {
         tracing::debug!("hostapd of `{unit}` refused {request:?}: {reason:?}");
     }
 
-    pub(super) fn end_late_suggestion(&mut self, now: Timestamp, robot: &NodeId) {
+    /// Asks a robot, or ends a suggestion without an answer, if that is due.
+    pub(super) fn advance_suggestion(&mut self, now: Timestamp, robot: &NodeId) {
+        self.ask_to_move(now, robot);
         let Some(state) = self.robots.get_mut(robot) else { return };
         if let Some(Suggestion { by, to, .. }) =
             state.suggestion.take_if(|suggestion| suggestion.until <= now)
@@ -83,10 +121,9 @@ impl Manager {
 
     /// Takes the suggestion that a radio unit made to a station.
     fn take_suggestion(&mut self, by: &NodeId, station: MacAddress) -> Option<(NodeId, Suggestion)> {
-        let robots = &self.plan.robots;
-        let (robot, _) = robots.iter().find(|(_, planned)| planned.address == station)?;
-        let state = self.robots.get_mut(robot)?;
+        let robot = self.robot_with(station)?.clone();
+        let state = self.robots.get_mut(&robot)?;
         let suggestion = state.suggestion.take_if(|suggestion| suggestion.by == *by)?;
-        Some((robot.clone(), suggestion))
+        Some((robot, suggestion))
     }
 }

@@ -90,6 +90,13 @@ impl World {
         let bssid = self.bssid(unit);
         self.event(robot, WifiEvent::Authenticating { bssid });
         self.event(robot, WifiEvent::Connected { bssid });
+        self.has_keys(robot, unit);
+    }
+
+    /// Lets a radio unit have keys for a robot.
+    fn has_keys(&mut self, robot: &str, unit: &str) {
+        let station = self.plan.robots[&id(robot)].address;
+        self.unit_event(unit, WifiEvent::StationConnected { station });
     }
 
     fn pass(&mut self, ms: u64) {

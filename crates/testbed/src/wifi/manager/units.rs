@@ -139,10 +139,11 @@ impl Manager {
         match event {
             WifiEvent::AccessPointEnabled => self.serves(unit),
             WifiEvent::AccessPointDisabled => self.silence(unit),
+            WifiEvent::StationConnected { station } => self.has_keys(now, unit, *station),
             WifiEvent::MoveAnswered { station, status, .. } => {
                 self.suggestion_answered(unit, *station, *status);
             }
-            WifiEvent::PossibleWrongKey { station } if !self.is_robot(*station) => {
+            WifiEvent::PossibleWrongKey { station } if self.robot_with(*station).is_none() => {
                 let message =
                     format!("a station that is no robot, {station}, has a wrong passphrase for `{unit}`");
                 self.notice(now, message);

@@ -1,4 +1,5 @@
 use super::*;
+use crate::wifi::manager::suggesting::KEYS;
 
 impl World {
     fn suggest(&mut self, robot: &str, unit: &str) -> Result<(), String> {
@@ -38,6 +39,65 @@ fn a_radio_unit_asks_its_robot_whose_answer_is_reported() {
     assert!(matches!(world.changes()[..], [Change::Associate { .. }]));
     world.suggest("r1", "B").unwrap();
     assert_eq!((world.actions(), world.manager.deadline()), (vec![], None), "it is there");
+}
+
+/// Returns a world in which `r1` has come back to `A`, which has no keys for it yet.
+fn without_keys() -> World {
+    let mut world = World::up();
+    world.join("r1", "B");
+    world.pass(100);
+    let bssid = world.bssid("A");
+    world.event("r1", WifiEvent::Authenticating { bssid });
+    world.event("r1", WifiEvent::Connected { bssid });
+    world.actions();
+    world
+}
+
+#[test]
+fn a_radio_unit_asks_once_it_has_keys_for_the_robot() {
+    let mut world = without_keys();
+    world.suggest("r1", "B").unwrap();
+    world.has_keys("r2", "A");
+    world.has_keys("r1", "B");
+    assert_eq!(world.actions(), []);
+    world.pass(3);
+    world.has_keys("r1", "A");
+    assert_eq!(world.requests(), [world.suggestion()]);
+    // hostapd may report it twice.
+    world.has_keys("r1", "A");
+    world.pass(1000);
+    assert_eq!(world.actions(), []);
+    world.answer("A", 0);
+    assert_eq!(world.actions(), [answered(0)]);
+}
+
+#[test]
+fn a_radio_unit_that_reports_no_keys_asks_after_a_second() {
+    let mut world = without_keys();
+    world.suggest("r1", "B").unwrap();
+    assert_eq!(world.manager.deadline(), Some(world.now + KEYS));
+    world.pass(999);
+    assert_eq!(world.actions(), []);
+    world.pass(1);
+    assert_eq!(world.requests(), [world.suggestion()]);
+    world.pass(9000);
+    assert_eq!(world.notices(), ["`r1` did not answer within 10 s that `A` suggests `B`"]);
+}
+
+#[test]
+fn reports_of_keys_and_of_the_robot_may_come_in_either_order() {
+    let mut world = World::up();
+    world.join("r1", "B");
+    world.pass(100);
+    let (began, bssid) = (world.now, world.bssid("A"));
+    world.pass(10);
+    world.has_keys("r1", "A");
+    for event in [WifiEvent::Authenticating { bssid }, WifiEvent::Connected { bssid }] {
+        world.manager.handle(began, Input::Event { program: supplicant("r1"), event });
+    }
+    world.actions();
+    world.suggest("r1", "B").unwrap();
+    assert_eq!(world.requests(), [world.suggestion()]);
 }
 
 #[test]
