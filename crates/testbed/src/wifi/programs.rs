@@ -15,7 +15,7 @@ use cotorra_engine::Process;
 use cotorra_graph::{Event, NodeId};
 use cotorra_wifi::{
     AnswerError, Client, ControlError, Daemon, Event as WifiEvent, Events, StartError, hostapd,
-    wpa_supplicant::{self, Setting},
+    wpa_supplicant,
 };
 use parking_lot::Mutex;
 
@@ -249,7 +249,7 @@ impl Programs {
             Request::Roam { to, over_ds: true } => client.request(&wpa_supplicant::roam_over_ds(*to)),
             Request::Scan { channels, stays: true } => client.request(&wpa_supplicant::scan_only(channels)),
             Request::Scan { channels, stays: false } => client.request(&wpa_supplicant::scan(channels)),
-            Request::Pin { to } => client.request(&wpa_supplicant::set(NETWORK, &Setting::Bssid(*to))),
+            Request::Pin { to } => client.request(&wpa_supplicant::pin(NETWORK, *to)),
             Request::SetPassphrase { ssid, passphrase } => {
                 client.request(&wpa_supplicant::set_passphrase(NETWORK, ssid, passphrase))
             }

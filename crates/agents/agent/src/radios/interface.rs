@@ -13,7 +13,7 @@ use std::{
 use cotorra_agent_protocol::{MOST_HEARD, RadioState, RequestError, WantedRadio, WifiRequest};
 use cotorra_wifi::{
     AnswerError, Client, ControlError, Event, Events, InterfaceName, Owner, Request, Taken, hostapd,
-    wpa_supplicant::{self, Setting},
+    wpa_supplicant,
 };
 
 use super::{Reported, notes::Notes};
@@ -242,7 +242,7 @@ impl Worker {
             WifiRequest::Scan { channels, stays: false } => wpa_supplicant::scan(channels),
             WifiRequest::Roam { to, over_ds: false } => wpa_supplicant::roam(*to),
             WifiRequest::Roam { to, over_ds: true } => wpa_supplicant::roam_over_ds(*to),
-            WifiRequest::Pin { to } => wpa_supplicant::set(network()?, &Setting::Bssid(*to)),
+            WifiRequest::Pin { to } => wpa_supplicant::pin(network()?, *to),
             WifiRequest::SetPassphrase { ssid, passphrase } => {
                 wpa_supplicant::set_passphrase(network()?, ssid, passphrase)
             }

@@ -222,35 +222,9 @@ pub fn disable() -> Request<()> {
     Request::new("DISABLE", done)
 }
 
-/// Returns the request to put settings in force. Stations are disconnected.
-pub fn reload() -> Request<()> {
-    Request::new("RELOAD", done)
-}
-
 /// Returns the request to announce another channel in this many beacons (802.11h), and then to move there.
 pub fn switch_channel(channel: Channel, beacons: u8) -> Request<()> {
     Request::new(format!("CHAN_SWITCH {beacons} {}", channel.switch_parameters()), done)
-}
-
-/// A setting of a BSS that hostapd also reports, so that it can be put back.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Setting {
-    /// The SSID.
-    Ssid(Ssid),
-    /// Time between two beacons.
-    BeaconInterval(BeaconInterval),
-    /// Beacons from one DTIM to the next.
-    DtimPeriod(std::num::NonZeroU8),
-}
-
-/// Returns the request to change a setting. It is in force after [`reload`].
-pub fn set(setting: &Setting) -> Request<()> {
-    let assignment = match setting {
-        Setting::Ssid(ssid) => format!("ssid2 {}", ssid.hex()),
-        Setting::BeaconInterval(interval) => format!("beacon_int {}", interval.time_units()),
-        Setting::DtimPeriod(beacons) => format!("dtim_period {beacons}"),
-    };
-    Request::new(format!("SET {assignment}"), done)
 }
 
 /// Returns the request to add or change a neighbour that stations are told about when they ask.
@@ -404,12 +378,9 @@ mod tests {
 
     #[test]
     fn requests_have_their_words() {
-        let interval = BeaconInterval::new(50).expect("an interval");
         let texts = [
             deauthenticate(address(1), 3),
             switch_channel(Channel::new(Band::Ghz2, 6, Width::Mhz20).expect("a channel"), 5),
-            set(&Setting::Ssid("a\nb".parse().expect("an SSID"))),
-            set(&Setting::BeaconInterval(interval)),
             set_neighbour(&neighbour(2, Band::Ghz5, 36)),
             remove_neighbour(address(2), &"ab".parse().expect("an SSID")),
             ask_to_move(
@@ -427,8 +398,6 @@ mod tests {
             [
                 "DEAUTHENTICATE 02:00:00:00:00:01 reason=3",
                 "CHAN_SWITCH 5 2437 bandwidth=20 ht",
-                "SET ssid2 610a62",
-                "SET beacon_int 50",
                 "SET_NEIGHBOR 02:00:00:00:00:02 ssid=6162 nr=020000000002a71c0000732409",
                 "REMOVE_NEIGHBOR 02:00:00:00:00:02 ssid=6162",
                 "BSS_TM_REQ 02:00:00:00:00:09 pref=1 abridged=1 valid_int=255 disassoc_imminent=1 disassoc_timer=20 \

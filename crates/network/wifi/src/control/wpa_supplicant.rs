@@ -11,7 +11,7 @@ use crate::{
     },
     names::Ssid,
     secret::Passphrase,
-    station::{BackgroundScan, Network, frequencies},
+    station::{Network, frequencies},
 };
 
 /// State of a station.
@@ -210,27 +210,10 @@ pub fn watch_signal(threshold_dbm: i8, hysteresis_db: u8) -> Request<()> {
     Request::new(format!("SIGNAL_MONITOR THRESHOLD={threshold_dbm} HYSTERESIS={hysteresis_db}"), done)
 }
 
-/// A setting of a network.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Setting {
-    /// Scans while it is connected; `None` for none.
-    BackgroundScan(Option<BackgroundScan>),
-    /// Channels on which it looks for the network; all, if there are none.
-    Channels(Vec<Channel>),
-    /// The only access point to join; `None` for the best.
-    Bssid(Option<MacAddress>),
-}
-
-/// Returns the request to change a setting of a network.
-pub fn set(network: u32, setting: &Setting) -> Request<()> {
-    let assignment = match setting {
-        Setting::BackgroundScan(Some(scan)) => format!("bgscan \"{scan}\""),
-        Setting::BackgroundScan(None) => "bgscan NULL".to_owned(),
-        Setting::Channels(channels) => format!("scan_freq {}", frequencies(channels)),
-        Setting::Bssid(Some(bssid)) => format!("bssid {bssid}"),
-        Setting::Bssid(None) => "bssid any".to_owned(),
-    };
-    Request::new(format!("SET_NETWORK {network} {assignment}"), done)
+/// Returns the request to join this access point of a network only; the best one if there is none.
+pub fn pin(network: u32, to: Option<MacAddress>) -> Request<()> {
+    let bssid = to.map_or_else(|| "any".to_owned(), |to| to.to_string());
+    Request::new(format!("SET_NETWORK {network} bssid {bssid}"), done)
 }
 
 /// Returns the request to forget all BSSs that were heard, but for that at which the station is.
@@ -324,7 +307,7 @@ mod tests {
     use super::*;
     use crate::{
         channel::{Band, Width},
-        station::BackgroundScanMethod,
+        station::{BackgroundScan, BackgroundScanMethod},
     };
 
     fn address(last: u8) -> MacAddress {
@@ -409,12 +392,6 @@ mod tests {
     fn requests_have_their_words() {
         let channels =
             [1, 6].map(|number| Channel::new(Band::Ghz2, number, Width::Mhz20).expect("a channel"));
-        let background = BackgroundScan {
-            method: BackgroundScanMethod::Simple,
-            threshold_dbm: -65,
-            short_s: 5,
-            long_s: 60,
-        };
         let texts = [
             scan(&[]),
             scan(&channels),
@@ -423,12 +400,8 @@ mod tests {
             roam(address(1)),
             roam_over_ds(address(1)),
             watch_signal(-70, 4),
-            set(0, &Setting::BackgroundScan(Some(background))),
-            set(0, &Setting::BackgroundScan(None)),
-            set(1, &Setting::Channels(channels.to_vec())),
-            set(1, &Setting::Channels(Vec::new())),
-            set(2, &Setting::Bssid(Some(address(1)))),
-            set(2, &Setting::Bssid(None)),
+            pin(2, Some(address(1))),
+            pin(2, None),
         ]
         .map(|request| request.text().to_owned());
         assert_eq!(
@@ -441,10 +414,6 @@ mod tests {
                 "ROAM 02:00:00:00:00:01",
                 "FT_DS 02:00:00:00:00:01",
                 "SIGNAL_MONITOR THRESHOLD=-70 HYSTERESIS=4",
-                "SET_NETWORK 0 bgscan \"simple:5:-65:60\"",
-                "SET_NETWORK 0 bgscan NULL",
-                "SET_NETWORK 1 scan_freq 2412 2437",
-                "SET_NETWORK 1 scan_freq ",
                 "SET_NETWORK 2 bssid 02:00:00:00:00:01",
                 "SET_NETWORK 2 bssid any",
             ]
