@@ -23,6 +23,8 @@ use crate::{
 const FOLDERS: [&str; 2] = ["/run", "/var/run"];
 /// Name that a network has which was added to somebody else's wpa_supplicant.
 pub(crate) const MARK: &str = "cotorra";
+/// Name of the file in a takeover's folder that says that the power is limited.
+const LIMITED: &str = "limited";
 
 /// A note of how a Wi-Fi interface was found.
 ///
@@ -155,7 +157,7 @@ impl Owner {
         _ = fs::remove_dir(&own);
         let ended = if own.exists() { daemon::clear(&own).map_err(TakeoverError::from) } else { Ok(()) };
         ended
-            .and(self.put_back_power())
+            .and(self.put_back_power(folder))
             .and(self.put_back_neighbours())
             .and(self.put_back_program(folder))
             .and(self.put_back_flags())
@@ -188,11 +190,29 @@ impl Owner {
         }
     }
 
-    pub(crate) fn put_back_power(&self) -> Result<(), TakeoverError> {
+    /// Limits the power in a takeover in the folder `folder`, where a file says so until it is put back.
+    pub(crate) fn limit_power(&self, power: Power, folder: &Path) -> Result<(), TakeoverError> {
+        let limit = || {
+            // First, so that it is put back even if this process is killed before it is done.
+            fs::write(folder.join(LIMITED), "")?;
+            TransmitPower::of(&self.interface)?.change(power)
+        };
+        limit().map_err(self.system("limit the power of"))
+    }
+
+    /// Puts the power back if it was limited in this folder.
+    pub(crate) fn put_back_power(&self, folder: &Path) -> Result<(), TakeoverError> {
+        let limited = folder.join(LIMITED);
+        if !limited.exists() {
+            return Ok(());
+        }
         // Whatever the kernel reports: a station that has no access point may have a limit that does not show. It does not tell
         // either whether the power was automatic.
         let before = self.power.map_or(Power::Automatic, Power::AtMost);
-        let put_back = || TransmitPower::of(&self.interface)?.change(before);
+        let put_back = || {
+            TransmitPower::of(&self.interface)?.change(before)?;
+            fs::remove_file(limited)
+        };
         put_back().map_err(self.system("put back the power of"))
     }
 
@@ -266,6 +286,24 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let error = Owner::find(&"lo".parse().expect("a name"), folder.path()).expect_err("no radio");
         assert!(error.to_string().starts_with("`lo` is no Wi-Fi interface"), "{error}");
+    }
+
+    #[test]
+    fn a_power_is_put_back_only_if_it_was_limited() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let interface = "missing0".parse().expect("a name");
+        let owner = Owner {
+            interface,
+            program: None,
+            bridge: None,
+            is_up: true,
+            power: None,
+            forgets_neighbours: None,
+        };
+        owner.put_back(folder.path()).expect("there is nothing to put back");
+        owner.limit_power(Power::AtMost(900), folder.path()).expect_err("there is no such interface");
+        let error = owner.put_back(folder.path()).expect_err("it may have been limited");
+        assert!(error.to_string().starts_with("cannot put back the power of `missing0`"), "{error}");
     }
 
     #[test]

@@ -19,7 +19,7 @@ use crate::{
     daemon::{Daemon, launch_here},
     names::InterfaceName,
     owner::{MARK, Owner, OwnersProgram, TakeoverError, own_folder},
-    power::{Power, TransmitPower},
+    power::Power,
     station::{Network, Station, StationDriver},
 };
 
@@ -59,8 +59,6 @@ pub struct Taken {
     folder: PathBuf,
     /// `None` while nothing is on the air.
     on_air: Option<OnAir>,
-    /// Whether its power is limited.
-    is_limited: bool,
     /// Number of times that a program was begun, or told to join another network.
     programs: u64,
 }
@@ -77,7 +75,7 @@ impl Taken {
     /// Prepares to take an interface over. Files of the takeover are in the private folder `folder`. Save the [`Owner`] before
     /// anything else.
     pub fn new(owner: Owner, folder: &Path) -> Self {
-        Self { owner, folder: folder.to_owned(), on_air: None, is_limited: false, programs: 0 }
+        Self { owner, folder: folder.to_owned(), on_air: None, programs: 0 }
     }
 
     /// Sets an owner's access point aside.
@@ -144,13 +142,10 @@ impl Taken {
         Bss { bridge, ..bss.clone() }
     }
 
-    fn limit_power(&mut self, power: Option<Power>) -> Result<(), TakeoverError> {
-        let was_limited = std::mem::replace(&mut self.is_limited, power.is_some());
-        let change = |power| TransmitPower::of(&self.owner.interface)?.change(power);
+    fn limit_power(&self, power: Option<Power>) -> Result<(), TakeoverError> {
         match power {
-            Some(power) => change(power).map_err(self.owner.system("limit the power of")),
-            None if was_limited => self.owner.put_back_power(),
-            None => Ok(()),
+            Some(power) => self.owner.limit_power(power, &self.folder),
+            None => self.owner.put_back_power(&self.folder),
         }
     }
 

@@ -296,6 +296,25 @@ fn an_owners_station_returns_to_its_network() {
 }
 
 #[test]
+fn the_power_of_a_station_that_never_joined_is_put_back() {
+    if !radios() {
+        return;
+    }
+    let (folder, note) = find("wlan0");
+    let mut robot = Taken::new(note.clone(), folder.as_ref());
+    robot.join(&corridor()).expect("it looks for its network");
+    std::mem::forget(robot);
+    note.put_back(folder.as_ref()).expect("it is put back");
+    // The kernel tells the power of a station that has joined.
+    let _home = Owners::hostapd();
+    let mut owner = Owners::supplicant();
+    while owner.station().state != wpa_supplicant::State::Completed {
+        connected(&mut owner.1);
+    }
+    assert!(iw("wlan0").contains("txpower 20.00 dBm"), "{}", iw("wlan0"));
+}
+
+#[test]
 fn radios_in_other_use_are_refused() {
     if !radios() {
         return;
