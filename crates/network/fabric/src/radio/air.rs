@@ -31,6 +31,7 @@ impl Radio {
             return;
         }
         if let Some(unit) = on {
+            self.agree(now, path);
             self.serve(self.medium.channel(unit), now);
         }
         // A frame that went on the air at once did not wait.

@@ -226,6 +226,6 @@ impl Radio {
         let place = stations.partition_point(|r| *r < robot);
         stations.insert(place, robot);
         self.robots[robot].home = Some(unit);
-        self.link(robot, unit).restart_rates();
+        self.link(robot, unit).begin_association();
     }
 }

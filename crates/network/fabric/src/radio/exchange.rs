@@ -1,16 +1,17 @@
 //! Handovers as frames on the air. A station and a radio unit exchange the management frames of a handover, and those of the
 //! key handshake where there is one, at the lowest rate. They contend and fade as all others do, and are lost as all others
-//! are. Between them, the station's kernel and that of the radio unit wait for their timers.
+//! are. Between them, the station's kernel and that of the radio unit wait for their timers. With the first data after a handover,
+//! both ends agree to aggregates.
 //!
 //! [`Station`](super::station::Station) says which frame comes next; here the frames are sent, by radios of their own at the
 //! antennas of the robot and of the radio unit.
 
 use std::collections::{BTreeMap, VecDeque};
 
-use cotorra_graph::{Timestamp, WifiStandard};
+use cotorra_graph::{Direction, Timestamp, WifiStandard};
 
 use super::{
-    PhyRate, Radio, RadioUnitIndex, StationIndex,
+    Path, PhyRate, Radio, RadioUnitIndex, StationIndex,
     edca::{Category, Emitter},
     foreign::{Antenna, RateTries, Receiver, Report, Transmission},
 };
@@ -33,6 +34,10 @@ pub(super) enum Message {
     Reassociated,
     /// A message of the key handshake, from 1 to 4. The radio unit sends those of odd numbers.
     Key(u8),
+    /// The request of who sends data in this direction to aggregate them (ADDBA).
+    Agree(Direction),
+    /// The answer to it.
+    Agreed(Direction),
 }
 
 impl Message {
@@ -42,10 +47,12 @@ impl Message {
             Self::Authenticate | Self::Reassociate => true,
             Self::Authenticated | Self::Reassociated => false,
             Self::Key(number) => number % 2 == 0,
+            Self::Agree(direction) => direction == Direction::Forward,
+            Self::Agreed(direction) => direction == Direction::Backward,
         }
     }
 
-    /// Returns the length of its PSDU: as hostapd and wpa_supplicant 2.10 send it for WPA2-PSK with CCMP at 2.4 GHz, with or
+    /// Returns the length of its PSDU: as Linux, hostapd and wpa_supplicant 2.10 send it for WPA2-PSK with CCMP at 2.4 GHz, with or
     /// without the elements of fast transition, and a network's name of eight letters.
     fn psdu_bytes(self, fast: bool) -> u32 {
         let without_check = match (self, fast) {
@@ -59,6 +66,8 @@ impl Message {
             (Self::Key(1 | 4), _) => 133,
             (Self::Key(2), _) => 155,
             (Self::Key(_), _) => 213,
+            // Protected (802.11w).
+            (Self::Agree(_) | Self::Agreed(_), _) => 49,
         };
         without_check + FCS
     }
@@ -94,7 +103,8 @@ struct Sent {
 pub(super) struct Exchanges {
     robots: BTreeMap<StationIndex, Antenna>,
     units: BTreeMap<RadioUnitIndex, Antenna>,
-    count: u64,
+    /// Frames sent so far.
+    pub(super) count: u64,
     sent: BTreeMap<u64, Sent>,
     news: VecDeque<News>,
 }
@@ -133,6 +143,16 @@ impl Radio {
         self.send_from(now, from, transmission);
     }
 
+    /// Asks the receiver of data to agree to aggregates, if they are the first since the association. The data do not wait for
+    /// that, but a request at the lowest rate is in their way.
+    pub(super) fn agree(&mut self, now: Timestamp, Path { robot, unit, direction }: Path) {
+        let spec = &self.networks[self.units[unit].network].spec;
+        let aggregates = spec.access.as_ref().is_some_and(|access| access.aggregation);
+        if aggregates && spec.handover.frames.is_some() && self.link(robot, unit).agrees(direction) {
+            self.send_message(now, robot, unit, Message::Agree(direction));
+        }
+    }
+
     /// Records what became of a frame of a handover.
     pub(super) fn take_report(&mut self, report: &Report) {
         let (id, fate) = match report {
@@ -154,7 +174,11 @@ impl Radio {
         else {
             return false;
         };
-        if self.robots[robot].station.underway_to() == Some(unit) {
+        if let Message::Agree(direction) = message {
+            if fate == Fate::Received && self.robots[robot].station.on_channel() == Some(unit) {
+                self.send_message(at, robot, unit, Message::Agreed(direction));
+            }
+        } else if self.robots[robot].station.underway_to() == Some(unit) {
             let is_one_domain = self.is_one_mobility_domain(robot, Some(unit));
             let station = &mut self.robots[robot].station;
             station.hear(at, message, fate, is_one_domain);

@@ -51,6 +51,8 @@ pub(super) struct Lane {
     rng: Xoshiro256PlusPlus,
     meter: Meter,
     rates: RateControl,
+    /// Whether its ends were asked to agree to aggregates since the association.
+    agreed: bool,
     /// Arrival of the last frame that kept its order.
     last_due: Timestamp,
 }
@@ -116,6 +118,7 @@ impl WirelessLink {
             rng: stream(seed, &format!("air {id} {direction}")),
             meter: Meter::default(),
             rates: rates(direction),
+            agreed: false,
             last_due: Timestamp::ZERO,
         };
         Self { lanes: [lane("forward"), lane("backward")], id, fading, receptions: None }
@@ -142,9 +145,17 @@ impl WirelessLink {
         self.lanes[direction as usize].rates.mbps(reception)
     }
 
-    /// Forgets what the rate control has learned.
-    pub(super) fn restart_rates(&mut self) {
-        self.lanes.iter_mut().for_each(|lane| lane.rates.restart());
+    /// Forgets what the rate control has learned, and that aggregates were agreed on.
+    pub(super) fn begin_association(&mut self) {
+        for lane in &mut self.lanes {
+            lane.rates.restart();
+            lane.agreed = false;
+        }
+    }
+
+    /// Whether its ends have to agree to aggregates now: the first time since the association.
+    pub(super) fn agrees(&mut self, direction: Direction) -> bool {
+        !std::mem::replace(&mut self.lanes[direction as usize].agreed, true)
     }
 
     pub(super) fn settings(&self, direction: Direction) -> &Settings {

@@ -104,3 +104,29 @@ fn runs_repeat() {
     let once = || gaps(by_frames(true), &[1000, 2002, 3001]);
     assert_eq!(once(), once());
 }
+
+#[test]
+fn first_data_of_each_direction_bring_a_request_to_aggregate_and_its_answer() {
+    let asked = |network: WirelessNetwork| {
+        let mut world = corridor(network, Roaming::Instructed);
+        world.radio.attach(at(1000), &id("r"), &id("R2")).unwrap();
+        world.run(at(1500));
+        let before = world.radio.exchanges.count;
+        let mut count = |world: &mut World, until| {
+            world.run(at(until));
+            world.radio.exchanges.count - before
+        };
+        let mut counts = vec![count(&mut world, 1600)];
+        for i in 0..2 {
+            world.up(at(1600 + i), "r", 200);
+            world.up(at(1600 + i), "r", 200);
+            counts.push(count(&mut world, 1610 + i));
+        }
+        world.down(at(1700), "R2", "r", 200);
+        counts.push(count(&mut world, 1800));
+        counts
+    };
+    assert_eq!(asked(by_frames(true)), [0, 2, 2, 4]);
+    let alone = Edca { aggregation: false, rate_control: RateControl::Minstrel, power_save: None };
+    assert_eq!(asked(WirelessNetwork { access: Some(alone), ..by_frames(true) }), [0; 4]);
+}
