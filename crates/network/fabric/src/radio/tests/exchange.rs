@@ -112,7 +112,7 @@ fn first_data_of_each_direction_bring_a_request_to_aggregate_and_its_answer() {
         world.radio.attach(at(1000), &id("r"), &id("R2")).unwrap();
         world.run(at(1500));
         let before = world.radio.exchanges.count;
-        let mut count = |world: &mut World, until| {
+        let count = |world: &mut World, until| {
             world.run(at(until));
             world.radio.exchanges.count - before
         };
