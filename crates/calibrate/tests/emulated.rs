@@ -38,7 +38,7 @@ fn survey(testbed: &Testbed, seconds: u64) -> ChannelSurvey {
         now = Timestamp::from_nanos(second * 1_000_000_000);
         fabric.poll(now, &mut |_, _| {});
         sum.active += 1000.0;
-        sum.busy += 1000.0 * fabric.radio_contexts(now)[0].load;
+        sum.busy += 1000.0 * fabric.radio_contexts(now)[0].load.unwrap();
         counters.push(sum);
     }
     ChannelSurvey(BTreeMap::from([(MeasuredChannel::Number(1), counters)]))

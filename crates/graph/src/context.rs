@@ -266,8 +266,9 @@ pub struct RadioContext {
     pub radio_unit: NodeId,
     /// Channel number.
     pub channel: u8,
-    /// Share of the last second in which the channel was busy.
-    pub load: f64,
+    /// Share of the last second in which the channel was busy; `None` if the driver of a real radio does not report it.
+    #[serde(default)]
+    pub load: Option<f64>,
     /// Its stations.
     pub stations: Vec<StationContext>,
 }

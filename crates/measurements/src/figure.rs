@@ -281,7 +281,9 @@ impl Figure {
                 let heard = context.attachments.iter().filter(|heard| heard.radio_unit == *radio_unit);
                 heard.filter_map(|heard| heard.signal).for_each(|signal| each(signal.0));
             }
-            (Self::Load(unit), Event::Radio(context)) if context.radio_unit == *unit => each(context.load),
+            (Self::Load(unit), Event::Radio(context)) if context.radio_unit == *unit => {
+                context.load.into_iter().for_each(each);
+            }
             (Self::ServiceTime { service, robot }, Event::ServiceTime(time))
                 if service.as_ref().is_none_or(|service| time.service == *service)
                     && robot.as_ref().is_none_or(|robot| time.robot == *robot) =>

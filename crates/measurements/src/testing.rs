@@ -136,7 +136,7 @@ prop_compose! {
 
 prop_compose! {
     fn radio_context()(
-        radio_unit in node(), channel: u8, load in real(), stations in vec(station(), 0..4),
+        radio_unit in node(), channel: u8, load in of(real()), stations in vec(station(), 0..4),
     ) -> RadioContext {
         RadioContext { radio_unit, channel, load, stations }
     }

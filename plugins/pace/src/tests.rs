@@ -55,7 +55,7 @@ fn received(signal: f64) -> Event {
     };
     // One that the testbed does not have is nobody's.
     let stations = vec![station("r"), station("visitor")];
-    Event::Radio(RadioContext { radio_unit: "A".parse().unwrap(), channel: 1, load: 0.1, stations })
+    Event::Radio(RadioContext { radio_unit: "A".parse().unwrap(), channel: 1, load: Some(0.1), stations })
 }
 
 fn limited(speed_limit_mps: Option<f64>) -> Event {

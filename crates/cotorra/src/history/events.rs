@@ -59,12 +59,10 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             let height = if pose.z == 0.0 { String::new() } else { format!(", {:.2}", pose.z) };
             format!("{} at ({:.2}, {:.2}{height}), attached to {attached}", context.robot, pose.x, pose.y)
         }
-        Event::Radio(context) => format!(
-            "{} on channel {}: {:.1} % busy",
-            context.radio_unit,
-            context.channel,
-            context.load * 100.0
-        ),
+        Event::Radio(context) => {
+            let load = context.load.map(|load| format!(": {:.1} % busy", load * 100.0)).unwrap_or_default();
+            format!("{} on channel {}{load}", context.radio_unit, context.channel)
+        }
         Event::Link(context) => {
             let delay =
                 context.delay.map_or("no packet".to_owned(), |d| format!("{:.3} ms", d.as_secs_f64() * 1e3));

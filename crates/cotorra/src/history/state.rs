@@ -58,7 +58,7 @@ fn describe(state: &GraphState) -> String {
     units.row(["radio unit", "at, s", "channel", "load", "stations"]);
     for Sample { at, value } in state.radio_units.iter().take(ROWS) {
         let stations = value.stations.len().to_string();
-        let load = format!("{:.1} %", value.load * 100.0);
+        let load = value.load.map_or("-".to_owned(), |load| format!("{:.1} %", load * 100.0));
         units.row([value.radio_unit.to_string(), seconds(*at), value.channel.to_string(), load, stations]);
     }
     section("Radio units", units, state.radio_units.len());

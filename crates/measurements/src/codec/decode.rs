@@ -237,7 +237,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             })
         }
         Kind::Radio => {
-            let (radio_unit, channel, load) = (row.name()?, row.small()?, row.real()?);
+            let (radio_unit, channel, load) = (row.name()?, row.small()?, row.0.real()?);
             let stations = children(source, |mut row| {
                 Ok(StationContext {
                     robot: row.name()?,

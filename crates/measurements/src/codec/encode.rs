@@ -106,7 +106,9 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
             }
         }
         Event::Radio(context) => {
-            row.name(context.radio_unit.as_str()).integer(context.channel.into()).real(context.load);
+            row.name(context.radio_unit.as_str())
+                .integer(context.channel.into())
+                .optional(context.load, Fields::real);
             for station in &context.stations {
                 children
                     .name(station.robot.as_str())

@@ -351,7 +351,7 @@ fn odd_figures_come_back() {
     let context = RadioContext {
         radio_unit: unit.clone(),
         channel: 1,
-        load: f64::NAN,
+        load: None,
         stations: vec![StationContext {
             robot: NodeId::new("r1").unwrap(),
             signal: Dbm(f64::NEG_INFINITY),

@@ -282,7 +282,7 @@ fn two_processes_that_record_one_run_lose_nothing() {
             event: Event::Radio(cotorra_graph::RadioContext {
                 radio_unit: cotorra_graph::NodeId::new("ap1").unwrap(),
                 channel: 1,
-                load: n as f64,
+                load: Some(n as f64),
                 stations: Vec::new(),
             }),
         };

@@ -80,7 +80,7 @@ fn serve() -> SocketAddr {
         });
         let load = ap as f64 / ACCESS_POINTS as f64;
         let channel = 1 + ap as u8 % 3 * 5;
-        (id.clone(), RadioContext { radio_unit: id, channel, load, stations: stations.collect() })
+        (id.clone(), RadioContext { radio_unit: id, channel, load: Some(load), stations: stations.collect() })
     });
     let campus = Arc::new(Campus { began: Instant::now(), radio: radio.collect() });
     let site = Site::new(&testbed.graph, &testbed.wais, &Scope::Testbed);

@@ -167,7 +167,7 @@ impl Site {
         let mut reported: HashMap<&NodeId, usize> = HashMap::new();
         let mut loads = HashMap::new();
         for (unit, context) in radio.values().filter_map(|c| Some((*places.get(&c.radio_unit)?, c))) {
-            loads.insert(unit, context.load);
+            loads.extend(context.load.map(|load| (unit, load)));
             for station in &context.stations {
                 let kbps = |bps: f64| (bps / 1e3).round() as u32;
                 let (downlink_kbps, uplink_kbps) = (kbps(station.downlink_bps), kbps(station.uplink_bps));

@@ -54,7 +54,10 @@ pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f
             uplink_bps: mbps / 2.0 * 1e6,
             counted: Default::default(),
         });
-        (id(unit), RadioContext { radio_unit: id(unit), channel, load, stations: stations.collect() })
+        (
+            id(unit),
+            RadioContext { radio_unit: id(unit), channel, load: Some(load), stations: stations.collect() },
+        )
     });
     let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
     let robots = places.iter().map(|(robot, place, _)| {

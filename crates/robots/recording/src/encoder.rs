@@ -240,7 +240,7 @@ impl Encoder {
             header: to_header(at, ""),
             radio_unit: context.radio_unit.to_string(),
             channel: context.channel,
-            load: context.load,
+            load: context.load.unwrap_or(f64::NAN),
             stations: context.stations.iter().map(station).collect(),
         };
         let topic = format!("/radio_units/{}", self.nodes.token(&context.radio_unit));

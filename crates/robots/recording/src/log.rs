@@ -82,8 +82,8 @@ pub(crate) fn diagnostics(at: Timestamp, event: &Event) -> Option<DiagnosticArra
 }
 
 fn radio(context: &RadioContext) -> DiagnosticStatus {
-    let mut values =
-        vec![value("channel", context.channel.to_string()), value("load", format!("{:.3}", context.load))];
+    let mut values = vec![value("channel", context.channel.to_string())];
+    values.extend(context.load.map(|load| value("load", format!("{load:.3}"))));
     values.extend(context.stations.iter().map(|station| {
         let rates = (station.downlink_bps / 1e6, station.uplink_bps / 1e6);
         let text = format!("{:.0} dBm, {} Mbit/s down, {} Mbit/s up", station.signal.0, rates.0, rates.1);

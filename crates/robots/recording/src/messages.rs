@@ -108,7 +108,7 @@ message! {
         radio_unit: String,
         /// Channel number.
         channel: u8,
-        /// Share of the last second in which the channel was busy, 0 to 1.
+        /// Share of the last second in which the channel was busy, 0 to 1; NaN if a real radio's driver does not report it.
         load: f64,
         /// Its stations.
         stations: Vec<Station>,

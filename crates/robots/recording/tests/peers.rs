@@ -114,7 +114,7 @@ fn events() -> Vec<Event> {
         Event::Radio(RadioContext {
             radio_unit: node("R-1"),
             channel: 11,
-            load: 0.5,
+            load: Some(0.5),
             stations: vec![StationContext {
                 robot: node("tb2"),
                 signal: Dbm(-60.0),

@@ -75,7 +75,7 @@ impl RadioFigures for Figures {
         let all = self.read.lock();
         let wifi = all.get(&context.radio_unit).and_then(|read| read.wifi.as_ref());
         let in_use = wifi.and_then(|wifi| wifi.channels.iter().find(|channel| channel.in_use));
-        context.load = in_use.and_then(|channel| channel.busy).map_or(0.0, |busy| busy.get());
+        context.load = in_use.and_then(|channel| channel.busy).map(|busy| busy.get());
         let station = |station: &WifiStation| {
             let robot = self.addresses.keys().find(|node| self.has_address(node, &station.mac))?;
             let bps =
@@ -186,7 +186,8 @@ mod tests {
     #[test]
     fn radio_units_know_the_robots_that_their_kernel_reports() {
         let figures = figures();
-        let mut context = RadioContext { radio_unit: id("A"), channel: 1, load: 0.9, stations: Vec::new() };
+        let mut context =
+            RadioContext { radio_unit: id("A"), channel: 1, load: Some(0.9), stations: Vec::new() };
         let stations = vec![station(0, Some(-55.0)), station(9, Some(-30.0)), station(2, None)];
         figures.read(&id("A"), Read { wifi: wifi(WifiRole::AccessPoint, stations), heard: Vec::new() });
         figures.complete_radio(&mut context);
@@ -197,8 +198,12 @@ mod tests {
         };
         let (robot, signal) = (id("r1"), Dbm(-55.0));
         let known = StationContext { robot, signal, downlink_bps: 65e6, uplink_bps: 0.0, counted };
-        assert_eq!((context.load, &context.stations[..]), (0.25, &[known][..]));
-        let untouched = RadioContext { radio_unit: id("other"), load: 0.5, ..context.clone() };
+        assert_eq!((context.load, &context.stations[..]), (Some(0.25), &[known][..]));
+        // No survey, no load.
+        figures.forget(&id("A"));
+        figures.complete_radio(&mut context);
+        assert_eq!((context.load, &context.stations[..]), (None, &[][..]));
+        let untouched = RadioContext { radio_unit: id("other"), load: Some(0.5), ..context.clone() };
         let mut other = untouched.clone();
         figures.complete_radio(&mut other);
         assert_eq!(other, untouched);

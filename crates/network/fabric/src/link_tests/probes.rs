@@ -355,7 +355,7 @@ mod tests {
         let mut loads = Vec::new();
         for _ in 0..100 {
             now = run(&mut fabric, now, 1);
-            loads.push(fabric.radio_contexts(now)[0].load);
+            loads.push(fabric.radio_contexts(now)[0].load.unwrap());
         }
         let load = loads.iter().sum::<f64>() / loads.len() as f64;
         assert!((0.001..=0.01).contains(&load), "{load}");

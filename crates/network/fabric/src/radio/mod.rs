@@ -596,7 +596,7 @@ impl Radio {
         let context = |(index, unit): (usize, &Unit)| RadioContext {
             radio_unit: unit.id.clone(),
             channel: unit.channel_number,
-            load: self.load(self.medium.channel(index), now),
+            load: Some(self.load(self.medium.channel(index), now)),
             stations: unit.stations.iter().map(|robot| self.station_context(*robot, index)).collect(),
         };
         self.units.iter().enumerate().map(context).collect()

@@ -166,7 +166,7 @@ fn delays(interference: Vec<Interferer>) -> (Vec<u64>, f64) {
     let mut world = stations(WirelessNetwork { interference, ..contending() }, &[5.0]);
     (0..1000).for_each(|i| world.up(at(10 * i), "r0", 1000));
     world.run(at(10_000));
-    let load = world.radio.contexts(at(10_000))[0].load;
+    let load = world.radio.contexts(at(10_000))[0].load.unwrap();
     let mut delays: Vec<_> = world
         .arrived
         .iter()
