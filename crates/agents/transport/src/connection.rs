@@ -5,7 +5,7 @@ use std::{
     io::{self, Read, Write},
     net::Shutdown,
     path::Path,
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use cotorra_agent_protocol::LEASE;
@@ -20,6 +20,8 @@ use crate::{
 
 /// Bytes that are read, or encrypted, before others have their turn.
 const TURN: usize = 64 << 10;
+/// Interval at which a shell calls [`Connection::advance`].
+pub(crate) const TICK: Duration = LEASE.checked_div(8).expect("not by 0");
 /// Signs of life in a lease, if nothing else is written.
 const QUIETS: u32 = 4;
 
@@ -118,10 +120,11 @@ impl Connection {
         self.decoder.poll(longest)
     }
 
-    /// Writes a frame as soon as the socket takes it. Drops it if too many wait.
+    /// Writes a frame as soon as the socket takes it. Drops it if too many wait. After an error the connection is closed, which
+    /// the thread that reads it notices.
     pub(crate) fn send(&mut self, now: Instant, frame: Frame) -> Result<(), Closed> {
         self.outbox.push(frame);
-        self.flush(now)
+        self.flush(now).inspect_err(|_| self.close())
     }
 
     /// Answers the fetch with this number by a file, if there is one.
@@ -183,7 +186,7 @@ impl Connection {
 
 #[cfg(test)]
 mod tests {
-    use std::{net::TcpListener, time::Duration};
+    use std::net::TcpListener;
 
     use chrono::{DateTime, Utc};
     use cotorra_enrolment::Authority;

@@ -22,7 +22,7 @@ use parking_lot::Mutex;
 use rustls::{ClientConfig, ClientConnection, pki_types::ServerName};
 
 use crate::{
-    connection::{Closed, Connection},
+    connection::{Closed, Connection, TICK},
     error::TransportError,
     frame::{self, Frame, Kind, numbered},
     tls::{self, Credentials},
@@ -32,8 +32,6 @@ use crate::{
 const PAUSE: Duration = Duration::from_millis(200);
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 const GROWTH: f64 = 1.5;
-/// Interval of what is due at the connection.
-const TICK: Duration = LEASE.checked_div(8).expect("not by 0");
 /// Time without a part of a file.
 const FILE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Attempts to fetch a file over connections that are lost meanwhile.
@@ -84,8 +82,6 @@ impl Shared {
         let Some(open) = &mut *connection else { return false };
         if let Err(reason) = open.send(Instant::now(), Frame { kind, message }) {
             tracing::debug!("cannot send to the core: {reason}");
-            // The dialer's thread notices it.
-            open.close();
         }
         true
     }

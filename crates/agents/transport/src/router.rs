@@ -17,14 +17,14 @@ use std::{
     time::{Duration, Instant, SystemTime},
 };
 
-use cotorra_agent_protocol::{LEASE, Report, RobotCommand, RobotReading, RobotTurn, Transmit};
+use cotorra_agent_protocol::{Report, RobotCommand, RobotReading, RobotTurn, Transmit};
 use cotorra_graph::AgentId;
 use mio::{Events, Interest, Poll, Token, Waker, net::TcpListener};
 use parking_lot::Mutex;
 use rustls::{ServerConfig, ServerConnection};
 
 use crate::{
-    connection::{Closed, Connection},
+    connection::{Closed, Connection, TICK},
     error::TransportError,
     frame::{self, Frame, Kind},
     refusals::Refusals,
@@ -41,8 +41,6 @@ const LONGEST_HELLO: usize = 256;
 const MOST_CONNECTIONS: usize = 4;
 /// Connections that have not said whose they are.
 const MOST_GREETING: usize = 256;
-/// Interval of what is due at connections.
-const TICK: Duration = LEASE.checked_div(8).expect("not by 0");
 
 const LISTENER: Token = Token(0);
 const WAKER: Token = Token(1);
@@ -155,11 +153,8 @@ impl Router {
         let Some(connections) = self.agents.connections.get(agent) else { return };
         let (connections, now) = (connections.lock().clone(), Instant::now());
         for connection in connections {
-            let mut connection = connection.lock();
-            if let Err(reason) = connection.send(now, Frame { kind, message: message.clone() }) {
+            if let Err(reason) = connection.lock().send(now, Frame { kind, message: message.clone() }) {
                 tracing::debug!("cannot send to agent `{agent}`: {reason}");
-                // The router's thread notices it.
-                connection.close();
             }
         }
     }
@@ -416,7 +411,7 @@ impl Service {
             Some(End::Agent(end)) => self.pass(&end.agent, FromAgent::Rejected(reason)),
             _ => self.refusals.warn(reason),
         }
-        self.close(token, &Closed::ByPeer);
+        self.close(token, &Closed::Ended);
     }
 
     /// Forgets a connection, which is closed.
