@@ -10,7 +10,7 @@ fn graph(links: &str) -> HardwareGraph {
         "name: x\nwireless: {{ w: {{ delay: 3 ms }} }}\nnodes:\n  a: {server}\n  b: {server}\n  \
          s1: {{ kind: switch }}\n  s2: {{ kind: switch }}\n  s3: {{ kind: switch }}\n  \
          r: {{ kind: robot, position: [0, 0] }}\n  q: {{ kind: robot, position: [0, 0] }}\n  \
-         R: {{ kind: radio_unit, position: [0, 0], channel: 1 }}\nlinks:\n{links}"
+         U: {{ kind: radio_unit, position: [0, 0], channel: 1 }}\nlinks:\n{links}"
     );
     cotorra_testbed_file::parse("x.yaml", &text, Path::new(""))
         .unwrap_or_else(|wrong| panic!("{wrong}"))
@@ -23,7 +23,7 @@ fn id(name: &str) -> NodeId {
 
 const LINKS: &str = "  - { ends: [a, [s1, s2, s3]] }\n  - { ends: [s1, b], delay: 2 ms }\n  \
                      - { ends: [s2, b], delay: 1 ms, backward: { delay: 9 ms } }\n  \
-                     - { ends: [s3, [s1, R]] }\n";
+                     - { ends: [s3, [s1, U]] }\n";
 
 #[test]
 fn least_delay_in_each_direction_then_fewest_hops() {
@@ -38,14 +38,14 @@ fn least_delay_in_each_direction_then_fewest_hops() {
     let (links, delay) = route("b", "a").unwrap();
     assert_eq!((links.iter().map(LinkId::as_str).collect::<Vec<_>>(), delay), (vec!["s1-b", "a-s1"], ms(2)));
     // s2 is reached through servers only, which do not forward.
-    assert_eq!(route("s2", "R"), None);
+    assert_eq!(route("s2", "U"), None);
     assert_eq!(route("a", "nowhere"), None);
 }
 
 #[test]
 fn robots_are_reached_where_they_are_attached() {
     let graph = graph(LINKS);
-    let unit = id("R");
+    let unit = id("U");
     let route = |attached: bool| {
         graph.route(&id("r"), &id("q"), |_| attached.then_some(&unit)).map(|route| (route.links, route.delay))
     };
@@ -62,9 +62,9 @@ fn detaching_undoes_attaching() {
     };
     let mut topology = Topology::new(&graph);
     let before = neighbours(&topology);
-    topology.attach(&id("r"), &id("R"));
-    topology.attach(&id("r"), &id("R"));
-    topology.attach(&id("a"), &id("R"));
+    topology.attach(&id("r"), &id("U"));
+    topology.attach(&id("r"), &id("U"));
+    topology.attach(&id("a"), &id("U"));
     topology.detach(&id("r"));
     assert_eq!(neighbours(&topology), before);
 }

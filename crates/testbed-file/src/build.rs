@@ -31,6 +31,7 @@ use cotorra_graph::{
 
 pub(super) use self::builder::is_variable;
 use self::builder::{Builder, each};
+pub use self::plugins::{COMMAND_LINE, SCHEDULE};
 use crate::{
     map_server,
     records::{

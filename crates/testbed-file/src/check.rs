@@ -1,10 +1,11 @@
-//! Checks between the records of a testbed: duplicate names, unreachable nodes, KPIs that no placement keeps, walks
+//! Checks between the records of a testbed: names that are taken or lead elsewhere, unreachable nodes, KPIs that no placement keeps, walks
 //! through walls.
 
 mod agents;
 mod containers;
 mod kpis;
 mod machines;
+mod names;
 mod real_ports;
 mod sensors;
 mod services;
@@ -21,8 +22,12 @@ use crate::{
     yaml::{Sink, decode::Spanned},
 };
 
+/// Parts of service times that are no links (`docs/time-parts.md`). Those that are have the links' names.
+const PARTS_OF_TIMES: [&str; 4] = ["sender", "vnf", "receiver", "unknown"];
+
 /// Checks the whole. Tables of the record and lists of the testbed have the same order.
 pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
+    names::names(record, testbed, sink);
     links(record, &testbed.graph, sink);
     machines::machines(record, &testbed.graph, sink);
     real_ports::real_ports(record, &testbed.graph, sink);
@@ -53,6 +58,10 @@ fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
         if !seen.insert(&link.id) {
             sink.error(span, format!("the link `{}` is here twice", link.id))
                 .help("remove one of them, or give it an `id` of its own");
+        }
+        if PARTS_OF_TIMES.contains(&link.id.as_str()) {
+            sink.error(span, format!("`{}` is the name of a part of service times that is no link", link.id))
+                .help(format!("give it another `id` than {}", PARTS_OF_TIMES.join(", ")));
         }
         let begins = |tilde: usize| robots.contains(&link.id.as_str()[..tilde]);
         let wireless = link.id.as_str().match_indices('~').any(|(tilde, _)| begins(tilde));

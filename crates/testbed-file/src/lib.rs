@@ -24,6 +24,7 @@ use serde_json::{Value as Json, json};
 
 use self::yaml::{Sink, decode::Decode};
 pub use self::{
+    build::{COMMAND_LINE, SCHEDULE},
     carry::{Carried, CarriedFile, Contents, LEDGER_PATHS, carry},
     setting::{InvalidSetting, Setting},
     vnf_keys::{VnfKeysError, set_vnf_keys},
@@ -232,7 +233,7 @@ mod tests {
     #[test]
     fn defaults_are_what_the_schema_says() {
         let text = "name: x\nwireless: { w: {} }\nnodes:\n  r: { kind: robot, position: [0, 0] }\n  \
-                    R: { kind: radio_unit, position: [0, 0], channel: 1 }\n";
+                    U: { kind: radio_unit, position: [0, 0], channel: 1 }\n";
         let testbed = parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
         let (_, robot) = testbed.graph.robots().next().unwrap();
         assert_eq!(robot.network, "w");
@@ -243,7 +244,7 @@ mod tests {
 
     #[test]
     fn a_robot_in_ros_2_is_described_by_a_word_or_at_length() {
-        let text = "name: x\nwireless: { w: {} }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+        let text = "name: x\nwireless: { w: {} }\nnodes:\n  U: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
                     a: { kind: robot, position: [0, 0], driver: ros2 }\n  \
                     b: { kind: robot, position: [0, 0], driver: { kind: ros2, domain: 42, interface: 127.0.0.1, \
                     namespace: tb2, topics: { scan: /lidar } } }\n  \
@@ -279,7 +280,7 @@ mod tests {
 
     #[test]
     fn sensors_of_a_robot_in_ros_have_topics() {
-        let text = "name: x\nwireless: { w: {} }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+        let text = "name: x\nwireless: { w: {} }\nnodes:\n  U: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
                     a: { kind: robot, position: [0, 0], driver: ros2, sensors: { imu: { kind: imu }, \
                     pack: { kind: battery }, front: { kind: lidar }, hand: { kind: vector, size: 2 } } }\n  \
                     b: { kind: robot, position: [0, 0], driver: ros1, sensors: { camera: { kind: camera, keep: 1 MB }, \
@@ -312,12 +313,12 @@ mod tests {
 
     #[test]
     fn a_robot_in_ros_is_described_by_a_word_or_at_length() {
-        let text = "name: x\nwireless: { w: {} }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+        let text = "name: x\nwireless: { w: {} }\nnodes:\n  U: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
                     a: { kind: robot, position: [0, 0], driver: ros1 }\n  \
                     b: { kind: robot, position: [0, 0], driver: { kind: ros1, master: 'http://tb:11311/', \
                     namespace: tb2, topics: { scan: /lidar } } }\n  \
                     c: { kind: robot, position: [0, 0], offer: ros1 }\n  \
-                    d: { kind: robot, position: [0, 0], driver: simulated, offer: { kind: ros1, master: R } }\n  \
+                    d: { kind: robot, position: [0, 0], driver: simulated, offer: { kind: ros1, master: U } }\n  \
                     e: { kind: robot, position: [0, 0], offer: { kind: ros1, network: machine } }\n";
         let testbed = parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
         let drivers: Vec<_> = testbed.graph.robots().map(|(_, robot)| robot.driver.clone()).collect();
@@ -339,7 +340,7 @@ mod tests {
             (tb2.resolved("scan"), tb2.resolved("/lidar")),
             ("/tb2/scan".to_owned(), "/lidar".to_owned())
         );
-        assert_eq!(drivers[2..4], [offer(node("c")), offer(node("R"))]);
+        assert_eq!(drivers[2..4], [offer(node("c")), offer(node("U"))]);
         assert_eq!(drivers[4], offer(RosMaster::Machine { uri: None }));
         assert_eq!(violation(&json_of(text), &schema(), "x"), None);
     }

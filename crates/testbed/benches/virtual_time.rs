@@ -103,15 +103,15 @@ fn hundred_robots() -> Testbed {
     }
     for robot in 0..100 {
         let (x, y, server) = (robot % 10 * 10 + 2, robot / 10 * 8 + 2, ["fog", "edge", "cloud"][robot % 3]);
-        nodes += &format!("  r{robot}: {{ kind: robot, cpus: 2, memory: 8 GB, roaming: instructed }}\n");
+        nodes += &format!("  robot{robot}: {{ kind: robot, cpus: 2, memory: 8 GB, roaming: instructed }}\n");
         services += &format!(
-            "  s{robot}:\n    robot: r{robot}\n    kpis: {{ service_time: 50 ms }}\n    vnfs:\n      \
-             d{robot}: {{ program: robot_driver, pinned_to: r{robot} }}\n      \
+            "  s{robot}:\n    robot: robot{robot}\n    kpis: {{ service_time: 50 ms }}\n    vnfs:\n      \
+             d{robot}: {{ program: robot_driver, pinned_to: robot{robot} }}\n      \
              n{robot}: {{ program: navigation, node: {server}, cpus: 1, memory: 1 GB }}\n    \
              virtual_links: [{{ from: d{robot}, to: n{robot}, rate: 1 Mbit/s }}]\n"
         );
         walks += &format!(
-            "  r{robot}: {{ waypoints: [[{x}, {y}], [{}, {}]], and_back: true, speed_limit: 0.3 m/s, \
+            "  robot{robot}: {{ waypoints: [[{x}, {y}], [{}, {}]], and_back: true, speed_limit: 0.3 m/s, \
              position_interval: 100 ms }}\n",
             98 - x,
             78 - y

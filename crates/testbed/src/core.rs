@@ -21,6 +21,7 @@ use cotorra_plugin::wire::Answer;
 use cotorra_robot_middleware::{
     Datagram, Nonces, RobotDriver, RobotMiddleware, SensedData, SensedScan, Servers, SimulatedRobot,
 };
+use cotorra_testbed_file::SCHEDULE;
 
 use crate::{
     answerers::Answerer,
@@ -32,9 +33,6 @@ use crate::{
     script::{Change, Script},
     trips::Trips,
 };
-
-/// Author of scripted instructions.
-const SCHEDULE: &str = "schedule";
 
 /// The discard port, at which nobody listens (RFC 863).
 const DISCARD: u16 = 9;

@@ -385,13 +385,13 @@ wireless: { w: { delay: 1 ms, rate: 8 Mbit/s } }
 nodes:
   r: { kind: robot, position: [0, 0] }
   q: { kind: robot, position: [0, 0] }
-  R: { kind: radio_unit, position: [0, 0], channel: 1 }
+  U: { kind: radio_unit, position: [0, 0], channel: 1 }
   P: { kind: radio_unit, position: [9, 0], channel: 6 }
   lan: { kind: switch }
   near: { kind: server, tier: fog, cpus: 4, memory: 8 GB, cost: 3 }
   far: { kind: server, tier: cloud, cpus: 4, memory: 8 GB, cost: 1 }
 links:
-  - { ends: [lan, [R, P, near]], delay: 1 ms, rate: 10 Mbit/s }
+  - { ends: [lan, [U, P, near]], delay: 1 ms, rate: 10 Mbit/s }
   - { ends: [lan, far], delay: 5 ms, rate: 10 Mbit/s }
 services:
   first:
@@ -471,8 +471,8 @@ walks:
         assert_eq!(concerned(&mut now, &mapping("lan-far")), ["first"]);
         assert!(concerned(&mut now, &mapping("lan-far")).is_empty());
         assert_eq!(concerned(&mut now, &handed_over("r", "P")), ["first"], "it roamed by itself");
-        assert!(now.wants_attachment(&node_id("r"), Some(&node_id("P")), &node_id("R")));
-        assert!(concerned(&mut now, &handed_over("r", "R")).is_empty(), "it was asked to");
+        assert!(now.wants_attachment(&node_id("r"), Some(&node_id("P")), &node_id("U")));
+        assert!(concerned(&mut now, &handed_over("r", "U")).is_empty(), "it was asked to");
         let lost = Event::Detached { robot: node_id("q"), from: node_id("P") };
         assert_eq!(concerned(&mut now, &lost), ["second"]);
     }
@@ -516,7 +516,7 @@ walks:
 
     #[test]
     fn attachments_are_instructed_once_until_they_end() {
-        let (robot, unit, other) = (node_id("r"), node_id("R"), node_id("P"));
+        let (robot, unit, other) = (node_id("r"), node_id("U"), node_id("P"));
         let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
         let sensors = SensorData {
             pose,
@@ -536,12 +536,12 @@ walks:
             localization_error_m: None,
         });
         let lost = Event::Detached { robot: robot.clone(), from: other.clone() };
-        for end in [handed_over("r", "R"), lost, refused(attach("r", "R")), there] {
+        for end in [handed_over("r", "U"), lost, refused(attach("r", "U")), there] {
             let mut now = NetworkView::new(&testbed());
             assert!(!now.wants_attachment(&robot, Some(&unit), &unit), "it is there");
             assert!(now.wants_attachment(&robot, Some(&other), &unit));
             assert!(!now.wants_attachment(&robot, Some(&other), &unit), "it is under way");
-            for another in [handed_over("q", "R"), refused(attach("r", "P"))] {
+            for another in [handed_over("q", "U"), refused(attach("r", "P"))] {
                 now.learn(&another);
                 assert!(now.hands_over(&robot));
             }
@@ -576,7 +576,7 @@ walks:
         let testbed = testbed();
         let (service, other) = (&testbed.services[0], &testbed.services[1]);
         let ends = |server: &str| (node_id("r"), node_id(server));
-        let over = |server: &str| vec![LinkId::new("r~R").unwrap(), LinkId::new(server).unwrap()];
+        let over = |server: &str| vec![LinkId::new("r~U").unwrap(), LinkId::new(server).unwrap()];
         let to = |server: &str| BTreeMap::from([(ends(server), over(server))]);
         let asked = |server: &str, links| vec![(node_id("r"), node_id(server), links)];
         let mut now = NetworkView::new(&testbed);

@@ -7,6 +7,7 @@ use std::{thread, time::Duration};
 
 use cotorra_graph::{Instruction, LinkContext, LinkId, PluginId, Tested};
 use cotorra_plugin::{client::Client, runs::Runs};
+use cotorra_testbed_file::COMMAND_LINE;
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, miette};
 
@@ -53,7 +54,7 @@ impl Connection {
                 (run.api.to_string(), client, run.to_string())
             }
         };
-        let client = client.named(PluginId::new("command-line").expect("it is a name"));
+        let client = client.named(PluginId::new(COMMAND_LINE).expect("it is a name"));
         Ok(Self { api, client, what })
     }
 

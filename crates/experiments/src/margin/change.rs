@@ -213,13 +213,13 @@ mod tests {
     use super::*;
 
     fn testbed() -> Testbed {
-        let text = "name: x\nwireless: { w: { delay: 1 ms } }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+        let text = "name: x\nwireless: { w: { delay: 1 ms } }\nnodes:\n  U: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
                     r: { kind: robot, position: [1, 0] }\n  \
                     a: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\n  b: { kind: switch }\n\
-                    links:\n  - { ends: [a, b], delay: 1 ms, loss: 50 % }\n  - { ends: [b, R], delay: 2 ms }\n\
-                    schedule:\n  - { at: 1 s, links: [a-b, b-R], set: { delay: 8 ms, loss: 20 % } }\n  \
+                    links:\n  - { ends: [a, b], delay: 1 ms, loss: 50 % }\n  - { ends: [b, U], delay: 2 ms }\n\
+                    schedule:\n  - { at: 1 s, links: [a-b, b-U], set: { delay: 8 ms, loss: 20 % } }\n  \
                     - { at: 2 s, links: a-b, set: { delay_scale: 2 } }\n  \
-                    - { at: 3 s, links: [r~R, b-R], set: { delay: 4 ms, loss: 10 % } }\n";
+                    - { at: 3 s, links: [r~U, b-U], set: { delay: 4 ms, loss: 10 % } }\n";
         cotorra_testbed_file::parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"))
     }
 
@@ -246,10 +246,10 @@ mod tests {
             .map(|entry| (entry.links[0].as_str(), entry.set.delay_ms, entry.set.delay_scale))
             .collect();
         let expected = [
-            ("b-R", Some(8.0), None),
+            ("b-U", Some(8.0), None),
             ("a-b", Some(11.1), None),
             ("a-b", None, Some(2.0)),
-            ("r~R", Some(4.0), None),
+            ("r~U", Some(4.0), None),
         ];
         assert_eq!(set, expected);
     }
@@ -283,7 +283,7 @@ mod tests {
         let (slow, _) = changed(Dimension::AirDelay("w".to_owned()), 2_000_000);
         assert_eq!(slow.graph.wireless["w"].delay, Duration::from_millis(3));
         let [(others, unchanged), (own, worse)] = &at_3_s(&slow)[..] else { panic!("{slow:?}") };
-        assert_eq!((&others[..], &own[..]), (&[link("b-R")][..], &[link("r~R")][..]));
+        assert_eq!((&others[..], &own[..]), (&[link("b-U")][..], &[link("r~U")][..]));
         assert_eq!((unchanged.delay_ms, worse.delay_ms), (Some(4.0), Some(6.0)));
         assert_eq!(slow.graph.links, testbed().graph.links);
 
@@ -304,20 +304,20 @@ mod tests {
         let slow: Vec<_> = altered.slow.into_iter().collect();
         assert_eq!(slow, [("a".parse().unwrap(), Duration::from_millis(2))]);
         let mut testbed = testbed();
-        Change { worse: None, down: Some("R".parse().unwrap()) }.apply(&mut testbed);
+        Change { worse: None, down: Some("U".parse().unwrap()) }.apply(&mut testbed);
         assert!(!testbed.graph.radio_units().next().unwrap().1.serving);
     }
 
     #[test]
     fn changes_have_names() {
         let worse = Some((Dimension::Delay(link("a-b")), 3_100_000));
-        let down: Option<NodeId> = Some("R".parse().unwrap());
+        let down: Option<NodeId> = Some("U".parse().unwrap());
         let name = |worse: &Option<_>, down: &Option<_>| {
             Change { worse: worse.clone(), down: down.clone() }.to_string()
         };
-        assert_eq!(name(&worse, &down), "delay a-b +3.1 ms, R down");
+        assert_eq!(name(&worse, &down), "delay a-b +3.1 ms, U down");
         assert_eq!(name(&worse, &None), "delay a-b +3.1 ms");
-        assert_eq!(name(&None, &down), "R down");
+        assert_eq!(name(&None, &down), "U down");
         assert_eq!(name(&None, &None), "unchanged");
         assert_eq!(Dimension::Loss(link("a-b")).amount(1500), "+0.15 %");
     }

@@ -183,12 +183,12 @@ mod tests {
     #[test]
     fn a_placement_can_stay_or_go_to_any_node_with_room() {
         let text = "name: x\nwireless: { w: {} }\nnodes:\n  r: { kind: robot, position: [0, 0], cpus: 1 }\n  \
-                    R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+                    U: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
                     a: { kind: server, tier: edge, cpus: 4, memory: 8 GB }\n  \
                     b: { kind: server, tier: edge, cpus: 4, memory: 8 GB }\n  \
                     c: { kind: server, tier: edge, cpus: 4, memory: 8 GB }\n  \
                     small: { kind: server, tier: edge, cpus: 1, memory: 8 GB }\n\
-                    links: [{ ends: [R, [a, b, c, small]] }]\n\
+                    links: [{ ends: [U, [a, b, c, small]] }]\n\
                     services:\n  s:\n    robot: r\n    kpis: { service_time: 1 s }\n    vnfs:\n      \
                     d: { program: robot_driver, pinned_to: r }\n      n: { program: navigation, node: a, cpus: 2 }\n\
                     walks: { r: { waypoints: [[0, 0], [1, 0]] } }\n";

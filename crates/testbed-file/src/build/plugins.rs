@@ -13,6 +13,11 @@ use crate::{
     },
 };
 
+/// The name under which scheduled changes are instructions.
+pub const SCHEDULE: &str = "schedule";
+/// The name under which the command line instructs a run.
+pub const COMMAND_LINE: &str = "command-line";
+
 impl Builder<'_> {
     pub(super) fn plugins(&mut self) -> Option<Vec<PluginSpec>> {
         let mut seen = HashSet::new();
@@ -31,6 +36,11 @@ impl Builder<'_> {
                 }
                 Either::Long(record) => self.plugin(&entry.span, record)?,
             };
+            if [SCHEDULE, COMMAND_LINE].contains(&plugin.id.as_str()) {
+                self.sink
+                    .error(&entry.span, format!("instructions of others have the name `{}`", plugin.id))
+                    .help("give it another `id`, such as `id: my-plugin`");
+            }
             if !seen.insert(plugin.id.clone()) {
                 self.sink
                     .error(&entry.span, format!("the plug-in `{}` is here twice", plugin.id))

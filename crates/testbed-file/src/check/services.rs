@@ -2,7 +2,9 @@
 
 use std::collections::{HashMap, HashSet};
 
-use cotorra_graph::{Capacity, Containers, Node, NodeId, NodeKind, Program, Service, Testbed, Vnf, VnfId};
+use cotorra_graph::{
+    AccessPoint, Capacity, Containers, Node, NodeId, NodeKind, Program, Service, Testbed, Vnf, VnfId,
+};
 
 use super::containers;
 use crate::{
@@ -53,6 +55,11 @@ pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
             } else if testbed.containers.hosts.iter().any(|host| host.id == vnf.id) {
                 sink.error(id, format!("the VNF `{}` has the name of a node with an `image`", vnf.id))
                     .help("rename one of them: both are containers");
+            } else if let Some((node, _)) =
+                graph.radio_units().find(|(n, _)| AccessPoint::vnf(&n.id) == vnf.id)
+            {
+                sink.error(id, format!("`{}` is the name of the vAP of `{}`", vnf.id, node.id))
+                    .help("rename the VNF");
             }
             let able = able(testbed, vnf);
             for (node, place) in vnf.node.all().iter().zip(starts) {

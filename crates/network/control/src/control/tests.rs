@@ -15,16 +15,16 @@ wireless: { lab: { rate: 10 Mbit/s } }
 nodes:
   r: { kind: robot, position: [1, 0] }
   q: { kind: robot, position: [2, 0] }
-  R: { kind: radio_unit, position: [0, 0], channel: 1 }
+  U: { kind: radio_unit, position: [0, 0], channel: 1 }
   S: { kind: radio_unit, position: [9, 0], channel: 6 }
   fast: { kind: switch }
   wide: { kind: switch }
   one: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
   two: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
 links:
-  - { ends: [R, fast], delay: 1 ms, rate: 3 Mbit/s }
+  - { ends: [U, fast], delay: 1 ms, rate: 3 Mbit/s }
   - { ends: [fast, [one, two]], delay: 1 ms }
-  - { ends: [R, wide], delay: 5 ms, rate: 5 Mbit/s }
+  - { ends: [U, wide], delay: 5 ms, rate: 5 Mbit/s }
   - { ends: [wide, [one, two, S]], delay: 5 ms }
 services:
   of-r:
@@ -123,8 +123,8 @@ fn node(name: &str) -> NodeId {
     name.parse().unwrap()
 }
 
-const FAST: &str = "r~R R-fast fast-one";
-const WIDE: &str = "r~R R-wide wide-one";
+const FAST: &str = "r~U U-fast fast-one";
+const WIDE: &str = "r~U U-wide wide-one";
 
 #[test]
 fn a_mapping_reserves_its_rate_in_one_direction() {
@@ -134,60 +134,60 @@ fn a_mapping_reserves_its_rate_in_one_direction() {
     assert_eq!((mapped, notices.len()), (vec!["r-driver r-brain mapped".to_owned()], 0));
     assert_eq!(
         (lab.route("r", "one"), lab.route("one", "r")),
-        (WIDE.to_owned(), "fast-one R-fast r~R".to_owned())
+        (WIDE.to_owned(), "fast-one U-fast r~U".to_owned())
     );
-    assert_eq!(lab.reserved(), ["R-wide Forward 3", "r~R Forward 3", "wide-one Forward 3"]);
-    assert_eq!(lab.route("q", "one"), "q~R R-fast fast-one");
+    assert_eq!(lab.reserved(), ["U-wide Forward 3", "r~U Forward 3", "wide-one Forward 3"]);
+    assert_eq!(lab.route("q", "one"), "q~U U-fast fast-one");
 
     let (mapped, _) = lab.map("r", "one", "").unwrap();
     assert_eq!(mapped, ["r-driver r-brain shortest"]);
     assert_eq!((lab.route("r", "one"), lab.reserved().len()), (FAST.to_owned(), 0));
-    let (mapped, _) = lab.map("one", "r", "wide-one R-wide r~R").unwrap();
+    let (mapped, _) = lab.map("one", "r", "wide-one U-wide r~U").unwrap();
     assert_eq!(mapped, ["r-brain r-driver mapped"]);
-    assert_eq!(lab.reserved(), ["R-wide Backward 3", "r~R Backward 3", "wide-one Backward 3"]);
+    assert_eq!(lab.reserved(), ["U-wide Backward 3", "r~U Backward 3", "wide-one Backward 3"]);
 }
 
 #[test]
 fn impossible_mappings_are_rejected_and_change_nothing() {
     let mut lab = Lab::new();
     lab.map("r", "one", WIDE).unwrap();
-    let full = "the link `R-wide` has 2 Mbit/s left forward, and 3 Mbit/s are needed";
+    let full = "the link `U-wide` has 2 Mbit/s left forward, and 3 Mbit/s are needed";
     for (from, to, links, reason) in [
-        ("q", "one", "q~R R-wide wide-one", full),
-        ("q", "one", "q~R wide-one", "the link `wide-one` does not go on from `R`"),
-        ("q", "two", "q~R R-fast fast-two", "no virtual link is between VNFs on `q` and `two`"),
+        ("q", "one", "q~U U-wide wide-one", full),
+        ("q", "one", "q~U wide-one", "the link `wide-one` does not go on from `U`"),
+        ("q", "two", "q~U U-fast fast-two", "no virtual link is between VNFs on `q` and `two`"),
         ("q", "one", "", "nothing is mapped from `q` to `one`"),
-        ("r", "one", "r~R R-fast", "the path ends at `fast`, not at `one`"),
+        ("r", "one", "r~U U-fast", "the path ends at `fast`, not at `one`"),
     ] {
         assert_eq!(lab.map(from, to, links).unwrap_err(), reason);
     }
     assert_eq!(
         (lab.route("q", "one"), lab.route("r", "one")),
-        ("q~R R-fast fast-one".to_owned(), WIDE.to_owned())
+        ("q~U U-fast fast-one".to_owned(), WIDE.to_owned())
     );
     // There is capacity in the other direction, on the other path, and beside the first mapping.
-    lab.map("one", "q", "wide-one R-wide q~R").unwrap();
-    lab.map("q", "one", "q~R R-fast fast-one").unwrap();
-    assert!(lab.map("r", "one", FAST).unwrap_err().contains("`R-fast` has 0 Mbit/s left"));
+    lab.map("one", "q", "wide-one U-wide q~U").unwrap();
+    lab.map("q", "one", "q~U U-fast fast-one").unwrap();
+    assert!(lab.map("r", "one", FAST).unwrap_err().contains("`U-fast` has 0 Mbit/s left"));
     lab.map("q", "one", "").unwrap();
     lab.map("r", "one", FAST).unwrap();
-    lab.map("q", "one", "q~R R-wide wide-one").unwrap();
+    lab.map("q", "one", "q~U U-wide wide-one").unwrap();
 }
 
 #[test]
 fn a_cut_path_falls_back_and_is_used_again_after_its_repair() {
     let mut lab = Lab::new();
     lab.map("r", "one", WIDE).unwrap();
-    assert_eq!(lab.lose("R-wide", 0.9), Reported::default());
-    let (mapped, notices) = lab.lose("R-wide", 1.0);
+    assert_eq!(lab.lose("U-wide", 0.9), Reported::default());
+    let (mapped, notices) = lab.lose("U-wide", 1.0);
     assert_eq!(mapped, ["r-driver r-brain fallback"]);
     let cut =
-        "the path from `r` to `one` over r~R, R-wide, wide-one is cut at `R-wide`: packets take the shortest";
+        "the path from `r` to `one` over r~U, U-wide, wide-one is cut at `U-wide`: packets take the shortest";
     assert_eq!(notices, [cut]);
     assert_eq!(lab.route("r", "one"), FAST);
     // No other mapping gets its capacity.
-    assert!(lab.map("q", "one", "q~R R-wide wide-one").unwrap_err().contains("2 Mbit/s left"));
-    let (mapped, notices) = lab.lose("R-wide", 0.0);
+    assert!(lab.map("q", "one", "q~U U-wide wide-one").unwrap_err().contains("2 Mbit/s left"));
+    let (mapped, notices) = lab.lose("U-wide", 0.0);
     assert_eq!(mapped, ["r-driver r-brain mapped"]);
     assert!(notices.len() == 1 && notices[0].ends_with("can be used again"), "{notices:?}");
     assert_eq!(lab.route("r", "one"), WIDE);
@@ -198,13 +198,13 @@ fn a_mapping_loses_its_reservation_on_a_link_that_becomes_too_slow() {
     let mut lab = Lab::new();
     lab.map("r", "one", WIDE).unwrap();
     let scale = |by| ConditionChange { drop_scale: Some(by), ..ConditionChange::default() };
-    let (mapped, notices) = lab.change("R-wide", scale(2.0));
+    let (mapped, notices) = lab.change("U-wide", scale(2.0));
     assert_eq!((mapped, lab.reserved().len()), (vec!["r-driver r-brain fallback".to_owned()], 0));
     assert!(
-        notices[0].contains("`R-wide` has 2.5 Mbit/s left forward, and 3 Mbit/s are needed"),
+        notices[0].contains("`U-wide` has 2.5 Mbit/s left forward, and 3 Mbit/s are needed"),
         "{notices:?}"
     );
-    assert_eq!(lab.change("R-wide", scale(1.0)).0, ["r-driver r-brain mapped"]);
+    assert_eq!(lab.change("U-wide", scale(1.0)).0, ["r-driver r-brain mapped"]);
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn mappings_stay_with_their_nodes_when_a_vnf_moves() {
     assert_eq!(lab.place("r-brain", "two").0, ["r-brain r-driver shortest", "r-driver r-brain shortest"]);
     assert_eq!(
         (lab.route("r", "one"), lab.route("r", "two")),
-        (WIDE.to_owned(), "r~R R-fast fast-two".to_owned())
+        (WIDE.to_owned(), "r~U U-fast fast-two".to_owned())
     );
     assert_eq!(lab.reserved().len(), 0, "there is no virtual link between them");
     // A mapping made before a VNF arrives holds once it is there.
@@ -224,13 +224,13 @@ fn mappings_stay_with_their_nodes_when_a_vnf_moves() {
             &Instruction::Place { vnf: "q-brain".parse().unwrap(), node: node("two").into() },
         )
         .unwrap();
-    assert_eq!(lab.map("q", "two", "q~R R-wide wide-two").unwrap(), Reported::default());
+    assert_eq!(lab.map("q", "two", "q~U U-wide wide-two").unwrap(), Reported::default());
     assert_eq!(lab.place("q-brain", "two").0, ["q-brain q-driver shortest", "q-driver q-brain mapped"]);
     // The VNF returns, and the capacity is too small for both mappings: the later one loses its reservation.
     let (mapped, notices) = lab.place("r-brain", "one");
     assert!(mapped.contains(&"r-driver r-brain mapped".to_owned()), "{mapped:?}");
     assert!(notices.len() == 1 && notices[0].contains("from `q` to `two`"), "{notices:?}");
-    assert_eq!(lab.route("q", "two"), "q~R R-fast fast-two");
+    assert_eq!(lab.route("q", "two"), "q~U U-fast fast-two");
 }
 
 #[test]
@@ -267,7 +267,7 @@ fn answer(status: u8) -> Event {
 #[test]
 fn a_robot_follows_a_suggestion() {
     let mut lab = Lab::new();
-    assert_eq!(lab.0.instruct(Timestamp::ZERO, &suggest("R")).unwrap(), [], "it is there");
+    assert_eq!(lab.0.instruct(Timestamp::ZERO, &suggest("U")).unwrap(), [], "it is there");
     assert_eq!(lab.0.instruct(Timestamp::ZERO, &suggest("S")).unwrap(), [answer(0)]);
     {
         let mut fabric = lab.0.network.0.borrow_mut();
@@ -283,8 +283,8 @@ fn a_robot_rejects_a_radio_unit_out_of_reach() {
     let far = Position { x: -5000.0, y: 0.0, z: 0.0 };
     lab.0.network.0.borrow_mut().move_robot(Timestamp::ZERO, &node("r"), far).unwrap();
     assert_eq!(lab.0.instruct(Timestamp::ZERO, &suggest("S")).unwrap(), [answer(7)]);
-    assert_eq!(lab.0.network.0.borrow().attached_to(&node("r")), Some(&node("R")));
-    lab.0.network.0.borrow_mut().switch_off(Timestamp::ZERO, &node("R")).unwrap();
+    assert_eq!(lab.0.network.0.borrow().attached_to(&node("r")), Some(&node("U")));
+    lab.0.network.0.borrow_mut().switch_off(Timestamp::ZERO, &node("U")).unwrap();
     let rejected = lab.instruct(&suggest("S")).unwrap_err();
     assert_eq!(rejected, "`r` is at no radio unit, which could suggest another one");
 }
