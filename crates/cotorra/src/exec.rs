@@ -1,9 +1,13 @@
 //! `cotorra exec`: runs a program inside a node of the running testbed, in this terminal.
 
-use std::{convert::Infallible, io, os::unix::process::CommandExt, path::PathBuf, process::Command};
+use std::{
+    os::fd::AsFd,
+    path::PathBuf,
+    process::{Command, ExitCode},
+};
 
 use clap::Args;
-use cotorra_datapath::HostsFile;
+use cotorra_datapath::{HostsFile, Namespace, SpawnOptions, open_process};
 use cotorra_graph::{HardwareGraph, NodeId};
 use cotorra_plugin::runs::{RunEntry, Runs};
 
@@ -11,8 +15,8 @@ use crate::running::{self, WhichRun, explained, token_text};
 
 /// Run a program inside a node of the running testbed
 ///
-/// The program has the node's network; files, user and terminal stay the same. It reaches other nodes by their names. The
-/// run must be yours, on this machine.
+/// The program has the node's network and host name, in `/sys`, too; files, user and terminal stay the same. It reaches other
+/// nodes by their names. It ends with the run, and so do all processes that it started. The run must be yours, on this machine.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -32,6 +36,9 @@ pub struct ExecArgs {
     pub run: WhichRun,
 }
 
+/// Exit code of a program that was killed.
+const KILLED: i32 = 128 + 9;
+
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum Error {
     #[error(transparent)]
@@ -50,27 +57,39 @@ pub enum Error {
     #[error("cannot enter `{node}`: {reason}")]
     #[diagnostic(help("run it as the user who runs the testbed"))]
     Enter { node: NodeId, reason: cotorra_datapath::Error },
-    #[error("cannot run `{program}`: {reason}")]
-    Program { program: String, reason: io::Error },
+    #[error(transparent)]
+    Program(cotorra_datapath::Error),
 }
 
-/// Replaces this process by the program. Returns only if that fails.
-pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
+/// Runs the program, and returns its exit code. The program ends with this process, and with the run.
+pub fn exec(args: &ExecArgs) -> Result<ExitCode, Error> {
     let Place { run, namespace, graph } = find(args, &Runs::of_user(), token_text())?;
-    cotorra_datapath::enter(&namespace).map_err(|reason| Error::Enter { node: args.node.clone(), reason })?;
-    // Only now: until the namespace is entered, the kernel may reuse the number for another process.
+    let process = open_process(run.process).map_err(|_| Error::OtherProcess(run.process))?;
+    let namespace =
+        Namespace::open(&namespace).map_err(|reason| Error::Enter { node: args.node.clone(), reason })?;
+    // Only now: until the namespace and the process are open, the kernel may reuse the number for another process.
     if !run.is_its_process() {
         return Err(Error::OtherProcess(run.process));
     }
-    if let Err(error) = HostsFile::of(&graph).and_then(|hosts| hosts.enter()) {
-        note!("node names are not known to `{}`: {error}", args.command[0]);
-    }
     let (program, arguments) =
         args.command.split_first().expect("the command line asks for one word or more");
+    let hosts = HostsFile::of(&graph)
+        .inspect_err(|error| note!("node names are not known to `{program}`: {error}"))
+        .ok();
     let mut command = Command::new(program);
     command.args(arguments).env("COTORRA_NODE", args.node.as_str());
-    let reason = command.envs(graph.ros1_environment(&args.node)).exec();
-    Err(Error::Program { program: program.clone(), reason })
+    command.envs(graph.ros1_environment(&args.node));
+    let options = SpawnOptions {
+        hosts: hosts.as_ref(),
+        hostname: Some(args.node.as_str()),
+        ends_with: Some(process.as_fd()),
+        ..SpawnOptions::default()
+    };
+    let status = namespace.run_program(command, options).map_err(Error::Program)?;
+    if status.code() == Some(KILLED) && !run.is_its_process() {
+        note!("the run ended, and `{program}` with it");
+    }
+    Ok(status.code().and_then(|code| u8::try_from(code).ok()).map_or(ExitCode::FAILURE, ExitCode::from))
 }
 
 #[derive(Debug)]

@@ -108,7 +108,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Fdu { fdu } => fdu::fdu(&fdu)?,
         Command::Doctor => doctor::doctor()?,
         Command::Clean(args) => clean::clean(&args)?,
-        Command::Exec(args) => match exec::exec(&args)? {},
+        Command::Exec(args) => return Ok(exec::exec(&args)?),
         Command::Ps(args) => ps::ps(&args)?,
         Command::Stop(args) => stop::stop(&args)?,
         Command::Link { link } => link::link(&link)?,

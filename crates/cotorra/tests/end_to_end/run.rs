@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::ErrorKind,
+    io::{ErrorKind, Read as _},
     net::TcpListener,
     process::{Command, Stdio},
 };
@@ -174,6 +174,30 @@ fn nodes_answer_a_ping_by_name_over_the_emulated_links() {
     assert!(String::from_utf8_lossy(&switch.stderr).contains("`lan` is a switch"));
     let nobody = exec("nobody", &["true"]);
     assert!(String::from_utf8_lossy(&nobody.stderr).contains("no node `nobody`"));
+}
+
+#[test]
+fn programs_in_nodes_are_in_them_as_a_whole_and_end_with_the_run() {
+    let run = Run::start(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"]);
+    let exec = |script: &str| {
+        let mut command = cotorra(["exec", "--api", run.address(), "left", "--", "sh", "-c", script]);
+        command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+    };
+    let script = "uname -n; cat /sys/class/net/eth0/address 2> /dev/null || ls /sys/class/net";
+    let done = exec(script).wait_with_output().unwrap();
+    let mac = cotorra_graph::HostAddress::of(0).mac.map(|byte| format!("{byte:02x}")).join(":");
+    let told = stdout(&done);
+    assert!([format!("left\n{mac}\n"), "left\n".to_owned()].contains(&told), "{told}");
+
+    // The pipe hangs up once the last process is gone.
+    let mut lasting = exec("trap '' TERM HUP; (setsid sleep 1000 &) ; echo up; sleep 1000");
+    let mut output = lasting.stdout.take().unwrap();
+    output.read_exact(&mut [0; 3]).unwrap();
+    assert_eq!(lasting.try_wait().unwrap(), None);
+    run.signal("KILL");
+    assert_eq!(output.read(&mut [0]).unwrap(), 0);
+    let ended = lasting.wait_with_output().unwrap();
+    assert_eq!(ended.status.code(), Some(128 + 9), "{}", stderr(&ended));
 }
 
 /// Sends a navigation packet that drives backwards, for each of the first sequence numbers, to all UDP ports of the robot.

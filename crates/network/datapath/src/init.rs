@@ -26,6 +26,10 @@ pub(crate) struct Init {
     pub(crate) cgroups: Vec<File>,
     /// The end of a pipe that hangs up when the parent is gone.
     pub(crate) lifeline: RawFd,
+    /// Descriptor of another process (pidfd) that the program ends with; -1 if there is none.
+    pub(crate) other: RawFd,
+    /// Whether the program stays in the session and process group of the parent, to use its terminal.
+    pub(crate) has_terminal: bool,
     /// The program's limit of open files. A program that uses select(2) must not get descriptors above 1024.
     pub(crate) open_files: Option<libc::rlimit>,
     /// Whether the program's process number inside is that of its init outside.
@@ -79,7 +83,9 @@ impl Init {
             0 => {
                 // SAFETY: async-signal-safe, with live arguments.
                 unsafe {
-                    check(libc::setsid())?;
+                    if !self.has_terminal {
+                        check(libc::setsid())?;
+                    }
                     libc::sigprocmask(libc::SIG_SETMASK, &before, std::ptr::null_mut());
                     if let Some(limit) = &self.open_files {
                         libc::setrlimit(libc::RLIMIT_NOFILE, limit);
@@ -91,7 +97,13 @@ impl Init {
                 Ok(())
             }
             // SAFETY: we are the parent of that process and have no other thread.
-            program => unsafe { attend(program, self.lifeline, &signals) },
+            program => unsafe {
+                if self.has_terminal {
+                    // The program gets the terminal's signals itself.
+                    libc::setpgid(0, 0);
+                }
+                attend(program, [self.lifeline, self.other], &signals)
+            },
         }
     }
 }
@@ -234,25 +246,31 @@ unsafe fn restrict(restrictions: &Restrictions) -> io::Result<()> {
 ///
 /// # Safety
 /// `program` is the calling process's child; the process has one thread and nothing to clean up.
-unsafe fn attend(program: pid_t, lifeline: RawFd, signals: &libc::sigset_t) -> ! {
+unsafe fn attend(program: pid_t, [lifeline, other]: [RawFd; 2], signals: &libc::sigset_t) -> ! {
     const LIFELINE: RawFd = 0;
     const SIGNALS: RawFd = 1;
-    // SAFETY: async-signal-safe calls with live arguments. Descriptors from 2 on are closed, above all the pipe
+    const OTHER: RawFd = 2;
+    // SAFETY: async-signal-safe calls with live arguments. All other descriptors are closed, above all the pipe
     // through which the standard library learns that exec succeeded, and copies of other lifelines.
     unsafe {
         libc::prctl(libc::PR_SET_NAME, c"cotorra-init".as_ptr());
         let from = libc::signalfd(-1, signals, 0);
-        libc::dup2(from, from.max(lifeline) + 1);
-        libc::dup2(lifeline, LIFELINE);
-        libc::dup2(from.max(lifeline) + 1, SIGNALS);
-        libc::syscall(libc::SYS_close_range, 2u32, u32::MAX, 0u32);
+        let free = from.max(lifeline).max(other) + 1;
+        for (place, file) in (free..).zip([lifeline, from, other]) {
+            libc::dup2(file, place);
+        }
+        // Without another process, poll skips the descriptor.
+        let other = if other == -1 { -1 } else { OTHER };
+        for (place, file) in (free..).zip([LIFELINE, SIGNALS, other]) {
+            libc::dup2(place, file);
+        }
+        let (first, last) = (if other == -1 { OTHER } else { OTHER + 1 } as u32, u32::MAX);
+        libc::syscall(libc::SYS_close_range, first, last, 0u32);
         loop {
-            let mut wait = [
-                libc::pollfd { fd: LIFELINE, events: libc::POLLIN, revents: 0 },
-                libc::pollfd { fd: SIGNALS, events: libc::POLLIN, revents: 0 },
-            ];
-            libc::poll(wait.as_mut_ptr(), 2, -1);
-            if wait[0].revents != 0 {
+            let mut wait =
+                [LIFELINE, SIGNALS, other].map(|fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 });
+            libc::poll(wait.as_mut_ptr(), wait.len() as libc::nfds_t, -1);
+            if wait[0].revents != 0 || wait[2].revents != 0 {
                 libc::_exit(128 + libc::SIGKILL);
             }
             let mut signal: libc::signalfd_siginfo = mem::zeroed();
@@ -312,8 +330,8 @@ pub fn end_with_us(command: &mut Command) {
     unsafe { command.pre_exec(watch) };
 }
 
-/// Sends SIGTERM to a child process that has not been waited for.
-pub(crate) fn terminate(child: u32) -> io::Result<()> {
+/// Sends a signal to a child process that has not been waited for.
+pub(crate) fn send(child: u32, signal: c_int) -> io::Result<()> {
     // SAFETY: takes no pointer.
-    check(unsafe { libc::kill(child as pid_t, libc::SIGTERM) }).map(drop)
+    check(unsafe { libc::kill(child as pid_t, signal) }).map(drop)
 }

@@ -42,6 +42,23 @@ impl Namespace {
         })
     }
 
+    /// Opens a namespace that another process holds, at its [`path`](Self::path) there, and moves this process into the user
+    /// namespace that it belongs to, if needed. This process must have one thread. Call it instead of
+    /// [`crate::enter_user_namespace_if_needed`].
+    ///
+    /// # Errors
+    /// [`Error::Kernel`] if the path is no namespace or belongs to another user; [`Error::SeveralThreads`].
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let namespace = File::open(path).action("open the namespace (is its run still going?)")?;
+        if !privilege::have_rights() {
+            let user = sys::owner_of(namespace.as_fd()).action("find the namespace's user namespace")?;
+            enter_user(user.as_fd()).map_err(privilege::several_threads)?;
+        }
+        let namespace = Self(namespace.into());
+        on_a_thread(|| namespace.enter()).action("enter the network namespace")?;
+        Ok(namespace)
+    }
+
     /// Makes a namespace and leaves the calling thread in it. No other work may share the thread.
     pub(crate) fn enter_new() -> io::Result<Self> {
         sys::unshare(libc::CLONE_NEWNET)?;
@@ -78,7 +95,7 @@ impl Namespace {
         self.run(|| UdpSocket::bind(bind))
     }
 
-    /// Returns a path by which another process of the same user can [`enter`] this namespace, for as long as this
+    /// Returns a path by which another process of the same user can [`open`](Self::open) this namespace, for as long as this
     /// process holds it.
     pub fn path(&self) -> PathBuf {
         format!("/proc/{}/fd/{}", std::process::id(), self.0.as_raw_fd()).into()
@@ -89,21 +106,6 @@ impl AsFd for Namespace {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.0.as_fd()
     }
-}
-
-/// Moves this process into a network namespace that another process holds, and into its user namespace first if
-/// needed. A program that it executes next runs there. This process must have one thread. Call it instead of
-/// [`crate::enter_user_namespace_if_needed`].
-///
-/// # Errors
-/// [`Error::Kernel`] if the path is no namespace or belongs to another user; [`Error::SeveralThreads`].
-pub fn enter(path: &Path) -> Result<(), Error> {
-    let namespace = File::open(path).action("open the namespace (is its run still going?)")?;
-    if !privilege::have_rights() {
-        let user = sys::owner_of(namespace.as_fd()).action("find the namespace's user namespace")?;
-        enter_user(user.as_fd()).map_err(privilege::several_threads)?;
-    }
-    sys::setns(namespace.as_fd(), libc::CLONE_NEWNET).action("enter the network namespace")
 }
 
 /// Enters a user namespace, which only a process with one thread may. Threads that were joined or that resolved a

@@ -8,7 +8,7 @@ use std::{
     fs::{self, File},
     io::{self, PipeWriter},
     os::{
-        fd::{AsFd, AsRawFd, OwnedFd},
+        fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd},
         unix::{fs::PermissionsExt, process::ExitStatusExt},
     },
     path::{Path, PathBuf},
@@ -48,8 +48,18 @@ pub struct SpawnOptions<'a> {
     /// its init outside. hostapd and wpa_supplicant name their netlink sockets by it, and the kernel takes the end of a socket
     /// for that of all with the same name, in whatever network namespace: it stops their access points and stations.
     pub unique_number: bool,
+    /// Another process that the program ends with; see [`open_process`].
+    pub ends_with: Option<BorrowedFd<'a>>,
     /// Confinement; without it the program has this process's rights.
     pub confinement: Option<&'a Confinement>,
+}
+
+/// Opens a process of that number, to watch whether it lives.
+///
+/// # Errors
+/// What the system says, as when there is none.
+pub fn open_process(number: u32) -> io::Result<OwnedFd> {
+    sys::open_process(number.cast_signed())
 }
 
 /// A program in a node. Dropping it kills the program and everything that it started.
@@ -90,7 +100,7 @@ impl Child {
     /// [`Error::Kernel`] if the signal cannot be sent.
     pub fn terminate(&mut self) -> Result<(), Error> {
         match self.try_wait() {
-            Ok(None) => init::terminate(self.init.id()).action("end a program"),
+            Ok(None) => init::send(self.init.id(), libc::SIGTERM).action("end a program"),
             _ => Ok(()),
         }
     }
@@ -129,16 +139,56 @@ fn as_a_shell(status: ExitStatus) -> ExitStatus {
 
 impl Namespace {
     /// Starts a program inside, in process and mount namespaces and a session of its own. `/proc` shows its own
-    /// processes, where the kernel allows that.
+    /// processes, where the kernel allows that, and `/sys` its own interfaces, or none.
     ///
     /// # Errors
     /// [`Error::Spawn`] if there is no such program, or a control group or the kernel rejects it.
-    pub fn spawn(&self, mut command: Command, options: SpawnOptions<'_>) -> Result<Child, Error> {
-        let program = command.get_program().to_string_lossy().into_owned();
-        self.try_spawn(&mut command, &options).map_err(|source| Error::Spawn { program, source })
+    pub fn spawn(&self, command: Command, options: SpawnOptions<'_>) -> Result<Child, Error> {
+        self.start(command, &options, false)
     }
 
-    fn try_spawn(&self, command: &mut Command, options: &SpawnOptions<'_>) -> io::Result<Child> {
+    /// Runs a program inside in the place of this process, and returns its exit status; see [`Child::wait`]. It uses this
+    /// process's terminal, and gets the signals that are sent to this process. It is otherwise as [`Self::spawn`] starts it. This
+    /// process must have one thread.
+    ///
+    /// # Errors
+    /// As [`Self::spawn`].
+    pub fn run_program(&self, command: Command, options: SpawnOptions<'_>) -> Result<ExitStatus, Error> {
+        let terminal = sys::Terminal::of_foreground();
+        let signals = sys::Signals::block().action("block signals")?;
+        let mut child = self.start(command, &options, true)?;
+        let status = loop {
+            let signal = signals.wait().action("wait for signals")?;
+            if let Some(status) = child.try_wait().action("wait for a program")? {
+                break status;
+            }
+            if signal.is_sent && signal.number != libc::SIGCHLD {
+                init::send(child.id(), signal.number).action("pass a signal on")?;
+            }
+        };
+        // A shell may have taken it for itself, and be unable to see whom to return it to.
+        if let Some(terminal) = terminal {
+            terminal.take_back();
+        }
+        Ok(status)
+    }
+
+    fn start(
+        &self,
+        mut command: Command,
+        options: &SpawnOptions<'_>,
+        has_terminal: bool,
+    ) -> Result<Child, Error> {
+        let program = command.get_program().to_string_lossy().into_owned();
+        self.try_start(&mut command, options, has_terminal).map_err(|source| Error::Spawn { program, source })
+    }
+
+    fn try_start(
+        &self,
+        command: &mut Command,
+        options: &SpawnOptions<'_>,
+        has_terminal: bool,
+    ) -> io::Result<Child> {
         let (hold, lifeline) = io::pipe()?;
         let join = |path: &PathBuf| File::options().write(true).open(path);
         let cgroups = options.cgroups.iter().map(join).collect::<io::Result<Vec<_>>>()?;
@@ -174,15 +224,61 @@ impl Namespace {
                     let program = (program.components().count() > 1).then(|| start.join(program));
                     Some(confinement.build(program.as_deref(), !cgroups.is_empty())?)
                 }
-                None => None,
+                None => {
+                    show_own_interfaces()?;
+                    None
+                }
             };
-            let unique_number = options.unique_number;
-            Init { cgroups, lifeline: lifeline_end, open_files, unique_number, restrictions }
-                .before_exec_of(command);
+            Init {
+                cgroups,
+                lifeline: lifeline_end,
+                other: options.ends_with.map_or(-1, |process| process.as_raw_fd()),
+                has_terminal,
+                open_files,
+                unique_number: options.unique_number,
+                restrictions,
+            }
+            .before_exec_of(command);
             command.spawn()
         })?;
         Ok(Child { init, _lifeline: lifeline })
     }
+}
+
+/// Lets `/sys` show the interfaces of the calling thread's network namespace, in a mount namespace of its own. Where the kernel
+/// forbids that, as in containers that hide parts of `/sys`, it shows none.
+fn show_own_interfaces() -> io::Result<()> {
+    const SYS: &CStr = c"/sys";
+    const INTERFACES: &str = "/sys/class/net";
+    if !Path::new(INTERFACES).exists() {
+        return Ok(());
+    }
+    sys::unshare(libc::CLONE_NEWNS)?;
+    sys::mount(c"none", c"/", None, libc::MS_REC | libc::MS_SLAVE)?;
+    // Control groups and others stay.
+    let mounts = mounts_below_sys(&fs::read_to_string("/proc/thread-self/mountinfo")?);
+    let mounts: Vec<_> = mounts.iter().filter_map(|path| Some((path, sys::open_tree(path).ok()?))).collect();
+    let flags = libc::MS_NOSUID | libc::MS_NODEV | libc::MS_NOEXEC;
+    let mount = |more| sys::mount(c"sysfs", SYS, Some(c"sysfs"), flags | more);
+    // A user may only mount it as the machine has it, which may be read-only.
+    if mount(0).or_else(|_| mount(libc::MS_RDONLY)).is_err() {
+        return sys::mount_tmpfs(Path::new(INTERFACES), "size=1m,mode=755");
+    }
+    for (path, tree) in mounts {
+        // What has no place there is left out.
+        let _ = sys::move_mount(tree.as_fd(), path);
+    }
+    Ok(())
+}
+
+/// Returns where something is mounted below `/sys`, without what is below that, from a `mountinfo` (proc_pid_mountinfo(5)).
+fn mounts_below_sys(mountinfo: &str) -> Vec<PathBuf> {
+    let points = mountinfo.lines().filter_map(|line| line.split(' ').nth(4)).map(Path::new);
+    let mut points: Vec<_> =
+        points.filter(|point| point.parent().is_some_and(|p| p.starts_with("/sys"))).collect();
+    points.sort();
+    points.dedup_by(|below, above| below.starts_with(above));
+    points.into_iter().map(Path::to_owned).collect()
 }
 
 /// Returns the text of `/etc/hosts` in every host.
@@ -247,18 +343,20 @@ impl HostsFile {
         sys::unmount(FOLDER)?;
         Ok(Self { mounts: File::open("/proc/thread-self/ns/mnt")?.into() })
     }
+}
 
-    /// Moves the calling thread to the mount namespace with this file. A program that it executes next sees the file.
-    ///
-    /// # Errors
-    /// [`Error::Kernel`] without the right to do so: see [`crate::enter`].
-    pub fn enter(&self) -> Result<(), Error> {
-        let here = env::current_dir().action("find the working directory")?;
-        // A thread that shares root and working directory with another one cannot enter. A joined thread may not be
-        // gone yet.
-        sys::unshare(libc::CLONE_FS).action("have a working directory of its own")?;
-        sys::setns(self.mounts.as_fd(), libc::CLONE_NEWNS).action("enter a mount namespace")?;
-        // Entering a mount namespace changes the working directory to its root.
-        env::set_current_dir(here).action("go back to the working directory")
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mounts_below_sys_are_listed_once_each() {
+        let mountinfo = "22 1 0:20 / /sys rw - sysfs sysfs rw\n\
+                         30 22 0:26 / /sys/fs/cgroup ro - tmpfs tmpfs ro\n\
+                         31 30 0:27 / /sys/fs/cgroup/memory rw - cgroup cgroup rw\n\
+                         23 22 0:6 / /sys/kernel/debug rw - debugfs debugfs rw\n\
+                         24 1 0:21 / /system rw - tmpfs tmpfs rw\n";
+        let paths = ["/sys/fs/cgroup", "/sys/kernel/debug"].map(PathBuf::from);
+        assert_eq!(mounts_below_sys(mountinfo), paths);
     }
 }

@@ -91,6 +91,85 @@ pub(crate) fn send_signal(process: BorrowedFd<'_>, signal: c_int) -> io::Result<
     check(sent as c_int).map(drop)
 }
 
+/// Signals to this process that mean another one, and SIGCHLD. While this lives, they wait for [`Self::wait`].
+pub(crate) struct Signals {
+    blocked: libc::sigset_t,
+    before: libc::sigset_t,
+}
+
+/// A signal to this process.
+pub(crate) struct Signal {
+    pub(crate) number: c_int,
+    /// Whether a process sent it. Else the kernel did, to a whole process group, as at Ctrl-C.
+    pub(crate) is_sent: bool,
+}
+
+impl Signals {
+    const NUMBERS: [c_int; 8] = [
+        libc::SIGCHLD,
+        libc::SIGHUP,
+        libc::SIGINT,
+        libc::SIGQUIT,
+        libc::SIGTERM,
+        libc::SIGUSR1,
+        libc::SIGUSR2,
+        // Else it would stop whoever takes the terminal back.
+        libc::SIGTTOU,
+    ];
+
+    /// Blocks them for the calling thread, which must be the only one.
+    pub(crate) fn block() -> io::Result<Self> {
+        // SAFETY: a sigset_t is integers, for which zero is a value; the calls fill and apply live ones.
+        unsafe {
+            let (mut blocked, mut before): (libc::sigset_t, libc::sigset_t) = (mem::zeroed(), mem::zeroed());
+            libc::sigemptyset(&mut blocked);
+            for number in Self::NUMBERS {
+                libc::sigaddset(&mut blocked, number);
+            }
+            check(libc::sigprocmask(libc::SIG_BLOCK, &blocked, &mut before))?;
+            Ok(Self { blocked, before })
+        }
+    }
+
+    /// Waits for the next one.
+    pub(crate) fn wait(&self) -> io::Result<Signal> {
+        loop {
+            // SAFETY: a siginfo_t is integers, for which zero is a value; both pointers are to live structures.
+            let (waited, info) = unsafe {
+                let mut info: libc::siginfo_t = mem::zeroed();
+                (check(libc::sigwaitinfo(&self.blocked, &mut info)), info)
+            };
+            match waited {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                number => return Ok(Signal { number: number?, is_sent: info.si_code <= 0 }),
+            }
+        }
+    }
+}
+
+impl Drop for Signals {
+    fn drop(&mut self) {
+        // SAFETY: the set is live.
+        unsafe { libc::sigprocmask(libc::SIG_SETMASK, &self.before, std::ptr::null_mut()) };
+    }
+}
+
+/// The terminal at standard input, if this process is in its foreground.
+pub(crate) struct Terminal(());
+
+impl Terminal {
+    pub(crate) fn of_foreground() -> Option<Self> {
+        // SAFETY: these calls take no pointers.
+        unsafe { libc::tcgetpgrp(libc::STDIN_FILENO) == libc::getpgrp() }.then_some(Self(()))
+    }
+
+    /// Brings this process back to the foreground. It must have blocked SIGTTOU.
+    pub(crate) fn take_back(&self) {
+        // SAFETY: these calls take no pointers. It fails if the terminal is gone.
+        unsafe { libc::tcsetpgrp(libc::STDIN_FILENO, libc::getpgrp()) };
+    }
+}
+
 /// Waits until a descriptor can be read, or was closed on the other side (`poll`).
 pub(crate) fn wait_readable(file: BorrowedFd<'_>) -> io::Result<()> {
     let mut wait = libc::pollfd { fd: file.as_raw_fd(), events: libc::POLLIN, revents: 0 };

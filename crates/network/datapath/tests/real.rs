@@ -8,6 +8,7 @@ use std::{
     fs,
     io::{Read, Write},
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket},
+    os::fd::AsFd,
     process::{self, Command, ExitCode, Stdio},
     thread,
     time::Duration,
@@ -21,6 +22,8 @@ use cotorra_graph::{
 };
 
 const HELPER: &str = "COTORRA_TEST_HELPER";
+/// The variable with the script of a helper.
+const SCRIPT: &str = "COTORRA_TEST_SCRIPT";
 
 type Test = (&'static str, fn(PortKind));
 const TESTS: &[Test] = &[
@@ -40,13 +43,16 @@ const TESTS: &[Test] = &[
     ),
     ("nothing survives kill -9", nothing_survives_kill_9),
     ("another process enters a node", another_process_enters_a_node),
+    ("signals reach a program of another process", signals_reach_a_program_of_another_process),
+    ("programs end with another process", programs_end_with_another_process),
+    ("programs see their own interfaces", programs_see_their_own_interfaces),
     ("names of nodes are in no folder that others share", names_are_in_no_shared_folder),
 ];
 
 fn main() -> ExitCode {
     let helper = std::env::var(HELPER).unwrap_or_default();
     if let Some(path) = helper.strip_prefix("enter ") {
-        return enter_and_tell(path);
+        return enter_and_run(path);
     }
     let privilege =
         cotorra_datapath::enter_user_namespace_if_needed().expect("tests need user namespaces or root");
@@ -369,18 +375,22 @@ fn run_and_wait(kind: &str) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// Enters a namespace and prints the addresses and names found there.
-fn enter_and_tell(path: &str) -> ExitCode {
-    cotorra_datapath::enter(path.as_ref()).unwrap();
-    // Next to another thread, like one that was joined and is not gone yet.
-    let (stay, until) = std::sync::mpsc::channel::<()>();
-    std::thread::spawn(move || until.recv());
-    HostsFile::of(&star(2, Conditions::default()).0).unwrap().enter().unwrap();
-    for file in ["/proc/self/net/if_inet6", "/etc/hosts"] {
-        print!("{}", fs::read_to_string(file).unwrap());
-    }
-    drop(stay);
-    ExitCode::SUCCESS
+/// Runs a script in a namespace of another process, as node `host1`.
+fn enter_and_run(path: &str) -> ExitCode {
+    let namespace = Namespace::open(path.as_ref()).unwrap();
+    let hosts = HostsFile::of(&star(2, Conditions::default()).0).unwrap();
+    let mut script = Command::new("sh");
+    script.args(["-c", &std::env::var(SCRIPT).unwrap()]);
+    let options = SpawnOptions { hosts: Some(&hosts), hostname: Some("host1"), ..SpawnOptions::default() };
+    let status = namespace.run_program(script, options).unwrap();
+    ExitCode::from(status.code().unwrap() as u8)
+}
+
+/// A helper that runs a script in a namespace of this process.
+fn inside(namespace: &Namespace, script: &str) -> Command {
+    let mut helper = helper(&format!("enter {}", namespace.path().display()));
+    helper.env(SCRIPT, script).stdin(Stdio::null());
+    helper
 }
 
 fn nothing_survives_kill_9(kind: PortKind) {
@@ -410,11 +420,56 @@ fn nothing_survives_kill_9(kind: PortKind) {
 
 fn another_process_enters_a_node(kind: PortKind) {
     let (datapath, names) = up(2, Conditions::default(), kind);
-    let path = datapath.namespace(&names[1]).unwrap().path();
-    let told = helper(&format!("enter {}", path.display())).stdin(Stdio::null()).output().unwrap();
-    let told = String::from_utf8(told.stdout).unwrap();
-    assert!(told.contains("fd770000000000000000000000000002") && told.contains("eth0"), "{told}");
-    assert!(told.contains("10.77.0.1 host0"), "{told}");
+    let namespace = datapath.namespace(&names[1]).unwrap();
+    let script = "cat /proc/net/if_inet6 /etc/hosts; uname -n; exit 42";
+    let told = inside(namespace, script).output().unwrap();
+    let text = String::from_utf8(told.stdout).unwrap();
+    assert!(text.contains("fd770000000000000000000000000002") && text.contains("eth0"), "{text}");
+    assert!(text.contains("10.77.0.1 host0"), "{text}");
+    assert!(text.ends_with("\nhost1\n"), "{text}");
+    assert_eq!(told.status.code(), Some(42));
+}
+
+fn signals_reach_a_program_of_another_process(kind: PortKind) {
+    let (datapath, names) = up(2, Conditions::default(), kind);
+    let script = "trap 'echo bye; exit 3' TERM; echo up; while :; do sleep 0.01; done";
+    let mut helper = inside(datapath.namespace(&names[1]).unwrap(), script).spawn().unwrap();
+    let mut output = helper.stdout.take().unwrap();
+    output.read_exact(&mut [0; 3]).unwrap();
+    let sent = Command::new("kill").args(["-TERM", &helper.id().to_string()]).status();
+    assert!(sent.unwrap().success());
+    let mut told = String::new();
+    output.read_to_string(&mut told).unwrap();
+    assert_eq!((told.trim(), helper.wait().unwrap().code()), ("bye", Some(3)));
+}
+
+fn programs_end_with_another_process(_: PortKind) {
+    let namespace = Namespace::new().unwrap();
+    let mut other = Command::new("sleep").arg("1000").spawn().unwrap();
+    let process = cotorra_datapath::open_process(other.id()).unwrap();
+    let options = SpawnOptions { ends_with: Some(process.as_fd()), ..SpawnOptions::default() };
+    // The pipe hangs up once the last of them is gone.
+    let script = "trap '' TERM HUP; (setsid sh -c 'trap \"\" TERM HUP; sleep 1000' &) ; echo up; sleep 1000";
+    let mut child = namespace.spawn(shell(script), options).unwrap();
+    let mut output = child.pipes().1.unwrap();
+    output.read_exact(&mut [0; 3]).unwrap();
+    assert_eq!(child.try_wait().unwrap(), None);
+    other.kill().unwrap();
+    assert_eq!(output.read(&mut [0]).unwrap(), 0);
+    assert_eq!(child.wait().unwrap().code(), Some(128 + 9));
+    other.wait().unwrap();
+}
+
+fn programs_see_their_own_interfaces(kind: PortKind) {
+    let (datapath, names) = up(2, Conditions::default(), kind);
+    let script = "cat /sys/class/net/eth0/address 2> /dev/null || ls /sys/class/net";
+    let mut child = datapath.spawn(&names[1], shell(script), SpawnOptions::default()).unwrap();
+    let mut spawned = String::new();
+    child.pipes().1.unwrap().read_to_string(&mut spawned).unwrap();
+    let told = inside(datapath.namespace(&names[1]).unwrap(), script).output().unwrap();
+    assert_eq!(spawned, String::from_utf8(told.stdout).unwrap());
+    // A kernel that shows an ordinary user no `/sys` in a container shows no interface at all.
+    assert!(["02:77:00:00:00:02\n", ""].contains(&&*spawned), "{spawned}");
 }
 
 fn names_are_in_no_shared_folder(_: PortKind) {
