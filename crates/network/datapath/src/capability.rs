@@ -8,8 +8,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use cotorra_graph::HostAddress;
+
 use crate::{
     namespace::{Namespace, on_a_thread},
+    neighbours,
     netlink::{self, Netlink},
     privilege, sys,
 };
@@ -101,6 +104,13 @@ pub fn probe() -> Vec<Capability> {
             "give the machine more than two cores; the run report says what lateness it had",
         ),
         capability(
+            "neighbour table",
+            "nodes of large testbeds find each other",
+            neighbour_table(),
+            "packets to neighbours beyond it are lost, and all namespaces of this machine share it; as root: \
+             `sysctl -w net.ipv4.neigh.default.gc_thresh3=4096 net.ipv6.neigh.default.gc_thresh3=4096`",
+        ),
+        capability(
             "NetEm",
             "emulation on real links by the kernel",
             netem(),
@@ -182,6 +192,24 @@ fn netem() -> io::Result<String> {
             result => result.map(|()| String::new()),
         }
     })
+}
+
+fn neighbour_table() -> io::Result<String> {
+    const BRIDGE: u32 = 100;
+    on_a_thread(|| {
+        Namespace::enter_new()?;
+        let HostAddress { ipv4, mac, .. } = HostAddress::of(0);
+        let known = netlink::neighbour(BRIDGE, ipv4.into(), mac);
+        Netlink::open()?.execute(vec![netlink::bridge("probe", BRIDGE), known])
+    })
+    .map_err(|error| io::Error::other(format!("the kernel makes no permanent entries: {error}")))?;
+    match neighbours::limit() {
+        Ok(limit) if limit < neighbours::USUAL_LIMIT => {
+            Err(io::Error::other(format!("it has room for {limit} entries beside permanent ones")))
+        }
+        Ok(limit) => Ok(format!("{limit} entries beside permanent ones")),
+        Err(_) => Ok("its size is not shown here".into()),
+    }
 }
 
 fn hwsim() -> io::Result<String> {

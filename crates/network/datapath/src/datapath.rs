@@ -17,13 +17,15 @@ use crate::{
     engine::{DepartureSink, Engine, EventSink, Handle, Shared, Sinks},
     error::{Action, Error},
     gateway::{self, GatewayTraffic, Opened},
-    hosts::{self, Addresses, Host, PortKind},
+    hosts::{self, Addresses, Host, PortKind, Watched},
     kernel_network::KernelNetwork,
     namespace::Namespace,
+    neighbours::{self, Neighbours},
     port::Port,
     process::{Child, HostsFile, SpawnOptions},
     punctual::BusyPoll,
     sys,
+    watch::Watch,
     wifi::{self, Air},
 };
 
@@ -60,6 +62,9 @@ pub struct Datapath {
     clock: Clock,
     handle: Handle,
     thread: Option<JoinHandle<std::io::Result<Fabric>>>,
+    /// Number at the start.
+    neighbour_overflows: Option<u64>,
+    _watch: Watch,
     _awake: Option<Awake>,
 }
 
@@ -71,6 +76,7 @@ impl Datapath {
     /// [`Error::Kernel`] with the rejected action, [`Error::Gateway`], [`Error::Wifi`].
     pub fn start(graph: &HardwareGraph, mut fabric: Fabric, options: Options) -> Result<Self, Error> {
         sys::raise_open_files();
+        let neighbour_overflows = neighbours::overflows();
         let kind = hosts::resolve(options.port);
         let kernel = options.kernel.map(Arc::new);
         let mut air = if kernel.is_none() { Air::register(graph)? } else { None };
@@ -82,8 +88,8 @@ impl Datapath {
             if radios.contains(&node.id) { wifi::addresses(node) } else { Addresses::AtPort }
         };
         let addressed: Vec<_> = emulated.iter().map(|(place, node)| (*place, addresses(node))).collect();
-        let machines = gateway::machines(graph);
-        let (hosts, ports): (Vec<_>, Vec<_>) = hosts::bring_up(&addressed, kind, &machines)?
+        let neighbours = Neighbours::of(graph, gateway::machines(graph));
+        let (hosts, ports): (Vec<_>, Vec<_>) = hosts::bring_up(&addressed, kind, &neighbours)?
             .into_iter()
             .map(|Host { namespace, port }| (namespace, Port::new(port)))
             .unzip();
@@ -95,9 +101,15 @@ impl Datapath {
                 .partition(|((_, node), _)| matches!(node.kind, NodeKind::Robot(_)));
             // Robots first: there is no radio unit then that they would lose.
             for ((place, node), host) in robots.into_iter().chain(units) {
-                air.equip(&mut fabric, (*place, node), host, &machines)?;
+                air.equip(&mut fabric, (*place, node), host, &neighbours)?;
             }
         }
+        if kernel.is_none() {
+            neighbours.warn();
+        }
+        let watched = addressed.iter().zip(&hosts);
+        let watched = watched.map(|((place, addresses), host)| Watched::new(host, *addresses, *place));
+        let watch = Watch::start(watched.collect::<Result<_, _>>()?, neighbours)?;
         let places = emulated.iter().map(|(_, node)| node.id.clone()).zip(0..).collect();
         let mut ports = ports.into_iter();
         let port = |node: &Node| real_ports.remove(&node.id).or_else(|| ports.next());
@@ -116,7 +128,20 @@ impl Datapath {
             .action("start the fabric's thread")?;
         let awake = (!options.let_cores_sleep).then(Awake::keep);
         let (handle, thread) = (Handle(shared), Some(thread));
-        Ok(Self { hosts, gateways, kernel, places, hosts_file, kind, clock, handle, thread, _awake: awake })
+        Ok(Self {
+            hosts,
+            gateways,
+            kernel,
+            places,
+            hosts_file,
+            kind,
+            clock,
+            handle,
+            thread,
+            neighbour_overflows,
+            _watch: watch,
+            _awake: awake,
+        })
     }
 
     pub fn clock(&self) -> Clock {
@@ -164,6 +189,13 @@ impl Datapath {
     /// queue full.
     pub fn dropped_frames(&self) -> u64 {
         self.handle.0.dropped()
+    }
+
+    /// Returns the number of packets since the run began, of this machine, that the kernel dropped because its tables of
+    /// neighbours were full. In a container, which does not show it, returns 0.
+    pub fn neighbour_overflows(&self) -> u64 {
+        let since = |start| Some(neighbours::overflows()?.saturating_sub(start));
+        self.neighbour_overflows.and_then(since).unwrap_or(0)
     }
 
     /// Returns the traffic of each gateway and real server since the run began.

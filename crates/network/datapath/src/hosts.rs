@@ -1,22 +1,24 @@
-//! Brings hosts up: a namespace with an interface `eth0` each, on as many threads as there are cores, with one
-//! netlink message per host.
+//! Brings hosts up: a namespace with an interface `eth0` each, on as many threads as there are cores, with few
+//! netlink messages per host.
 
 use std::{
     fs::{self, File, OpenOptions},
     io,
     net::{Ipv4Addr, UdpSocket},
     os::{
-        fd::{AsFd, OwnedFd},
+        fd::{AsFd, BorrowedFd, OwnedFd},
         unix::fs::OpenOptionsExt,
     },
     thread,
 };
 
 use cotorra_graph::HostAddress;
+use netlink_packet_route::RouteNetlinkMessage;
 
 use crate::{
     error::{Action, Error},
     namespace::{Namespace, on_a_thread},
+    neighbours::Neighbours,
     netlink::{self, Netlink},
     sys, wifi,
 };
@@ -71,11 +73,11 @@ pub(crate) fn resolve(kind: PortKind) -> PortKind {
     }
 }
 
-/// Brings up the hosts at these places, with the addresses that follow from them. They reach `others` without a router.
+/// Brings up the hosts at these places, with the addresses that follow from them. They reach their neighbours without a router.
 pub(crate) fn bring_up(
     places: &[(usize, Addresses)],
     kind: PortKind,
-    others: &[Ipv4Addr],
+    neighbours: &Neighbours,
 ) -> Result<Vec<Host>, Error> {
     // Namespace of the virtual Ethernet pairs' other ends, invisible to others.
     let wiring = match kind {
@@ -83,8 +85,8 @@ pub(crate) fn bring_up(
         _ => None,
     };
     let host = |place: usize, addresses: Addresses| match &wiring {
-        Some(wiring) => packet_socket_host(place, addresses, wiring, others),
-        None => tap_host(place, addresses, others),
+        Some(wiring) => packet_socket_host(place, addresses, wiring, neighbours),
+        None => tap_host(place, addresses, neighbours),
     };
     let workers = thread::available_parallelism().map_or(1, |cores| cores.get().min(8));
     let share = places.len().div_ceil(workers).max(1);
@@ -121,39 +123,92 @@ fn configure_all(
     netlink: &Netlink,
     place: usize,
     addresses: Addresses,
-    others: &[Ipv4Addr],
+    neighbours: &Neighbours,
 ) -> Result<(), Error> {
     match addresses {
-        Addresses::AtPort => configure(netlink, PORT, place, others),
+        Addresses::AtPort => configure(netlink, PORT, place, neighbours),
         Addresses::AtBridge => {
             let port = sys::interface_index(PORT).action("find a host's interface")?;
             let requests = netlink::bridged(port, wifi::BRIDGE, BRIDGE_INDEX, MTU, QUEUE);
             netlink.execute(requests).action("make a radio unit's bridge")?;
-            configure(netlink, wifi::BRIDGE, place, others)
+            configure(netlink, wifi::BRIDGE, place, neighbours)
         }
         Addresses::Elsewhere => Ok(()),
     }
 }
 
-/// Configures a host's addresses at an interface in the calling thread's namespace, and its routes to `others`.
+/// Configures a host's addresses at an interface in the calling thread's namespace, and whom it reaches there.
 pub(crate) fn configure(
     netlink: &Netlink,
     interface: &str,
     place: usize,
-    others: &[Ipv4Addr],
+    neighbours: &Neighbours,
 ) -> Result<(), Error> {
     let index = sys::interface_index(interface).action("find a host's interface")?;
     // The fabric has no router to solicit. Without IPv6 this file does not exist.
     let _ = set(6, interface, "router_solicitations", "0");
     let mut requests = netlink::host(index, &HostAddress::of(place), MTU, QUEUE);
-    let far = others.iter().filter(|address| !HostAddress::is_near(**address));
-    requests.extend(far.map(|address| netlink::route(index, *address, 32)));
-    // A message must fit the socket's buffer.
-    let mut requests = requests.into_iter().peekable();
-    while requests.peek().is_some() {
-        netlink.execute(requests.by_ref().take(64).collect()).action("configure a host's interface")?;
+    let has_ipv6 = netlink::has_ipv6();
+    requests.extend(reach(index, place, neighbours, has_ipv6));
+    netlink.execute(requests).action("configure a host's interface")?;
+    if let Err(error) = netlink.execute(neighbours.entries(index, place, has_ipv6)) {
+        neighbours.refuse(error);
     }
     Ok(())
+}
+
+/// Returns the requests by which a host has its addresses at an interface that is up, and reaches machines from there.
+fn reach(interface: u32, place: usize, neighbours: &Neighbours, has_ipv6: bool) -> Vec<RouteNetlinkMessage> {
+    let mut requests = netlink::addresses(interface, &HostAddress::of(place), has_ipv6);
+    let far = neighbours.machines().iter().filter(|address| !HostAddress::is_near(**address));
+    requests.extend(far.map(|address| netlink::route(interface, *address, 32)));
+    requests
+}
+
+/// A host's interface with its addresses. A program that sets it down and up again, as some do to configure it, loses most of
+/// what [`configure`] did there.
+pub(crate) struct Watched {
+    netlink: Netlink,
+    interface: u32,
+    place: usize,
+    has_ipv6: bool,
+}
+
+impl Watched {
+    /// Watches an interface of a host.
+    pub(crate) fn new(host: &Namespace, interface: Addresses, place: usize) -> Result<Self, Error> {
+        let name = match interface {
+            Addresses::AtPort => PORT,
+            Addresses::AtBridge => wifi::BRIDGE,
+            Addresses::Elsewhere => wifi::WLAN,
+        };
+        let watch = || {
+            let interface = sys::interface_index(name)?;
+            let netlink = Netlink::of_changes()?;
+            Ok(Self { netlink, interface, place, has_ipv6: netlink::has_ipv6() })
+        };
+        host.run(watch).action("watch a host's interface")
+    }
+
+    /// Configures it again if it was set up since the last call.
+    pub(crate) fn restore(&self, neighbours: &Neighbours) {
+        if self.netlink.was_set_up(self.interface) {
+            let Self { interface, place, has_ipv6, .. } = *self;
+            let mut requests = reach(interface, place, neighbours, has_ipv6);
+            requests.extend(neighbours.entries(interface, place, has_ipv6));
+            if let Err(error) = self.netlink.replace(requests) {
+                tracing::warn!(
+                    "the addresses of a node whose interface was set up again are not complete: {error}"
+                );
+            }
+        }
+    }
+}
+
+impl AsFd for Watched {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.netlink.as_fd()
+    }
 }
 
 /// Sets a parameter of an interface for IPv4 or IPv6.
@@ -161,11 +216,11 @@ pub(crate) fn set(version: u8, interface: &str, parameter: &str, value: &str) ->
     fs::write(format!("/proc/sys/net/ipv{version}/conf/{interface}/{parameter}"), value)
 }
 
-fn tap_host(place: usize, addresses: Addresses, others: &[Ipv4Addr]) -> Result<Host, Error> {
+fn tap_host(place: usize, addresses: Addresses, neighbours: &Neighbours) -> Result<Host, Error> {
     let namespace = enter_new_namespace()?;
     let device = open_tun().action("open /dev/net/tun")?;
     sys::make_tap(&device, c"eth0").action("make a TAP with offloads")?;
-    configure_all(&Netlink::open().action("open a netlink socket")?, place, addresses, others)?;
+    configure_all(&Netlink::open().action("open a netlink socket")?, place, addresses, neighbours)?;
     Ok(Host { namespace, port: device.into() })
 }
 
@@ -199,7 +254,7 @@ fn packet_socket_host(
     place: usize,
     addresses: Addresses,
     wiring: &Namespace,
-    others: &[Ipv4Addr],
+    neighbours: &Neighbours,
 ) -> Result<Host, Error> {
     // The loopback interface has index 1, and kernels with built-in tunnels use the next few.
     let index = 100 + place as u32;
@@ -218,6 +273,6 @@ fn packet_socket_host(
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).action("open a socket in a namespace")?;
     sys::restrict_offloads(socket.as_fd(), c"eth0", &offloads())
         .action("restrict the offloads of a virtual Ethernet pair")?;
-    configure_all(&inside, place, addresses, others)?;
+    configure_all(&inside, place, addresses, neighbours)?;
     Ok(Host { namespace, port })
 }

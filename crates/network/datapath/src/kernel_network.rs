@@ -17,11 +17,13 @@ use parking_lot::Mutex;
 
 use crate::{
     error::{Action, Error},
-    hosts,
+    hosts::{self, Addresses, Watched},
     link_probes::{LinkProbes, Measured},
     namespace::Namespace,
+    neighbours::Neighbours,
     netlink::{self, Netlink},
     sys,
+    watch::Watch,
 };
 
 /// A network, or a link's conditions, that the kernel cannot emulate. The fabric can.
@@ -61,6 +63,7 @@ pub struct KernelNetwork {
     /// Socket in the namespace of all bridges and links, which it keeps alive.
     kernel: Mutex<Kernel>,
     probes: LinkProbes,
+    _watch: Watch,
     _wiring: Namespace,
 }
 
@@ -142,20 +145,24 @@ impl KernelNetwork {
                         requests.push(netlink::up(end, vec![netlink::in_bridge(bridge(nodes[node]))]));
                     }
                 }
-                // A message must fit the socket's buffer.
-                let netlink = Netlink::open()?;
-                requests.chunks(64).try_for_each(|some| netlink.execute(some.to_vec()))
+                Netlink::open()?.execute(requests)
             })
             .action("wire bridges and links")?;
 
         let mut hosts = Vec::new();
         let mut places = HashMap::new();
         let first_port = first_end + graph.links.len() as u32 * 2;
+        // Bridges learn where a host is when it answers whoever asks for it. Until then they flood.
+        let neighbours = Neighbours::unknown(graph.hosts().count());
+        neighbours.warn();
         for (place, node) in graph.hosts().enumerate() {
             let port = first_port + place as u32;
-            hosts.push(attach_host(place, port, bridge(nodes[&node.id]), &wiring)?);
+            hosts.push(attach_host(place, port, bridge(nodes[&node.id]), &wiring, &neighbours)?);
             places.insert(node.id.clone(), place);
         }
+        let watched = hosts.iter().enumerate();
+        let watched = watched.map(|(place, host)| Watched::new(host, Addresses::AtPort, place));
+        let watch = Watch::start(watched.collect::<Result<_, _>>()?, neighbours)?;
         let kernel = wiring.run(Kernel::open)?;
         for (link, [forward, backward]) in settings.into_iter().enumerate() {
             set_netem(&kernel, &hosts, link, Direction::Forward, forward)?;
@@ -166,7 +173,7 @@ impl KernelNetwork {
         let ends = ends.collect();
         let probes = wiring.run(|| LinkProbes::start(ends, probing)).action("measure links")?;
         let links = graph.links.iter().map(|link| link.id.clone()).collect();
-        Ok(Self { hosts, places, links, kernel: Mutex::new(kernel), probes, _wiring: wiring })
+        Ok(Self { hosts, places, links, kernel: Mutex::new(kernel), probes, _watch: watch, _wiring: wiring })
     }
 
     /// Returns the namespace of a host.
@@ -296,7 +303,13 @@ fn check_tree(graph: &HardwareGraph, nodes: &HashMap<&NodeId, usize>) -> Result<
 }
 
 /// Makes a host with an `eth0` whose other end is a port of its bridge.
-fn attach_host(place: usize, port: u32, bridge: u32, wiring: &Namespace) -> Result<Namespace, Error> {
+fn attach_host(
+    place: usize,
+    port: u32,
+    bridge: u32,
+    wiring: &Namespace,
+    neighbours: &Neighbours,
+) -> Result<Namespace, Error> {
     let host = Namespace::new()?;
     host.run(|| {
         Netlink::open()?.execute(vec![netlink::veth("eth0", &format!("h{place}"), port, wiring.as_fd())])
@@ -306,7 +319,8 @@ fn attach_host(place: usize, port: u32, bridge: u32, wiring: &Namespace) -> Resu
         .run(|| Netlink::open()?.execute(vec![netlink::up(port, vec![netlink::in_bridge(bridge)])]))
         .action("set a port up")?;
     host.run(|| {
-        hosts::configure(&Netlink::open().action("open a netlink socket")?, hosts::PORT, place, &[])
+        let netlink = Netlink::open().action("open a netlink socket")?;
+        hosts::configure(&netlink, hosts::PORT, place, neighbours)
     })?;
     debug_assert!(place < HostAddress::MAX_HOSTS);
     Ok(host)

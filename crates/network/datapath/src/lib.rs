@@ -32,6 +32,7 @@ mod kernel_network;
 mod link_probes;
 mod listener;
 mod namespace;
+mod neighbours;
 mod netlink;
 mod port;
 mod privilege;
@@ -40,6 +41,7 @@ mod punctual;
 mod seccomp;
 mod sys;
 mod vnet;
+mod watch;
 pub mod wifi;
 
 pub use allowance::Allowance;

@@ -3,21 +3,22 @@
 use std::{
     io,
     net::{IpAddr, Ipv4Addr, Ipv6Addr},
-    os::fd::{AsRawFd, BorrowedFd},
+    os::fd::{AsFd, AsRawFd, BorrowedFd},
     path::Path,
 };
 
 use cotorra_graph::HostAddress;
 use netlink_packet_core::{
-    NLM_F_ACK, NLM_F_CREATE, NLM_F_EXCL, NLM_F_REQUEST, NetlinkMessage, NetlinkPayload,
+    NLM_F_ACK, NLM_F_CREATE, NLM_F_EXCL, NLM_F_REPLACE, NLM_F_REQUEST, NetlinkMessage, NetlinkPayload,
 };
 use netlink_packet_route::{
     AddressFamily, RouteNetlinkMessage,
     address::{AddressAttribute, AddressFlags, AddressHeaderFlags, AddressMessage, AddressScope},
     link::{
         AfSpecInet6, AfSpecUnspec, In6AddrGenMode, InfoBridge, InfoData, InfoKind, InfoVeth, LinkAttribute,
-        LinkFlags, LinkInfo, LinkMessage,
+        LinkFlags, LinkHeader, LinkInfo, LinkMessage,
     },
+    neighbour::{NeighbourAddress, NeighbourAttribute, NeighbourMessage, NeighbourState},
     route::{RouteAddress, RouteAttribute, RouteHeader, RouteMessage, RouteProtocol, RouteScope, RouteType},
     tc::{TcAttribute, TcHandle, TcMessage},
 };
@@ -25,6 +26,10 @@ use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
 
 /// Index of the loopback interface in every network namespace.
 pub(crate) const LOOPBACK: u32 = 1;
+/// Most requests in a message, which must fit the socket's buffer, as must the answers if all are rejected.
+const MOST_REQUESTS: usize = 200;
+/// Group of changes of interfaces.
+const RTNLGRP_LINK: u32 = 1;
 
 /// An rtnetlink socket of one network namespace.
 pub(crate) struct Netlink {
@@ -42,40 +47,121 @@ impl Netlink {
         Ok(Self { socket })
     }
 
-    /// Sends requests in one message, and returns once the kernel has done all. Returns the first error.
+    /// Opens a socket that also receives changes of the namespace's interfaces, and does not block.
+    pub(crate) fn of_changes() -> io::Result<Self> {
+        let netlink = Self::open()?;
+        netlink.socket.add_membership(RTNLGRP_LINK)?;
+        netlink.socket.set_non_blocking(true)?;
+        Ok(netlink)
+    }
+
+    /// Sends requests, many in one message, and returns once the kernel has done all. Returns the first error; the requests of
+    /// later messages are not sent then.
     pub(crate) fn execute(&self, requests: Vec<RouteNetlinkMessage>) -> io::Result<()> {
-        let mut outstanding = requests.len();
-        let mut batch = Vec::new();
-        for request in requests {
-            let mut message = NetlinkMessage::from(request);
-            message.header.flags = NLM_F_REQUEST | NLM_F_ACK | NLM_F_CREATE | NLM_F_EXCL;
-            message.finalize();
-            let start = batch.len();
-            batch.resize(start + message.buffer_len(), 0);
-            message.serialize(&mut batch[start..]);
+        let mut requests = requests.into_iter().peekable();
+        while requests.peek().is_some() {
+            let (batch, last) = batch(requests.by_ref().take(MOST_REQUESTS), NLM_F_EXCL, NLM_F_ACK);
+            self.socket.send(&batch, 0)?;
+            self.answers_until(last)?;
         }
-        self.socket.send(&batch, 0)?;
+        Ok(())
+    }
+
+    /// Reads answers up to that to the request with this number. Returns the first error.
+    fn answers_until(&self, last: u32) -> io::Result<()> {
         let mut result = Ok(());
+        let mut answered = 0;
         let mut answers = Vec::with_capacity(8192);
-        while outstanding > 0 {
+        while answered != last {
             answers.clear();
             self.socket.recv(&mut answers, 0)?;
-            let mut rest = &answers[..];
-            while !rest.is_empty() {
-                let answer = NetlinkMessage::<RouteNetlinkMessage>::deserialize(rest)
-                    .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))?;
+            for answer in messages(&answers) {
+                let answer = answer?;
                 if let NetlinkPayload::Error(error) = &answer.payload {
-                    outstanding -= 1;
+                    answered = answer.header.sequence_number;
                     if error.code.is_some() && result.is_ok() {
                         result = Err(error.to_io());
                     }
                 }
-                let length = (answer.header.length as usize).next_multiple_of(4);
-                rest = rest.get(length..).unwrap_or_default();
             }
         }
         result
     }
+
+    /// Sends requests whose errors are ignored. They replace what is there.
+    pub(crate) fn replace(&self, requests: Vec<RouteNetlinkMessage>) -> io::Result<()> {
+        let mut requests = requests.into_iter().peekable();
+        while requests.peek().is_some() {
+            let (batch, _) = batch(requests.by_ref().take(MOST_REQUESTS), NLM_F_REPLACE, 0);
+            self.socket.send(&batch, 0)?;
+        }
+        Ok(())
+    }
+
+    /// Reads what has come to a socket [`Self::of_changes`]. Returns whether an interface may have been set up since.
+    pub(crate) fn was_set_up(&self, interface: u32) -> bool {
+        let mut was_set_up = false;
+        let mut changes = Vec::with_capacity(8192);
+        loop {
+            changes.clear();
+            match self.socket.recv(&mut changes, 0) {
+                Ok(_) => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return was_set_up,
+                // Changes were lost.
+                Err(error) if error.raw_os_error() == Some(libc::ENOBUFS) => was_set_up = true,
+                Err(_) => return false,
+            }
+            was_set_up |= messages(&changes).any(|change| match change.map(|change| change.payload) {
+                Ok(NetlinkPayload::InnerMessage(RouteNetlinkMessage::NewLink(link))) => {
+                    let LinkHeader { index, flags, change_mask, .. } = link.header;
+                    index == interface && (flags & change_mask).contains(LinkFlags::Up)
+                }
+                Ok(_) => false,
+                Err(_) => true,
+            });
+        }
+    }
+}
+
+impl AsFd for Netlink {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        // SAFETY: the socket is open for as long as this borrow.
+        unsafe { BorrowedFd::borrow_raw(self.socket.as_raw_fd()) }
+    }
+}
+
+/// Writes requests into one message. The last one has more flags. Returns its number, too.
+fn batch(requests: impl Iterator<Item = RouteNetlinkMessage>, flags: u16, last_flags: u16) -> (Vec<u8>, u32) {
+    let mut requests = requests.zip(1..).peekable();
+    let (mut batch, mut last) = (Vec::new(), 0);
+    while let Some((request, number)) = requests.next() {
+        let mut message = NetlinkMessage::from(request);
+        message.header.flags = NLM_F_REQUEST | NLM_F_CREATE | flags;
+        message.header.sequence_number = number;
+        if requests.peek().is_none() {
+            message.header.flags |= last_flags;
+            last = number;
+        }
+        message.finalize();
+        let start = batch.len();
+        batch.resize(start + message.buffer_len(), 0);
+        message.serialize(&mut batch[start..]);
+    }
+    (batch, last)
+}
+
+/// Reads the messages of a datagram.
+fn messages(mut rest: &[u8]) -> impl Iterator<Item = io::Result<NetlinkMessage<RouteNetlinkMessage>>> {
+    std::iter::from_fn(move || {
+        if rest.is_empty() {
+            return None;
+        }
+        let message = NetlinkMessage::<RouteNetlinkMessage>::deserialize(rest)
+            .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e));
+        let length = message.as_ref().map_or(rest.len(), |message| message.header.length as usize);
+        rest = rest.get(length.next_multiple_of(4)..).unwrap_or_default();
+        Some(message)
+    })
 }
 
 fn link(index: u32, attributes: Vec<LinkAttribute>) -> LinkMessage {
@@ -198,6 +284,29 @@ pub(crate) fn route(index: u32, to: Ipv4Addr, prefix: u8) -> RouteNetlinkMessage
     RouteNetlinkMessage::NewRoute(route)
 }
 
+/// Tells an interface a neighbour's MAC address for good. The kernel never asks for it, and does not count it against the size
+/// of its table.
+pub(crate) fn neighbour(index: u32, address: IpAddr, mac: [u8; 6]) -> RouteNetlinkMessage {
+    let mut neighbour = NeighbourMessage::default();
+    neighbour.header.ifindex = index;
+    neighbour.header.state = NeighbourState::Permanent;
+    let destination = match address {
+        IpAddr::V4(v4) => {
+            neighbour.header.family = AddressFamily::Inet;
+            NeighbourAddress::Inet(v4)
+        }
+        IpAddr::V6(v6) => {
+            neighbour.header.family = AddressFamily::Inet6;
+            NeighbourAddress::Inet6(v6)
+        }
+    };
+    neighbour.attributes = vec![
+        NeighbourAttribute::Destination(destination),
+        NeighbourAttribute::LinkLayerAddress(mac.to_vec()),
+    ];
+    RouteNetlinkMessage::NewNeighbour(neighbour)
+}
+
 /// Adds the route by which a host receives packets to an address of its own. The kernel adds one, too, but later, on a
 /// work queue: it drops packets that arrive before.
 fn local_route(index: u32, to: Ipv6Addr) -> RouteNetlinkMessage {
@@ -222,7 +331,7 @@ pub(crate) fn has_ipv6() -> bool {
     Path::new("/proc/thread-self/net/if_inet6").exists()
 }
 
-/// Returns the requests that configure a host: loopback up, an interface up with the host's addresses and routes.
+/// Returns the requests that set a host's interfaces up: loopback, and that with its addresses.
 pub(crate) fn host(interface: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<RouteNetlinkMessage> {
     let mut requests = vec![up(LOOPBACK, vec![])];
     // The kernel's own link-local address would be tentative for a second.
@@ -235,10 +344,17 @@ pub(crate) fn host(interface: u32, of: &HostAddress, mtu: u32, queue: u32) -> Ve
             LinkAttribute::TxQueueLen(queue),
         ],
     ));
-    requests.push(address(interface, of.ipv4.into(), HostAddress::IPV4_PREFIX, AddressScope::Universe));
-    requests.push(route(interface, Ipv4Addr::new(224, 0, 0, 0), 4));
-    requests.push(route(interface, Ipv4Addr::BROADCAST, 32));
-    if has_ipv6() {
+    requests
+}
+
+/// Returns the requests that give an interface that is up a host's addresses and routes.
+pub(crate) fn addresses(interface: u32, of: &HostAddress, has_ipv6: bool) -> Vec<RouteNetlinkMessage> {
+    let mut requests = vec![
+        address(interface, of.ipv4.into(), HostAddress::IPV4_PREFIX, AddressScope::Universe),
+        route(interface, Ipv4Addr::new(224, 0, 0, 0), 4),
+        route(interface, Ipv4Addr::BROADCAST, 32),
+    ];
+    if has_ipv6 {
         let on_link = link_local(of.mac);
         requests.push(address(interface, on_link.into(), 64, AddressScope::Link));
         requests.push(address(interface, of.ipv6.into(), HostAddress::IPV6_PREFIX, AddressScope::Universe));
@@ -273,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn batches_are_answered_request_by_request() {
+    fn batches_of_any_length_return_the_first_error() {
         if !crate::privilege::have_rights() {
             // The test harness has threads, so an ordinary user cannot enter a user namespace here.
             return;
@@ -283,6 +399,13 @@ mod tests {
             netlink.execute(vec![up(1, vec![]), up(1, vec![])]).unwrap();
             let error = netlink.execute(vec![up(1, vec![]), up(4711, vec![]), up(1, vec![])]).unwrap_err();
             assert_eq!(error.raw_os_error(), Some(libc::ENODEV));
+            netlink.execute(vec![]).unwrap();
+            netlink.execute(vec![up(1, vec![]); 2 * MOST_REQUESTS + 1]).unwrap();
+            for count in [1, MOST_REQUESTS, 3 * MOST_REQUESTS] {
+                let error = netlink.execute(vec![up(4711, vec![]); count]).unwrap_err();
+                assert_eq!(error.raw_os_error(), Some(libc::ENODEV), "all {count} are rejected");
+            }
+            netlink.execute(vec![up(1, vec![])]).unwrap();
         });
     }
 }

@@ -8,7 +8,6 @@
 use std::{
     hash::{BuildHasher as _, RandomState},
     io,
-    net::Ipv4Addr,
     os::fd::{AsFd, BorrowedFd},
 };
 
@@ -21,6 +20,7 @@ use crate::{
     error::{Action, Error},
     hosts::{self, Addresses},
     namespace::Namespace,
+    neighbours::Neighbours,
     netlink::{self, Netlink},
     sys,
 };
@@ -72,7 +72,7 @@ impl Air {
         fabric: &mut Fabric,
         (place, node): (usize, &Node),
         host: &Namespace,
-        others: &[Ipv4Addr],
+        neighbours: &Neighbours,
     ) -> Result<(), Error> {
         let [high, low] = (place as u16).to_be_bytes();
         let [a, b, c, d] = self.prefix;
@@ -100,7 +100,7 @@ impl Air {
             match addresses(node) {
                 Addresses::Elsewhere => {
                     keep_neighbours();
-                    hosts::configure(&netlink, WLAN, place, others)
+                    hosts::configure(&netlink, WLAN, place, neighbours)
                 }
                 _ => {
                     let wlan = sys::interface_index(WLAN).action("find a radio unit's interface")?;

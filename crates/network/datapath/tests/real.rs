@@ -28,6 +28,7 @@ const SCRIPT: &str = "COTORRA_TEST_SCRIPT";
 type Test = (&'static str, fn(PortKind));
 const TESTS: &[Test] = &[
     ("packets travel between all hosts by IPv4 and IPv6", packets_travel_between_hosts),
+    ("all pairs of a large mesh reach each other", all_pairs_of_a_large_mesh_reach_each_other),
     ("an unmodified program finds nodes by name", programs_find_nodes_by_name),
     ("broadcast and multicast reach all others", broadcast_and_multicast_reach_all_others),
     ("TCP carries every byte through loss", tcp_carries_every_byte_through_loss),
@@ -46,6 +47,7 @@ const TESTS: &[Test] = &[
     ("signals reach a program of another process", signals_reach_a_program_of_another_process),
     ("programs end with another process", programs_end_with_another_process),
     ("programs see their own interfaces", programs_see_their_own_interfaces),
+    ("interfaces that are set up again are complete", interfaces_that_are_set_up_again_are_complete),
     ("names of nodes are in no folder that others share", names_are_in_no_shared_folder),
 ];
 
@@ -129,6 +131,43 @@ fn packets_travel_between_hosts(kind: PortKind) {
             assert_eq!(sender, SocketAddr::new(address(from), 4000));
         }
     }
+    assert_eq!(datapath.dropped_frames(), 0);
+}
+
+/// More pairs than the kernel's table of neighbours has room for by default, for all namespaces together.
+fn all_pairs_of_a_large_mesh_reach_each_other(kind: PortKind) {
+    const HOSTS: usize = 36;
+    const USUAL_LIMIT: usize = 1024;
+    const { assert!(HOSTS * (HOSTS - 1) > USUAL_LIMIT) };
+    let (datapath, names) = up(HOSTS, Conditions::default(), kind);
+    for family in [0, 1] {
+        let any: IpAddr = [Ipv4Addr::UNSPECIFIED.into(), Ipv6Addr::UNSPECIFIED.into()][family];
+        let address = |i: usize| [HostAddress::of(i).ipv4.into(), HostAddress::of(i).ipv6.into()][family];
+        let sockets: Vec<_> = names.iter().map(|name| udp(&datapath, name, any)).collect();
+        let mut buffer = [0; 8];
+        for (from, socket) in sockets.iter().enumerate() {
+            let others = || (0..HOSTS).filter(|to| *to != from);
+            for to in others() {
+                let error = socket.send_to(&from.to_ne_bytes(), SocketAddr::new(address(to), 4000)).err();
+                assert!(error.is_none(), "{from} to {to}: {error:?}");
+            }
+            for to in others() {
+                let (_, sender) = sockets[to].recv_from(&mut buffer).unwrap();
+                assert_eq!(sender, SocketAddr::new(address(from), 4000));
+                sockets[to].send_to(&buffer, sender).unwrap();
+            }
+            let mut answered: Vec<_> =
+                others().map(|_| socket.recv_from(&mut buffer).unwrap().1.ip()).collect();
+            answered.sort();
+            assert_eq!(answered, others().map(address).collect::<Vec<IpAddr>>());
+        }
+    }
+    // Nobody had to ask: the first packet goes at once, as in virtual time.
+    let table =
+        datapath.namespace(&names[0]).unwrap().run(|| fs::read_to_string("/proc/thread-self/net/arp"));
+    let table = table.unwrap();
+    let permanent = table.lines().filter(|line| line.split_whitespace().nth(2) == Some("0x6")).count();
+    assert_eq!((permanent, table.lines().count()), (HOSTS - 1, HOSTS), "{table}");
     assert_eq!(datapath.dropped_frames(), 0);
 }
 
@@ -470,6 +509,40 @@ fn programs_see_their_own_interfaces(kind: PortKind) {
     assert_eq!(spawned, String::from_utf8(told.stdout).unwrap());
     // A kernel that shows an ordinary user no `/sys` in a container shows no interface at all.
     assert!(["02:77:00:00:00:02\n", ""].contains(&&*spawned), "{spawned}");
+}
+
+fn interfaces_that_are_set_up_again_are_complete(kind: PortKind) {
+    let (datapath, names) = up(2, Conditions::default(), kind);
+    if Command::new("ip").arg("-V").stdout(Stdio::null()).status().is_err() {
+        println!("skipped: no ip here");
+        return;
+    }
+    let namespace = datapath.namespace(&names[0]).unwrap();
+    let ip = |arguments: &str| {
+        let told = inside(namespace, &format!("ip {arguments}")).output().unwrap();
+        assert!(told.status.success(), "{arguments}");
+        String::from_utf8(told.stdout).unwrap()
+    };
+    let own = || {
+        let mut lines = Vec::new();
+        for list in ["-br address show eth0", "route", "-6 route show table all", "neighbour"] {
+            let told = ip(list);
+            // Which links the kernel resolves by itself says nothing of hosts.
+            let own = told.lines().filter(|line| !line.contains("fe80::/64") && !line.contains("ff00::/8"));
+            lines.extend(own.map(|line| line.split(" proto ").next().unwrap().trim().to_owned()));
+        }
+        lines.sort();
+        lines
+    };
+    let before = own();
+    for has in ["fd77::1/64", "224.0.0.0/4", "10.77.0.2 dev eth0 lladdr 02:77:00:00:00:02 PERMANENT"] {
+        assert!(before.iter().any(|line| line.contains(has)), "{has}: {before:#?}");
+    }
+    ip("link set eth0 down");
+    assert!(!own().iter().any(|line| line.contains("224.0.0.0/4")));
+    ip("link set eth0 up");
+    wait_until(|| own().iter().any(|line| line.contains("PERMANENT") && line.contains("fd77::2")));
+    assert_eq!(own(), before);
 }
 
 fn names_are_in_no_shared_folder(_: PortKind) {

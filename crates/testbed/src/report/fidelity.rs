@@ -130,11 +130,34 @@ impl Fidelity {
         let lateness_us = LatenessSummary { p50: p50_us, p99: p99_us, max: max_us };
         Self { valid, lateness_us, frames, frames_dropped, reason }
     }
+
+    /// Extends the verdict to packets that no port saw, because the kernel knew no address to send them to.
+    pub(super) fn with_neighbours(self, overflows: u64) -> Self {
+        if !self.valid || overflows == 0 {
+            return self;
+        }
+        let reason = format!(
+            "the kernel's table of neighbours, which all namespaces of this machine share, was full, and it dropped packets \
+             {overflows} times; raise net.ipv4.neigh.default.gc_thresh3 and that of ipv6"
+        );
+        Self { valid: false, reason, ..self }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_full_table_of_neighbours_makes_the_verdict_invalid() {
+        let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
+        let valid = || Fidelity::of(MeasuredFrames::All, good, 0, false);
+        assert_eq!(valid().with_neighbours(0), valid());
+        let full = valid().with_neighbours(3);
+        assert!(!full.valid && full.reason.contains("3 times"), "{full:?}");
+        let worse = Fidelity { valid: false, reason: "worse".to_owned(), ..valid() };
+        assert_eq!(worse.clone().with_neighbours(3), worse);
+    }
 
     #[test]
     fn a_run_without_frames_or_with_late_ones_is_not_valid() {

@@ -199,6 +199,8 @@ impl Summary {
 pub struct Losses {
     /// Frames lost at the interfaces of hosts.
     pub frames_dropped: u64,
+    /// Packets that the kernel dropped because its tables of neighbours, which all programs of this machine share, were full.
+    pub neighbour_overflows: u64,
     /// Events that did not reach the history.
     pub history_dropped: u64,
 }
@@ -485,7 +487,8 @@ impl Report {
                     + self.gateways.iter().map(|gateway| gateway.frames_dropped).sum::<u64>(),
                 self.services.is_empty(),
             )
-            .with_gateways(&self.gateways),
+            .with_gateways(&self.gateways)
+            .with_neighbours(losses.neighbour_overflows),
             gateways: self.gateways.clone(),
             pose_source: self.pose_source,
             localization: self.localization.clone(),

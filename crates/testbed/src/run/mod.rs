@@ -227,6 +227,7 @@ impl Run {
         report.passed(self.datapath.gateways());
         let losses = Losses {
             frames_dropped: self.datapath.dropped_frames(),
+            neighbour_overflows: self.datapath.neighbour_overflows(),
             history_dropped: self.recorder.stats().dropped,
         };
         let summary = report.summary(end, why.as_str(), losses);

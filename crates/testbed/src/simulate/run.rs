@@ -236,7 +236,7 @@ pub(super) fn simulate_with(
     let mut unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
     unrecorded.extend(captures.into_iter().filter_map(CaptureFile::finish));
     unrecorded.iter().for_each(|what| tracing::error!("not recorded: {what}"));
-    let losses = Losses { frames_dropped: 0, history_dropped: recorder.dropped() };
+    let losses = Losses { history_dropped: recorder.dropped(), ..Losses::default() };
     let summary = report.summary(simulation.now(), end.as_str(), losses);
     folder.write_report(&report, &summary)?;
     history.end_run(run, simulation.now())?;
