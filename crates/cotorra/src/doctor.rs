@@ -1,4 +1,5 @@
-//! `cotorra doctor`: lists what this machine can do. A missing capability is shown with the reason and a remedy.
+//! `cotorra doctor`: lists what this machine can do. A missing capability is shown with the reason and a remedy, and one
+//! that only its use shows with a trial.
 
 use console::{Term, style};
 use cotorra_datapath::{CapabilityState, Privilege, enter_user_namespace_if_needed, probe};
@@ -31,6 +32,11 @@ pub fn doctor() -> miette::Result<()> {
                     style(name).bold(),
                     capability.purpose
                 );
+            }
+            CapabilityState::Unknown { detail, trial } => {
+                text += &format!("{} {}  {}\n", style("?").yellow(), style(name).bold(), capability.purpose);
+                text += &wrap(&format!("not known: {detail}"), &indent, width);
+                text += &wrap(&format!("to find out: {trial}"), &indent, width);
             }
             CapabilityState::Missing { reason, remedy } => {
                 text += &format!("{} {}  {}\n", style("✗").red(), style(name).bold(), capability.purpose);

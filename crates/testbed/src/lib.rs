@@ -15,6 +15,7 @@ mod clock;
 mod confined;
 mod core;
 mod core_loop;
+mod cpus;
 mod domain;
 mod error;
 pub mod faults;
@@ -57,6 +58,7 @@ pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture}
 #[cfg(feature = "containers")]
 pub use cotorra_containers::guard as guard_containers;
 pub use cotorra_wais::http::openapi as wais_openapi;
+pub use cpus::missing_cpus;
 pub use error::RunError;
 pub use finished::Finished;
 pub use leftovers::{Leftovers, clean, leftovers};

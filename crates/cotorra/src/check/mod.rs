@@ -5,11 +5,11 @@ mod coverage;
 mod extent;
 mod walls;
 
-use std::{path::PathBuf, process::ExitCode, time::Duration};
+use std::{path::PathBuf, process::ExitCode, thread, time::Duration};
 
 use clap::Args;
 use cotorra_graph::{Program, Testbed};
-use cotorra_testbed::Rehearsal;
+use cotorra_testbed::{Rehearsal, missing_cpus};
 
 use crate::{figures::parse_figure_file, output, testbed_file};
 
@@ -78,6 +78,9 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
                 Ok(script) => {
                     let overview = testbed_file::overview(&loaded.testbed) + &scripted(script);
                     output::print(&format!("{}: {overview}\n", file.display()))?;
+                    let cpus = thread::available_parallelism().ok();
+                    let missing = cpus.and_then(|have| missing_cpus(&loaded.testbed, have.get()));
+                    missing.iter().for_each(|missing| note!("{}: hint: {missing}", file.display()));
                     hints(&loaded.testbed).iter().for_each(|hint| note!("{}: {hint}", file.display()));
                     if let Some(out) = &args.coverage {
                         let shown = coverage::write(&loaded.testbed, out)?;

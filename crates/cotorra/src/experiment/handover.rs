@@ -126,7 +126,7 @@ fn kinds(args: &HandoverArgs) -> (Vec<Kind>, Option<String>) {
     let mut kinds = KINDS.to_vec();
     let needed = wifi_programs().into_iter().chain([simulated_radios()]);
     let lacking = needed.into_iter().find_map(|capability| match capability.state {
-        CapabilityState::Available(_) => None,
+        CapabilityState::Available(_) | CapabilityState::Unknown { .. } => None,
         CapabilityState::Missing { reason, .. } => Some(format!("{}: {reason}", capability.name)),
     });
     let missing = lacking.map(|lacking| {

@@ -5,7 +5,7 @@ use std::{
     fs::{self, OpenOptions},
     io,
     os::{fd::AsFd, unix::net::UnixStream},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
 use cotorra_graph::HostAddress;
@@ -31,6 +31,12 @@ pub struct Capability {
 pub enum CapabilityState {
     /// Available, with details for display, which may be empty.
     Available(String),
+    /// Only using it tells, with what is known for display.
+    Unknown {
+        detail: String,
+        /// Advice to find out.
+        trial: &'static str,
+    },
     Missing {
         reason: String,
         /// Advice to make it available.
@@ -124,12 +130,7 @@ pub fn probe() -> Vec<Capability> {
             "not needed: programs run without limits then; otherwise run as root, or in a delegated group: \
              `systemd-run --user --scope -p Delegate=yes …`",
         ),
-        capability(
-            "container engine",
-            "VNFs from images",
-            container_engine(),
-            "not needed: VNFs run as processes; for images, install podman, or start docker",
-        ),
+        Capability { name: "container engine", purpose: "VNFs from images", state: container_engine() },
     ]
 }
 
@@ -265,17 +266,26 @@ fn may_make_groups_in(group: &Path) -> bool {
     fs::create_dir(&probe).is_ok() && fs::remove_dir(&probe).is_ok()
 }
 
-fn container_engine() -> io::Result<String> {
+/// Looks for engines. Docker's starts containers if it answers. podman's runtime may be unable to, as crun is where control groups
+/// of both versions are mounted, and shows that only when it starts one.
+fn container_engine() -> CapabilityState {
+    let is_served = |socket: &Path| UnixStream::connect(socket).is_ok();
+    const DOCKER: &str = "/run/docker.sock";
+    if is_served(Path::new(DOCKER)) {
+        return CapabilityState::Available(DOCKER.into());
+    }
     let user = env::var_os("XDG_RUNTIME_DIR").map(|dir| Path::new(&dir).join("podman/podman.sock"));
-    let system = ["/run/docker.sock", "/run/podman/podman.sock"].map(PathBuf::from);
-    for socket in user.into_iter().chain(system) {
-        if UnixStream::connect(&socket).is_ok() {
-            return Ok(socket.display().to_string());
-        }
-    }
+    let is_podman_served =
+        user.into_iter().chain(["/run/podman/podman.sock".into()]).any(|socket| is_served(&socket));
     let path = env::var_os("PATH").unwrap_or_default();
-    if env::split_paths(&path).any(|folder| folder.join("podman").is_file()) {
-        return Ok("podman, which a run with images serves itself".to_owned());
+    if is_podman_served || env::split_paths(&path).any(|folder| folder.join("podman").is_file()) {
+        return CapabilityState::Unknown {
+            detail: "podman is here; whether its runtime can start containers shows only when it does".into(),
+            trial: "`podman run --rm IMAGE true`, as the user who runs testbeds, with any image that you have",
+        };
     }
-    Err(io::Error::other("podman is not installed, and no socket of docker answers"))
+    CapabilityState::Missing {
+        reason: "podman is not installed, and no socket of docker answers".into(),
+        remedy: "not needed: VNFs run as processes; for images, install podman, or start docker",
+    }
 }

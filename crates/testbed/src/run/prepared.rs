@@ -1,9 +1,9 @@
 //! The first phase of a run: everything that needs no network. It checks the testbed, makes plug-ins, reserves the API's
 //! address, and opens the folder, recording and history.
 
-use std::sync::Arc;
 #[cfg(feature = "agents")]
 use std::sync::mpsc::Sender;
+use std::{sync::Arc, thread};
 
 use cotorra_graph::Testbed;
 use cotorra_measurements::{History, Recorder, RunId, RunInfo};
@@ -14,6 +14,7 @@ use crate::{agents::AgentEngine, clock::Clock, message::Message};
 use crate::{
     api::{self, Listener},
     confined::Confined,
+    cpus::missing_cpus,
     error::{RunError, system},
     keeping::Keeping,
     options::Options,
@@ -67,6 +68,10 @@ impl Prepared {
         options: Options,
     ) -> Result<(Self, Unstarted), RunError> {
         interface_plans(&testbed, &options.interfaces)?;
+        let cpus = thread::available_parallelism().ok().and_then(|have| missing_cpus(&testbed, have.get()));
+        if let Some(missing) = cpus {
+            tracing::warn!("{missing}");
+        }
         cotorra_datapath::wifi::check(&testbed.graph)?;
         measure_media(&mut testbed.graph).map_err(RealLinkError::from)?;
         #[cfg(feature = "agents")]
