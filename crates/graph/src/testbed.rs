@@ -166,6 +166,9 @@ pub struct PluginSpec {
     /// The one domain that it sees and changes; without one it is the operator's, and sees and changes all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub domain: Option<DomainId>,
+    /// Whether the run's figures stay valid if it is cut off.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub optional: bool,
     /// Variables that a program gets beside the usual ones: `NAME` with its value in cotorra's own environment, or
     /// `NAME=VALUE`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -1349,6 +1349,8 @@ record! {
         env: Vec<Spanned<String>> = [],
         /// Whether it runs by itself. One that does not runs where the setting `plugin=…` chooses it.
         enabled: bool = true,
+        /// Whether the run's figures stay valid if it is cut off, or ends before the run does.
+        optional: bool = false,
         /// Settings of the plug-in.
         settings: serde_json::Map<String, serde_json::Value> = {},
     }

@@ -50,7 +50,7 @@ pub use driver::{CommandError, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use large::{Captured, Content, SensedData};
 pub use lidar::Scan;
-pub use middleware::{MoveError, RobotMiddleware, SensedScan};
+pub use middleware::{MoveError, RobotMiddleware, SensedScan, Walker};
 pub use nonce::Nonces;
 pub use picture::Picture;
 pub use request::{Datagram, Servers};

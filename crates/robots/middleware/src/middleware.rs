@@ -101,6 +101,20 @@ pub struct SensedScan {
     pub scan: Scan,
 }
 
+/// A robot that is not at the end of its walk.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Walker {
+    pub robot: NodeId,
+    /// Index of the next waypoint.
+    pub waypoint: u32,
+    /// Where it is, really, as far as anyone knows.
+    pub position: Position,
+    /// Radio unit that it is attached to.
+    pub radio_unit: Option<NodeId>,
+    /// Whether somebody halted it, or sent it to a goal where it is.
+    pub is_held: bool,
+}
+
 /// The Robot Middleware.
 ///
 /// The time in calls never falls. After any call, poll [`Self::poll_event`] and [`Self::poll_transmit`], and call
@@ -373,6 +387,22 @@ impl RobotMiddleware {
     pub fn finished(&self) -> bool {
         let mut services = self.robots.values().filter_map(|managed| managed.service.as_ref()).peekable();
         services.peek().is_some() && services.all(ServiceEndpoint::is_idle)
+    }
+
+    /// Returns a robot with a walk, unless that is at its end and there is no goal.
+    pub fn walker(&mut self, robot: &NodeId) -> Option<Walker> {
+        let managed = self.robots.get_mut(robot)?;
+        let service = managed.service.as_ref();
+        if service.is_some_and(ServiceEndpoint::is_idle) {
+            return None;
+        }
+        let waypoint = service.map_or(0, ServiceEndpoint::waypoint);
+        let is_held = managed.halted || service.is_some_and(ServiceEndpoint::is_at_goal);
+        let attached = managed.attachments.iter().find(|attachment| attachment.attached);
+        let radio_unit = attached.map(|attachment| attachment.radio_unit.clone());
+        managed.driver.advance(self.now);
+        let pose = managed.driver.truth().unwrap_or_else(|| managed.sensors().pose);
+        Some(Walker { robot: robot.clone(), waypoint, position: pose.position(), radio_unit, is_held })
     }
 
     /// Returns the next deadline: of κ, a position packet, an answer, a scan or a sensor.

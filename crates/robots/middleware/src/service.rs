@@ -101,6 +101,11 @@ impl ServiceEndpoint {
         self.finished() && self.goal.is_none()
     }
 
+    /// Whether a goal has ended, where the robot waits.
+    pub fn is_at_goal(&self) -> bool {
+        self.goal.as_ref().is_some_and(Goal::has_ended)
+    }
+
     /// Sets a goal in place of the walk, or cancels it. Returns the events of the goal before and of the new one.
     pub fn set_goal(
         &mut self,

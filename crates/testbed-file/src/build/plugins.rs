@@ -30,6 +30,7 @@ impl Builder<'_> {
                         id,
                         program,
                         domain: None,
+                        optional: false,
                         env: Vec::new(),
                         settings: serde_json::Map::new(),
                     }
@@ -82,8 +83,8 @@ impl Builder<'_> {
             None => Some(None),
         };
         let env = self.env(&record.env, !matches!(program, Some(PluginProgram::Bundled(_))));
-        let settings = record.settings.clone();
-        Some(PluginSpec { id: id?, program: program?, domain: domain?, env: env?, settings })
+        let (optional, settings) = (record.optional, record.settings.clone());
+        Some(PluginSpec { id: id?, program: program?, domain: domain?, optional, env: env?, settings })
     }
 
     fn bundled(&mut self, name: &Spanned<String>) -> Option<PluginProgram> {
