@@ -60,10 +60,12 @@ Examples:
   cotorra capture lan-cloud -o cloud.pcapng        look into its packets
 
 Exit status:
-  0  done
-  1  an error, reported on standard error
-  2  wrong usage
-  3  the run is done and its report is written, but the figures are not valid";
+  0    done
+  1    an error, reported on standard error, or a record that is not complete
+  2    wrong usage
+  3    the run is done and its report is written, but the figures are not valid
+  5    the run ended because no robot made progress on its walk
+  130  stopped with Ctrl-C before the end";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

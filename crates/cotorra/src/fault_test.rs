@@ -6,7 +6,9 @@ use clap::Args;
 use cotorra_testbed::faults::{Checked, FaultTest, FaultTested, Invariant};
 use miette::IntoDiagnostic;
 
-use crate::{arguments::parse_seed, output, progress::Progress, signals, table::Table, words::count};
+use crate::{
+    arguments::parse_seed, exit::Status, output, progress::Progress, signals, table::Table, words::count,
+};
 
 /// Inject faults into random testbeds in virtual time, and check that every promise holds
 ///
@@ -60,7 +62,7 @@ pub fn fault_test(args: &FaultTestArgs) -> miette::Result<ExitCode> {
     Ok(if !tested.violations.is_empty() {
         ExitCode::FAILURE
     } else if tested.runs < args.runs {
-        ExitCode::from(signals::INTERRUPTED)
+        Status::Interrupted.into()
     } else {
         ExitCode::SUCCESS
     })

@@ -19,7 +19,7 @@ use cotorra_localization::{
 use cotorra_testbed_file::map_server;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::{arguments::parse_seed, output, signals, testbed_file::FileError};
+use crate::{arguments::parse_seed, exit::Status, output, signals, testbed_file::FileError};
 
 /// Localize a robot in a recorded log, by a map
 ///
@@ -198,7 +198,7 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
             output::write_note(format_args!("{summary}"));
         }
     }
-    Ok(if found.len() == scans.len() { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) })
+    Ok(if found.len() == scans.len() { ExitCode::SUCCESS } else { Status::Interrupted.into() })
 }
 
 fn open(path: &Path) -> Result<BufReader<File>, Error> {

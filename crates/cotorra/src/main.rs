@@ -22,6 +22,7 @@ mod doctor;
 mod duration;
 mod edit;
 mod exec;
+mod exit;
 mod experiment;
 mod explanation;
 mod fault_test;

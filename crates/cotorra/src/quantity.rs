@@ -57,6 +57,12 @@ pub fn parse_length(text: &str) -> Result<f64, String> {
     if metres > 0.0 && metres <= 1e4 { Ok(metres) } else { Err("it is above 0 and 10 km at most".to_owned()) }
 }
 
+/// Parses a size of 1 MB or more. Returns it in bytes.
+pub fn parse_size(text: &str) -> Result<u64, String> {
+    let bytes = quantity(text, "2GB", &[("MB", 1e6), ("GB", 1e9), ("TB", 1e12)])?;
+    if bytes >= 1e6 { Ok(bytes as u64) } else { Err("it is 1 MB or more".to_owned()) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -71,6 +77,11 @@ mod tests {
         assert_eq!(parse_rate("20Mbit/s"), Ok(BitRate::from_mbps(20.0).unwrap()));
         for wrong in ["", "10", "ms", "-1ms", "1h", "61min", "1e3ms", "nanms"] {
             assert!(parse_time(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(parse_size("2GB"), Ok(2_000_000_000));
+        assert_eq!(parse_size("1.5 MB"), Ok(1_500_000));
+        for wrong in ["2", "0.5MB", "-1GB", "2GiB"] {
+            assert!(parse_size(wrong).is_err(), "{wrong}");
         }
         assert_eq!(parse_length("2.5 cm"), Ok(0.025));
         assert_eq!(parse_length("30m"), Ok(30.0));

@@ -15,12 +15,14 @@ use miette::IntoDiagnostic;
 use crate::{
     arguments::parse_address,
     browser::Opener,
+    exit::Status,
     history::{HistoryPlace, Source, Span},
     output,
     run::{self, FOXGLOVE},
     signals,
     speed::parse_speed,
     testbed_file::{FileError, recorded},
+    words::count,
 };
 
 /// Play a recorded run through the HTTP API, so that a plug-in can be developed against it
@@ -39,7 +41,10 @@ Examples:
   cotorra replay latest --foxglove
   cotorra replay latest --speed max --bundled okpi > decisions.jsonl
   cotorra replay latest --speed max > decisions.jsonl &
-  COTORRA_API=http://127.0.0.1:7700 COTORRA_PLUGIN=mine python3 examples/strongest_signal.py")]
+  COTORRA_API=http://127.0.0.1:7700 COTORRA_PLUGIN=mine python3 examples/strongest_signal.py
+
+Exit status: 0 all was played, 1 error, 2 wrong usage, 3 a plug-in was cut off or all left before the end, 130 stopped with
+Ctrl-C.")]
 pub struct ReplayArgs {
     /// The folder of a run, `latest`, or the number of a run in the history that --history names
     pub run: String,
@@ -107,7 +112,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
         note!("Foxglove on ws://{foxglove}");
     }
     let bar = ProgressBar::new_spinner();
-    let mut printed = Ok(());
+    let (mut printed, mut cut_off) = (Ok(()), 0);
     let end = replay.play(|played| {
         match played {
             Played::Time(now) => {
@@ -115,6 +120,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
                 bar.tick();
             }
             Played::Refused(event) | Played::CutOff(event) => {
+                cut_off += usize::from(matches!(played, Played::CutOff(_)));
                 let json = serde_json::to_string(event).expect("an event holds only what JSON can");
                 printed = bar.suspend(|| output::print(&(json + "\n")));
             }
@@ -124,11 +130,15 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     bar.finish_and_clear();
     let end = end.into_diagnostic()?;
     printed?;
-    let (reason, code) = match end {
-        ReplayEnd::Played => ("all was played", ExitCode::SUCCESS),
-        ReplayEnd::Alone => ("no plug-in follows any more", ExitCode::SUCCESS),
-        ReplayEnd::Stopped => ("it was stopped", ExitCode::from(signals::INTERRUPTED)),
+    let (reason, status) = match end {
+        ReplayEnd::Played => ("all was played", Status::Done),
+        ReplayEnd::Alone => ("no plug-in follows any more, so the rest was not played", Status::NotValid),
+        ReplayEnd::Stopped => ("it was stopped", Status::Interrupted),
     };
     note!("the replay is over: {reason}");
-    Ok(code)
+    if cut_off > 0 {
+        note!("{} cut off: the decisions are not all that it would have made", count(cut_off, "plug-in"));
+        return Ok(status.max(Status::NotValid).into());
+    }
+    Ok(status.into())
 }

@@ -8,8 +8,7 @@ use std::{
     },
 };
 
-/// Exit status of a program that was ended by Ctrl-C, as shells have it.
-pub const INTERRUPTED: u8 = 130;
+use crate::exit::Status;
 
 /// Signals cannot be listened to.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -24,7 +23,7 @@ pub fn listen() -> Result<mpsc::Receiver<()>, SignalsError> {
     let interrupted = AtomicBool::new(false);
     ctrlc::set_handler(move || {
         if interrupted.swap(true, Ordering::Relaxed) || sender.send(()).is_err() {
-            process::exit(INTERRUPTED.into());
+            process::exit(Status::Interrupted.number().into());
         }
     })
     .map_err(SignalsError)?;

@@ -12,11 +12,14 @@ use std::{
 use cotorra_engine::Engine;
 use cotorra_graph::{
     Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId, Stamped,
-    Testbed, Timestamp, VnfId,
+    Testbed, Timestamp, VnfEvent, VnfId, VnfState,
 };
 use cotorra_ledger::tunnel::TunnelId;
 use cotorra_localization::trajectory::Errors;
-use cotorra_network_control::{InstructionError, Network, NetworkControl, NetworkGone, vim::Managed};
+use cotorra_network_control::{
+    InstructionError, Network, NetworkControl, NetworkGone,
+    vim::{Managed, Stage},
+};
 use cotorra_plugin::wire::Answer;
 use cotorra_robot_middleware::{
     Datagram, Nonces, RobotDriver, RobotMiddleware, SensedData, SensedScan, Servers, SimulatedRobot,
@@ -29,6 +32,7 @@ use crate::{
     domain::Domains,
     images::{self, Image},
     plugins::host::{Controlled, Fault},
+    progress::Progress,
     robots::RobotError,
     script::{Change, Script},
     trips::Trips,
@@ -76,6 +80,9 @@ pub(crate) struct Core<N, E> {
     stale_servers: bool,
     /// Whether all VNFs have served. Robots stand still until then.
     begun: bool,
+    /// Whether a VNF could not start, or ended by itself, before all have served.
+    has_failed_start: bool,
+    progress: Progress,
 }
 
 impl<N: Network, E: Engine> Core<N, E> {
@@ -120,6 +127,8 @@ impl<N: Network, E: Engine> Core<N, E> {
             remaps: false,
             stale_servers: true,
             begun: false,
+            has_failed_start: false,
+            progress: Progress::default(),
         })
     }
 
@@ -138,6 +147,10 @@ impl<N: Network, E: Engine> Core<N, E> {
     pub(crate) fn advance(&mut self, now: Timestamp) -> Result<(), NetworkGone> {
         let events = self.control.poll(now)?;
         self.stale_servers |= !events.is_empty();
+        let is_failure = |event: &Event| {
+            matches!(event, Event::Vnf(VnfEvent { state: VnfState::Died | VnfState::Failed, .. }))
+        };
+        self.has_failed_start |= !self.begun && events.iter().any(is_failure);
         self.report(now, events);
         if std::mem::take(&mut self.remaps) {
             let events = self.control.remap()?;
@@ -146,7 +159,10 @@ impl<N: Network, E: Engine> Core<N, E> {
         while let Some(change) = self.script.poll(now) {
             self.change(now, change);
         }
-        self.begun |= self.control.all_ready();
+        if !self.begun && self.control.all_ready() {
+            self.begun = true;
+            self.progress.excuse(now);
+        }
         if self.begun {
             if now >= self.next_context {
                 self.next_context = now + CONTEXT;
@@ -160,10 +176,22 @@ impl<N: Network, E: Engine> Core<N, E> {
         }
         if now >= self.next_observation {
             self.next_observation = now + OBSERVATION;
+            self.note_progress(now);
             let events = self.control.observe()?;
             self.report(now, events);
         }
         Ok(())
+    }
+
+    /// Notes where robots on walks are.
+    fn note_progress(&mut self, now: Timestamp) {
+        let walks = self.testbed.walks.iter();
+        let walkers = walks.filter_map(|walk| self.middleware.walker(&walk.robot)).collect();
+        self.progress.note(now, walkers);
+        if self.script.next_deadline().is_some() {
+            // The next change may be what robots wait for.
+            self.progress.excuse(now);
+        }
     }
 
     /// Applies a scripted change.
@@ -320,6 +348,27 @@ impl<N: Network, E: Engine> Core<N, E> {
         self.middleware.finished()
     }
 
+    /// Whether no robot has made progress on its walk for 60 s; false without walks.
+    pub(crate) fn is_stuck(&self, now: Timestamp) -> bool {
+        let starting = !self.begun && !self.has_failed_start;
+        !self.testbed.walks.is_empty() && self.progress.is_over(now, starting)
+    }
+
+    /// Describes where robots stand that do not walk on, and what they wait for.
+    pub(crate) fn stand(&self) -> String {
+        let waypoints = |robot: &NodeId| self.testbed.walk(robot).map_or(0, |walk| walk.waypoints.len());
+        let stand = self.progress.describe(waypoints);
+        let serves =
+            |replica: &Managed<'_>| replica.instances.iter().any(|(.., stage)| *stage == Stage::Serving);
+        let mut absent = self.control.managed().filter(|replica| !self.begun && !serves(replica));
+        match absent.next() {
+            None => stand,
+            Some(Managed { vnf, .. }) => {
+                format!("the robots wait for the VNF `{}`, which does not serve: {stand}", vnf.id)
+            }
+        }
+    }
+
     /// Returns the next event, oldest first.
     pub(crate) fn poll_event(&mut self) -> Option<Stamped> {
         self.events.pop_front().or_else(|| self.middleware.poll_event())
@@ -401,6 +450,10 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
                 border::instruct(self.border.as_mut(), now, &instruction, &mut self.control)
             }
         };
+        if done.is_ok() && matches!(instruction, Instruction::Deploy { .. } | Instruction::Provision { .. }) {
+            // Robots may wait for an access point.
+            self.progress.excuse(now);
+        }
         let refused = done.as_ref().err().map(ToString::to_string);
         let instruction = instruction.public();
         let decision = Event::Decision(Decision { plugin, instruction, reason, refused });

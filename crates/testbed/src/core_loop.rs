@@ -18,6 +18,7 @@ use tokio::sync::broadcast;
 use crate::{
     clock::Clock,
     core::Core,
+    history_bound::HistoryBound,
     images::ImageSender,
     keeping::Keeper,
     live::Live,
@@ -65,6 +66,7 @@ pub(crate) struct CoreLoop<N, E> {
     pub(crate) images: Option<ImageSender>,
     pub(crate) now: Clock,
     pub(crate) until: Option<Timestamp>,
+    pub(crate) history: HistoryBound,
 }
 
 impl<N: Network, E: Engine> CoreLoop<N, E> {
@@ -78,6 +80,13 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             }
             if self.core.is_finished() {
                 break End::Walked;
+            }
+            if self.until.is_none() && self.core.is_stuck(now) {
+                self.sinks.report.stuck(self.core.stand());
+                break End::NoProgress;
+            }
+            if self.history.is_full(now) {
+                break End::HistoryFull;
             }
             if self.core.advance(now).is_err() {
                 break End::Broken;
@@ -97,11 +106,16 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             }
         };
         let now = (self.now)();
+        if end != End::Stopped {
+            // A plug-in that ended since the last check ended before the run did.
+            self.sinks.plugins.check(now, &mut self.core);
+        }
         self.core.shut_down(now);
         self.publish();
         for event in self.images.take().into_iter().flat_map(|sender| sender.remarks()) {
             self.sinks.publish(Stamped { at: now, event });
         }
+        self.sinks.report.missed(self.sinks.plugins.missed());
         self.sinks.report.localized(self.core.localization_errors());
         (self.sinks.report, now, end)
     }

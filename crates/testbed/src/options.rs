@@ -8,7 +8,9 @@ use cotorra_netem::Confirmed;
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::Wanted;
 
-use crate::{api::Tokens, capture::CapturePlan, previous_run::PreviousRun, report::Place};
+use crate::{
+    api::Tokens, capture::CapturePlan, history_bound::HistoryLimit, previous_run::PreviousRun, report::Place,
+};
 
 /// Options of a run.
 #[derive(Debug, Clone, Default)]
@@ -31,6 +33,8 @@ pub struct Options {
     pub wais_callbacks: Vec<IpNetwork>,
     /// Replaces `history.sqlite` in the run's folder as the history.
     pub history: Option<Location>,
+    /// Largest size of a history in a file, after which the run ends.
+    pub history_limit: HistoryLimit,
     /// Changes to interfaces of this machine that the user confirmed, although they may do harm.
     pub interfaces: Confirmed,
     /// Recording and live viewers, beside the history.

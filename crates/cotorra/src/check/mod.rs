@@ -3,7 +3,10 @@
 
 mod coverage;
 mod extent;
+mod start;
 mod walls;
+
+pub use start::hints as start_hints;
 
 use std::{path::PathBuf, process::ExitCode, thread, time::Duration};
 
@@ -81,7 +84,8 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
                     let cpus = thread::available_parallelism().ok();
                     let missing = cpus.and_then(|have| missing_cpus(&loaded.testbed, have.get()));
                     missing.iter().for_each(|missing| note!("{}: hint: {missing}", file.display()));
-                    hints(&loaded.testbed).iter().for_each(|hint| note!("{}: {hint}", file.display()));
+                    let hints = hints(&loaded.testbed).into_iter().chain(start_hints(&loaded.testbed));
+                    hints.for_each(|hint| note!("{}: {hint}", file.display()));
                     if let Some(out) = &args.coverage {
                         let shown = coverage::write(&loaded.testbed, out)?;
                         output::print(&format!("{}: {shown}\n", out.display()))?;

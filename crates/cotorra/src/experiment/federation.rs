@@ -19,8 +19,10 @@ use cotorra_testbed_file::Setting;
 use super::{
     args::{FederationArgs, LedgerArgs, LedgerNode},
     folder::withdraw,
+    tell_faults,
 };
 use crate::{
+    exit::Status,
     output,
     run::{self, Stage},
     testbed_file::{self, Loaded},
@@ -90,7 +92,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-federation").map_err(Error::from)?;
     // A run that fails or is stopped does not affect the results of the others.
-    let (mut runs, mut failed, mut invalid) = (Vec::new(), Vec::new(), None);
+    let (mut runs, mut failed, mut worst) = (Vec::new(), Vec::new(), Status::Done);
     for (number, plan) in planned.iter().enumerate() {
         let name = format!("{number:03}-{}s", plan.block_period.as_secs_f64());
         let options = Options {
@@ -115,6 +117,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             if runs.is_empty() {
                 return Err(Error::Stopped { folder: at }.into());
             }
+            worst = worst.max(Status::Interrupted);
             break;
         }
         let testbed = &plan.loaded.testbed;
@@ -127,9 +130,8 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             Ok(run) => runs.push(run),
             Err(source) => failed.push((at, source)),
         }
-        if !finished.summary.fidelity.valid {
-            invalid = Some(finished.summary);
-        }
+        tell_faults(&name, &finished);
+        worst = worst.max(Status::of_run(&finished));
     }
     if runs.is_empty()
         && let Some((folder, source)) = failed.pop()
@@ -148,8 +150,8 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
         text += &format!("NOT COUNTED: {folder}: {source}\n");
     }
     output::print(&text)?;
-    let invalid = invalid.map_or(ExitCode::SUCCESS, |summary| run::verdict(&summary));
-    Ok(if failed.is_empty() { invalid } else { ExitCode::from(run::NOT_VALID) })
+    let counted = if failed.is_empty() { Status::Done } else { Status::NotValid };
+    Ok(worst.max(counted).into())
 }
 
 /// Returns the ledger, and the block periods to run on it.

@@ -22,8 +22,10 @@ use cotorra_testbed_file::Setting;
 use super::{
     args::{HAS_AGENTS, HandoverArgs},
     folder::withdraw,
+    tell_faults,
 };
 use crate::{
+    exit::Status,
     output,
     run::{self, Stage},
     testbed_file::{self, FileError, Loaded},
@@ -84,7 +86,7 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
     let stage = Stage::set(args.walks.headless, args.walks.verbose, is_real)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-handover").map_err(Error::from)?;
     earlier.retain(|walked| kinds.iter().all(|kind| kind.name != walked.kind));
-    let (mut walks, mut invalid) = (earlier, None);
+    let (mut walks, mut worst) = (earlier, Status::Done);
     let mut done = 0;
     for plan in &planned {
         let finished = walk(args, &stage, &folder, &known, plan).inspect_err(|_| withdraw(&folder))?;
@@ -98,9 +100,8 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
         done += 1;
         // So that a walk that is done is not lost with a later one.
         Comparison::of(walks.clone(), first.seed).write(&folder).map_err(Error::from)?;
-        if !finished.summary.fidelity.valid {
-            invalid = Some(finished.summary);
-        }
+        tell_faults(&plan.name(), &finished);
+        worst = worst.max(Status::of_run(&finished));
     }
     let comparison = Comparison::of(walks, first.seed);
     comparison.write(&folder).map_err(Error::from)?;
@@ -115,7 +116,10 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
         text += &format!("STOPPED after {done} of {}\n", count(planned.len(), "walk"));
     }
     output::print(&text)?;
-    Ok(invalid.map_or(ExitCode::SUCCESS, |summary| run::verdict(&summary)))
+    if done < planned.len() {
+        worst = worst.max(Status::Interrupted);
+    }
+    Ok(worst.into())
 }
 
 /// Returns the kinds of radio to walk on, and what is said about those that this machine or the file lacks.
@@ -213,7 +217,7 @@ fn walk(
 fn measure(plan: &Planned, finished: &Finished) -> Result<Walked, Error> {
     let recorded = Recorded::of_folder(&finished.folder)?;
     let history = History::open(&recorded.history)?;
-    let of_run = (plan.seed, finished.summary.fidelity.valid);
+    let of_run = (plan.seed, finished.summary.is_valid());
     Ok(Walked::read(&history, finished.run, &plan.loaded.testbed, (plan.kind, plan.walk), of_run)?)
 }
 

@@ -19,6 +19,7 @@ use super::{
     folder::withdraw,
 };
 use crate::{
+    exit::Status,
     history, output,
     run::{self, Stage},
     testbed_file::{self, Loaded},
@@ -111,8 +112,8 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     });
     let done: Vec<_> = compared.chain(on_fitted).collect();
     output::print(&describe(&comparison, &how, &done, &files, history.as_ref()))?;
-    let invalid = done.iter().map(|done| done.walk).find(|walk| !walk.summary.fidelity.valid);
-    Ok(run::verdict(&invalid.unwrap_or(okpi).summary))
+    let worst = done.iter().map(|done| Status::of_run(done.walk)).max();
+    Ok(worst.unwrap_or(Status::Done).into())
 }
 
 /// What all walks have in common.
@@ -212,9 +213,16 @@ fn describe(
 ) -> String {
     let mut text = comparison.to_markdown(how) + "\n";
     for Done { name, walk: Finished { summary, .. }, .. } in walks {
-        let verdict = if summary.fidelity.valid { "valid" } else { "NOT VALID" };
         let samples = count(summary.samples, "sample");
-        text += &format!("{name}: {samples}, {verdict}: {}\n", summary.fidelity.reason);
+        text += &match &summary.void[..] {
+            [] => format!("{name}: {samples}, valid: {}\n", summary.fidelity.reason),
+            void => format!("{name}: {samples}, NOT VALID: {}\n", void.join("; ")),
+        };
+        text += &summary
+            .no_progress
+            .iter()
+            .map(|stand| format!("{name}: {}: {stand}\n", summary.ended))
+            .collect::<String>();
     }
     let folders: Vec<_> = walks.iter().map(|done| format!("{}/", done.folder)).collect();
     text += &format!("\n{files}  {}\n", folders.join("  "));

@@ -15,7 +15,7 @@ use cotorra_testbed::FolderError;
 
 pub use self::args::MarginArgs;
 use self::args::WhichDecision;
-use crate::{output, progress::Progress, signals, testbed_file};
+use crate::{exit::Status, output, progress::Progress, signals, testbed_file};
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
@@ -111,7 +111,7 @@ fn open(args: &MarginArgs, place: &Path) -> Result<(std::sync::mpsc::Receiver<()
 }
 
 fn exit(is_complete: bool) -> ExitCode {
-    if is_complete { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) }
+    if is_complete { ExitCode::SUCCESS } else { Status::Interrupted.into() }
 }
 
 /// Names the folder of the results before they are there.

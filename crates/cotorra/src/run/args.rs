@@ -4,7 +4,7 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use clap::Args;
 use cotorra_graph::IpNetwork;
-use cotorra_testbed::{CapturePlan, Speed};
+use cotorra_testbed::{CapturePlan, HistoryLimit, Speed};
 use cotorra_testbed_file::Setting;
 
 #[cfg(feature = "agents")]
@@ -14,6 +14,7 @@ use crate::{
     duration::parse_duration,
     figures::FigureArgs,
     history::{HISTORY_VARIABLE, Place},
+    quantity::parse_size,
     speed::parse_speed,
 };
 
@@ -50,7 +51,8 @@ Examples:
   COTORRA_HISTORY_PASSWORD=secret cotorra run testbeds/corridor.yaml --history mysql://ana@db.lab/cotorra
   COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
 
-Exit status: 0 done, 1 error or incomplete record, 2 wrong usage, 3 done but the figures are not valid.")]
+Exit status: 0 done, 1 error or incomplete record, 2 wrong usage, 3 done but the figures are not valid, 5 ended because no
+robot made progress.")]
 pub struct RunArgs {
     /// The testbed file
     pub file: PathBuf,
@@ -76,6 +78,9 @@ pub struct RunArgs {
     /// with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
+    /// End the run in order when its history has grown by this, as in 2GB; a history on a server has no such limit
+    #[arg(long, value_name = "SIZE", default_value_t, value_parser = parse_history_limit)]
+    pub history_limit: HistoryLimit,
     /// Continue after a run of the same testbed, such as one that was killed: its folder, `latest`, or its number in
     /// --history
     ///
@@ -170,6 +175,11 @@ impl RunArgs {
     pub fn watched(&self) -> Option<Speed> {
         self.speed.or(self.open.then_some(Speed::Times(1.0)))
     }
+}
+
+/// Parses the largest size of a history.
+fn parse_history_limit(text: &str) -> Result<HistoryLimit, String> {
+    parse_size(text).map(HistoryLimit::of_bytes)
 }
 
 /// Parses the name of a recording.

@@ -20,13 +20,15 @@ use cotorra_netem::{Confirmed, HoldError};
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{
-    CannotGoOn, Finished, Options, Place, PreviousRun, RealLinkError, Run, RunError, Speed, Summary, Token,
-    Tokens, TokensError, Watched, interface_plans, simulate_watched,
+    CannotGoOn, Finished, Options, Place, PreviousRun, RealLinkError, Run, RunError, Speed, Token, Tokens,
+    TokensError, Watched, interface_plans, simulate_watched,
 };
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
     browser::Opener,
+    check,
+    exit::Status,
     history::{self, HistoryPlace, Source},
     logs::{self, LogFile},
     output,
@@ -39,8 +41,9 @@ use view::{Places, View};
 
 /// Refresh interval of the view. It misses no service time as long as robots send position packets less often.
 const REFRESH: Duration = Duration::from_millis(25);
-/// Exit status of a run whose figures are not valid.
-pub const NOT_VALID: u8 = 3;
+
+/// Virtual time of the first plain line. Each further one comes after twice the time.
+const FIRST_LINE: Duration = Duration::from_secs(60);
 
 /// The environment variable with the tokens of domains.
 const DOMAIN_TOKENS_VARIABLE: &str = "COTORRA_DOMAIN_TOKENS";
@@ -108,6 +111,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         wais_callbacks: args.wais_callbacks.clone(),
         interfaces: Confirmed { replace: args.replace, interfaces: args.allow_interface.clone() },
         history: history.clone(),
+        history_limit: args.history_limit,
         recording: recording(&args),
         captures: args.captures.clone(),
         after: None,
@@ -125,6 +129,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         output::print(&plan::describe(&loaded.testbed, &args, history.as_ref(), &interfaces))?;
         return Ok(ExitCode::SUCCESS);
     }
+    check::start_hints(&loaded.testbed).iter().for_each(|hint| note!("{hint}"));
     let opener = Opener::prepare(args.open)?;
     let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;
     // Only now, because a history may have threads, and the stage must be set by a process with a single one.
@@ -141,7 +146,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         finished.write_figure(format).map_err(|error| Error::from(RunError::from(error)))?;
     }
     output::print(&summary::describe(&finished, history.as_ref()))?;
-    Ok(if finished.unrecorded.is_empty() { verdict(&finished.summary) } else { ExitCode::FAILURE })
+    Ok(Status::of_run(&finished).into())
 }
 
 /// Reads the run that --after names: the steps that it noted, and where its robots stood. They start there.
@@ -218,7 +223,7 @@ impl Stage {
         let finished = run.finish().map_err(Error::from);
         view.close();
         let finished = finished?;
-        tracing::info!(ended = finished.summary.ended, valid = finished.summary.fidelity.valid, "over");
+        tracing::info!(ended = finished.summary.ended, valid = finished.summary.is_valid(), "over");
         Ok(finished)
     }
 
@@ -256,7 +261,14 @@ impl Stage {
         run: impl FnOnce(&ProgressBar, &mut dyn FnMut(Timestamp) -> bool) -> Result<Finished, RunError>,
     ) -> miette::Result<Finished> {
         let spinner = self.terminal.add(ProgressBar::new_spinner().with_prefix(prefix.to_owned()));
+        let mut next_line = FIRST_LINE;
         let finished = run(&spinner, &mut |now| {
+            if self.terminal.is_hidden() && now >= Timestamp::ZERO + next_line {
+                note!("{prefix}{:.0} s of virtual time", now.as_secs_f64());
+                while now >= Timestamp::ZERO + next_line {
+                    next_line *= 2;
+                }
+            }
             spinner.set_message(format!("{prefix}{:.0} s of virtual time", now.as_secs_f64()));
             spinner.tick();
             self.interrupts.try_recv().is_err()
@@ -300,9 +312,4 @@ fn watch(run: &Run, view: &mut View<'_>, interrupts: &mpsc::Receiver<()>) {
             Err(RecvTimeoutError::Disconnected) => return,
         }
     }
-}
-
-/// Returns the exit status after a run.
-pub fn verdict(summary: &Summary) -> ExitCode {
-    if summary.fidelity.valid { ExitCode::SUCCESS } else { ExitCode::from(NOT_VALID) }
 }

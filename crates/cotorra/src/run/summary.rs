@@ -29,6 +29,12 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         clock(summary.duration_ms / 1e3),
         summary.ended,
     );
+    for reason in &summary.void {
+        text += &wrap(&format!("{}: {reason}", style("NOT VALID").red().bold()), "  ", columns());
+    }
+    if let Some(stand) = &summary.no_progress {
+        text += &wrap(&format!("{}: {stand}", style("NO PROGRESS").red().bold()), "  ", columns());
+    }
     let verdicts = verdicts(&summary.services, &summary.time_parts);
     if !verdicts.is_empty() {
         text += "\n";

@@ -20,6 +20,7 @@ use job_file::{Job, Scheduler};
 use trial::Trial;
 
 use crate::{
+    exit::Status,
     output,
     progress::Progress,
     signals,
@@ -126,7 +127,7 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path) -> miette::Result<ExitCode
             output::print(&results::describe(&runs, stopped, folder.path(), &args.figure))?;
         }
     }
-    Ok(if whole { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) })
+    Ok(if whole { ExitCode::SUCCESS } else { Status::Interrupted.into() })
 }
 
 fn jobs(args: &SweepArgs) -> NonZero<usize> {

@@ -46,6 +46,7 @@ mod netem_at_agents;
 mod netem_links;
 mod new;
 mod one_robot;
+mod outcome;
 mod plugin;
 mod real_servers;
 mod recording;

@@ -173,10 +173,7 @@ impl ExternalPlugins {
                 continue;
             }
             stage.host().forget_gone();
-            let ended = self.processes.iter_mut().filter_map(|(id, p)| Some((id.clone(), p.fault()?)));
-            for (id, fault) in ended.collect::<Vec<_>>() {
-                self.cut_off(&id, &fault, stage);
-            }
+            self.cut_off_ended(stage);
             let host = stage.host();
             if host.is_busy(program) && (self.wall)().since(heard) > host.patience() {
                 let fault = host.silence(program);
@@ -187,6 +184,14 @@ impl ExternalPlugins {
             }
         }
         true
+    }
+
+    /// Cuts off programs that have ended.
+    pub(crate) fn cut_off_ended(&mut self, stage: &mut impl Stage) {
+        let ended = self.processes.iter_mut().filter_map(|(id, p)| Some((id.clone(), p.fault()?)));
+        for (id, fault) in ended.collect::<Vec<_>>() {
+            self.cut_off(&id, &fault, stage);
+        }
     }
 
     /// Handles a message. Returns the plug-in that sent it.

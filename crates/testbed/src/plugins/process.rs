@@ -2,6 +2,7 @@
 
 use std::{
     fs::File,
+    os::unix::process::ExitStatusExt as _,
     path::Path,
     process::{Child, Stdio},
 };
@@ -12,8 +13,15 @@ use cotorra_graph::PluginSpec;
 use super::{error::PluginError, host::Fault, programs::program};
 use crate::api::{Server, Token};
 
+/// The signal of Ctrl-C.
+const INTERRUPT: i32 = 2;
+
 /// The running program of a plug-in. It is killed when this is dropped, or when this process is killed.
-pub(super) struct Process(Child);
+pub(super) struct Process {
+    child: Child,
+    /// Whether it was seen to have ended by Ctrl-C.
+    is_interrupted: bool,
+}
 
 impl Process {
     /// Starts the program in the testbed file's folder.
@@ -42,16 +50,20 @@ impl Process {
                 .stderr(log)
                 .spawn()
         };
-        start().map(Self).map_err(|source| PluginError::Start {
+        start().map(|child| Self { child, is_interrupted: false }).map_err(|source| PluginError::Start {
             plugin: spec.id.clone(),
             program: program.clone(),
             source,
         })
     }
 
-    /// Returns the fault if the process does not run any more.
+    /// Returns the fault if the process does not run any more. Ctrl-C in a terminal also ends the run: it is a fault only if the
+    /// run still goes on at the next call.
     pub(super) fn fault(&mut self) -> Option<Fault> {
-        match self.0.try_wait() {
+        match self.child.try_wait() {
+            Ok(Some(status)) if status.signal() == Some(INTERRUPT) => {
+                std::mem::replace(&mut self.is_interrupted, true).then_some(Fault::Ended(status))
+            }
             Ok(status) => status.map(Fault::Ended),
             Err(error) => Some(Fault::Lost(error)),
         }
@@ -60,7 +72,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }

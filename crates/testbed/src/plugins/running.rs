@@ -165,6 +165,11 @@ impl RunningPlugins {
         }
     }
 
+    /// Returns the number of events that plug-ins in process missed because they were too far behind.
+    pub(crate) fn missed(&self) -> u64 {
+        self.missed
+    }
+
     /// Applies an instruction, if it is admitted.
     pub(crate) fn instruct(
         &mut self,

@@ -171,7 +171,8 @@ impl Misdeed {
             keeper: None,
         };
         let (sockets, until) = (BTreeMap::new(), None);
-        let core = CoreLoop { core, sinks, inbox, sockets, images: None, now, until };
+        let core =
+            CoreLoop { core, sinks, inbox, sockets, images: None, now, until, history: Default::default() };
         let core = thread::spawn(move || core.run());
         let (mut recorded, mut is_cut_off) = (Vec::new(), false);
         loop {

@@ -7,6 +7,10 @@ pub(crate) enum End {
     Walked,
     /// The requested duration is over.
     Until,
+    /// No robot made progress on its walk.
+    NoProgress,
+    /// The history reached its limit.
+    HistoryFull,
     /// A user stopped it.
     Stopped,
     /// The emulated network is gone.
@@ -19,6 +23,8 @@ impl End {
         match self {
             Self::Walked => "every walk is done",
             Self::Until => "the time that was asked for is over",
+            Self::NoProgress => "no robot made progress for 60 s",
+            Self::HistoryFull => "the history reached its limit",
             Self::Stopped => "it was stopped",
             Self::Broken => "the emulated network failed",
         }

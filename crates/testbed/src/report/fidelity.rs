@@ -1,15 +1,7 @@
 //! Judges whether a run's emulation did what the testbed file demands.
 
-use std::{
-    fs::File,
-    io::{self, Read as _},
-    path::Path,
-};
-
 use cotorra_graph::Lateness;
 use serde::{Deserialize, Serialize};
-
-use super::run_folder::SUMMARY;
 
 /// Highest trusted lateness at the 99th percentile, µs.
 pub(super) const VALID_P99_US: f64 = 1000.0;
@@ -59,24 +51,7 @@ pub(super) enum MeasuredFrames {
     Probes,
 }
 
-/// Size of the longest `summary.json` that is read, bytes.
-const LONGEST_SUMMARY: u64 = 64 << 20;
-
 impl Fidelity {
-    /// Reads the verdict on a run from its folder.
-    ///
-    /// # Errors
-    /// That of the system, if the folder has no `summary.json`; `InvalidData` if the file holds no verdict.
-    pub(crate) fn of_folder(folder: &Path) -> io::Result<Self> {
-        #[derive(Deserialize)]
-        struct Summary {
-            fidelity: Fidelity,
-        }
-        let file = File::open(folder.join(SUMMARY))?.take(LONGEST_SUMMARY);
-        let summary: Summary = serde_json::from_reader(io::BufReader::new(file))?;
-        Ok(summary.fidelity)
-    }
-
     /// Judges the frames of a run. Without any, it is valid only if `is_idle`, i.e. nothing that it measures needs one.
     pub(super) fn of(
         measured_frames: MeasuredFrames,

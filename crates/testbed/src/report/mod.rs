@@ -14,6 +14,7 @@ mod summary;
 mod table;
 mod time_parts;
 mod times;
+mod void;
 
 pub(crate) use end::End;
 pub use fidelity::{Fidelity, LatenessSummary};

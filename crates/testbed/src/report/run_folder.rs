@@ -106,7 +106,8 @@ pub fn write_figure(
     summary: &Summary,
     format: Format,
 ) -> Result<(), FolderError> {
-    let title = format!("{}: service time and attachment", summary.name);
+    let mark = if summary.is_valid() { "" } else { "NOT VALID: " };
+    let title = format!("{mark}{}: service time and attachment", summary.name);
     let scene = draw(&title, report).draw();
     write_file(folder, &format!("service_time.{format}"), scene.render(format))
 }

@@ -19,6 +19,7 @@ use super::{
     samples::Samples,
     time_parts::{ServiceParts, TimePartsReport},
     times::{Quantiles, Times},
+    void::Doubts,
 };
 
 /// Maximum number of notices.
@@ -37,6 +38,10 @@ pub struct Summary {
     pub duration_ms: f64,
     /// Reason for the end.
     pub ended: &'static str,
+    /// Where the robots stood, if none of them made progress any more.
+    pub no_progress: Option<String>,
+    /// Reasons for which the figures are not valid; none if they are.
+    pub void: Vec<String>,
     /// Number of service times, unanswered ones included.
     pub samples: usize,
     /// Number of service times without an answer within the robot's command timeout.
@@ -69,7 +74,7 @@ pub struct Summary {
     pub localization: Vec<LocalizationSummary>,
     /// Distances of each robot that is navigated along a walk.
     pub driving: Vec<DrivingSummary>,
-    /// Plug-ins that were cut off, each with the reason.
+    /// Plug-ins that were cut off, each with the reason. Of optional ones, there is a notice.
     pub plugin_faults: Vec<String>,
     /// The first hundred notices.
     pub notices: Vec<String>,
@@ -192,6 +197,28 @@ impl Summary {
     pub fn is_walked(&self) -> bool {
         self.ended == End::Walked.as_str()
     }
+
+    /// Whether the run ended because no robot made progress on its walk.
+    pub fn is_stuck(&self) -> bool {
+        self.ended == End::NoProgress.as_str()
+    }
+
+    /// Whether the run ended because its history reached its limit.
+    pub fn is_cut_short(&self) -> bool {
+        self.ended == End::HistoryFull.as_str()
+    }
+
+    /// Whether the figures are valid: the emulation did what the testbed file demands, and everything that takes part did.
+    pub fn is_valid(&self) -> bool {
+        self.void.is_empty()
+    }
+
+    /// Returns the verdict as notices at the end of the run, for its history.
+    pub(crate) fn last_words(&self, end: Timestamp) -> impl Iterator<Item = Stamped> {
+        let stuck = self.no_progress.iter().map(|stand| format!("{}: {stand}", self.ended));
+        let void = self.void.iter().map(|reason| format!("the figures are not valid: {reason}"));
+        stuck.chain(void).map(move |message| Stamped { at: end, event: Event::Notice { message } })
+    }
 }
 
 /// Unintentional losses.
@@ -235,6 +262,8 @@ pub struct Report {
     gateways: Vec<GatewaySummary>,
     faults: Vec<String>,
     notices: Vec<String>,
+    doubts: Doubts,
+    no_progress: Option<String>,
     localization: Vec<LocalizationSummary>,
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
@@ -283,6 +312,8 @@ impl Report {
             gateways: Vec::new(),
             faults: Vec::new(),
             notices: Vec::new(),
+            doubts: Doubts::new(testbed),
+            no_progress: None,
             localization: Vec::new(),
             pose_source: None,
             robots: testbed
@@ -303,6 +334,11 @@ impl Report {
         Ok(Self { samples, ..self })
     }
 
+    /// Expects nothing of programs, which do not run in virtual time.
+    pub(crate) fn in_virtual_time(self, testbed: &Testbed) -> Self {
+        Self { doubts: self.doubts.in_virtual_time(testbed), ..self }
+    }
+
     /// Marks the kernel as the carrier of frames; lateness is then that of probes.
     pub(crate) fn by_the_kernel(self) -> Self {
         Self { measured_frames: MeasuredFrames::Probes, ..self }
@@ -311,6 +347,7 @@ impl Report {
     /// Adds an event.
     pub fn absorb(&mut self, stamped: &Stamped) {
         self.driving.absorb(stamped);
+        self.notices.extend(self.doubts.absorb(stamped));
         let Stamped { at, event } = stamped;
         match event {
             Event::ServiceTime(sample) => {
@@ -355,7 +392,9 @@ impl Report {
             Event::Notice { message } if self.notices.len() < MOST_NOTICES => {
                 self.notices.push(message.clone())
             }
-            Event::PluginFault { plugin, reason } => self.faults.push(format!("{plugin}: {reason}")),
+            Event::PluginFault { plugin, reason } if !self.doubts.is_optional(plugin) => {
+                self.faults.push(format!("{plugin}: {reason}"))
+            }
             _ => {}
         }
     }
@@ -368,6 +407,16 @@ impl Report {
             Some(LocalizationSummary { robot, samples, error_m, nees })
         };
         self.localization = errors.filter_map(summary).collect();
+    }
+
+    /// Adds where the robots stand, if none of them makes progress any more.
+    pub(crate) fn stuck(&mut self, stand: String) {
+        self.no_progress = Some(stand);
+    }
+
+    /// Adds the number of events that plug-ins in process missed.
+    pub(crate) fn missed(&mut self, events: u64) {
+        self.doubts.missed(events);
     }
 
     /// Adds the traffic of gateways and real servers. It is in no event.
@@ -463,12 +512,14 @@ impl Report {
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let by_service = self.by_service();
         let whole = self.merged(&by_service, |_| true);
-        Summary {
+        let mut summary = Summary {
             name: self.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
             seed: self.seed,
             duration_ms: millis::of(end.since(Timestamp::ZERO)),
             ended,
+            no_progress: self.no_progress.clone(),
+            void: Vec::new(),
             samples: whole.samples,
             unanswered: whole.unanswered(),
             service_time_target_ms: self.service_time_target_ms(),
@@ -496,7 +547,9 @@ impl Report {
             plugin_faults: self.faults.clone(),
             notices: self.notices.clone(),
             history_dropped: losses.history_dropped,
-        }
+        };
+        summary.void = self.doubts.void(&summary, end);
+        summary
     }
 
     /// Whether a service is not in the total.

@@ -37,6 +37,7 @@ use crate::{
     core_loop::{CoreLoop, EventSinks, receive},
     error::{RunError, system},
     finished::Finished,
+    history_bound::HistoryBound,
     images::ImageSender,
     keeping::Keeping,
     leftovers::clean,
@@ -81,6 +82,7 @@ pub struct Run {
     datapath: Arc<Datapath>,
     recording: Option<Recording>,
     keeping: Option<Keeping>,
+    history_bound: HistoryBound,
 }
 
 impl Run {
@@ -138,7 +140,9 @@ impl Run {
         let until = prepared.options.until.map(|until| Timestamp::ZERO + until);
         let images = (!image_sockets.is_empty()).then(|| ImageSender::start(image_sockets)).transpose();
         let images = images.map_err(system("start the thread that sends images"))?;
-        let core_loop = CoreLoop { core, sinks, inbox, sockets, images, now, until };
+        let history_bound = HistoryBound::new(&prepared.options, &folder);
+        let bound = history_bound.clone();
+        let core_loop = CoreLoop { core, sinks, inbox, sockets, images, now, until, history: bound };
         let core = thread::Builder::new()
             .name("core".to_owned())
             .spawn(move || {
@@ -165,6 +169,7 @@ impl Run {
             datapath,
             recording,
             keeping,
+            history_bound,
         })
     }
 
@@ -219,10 +224,8 @@ impl Run {
         self.wifi.clear();
         let recording = self.recording.take().map(Recording::finish);
         let mut unrecorded: Vec<_> = self.keeping.take().and_then(Keeping::finish).into_iter().collect();
-        if let Err(error) = self.recorder.flush() {
-            let RecorderStats { recorded, written, .. } = self.recorder.stats();
-            let events = recorded - written;
-            unrecorded.push(format!("the last {events} events are not in the history: {error}"));
+        if why == End::HistoryFull {
+            unrecorded.push(self.history_bound.what());
         }
         report.passed(self.datapath.gateways());
         let losses = Losses {
@@ -231,6 +234,12 @@ impl Run {
             history_dropped: self.recorder.stats().dropped,
         };
         let summary = report.summary(end, why.as_str(), losses);
+        summary.last_words(end).for_each(|notice| self.recorder.record(notice));
+        if let Err(error) = self.recorder.flush() {
+            let RecorderStats { recorded, written, .. } = self.recorder.stats();
+            let events = recorded - written;
+            unrecorded.push(format!("the last {events} events are not in the history: {error}"));
+        }
         if let Err(error) = self.folder.write_report(&report, &summary) {
             unrecorded.push(format!("the report is not complete: {error}"));
         }

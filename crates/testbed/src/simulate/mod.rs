@@ -407,6 +407,16 @@ impl Simulation {
         self.core.is_finished()
     }
 
+    /// Whether no robot has made progress on its walk for 60 s; false without walks.
+    pub(crate) fn is_stuck(&self) -> bool {
+        self.core.is_stuck(self.now())
+    }
+
+    /// Describes where robots stand that do not walk on.
+    pub(crate) fn stand(&self) -> String {
+        self.core.stand()
+    }
+
     /// Carries packets as far as they get at this time.
     fn carry(&mut self, now: Timestamp) {
         while let Some(datagram) = self.core.poll_transmit(now) {
@@ -543,7 +553,8 @@ impl Lockstep for Simulation {
                 let has_come = |at: Option<Timestamp>| at.is_some_and(|at| now >= at);
                 // Time goes on even if the alarm is in the past.
                 let is_woken = now > self.stretch_began && has_come(self.alarm);
-                self.events < wanted && !self.is_finished() && !is_woken && !has_come(until)
+                let is_over = self.is_finished() || (until.is_none() && self.is_stuck());
+                self.events < wanted && !is_over && !is_woken && !has_come(until)
             }
         };
         if goes_on {

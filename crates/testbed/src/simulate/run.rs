@@ -20,6 +20,7 @@ use crate::{
     clock::{Clock, wall_clock},
     error::{RunError, system},
     finished::Finished,
+    history_bound::HistoryBound,
     keeping::{Keeper, Keeping},
     live::Live,
     options::Options,
@@ -143,7 +144,8 @@ pub(super) fn simulate_with(
     let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
     let history = Arc::new(history);
     let recorder = history.paced_recorder(run)?;
-    let report = Report::new(&testbed, seed).on_disk(folder.path())?;
+    let history_bound = HistoryBound::new(options, &folder);
+    let report = Report::new(&testbed, seed).in_virtual_time(&testbed).on_disk(folder.path())?;
     let records = Records { report, recorder: recorder.clone(), unwritten: 0, tap, keeper: keeper.clone() };
     let speed = watched.as_ref().map_or(Speed::Max, |watched| watched.speed);
     let time = TimeControl::new(speed, Timestamp::ZERO, Arc::clone(&wall));
@@ -199,6 +201,10 @@ pub(super) fn simulate_with(
         if until.is_some_and(|until| recorded.simulation.now() >= until) {
             break End::Until;
         }
+        if until.is_none() && recorded.simulation.is_stuck() {
+            recorded.records.report.stuck(recorded.simulation.stand());
+            break End::NoProgress;
+        }
         if let Some(programs) = &mut external
             && recorded.time.is_limited()
         {
@@ -221,11 +227,18 @@ pub(super) fn simulate_with(
         }
         if recorded.records.unwritten >= HISTORY_PACE {
             recorded.records.catch_up()?;
+            if history_bound.is_reached() {
+                break End::HistoryFull;
+            }
             if !recorded.goes_on() {
                 break End::Stopped;
             }
         }
     };
+    if let Some(programs) = external.as_mut().filter(|_| end != End::Stopped) {
+        // One that time did not wait for any more ended before the run did, too.
+        programs.cut_off_ended(&mut recorded);
+    }
     drop(external);
     let RecordedSimulation { simulation, mut records, .. } = recorded;
     simulation.flow_remarks().into_iter().for_each(|remark| records.keep(Arc::new(remark)));
@@ -235,9 +248,14 @@ pub(super) fn simulate_with(
     let recording = recording.map(Recording::finish);
     let mut unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
     unrecorded.extend(captures.into_iter().filter_map(CaptureFile::finish));
+    if end == End::HistoryFull {
+        unrecorded.push(history_bound.what());
+    }
     unrecorded.iter().for_each(|what| tracing::error!("not recorded: {what}"));
     let losses = Losses { history_dropped: recorder.dropped(), ..Losses::default() };
     let summary = report.summary(simulation.now(), end.as_str(), losses);
+    summary.last_words(simulation.now()).for_each(|notice| recorder.record(notice));
+    recorder.flush()?;
     folder.write_report(&report, &summary)?;
     history.end_run(run, simulation.now())?;
     let folder = folder.path().to_owned();

@@ -10,7 +10,7 @@ use super::*;
 use crate::{
     Finished, Options,
     clock::wall_clock,
-    report::{Losses, Place, Report},
+    report::{End, Losses, Place, Report, Summary},
 };
 
 fn corridor() -> Arc<Testbed> {
@@ -538,6 +538,69 @@ fn two_runs_with_one_seed_leave_the_same_bytes() {
     }
 }
 
+/// Returns the corridor with its radio units out of reach.
+fn out_of_reach() -> Testbed {
+    let mut testbed = Testbed::clone(&corridor());
+    for node in &mut testbed.graph.nodes {
+        if let cotorra_graph::NodeKind::RadioUnit(_) = node.kind {
+            node.position = node.position.map(|at| Position { x: at.x + 100_000.0, ..at });
+        }
+    }
+    testbed
+}
+
+#[test]
+fn a_walk_on_which_no_robot_makes_progress_ends_with_the_robots_names() {
+    let out = tempfile::tempdir().unwrap();
+    let run = |testbed: Testbed, until| {
+        let options = Options { until, folder: Place::In(out.path().to_owned()), ..Options::default() };
+        simulate(testbed, "", &options, |_| true).unwrap()
+    };
+    let stuck = run(out_of_reach(), None);
+    let Summary { ended, duration_ms, no_progress, .. } = &stuck.summary;
+    assert_eq!((*ended, stuck.summary.is_stuck()), ("no robot made progress for 60 s", true));
+    assert!((60_000.0..63_000.0).contains(duration_ms), "{duration_ms}");
+    let stand = no_progress.as_ref().unwrap();
+    assert!(stand.starts_with("robot is at (25.5, -27.8), on its way to waypoint"), "{stand}");
+    assert!(stand.ends_with("attached to no radio unit"), "{stand}");
+    // The history says it, too.
+    let history = cotorra_measurements::History::open(stuck.folder.join("history.sqlite")).unwrap();
+    let last = history.all_events(stuck.run, &[]).unwrap().pop().unwrap();
+    assert!(matches!(last.event, Event::Notice { message } if message.contains(stand)));
+    // A run that says how long it is goes on, and the same run without files ends at the same time.
+    let longer = run(out_of_reach(), Some(Duration::from_secs(90)));
+    assert_eq!((longer.summary.ended, longer.summary.no_progress), (End::Until.as_str(), None));
+    let altered = Altered::default();
+    let folder = &out.path().join("unrecorded");
+    let unrecorded = Unrecorded { seed: 1, until: None, altered: &altered, folder, text: "" };
+    let ended = simulate_unrecorded(Arc::new(out_of_reach()), &unrecorded, |_| {}, || true).unwrap().unwrap();
+    assert_eq!(ended.summary, stuck.summary);
+}
+
+#[test]
+fn a_walk_of_a_robot_that_nothing_navigates_ends() {
+    let mut testbed = Testbed::clone(&corridor());
+    (testbed.services, testbed.plugins) = (Vec::new(), Vec::new());
+    let out = tempfile::tempdir().unwrap();
+    let options = Options { folder: Place::In(out.path().to_owned()), ..Options::default() };
+    assert!(simulate(testbed, "", &options, |_| true).unwrap().summary.is_stuck());
+}
+
+#[test]
+fn robots_are_given_60_s_after_the_last_change_of_the_schedule() {
+    let mut testbed = out_of_reach();
+    testbed.script.schedule = vec![cotorra_graph::Scheduled {
+        when: cotorra_graph::When::At(Duration::from_secs(100)),
+        links: vec!["lan-cloud".parse().unwrap()],
+        direction: None,
+        set: ConditionChange { delay_ms: Some(50.0), ..Default::default() },
+    }];
+    let out = tempfile::tempdir().unwrap();
+    let options = Options { folder: Place::In(out.path().to_owned()), ..Options::default() };
+    let summary = simulate(testbed, "", &options, |_| true).unwrap().summary;
+    assert!(summary.is_stuck() && (158_000.0..163_000.0).contains(&summary.duration_ms), "{summary:?}");
+}
+
 #[test]
 fn endless_virtual_time_is_rejected() {
     let mut testbed = Testbed::clone(&corridor());
@@ -759,6 +822,8 @@ fn a_program_that_hangs_or_ends_is_cut_off_and_the_run_goes_on() {
         let (finished, _) = run_with_program(command, serde_json::json!({ "hang": true }), patience);
         let faults = &finished.summary.plugin_faults;
         assert!(matches!(&faults[..], [fault] if fault.contains(complaint)), "{command:?}: {faults:?}");
+        let void = &finished.summary.void;
+        assert!(matches!(&void[..], [reason] if reason.contains(complaint)), "{command:?}: {void:?}");
         assert!(finished.summary.samples > 1100);
     }
 }

@@ -76,7 +76,7 @@ fn in_memory(
     }
     let simulation = Simulation::new(Arc::clone(&testbed), run.seed)?.altered(run.altered);
     let mut simulation = Guarded::new(simulation, wall_clock());
-    let mut report = Report::new(&testbed, run.seed);
+    let mut report = Report::new(&testbed, run.seed).in_virtual_time(&testbed);
     loop {
         simulation.go(Stretch::Events(EVENTS_PER_CHECK, until));
         if !simulation.run(&mut go_on) {
@@ -89,6 +89,10 @@ fn in_memory(
         let (now, end) = match until {
             _ if simulation.is_finished() => (simulation.now(), End::Walked),
             Some(until) if simulation.now() >= until => (simulation.now(), End::Until),
+            None if simulation.is_stuck() => {
+                report.stuck(simulation.stand());
+                (simulation.now(), End::NoProgress)
+            }
             _ if !go_on() => return Ok(None),
             _ => continue,
         };

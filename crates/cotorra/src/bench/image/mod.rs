@@ -21,13 +21,7 @@ use cotorra_graph::{EngineKind, Image, ListenPort, Nodes, Program, Rights, Trans
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use miette::Diagnostic;
 
-use crate::{
-    logs, output,
-    signals::{self, INTERRUPTED},
-    table::Table,
-    temporary::TemporaryFolder,
-    words::count,
-};
+use crate::{exit::Status, logs, output, signals, table::Table, temporary::TemporaryFolder, words::count};
 use node::{Interrupt, Message, Node};
 use request::Request;
 use times::Times;
@@ -180,7 +174,7 @@ pub fn image(args: &ImageArgs) -> miette::Result<ExitCode> {
     progress.finish_and_clear();
     let Some(measured) = measured? else {
         note!("stopped; no container is left");
-        return Ok(ExitCode::from(INTERRUPTED));
+        return Ok(Status::Interrupted.into());
     };
     output::print(&describe(args, &measured))?;
     if let Some(target) = target {

@@ -1,0 +1,436 @@
+//! Judges a run as a whole: why its figures are not valid, whatever each of them says.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs::File,
+    io::{self, Read as _},
+    path::Path,
+    time::Duration,
+};
+
+use cotorra_graph::{
+    AgentId, Event, NodeId, PluginId, PluginProgram, Program, RobotFault, Service, Stamped, Testbed,
+    Timestamp, VnfEvent, VnfId, VnfState,
+};
+use serde::Deserialize;
+
+use super::{end::End, fidelity::Fidelity, run_folder::SUMMARY, summary::Summary};
+
+/// Duration of a run after which each service has a sample.
+const DUE: Duration = Duration::from_secs(10);
+/// Running time after which a VNF counts as started for good.
+const HEALTHY_AFTER: Duration = Duration::from_secs(10);
+/// Number of short lives in a row after which a VNF does not work.
+const SHORT_LIVES: u32 = 3;
+/// Size of the longest `summary.json` that is read, bytes.
+const LONGEST_SUMMARY: u64 = 64 << 20;
+
+impl Fidelity {
+    /// Reads the verdict on a run from its folder. It is not valid if anything speaks against the run's figures.
+    ///
+    /// # Errors
+    /// That of the system, if the folder has no `summary.json`; `InvalidData` if the file holds no verdict.
+    pub(crate) fn of_folder(folder: &Path) -> io::Result<Self> {
+        #[derive(Deserialize)]
+        struct Judged {
+            fidelity: Fidelity,
+            /// Missing in summaries of earlier versions.
+            #[serde(default)]
+            void: Vec<String>,
+        }
+        let file = File::open(folder.join(SUMMARY))?.take(LONGEST_SUMMARY);
+        let Judged { fidelity, void } = serde_json::from_reader(io::BufReader::new(file))?;
+        Ok(if void.is_empty() {
+            fidelity
+        } else {
+            Self { valid: false, reason: void.join("; "), ..fidelity }
+        })
+    }
+}
+
+/// What speaks against a run's figures beside its fidelity, as far as events tell.
+#[derive(Debug, Default)]
+pub(super) struct Doubts {
+    plugins: BTreeMap<PluginId, Plugin>,
+    cut_off: Vec<String>,
+    /// VNFs of the testbed file that have not served so far.
+    unserved: BTreeSet<VnfId>,
+    lives: BTreeMap<(VnfId, NodeId), Life>,
+    /// Agents that have not reported so far, by their nodes.
+    absent: BTreeMap<NodeId, AgentId>,
+    /// Robots that have not been without a fault so far, with their last one.
+    faulty: BTreeMap<NodeId, Option<RobotFault>>,
+    samples: BTreeMap<cotorra_graph::ServiceId, Samples>,
+}
+
+/// What the testbed file says about a plug-in.
+#[derive(Debug)]
+struct Plugin {
+    is_optional: bool,
+    is_program: bool,
+}
+
+/// Where the samples of a service come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Samples {
+    /// Its robot's walk or localization.
+    Robot,
+    /// A flow between programs.
+    Flow,
+    /// A flow between programs that do not run in virtual time.
+    NotRunning,
+}
+
+/// The instances of a VNF on a node, one after another.
+#[derive(Debug, Default)]
+struct Life {
+    began: Option<Timestamp>,
+    /// Number of the last short lives in a row.
+    short: u32,
+    /// Reason for which the last one ended by itself.
+    dead: Option<String>,
+}
+
+impl Life {
+    fn note(&mut self, at: Timestamp, VnfEvent { state, detail, .. }: &VnfEvent) {
+        match state {
+            VnfState::Started => (self.began, self.dead) = (Some(at), None),
+            VnfState::Stopped => *self = Self::default(),
+            VnfState::Died | VnfState::Failed => {
+                let lived = self.began.take().is_some_and(|began| at.since(began) >= HEALTHY_AFTER);
+                self.short = if lived { 1 } else { self.short + 1 };
+                self.dead = Some(detail.clone().unwrap_or_else(|| "for an unknown reason".to_owned()));
+            }
+        }
+    }
+
+    /// Returns what is wrong with a VNF at the end of a run.
+    fn fault(&self, end: Timestamp) -> Option<String> {
+        let recovered = self.began.is_some_and(|began| end.since(began) >= HEALTHY_AFTER);
+        match &self.dead {
+            Some(reason) => Some(format!("did not run at the end: {reason}")),
+            None if self.short >= SHORT_LIVES && !recovered => {
+                Some(format!("ended {} times soon after its start", self.short))
+            }
+            None => None,
+        }
+    }
+}
+
+impl Doubts {
+    pub(super) fn new(testbed: &Testbed) -> Self {
+        let plugin = |spec: &cotorra_graph::PluginSpec| {
+            let is_program = matches!(spec.program, PluginProgram::Command(_));
+            (spec.id.clone(), Plugin { is_optional: spec.optional, is_program })
+        };
+        let samples = |service: &Service| {
+            let of_robot =
+                service.localizes() || (service.navigates() && testbed.walk(&service.robot).is_some());
+            let of_flow = service.kpis.flow.as_ref().map(|_| Samples::Flow);
+            let samples = if of_robot { Some(Samples::Robot) } else { of_flow };
+            Some((service.id.clone(), samples?))
+        };
+        Self {
+            plugins: testbed.plugins.iter().map(plugin).collect(),
+            absent: testbed.graph.agents().map(|(node, agent)| (node.id.clone(), agent.clone())).collect(),
+            faulty: testbed.graph.robots().map(|(node, _)| (node.id.clone(), None)).collect(),
+            unserved: testbed.vnfs().map(|vnf| vnf.id.clone()).collect(),
+            samples: testbed.services.iter().filter_map(samples).collect(),
+            ..Self::default()
+        }
+    }
+
+    /// Expects nothing of programs, which do not run in virtual time.
+    pub(super) fn in_virtual_time(mut self, testbed: &Testbed) -> Self {
+        let is_bundled = |program: &Program| !matches!(program, Program::Command(_) | Program::Host(_));
+        let bundled = testbed.vnfs().filter(|vnf| is_bundled(&vnf.program)).map(|vnf| &vnf.id);
+        let bundled: BTreeSet<_> = bundled.collect();
+        self.unserved.retain(|vnf| bundled.contains(vnf));
+        self.absent.clear();
+        for samples in self.samples.values_mut().filter(|samples| **samples == Samples::Flow) {
+            *samples = Samples::NotRunning;
+        }
+        self
+    }
+
+    /// Takes an event. Returns a notice about an optional plug-in.
+    pub(super) fn absorb(&mut self, Stamped { at, event }: &Stamped) -> Option<String> {
+        match event {
+            Event::PluginFault { plugin, reason } => {
+                let known = self.plugins.get(plugin);
+                let log = known.filter(|its| its.is_program).map(|_| format!(" (logs/plugin-{plugin}.log)"));
+                let log = log.unwrap_or_default();
+                if known.is_some_and(|its| its.is_optional) {
+                    return Some(format!("optional plug-in {plugin} was cut off: {reason}{log}"));
+                }
+                self.cut_off.push(format!("plug-in {plugin} was cut off: {reason}{log}"));
+            }
+            Event::Machine(context) => drop(self.absent.remove(&context.node)),
+            Event::Robot(context) => match context.health.first() {
+                None => drop(self.faulty.remove(&context.robot)),
+                Some(fault) => {
+                    if let Some(last) = self.faulty.get_mut(&context.robot) {
+                        *last = Some(*fault);
+                    }
+                }
+            },
+            Event::Placement(placement) => {
+                self.unserved.remove(&placement.vnf);
+            }
+            Event::Vnf(event) => {
+                let of = (event.vnf.clone(), event.node.clone());
+                self.lives.entry(of).or_default().note(*at, event);
+            }
+            _ => {}
+        }
+        None
+    }
+
+    /// Takes the number of events that plug-ins in process missed.
+    pub(super) fn missed(&mut self, events: u64) {
+        let what = format!("bundled plug-ins were too slow, and missed {events} events");
+        self.cut_off.extend((events > 0).then_some(what));
+    }
+
+    /// Whether a plug-in's fault leaves the figures valid.
+    pub(super) fn is_optional(&self, plugin: &PluginId) -> bool {
+        self.plugins.get(plugin).is_some_and(|its| its.is_optional)
+    }
+
+    /// Returns the reasons for which the figures of a summary are not valid; none if they are.
+    pub(super) fn void(&self, summary: &Summary, end: Timestamp) -> Vec<String> {
+        let mut void = Vec::new();
+        if summary.ended == End::Broken.as_str() {
+            void.push(End::Broken.as_str().to_owned());
+        }
+        void.extend(self.cut_off.iter().cloned());
+        void.extend(self.lives.iter().filter_map(|((vnf, node), life)| {
+            life.fault(end).map(|fault| format!("VNF {vnf} on {node} {fault}"))
+        }));
+        if end.since(Timestamp::ZERO) >= DUE || summary.is_walked() {
+            void.extend(self.unserved.iter().map(|vnf| format!("VNF {vnf} never served")));
+            let absent = self.absent.iter();
+            void.extend(absent.map(|(node, agent)| format!("agent {agent} of {node} never reported")));
+            let faulty = self.faulty.iter().filter_map(|(robot, fault)| Some((robot, fault.as_ref()?)));
+            void.extend(faulty.map(|(robot, fault)| format!("robot {robot} never worked: {fault}")));
+            void.extend(self.unmeasured(summary));
+        }
+        // Robots that stood out of reach sent nothing, which the end of the run says.
+        let is_silent = summary.is_stuck() && summary.fidelity.frames == 0;
+        if !summary.fidelity.valid && !(is_silent && summary.fidelity.frames_dropped == 0) {
+            void.push(summary.fidelity.reason.clone());
+        }
+        void
+    }
+
+    /// Returns a sentence on each service that has no sample though it should.
+    fn unmeasured<'a>(&'a self, summary: &'a Summary) -> impl Iterator<Item = String> + 'a {
+        let is_measured = summary.services.iter().any(|its| its.samples > 0);
+        let without = summary.services.iter().filter(|its| its.samples == 0);
+        without.filter_map(move |its| {
+            let why = match self.samples.get(&its.service)? {
+                // Robots that stand send no scans, which the end of the run says.
+                Samples::Robot if summary.is_stuck() && self.unserved.is_empty() => return None,
+                Samples::Robot => "no packet of its robot was due or sent",
+                Samples::Flow => "no request was seen",
+                // The run said so at its start.
+                Samples::NotRunning if is_measured => return None,
+                Samples::NotRunning => "in virtual time its programs do not run",
+            };
+            Some(format!("service {} of {} has no sample: {why}", its.service, its.robot))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{Placement, ServiceTime};
+
+    use super::*;
+    use crate::report::{Losses, Report};
+
+    const TESTBED: &str = "
+name: test
+wireless: { lab: {} }
+nodes:
+  r: { kind: robot, position: [0, 0] }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  s: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [A, s] }
+services:
+  n:
+    robot: r
+    kpis: { service_time: 15 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: r }
+      navigation: { program: navigation, node: s }
+  f:
+    robot: r
+    kpis: { service_time: 15 ms, flow: { protocol: udp, port: 9000 } }
+    vnfs:
+      asking: { command: [ask], pinned_to: r }
+      answering: { command: [answer], node: s }
+walks:
+  r: { waypoints: [[0, 0], [1, 0]] }
+plugins:
+  - { id: deciding, command: [sh, decide] }
+  - { id: logging, command: [sh, log], optional: true }
+";
+
+    fn testbed() -> Testbed {
+        cotorra_testbed_file::parse("test.yaml", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    fn at(seconds: u64, event: Event) -> Stamped {
+        Stamped { at: Timestamp::ZERO + Duration::from_secs(seconds), event }
+    }
+
+    fn sample(service: &str) -> Stamped {
+        let [robot, server] = ["r", "s"].map(|node| node.parse().unwrap());
+        at(
+            1,
+            Event::ServiceTime(ServiceTime {
+                service: service.parse().unwrap(),
+                robot,
+                sequence: 0,
+                emitted: Timestamp::ZERO,
+                took: None,
+                attachment: None,
+                server,
+                parts: None,
+            }),
+        )
+    }
+
+    fn placed(vnf: &str) -> Stamped {
+        let node: NodeId = "s".parse().unwrap();
+        at(0, Event::Placement(Placement { vnf: vnf.parse().unwrap(), node: node.into() }))
+    }
+
+    fn vnf(seconds: u64, state: VnfState) -> Stamped {
+        let [vnf, node] = ["navigation", "s"];
+        let (vnf, node) = (vnf.parse().unwrap(), node.parse().unwrap());
+        at(seconds, Event::Vnf(VnfEvent { vnf, node, state, detail: Some("exit status: 1".to_owned()) }))
+    }
+
+    fn fault(plugin: &str) -> Stamped {
+        let reason = "its program ended: exit status: 1".to_owned();
+        at(1, Event::PluginFault { plugin: plugin.parse().unwrap(), reason })
+    }
+
+    /// Events of a run in which all is well.
+    fn well() -> Vec<Stamped> {
+        let placed = ["driver", "navigation", "asking", "answering"].map(placed);
+        placed.into_iter().chain(["n", "f"].map(sample)).collect()
+    }
+
+    /// Returns the summary of a run of so many seconds, valid as far as the emulation is concerned.
+    fn summary(report: Report, seconds: u64, end: End, events: &[Stamped]) -> Summary {
+        let mut report = report;
+        let frames = cotorra_graph::Lateness { frames: 1000, ..Default::default() };
+        report.absorb(&at(0, Event::Lateness(frames)));
+        events.iter().for_each(|event| report.absorb(event));
+        report.summary(Timestamp::ZERO + Duration::from_secs(seconds), end.as_str(), Losses::default())
+    }
+
+    fn void(seconds: u64, end: End, events: &[Stamped]) -> Vec<String> {
+        summary(Report::new(&testbed(), 1), seconds, end, events).void
+    }
+
+    #[test]
+    fn a_plugin_that_was_cut_off_voids_the_run_unless_it_is_optional() {
+        let cut_off =
+            summary(Report::new(&testbed(), 1), 20, End::Until, &[well(), vec![fault("deciding")]].concat());
+        let reason =
+            "plug-in deciding was cut off: its program ended: exit status: 1 (logs/plugin-deciding.log)";
+        assert_eq!((cut_off.void, cut_off.plugin_faults.len()), (vec![reason.to_owned()], 1));
+        let optional =
+            summary(Report::new(&testbed(), 1), 20, End::Until, &[well(), vec![fault("logging")]].concat());
+        assert!(optional.is_valid() && optional.plugin_faults.is_empty());
+        assert!(optional.notices[0].starts_with("optional plug-in logging was cut off"), "{optional:?}");
+    }
+
+    #[test]
+    fn a_service_without_a_sample_voids_a_run_that_was_long_enough_for_one() {
+        let without = |service: &str| -> Vec<Stamped> {
+            let is_its = |event: &Stamped| matches!(&event.event, Event::ServiceTime(s) if s.service.as_str() == service);
+            well().into_iter().filter(|event| !is_its(event)).collect()
+        };
+        assert_eq!(void(20, End::Until, &well()), [""; 0]);
+        assert_eq!(
+            void(20, End::Until, &without("f")),
+            ["service f of r has no sample: no request was seen"]
+        );
+        assert_eq!(void(20, End::Until, &without("n")).len(), 1);
+        assert_eq!(void(9, End::Until, &without("n")), [""; 0]);
+        assert_eq!(void(9, End::Walked, &without("n")).len(), 1);
+    }
+
+    #[test]
+    fn robots_that_never_got_on_need_no_samples_and_no_frames() {
+        let placed: Vec<_> =
+            well().into_iter().filter(|its| matches!(its.event, Event::Placement(_))).collect();
+        let mut report = Report::new(&testbed(), 1).in_virtual_time(&testbed());
+        placed.iter().for_each(|event| report.absorb(event));
+        let summary =
+            report.summary(Timestamp::from_secs_f64(60.0), End::NoProgress.as_str(), Losses::default());
+        assert!(matches!(&summary.void[..], [f] if f.contains("service f")), "{:?}", summary.void);
+        assert!(void(60, End::NoProgress, &placed[1..]).iter().any(|its| its.contains("service n")));
+    }
+
+    #[test]
+    fn programs_are_not_expected_to_run_in_virtual_time_unless_nothing_else_is_measured() {
+        let virtual_time = || Report::new(&testbed(), 1).in_virtual_time(&testbed());
+        let bundled = [placed("driver"), placed("navigation"), sample("n")];
+        assert_eq!(summary(virtual_time(), 20, End::Until, &bundled).void, [""; 0]);
+        let nothing = summary(virtual_time(), 20, End::Until, &bundled[..2]).void;
+        assert!(
+            matches!(&nothing[..], [n, f] if n.contains("service n") && f.contains("do not run")),
+            "{nothing:?}"
+        );
+    }
+
+    #[test]
+    fn a_vnf_that_does_not_work_voids_the_run_and_one_that_recovered_does_not() {
+        let with = |events: Vec<Stamped>| void(60, End::Until, &[well(), events].concat());
+        use VnfState::{Died, Started, Stopped};
+        let lives = |ends: &[u64]| {
+            ends.iter().flat_map(|s| [vnf(*s, Started), vnf(*s + 1, Died)]).collect::<Vec<_>>()
+        };
+        let dead = with(lives(&[5]));
+        assert_eq!(dead, ["VNF navigation on s did not run at the end: exit status: 1"]);
+        let restarted = |ends: &[u64], again| [lives(ends), vec![vnf(again, Started)]].concat();
+        assert_eq!(with(restarted(&[5], 7)), [""; 0]);
+        assert_eq!(with(restarted(&[5, 10, 15], 20)), [""; 0]);
+        assert_eq!(
+            with(restarted(&[40, 45, 50], 55)),
+            ["VNF navigation on s ended 3 times soon after its start"]
+        );
+        assert_eq!(with([lives(&[5]), vec![vnf(9, Stopped)]].concat()), [""; 0]);
+        let absent: Vec<_> = well().into_iter().skip(1).collect();
+        assert_eq!(void(60, End::Until, &absent), ["VNF driver never served"]);
+    }
+
+    #[test]
+    fn a_network_that_failed_and_an_emulation_that_was_late_void_the_run() {
+        assert_eq!(void(5, End::Broken, &well()), [End::Broken.as_str()]);
+        let late = cotorra_graph::Lateness { frames: 1000, p99_us: 9000.0, ..Default::default() };
+        let late = void(5, End::Until, &[well(), vec![at(4, Event::Lateness(late))]].concat());
+        assert!(matches!(&late[..], [reason] if reason.contains("9000")), "{late:?}");
+    }
+
+    #[test]
+    fn the_verdict_in_a_folder_is_that_on_the_whole_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |summary: &Summary| {
+            let json = serde_json::to_string(summary).unwrap();
+            std::fs::write(folder.path().join(SUMMARY), json).unwrap();
+            Fidelity::of_folder(folder.path()).unwrap()
+        };
+        let of = |events: &[Stamped]| summary(Report::new(&testbed(), 1), 20, End::Until, events);
+        assert!(write(&of(&well())).valid);
+        let void = write(&of(&[well(), vec![fault("deciding")]].concat()));
+        assert!(!void.valid && void.reason.contains("deciding was cut off"), "{void:?}");
+    }
+}
