@@ -16,7 +16,7 @@ use cotorra_datapath::{Privilege, enter_user_namespace_if_needed};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::Diagnostic;
 
-use crate::{output, table::Table};
+use crate::{exit::Status, output, table::Table};
 use figures::{ALL, Benchmark};
 use load::Load;
 use report::{Bench, Row};
@@ -81,16 +81,17 @@ pub fn bench(args: &BenchArgs) -> miette::Result<ExitCode> {
             help = "build it with `--features containers`",
             "this cotorra was built without containers"
         )),
-        None => emulation(args).map(|()| ExitCode::SUCCESS),
+        None => emulation(args).map(ExitCode::from),
     }
 }
 
-/// Measures the emulated network.
-fn emulation(args: &BenchArgs) -> miette::Result<()> {
+/// Measures the emulated network. It is an error if nothing could be measured, or a benchmark that the arguments name.
+fn emulation(args: &BenchArgs) -> miette::Result<Status> {
     if args.list {
         let mut table = Table::new("<<");
         ALL.iter().for_each(|benchmark| table.row([benchmark.name, benchmark.about]));
-        return output::print(&table.render(""));
+        output::print(&table.render(""))?;
+        return Ok(Status::Done);
     }
     let chosen = choose(&args.names)?;
     let root = enter_user_namespace_if_needed().map_err(Error::from)? == Privilege::Root;
@@ -102,7 +103,7 @@ fn emulation(args: &BenchArgs) -> miette::Result<()> {
     progress.enable_steady_tick(Duration::from_millis(120));
     let bench = Bench { progress, rattan: args.rattan.clone(), root };
     let mut table = Table::new("<><<>");
-    let mut notes = BTreeSet::new();
+    let (mut notes, mut measured) = (BTreeSet::new(), 0);
     table.row(["figure", "median", "tail", "to reach", "others' CPU"]);
     for (i, benchmark) in chosen.iter().enumerate() {
         bench.progress.set_prefix(format!("{} of {}, {}", i + 1, chosen.len(), benchmark.name));
@@ -110,6 +111,7 @@ fn emulation(args: &BenchArgs) -> miette::Result<()> {
         let rows = (benchmark.measure)(&bench)
             .unwrap_or_else(|error| vec![Row::missing(benchmark.about, error.to_string())]);
         let others = load.others();
+        measured += usize::from(rows.iter().any(|row| row.missing.is_none()));
         for (i, row) in rows.into_iter().enumerate() {
             let others = if i == 0 { others.clone() } else { String::new() };
             notes.extend(row.missing.map(|why| format!("{}: {why}\n", row.figure.trim())));
@@ -119,7 +121,9 @@ fn emulation(args: &BenchArgs) -> miette::Result<()> {
     bench.progress.finish_and_clear();
     let notes = notes.into_iter().collect::<String>();
     let gap = if notes.is_empty() { "" } else { "\n" };
-    output::print(&format!("{}{gap}{notes}", table.render("")))
+    output::print(&format!("{}{gap}{notes}", table.render("")))?;
+    let needed = if args.names.is_empty() { 1 } else { chosen.len() };
+    Ok(if measured >= needed { Status::Done } else { Status::Error })
 }
 
 fn choose(names: &[String]) -> Result<Vec<&'static Benchmark>, Error> {
