@@ -37,7 +37,7 @@ pub(crate) struct Reply {
 /// The requests of a robot's service, as a state machine. Each has a note of what its answer is to be used for.
 ///
 /// Each request gives one service time: with the first accepted answer of its recipients, or without one when its timeout
-/// ends.
+/// ends, or if it could not be emitted when it was due.
 #[derive(Debug, Clone)]
 pub(crate) struct Exchange<N> {
     service: ServiceId,
@@ -102,6 +102,22 @@ impl<N> Exchange<N> {
         let (nonce, copies) = (recipients.nonce(), recipients.copies());
         self.pending.push_back(Pending { sequence, emitted: now, recipients, attachment, servers, note });
         Sent { sequence, nonce, copies }
+    }
+
+    /// Returns the service time of a request that was due on this route and not emitted: it has a number, and no answer.
+    pub fn miss(&mut self, due: Timestamp, route: &Route) -> ServiceTime {
+        let sequence = self.sequence;
+        self.sequence = sequence.wrapping_add(1);
+        ServiceTime {
+            service: self.service.clone(),
+            robot: self.robot.clone(),
+            sequence,
+            emitted: due,
+            took: None,
+            attachment: route.attachment.clone(),
+            server: route.servers[0].0.clone(),
+            parts: None,
+        }
     }
 
     /// Receives an answer. Returns the service time of its request, and the note. `is_valid` tells whether the answer's

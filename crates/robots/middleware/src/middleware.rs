@@ -485,6 +485,7 @@ impl RobotMiddleware {
         }
         managed.driver.advance(now);
         let (pose, route) = (managed.sensors().pose, managed.route(&managed.servers.navigation));
+        managed.miss(now, &route, &mut self.events);
         let Some(service) = &mut managed.service else { return };
         // Nobody knows the place of a robot with a fault, and it would not follow the answer.
         if !managed.driver.health().is_empty() {
@@ -496,6 +497,14 @@ impl RobotMiddleware {
             }));
         }
         self.note_due(robot);
+    }
+
+    /// Ends the run: reports the position packets that were due and not sent.
+    pub fn finish(&mut self, now: Timestamp) {
+        for managed in self.robots.values_mut() {
+            let route = managed.route(&managed.servers.navigation);
+            managed.miss(now, &route, &mut self.events);
+        }
     }
 
     /// Queues a robot's scan if it is due and no datagram waits.
@@ -755,6 +764,21 @@ impl Managed {
         Route {
             attachment: attached.map(|attachment| attachment.radio_unit.clone()),
             servers: servers.to_vec(),
+        }
+    }
+
+    /// Reports the position packets that were due before now and not sent, because nobody ran this middleware.
+    fn miss(&mut self, now: Timestamp, route: &Route, events: &mut VecDeque<Stamped>) {
+        let is_well = self.driver.health().is_empty();
+        let Some(service) = self.service.as_mut().filter(|_| is_well) else { return };
+        let (missed, uncounted) = service.miss(now, route);
+        events.extend(missed.into_iter().map(|missed| Stamped { at: now, event: Event::ServiceTime(missed) }));
+        if uncounted > 0 {
+            let message = format!(
+                "robot {} did not send {uncounted} more position packets that were due, which are not among its samples",
+                self.driver.robot()
+            );
+            events.push_back(Stamped { at: now, event: Event::Notice { message } });
         }
     }
 

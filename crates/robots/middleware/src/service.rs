@@ -34,6 +34,8 @@ pub(crate) struct ServiceEndpoint {
     walk_length: u32,
     interval: Duration,
     next_emission: Timestamp,
+    /// Whether the packet before was emitted, so that those that were due since then are missing.
+    continues: bool,
     /// Index of the next waypoint.
     waypoint: u32,
     /// Replaces the walk while it is there.
@@ -68,6 +70,8 @@ pub(crate) struct Answer {
 impl ServiceEndpoint {
     /// Shortest interval between position packets.
     pub const LEAST_INTERVAL: Duration = Duration::from_millis(1);
+    /// Most position packets at once that count as missed.
+    pub const MOST_MISSED: u64 = 10_000;
 
     /// Creates an endpoint at the start of the walk, or on its way. The seed places its first packet within the first
     /// interval, so that robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
@@ -79,6 +83,7 @@ impl ServiceEndpoint {
             walk_length: u32::try_from(walk.waypoints.len()).unwrap_or(u32::MAX),
             interval,
             next_emission: Timestamp::ZERO + interval.mul_f64(phase),
+            continues: false,
             waypoint: walk.next.unwrap_or(0),
             goal: None,
             goal_changes: 0,
@@ -116,6 +121,7 @@ impl ServiceEndpoint {
         let before = self.goal.take().filter(|goal| !goal.has_ended());
         self.goal = goal.map(|position| Goal::new(now, position));
         self.goal_changes = self.goal_changes.wrapping_add(1);
+        self.continues &= !self.is_idle();
         let before = before.map(|goal| goal.event(self.exchange.robot(), ends));
         let set = self.goal.as_ref().map(|goal| goal.event(self.exchange.robot(), GoalState::Set));
         before.into_iter().chain(set)
@@ -132,6 +138,7 @@ impl ServiceEndpoint {
         if self.has_waypoint(waypoint) {
             self.waypoint = waypoint;
         }
+        self.continues &= !self.is_idle();
         self.finished() && !finished_before
     }
 
@@ -151,8 +158,35 @@ impl ServiceEndpoint {
         !self.is_idle() && self.next_emission <= now
     }
 
-    /// Emits the position packet that is due at `now`, if any, on this route, with a nonce for each server. Missed packets
-    /// are skipped.
+    /// Returns the service times of the position packets that were due before the one that is due at `now`, because nobody
+    /// asked for them in time. They are without an answer, and those above [`Self::MOST_MISSED`] are left out; their number is
+    /// returned, too. Packets of a robot that was idle or had a fault were not due.
+    pub fn miss(&mut self, now: Timestamp, route: &Route) -> (Vec<ServiceTime>, u64) {
+        if !self.continues || !self.is_due(now) {
+            return (Vec::new(), 0);
+        }
+        let missed = self.overdue(now);
+        let first = self.next_emission;
+        self.next_emission = self.emission_after(missed);
+        let counted = missed.min(Self::MOST_MISSED);
+        let due = (0..counted).map(|n| first + Duration::from_nanos(self.interval.as_nanos() as u64 * n));
+        (due.map(|due| self.exchange.miss(due, route)).collect(), missed - counted)
+    }
+
+    /// Returns how many packets were due before the one that is due at `now`.
+    fn overdue(&self, now: Timestamp) -> u64 {
+        let overdue = now.since(self.next_emission).as_nanos() / self.interval.as_nanos();
+        u64::try_from(overdue).unwrap_or(u64::MAX)
+    }
+
+    /// Returns when so many packets after the next one are due.
+    fn emission_after(&self, packets: u64) -> Timestamp {
+        let step = self.interval.as_nanos().saturating_mul(packets.into());
+        self.next_emission + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX))
+    }
+
+    /// Emits the position packet that is due at `now`, if any, on this route, with a nonce for each server. Packets that were
+    /// due before are skipped: ask [`Self::miss`] for them first.
     pub fn emit(
         &mut self,
         now: Timestamp,
@@ -164,6 +198,7 @@ impl ServiceEndpoint {
             return None;
         }
         self.skip(now);
+        self.continues = true;
         let position = self.goal.as_ref().map(Goal::position);
         let purpose = Purpose { goal_changes: self.goal_changes, has_goal: position.is_some() };
         let Sent { sequence, nonce, copies } = self.exchange.emit(now, route, purpose, nonces);
@@ -184,10 +219,8 @@ impl ServiceEndpoint {
         if !self.is_due(now) {
             return;
         }
-        let missed = now.since(self.next_emission).as_nanos() / self.interval.as_nanos();
-        let step = self.interval.as_nanos().saturating_mul(missed + 1);
-        self.next_emission =
-            self.next_emission + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX));
+        self.next_emission = self.emission_after(self.overdue(now).saturating_add(1));
+        self.continues = false;
     }
 
     /// Receives a navigation packet.

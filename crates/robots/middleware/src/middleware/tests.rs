@@ -254,6 +254,30 @@ fn contexts_come_at_their_interval_with_the_attachments() {
 }
 
 #[test]
+fn a_middleware_that_nobody_ran_reports_the_packets_that_its_robots_missed() {
+    let samples = |middleware: &mut RobotMiddleware| -> Vec<ServiceTime> {
+        let sample = |stamped: Stamped| match stamped.event {
+            Event::ServiceTime(sample) => Some(sample),
+            _ => None,
+        };
+        events(middleware).into_iter().filter_map(sample).collect()
+    };
+    let mut middleware = middleware();
+    middleware.advance(at(200));
+    let first = position(&mut middleware, at(200)).unwrap();
+    middleware.advance(at(3200));
+    let second = position(&mut middleware, at(3200)).unwrap();
+    // The first is given up, and those between are missed.
+    let missed = samples(&mut middleware);
+    assert_eq!(missed.len() as u32, second.sequence - first.sequence);
+    assert!(missed.len() >= 14 && missed.iter().all(|sample| sample.took.is_none()), "{missed:?}");
+    assert_eq!(missed[1].attachment, Some(id("R1")));
+    // The run ends while nobody runs it.
+    middleware.finish(at(5200));
+    assert!(samples(&mut middleware).len() >= 8);
+}
+
+#[test]
 fn missed_contexts_are_skipped() {
     let mut middleware = middleware();
     middleware.advance(at(1050));

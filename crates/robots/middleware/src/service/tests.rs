@@ -115,6 +115,50 @@ fn missed_packets_are_skipped() {
 }
 
 #[test]
+fn packets_that_were_due_and_not_emitted_are_samples_without_an_answer() {
+    let mut endpoint = endpoint(1);
+    let first = emit(&mut endpoint);
+    let now = first.emitted + ms(3050);
+    let (missed, uncounted) = endpoint.miss(now, &route());
+    let after = emit_at(&mut endpoint, now).unwrap();
+    let due: Vec<_> = missed.iter().map(|sample| sample.emitted.since(first.emitted)).collect();
+    assert_eq!(due, (1..15).map(|n| ms(200 * n)).collect::<Vec<_>>());
+    assert_eq!(missed.iter().map(|sample| sample.sequence).collect::<Vec<_>>(), (1..15).collect::<Vec<_>>());
+    assert!(missed.iter().all(|sample| sample.took.is_none() && sample.server == id("cloud")));
+    assert_eq!((after.sequence, after.emitted, uncounted), (15, now, 0));
+    assert_eq!(endpoint.next_emission, first.emitted + ms(3200), "it keeps its pace");
+}
+
+#[test]
+fn packets_that_nobody_waits_for_are_not_missed() {
+    let mut endpoint = endpoint(1);
+    let due = endpoint.next_deadline().unwrap();
+    let missed = |endpoint: &mut ServiceEndpoint, now| endpoint.miss(now, &route()).0.len();
+    assert_eq!(missed(&mut endpoint, due + ms(5000)), 0, "the first one is only late");
+    emit_at(&mut endpoint, due + ms(5000)).unwrap();
+    // A packet that is emitted on time, or late by less than an interval, leaves nothing out.
+    let next = endpoint.next_emission;
+    assert_eq!((missed(&mut endpoint, next), missed(&mut endpoint, next + ms(199))), (0, 0));
+    // The robot had a fault.
+    endpoint.skip(next + ms(10_000));
+    assert_eq!(missed(&mut endpoint, next + ms(20_000)), 0);
+    let packet = emit_at(&mut endpoint, next + ms(20_000)).unwrap();
+    // It had walked, and goes on.
+    endpoint.reach(3);
+    endpoint.reach(1);
+    assert_eq!(missed(&mut endpoint, packet.emitted + ms(10_000)), 0);
+}
+
+#[test]
+fn missed_packets_are_bounded() {
+    let mut endpoint = endpoint(1);
+    let first = emit(&mut endpoint);
+    let (missed, uncounted) = endpoint.miss(first.emitted + ms(200) * 20_001, &route());
+    assert_eq!((missed.len() as u64, uncounted), (ServiceEndpoint::MOST_MISSED, 10_000));
+    assert!(emit_at(&mut endpoint, first.emitted + ms(200) * 20_001).is_some());
+}
+
+#[test]
 fn answer_is_measured_on_its_packets_route_and_followed() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
