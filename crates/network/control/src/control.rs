@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_engine::Engine;
+use cotorra_engine::{Engine, InstanceWaits};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
     Attachment, Dbm, Direction, Event, InstancePath, Instruction, LinkId, NodeId, PathKind, Placement,
@@ -427,6 +427,11 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 Err(InstructionError("movements are the Robot Middleware's".to_owned()))
             }
         }
+    }
+
+    /// Returns for how long instances of VNFs have waited for a processor so far, as far as the engine knows.
+    pub fn processor_waits(&self) -> Vec<InstanceWaits> {
+        self.vim.processor_waits()
     }
 
     /// Stops every VNF and waits for their ends.

@@ -2,6 +2,8 @@
 
 use cotorra_graph::{NodeId, Vnf};
 
+use crate::processor_waits::InstanceWaits;
+
 /// The number of a VNF's instance, unique in a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct InstanceId(pub u64);
@@ -45,4 +47,10 @@ pub trait Engine {
 
     /// Stops all instances, and waits until they have ended and are cleaned up.
     fn shut_down(&mut self);
+
+    /// Returns for how long instances have waited for a processor so far, also those that have ended. Leaves out those of
+    /// which it cannot know.
+    fn processor_waits(&self) -> Vec<InstanceWaits> {
+        Vec::new()
+    }
 }

@@ -11,6 +11,7 @@ mod engine;
 mod environment;
 mod memory;
 mod process;
+mod processor_waits;
 
 pub use backoff::Backoff;
 pub use cgroup::{CgroupError, Cgroups};
@@ -18,3 +19,4 @@ pub use engine::{Engine, EngineEvent, InstanceId, Outcome};
 pub use environment::{Variable, program_of, program_of_others};
 pub use memory::InMemoryEngine;
 pub use process::{Launcher, Process, ProcessEngine, READY, replica_name};
+pub use processor_waits::{InstanceWaits, ProcessorWaits};

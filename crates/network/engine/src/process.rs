@@ -19,12 +19,15 @@ use parking_lot::Mutex;
 use crate::{
     cgroup::Cgroups,
     engine::{Engine, EngineEvent, InstanceId, Outcome},
+    processor_waits::{InstanceWaits, Reading, Readings, throttled_in},
 };
 
 /// Interval of checks whether a process has ended.
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 /// Checks after SIGTERM until a process is killed.
 const GRACE_CHECKS: u32 = 10;
+/// Checks from one reading of a process's waits to the next.
+const READING_CHECKS: u32 = 20;
 /// First line of a bundled VNF's output, once it serves.
 pub const READY: &str = "ready";
 
@@ -44,6 +47,11 @@ pub trait Process: Send {
 
     /// Takes the standard output, if the command has a pipe for it.
     fn stdout(&mut self) -> Option<ChildStdout>;
+
+    /// Returns the ID of the process, if its [waits](Engine::processor_waits) are to be read.
+    fn id(&self) -> Option<u32> {
+        None
+    }
 }
 
 /// Starts processes of VNFs: on their node, in cgroups, and killed with this process.
@@ -86,6 +94,8 @@ pub struct ProcessEngine<L> {
     watched: BTreeMap<InstanceId, Watched>,
     events: mpsc::Receiver<EngineEvent>,
     report: mpsc::Sender<EngineEvent>,
+    /// Readings of all instances so far.
+    waits: Vec<(VnfId, NodeId, Arc<Mutex<Readings>>)>,
 }
 
 impl<L> std::fmt::Debug for ProcessEngine<L> {
@@ -115,7 +125,8 @@ impl<L: Launcher> ProcessEngine<L> {
     /// from 1. Without cgroups they have no limits.
     pub fn new(launcher: Arc<L>, logs: PathBuf, cgroups: Option<Cgroups>) -> Self {
         let (report, events) = mpsc::channel();
-        Self { launcher, logs, cgroups: cgroups.map(Arc::new), watched: BTreeMap::new(), events, report }
+        let cgroups = cgroups.map(Arc::new);
+        Self { launcher, logs, cgroups, watched: BTreeMap::new(), events, report, waits: Vec::new() }
     }
 
     /// Returns the number of instances that were stopped and have not ended yet. The owner is woken when one has.
@@ -164,6 +175,8 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         let (launcher, events) = (Arc::clone(&self.launcher), self.report.clone());
         let (node, vnf) = (node.clone(), vnf.clone());
         let cgroups = self.cgroups.clone();
+        let readings = Arc::<Mutex<Readings>>::default();
+        self.waits.push((vnf.id.clone(), node.clone(), Arc::clone(&readings)));
         let lives = Arc::new(());
         let alive = Arc::downgrade(&lives);
         let thread = thread::Builder::new()
@@ -175,7 +188,14 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
                     launcher.wake();
                 });
                 match launcher.launch(&vnf, replica, &node, command, procs) {
-                    Ok(mut child) => watch(&mut *child, log, output, &stopped, &reporter),
+                    Ok(mut child) => {
+                        let cpu_stat = cgroups.as_ref().map(|groups| groups.cpu_stat(instance));
+                        let read = |process: u32| {
+                            let reading = Reading::of(process, throttled_in(cpu_stat.clone()));
+                            readings.lock().add(reading);
+                        };
+                        watch(&mut *child, log, output, &stopped, &reporter, &read);
+                    }
                     Err(error) => reporter.ended(format!("cannot start: {error}")),
                 }
                 if let Some(groups) = cgroups {
@@ -206,6 +226,15 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         for (_, watched) in std::mem::take(&mut self.watched) {
             let _ = watched.thread.join();
         }
+    }
+
+    fn processor_waits(&self) -> Vec<InstanceWaits> {
+        let waits = |(vnf, node, readings): &(VnfId, NodeId, Arc<Mutex<Readings>>)| InstanceWaits {
+            vnf: vnf.clone(),
+            node: node.clone(),
+            waits: readings.lock().waits(),
+        };
+        self.waits.iter().map(waits).collect()
     }
 }
 
@@ -245,6 +274,10 @@ impl<F: Fn(Outcome)> Reporter<F> {
         }
     }
 
+    fn is_ready(&self) -> bool {
+        *self.stage.lock() == Stage::Ready
+    }
+
     fn ended(&self, reason: String) {
         let mut stage = self.stage.lock();
         match *stage {
@@ -256,13 +289,14 @@ impl<F: Fn(Outcome)> Reporter<F> {
     }
 }
 
-/// Watches a process until it ends or is stopped.
+/// Watches a process until it ends or is stopped. `read` reads the waits of a process that serves.
 fn watch(
     child: &mut dyn Process,
     mut log: File,
     output: Option<PipeReader>,
     stopped: &mpsc::Receiver<()>,
     reporter: &Reporter<impl Fn(Outcome) + Sync>,
+    read: &impl Fn(u32),
 ) {
     thread::scope(|scope| {
         if let Some(mut output) = output {
@@ -274,15 +308,27 @@ fn watch(
         } else if let Some(stdout) = child.stdout() {
             scope.spawn(|| copy_output(stdout, log, reporter));
         }
+        let mut checks: u32 = 0;
         loop {
             match stopped.recv_timeout(CHECK_INTERVAL) {
                 Err(mpsc::RecvTimeoutError::Timeout) => match child.try_wait() {
+                    Ok(None) if reporter.is_ready() => {
+                        checks = checks.wrapping_add(1);
+                        if checks.is_multiple_of(READING_CHECKS) {
+                            child.id().into_iter().for_each(read);
+                        }
+                    }
                     Ok(None) => {}
                     Ok(Some(status)) => return reporter.ended(describe(status)),
                     Err(error) => return reporter.ended(error.to_string()),
                 },
                 // Stopped, or the engine is gone.
-                Ok(()) | Err(mpsc::RecvTimeoutError::Disconnected) => return terminate(child),
+                Ok(()) | Err(mpsc::RecvTimeoutError::Disconnected) => {
+                    if checks >= READING_CHECKS {
+                        child.id().into_iter().for_each(read);
+                    }
+                    return terminate(child);
+                }
             }
         }
     });

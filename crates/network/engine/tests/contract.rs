@@ -53,6 +53,10 @@ impl Process for Group {
     fn stdout(&mut self) -> Option<ChildStdout> {
         self.0.stdout.take()
     }
+
+    fn id(&self) -> Option<u32> {
+        Some(self.0.id())
+    }
 }
 
 /// Starts processes on this machine, for any node.

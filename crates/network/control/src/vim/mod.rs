@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_engine::{Backoff, Engine, EngineEvent, InstanceId, Outcome};
+use cotorra_engine::{Backoff, Engine, EngineEvent, InstanceId, InstanceWaits, Outcome};
 use cotorra_graph::{
     Event, HardwareGraph, NodeId, Nodes, Placement, Program, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
 };
@@ -424,6 +424,11 @@ impl<E: Engine> Vim<E> {
             restarts.chain(group.draining.iter().map(|(until, _)| *until)).min()
         };
         self.groups.iter().chain(&self.removed).filter_map(of_group).min()
+    }
+
+    /// Returns for how long instances have waited for a processor so far.
+    pub fn processor_waits(&self) -> Vec<InstanceWaits> {
+        self.engine.processor_waits()
     }
 
     /// Stops all instances and waits for their ends.
