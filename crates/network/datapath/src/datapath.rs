@@ -91,7 +91,10 @@ impl Datapath {
         let neighbours = Neighbours::of(graph, gateway::machines(graph));
         let (hosts, ports): (Vec<_>, Vec<_>) = hosts::bring_up(&addressed, kind, &neighbours)?
             .into_iter()
-            .map(|Host { namespace, port }| (namespace, Port::new(port)))
+            .map(|Host { namespace, port }| match kind {
+                PortKind::PacketSocket => (namespace, Port::of_packet_socket(port)),
+                _ => (namespace, Port::of_tap(port)),
+            })
             .unzip();
         if let Some(air) = &mut air {
             let (robots, units): (Vec<_>, Vec<_>) = emulated

@@ -20,7 +20,8 @@ use crate::{
     clock::Clock,
     error::Error,
     gateway::gate::Gate,
-    port::{self, Port, Sent},
+    port::{self, Arrival, Port, Sent},
+    presence::{LONGEST_SLEEP, PortWaits, Presence, RunQueue},
     punctual::{self, BusyPoll, Punctuality},
     sys::{Epoll, Ready, Waker},
     wifi::Air,
@@ -51,6 +52,8 @@ pub(crate) struct Shared {
     stopping: AtomicBool,
     /// Frames that a port could not send or receive, and bursts of them that the medium missed.
     dropped: AtomicU64,
+    /// Locked for a moment only, and never waited for by the fabric's thread.
+    waits: Mutex<PortWaits>,
 }
 
 impl Shared {
@@ -60,6 +63,7 @@ impl Shared {
             waker: Waker::new()?,
             stopping: AtomicBool::new(false),
             dropped: AtomicU64::new(0),
+            waits: Mutex::default(),
         })
     }
 
@@ -82,6 +86,13 @@ impl Shared {
 
     pub(crate) fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Publishes figures, unless somebody reads the former ones just now.
+    fn publish(&self, waits: PortWaits) {
+        if let Some(mut published) = self.waits.try_lock() {
+            *published = waits;
+        }
     }
 }
 
@@ -107,6 +118,11 @@ impl Handle {
         self.0.waker.wake();
         wait.recv().map_err(|_| Error::Stopped)
     }
+
+    /// Returns how long frames waited in ports, and how long the fabric's thread was away, up to a tenth of a second ago.
+    pub fn port_waits(&self) -> PortWaits {
+        *self.0.waits.lock()
+    }
 }
 
 impl std::fmt::Debug for Handle {
@@ -122,6 +138,9 @@ pub(crate) struct Engine {
     ports: Ports,
     shared: Arc<Shared>,
     punctuality: Punctuality,
+    presence: Presence,
+    /// Time of the fabric's last poll. Frames that came before enter as of then.
+    polled: Timestamp,
     /// Buffer for the part of a frame that exceeds an ordinary one.
     spill: Box<[u8]>,
     sinks: Sinks,
@@ -236,6 +255,8 @@ impl Engine {
             ports,
             shared,
             punctuality: Punctuality::new(busy_poll),
+            presence: Presence::new(clock.now()),
+            polled: Timestamp::ZERO,
             spill: vec![0; port::LARGEST].into(),
             sinks,
             air,
@@ -253,16 +274,24 @@ impl Engine {
         }
         let _closing = Closing(Arc::clone(&self.shared));
         punctual::be_punctual();
+        let queue = RunQueue::of_this_thread();
         let mut ready: Vec<Ready> = Vec::new();
         let mut deadline = self.poll(self.clock.now())?;
+        self.presence = Presence::new(self.clock.now());
         // Also where a command has cleared the wake-up of the stop.
         while !self.shared.stopping.load(Ordering::Relaxed) {
             let before = self.clock.now();
-            let timeout = deadline.map(|at| self.punctuality.sleep(before, at - self.ports.handover));
+            let until_due = deadline.map(|at| self.punctuality.sleep(before, at - self.ports.handover));
+            let sleep = until_due.unwrap_or(LONGEST_SLEEP).min(LONGEST_SLEEP);
+            self.presence.sleeps(before, sleep, || queue.waited());
             ready.clear();
-            ready.extend(self.ports.epoll.wait(timeout)?);
+            ready.extend(self.ports.epoll.wait(Some(sleep))?);
             let now = self.clock.now();
-            self.punctuality.woke(now, ready.is_empty());
+            self.presence.woke(now, self.ports.epoll.was_interrupted(), || queue.waited());
+            self.punctuality.woke(now, ready.is_empty() && until_due == Some(sleep));
+            if let Some(waits) = self.presence.publish(now) {
+                self.shared.publish(waits);
+            }
             let radios = self.ports.ports.len() + 1;
             if let Some(air) = self.air.as_mut().filter(|_| ready.iter().all(|event| event.token != radios)) {
                 air.nothing_waits();
@@ -286,11 +315,15 @@ impl Engine {
                         }
                     }
                     Some(0) => self.run_commands(),
-                    Some(_) => self.receive_from_radios()?,
+                    Some(_) => {
+                        self.presence.found(self.presence.wait());
+                        self.receive_from_radios()?;
+                    }
                 }
                 deadline = self.poll(self.clock.now())?;
             }
         }
+        self.shared.publish(self.presence.waits());
         port::close(self.ports.ports);
         Ok(self.fabric)
     }
@@ -316,6 +349,7 @@ impl Engine {
     fn poll_fabric(&mut self, now: Timestamp) -> Option<Timestamp> {
         let ports = &mut self.ports;
         let out = now + ports.handover;
+        self.polled = self.polled.max(out);
         let deadline = self.fabric.poll(out, &mut |port, frame| ports.send(port, frame));
         for frame in ports.spent.drain(..) {
             self.fabric.recycle(frame);
@@ -333,24 +367,33 @@ impl Engine {
         deadline
     }
 
-    /// Receives frames at a port. `arrived` is the arrival time of the first, if known better than the time of
-    /// reading.
+    /// Receives frames at a port. `arrived` is the estimated arrival of the first at a port that does not tell.
     fn receive(&mut self, index: usize, mut arrived: Option<Timestamp>) {
         let port = &mut self.ports.ports[index];
+        let wait = self.presence.wait().max(mem::take(&mut port.left));
         for count in 0..port.batch {
             match port.receive(&mut self.fabric, &mut self.spill) {
                 Ok(Some((frame, _))) if is_membership_report(frame.bytes()) => self.fabric.recycle(frame),
-                Ok(Some((frame, age))) => {
-                    let at = match &port.gate {
-                        Some(gate) => {
+                Ok(Some((frame, arrival))) => {
+                    let at = match (arrival, &port.gate) {
+                        (Arrival::Ago(age), gate) => {
                             let now = self.clock.now();
-                            if !gate.lock().admits(now, age, &frame) {
-                                self.fabric.recycle(frame);
-                                continue;
+                            let at = now - age;
+                            match gate {
+                                Some(gate) if !gate.lock().admits(now, age, &frame) => {
+                                    self.fabric.recycle(frame);
+                                    continue;
+                                }
+                                Some(_) => {}
+                                // From here on, its lateness is that of its delivery.
+                                None => self.presence.found(self.polled.since(at)),
                             }
-                            now - age
+                            at
                         }
-                        None => arrived.take().unwrap_or_else(|| self.clock.now()),
+                        (Arrival::Unknown, _) => {
+                            self.presence.found(wait);
+                            arrived.take().unwrap_or_else(|| self.clock.now())
+                        }
                     };
                     self.fabric.push(at, PortId(index), frame);
                 }
@@ -371,6 +414,7 @@ impl Engine {
                 }
             }
         }
+        port.left = wait;
         port.batch = (port.batch * 2).min(BATCH);
     }
 

@@ -34,11 +34,24 @@ pub(crate) enum Sent {
     Dropped,
 }
 
+/// When a frame came to a port.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Arrival {
+    /// The kernel says how long ago.
+    Ago(Duration),
+    /// A TAP does not say.
+    Unknown,
+}
+
 pub(crate) struct Port {
     fd: OwnedFd,
+    /// Whether the kernel tells when frames came.
+    is_stamped: bool,
     /// Number of frames to read in a row, as many as the last time. Finding no further frame costs as much as reading
     /// one.
     pub(crate) batch: usize,
+    /// Longest possible wait of the frames that were left when it was last read.
+    pub(crate) left: Duration,
     /// Whether the last frame was a super-packet. The next probably is one, too, and is then read without a copy.
     expects_large: bool,
     backlog: VecDeque<Frame>,
@@ -47,19 +60,31 @@ pub(crate) struct Port {
 }
 
 impl Port {
-    /// Makes a port from a non-blocking TAP or packet socket with [`vnet`] headers.
-    pub(crate) fn new(fd: OwnedFd) -> Self {
-        Self { fd, batch: 1, expects_large: false, backlog: VecDeque::new(), gate: None }
+    /// Makes a port from a non-blocking TAP with [`vnet`] headers.
+    pub(crate) fn of_tap(fd: OwnedFd) -> Self {
+        Self {
+            fd,
+            is_stamped: false,
+            batch: 1,
+            left: Duration::ZERO,
+            expects_large: false,
+            backlog: VecDeque::new(),
+            gate: None,
+        }
+    }
+
+    /// Makes a port from a non-blocking packet socket with [`vnet`] headers and times of arrival.
+    pub(crate) fn of_packet_socket(fd: OwnedFd) -> Self {
+        Self { is_stamped: true, ..Self::of_tap(fd) }
     }
 
     /// Makes a gateway's port from its packet socket.
     pub(crate) fn of_gateway(fd: OwnedFd, gate: Arc<Mutex<Gate>>) -> Self {
-        Self { gate: Some(gate), ..Self::new(fd) }
+        Self { gate: Some(gate), ..Self::of_packet_socket(fd) }
     }
 
     /// Reads the next frame into one of the fabric's buffers; `Ok(None)` if there is none now. The part beyond an
-    /// ordinary buffer goes through `spill`, which has room for [`LARGEST`] bytes. Returns the age of a gateway's frame,
-    /// too; that of others is zero.
+    /// ordinary buffer goes through `spill`, which has room for [`LARGEST`] bytes. Returns when the frame came, too.
     ///
     /// # Errors
     /// If a frame was unreadable; the next one may be fine.
@@ -67,15 +92,17 @@ impl Port {
         &mut self,
         fabric: &mut Fabric,
         spill: &mut [u8],
-    ) -> io::Result<Option<(Frame, Duration)>> {
+    ) -> io::Result<Option<(Frame, Arrival)>> {
         let mut header = [0; vnet::LENGTH];
         let mut buffer = fabric.buffer(if self.expects_large { LARGEST } else { ORDINARY });
-        let read = match &self.gate {
-            Some(_) => sys::read_frame_with_age(self.fd.as_fd(), &mut header, &mut buffer, spill),
-            None => sys::read_frame(self.fd.as_fd(), &mut header, &mut buffer, spill)
-                .map(|length| (length, Duration::ZERO)),
+        let read = if self.is_stamped {
+            sys::read_frame_with_age(self.fd.as_fd(), &mut header, &mut buffer, spill)
+                .map(|(length, age)| (length, Arrival::Ago(age)))
+        } else {
+            sys::read_frame(self.fd.as_fd(), &mut header, &mut buffer, spill)
+                .map(|length| (length, Arrival::Unknown))
         };
-        let (length, age) = match read {
+        let (length, arrival) = match read {
             Ok(read) => read,
             Err(e) => {
                 fabric.recycle(Frame::new(buffer));
@@ -94,7 +121,7 @@ impl Port {
             fabric.recycle(Frame::new(buffer));
             return Err(io::ErrorKind::InvalidData.into());
         };
-        Ok(Some((Frame::with_offload(buffer, offload), age)))
+        Ok(Some((Frame::with_offload(buffer, offload), arrival)))
     }
 
     /// Sends a frame behind those queued. Sent and dropped frames go to `spent`.

@@ -20,8 +20,8 @@ use std::{
 use libc::{c_int, c_short, c_uint, c_ulong, c_void};
 
 pub(crate) use packet::{
-    Interface, bind_filtered, interface, overflows, packet_socket, read_frame_with_age, read_with_age,
-    stamped_packet_socket, unbound_packet_socket,
+    Interface, bind_filtered, interface, overflows, packet_socket, read_datagram_with_age,
+    read_frame_with_age, read_with_age, stamp_arrivals, stamped_packet_socket, unbound_packet_socket,
 };
 
 /// Turns the -1 of a system call into its error.
@@ -594,7 +594,7 @@ pub(crate) fn restrict_offloads(socket: BorrowedFd<'_>, interface: &CStr, keep: 
     ethtool(&mut change).map(drop)
 }
 
-fn set_option<T>(socket: &OwnedFd, level: c_int, option: c_int, value: &T) -> io::Result<()> {
+fn set_option<T>(socket: &impl AsRawFd, level: c_int, option: c_int, value: &T) -> io::Result<()> {
     let size = mem::size_of::<T>() as libc::socklen_t;
     // SAFETY: the pointer is to a live value of the size given.
     check(unsafe {
@@ -607,6 +607,7 @@ fn set_option<T>(socket: &OwnedFd, level: c_int, option: c_int, value: &T) -> io
 pub(crate) struct Epoll {
     fd: OwnedFd,
     ready: Vec<libc::epoll_event>,
+    was_interrupted: bool,
 }
 
 /// State of a descriptor found by [`Epoll`].
@@ -621,7 +622,8 @@ impl Epoll {
     pub(crate) fn new() -> io::Result<Self> {
         // SAFETY: takes no pointer and makes a descriptor.
         let fd = unsafe { own(libc::epoll_create1(libc::EPOLL_CLOEXEC))? };
-        Ok(Self { fd, ready: vec![libc::epoll_event { events: 0, u64: 0 }; 256] })
+        let ready = vec![libc::epoll_event { events: 0, u64: 0 }; 256];
+        Ok(Self { fd, ready, was_interrupted: false })
     }
 
     fn control(&self, operation: c_int, fd: RawFd, token: usize, writable: bool) -> io::Result<()> {
@@ -646,6 +648,11 @@ impl Epoll {
         self.control(libc::EPOLL_CTL_DEL, fd.as_raw_fd(), 0, false)
     }
 
+    /// Whether a signal ended the last wait, such as a stop and its end (signal(7)).
+    pub(crate) fn was_interrupted(&self) -> bool {
+        self.was_interrupted
+    }
+
     /// Waits for at most `timeout`, for ever without one. A signal ends the wait with nothing ready.
     pub(crate) fn wait(&mut self, timeout: Option<Duration>) -> io::Result<impl Iterator<Item = Ready> + '_> {
         let timeout = timeout.map(|t| libc::timespec {
@@ -665,10 +672,8 @@ impl Epoll {
                 0usize,
             )
         } as c_int);
-        let count = match count {
-            Err(e) if e.kind() == io::ErrorKind::Interrupted => 0,
-            count => count? as usize,
-        };
+        self.was_interrupted = matches!(&count, Err(e) if e.kind() == io::ErrorKind::Interrupted);
+        let count = if self.was_interrupted { 0 } else { count? as usize };
         Ok(self.ready[..count].iter().map(|event| Ready {
             token: event.u64 as usize,
             readable: event.events & !(libc::EPOLLOUT as u32) != 0,

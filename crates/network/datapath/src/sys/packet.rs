@@ -3,6 +3,7 @@
 use std::{
     ffi::CStr,
     io, mem,
+    net::{Ipv4Addr, SocketAddrV4},
     os::fd::{AsRawFd, BorrowedFd, OwnedFd},
     time::Duration,
 };
@@ -54,13 +55,14 @@ pub(crate) fn interface(socket: BorrowedFd<'_>, name: &CStr) -> io::Result<Inter
 }
 
 /// Opens a packet socket on an interface of the calling thread's network namespace. It receives incoming frames only,
-/// each behind its `virtio_net_hdr`.
+/// each behind its `virtio_net_hdr`. [`read_frame_with_age`] returns the age of frames.
 pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<OwnedFd> {
     let socket = unbound_packet_socket(buffer_bytes)?;
     let on: c_int = 1;
     set_option(&socket, libc::SOL_PACKET, libc::PACKET_VNET_HDR, &on)?;
     set_option(&socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING, &on)?;
     set_option(&socket, libc::SOL_PACKET, libc::PACKET_QDISC_BYPASS, &on)?;
+    set_option(&socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, &on)?;
     bind_packet_socket(&socket, interface, libc::ETH_P_ALL as u16)?;
     Ok(socket)
 }
@@ -169,7 +171,28 @@ fn bind_packet_socket(socket: &OwnedFd, interface: u32, ethertype: u16) -> io::R
 pub(crate) fn read_with_age(fd: BorrowedFd<'_>, buffer: &mut [u8]) -> io::Result<(usize, Duration)> {
     let mut parts = [libc::iovec { iov_base: buffer.as_mut_ptr().cast(), iov_len: buffer.len() }];
     // SAFETY: the part is live memory of ours, of the length stated.
-    unsafe { receive_with_age(fd, &mut parts) }
+    unsafe { receive_with_age(fd, &mut parts, None) }
+}
+
+/// Lets [`read_datagram_with_age`] tell the age of a socket's datagrams.
+pub(crate) fn stamp_arrivals(socket: BorrowedFd<'_>) -> io::Result<()> {
+    let on: c_int = 1;
+    set_option(&socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, &on)
+}
+
+/// Receives a datagram of an IPv4 socket, truncated to the buffer, and returns its length, its sender and its age since the
+/// kernel had it for the socket.
+pub(crate) fn read_datagram_with_age(
+    fd: BorrowedFd<'_>,
+    buffer: &mut [u8],
+) -> io::Result<(usize, SocketAddrV4, Duration)> {
+    // SAFETY: a sockaddr_in is integers, for which zero is a value.
+    let mut from: libc::sockaddr_in = unsafe { mem::zeroed() };
+    let mut parts = [libc::iovec { iov_base: buffer.as_mut_ptr().cast(), iov_len: buffer.len() }];
+    // SAFETY: the part is live memory of ours, of the length stated.
+    let (length, age) = unsafe { receive_with_age(fd, &mut parts, Some(&mut from))? };
+    let address = Ipv4Addr::from(u32::from_be(from.sin_addr.s_addr));
+    Ok((length, SocketAddrV4::new(address, u16::from_be(from.sin_port)), age))
 }
 
 /// Reads one frame as [`read_frame`](super::read_frame) does, and returns its age since the kernel received it, too.
@@ -182,18 +205,22 @@ pub(crate) fn read_frame_with_age(
     let mut age = Duration::ZERO;
     let length = fill_frame(header, buffer, spill, |parts| {
         // SAFETY: the parts are live memory, of the lengths stated.
-        let (length, since) = unsafe { receive_with_age(fd, parts)? };
+        let (length, since) = unsafe { receive_with_age(fd, parts, None)? };
         age = since;
         Ok(length)
     })?;
     Ok((length, age))
 }
 
-/// Receives a frame into the parts, and returns its length and its age.
+/// Receives a frame or a datagram into the parts, and returns its length and its age. `from` becomes the sender of a datagram.
 ///
 /// # Safety
 /// The parts are live memory of the lengths stated, which nobody else uses.
-unsafe fn receive_with_age(fd: BorrowedFd<'_>, parts: &mut [libc::iovec]) -> io::Result<(usize, Duration)> {
+unsafe fn receive_with_age(
+    fd: BorrowedFd<'_>,
+    parts: &mut [libc::iovec],
+    from: Option<&mut libc::sockaddr_in>,
+) -> io::Result<(usize, Duration)> {
     /// Room for one control message with a timespec, aligned as its header is.
     #[repr(C)]
     struct Control {
@@ -207,6 +234,10 @@ unsafe fn receive_with_age(fd: BorrowedFd<'_>, parts: &mut [libc::iovec]) -> io:
     message.msg_iovlen = parts.len() as _;
     message.msg_control = control.bytes.as_mut_ptr().cast();
     message.msg_controllen = control.bytes.len() as _;
+    if let Some(from) = from {
+        message.msg_namelen = mem::size_of_val(from) as libc::socklen_t;
+        message.msg_name = std::ptr::from_mut(from).cast();
+    }
     // SAFETY: the message points to live memory, of the lengths stated.
     let length = check_len(unsafe { libc::recvmsg(fd.as_raw_fd(), &mut message, 0) })?;
     let now = realtime()?;
