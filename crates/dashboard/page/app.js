@@ -176,7 +176,7 @@ function showVerdict(verdict) {
     if (!verdict) return;
     place.dataset.valid = String(verdict.valid);
     const [heading, reason] = place.children;
-    setText(heading, verdict.valid ? "Valid" : "Not valid");
+    setText(heading, verdict.exact ? "Exact by construction" : verdict.valid ? "Valid" : "Not valid");
     setText(reason, `The emulation was ${verdict.valid ? "as" : "not as"} the testbed file demands: ${verdict.reason}.`);
 }
 

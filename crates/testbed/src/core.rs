@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_engine::Engine;
+use cotorra_engine::{Engine, InstanceWaits};
 use cotorra_graph::{
     Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId, Stamped,
     Testbed, Timestamp, VnfEvent, VnfId, VnfState,
@@ -395,8 +395,14 @@ impl<N: Network, E: Engine> Core<N, E> {
         remarks.into_iter().map(|event| Stamped { at, event }).collect()
     }
 
+    /// Returns for how long instances of VNFs have waited for a processor so far, as far as the engine knows.
+    pub(crate) fn processor_waits(&self) -> Vec<InstanceWaits> {
+        self.control.processor_waits()
+    }
+
     /// Reports the state of the network once more, and stops all VNFs.
     pub(crate) fn shut_down(&mut self, now: Timestamp) {
+        self.middleware.finish(now);
         let remarks = self.flow_remarks(now);
         self.events.extend(remarks);
         if let Ok(events) = self.control.observe() {

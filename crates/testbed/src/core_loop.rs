@@ -8,11 +8,14 @@ use std::{
     sync::{Arc, mpsc},
 };
 
+use cotorra_datapath::StampedSocket;
 use cotorra_engine::Engine;
+use cotorra_fabric::Histogram;
 use cotorra_graph::{NodeId, Stamped, Timestamp};
 use cotorra_measurements::Recorder;
 use cotorra_network_control::Network;
 use cotorra_recording::Tap;
+use parking_lot::Mutex;
 use tokio::sync::broadcast;
 
 use crate::{
@@ -117,6 +120,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
         }
         self.sinks.report.missed(self.sinks.plugins.missed());
         self.sinks.report.localized(self.core.localization_errors());
+        self.sinks.report.waited(self.core.processor_waits());
         (self.sinks.report, now, end)
     }
 
@@ -186,16 +190,21 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
 /// Largest number of a robot's datagrams that wait for the core. Further ones are lost, as with a full socket buffer.
 const MAX_WAITING: usize = 128;
 
-/// Receives a robot's datagrams, each with its time of arrival.
-pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Clock, tell: &mpsc::Sender<Message>) {
+/// Receives a robot's datagrams, each with its time of arrival. Notes in `waits` for how long they waited before.
+pub(crate) fn receive(
+    robot: &NodeId,
+    socket: &StampedSocket,
+    now: &Clock,
+    waits: &Mutex<Histogram>,
+    tell: &mpsc::Sender<Message>,
+) {
     let mut buffer = [0; 2048];
     let waiting = Arc::new(());
     loop {
-        match socket.recv_from(&mut buffer) {
-            // Robots use IPv4.
-            Ok((_, SocketAddr::V6(_))) => {}
+        match socket.receive(&mut buffer) {
             Ok(_) if Arc::strong_count(&waiting) > MAX_WAITING => {}
-            Ok((length, SocketAddr::V4(from))) => {
+            Ok((length, from, waited)) => {
+                waits.lock().record(waited);
                 let bytes = buffer[..length].to_vec();
                 let message = Message::Datagram {
                     robot: robot.clone(),
@@ -246,12 +255,16 @@ mod tests {
             inbox.iter().take_while(|message| !matches!(message, Message::Wake)).collect()
         };
         flood();
-        let receiver = thread::spawn(move || receive(&robot, &socket, &now, &tell));
+        let socket = StampedSocket::new(socket).unwrap();
+        let waits = Arc::<Mutex<Histogram>>::default();
+        let its = Arc::clone(&waits);
+        let receiver = thread::spawn(move || receive(&robot, &socket, &now, &its, &tell));
         let first = until_wake();
         assert_eq!(first.len(), MAX_WAITING);
         drop(first);
         flood();
         while until_wake().is_empty() {}
+        assert!(waits.lock().summary().frames >= MAX_WAITING as u64, "the waits of all that came are known");
         drop(inbox);
         receiver.join().unwrap();
     }

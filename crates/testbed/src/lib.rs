@@ -75,10 +75,10 @@ pub use recorded::{Recorded, RecordedError};
 pub use reflectors::ReflectorError;
 pub use rehearse::{interface_plans, rehearse};
 pub use report::{
-    DataTable, DecisionRecord, Fidelity, FolderError, GatewaySummary, HandoverRecord, LatenessSummary,
-    LocalizationSummary, MeanParts, PartSummary, Place, PlacementRecord, Quantiles, RegionSummary, Report,
-    RobotSummary, ServiceParts, ServiceSummary, Summary, by_service, name_of_total, panels, service_time_ms,
-    write_file,
+    AwaySummary, DataTable, DecisionRecord, Fidelity, FolderError, GatewaySummary, HandoverRecord,
+    LatenessSummary, LocalizationSummary, MeanParts, PartSummary, Place, PlacementRecord, Quantiles,
+    RegionSummary, Report, RobotSummary, ServiceParts, ServiceSummary, Summary, VnfWaits, by_service,
+    name_of_total, panels, service_time_ms, write_file,
 };
 pub use robots::RobotError;
 pub use run::{Run, Stopper};

@@ -311,7 +311,10 @@ impl Network for RealNetwork {
     fn lateness(&self, fabric: Lateness) -> Lateness {
         match &self.real {
             Some(real) if real.are_alone() => real.lateness(),
-            _ => self.kernel.as_ref().map_or(fabric, |kernel| kernel.lateness()),
+            _ => match &self.kernel {
+                Some(kernel) => kernel.lateness(),
+                None => worse(fabric, self.handle.port_waits().frames),
+            },
         }
     }
 
@@ -345,6 +348,17 @@ impl Network for RealNetwork {
         let counted = observed.into_iter().map(|(key, observed)| (key, observed.counters)).collect();
         self.traffic.complete(now, &mut contexts, &counted, all);
         contexts
+    }
+}
+
+/// Returns the lateness of frames that were late when they were delivered, and before that in their ports: the larger of each
+/// quantile.
+fn worse(delivered: Lateness, ports: Lateness) -> Lateness {
+    Lateness {
+        frames: delivered.frames,
+        p50_us: delivered.p50_us.max(ports.p50_us),
+        p99_us: delivered.p99_us.max(ports.p99_us),
+        max_us: delivered.max_us.max(ports.max_us),
     }
 }
 

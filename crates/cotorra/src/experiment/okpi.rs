@@ -215,7 +215,7 @@ fn describe(
     for Done { name, walk: Finished { summary, .. }, .. } in walks {
         let samples = count(summary.samples, "sample");
         text += &match &summary.void[..] {
-            [] => format!("{name}: {samples}, valid: {}\n", summary.fidelity.reason),
+            [] => format!("{name}: {samples}, {}: {}\n", summary.fidelity.word(), summary.fidelity.reason),
             void => format!("{name}: {samples}, NOT VALID: {}\n", void.join("; ")),
         };
         text += &summary

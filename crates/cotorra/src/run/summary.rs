@@ -160,8 +160,11 @@ fn figures(summary: &Summary, several: bool) -> Table {
     let gaps = gaps.map(|gaps| format!(", gap median {}, max {}", in_ms(gaps.p50), in_ms(gaps.max)));
     let handovers = format!("{}{by_robot}{}", summary.handovers.len(), gaps.unwrap_or_default());
     table.row(["handovers".to_owned(), handovers]);
-    let verdict =
-        if summary.fidelity.valid { style("valid").green() } else { style("NOT VALID").red().bold() };
+    for vnf in summary.fidelity.vnf_waits.iter().filter(|vnf| vnf.is_starved) {
+        table.row([format!("VNF {}", vnf.vnf), vnf.sentence()]);
+    }
+    let word = style(summary.fidelity.word());
+    let verdict = if summary.fidelity.valid { word.green() } else { word.red().bold() };
     table.row(["fidelity".to_owned(), format!("{verdict}: {}", summary.fidelity.reason)]);
     table.row(["seed".to_owned(), summary.seed.to_string()]);
     table

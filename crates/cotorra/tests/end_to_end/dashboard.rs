@@ -181,7 +181,7 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
     let verdict = browser.evaluate("return document.getElementById('verdict').textContent;");
     let (verdict, reason) = (verdict.as_str().unwrap(), summary["fidelity"]["reason"].as_str().unwrap());
-    assert!(verdict.starts_with("Valid") && verdict.contains(reason), "{verdict}");
+    assert!(verdict.starts_with("Exact by construction") && verdict.contains(reason), "{verdict}");
     browser.evaluate("document.querySelector('[data-span=all]').click();");
     browser.wait_for(&format!("{CHART}.includes('0:00 to 1:40, attached to R1, R3, R2')"));
 

@@ -70,6 +70,71 @@ fn the_corridor_is_walked_and_measured() {
     }
 }
 
+/// Time for which runs are stopped, and what of it must be seen: one sleep of the fabric's thread may be left out.
+const STOPPED_S: f64 = 3.0;
+const SEEN_S: f64 = STOPPED_S - 0.1;
+
+/// Stops a run's process for a while, as a laptop's lid does.
+fn stop_for_a_while(run: &Run) {
+    let uptime = || -> f64 {
+        let uptime = fs::read_to_string("/proc/uptime").unwrap();
+        uptime.split(' ').next().unwrap().parse().unwrap()
+    };
+    run.signal("STOP");
+    let status = format!("/proc/{}/stat", run.pid());
+    wait_until(|| fs::read_to_string(&status).unwrap().rsplit(')').next().unwrap().starts_with(" T"));
+    let begin = uptime();
+    wait_until(|| uptime() >= begin + STOPPED_S);
+    run.signal("CONT");
+}
+
+/// Waits for the end of a run that is not valid. Returns the summary and standard output.
+fn report_of_an_invalid(run: &mut Run) -> (Value, String) {
+    let (ended, printed, errors) = run.wait();
+    assert_eq!(ended.code(), Some(3), "{printed}{errors}");
+    let summary = fs::read_to_string(run.folder.join("summary.json")).unwrap();
+    let summary: Value = serde_json::from_str(&summary).unwrap();
+    let fidelity = &summary["fidelity"];
+    assert!(fidelity["valid"] == false && printed.contains("NOT VALID"), "{fidelity:#}{printed}");
+    assert!(fidelity["away"]["absence_max_ms"].as_f64().unwrap() >= SEEN_S * 1e3, "{fidelity:#}");
+    (summary, printed)
+}
+
+#[test]
+fn packets_that_a_stopped_run_did_not_send_are_samples_without_an_answer() {
+    let mut run = Run::start(&corridor(), &["--until", "15s", "--seed", "7"]);
+    run.wait_for_service();
+    stop_for_a_while(&run);
+    let (summary, printed) = report_of_an_invalid(&mut run);
+    // The robot had a packet due every 200 ms, and the last of them was sent late.
+    assert!(summary["unanswered"].as_u64().unwrap() >= 14, "{summary:#}");
+    assert!(!printed.contains("navigation of robot kept 15 ms in all"), "{printed}");
+}
+
+#[test]
+fn frames_that_wait_in_the_port_of_a_stopped_run_are_late() {
+    let mut run = Run::start(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"]);
+    let packets = || {
+        let links = run.get("/api/v1/network/links");
+        let is_it = |context: &&Value| context["link"] == "left-lan" && context["direction"] == "forward";
+        links.as_array().unwrap().iter().find(is_it).unwrap()["counters"]["packets"].as_u64().unwrap()
+    };
+    // Nothing of cotorra's sends them, so that they come while it is stopped.
+    let send = "while :; do echo > /dev/udp/right/9; sleep 0.02; done";
+    let mut exec = cotorra(["exec", "left", "--api", run.address(), "--", "bash", "-c", send]);
+    let mut sender = exec.stderr(Stdio::null()).spawn().unwrap();
+    wait_until(|| packets() > 20);
+    stop_for_a_while(&run);
+    let before = packets();
+    wait_until(|| packets() > before + 20);
+    sender.kill().unwrap();
+    sender.wait().unwrap();
+    run.signal("INT");
+    let (summary, _) = report_of_an_invalid(&mut run);
+    let late_us = summary["fidelity"]["lateness_us"]["max"].as_f64().unwrap();
+    assert!(late_us >= SEEN_S * 1e6, "{summary:#}");
+}
+
 #[test]
 fn localization_moves_to_another_server_while_the_robot_walks() {
     let (run, summary, printed) = valid_report(|| {

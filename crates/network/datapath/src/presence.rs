@@ -59,6 +59,8 @@ pub(crate) struct Presence {
     queued: (Timestamp, Option<Duration>),
     /// The longest possible wait of a frame that the last look found.
     wait: Duration,
+    /// That of frames which an interrupted look did not find.
+    unfound: Duration,
     frames: Histogram,
     absence: Absence,
     /// When the figures were last taken, and their absence.
@@ -73,6 +75,7 @@ impl Presence {
             alarm: now,
             queued: (now, None),
             wait: Duration::ZERO,
+            unfound: Duration::ZERO,
             frames: Histogram::default(),
             absence: Absence::default(),
             published: (now, Absence::default()),
@@ -113,7 +116,9 @@ impl Presence {
             Some(self.sleeps.since(self.woke)).filter(|worked| *worked >= ABSENT).unwrap_or_default();
         self.absence.record(worked);
         self.absence.record(late);
-        self.wait = worked.max(late);
+        self.wait = worked.max(late).max(self.unfound);
+        // An interrupted wait finds nothing: the next look has its frames.
+        self.unfound = if was_interrupted { self.wait } else { Duration::ZERO };
         self.woke = now;
     }
 
@@ -206,6 +211,11 @@ mod tests {
         presence.sleeps(at(0), ms(10), || None);
         presence.woke(at(8000), true, || None);
         assert_eq!(presence.waits().absence.longest, ms(8));
+        // Only the next look finds the frames that waited.
+        look(&mut presence, 8000, ms(10), 8010, None);
+        assert_eq!((presence.wait(), presence.waits().absence.total), (ms(8), ms(8)));
+        look(&mut presence, 8020, ms(10), 8030, None);
+        assert_eq!(presence.wait(), Duration::ZERO);
     }
 
     #[test]

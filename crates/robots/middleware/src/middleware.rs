@@ -772,7 +772,8 @@ impl Managed {
         let is_well = self.driver.health().is_empty();
         let Some(service) = self.service.as_mut().filter(|_| is_well) else { return };
         let (missed, uncounted) = service.miss(now, route);
-        events.extend(missed.into_iter().map(|missed| Stamped { at: now, event: Event::ServiceTime(missed) }));
+        events
+            .extend(missed.into_iter().map(|missed| Stamped { at: now, event: Event::ServiceTime(missed) }));
         if uncounted > 0 {
             let message = format!(
                 "robot {} did not send {uncounted} more position packets that were due, which are not among its samples",

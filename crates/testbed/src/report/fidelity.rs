@@ -3,6 +3,8 @@
 use cotorra_graph::Lateness;
 use serde::{Deserialize, Serialize};
 
+use super::{away::AwaySummary, vnf_waits::VnfWaits};
+
 /// Highest trusted lateness at the 99th percentile, µs.
 pub(super) const VALID_P99_US: f64 = 1000.0;
 /// Highest trusted lateness at the median, µs.
@@ -18,12 +20,21 @@ const VALID_PROBES: u64 = 100;
 pub struct Fidelity {
     /// Whether the figures can be trusted.
     pub valid: bool,
-    /// Lateness of frames, µs.
+    /// Whether the emulation is exact by construction: virtual time waits for nothing.
+    #[serde(default)]
+    pub exact: bool,
+    /// Lateness of frames, µs: when they were delivered, or how long they waited in a port, whichever is larger.
     pub lateness_us: LatenessSummary,
     /// Number of frames in the verdict: all, or only probes if the kernel's NetEm carried the frames.
     pub frames: u64,
     /// Frames lost unintentionally: an interface was down, or its queue was full.
     pub frames_dropped: u64,
+    /// Time in which the emulated network stood still; `None` in virtual time.
+    #[serde(default)]
+    pub away: Option<AwaySummary>,
+    /// Waits of VNFs for a processor of this machine, by VNF. Empty in virtual time.
+    #[serde(default)]
+    pub vnf_waits: Vec<VnfWaits>,
     /// Reason for the verdict, with the limits.
     pub reason: String,
 }
@@ -43,6 +54,8 @@ pub struct LatenessSummary {
 /// Frames whose lateness is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum MeasuredFrames {
+    /// All frames, in virtual time, where none is late.
+    Exact,
     /// All frames, because the fabric carried them.
     All,
     /// The frames that the fabric carried; others crossed interfaces of this machine.
@@ -61,7 +74,7 @@ impl Fidelity {
     ) -> Self {
         let Lateness { frames, p50_us, p99_us, max_us } = lateness;
         let (which, what) = match measured_frames {
-            MeasuredFrames::All | MeasuredFrames::Emulated => ("", "the frames"),
+            MeasuredFrames::Exact | MeasuredFrames::All | MeasuredFrames::Emulated => ("", "the frames"),
             MeasuredFrames::Probes => {
                 ("the kernel's NetEm carried the frames, and only probes tell how late; ", "the probes")
             }
@@ -96,6 +109,8 @@ impl Fidelity {
                     "{which}half of {what} came later than {p50_us:.0} µs; {VALID_P50_US:.0} µs are allowed"
                 ),
             )
+        } else if measured_frames == MeasuredFrames::Exact {
+            (true, "in virtual time, every frame arrives when it is due".to_owned())
         } else {
             let reason = format!(
                 "{which}lateness p50 {p50_us:.0} µs (limit {VALID_P50_US:.0}), p99 {p99_us:.0} µs (limit {VALID_P99_US:.0})"
@@ -103,7 +118,33 @@ impl Fidelity {
             (true, reason)
         };
         let lateness_us = LatenessSummary { p50: p50_us, p99: p99_us, max: max_us };
-        Self { valid, lateness_us, frames, frames_dropped, reason }
+        let exact = valid && measured_frames == MeasuredFrames::Exact;
+        Self { valid, exact, lateness_us, frames, frames_dropped, away: None, vnf_waits: Vec::new(), reason }
+    }
+
+    /// Extends the verdict to the waits of datagrams in robots' sockets, which are part of the service times.
+    pub(super) fn with_receptions(self, receptions: Lateness) -> Self {
+        let Lateness { p50_us, p99_us, .. } = receptions;
+        let (share, late, limit) = if p99_us > VALID_P99_US {
+            ("1 %", p99_us, VALID_P99_US)
+        } else if p50_us > VALID_P50_US {
+            ("half", p50_us, VALID_P50_US)
+        } else {
+            return self;
+        };
+        let reason = format!(
+            "{share} of the answers waited in their robot's socket for more than {late:.0} µs; {limit:.0} µs are allowed"
+        );
+        if self.valid { Self { valid: false, reason, ..self } } else { self }
+    }
+
+    /// Returns the verdict in a word or a few.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self { valid: false, .. } => "NOT VALID",
+            Self { exact: true, .. } => "exact by construction",
+            Self { .. } => "valid",
+        }
     }
 
     /// Extends the verdict to packets that no port saw, because the kernel knew no address to send them to.
@@ -156,6 +197,28 @@ mod tests {
         assert!(idle.valid && idle.reason.contains("no service"), "{idle:?}");
         assert!(!fidelity(Lateness::default(), 1).valid);
         assert!(!fidelity(Lateness { frames: 10, p50_us: 20.0, p99_us: 1500.0, max_us: 5000.0 }, 0).valid);
+    }
+
+    #[test]
+    fn answers_that_wait_in_a_robots_socket_are_late() {
+        let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
+        let judged =
+            |receptions| Fidelity::of(MeasuredFrames::All, good, 0, false).with_receptions(receptions);
+        assert!(judged(good).valid && judged(Lateness::default()).valid);
+        let rare = judged(Lateness { p99_us: 1001.0, ..good });
+        assert!(!rare.valid && rare.reason.contains("1 % of the answers"), "{rare:?}");
+        let half = judged(Lateness { p50_us: 251.0, ..good });
+        assert!(!half.valid && half.reason.contains("half of the answers"), "{half:?}");
+    }
+
+    #[test]
+    fn virtual_time_is_exact_by_construction() {
+        let punctual = Lateness { frames: 10, ..Lateness::default() };
+        let exact = Fidelity::of(MeasuredFrames::Exact, punctual, 0, false);
+        assert_eq!((exact.word(), exact.valid, exact.exact), ("exact by construction", true, true));
+        let none = Fidelity::of(MeasuredFrames::Exact, Lateness::default(), 0, false);
+        assert_eq!((none.word(), none.exact), ("NOT VALID", false));
+        assert_eq!(Fidelity::of(MeasuredFrames::All, punctual, 0, false).word(), "valid");
     }
 
     #[test]

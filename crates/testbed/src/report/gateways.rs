@@ -81,6 +81,9 @@ mod tests {
         const GOOD: LatenessSummary = LatenessSummary { p50: 20.0, p99: 300.0, max: 5000.0 };
         let valid = || Fidelity {
             valid: true,
+            exact: false,
+            away: None,
+            vnf_waits: Vec::new(),
             lateness_us: GOOD,
             frames: 10,
             frames_dropped: 0,

@@ -1,6 +1,7 @@
 //! The results of a run: summary, samples, and the figure in the published layout. Everything is computed from events,
 //! except localization errors.
 
+mod away;
 mod driving;
 mod end;
 mod fidelity;
@@ -14,8 +15,10 @@ mod summary;
 mod table;
 mod time_parts;
 mod times;
+mod vnf_waits;
 mod void;
 
+pub use away::AwaySummary;
 pub(crate) use end::End;
 pub use fidelity::{Fidelity, LatenessSummary};
 pub use figure::panels;
@@ -30,3 +33,4 @@ pub use summary::{
 pub use table::DataTable;
 pub use time_parts::{MeanParts, PartSummary, ServiceParts};
 pub use times::Quantiles;
+pub use vnf_waits::VnfWaits;

@@ -2,7 +2,8 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use cotorra_datapath::GatewayTraffic;
+use cotorra_datapath::{Absence, GatewayTraffic};
+use cotorra_engine::InstanceWaits;
 use cotorra_graph::{
     Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Requests, Service, ServiceId,
     ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
@@ -11,6 +12,7 @@ use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
 
 use super::{
+    away::AwaySummary,
     driving::{Driving, DrivingSummary},
     end::End,
     fidelity::{Fidelity, MeasuredFrames},
@@ -19,6 +21,7 @@ use super::{
     samples::Samples,
     time_parts::{ServiceParts, TimePartsReport},
     times::{Quantiles, Times},
+    vnf_waits::VnfWaits,
     void::Doubts,
 };
 
@@ -260,6 +263,12 @@ pub struct Report {
     decisions: Vec<DecisionRecord>,
     lateness: Lateness,
     gateways: Vec<GatewaySummary>,
+    absence: Option<Absence>,
+    /// Waits of datagrams in robots' sockets.
+    receptions: Lateness,
+    vnf_waits: Vec<InstanceWaits>,
+    /// VNFs of whose waits nothing is known.
+    unwatched: Vec<VnfId>,
     faults: Vec<String>,
     notices: Vec<String>,
     doubts: Doubts,
@@ -310,6 +319,10 @@ impl Report {
             decisions: Vec::new(),
             lateness: Lateness::default(),
             gateways: Vec::new(),
+            absence: None,
+            receptions: Lateness::default(),
+            vnf_waits: Vec::new(),
+            unwatched: VnfWaits::unwatched(testbed),
             faults: Vec::new(),
             notices: Vec::new(),
             doubts: Doubts::new(testbed),
@@ -334,9 +347,10 @@ impl Report {
         Ok(Self { samples, ..self })
     }
 
-    /// Expects nothing of programs, which do not run in virtual time.
+    /// Marks the run as one in virtual time, where nothing is late, and where programs do not run.
     pub(crate) fn in_virtual_time(self, testbed: &Testbed) -> Self {
-        Self { doubts: self.doubts.in_virtual_time(testbed), ..self }
+        let doubts = self.doubts.in_virtual_time(testbed);
+        Self { measured_frames: MeasuredFrames::Exact, unwatched: Vec::new(), doubts, ..self }
     }
 
     /// Marks the kernel as the carrier of frames; lateness is then that of probes.
@@ -422,6 +436,21 @@ impl Report {
     /// Adds the traffic of gateways and real servers. It is in no event.
     pub(crate) fn passed(&mut self, gateways: Vec<GatewayTraffic>) {
         self.gateways = gateways.into_iter().map(GatewaySummary::from).collect();
+    }
+
+    /// Adds the time in which the emulated network stood still. It is in no event.
+    pub(crate) fn stood_still(&mut self, absence: Absence) {
+        self.absence = Some(absence);
+    }
+
+    /// Adds the waits of datagrams in robots' sockets. They are in no event.
+    pub(crate) fn received(&mut self, receptions: Lateness) {
+        self.receptions = receptions;
+    }
+
+    /// Adds the waits of VNFs for a processor. They are in no event.
+    pub(crate) fn waited(&mut self, waits: Vec<InstanceWaits>) {
+        self.vnf_waits = waits;
     }
 
     fn position_for(&self, vnf: &VnfId) -> Option<Position> {
@@ -512,11 +541,12 @@ impl Report {
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let by_service = self.by_service();
         let whole = self.merged(&by_service, |_| true);
+        let duration = end.since(Timestamp::ZERO);
         let mut summary = Summary {
             name: self.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
             seed: self.seed,
-            duration_ms: millis::of(end.since(Timestamp::ZERO)),
+            duration_ms: millis::of(duration),
             ended,
             no_progress: self.no_progress.clone(),
             void: Vec::new(),
@@ -539,7 +569,10 @@ impl Report {
                 self.services.is_empty(),
             )
             .with_gateways(&self.gateways)
-            .with_neighbours(losses.neighbour_overflows),
+            .with_neighbours(losses.neighbour_overflows)
+            .with_receptions(self.receptions)
+            .with_away(self.absence.map(|absence| AwaySummary::new(&absence, duration)), self.measured_frames)
+            .with_vnf_waits(VnfWaits::of(&self.vnf_waits, &self.unwatched, duration)),
             gateways: self.gateways.clone(),
             pose_source: self.pose_source,
             localization: self.localization.clone(),

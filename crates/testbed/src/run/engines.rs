@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use cotorra_engine::{Engine, EngineEvent, InstanceId, ProcessEngine};
+use cotorra_engine::{Engine, EngineEvent, InstanceId, InstanceWaits, ProcessEngine};
 use cotorra_graph::{AgentId, HardwareGraph, NodeId, Testbed, Vnf};
 
 use super::launcher::NodeLauncher;
@@ -72,5 +72,10 @@ impl Engine for Engines {
 
     fn shut_down(&mut self) {
         self.all().for_each(Engine::shut_down);
+    }
+
+    fn processor_waits(&self) -> Vec<InstanceWaits> {
+        // Processes in containers are their engine's, and real servers wait as their machines do.
+        self.local.processor_waits()
     }
 }

@@ -114,4 +114,8 @@ impl Process for NodeProcess {
     fn stdout(&mut self) -> Option<ChildStdout> {
         self.0.pipes().1
     }
+
+    fn id(&self) -> Option<u32> {
+        Some(self.0.id())
+    }
 }

@@ -21,10 +21,12 @@ use std::{
     time::Duration,
 };
 
-use cotorra_datapath::Datapath;
+use cotorra_datapath::{Datapath, StampedSocket};
+use cotorra_fabric::Histogram;
 use cotorra_graph::{NodeId, Testbed, Timestamp};
 use cotorra_measurements::{History, Recorder, RecorderStats, RunId};
 use cotorra_recording::Recording;
+use parking_lot::Mutex;
 
 use self::{
     network::NetworkUp,
@@ -80,10 +82,15 @@ pub struct Run {
     /// Real Wi-Fi software. Before the datapath: it is stopped while packets still pass.
     wifi: Vec<Wifi>,
     datapath: Arc<Datapath>,
+    /// How long datagrams to robots waited in their sockets.
+    receptions: Receptions,
     recording: Option<Recording>,
     keeping: Option<Keeping>,
     history_bound: HistoryBound,
 }
+
+/// Waits of datagrams in robots' sockets.
+type Receptions = Arc<Mutex<Histogram>>;
 
 impl Run {
     /// Brings a testbed up and starts the run. `text` is that of the testbed file.
@@ -114,7 +121,7 @@ impl Run {
         nodes: NodesUp,
         services: ServicesUp,
     ) -> Result<Self, RunError> {
-        start_receivers(&nodes.sockets, &network)?;
+        let receptions = start_receivers(&nodes.sockets, &network)?;
         let Prepared { testbed, folder, history, run, recorder, recording, keeping, .. } = prepared;
         let NetworkUp { datapath, now, inbox, messages, is_probed, .. } = network;
         let NodesUp { mut core, masters, sockets, image_sockets, radios } = nodes;
@@ -167,6 +174,7 @@ impl Run {
             _pruner: pruner,
             wifi: wifi.into_iter().chain(radios).collect(),
             datapath,
+            receptions,
             recording,
             keeping,
             history_bound,
@@ -228,6 +236,8 @@ impl Run {
             unrecorded.push(self.history_bound.what());
         }
         report.passed(self.datapath.gateways());
+        report.received(self.receptions.lock().summary());
+        report.stood_still(self.datapath.handle().port_waits().absence);
         let losses = Losses {
             frames_dropped: self.datapath.dropped_frames(),
             neighbour_overflows: self.datapath.neighbour_overflows(),
@@ -261,20 +271,27 @@ impl Drop for Run {
     }
 }
 
-/// Starts a thread for each robot that passes its datagrams to the core.
-fn start_receivers(sockets: &BTreeMap<NodeId, UdpSocket>, network: &NetworkUp) -> Result<(), RunError> {
+/// Starts a thread for each robot that passes its datagrams to the core. Returns how long these waited before, from then on.
+fn start_receivers(
+    sockets: &BTreeMap<NodeId, UdpSocket>,
+    network: &NetworkUp,
+) -> Result<Receptions, RunError> {
+    let receptions = Receptions::default();
     for (robot, socket) in sockets {
         let socket = socket.try_clone().map_err(system("share a robot's socket"))?;
         socket.set_read_timeout(Some(RECEIVER_CHECK)).map_err(system("set a socket's timeout"))?;
+        let socket =
+            StampedSocket::new(socket).map_err(system("let the kernel stamp what robots receive"))?;
+        let waits = Arc::clone(&receptions);
         let (robot, now, messages) = (robot.clone(), Arc::clone(&network.now), network.messages.clone());
         thread::Builder::new()
             .name(format!("robot-{robot}"))
             .spawn(move || {
                 // Times of arrival are measured, and must not depend on other work of this machine.
                 cotorra_datapath::be_punctual();
-                receive(&robot, &socket, &now, &messages);
+                receive(&robot, &socket, &now, &waits, &messages);
             })
             .map_err(system("start a robot's thread"))?;
     }
-    Ok(())
+    Ok(receptions)
 }
