@@ -1,6 +1,8 @@
 //! The stationary bootstrap of a series whose values depend on those before (Politis and Romano 1994), with an automatic
 //! length of blocks (Politis and White 2004, as corrected by Patton, Politis and White 2009).
 
+use cotorra_numbers::{Blocks, resample};
+
 use crate::draws::Draws;
 
 /// Returns the mean length of blocks for the stationary bootstrap of a series, 1 or more.
@@ -64,60 +66,8 @@ impl Resampler {
     }
 
     /// Calls `each` with each index of a resample.
-    pub fn resample(&self, draws: &mut Draws, mut each: impl FnMut(usize)) {
-        let mut at = draws.below(self.n);
-        for _ in 0..self.n {
-            each(at);
-            at = if draws.unit() * self.length < 1.0 { draws.below(self.n) } else { (at + 1) % self.n };
-        }
-    }
-}
-
-/// Values that are counted, so that quantiles of many resamples need no sorting.
-pub(crate) struct Ranked {
-    /// Distinct values, rising.
-    values: Vec<f64>,
-    /// Rank of each value of the series.
-    ranks: Vec<usize>,
-    counts: Vec<u32>,
-}
-
-impl Ranked {
-    /// Ranks a series.
-    pub fn new(series: &[f64]) -> Self {
-        let mut values = series.to_vec();
-        values.sort_unstable_by(f64::total_cmp);
-        values.dedup();
-        let ranks = series.iter().map(|v| values.partition_point(|below| below < v)).collect();
-        Self { counts: vec![0; values.len()], values, ranks }
-    }
-
-    pub fn clear(&mut self) {
-        self.counts.fill(0);
-    }
-
-    /// Counts the value at an index of the series once more.
-    pub fn add(&mut self, index: usize) {
-        self.counts[self.ranks[index]] += 1;
-    }
-
-    /// Returns the values at rising levels, each the first that at least this share does not exceed.
-    pub fn quantiles<const N: usize>(&self, levels: [f64; N]) -> [f64; N] {
-        let total: u32 = self.counts.iter().sum();
-        let mut counted = self.values.iter().zip(&self.counts).filter(|(_, count)| **count > 0);
-        let (mut value, mut below) = (f64::NAN, 0);
-        levels.map(|level| {
-            while f64::from(below) < (level * f64::from(total)).max(1.0) - 1e-9 {
-                let Some((next, count)) = counted.next() else { break };
-                (value, below) = (*next, below + count);
-            }
-            value
-        })
-    }
-
-    /// Returns each counted value and its number, rising.
-    pub fn counted(&self) -> impl Iterator<Item = (f64, u32)> {
-        self.values.iter().copied().zip(self.counts.iter().copied()).filter(|(_, count)| *count > 0)
+    pub fn resample(&self, draws: &mut Draws, each: impl FnMut(usize)) {
+        resample(self.n, Blocks::Stationary(self.length), draws.uniform(), each);
     }
 }
 
@@ -157,16 +107,5 @@ mod tests {
         let kept = indices.windows(2).filter(|pair| pair[1] == (pair[0] + 1) % 2000).count() as f64;
         let expected = 1999.0 * (1.0 - 1.0 / resampler.length);
         assert!((kept - expected).abs() < 60.0, "{kept} {expected}");
-    }
-
-    #[test]
-    fn quantiles_of_counts_are_those_of_the_sorted_values() {
-        let series = [3.0, 1.0, 2.0, 2.0];
-        let mut ranked = Ranked::new(&series);
-        (0..4).for_each(|i| ranked.add(i));
-        assert_eq!(ranked.quantiles([0.0, 0.25, 0.5, 0.75, 1.0]), [1.0, 1.0, 2.0, 2.0, 3.0]);
-        ranked.clear();
-        ranked.add(0);
-        assert_eq!(ranked.quantiles([0.5]), [3.0]);
     }
 }

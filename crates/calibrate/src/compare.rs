@@ -3,10 +3,11 @@
 use std::time::Duration;
 
 use cotorra_graph::{Correlation, JitterDistribution};
+use cotorra_numbers::Counted;
 use serde::Serialize;
 
 use crate::{
-    bootstrap::{Ranked, Resampler, block_length},
+    bootstrap::{Resampler, block_length},
     draws::Draws,
     error::CalibrateError,
     estimate::{Estimate, quantile},
@@ -240,7 +241,7 @@ impl Standard {
 struct Part {
     /// Place of each packet among those that arrived; `None` if it was lost.
     packets: Vec<Option<usize>>,
-    arrived: Ranked,
+    arrived: Counted,
     /// Number of lost packets.
     lost: usize,
     /// Difference of each packet's time and the next one's, ms; `None` if one of them was lost.
@@ -256,7 +257,7 @@ impl Part {
         let times = trips.arrived();
         let mut next = 0..times.len();
         let packets: Vec<_> = trips.times_ms.iter().map(|time| time.and_then(|_| next.next())).collect();
-        let mut arrived = Ranked::new(&times);
+        let mut arrived = Counted::new(&times);
         (0..times.len()).for_each(|i| arrived.add(i));
         // Blocks are long enough for times and for losses.
         let lost: Vec<f64> = packets.iter().map(|packet| f64::from(u8::from(packet.is_none()))).collect();
@@ -324,7 +325,7 @@ impl Part {
 }
 
 /// Returns the 1-Wasserstein distance between counted values and sorted ones: the mean distance between their quantiles.
-fn wasserstein(counted: &Ranked, sorted: &[f64]) -> f64 {
+fn wasserstein(counted: &Counted, sorted: &[f64]) -> f64 {
     let total: u32 = counted.counted().map(|(_, count)| count).sum();
     let (n, m) = (f64::from(total), sorted.len() as f64);
     let (mut sum, mut at, mut next, mut end) = (0.0, 0.0, 0, 0.0);
@@ -346,8 +347,8 @@ mod tests {
     use super::*;
     use crate::{fit_path, parse_round_trips};
 
-    fn counted(values: &[f64]) -> Ranked {
-        let mut ranked = Ranked::new(values);
+    fn counted(values: &[f64]) -> Counted {
+        let mut ranked = Counted::new(values);
         (0..values.len()).for_each(|i| ranked.add(i));
         ranked
     }

@@ -1,13 +1,11 @@
 //! Random numbers from a seed.
 
 use cotorra_graph::seed;
-use rand::{Rng, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// A stream of random numbers. The same seed and label give the same numbers.
 #[derive(Debug, Clone)]
 pub struct Draws {
-    rng: Xoshiro256PlusPlus,
+    uniform: cotorra_numbers::Draws,
     /// Second normal deviate of a pair.
     spare: Option<f64>,
 }
@@ -15,18 +13,22 @@ pub struct Draws {
 impl Draws {
     /// Creates the stream of a label.
     pub fn new(seed: u64, label: &str) -> Self {
-        Self { rng: Xoshiro256PlusPlus::seed_from_u64(seed::split(seed, label)), spare: None }
+        Self { uniform: cotorra_numbers::Draws::new(seed::split(seed, label)), spare: None }
     }
 
     /// Returns a uniform number in 0..1 (1 excluded).
     pub fn unit(&mut self) -> f64 {
-        (self.rng.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
+        self.uniform.unit()
     }
 
     /// Returns a whole number below `n`, which is above 0.
     pub fn below(&mut self, n: usize) -> usize {
-        // The product's upper half (Lemire, Fast random integer generation in an interval, 2019); the bias is n / 2⁶⁴.
-        ((u128::from(self.rng.next_u64()) * n as u128) >> 64) as usize
+        self.uniform.below(n)
+    }
+
+    /// Returns the uniform numbers alone.
+    pub(crate) fn uniform(&mut self) -> &mut cotorra_numbers::Draws {
+        &mut self.uniform
     }
 
     /// Returns a standard normal deviate (Box and Muller 1958).

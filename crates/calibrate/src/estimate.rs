@@ -41,9 +41,9 @@ impl Estimate {
     pub(crate) fn widen(&mut self, cases: usize) {
         let bound = 3.0 / cases as f64;
         if self.value == 0.0 {
-            self.high = self.high.max(bound);
+            self.high = self.high.max(bound.min(1.0));
         } else if self.value == 1.0 {
-            self.low = self.low.min(1.0 - bound);
+            self.low = self.low.min((1.0 - bound).max(0.0));
         }
     }
 
@@ -70,25 +70,14 @@ impl fmt::Display for Estimate {
     }
 }
 
-/// Returns a quantile of sorted values, between ranks (Hyndman and Fan 1996, type 7); NaN without values.
+/// Returns a quantile of sorted values; NaN without values.
 pub(crate) fn quantile(sorted: &[f64], level: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
-    let rank = level.clamp(0.0, 1.0) * last as f64;
-    let (below, above) = (sorted[rank.floor() as usize], sorted[rank.ceil() as usize]);
-    // Equal values may be infinite.
-    if below == above { below } else { below + (above - below) * rank.fract() }
+    cotorra_numbers::quantile(sorted, level).unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn quantiles_lie_between_ranks() {
-        let sorted = [1.0, 2.0, 4.0];
-        assert_eq!([0.0, 0.25, 0.5, 1.0].map(|level| quantile(&sorted, level)), [1.0, 1.5, 2.0, 4.0]);
-        assert!(quantile(&[], 0.5).is_nan());
-    }
 
     #[test]
     fn a_share_of_nothing_leaves_a_bound() {

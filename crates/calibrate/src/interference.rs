@@ -8,7 +8,7 @@ use serde::Serialize;
 pub use self::channel_survey::{ChannelSurvey, Counters, MeasuredChannel, parse_channel_survey};
 use crate::{
     bootstrap::Resampler, draws::Draws, error::CalibrateError, estimate::Estimate, matched::RESAMPLES,
-    settings::FittedSetting, survey::radio_unit, times::median,
+    settings::FittedSetting, survey::radio_unit, times::middle,
 };
 
 /// Fewest differences of counters.
@@ -280,7 +280,7 @@ fn mean(steps: &[Step], draws: &mut Draws) -> Estimate {
 
 /// Fits a presence: the load, and when it is there. Otherwise, it returns why the steps do not determine it.
 fn presence(steps: &[Step], draws: &mut Draws) -> Result<(Estimate, PresenceFit), String> {
-    let usual = median(steps.iter().map(|step| step.seconds).collect()).unwrap_or_default();
+    let usual = middle(steps.iter().map(|step| step.seconds).collect()).unwrap_or_default();
     let threshold = threshold(steps);
     let on: Vec<bool> = steps.iter().map(|step| step.busy > threshold).collect();
     // Steps in whose midst the state changes have neither level.

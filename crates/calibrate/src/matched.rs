@@ -1,9 +1,10 @@
 //! A mean, a deviation and a distribution, matched to a series of times, with resamples.
 
 use cotorra_graph::JitterDistribution;
+use cotorra_numbers::Counted;
 
 use crate::{
-    bootstrap::{Ranked, Resampler},
+    bootstrap::Resampler,
     draws::Draws,
     estimate::Estimate,
     jitter::{LEVELS, Located, levels, match_quantiles, standard_quantiles},
@@ -33,7 +34,7 @@ impl Matched {
     /// Matches the nearest of some distributions to times, of which there is at least one. Resamples have the distribution that
     /// is the nearest to all times.
     pub fn nearest(among: &[JitterDistribution], times: &[f64], draws: &mut Draws) -> Self {
-        let mut ranked = Ranked::new(times);
+        let mut ranked = Counted::new(times);
         (0..times.len()).for_each(|i| ranked.add(i));
         let distinct = ranked.counted().count();
         let observed = ranked.quantiles(levels());

@@ -6,7 +6,7 @@ use crate::{
     calibration::LinkMeasurement,
     csv::{self, Table},
     error::CalibrateError,
-    times::{Means, OneWay, PacketTimes, median},
+    times::{Means, OneWay, PacketTimes, middle},
 };
 
 /// Longest plausible round trip, milliseconds.
@@ -221,11 +221,11 @@ impl Unwrapped {
     }
 }
 
-/// Returns the median time between packets that follow each other.
+/// Returns the middle time between packets that follow each other.
 fn usual_interval(times: &[(i64, f64)]) -> Option<Duration> {
     let next = times.windows(2).filter(|pair| pair[1].0 == pair[0].0 + 1);
     let apart = next.map(|pair| pair[1].1 - pair[0].1).collect();
-    Duration::try_from_secs_f64(median(apart)?).ok()
+    Duration::try_from_secs_f64(middle(apart)?).ok()
 }
 
 #[cfg(test)]

@@ -62,8 +62,8 @@ pub enum Means {
     Unknown,
 }
 
-/// Returns the middle of values; `None` without any.
-pub(crate) fn median<T: PartialOrd + Copy>(mut values: Vec<T>) -> Option<T> {
+/// Returns the middle one of values, the upper one of two; `None` without any. Other than a median, it is always one of them.
+pub(crate) fn middle<T: PartialOrd + Copy>(mut values: Vec<T>) -> Option<T> {
     values.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     values.get(values.len() / 2).copied()
 }

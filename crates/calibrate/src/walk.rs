@@ -28,7 +28,7 @@ use serde::Serialize;
 use self::{gaps::Late, regions::Visits, setting::Crossings};
 use crate::{
     draws::Draws,
-    estimate::{Estimate, quantile},
+    estimate::Estimate,
     jitter,
     matched::Matched,
     settings::{FittedSetting, distribution_name},
@@ -168,9 +168,8 @@ impl Series {
     }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    quantile(&values, 0.5)
+fn median(values: Vec<f64>) -> f64 {
+    cotorra_numbers::median(values).unwrap_or(f64::NAN)
 }
 
 /// The samples of each region.

@@ -87,7 +87,10 @@ const frames = {
     /** @param {number} share */
     quantile(share) {
         const sorted = this.times.slice(0, Math.min(this.count, this.times.length)).sort();
-        return sorted[Math.floor(sorted.length * share)] ?? NaN;
+        // Type 7 of Hyndman and Fan, as all of cotorra's quantiles.
+        const rank = share * (sorted.length - 1);
+        const [low, high] = [sorted[Math.floor(rank)], sorted[Math.ceil(rank)]];
+        return low === undefined || high === undefined ? NaN : low + (high - low) * (rank % 1);
     },
 };
 Object.assign(globalThis, { cotorraFrames: frames });

@@ -43,11 +43,15 @@ pub struct Comparison {
     pub runs: Vec<Federated>,
 }
 
-/// Returns the mean and the standard deviation of a sample.
-fn mean_and_deviation(values: &[f64]) -> [f64; 2] {
-    let mean = values.iter().sum::<f64>() / values.len() as f64;
+/// Formats the mean of seconds and their standard deviation, which a single value has not.
+fn mean_and_deviation(values: &[f64]) -> String {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-    [mean, (squares / (values.len() as f64 - 1.0).max(1.0)).sqrt()]
+    if values.len() < 2 {
+        return format!("{mean:.2} s");
+    }
+    format!("{mean:.2} ± {:.2} s", (squares / (n - 1.0)).sqrt())
 }
 
 impl Comparison {
@@ -85,7 +89,7 @@ impl Comparison {
         let mut table = DataTable::new([
             "block period",
             "runs",
-            "total",
+            "total ± standard deviation",
             "least",
             "most",
             "bound",
@@ -105,7 +109,6 @@ impl Comparison {
             let least = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
             let totals = all(&Federated::total_s);
             let beyond = all(&|run| run.beyond_s() * 1e3);
-            let [mean, deviation] = mean_and_deviation(&totals);
             // Not "-0" for a span that rounding errors made negative.
             let ms = |span: f64| if span.abs() <= 0.5 { 0.0 } else { span };
             let lost: usize = runs.iter().map(|run| run.lost).sum();
@@ -113,7 +116,7 @@ impl Comparison {
             table.row([
                 format!("{} s", runs[0].block_period_s),
                 runs.len().to_string(),
-                format!("{mean:.2} ± {deviation:.2} s"),
+                mean_and_deviation(&totals),
                 format!("{:.2} s", least(&totals)),
                 format!("{:.2} s", most(&totals)),
                 format!("{:.2} s", most(&all(&Federated::bound_s))),

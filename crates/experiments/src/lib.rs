@@ -9,7 +9,6 @@
 #![forbid(unsafe_code)]
 
 mod batch;
-mod bootstrap;
 mod csv;
 pub mod federation;
 pub mod handover;

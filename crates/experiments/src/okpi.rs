@@ -30,7 +30,7 @@ use self::{
     published::PUBLISHED,
 };
 pub use self::{
-    distribution::{Distribution, Interval, Intervals, Sampling, Span, WalkDistribution},
+    distribution::{Distribution, Intervals, Sampling, Span, WalkDistribution},
     fitted::{FittedWalk, Prediction, Predictor, WalkTest, fit},
     measured::{MAX_ROWS, Measured, MeasuredError},
     needs::{Unfit, check},

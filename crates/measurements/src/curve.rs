@@ -2,6 +2,7 @@
 //! lost.
 
 use cotorra_graph::Timestamp;
+use cotorra_numbers as numbers;
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -72,8 +73,8 @@ pub struct Point {
 pub struct Values {
     /// Number of samples.
     pub count: u64,
-    /// Number of samples that were rolled up. They count fully in all figures but the quantiles, for which only the last
-    /// sample of each step is left.
+    /// Number of samples that were rolled up. They count fully in all figures but the quantiles, for which only the least, the
+    /// greatest and the mean of the samples of each step are left.
     #[serde(default)]
     pub rolled_up: u64,
     /// Least sample.
@@ -84,44 +85,33 @@ pub struct Values {
     pub mean: f64,
     /// Latest sample.
     pub last: f64,
-    /// Requested quantiles: the least sample that at least this share of samples does not exceed (type 1 of Hyndman and
-    /// Fan, 1996). More than 65,536 samples are represented by an evenly spaced part of them.
+    /// Requested quantiles, by linear interpolation between closest ranks (type 7 of Hyndman and Fan, 1996).
     pub quantiles: Vec<f64>,
+    /// If the quantiles are approximate, because samples were rolled up, or because there are more than a million: the least
+    /// and the greatest value that each has for certain. Empty if they are exact.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub quantiles_within: Vec<[f64; 2]>,
 }
-
-/// Half the number of samples that are remembered for quantiles at most.
-const REMEMBERED: usize = 65_536;
 
 /// Samples that are being gathered.
 #[derive(Debug, Clone)]
 pub(crate) struct Gathered {
     count: u64,
     rolled_up: u64,
-    /// Number of values offered to `some`.
-    offered: u64,
     min: f64,
     max: f64,
     sum: f64,
     last: f64,
-    /// Every `stride`th sample.
-    some: Vec<f64>,
-    stride: u64,
+    samples: numbers::Gathered,
+    /// The samples at their least and at their greatest, as far as summaries tell; `None` if nothing was rolled up.
+    bounds: Option<Box<[numbers::Gathered; 2]>>,
 }
 
 impl Default for Gathered {
     fn default() -> Self {
         let (min, max) = (f64::INFINITY, f64::NEG_INFINITY);
-        Self {
-            count: 0,
-            rolled_up: 0,
-            offered: 0,
-            min,
-            max,
-            sum: 0.0,
-            last: f64::NAN,
-            some: Vec::new(),
-            stride: 1,
-        }
+        let samples = numbers::Gathered::default();
+        Self { count: 0, rolled_up: 0, min, max, sum: 0.0, last: f64::NAN, samples, bounds: None }
     }
 }
 
@@ -129,20 +119,15 @@ impl Gathered {
     pub fn read(&mut self, reading: Reading) {
         match reading {
             Reading::Sample(value) => self.add(value),
-            Reading::RolledUp(Summary { count, min, max, sum, last }) => {
-                self.offer(last);
-                self.count += count;
-                self.rolled_up += count;
-                self.min = self.min.min(min);
-                self.max = self.max.max(max);
-                self.sum += sum;
-                self.last = last;
-            }
+            Reading::RolledUp(summary) => self.add_all(summary),
         }
     }
 
     pub fn add(&mut self, value: f64) {
-        self.offer(value);
+        self.samples.add(value);
+        if let Some(bounds) = &mut self.bounds {
+            bounds.iter_mut().for_each(|all| all.add(value));
+        }
         self.count += 1;
         self.min = self.min.min(value);
         self.max = self.max.max(value);
@@ -150,42 +135,60 @@ impl Gathered {
         self.last = value;
     }
 
-    /// Keeps every `stride`th value for quantiles.
-    fn offer(&mut self, value: f64) {
-        if self.offered.is_multiple_of(self.stride) {
-            self.some.push(value);
-            if self.some.len() == 2 * REMEMBERED {
-                let mut place = 0;
-                self.some.retain(|_| {
-                    place += 1;
-                    place % 2 == 1
-                });
-                self.stride *= 2;
-            }
+    fn add_all(&mut self, Summary { count, min, max, sum, last }: Summary) {
+        let bounds = self.bounds.get_or_insert_with(|| {
+            let before = &self.samples;
+            Box::new([before.clone(), before.clone()])
+        });
+        let [least, greatest] = &mut **bounds;
+        least.add_times(min, 1);
+        greatest.add_times(max, 1);
+        self.samples.add(min);
+        // One sample is the least, one is the greatest, and the others have this mean.
+        if let Some(others) = count.checked_sub(2) {
+            let mean = ((sum - min - max) / others.max(1) as f64).max(min).min(max);
+            self.samples.add_times(mean, others);
+            self.samples.add(max);
+            least.add_times(min, others);
+            greatest.add_times(max, others);
+            least.add(max);
+            greatest.add(min);
         }
-        self.offered += 1;
+        self.count += count;
+        self.rolled_up += count;
+        self.min = self.min.min(min);
+        self.max = self.max.max(max);
+        self.sum += sum;
+        self.last = last;
     }
 
     /// Returns the summary, `None` without samples, and starts over with the same memory.
     pub fn finish(&mut self, quantiles: &[f64]) -> Option<Values> {
-        let mut some = std::mem::take(&mut self.some);
-        let Self { count, rolled_up, min, max, sum, last, .. } = std::mem::take(self);
-        some.sort_unstable_by(f64::total_cmp);
-        let quantile = |share: &f64| {
-            let rank = (share * some.len() as f64).ceil() as usize;
-            some[rank.clamp(1, some.len()) - 1]
-        };
-        let values = (count > 0).then(|| Values {
-            count,
-            rolled_up,
-            min,
-            max,
-            mean: sum / count as f64,
-            last,
-            quantiles: quantiles.iter().map(quantile).collect(),
+        let values = self.samples.sorted().map(|sorted| {
+            let found: Vec<_> = quantiles.iter().map(|share| sorted.quantile(*share)).collect();
+            let within = |of: &numbers::Sorted| {
+                quantiles.iter().map(|share| of.quantile(*share).within).collect::<Vec<_>>()
+            };
+            let bounds =
+                match self.bounds.as_deref().map(|bounds| bounds.each_ref().map(numbers::Gathered::sorted)) {
+                    Some([Some(least), Some(greatest)]) => Some((within(&least), within(&greatest))),
+                    _ => sorted.is_approximate().then(|| (within(&sorted), within(&sorted))),
+                };
+            let within = bounds.into_iter().flat_map(|(low, high)| low.into_iter().zip(high));
+            Values {
+                count: self.count,
+                rolled_up: self.rolled_up,
+                min: self.min,
+                max: self.max,
+                mean: self.sum / self.count as f64,
+                last: self.last,
+                quantiles: found.iter().map(|found| found.value).collect(),
+                quantiles_within: within.map(|(low, high)| [low.low, high.high]).collect(),
+            }
         });
-        some.clear();
-        self.some = some;
+        let mut samples = std::mem::take(&mut self.samples);
+        samples.clear();
+        *self = Self { samples, ..Self::default() };
         values
     }
 }
@@ -309,7 +312,9 @@ mod tests {
                 sorted.sort_by(f64::total_cmp);
                 let (min, max) = (sorted[0], sorted[sorted.len() - 1]);
                 prop_assert_eq!((values.min, values.max, values.last), (min, max, mine[mine.len() - 1].1));
-                prop_assert_eq!(&values.quantiles, &[min, sorted[(sorted.len() - 1) / 2], max]);
+                let median = numbers::median(sorted).unwrap();
+                prop_assert_eq!(&values.quantiles, &[min, median, max]);
+                prop_assert!(values.quantiles_within.is_empty());
                 prop_assert!(min - 1e-6 <= values.mean && values.mean <= max + 1e-6);
             }
             prop_assert!(rest.is_empty());
@@ -331,14 +336,45 @@ mod tests {
     }
 
     #[test]
-    fn many_samples_keep_their_quantiles() {
-        let mut gathered = Gathered::default();
-        (0..1_000_000_u64).for_each(|n| gathered.add(((n * 7919) % 1_000_000) as f64));
-        assert!(gathered.some.len() < 2 * REMEMBERED);
-        let values = gathered.finish(&[0.01, 0.5, 0.99]).unwrap();
-        for (found, wanted) in values.quantiles.iter().zip([10_000.0, 500_000.0, 990_000.0]) {
-            assert!((found - wanted).abs() < 2_000.0, "{found} is not {wanted}");
+    fn rolled_up_samples_have_quantiles_within_bounds_and_say_so() {
+        let samples: Vec<f64> = (0..1000).map(|n| f64::from(n * 7919 % 1000)).collect();
+        let exact = {
+            let mut all = Gathered::default();
+            samples.iter().for_each(|value| all.add(*value));
+            all.finish(&[0.5, 0.99]).unwrap()
+        };
+        assert_eq!((&exact.quantiles[..], exact.quantiles_within.len()), (&[499.5, 989.01][..], 0));
+        let mut rolled = Gathered::default();
+        for step in samples[..900].chunks(30) {
+            rolled.read(Reading::RolledUp(Summary {
+                count: 30,
+                min: step.iter().copied().fold(f64::INFINITY, f64::min),
+                max: step.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+                sum: step.iter().sum(),
+                last: step[29],
+            }));
         }
-        assert_eq!((values.count, values.min, values.max), (1_000_000, 0.0, 999_999.0));
+        samples[900..].iter().for_each(|value| rolled.read(Reading::Sample(*value)));
+        let rolled = rolled.finish(&[0.5, 0.99]).unwrap();
+        assert_eq!((rolled.count, rolled.rolled_up, rolled.mean), (1000, 900, exact.mean));
+        for place in 0..2 {
+            let [low, high] = rolled.quantiles_within[place];
+            assert!(low <= exact.quantiles[place] && exact.quantiles[place] <= high, "{rolled:?}");
+            assert!(low <= rolled.quantiles[place] && rolled.quantiles[place] <= high, "{rolled:?}");
+        }
+        // Each middle sample of a step is near its mean.
+        assert!((rolled.quantiles[0] - 499.5).abs() < 100.0, "{rolled:?}");
+    }
+
+    #[test]
+    fn summaries_of_one_or_two_samples_are_exact() {
+        let mut rolled = Gathered::default();
+        let one = Summary { count: 1, min: 3.0, max: 3.0, sum: 3.0, last: 3.0 };
+        let two = Summary { count: 2, min: 1.0, max: 2.0, sum: 3.0, last: 2.0 };
+        rolled.read(Reading::RolledUp(one));
+        rolled.read(Reading::RolledUp(two));
+        let rolled = rolled.finish(&[0.25, 0.5]).unwrap();
+        assert_eq!(rolled.quantiles, [1.5, 2.0]);
+        assert_eq!(rolled.quantiles_within, [[1.5, 1.5], [2.0, 2.0]]);
     }
 }

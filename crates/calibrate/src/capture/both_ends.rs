@@ -17,7 +17,7 @@ use crate::{
     error::CalibrateError,
     estimate::quantile,
     path::{LEAST_ARRIVED, SHORTEST},
-    times::{Means, OneWay, PacketTimes, median},
+    times::{Means, OneWay, PacketTimes, middle},
 };
 
 /// Least bytes of each packet in both captures: an IP header and 8 bytes behind it.
@@ -228,8 +228,8 @@ impl Between {
             return None;
         }
         let opposite = (hosts.1, hosts.0);
-        let there = median(found.clone())?;
-        let is_forward = match apart.get(&opposite).cloned().and_then(median) {
+        let there = middle(found.clone())?;
+        let is_forward = match apart.get(&opposite).cloned().and_then(middle) {
             Some(back) => there >= back,
             None => there >= 0,
         };
@@ -277,7 +277,7 @@ impl Way {
             packets: Vec::with_capacity(sent.len()),
             duplicated: BTreeSet::new(),
             late: 0,
-            frame_bytes: median(sent.iter().map(|packet| packet.frame_bytes).collect()).unwrap_or(0),
+            frame_bytes: middle(sent.iter().map(|packet| packet.frame_bytes).collect()).unwrap_or(0),
         };
         let mut latest = i64::MIN;
         for packet in sent {
@@ -331,7 +331,7 @@ impl Way {
     fn times(self) -> PacketTimes {
         let apart = self.packets.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
         PacketTimes {
-            interval: median(apart).and_then(|s| Duration::try_from_secs_f64(s).ok()),
+            interval: middle(apart).and_then(|s| Duration::try_from_secs_f64(s).ok()),
             times_ms: self.packets.into_iter().map(|(_, ms)| ms).collect(),
             duplicated: self.duplicated,
             late: self.late,

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     error::CalibrateError,
-    times::{PacketTimes, median},
+    times::{PacketTimes, middle},
 };
 
 /// Most connections of a capture.
@@ -112,9 +112,9 @@ fn series(ways: [Vec<RoundTrip>; 2]) -> PacketTimes {
         duplicated: BTreeSet::new(),
         late: 0,
         counts_losses: false,
-        interval: median(apart).map(Duration::from_nanos),
+        interval: middle(apart).map(Duration::from_nanos),
         frame_bytes: [
-            median(there.iter().map(|trip| trip.frame_bytes).collect()).unwrap_or(ACKNOWLEDGEMENT),
+            middle(there.iter().map(|trip| trip.frame_bytes).collect()).unwrap_or(ACKNOWLEDGEMENT),
             ACKNOWLEDGEMENT,
         ],
         notes,

@@ -7,6 +7,7 @@ use cotorra_datapath::{
     bench::{self, Percentiles, Setting},
 };
 use cotorra_graph::{BitRate, Conditions, Jitter, Loss, Probability};
+use cotorra_numbers::median;
 
 use super::{
     netem, peers,
@@ -50,7 +51,7 @@ pub const ALL: &[Benchmark] = &[
     },
 ];
 
-/// Repetitions of a measurement: an odd number, for the median.
+/// Repetitions of a measurement.
 const TIMES: usize = 5;
 const ONCE: Duration = Duration::from_secs(2);
 const ROUND_TRIPS: usize = 5000;
@@ -239,9 +240,7 @@ fn repeat<E>(bench: &Bench, what: &str, mut measure: impl FnMut() -> Result<f64,
 
 impl Samples {
     fn median(&self) -> f64 {
-        let mut sorted = self.0.clone();
-        sorted.sort_by(f64::total_cmp);
-        sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+        median(self.0.clone()).unwrap_or(f64::NAN)
     }
 
     fn lowest(&self) -> f64 {

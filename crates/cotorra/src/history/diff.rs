@@ -8,7 +8,7 @@ use cotorra_measurements::{
 use super::{
     answer::first_of,
     args::DiffArgs,
-    plot::figure,
+    plot,
     source::{Error, Source},
 };
 use crate::{output, table::Table, words::clock};
@@ -84,7 +84,8 @@ fn describe(difference: &Difference) -> String {
 
     let handovers = difference.handovers.iter().map(|entry| {
         let from = entry.of.from.as_ref().map_or("none", |id| id.as_str());
-        let gaps = entry.runs.each_ref().map(|gaps| gaps.as_ref().and_then(|h| h.gap_ms.as_ref()));
+        let gaps = entry.runs.each_ref();
+        let gaps = gaps.map(|gaps| gaps.as_ref()?.gap_ms.as_ref().map(Samples::all_answered));
         (format!("{} from {from} to {}", entry.of.robot, entry.of.to), gaps)
     });
     section("Handovers, gap in ms", figures("handover", handovers.take(ROWS)), difference.handovers.len());
@@ -110,40 +111,67 @@ fn describe(difference: &Difference) -> String {
         decisions.row([format!("{}: {}", of.plugin, of.instruction), a, b]);
     }
     section("Decisions", decisions, difference.decisions.len());
+    if text.contains(plot::ABOUT) {
+        text += &format!(
+            "\n{}: some samples were rolled up, or are too many to keep; --json gives bounds.\n",
+            plot::ABOUT
+        );
+    }
     text
 }
 
-fn delays(runs: &[Option<Links>; 2]) -> [Option<&Values>; 2] {
-    runs.each_ref().map(|links| links.as_ref().and_then(|links| links.delay_ms.as_ref()))
+/// Compared figures of a run. Requests without an answer count as samples, but have no time.
+#[derive(Clone, Copy)]
+struct Samples<'a> {
+    unanswered: u64,
+    values: Option<&'a Values>,
 }
 
-fn samples(runs: &[Option<Services>; 2]) -> [Option<&Values>; 2] {
-    runs.each_ref().map(|services| services.as_ref().and_then(|s| s.service_time_ms.as_ref()))
+impl<'a> Samples<'a> {
+    fn of(services: &'a Services) -> Self {
+        Self { unanswered: services.unanswered, values: services.service_time_ms.as_ref() }
+    }
+
+    fn all_answered(values: &'a Values) -> Self {
+        Self { unanswered: 0, values: Some(values) }
+    }
+
+    /// `1199`, `1199 (4 unanswered)`.
+    fn count(self) -> String {
+        let count = self.unanswered + self.values.map_or(0, |values| values.count);
+        match self.unanswered {
+            0 => count.to_string(),
+            unanswered => format!("{count} ({unanswered} unanswered)"),
+        }
+    }
+
+    fn quantile(self, place: usize) -> String {
+        self.values.map_or("-".to_owned(), |values| plot::quantile(values, place))
+    }
+}
+
+fn delays(runs: &[Option<Links>; 2]) -> [Option<Samples<'_>>; 2] {
+    runs.each_ref().map(|links| links.as_ref()?.delay_ms.as_ref().map(Samples::all_answered))
+}
+
+fn samples(runs: &[Option<Services>; 2]) -> [Option<Samples<'_>>; 2] {
+    runs.each_ref().map(|services| services.as_ref().map(Samples::of))
 }
 
 /// Returns a table of the count, median and 99th percentile in both runs, and the difference of the medians.
-fn figures<'a>(what: &str, rows: impl Iterator<Item = (String, [Option<&'a Values>; 2])>) -> Table {
+fn figures<'a>(what: &str, rows: impl Iterator<Item = (String, [Option<Samples<'a>>; 2])>) -> Table {
     let mut table = Table::new("<>>>>>>>");
     table.row([what, "samples", "", "median", "", "p99", "", "median differs"]);
     for (name, [a, b]) in rows {
-        let show =
-            |values: Option<&Values>, of: &dyn Fn(&Values) -> String| values.map_or("-".to_owned(), of);
-        let quantile = |place: usize| move |values: &Values| figure(values.quantiles[place]);
-        let count = |values: &Values| values.count.to_string();
-        let differs = match (a, b) {
-            (Some(a), Some(b)) => format!("{:+.3}", b.quantiles[0] - a.quantiles[0]),
-            _ => String::new(),
-        };
-        table.row([
-            name,
-            show(a, &count),
-            show(b, &count),
-            show(a, &quantile(0)),
-            show(b, &quantile(0)),
-            show(a, &quantile(2)),
-            show(b, &quantile(2)),
-            differs,
-        ]);
+        let count = |of: Option<Samples<'_>>| of.map_or("-".to_owned(), Samples::count);
+        let quantile =
+            |of: Option<Samples<'_>>, place| of.map_or("-".to_owned(), |samples| samples.quantile(place));
+        let median = |of: Option<Samples<'_>>| Some(of?.values?.quantiles[0]);
+        let differs = median(a).zip(median(b)).map(|(a, b)| format!("{:+.3}", b - a)).unwrap_or_default();
+        let [p50, p99] = [0, 2].map(|place| [quantile(a, place), quantile(b, place)]);
+        let cells =
+            [[name].to_vec(), [count(a), count(b)].to_vec(), p50.to_vec(), p99.to_vec(), vec![differs]];
+        table.row(cells.concat());
     }
     table
 }

@@ -76,6 +76,7 @@ mod tests {
                 mean: 3e6,
                 last: 3e6,
                 quantiles: vec![],
+                quantiles_within: vec![],
             }),
         };
         let points = (0..20).map(point).collect();

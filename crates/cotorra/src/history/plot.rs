@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use cotorra_measurements::{Curve, Point};
+use cotorra_measurements::{Curve, Point, Values};
 
 /// Rows of characters.
 const HEIGHT: usize = 8;
@@ -91,10 +91,18 @@ pub fn figure(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
+/// Marks an approximate quantile.
+pub const ABOUT: &str = "≈";
+
+/// Formats one of the quantiles, marked if it is approximate.
+pub fn quantile(values: &Values, place: usize) -> String {
+    let about = if values.quantiles_within.is_empty() { "" } else { ABOUT };
+    format!("{about}{}", figure(values.quantiles[place]))
+}
+
 #[cfg(test)]
 mod tests {
     use cotorra_graph::Timestamp;
-    use cotorra_measurements::Values;
 
     use super::*;
 
@@ -111,6 +119,7 @@ mod tests {
                 mean: v,
                 last: v,
                 quantiles: vec![],
+                quantiles_within: vec![],
             }),
         };
         let points = values.iter().enumerate().map(point).collect();

@@ -9,10 +9,13 @@ use cotorra_measurements::{Curve, CurveRequest, Figure, InvalidFigure, Values};
 use super::{
     args::SeriesArgs,
     drawn, plot,
-    services::{only_service, services},
+    services::{has_services_apart, only_service, services},
     source::{Error, Source},
 };
-use crate::{output, table::Table};
+use crate::{
+    output,
+    table::{Table, columns, wrap},
+};
 
 /// Subject of figures of a run as a whole.
 const SERVICE: &str = "service";
@@ -70,6 +73,9 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     let drawn = if drawn.points == points { curve } else { ask(&drawn).map_err(Error::from)? };
     let whole = ask(&whole).map_err(Error::from)?;
     let mut text = describe(&drawn, &whole);
+    if matches!(figure, Figure::ServiceTime { service: None, .. }) && has_services_apart(&source) {
+        text += "  All services count, also those that localize, which the summary of a run leaves out.\n";
+    }
     if args.of == SERVICE && matches!(figure, Figure::ServiceTime { .. }) {
         text += &format!("\n{}", services(&source, args.span.range())?);
     }
@@ -139,18 +145,25 @@ fn names(source: &Source) -> String {
 }
 
 fn csv(curve: &Curve) -> String {
-    let mut text = String::from("from_ns,until_ns,count,min,mean,p50,p95,p99,max,last,gap,rolled_up\n");
+    let mut text = String::from(
+        "from_ns,until_ns,count,min,mean,p50,p95,p99,max,last,gap,rolled_up,\
+         p50_low,p50_high,p95_low,p95_high,p99_low,p99_high\n",
+    );
     for point in &curve.points {
         let (from, until) = (point.from.as_nanos(), point.until.as_nanos());
         let values = match &point.values {
-            Some(Values { count, min, max, mean, last, quantiles, rolled_up: _ }) => {
+            Some(Values { count, min, max, mean, last, quantiles, .. }) => {
                 let quantiles = quantiles.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
                 format!("{count},{min},{mean},{quantiles},{max},{last}")
             }
             None => "0,,,,,,,".to_owned(),
         };
         let rolled_up = point.values.as_ref().map_or(0, |values| values.rolled_up);
-        writeln!(text, "{from},{until},{values},{},{rolled_up}", u8::from(point.gap))
+        let within = point.values.as_ref().map_or(&[][..], |values| values.quantiles_within.as_slice());
+        // Exact quantiles have no bounds.
+        let ends = (0..QUANTILES.len()).flat_map(|place| [0, 1].map(|end| Some(within.get(place)?[end])));
+        let ends: Vec<_> = ends.map(|end| end.map(|end| end.to_string()).unwrap_or_default()).collect();
+        writeln!(text, "{from},{until},{values},{},{rolled_up},{}", u8::from(point.gap), ends.join(","))
             .expect("writing into a string cannot fail");
     }
     text
@@ -162,17 +175,19 @@ fn describe(curve: &Curve, whole: &Curve) -> String {
     if let Some(values) = whole.points.first().and_then(|point| point.values.as_ref()) {
         let mut table = Table::new(">>>>>>>>");
         table.row(["samples", "min", "mean", "median", "p95", "p99", "max", "last"]);
-        let figures = [values.min, values.mean].into_iter().chain(values.quantiles.iter().copied());
-        let figures = figures.chain([values.max, values.last]).map(plot::figure);
-        table.row(std::iter::once(values.count.to_string()).chain(figures));
+        let ends = |ends: [f64; 2]| ends.map(plot::figure);
+        let [min, mean, max, last] = [values.min, values.mean, values.max, values.last].map(plot::figure);
+        let quantiles = (0..values.quantiles.len()).map(|place| plot::quantile(values, place));
+        table.row([values.count.to_string(), min, mean].into_iter().chain(quantiles).chain([max, last]));
         text += &format!("\n{}", table.render("  "));
-        if values.rolled_up > 0 {
-            let (rolled_up, count) = (values.rolled_up, values.count);
-            writeln!(
-                text,
-                "{rolled_up} of {count} samples were rolled up: quantiles are of the remaining ones"
-            )
-            .expect("writing into a string cannot fail");
+        if let [p50, p95, p99] = values.quantiles_within[..] {
+            let [[a, b], [c, d], [e, f]] = [p50, p95, p99].map(ends);
+            let why = match values.rolled_up {
+                0 => format!("{} samples are too many to keep", values.count),
+                rolled_up => format!("{rolled_up} of {} samples were rolled up", values.count),
+            };
+            let bounds = format!("the median is from {a} to {b}, p95 from {c} to {d}, p99 from {e} to {f}");
+            text += &wrap(&format!("{}: {why}. For certain, {bounds}.", plot::ABOUT), "  ", columns());
         }
     }
     text

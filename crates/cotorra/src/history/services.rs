@@ -26,6 +26,11 @@ pub fn only_service(source: &Source, robot: Option<&str>) -> Option<ServiceId> {
     services.next().is_none().then_some(first)
 }
 
+/// Whether the run has services that its total leaves out.
+pub fn has_services_apart(source: &Source) -> bool {
+    testbed(source).is_ok_and(|testbed| testbed.services_in_total().count() < testbed.services.len())
+}
+
 /// Parses the testbed file of a run. One of another machine may lack its map.
 fn testbed(source: &Source) -> Result<Testbed, Diagnostics> {
     let info = &source.run.info;

@@ -59,6 +59,7 @@ mod ros2;
 mod ros_flows;
 mod ros_sensors;
 mod run;
+mod same_figures;
 mod sensors;
 mod shards;
 mod stamp;

@@ -5,6 +5,7 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_federation::Step;
 use cotorra_graph::{Event, Instruction, NodeId, ServiceId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{History, Kind, RunId};
+use cotorra_numbers::quantile;
 use serde::Serialize;
 
 /// The steps in the order of the published figure.
@@ -127,7 +128,7 @@ impl Federated {
             || NoFederation::Incomplete { missing: Step::Attached, reached: "no handover".to_owned() };
         speeds.sort_by(f64::total_cmp);
         let slowest =
-            speeds.first().zip(speeds.get(speeds.len() / 2)).map_or(0.0, |(least, median)| least / median);
+            speeds.first().zip(quantile(&speeds, 0.5)).map_or(0.0, |(least, median)| least / median);
         Ok(Self {
             block_period_s: block_period.as_secs_f64(),
             seed,

@@ -1,10 +1,11 @@
 //! Figures of each kind of radio, and whether those of the model lie in the intervals of the others'.
 
-use cotorra_testbed::{DataTable, Quantiles};
+use cotorra_graph::seed;
+use cotorra_numbers::{Draws, Interval, Quantiles, bootstrap};
+use cotorra_testbed::DataTable;
 use serde::Serialize;
 
 use super::{KINDS, Kind, NOT_MEASURED, Walk, Walked, measured::Roam, shown};
-use crate::{bootstrap, okpi::Interval};
 
 /// Figures of one kind of radio and one walk, over all seeds. `None` without samples.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -170,21 +171,22 @@ pub(super) fn verdicts(walks: &[Walked], seed: u64) -> Vec<Verdict> {
                 let (model, other) = (values(first.name), values(kind.name));
                 let both = Quantiles::of(model.clone()).zip(Quantiles::of(other.clone()));
                 let Some((of_model, of_other)) = both else { continue };
-                for (quantile, model_ms, other_ms) in
-                    [(0.5, of_model.p50, of_other.p50), (0.95, of_model.p95, of_other.p95)]
-                {
-                    let label = format!("{name} p{:.0}", quantile * 100.0);
-                    let Some(interval) = bootstrap::of_quantile(&other, quantile, seed, &label) else {
+                let quantiles: [(&str, fn(Quantiles) -> f64); 2] =
+                    [("p50", |its| its.p50), ("p95", |its| its.p95)];
+                for (quantile, read) in quantiles {
+                    let label = format!("{name} {quantile}");
+                    let draws = &mut Draws::new(seed::split(seed, &format!("bootstrap {label}")));
+                    let Some(interval) = bootstrap(&other, draws, |its| Quantiles::of(its).map(read)) else {
                         continue;
                     };
                     verdicts.push(Verdict {
                         figure: label,
                         fast,
                         roams: [model.len(), other.len()],
-                        model_ms,
+                        model_ms: read(of_model),
                         kind: kind.name.to_owned(),
-                        other_ms,
-                        is_inside: (interval.low..=interval.high).contains(&model_ms),
+                        other_ms: read(of_other),
+                        is_inside: interval.holds(read(of_model)),
                         interval,
                     });
                 }

@@ -1,15 +1,12 @@
-//! Intervals around figures of samples that depend on their neighbours, by the moving block bootstrap (Künsch, "The
-//! Jackknife and the Bootstrap for General Stationary Observations", Annals of Statistics 17(3), 1989).
+//! Intervals around figures of samples that depend on their neighbours, by the moving block bootstrap.
 
 use cotorra_graph::seed;
-use rand::SeedableRng;
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::{Blocks, Draws, RESAMPLES, percentile_interval, resample};
 
 use super::{
     distribution::{Distribution, Intervals},
     times::Timed,
 };
-use crate::bootstrap::{RESAMPLES, below, middle};
 
 /// Length of a block, seconds: the longest period of the published walk, between two scans by probing.
 const BLOCK_S: f64 = 25.0;
@@ -17,25 +14,20 @@ const BLOCK_S: f64 = 25.0;
 /// Returns 95 % intervals around the figures of a walk; `None` without answered samples.
 pub(super) fn intervals(walk: &[Timed], seed: u64) -> Option<Intervals> {
     Distribution::of(walk)?;
-    let mut random = Xoshiro256PlusPlus::seed_from_u64(seed::split(seed, "bootstrap"));
+    let mut draws = Draws::new(seed::split(seed, "bootstrap"));
     let block = block(walk);
-    let starts = walk.len() - block + 1;
-    let mut resampled = Vec::with_capacity(walk.len() + block);
+    let mut resampled = Vec::with_capacity(walk.len());
     let mut figures: [Vec<f64>; 4] = Default::default();
     for _ in 0..RESAMPLES {
         resampled.clear();
-        while resampled.len() < walk.len() {
-            let start = below(&mut random, starts);
-            resampled.extend_from_slice(&walk[start..start + block]);
-        }
-        resampled.truncate(walk.len());
+        resample(walk.len(), Blocks::Moving(block), &mut draws, |at| resampled.push(walk[at]));
         // Without an answer in a resampled walk, it has no quantiles.
         let Some(of) = Distribution::of(&resampled) else { continue };
         for (all, figure) in figures.iter_mut().zip([of.p95_ms, of.p99_ms, of.above_15_ms, of.above_40_ms]) {
             all.push(figure);
         }
     }
-    let [p95_ms, p99_ms, above_15_ms, above_40_ms] = figures.map(middle);
+    let [p95_ms, p99_ms, above_15_ms, above_40_ms] = figures.map(percentile_interval);
     Some(Intervals { p95_ms: p95_ms?, p99_ms: p99_ms?, above_15_ms: above_15_ms?, above_40_ms: above_40_ms? })
 }
 
@@ -48,8 +40,9 @@ fn block(walk: &[Timed]) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use cotorra_numbers::Interval;
+
     use super::*;
-    use crate::okpi::Interval;
 
     /// A walk of 450 s with a sample each second.
     fn walk(ms: impl Fn(usize) -> f64) -> Vec<Timed> {
@@ -58,8 +51,8 @@ mod tests {
 
     /// Samples that do not depend on each other, uniform in 0..100 ms.
     fn noise() -> Vec<f64> {
-        let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
-        (0..450).map(|_| below(&mut random, 10_000) as f64 / 100.0).collect()
+        let mut draws = Draws::new(1);
+        (0..450).map(|_| draws.below(10_000) as f64 / 100.0).collect()
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Distributions of service times: by contender and sampling, and of a measured walk beside them.
 
-use cotorra_testbed::{DataTable, Quantiles};
+use cotorra_numbers::{Interval, Quantiles};
+use cotorra_testbed::DataTable;
 use serde::Serialize;
 
 use super::{
@@ -43,13 +44,6 @@ impl Distribution {
         let samples = samples.len();
         Some(Self { samples, p50_ms: p50, p95_ms: p95, p99_ms: p99, above_15_ms, above_40_ms })
     }
-}
-
-/// An interval around a figure.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Interval {
-    pub low: f64,
-    pub high: f64,
 }
 
 /// 95 % intervals around a measured walk's figures, by the moving block bootstrap.

@@ -2,6 +2,7 @@
 
 use cotorra_figure::{Axis, Figure, Level, Panel, Sample, Series, SeriesKind};
 use cotorra_graph::{ServiceId, millis};
+use cotorra_numbers::quantile;
 use cotorra_testbed::panels;
 
 use super::{
@@ -73,7 +74,7 @@ fn reaching(panel: &Panel, measured: &[Timed]) -> (Axis, Axis) {
     let end = measured.last().map_or(0.0, |timed| timed.at_s);
     let mut ms: Vec<f64> = measured.iter().filter_map(|timed| timed.ms).collect();
     ms.sort_by(f64::total_cmp);
-    let usual = ms.get((ms.len() as f64 * SHOWN_QUANTILE) as usize).map_or(0.0, |ms| ms * ROOM);
+    let usual = quantile(&ms, SHOWN_QUANTILE).map_or(0.0, |ms| ms * ROOM);
     let (x, y) = (Axis::around("", 0.0, end), Axis::around("", 0.0, usual));
     (panel.x.clone().joined(&x), panel.y.clone().joined(&y))
 }

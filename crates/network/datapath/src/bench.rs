@@ -22,6 +22,7 @@ use cotorra_graph::{
     BitRate, Capacity, Conditions, Direction, DomainId, HardwareGraph, HostAddress, Link, LinkId, Loss, Node,
     NodeId, NodeKind, Probability, Rate, Server, Tier, Timestamp,
 };
+use cotorra_numbers::quantile_of_times;
 
 use crate::{
     clock::Clock,
@@ -67,7 +68,7 @@ impl Percentiles {
     /// Computes the percentiles of at least one sample.
     fn of(mut samples: Vec<Duration>) -> Self {
         samples.sort_unstable();
-        let at = |share: f64| samples[((samples.len() - 1) as f64 * share) as usize];
+        let at = |share| quantile_of_times(&samples, share).expect("there is a sample");
         Self { p50: at(0.5), p99: at(0.99), max: at(1.0) }
     }
 }

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use cotorra_numbers::quantile_of_times;
+
 use crate::utc::Utc;
 
 /// The outcome of a test packet.
@@ -81,10 +83,16 @@ impl Delays {
     fn of(delays: impl Iterator<Item = Option<Duration>> + Clone) -> Option<Self> {
         let mut sorted: Vec<_> = delays.clone().flatten().collect();
         sorted.sort_unstable();
-        let rank = |share: usize| sorted[(sorted.len() * share).div_ceil(100).max(1) - 1];
-        let (min, max) = (*sorted.first()?, *sorted.last()?);
+        let at = |share| quantile_of_times(&sorted, share);
         let mean = mean(sorted.iter().copied())?;
-        Some(Self { min, mean, p50: rank(50), p99: rank(99), max, jitter: jitter(delays) })
+        Some(Self {
+            min: at(0.0)?,
+            mean,
+            p50: at(0.5)?,
+            p99: at(0.99)?,
+            max: at(1.0)?,
+            jitter: jitter(delays),
+        })
     }
 }
 

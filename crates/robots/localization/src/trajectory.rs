@@ -2,6 +2,8 @@
 
 use std::{fmt, io::BufRead};
 
+use cotorra_numbers::Gathered;
+
 use crate::{
     belief::Belief,
     carmen::{Log, LogError, LogProblem, Message, valid},
@@ -119,18 +121,12 @@ fn row(text: &str) -> Result<(f64, Pose2), LogProblem> {
 /// Error from which a robot counts as lost, metres.
 pub const LOST: f64 = 1.0;
 
-/// Largest number of errors kept.
-const KEPT: usize = 1 << 16;
-
 /// Errors of estimates against a reference.
 ///
-/// The memory is bounded: from 65,536 estimates on, quantiles are those of every second estimate, then of every fourth and
-/// so on. All other figures count each estimate.
+/// The memory is bounded: with more than a million estimates, quantiles are approximate ([`Gathered`]).
 #[derive(Debug, Clone, Default)]
 pub struct Errors {
-    /// Errors of the position of every 2^`thinned`-th estimate.
-    kept: Vec<f64>,
-    thinned: u32,
+    positions: Gathered,
     count: usize,
     farthest: f64,
     lost: usize,
@@ -145,14 +141,7 @@ impl Errors {
     pub fn push(&mut self, believed: &Belief, reference: Pose2) {
         let position = believed.pose.distance(reference);
         let heading = wrapped(believed.pose.heading - reference.heading);
-        if self.count.is_multiple_of(1 << self.thinned) {
-            if self.kept.len() == KEPT {
-                let mut place = 0..;
-                self.kept.retain(|_| place.next().is_some_and(|place| place % 2 == 0));
-                self.thinned += 1;
-            }
-            self.kept.push(position);
-        }
+        self.positions.add(position);
         self.count += 1;
         self.farthest = self.farthest.max(position);
         self.lost += usize::from(position > LOST);
@@ -174,9 +163,9 @@ impl Errors {
         self.count == 0
     }
 
-    /// Returns the kept errors of the position, metres, in the order of the estimates.
-    pub fn positions(&self) -> &[f64] {
-        &self.kept
+    /// Returns the errors of the position, metres.
+    pub fn positions(&self) -> &Gathered {
+        &self.positions
     }
 
     /// Returns the largest error of the position, metres.
@@ -189,14 +178,9 @@ impl Errors {
         (self.position_squares / self.count as f64).sqrt()
     }
 
-    /// Returns this quantile of the kept errors of the position, metres.
+    /// Returns this quantile of the errors of the position, metres.
     pub fn position_quantile(&self, share: f64) -> f64 {
-        let mut sorted = self.kept.clone();
-        sorted.sort_by(f64::total_cmp);
-        sorted
-            .get((share * (sorted.len().saturating_sub(1)) as f64).round() as usize)
-            .copied()
-            .unwrap_or(f64::NAN)
+        self.positions.sorted().map_or(f64::NAN, |sorted| sorted.quantile(share).value)
     }
 
     /// Returns the root mean square error of the heading, radians.
@@ -235,17 +219,6 @@ mod tests {
 
     fn read(text: &str) -> Trajectory {
         Trajectory::read(text.as_bytes()).unwrap()
-    }
-
-    #[test]
-    fn memory_for_errors_is_bounded() {
-        let mut errors = Errors::default();
-        let count = 5 * KEPT + 1;
-        let belief = |x: usize| Belief { pose: Pose2::new(x as f64, 0.0, 0.0), covariance: [0.0; 9] };
-        (0..count).for_each(|x| errors.push(&belief(x), Pose2::new(0.0, 0.0, 0.0)));
-        assert_eq!((errors.len(), errors.farthest()), (count, (count - 1) as f64));
-        assert!(errors.positions().iter().copied().eq((0..count).step_by(8).map(|x| x as f64)));
-        assert_eq!(errors.lost(), (count - 2) as f64 / count as f64);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use cotorra_figure::{Axis, Band, Figure, Level, Panel, Sample, Series, SeriesKind};
 use cotorra_graph::{NodeId, ServiceId, ServiceTime};
+use cotorra_numbers::quantile;
 
 use super::summary::{RegionSummary, Report, ServiceSummary, service_time_ms};
 
@@ -81,7 +82,7 @@ fn panel(
     let mut answered: Vec<f64> = its.samples.iter().filter_map(|(_, ms)| *ms).collect();
     answered.sort_by(f64::total_cmp);
     let highest = answered.last().copied().unwrap_or_default();
-    let usual = answered.get(answered.len() * 99 / 100).copied().unwrap_or_default();
+    let usual = quantile(&answered, 0.99).unwrap_or_default();
     let top =
         target.map_or(highest, |target| highest.min((ROOM * usual).max(TARGETS * target)).max(1.2 * target));
     let regions: Vec<_> =

@@ -1,33 +1,6 @@
 //! Statistics of service times: those of one service, and of several together.
 
-use serde::Serialize;
-
-/// Quantiles by linear interpolation between closest ranks.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Quantiles {
-    /// Median.
-    pub p50: f64,
-    /// 95th percentile.
-    pub p95: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// Maximum.
-    pub max: f64,
-}
-
-impl Quantiles {
-    /// Returns the quantiles of these values; `None` without values.
-    pub fn of(mut values: Vec<f64>) -> Option<Self> {
-        values.sort_by(f64::total_cmp);
-        let max = *values.last()?;
-        let at = |q: f64| {
-            let rank = q * (values.len() - 1) as f64;
-            let (low, high) = (values[rank.floor() as usize], values[rank.ceil() as usize]);
-            low + (high - low) * rank.fract()
-        };
-        Some(Self { p50: at(0.5), p95: at(0.95), p99: at(0.99), max })
-    }
-}
+pub use cotorra_numbers::Quantiles;
 
 /// Gathered service times.
 #[derive(Debug, Default)]
@@ -69,13 +42,6 @@ impl Times {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn quantiles_interpolate_between_ranks() {
-        let q = Quantiles::of((1..=5).map(f64::from).collect()).unwrap();
-        assert_eq!((q.p50, q.p95, q.max), (3.0, 4.8, 5.0));
-        assert_eq!(Quantiles::of(Vec::new()), None);
-    }
 
     #[test]
     fn an_unanswered_sample_is_above_any_target_and_one_at_the_target_is_not() {

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use cotorra_numbers::quantile_of_times;
+
 /// Summary of a series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Times {
@@ -11,13 +13,11 @@ pub struct Times {
 }
 
 impl Times {
-    /// Summarises a series; `None` if it is empty. The median of an even number is the mean of the middle two.
+    /// Summarises a series; `None` if it is empty.
     pub fn of(mut series: Vec<Duration>) -> Option<Self> {
         series.sort();
-        let (min, max) = (*series.first()?, *series.last()?);
-        let half = series.len() / 2;
-        let median = if series.len() % 2 == 1 { series[half] } else { (series[half - 1] + series[half]) / 2 };
-        Some(Self { median, min, max })
+        let [min, median, max] = [0.0, 0.5, 1.0].map(|share| quantile_of_times(&series, share));
+        Some(Self { median: median?, min: min?, max: max? })
     }
 }
 
