@@ -25,7 +25,8 @@ use crate::{
 ///
 /// With --decision, it repeats one run instead, takes each alternative at a decision of a plug-in (another radio unit in
 /// range, another node, or no change), and goes on with the same random streams. The regret is what the best alternative
-/// keeps, less what the decision kept.
+/// keeps, less what the decision kept. One seed does not tell whether that is chance. With --seeds, the differences of
+/// several seeds have intervals, and probabilities that are corrected for the number of alternatives.
 ///
 /// Each run is saved as soon as it is done. If the command is stopped, the same command resumes it. It leaves margins.csv
 /// and margins.json, or decisions.csv and decisions.json. docs/margin.md explains them.
@@ -36,6 +37,7 @@ Examples:
   cotorra margin testbeds/corridor.yaml --set plugin=okpi --seeds 3 --dry-run
   cotorra margin testbeds/corridor.yaml --set plugin=okpi --change delay --on lan-edge --most 20ms
   cotorra margin testbeds/corridor.yaml --decision all
+  cotorra margin testbeds/corridor.yaml --set plugin=okpi --decision 8 --seeds 10
   cotorra margin testbeds/corridor.yaml --decision 3 --hold 10s")]
 pub struct MarginArgs {
     /// The testbed file
@@ -52,7 +54,7 @@ pub struct MarginArgs {
     /// Seed of the first run; default: the file's
     #[arg(long, value_name = "N", value_parser = parse_seed)]
     pub seed: Option<u64>,
-    /// Number of seeds of each change, counted up from the first
+    /// Number of seeds of each change or decision, counted up from the first
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub seeds: u32,
     /// End each run after this time, such as 60s or 2min; default: twice the time of the unchanged run
@@ -81,7 +83,7 @@ pub struct MarginArgs {
     pub singles: bool,
     /// Compare a decision of a plug-in with its alternatives: its number in the run, from 1, or `all`
     #[arg(long, value_name = "N|all", value_parser = parse_decision,
-        conflicts_with_all = ["keep", "seeds", "kinds", "on", "most", "resolution", "most_loss", "loss_resolution", "singles"])]
+        conflicts_with_all = ["keep", "kinds", "on", "most", "resolution", "most_loss", "loss_resolution", "singles"])]
     pub decision: Option<WhichDecision>,
     /// Reject further decisions about the same robot or VNF for this long; default: until the next one in the run
     #[arg(long, value_name = "DURATION", value_parser = parse_duration, requires = "decision")]

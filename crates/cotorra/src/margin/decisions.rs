@@ -3,9 +3,10 @@
 use std::{num::NonZero, path::Path, process::ExitCode};
 
 use cotorra_experiments::regret::{
-    Decided, Examined, FILES, Recorded, Regret, RegretError, Regrets, Stood, Tried,
+    Compared, Decided, Examined, FILES, Paired, Recorded, Regret, RegretError, Regrets, Stood, Tried, Verdict,
 };
 use cotorra_graph::Timestamp;
+use cotorra_numbers::FEWEST;
 
 use super::{Error, MarginArgs, WhichDecision, again, exit, open};
 use crate::{
@@ -17,6 +18,9 @@ use crate::{
     words::count,
 };
 
+/// What a single seed does not tell.
+const ONE_SEED: &str =
+    "One seed does not tell whether a difference is more than chance: --seeds 10 gives intervals.\n";
 /// Maximum number of decisions that the terminal lists.
 const LISTED: usize = 40;
 
@@ -35,6 +39,7 @@ pub fn examine(
     let fail = |error: RegretError| Error::from(error);
     let regret = Regret::new(testbed, text, &args.kpi, seed, args.until)
         .map_err(|error| fail(error.into()))?
+        .seeds(args.seeds)
         .hold(args.hold);
     let place = args.out.clone().unwrap_or_else(|| regret.default_folder(Path::new("margins")));
     if args.dry_run {
@@ -67,10 +72,13 @@ pub fn examine(
 }
 
 /// Lists the decisions of a run, and their alternatives.
-fn list(recorded: &Recorded, number: Option<NonZero<usize>>) -> String {
+fn list(recorded: &[Recorded], number: Option<NonZero<usize>>) -> String {
     let chosen = |decided: &&Decided| number.is_none_or(|number| number.get() == decided.number);
-    let decided: Vec<_> = recorded.decided.iter().filter(chosen).collect();
-    let runs: usize = decided.iter().map(|decided| decided.alternatives.len()).sum();
+    let first = recorded.first().into_iter().flat_map(|run| &run.decided);
+    let decided: Vec<_> = first.filter(chosen).collect();
+    let wanted = |its: &&Decided| number.is_none() || decided.iter().any(|decided| its.is_like(decided));
+    let all = recorded.iter().flat_map(|run| &run.decided).filter(wanted);
+    let runs: usize = all.map(|decided| decided.alternatives.len()).sum();
     let mut table = Table::new(">><<<<");
     table.row(["decision", "at", "by", "of", "to", "alternatives"].map(str::to_owned));
     for decided in decided.iter().take(LISTED) {
@@ -83,7 +91,11 @@ fn list(recorded: &Recorded, number: Option<NonZero<usize>>) -> String {
     let more = decided.len().saturating_sub(LISTED);
     let more = if more > 0 { format!("  and {more} more\n") } else { String::new() };
     let decisions = count(decided.len(), "decision");
-    format!("{decisions}, {} with alternatives\n\n{}{more}", count(runs, "run"), table.render("  "))
+    let seeds = match recorded {
+        [first, _, ..] => format!(" with {}; those of seed {}:", count(recorded.len(), "seed"), first.seed),
+        _ => String::new(),
+    };
+    format!("{decisions}, {} with alternatives{seeds}\n\n{}{more}", count(runs, "run"), table.render("  "))
 }
 
 /// Returns the first cells of a decision's row.
@@ -101,17 +113,22 @@ fn named(target: &str, stays: bool) -> String {
 }
 
 fn describe(regrets: &Regrets, folder: &Path) -> String {
-    let Regrets { seed, services, examined, complete, runs, resumed } = regrets;
+    let Regrets { seed, seeds, services, examined, compared, complete, runs, resumed } = regrets;
     let before = if *resumed > 0 { format!(", {resumed} of them from before") } else { String::new() };
     let services: Vec<_> = services.iter().map(ToString::to_string).collect();
     let runs = count(*runs, "run");
+    let which = match seeds {
+        1 => format!("seed {seed}"),
+        seeds => format!("{seeds} seeds from {seed} on"),
+    };
     let mut text = format!(
-        "{runs} with alternatives{before}; samples of {} from each decision on, seed {seed}\n\n",
+        "{runs} with alternatives{before}; samples of {} from each decision on, {which}\n\n",
         services.join(", ")
     );
     text += &match &examined[..] {
-        [one] => single(one),
-        all => overview(all),
+        _ if *seeds > 1 => over_seeds(examined, compared),
+        [one] => single(one) + ONE_SEED,
+        all => overview(all) + ONE_SEED,
     };
     if !complete {
         text += "\nThe comparison was stopped; the same command resumes it.\n";
@@ -120,7 +137,7 @@ fn describe(regrets: &Regrets, folder: &Path) -> String {
 }
 
 /// Describes one decision with all alternatives.
-fn single(Examined { decided, stood, tried, regret_kept, regret_ms }: &Examined) -> String {
+fn single(Examined { decided, stood, tried, regret_kept, regret_ms, .. }: &Examined) -> String {
     let Decided { number, at, plugin, reason, .. } = decided;
     let reason = reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
     let what = format!(
@@ -129,15 +146,22 @@ fn single(Examined { decided, stood, tried, regret_kept, regret_ms }: &Examined)
         decided.chosen(),
         decided.subject()
     );
-    let mut table = Table::new("<<>>");
-    table.row(["", "to", "kept, %", "median, ms"].map(str::to_owned));
-    let figures = |of: &Stood| [kept(of, stood), median(of)];
+    let mut table = Table::new("<<>>>>>>");
+    let heads = ["", "to", "kept, %", "late", "median, ms", "cost", "migrations", "handovers"];
+    table.row(heads.map(str::to_owned));
+    let number = |number: Option<usize>| number.map_or_else(|| "-".to_owned(), |number| number.to_string());
+    let figures = |of: &Stood| {
+        let cost = of.cost.map_or_else(|| "-".to_owned(), |cost| format!("{cost:.2}"));
+        [kept(of, stood), number(of.late), median(of), cost, number(of.migrations), number(of.handovers)]
+    };
     table.row(["decision".to_owned(), decided.chosen()].into_iter().chain(figures(stood)));
     for Tried { target, stays, stood, refused } in tried {
         let figures = match (stood, refused) {
             (Some(stood), _) => figures(stood),
             (None, refused) => {
-                [format!("rejected: {}", refused.as_deref().unwrap_or_default()), String::new()]
+                let mut cells = [const { String::new() }; 6];
+                cells[0] = format!("rejected: {}", refused.as_deref().unwrap_or_default());
+                cells
             }
         };
         table.row(["alternative".to_owned(), named(target, *stays)].into_iter().chain(figures));
@@ -152,19 +176,81 @@ fn single(Examined { decided, stood, tried, regret_kept, regret_ms }: &Examined)
     format!("{}\n{}\n{regret}\n", wrap(&what, "", 100), table.render("  "))
 }
 
+/// Lists the alternatives of a decision over several seeds, or of several decisions the best ones.
+fn over_seeds(examined: &[Examined], compared: &[Compared]) -> String {
+    let best = Compared::best(compared);
+    let listed: Vec<_> = if best.len() == 1 { compared.iter().collect() } else { best.clone() };
+    let mut table = Table::new(">><<<<>>>>>>>");
+    let of_decision = ["decision", "at", "by", "of", "to", "alternative", "seeds", "kept, points", "p"];
+    let more = ["median, ms", "late", "cost", "migrations"];
+    table.row(of_decision.into_iter().chain(more));
+    for of in listed.iter().take(LISTED) {
+        let Compared { number, seed, target, stays, pairs, undone, kept, .. } = of;
+        let decided = examined.iter().find(|its| its.seed == *seed && its.decided.number == *number);
+        let of_decision = decided.map(|its| heads(&its.decided)).unwrap_or_default();
+        let p = kept.and_then(|kept| kept.p).map_or_else(|| "-".to_owned(), |p| format!("{p:.3}"));
+        let undone = if *undone > 0 { format!(", no end in {undone}") } else { String::new() };
+        let cells = [
+            named(target, *stays),
+            format!("{pairs}{undone}"),
+            paired(*kept, 100.0),
+            p,
+            paired(of.service_time_p50_ms, 1.0),
+            paired(of.late, 1.0),
+            paired(of.cost, 1.0),
+            paired(of.migrations, 1.0),
+        ];
+        table.row(of_decision.into_iter().chain(cells));
+    }
+    let mut text = table.render("  ");
+    if listed.len() > LISTED {
+        text += &format!("  and {} more in {}\n", listed.len() - LISTED, FILES[1]);
+    }
+    let of = count(best.len(), "decision");
+    let decisions = |wanted: Verdict| {
+        let decisions = compared.chunk_by(|a, b| (a.seed, a.number) == (b.seed, b.number));
+        decisions.filter(|its| its.iter().any(|its| its.verdict() == wanted)).count()
+    };
+    let (better, too_few) = (decisions(Verdict::Better), decisions(Verdict::TooFew));
+    let few = match too_few {
+        0 => String::new(),
+        few => format!(" In {few}, there are fewer than three seeds with the decision, too few to tell."),
+    };
+    let sentence = format!(
+        "An alternative kept more samples, by more than chance, in {better} of {of}.{few} Figures are means of the \
+         alternative less the decision with the same seed, with 95 % intervals by Student's t; p is corrected for all {} by \
+         Holm.",
+        count(compared.len(), "alternative")
+    );
+    text + "\n" + &wrap(&sentence, "", 100)
+}
+
+/// `+0.16 (-0.02 to +0.34)`; two pairs are too few for an interval.
+fn paired(paired: Option<Paired>, factor: f64) -> String {
+    let Some(Paired { n, mean, low, high, .. }) = paired else { return "-".to_owned() };
+    let mean = signed(mean * factor);
+    match low.zip(high) {
+        Some((low, high)) if n >= FEWEST => {
+            format!("{mean} ({} to {})", signed(low * factor), signed(high * factor))
+        }
+        _ => format!("{mean} (n = {n})"),
+    }
+}
+
 /// Lists decisions, each with its best alternative.
 fn overview(examined: &[Examined]) -> String {
-    let mut table = Table::new(">><<<>>>>");
+    let mut table = Table::new(">><<<>>>>>");
     let heads_of =
-        ["decision", "at", "by", "of", "to", "kept, %", "median, ms", "regret, points", "regret, ms"];
+        ["decision", "at", "by", "of", "to", "kept, %", "median, ms", "regret, points", "regret, ms", "cost"];
     table.row(heads_of.map(str::to_owned));
-    for Examined { decided, stood, regret_kept, regret_ms, .. } in examined.iter().take(LISTED) {
+    for Examined { decided, stood, regret_kept, regret_ms, regret_cost, .. } in examined.iter().take(LISTED) {
         let figure = |figure: Option<f64>| figure.map_or_else(|| "-".to_owned(), signed);
         let figures = [
             kept(stood, stood),
             median(stood),
             figure(regret_kept.map(|regret| regret * 100.0)),
             figure(*regret_ms),
+            figure(*regret_cost),
         ];
         table.row(heads(decided).into_iter().chain(figures));
     }

@@ -20,7 +20,7 @@ use crate::{duration::parse_duration, figures::FigureArgs};
 ///
 /// Each run is saved as soon as it is done. If a sweep is stopped, the same command resumes it. The command with more
 /// values or seeds adds to it. A sweep leaves runs.csv (a row for each run), cells.csv (a row for each combination: means
-/// and 95 % confidence intervals), regions.csv (a row for each stretch of a service with one radio unit and one server)
+/// and 95 % confidence intervals), differences.csv (each combination less the first, over runs with the same seed), regions.csv (a row for each stretch of a service with one radio unit and one server)
 /// and sweep.svg. services.csv has a row for each robot and service of a run, service_cells.csv one for those of a combination, with means and
 /// intervals, and service_cells.tex is the same for a paper, in LaTeX. time_parts.csv has a row for each link and host of a
 /// run: what it added to service times above the target.

@@ -38,6 +38,7 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
         text += &format!("  and {} more in cells.csv\n", cells.len() - LISTED);
     }
     text += &services(runs, &cells);
+    text += &differences(runs);
     text += note;
     let figures = figure.files("sweep");
     text + &format!("\n{}/\n  {}{figures}\n", folder.display(), FILES.join("  "))
@@ -64,6 +65,48 @@ fn services(runs: &Runs, cells: &[Cell]) -> String {
         text += &format!("\nwithout samples: {}\n", names.join(", "));
     }
     text
+}
+
+/// Figures whose differences the terminal shows, with their names and factors.
+const COMPARED: [(&str, &str, f64); 4] = [
+    ("service_time_p50_ms", "median, ms", 1.0),
+    ("service_time_p99_ms", "p99, ms", 1.0),
+    ("above_target", "above target, points", 100.0),
+    ("handovers", "handovers", 1.0),
+];
+
+/// Returns how combinations differ from the first one, over the runs that share a seed; empty if there is only one.
+fn differences(runs: &Runs) -> String {
+    let (axes, all) = (&runs.axes, runs.differences());
+    let Some(first) = runs.done.first().filter(|_| !all.is_empty()) else { return String::new() };
+    let mut table = Table::new(&("<".repeat(axes.len()) + ">" + &">".repeat(COMPARED.len())));
+    let heads = ["pairs"].into_iter().chain(COMPARED.map(|(_, name, _)| name));
+    table.row(axes.iter().map(|axis| axis.path().to_owned()).chain(heads.map(str::to_owned)));
+    let of_cells: Vec<_> = all.chunk_by(|a, b| a.values == b.values).collect();
+    for its in of_cells.iter().take(LISTED) {
+        let pairs = its.iter().map(|its| its.pairs).max().unwrap_or(0);
+        let figure = |(name, _, factor): (&str, &str, f64)| {
+            let found = its.iter().find(|its| its.figure == name);
+            found.map_or("-".to_owned(), |its| its.times(factor))
+        };
+        table.row(its[0].values.iter().cloned().chain([pairs.to_string()]).chain(COMPARED.map(figure)));
+    }
+    let settings =
+        axes.iter().zip(&first.point.values).map(|(axis, value)| format!("{}={value}", axis.path()));
+    let mut text = format!(
+        "\n  Less {}, over runs with the same seed:\n{}",
+        settings.collect::<Vec<_>>().join(" "),
+        table.render("  ")
+    );
+    if of_cells.len() > LISTED {
+        text += &format!("  and {} more in differences.csv\n", of_cells.len() - LISTED);
+    }
+    let too_few = all.iter().any(|its| its.is_shown().is_none());
+    text + if too_few {
+        "  Fewer than three pairs are too few to tell a difference from chance: --seeds 10.\n"
+    } else {
+        "  Means with 95 % intervals by Student's t; * differs at 5 %, corrected for all rows (Holm).\n"
+    }
 }
 
 fn interval(interval: Option<Interval>, factor: f64) -> String {

@@ -28,8 +28,21 @@ const OF: [&str; 12] = [
     "sent",
 ];
 /// Names of numbers that are not quantities: positions, limits, names of rows, and inputs of statistics.
-const NO_QUANTITIES: [&str; 12] =
-    ["a", "b", "after", "fast", "last", "limit", "mac", "number", "points", "quantiles", "values", "walked"];
+const NO_QUANTITIES: [&str; 13] = [
+    "a",
+    "b",
+    "after",
+    "fast",
+    "last",
+    "limit",
+    "mac",
+    "number",
+    "points",
+    "quantiles",
+    "quantiles_within",
+    "values",
+    "walked",
+];
 
 /// Units by the suffix of a name.
 const UNITS: [(&str, &str); 11] = [
@@ -229,7 +242,7 @@ fn every_figure_is_documented_with_its_unit() {
     let searched = out.path().join("margin");
     for (file, more) in [
         ("margins.json", &["--until", "5s", "--change", "delay,loss", "--on", "R1-cloud"][..]),
-        ("decisions.json", &["--until", "15s", "--decision", "all", "--set", "plugin=okpi"]),
+        ("decisions.json", &["--until", "15s", "--decision", "all", "--set", "plugin=okpi", "--seeds", "3"]),
     ] {
         let mut margin = cotorra(["margin", "--headless", "--out"]);
         let margin = margin.arg(searched.join(file)).args(more).arg(corridor()).output().unwrap();

@@ -337,13 +337,13 @@ fn row(percent: u64, lead: Duration, robots: u32) -> String {
 
 /// Returns the share of halted crossings with its interval over robots, because the crossings of one robot are correlated.
 fn share(outcome: &[Outcome]) -> String {
-    let shares: Vec<f64> =
-        outcome.iter().map(|outcome| 100.0 * outcome.halted as f64 / CROSSINGS as f64).collect();
-    let Some(Interval { mean, high, .. }) = Interval::of(&shares) else { return String::new() };
-    match high {
-        Some(high) if high > mean => format!("{mean:.1} ± {:.1} %", high - mean),
-        _ => format!("{mean:.1} %"),
-    }
+    let shares: Vec<f64> = outcome.iter().map(|outcome| outcome.halted as f64 / CROSSINGS as f64).collect();
+    let samples = shares.len() * CROSSINGS as usize;
+    let Some(Interval { mean, low, high, .. }) = Interval::of_shares(&shares, samples) else {
+        return String::new();
+    };
+    let ends = low.zip(high).map(|(low, high)| format!(" ({:.1} to {:.1})", low * 100.0, high * 100.0));
+    format!("{:.1} %{}", mean * 100.0, ends.unwrap_or_default())
 }
 
 /// Returns the attacker's cost of a halt, in bonds and transactions.

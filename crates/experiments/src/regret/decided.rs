@@ -3,8 +3,8 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
-    Attachment, Decision, Event, Instruction, NodeId, Nodes, PluginId, Program, ServiceId, Stamped, Testbed,
-    Timestamp, VnfId,
+    Attachment, Decision, Event, Instruction, NodeId, NodeKind, Nodes, PluginId, Program, ServiceId, Stamped,
+    Testbed, Timestamp, VnfId,
 };
 use cotorra_testbed::is_same_subject;
 use serde::Serialize;
@@ -14,6 +14,9 @@ use serde::Serialize;
 pub struct Decided {
     /// Number of the decision, from 1.
     pub number: usize,
+    /// How often the plug-in had decided the same about the same robot or VNF up to then, with this decision.
+    #[serde(skip)]
+    pub time: usize,
     /// Time of the decision.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
@@ -39,6 +42,11 @@ impl Decided {
         }
     }
 
+    /// Whether it is the same decision as one with another seed.
+    pub fn is_like(&self, other: &Self) -> bool {
+        self.plugin == other.plugin && self.instruction == other.instruction && self.time == other.time
+    }
+
     /// Returns the radio unit or the nodes.
     pub fn chosen(&self) -> String {
         target(&self.instruction)
@@ -54,7 +62,7 @@ pub struct Alternative {
     pub target: String,
 }
 
-fn target(instruction: &Instruction) -> String {
+pub(super) fn target(instruction: &Instruction) -> String {
     match instruction {
         Instruction::Attach { radio_unit, .. } => radio_unit.to_string(),
         Instruction::Place { node, .. } => node.to_string(),
@@ -71,11 +79,35 @@ pub(super) struct Sample {
     pub(super) took: Option<Duration>,
 }
 
+/// What a run took beside its samples, moment by moment.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Taken {
+    /// Price of all placed CPUs from each moment on, by the prices of servers.
+    pub(super) costs: Vec<(Timestamp, f64)>,
+    /// Changes of VNFs' nodes.
+    pub(super) migrations: Vec<Timestamp>,
+    /// Changes of radio unit.
+    pub(super) handovers: Vec<Timestamp>,
+}
+
+impl Taken {
+    /// Returns the mean price of the placed CPUs from one moment to another; `None` if no time passes.
+    pub(super) fn cost(&self, from: Timestamp, until: Timestamp) -> Option<f64> {
+        let ends = self.costs.iter().skip(1).map(|(at, _)| *at).chain([until]);
+        let spent = |((at, cost), end): (&(Timestamp, f64), Timestamp)| {
+            cost * end.min(until).since((*at).max(from)).as_secs_f64()
+        };
+        let time = until.since(from).as_secs_f64();
+        (time > 0.0).then(|| self.costs.iter().zip(ends).map(spent).sum::<f64>() / time)
+    }
+}
+
 /// Collects service times, and decisions with their alternatives, from the events of a run.
 pub(super) struct Observer<'a> {
     testbed: &'a Testbed,
     pub(super) samples: Vec<Sample>,
     pub(super) decided: Vec<Decided>,
+    pub(super) taken: Taken,
     attachments: BTreeMap<NodeId, Vec<Attachment>>,
     placements: BTreeMap<VnfId, Nodes>,
 }
@@ -83,13 +115,27 @@ pub(super) struct Observer<'a> {
 impl<'a> Observer<'a> {
     pub(super) fn new(testbed: &'a Testbed) -> Self {
         let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
-        Self {
+        let mut new = Self {
             testbed,
             samples: Vec::new(),
             decided: Vec::new(),
+            taken: Taken::default(),
             attachments: BTreeMap::new(),
             placements: vnfs.map(|vnf| (vnf.id.clone(), vnf.node.clone())).collect(),
-        }
+        };
+        new.taken.costs.push((Timestamp::ZERO, new.cost()));
+        new
+    }
+
+    /// Returns the present price of all placed CPUs of the file's VNFs. CPUs of robots have none.
+    fn cost(&self) -> f64 {
+        let price = |node: &NodeId| match self.testbed.graph.node(node).map(|node| &node.kind) {
+            Some(NodeKind::Server(server)) => server.cost,
+            _ => 0.0,
+        };
+        let vnfs = self.testbed.services.iter().flat_map(|service| &service.vnfs);
+        let placed = vnfs.filter_map(|vnf| Some((vnf.cpus, self.placements.get(&vnf.id)?)));
+        placed.map(|(cpus, nodes)| cpus * nodes.all().iter().map(price).sum::<f64>()).sum()
     }
 
     pub(super) fn see(&mut self, Stamped { at, event }: &Stamped) {
@@ -103,16 +149,23 @@ impl<'a> Observer<'a> {
                 drop(self.attachments.insert(context.robot.clone(), context.attachments.clone()));
             }
             Event::Placement(placement) => {
-                drop(self.placements.insert(placement.vnf.clone(), placement.node.clone()));
+                let before = self.placements.insert(placement.vnf.clone(), placement.node.clone());
+                if *at > Timestamp::ZERO && before.is_none_or(|before| before != placement.node) {
+                    self.taken.migrations.push(*at);
+                }
+                self.taken.costs.push((*at, self.cost()));
             }
+            Event::Handover(_) => self.taken.handovers.push(*at),
             Event::Decision(Decision { plugin, instruction, reason, refused: None }) => {
                 let Some(alternatives) = self.alternatives(instruction) else { return };
                 let earlier = self.decided.iter_mut().filter(|decided| decided.next.is_none());
                 earlier
                     .filter(|decided| is_same_subject(&decided.instruction, instruction))
                     .for_each(|decided| decided.next = Some(*at));
+                let same = |before: &&Decided| before.plugin == *plugin && before.instruction == *instruction;
                 self.decided.push(Decided {
                     number: self.decided.len() + 1,
+                    time: self.decided.iter().filter(same).count() + 1,
                     at: *at,
                     plugin: plugin.clone(),
                     instruction: instruction.clone(),
@@ -181,6 +234,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_cost_is_the_mean_over_the_time_from_a_decision_on() {
+        let at = Timestamp::from_secs_f64;
+        let costs = vec![(at(0.0), 1.0), (at(2.0), 4.0), (at(4.0), 2.0)];
+        let taken = Taken { costs, ..Taken::default() };
+        assert_eq!(taken.cost(at(0.0), at(4.0)), Some(2.5));
+        assert_eq!(taken.cost(at(3.0), at(6.0)), Some(8.0 / 3.0));
+        assert_eq!((taken.cost(at(5.0), at(9.0)), taken.cost(at(5.0), at(5.0))), (Some(2.0), None));
+    }
+
+    #[test]
     fn a_placement_can_stay_or_go_to_any_node_with_room() {
         let text = "name: x\nwireless: { w: {} }\nnodes:\n  r: { kind: robot, position: [0, 0], cpus: 1 }\n  \
                     U: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
@@ -215,6 +278,7 @@ mod tests {
             let all = decided.alternatives.iter();
             all.map(|alternative| (alternative.target.clone(), alternative.instead.is_none())).collect()
         };
+        assert_eq!(observer.taken.migrations.len(), 2);
         let [first, second] = &observer.decided[..] else { panic!("{:?}", observer.decided) };
         assert_eq!((first.number, first.next), (1, Some(Timestamp::from_secs_f64(3.0))));
         assert_eq!(alternatives(first), [("a".to_owned(), true), ("c".to_owned(), false)]);

@@ -26,12 +26,13 @@ impl Regrets {
 
 fn table_of(examined: &[Examined]) -> String {
     let mut text =
-        "decision,at_ns,plugin,subject,target,chosen,walked,refused,samples,kept,service_time_p50_ms,regret_kept,regret_ms\n"
+        "decision,at_ns,plugin,subject,target,chosen,walked,refused,samples,kept,service_time_p50_ms,\
+                    regret_kept,regret_ms,regret_cost,late_samples,cost,migrations,handovers,seed\n"
             .to_owned();
-    for Examined { decided, stood, tried, regret_kept, regret_ms } in examined {
-        let own = (decided.chosen(), true, Some(stood), None, [*regret_kept, *regret_ms]);
+    for Examined { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost } in examined {
+        let own = (decided.chosen(), true, Some(stood), None, [*regret_kept, *regret_ms, *regret_cost]);
         let others = tried.iter().map(|tried| {
-            (tried.target.clone(), false, tried.stood.as_ref(), tried.refused.clone(), [None, None])
+            (tried.target.clone(), false, tried.stood.as_ref(), tried.refused.clone(), [None; 3])
         });
         for (target, chosen, stood, refused, regrets) in std::iter::once(own).chain(others) {
             let names = [
@@ -49,7 +50,12 @@ fn table_of(examined: &[Examined]) -> String {
             push(&mut text, stood.and_then(|stood| stood.kept));
             push(&mut text, stood.and_then(|stood| stood.service_time_p50_ms));
             regrets.into_iter().for_each(|figure| push(&mut text, figure));
-            text.push('\n');
+            let count = |count: Option<usize>| count.map(|count| count as f64);
+            push(&mut text, stood.and_then(|stood| count(stood.late)));
+            push(&mut text, stood.and_then(|stood| stood.cost));
+            push(&mut text, stood.and_then(|stood| count(stood.migrations)));
+            push(&mut text, stood.and_then(|stood| count(stood.handovers)));
+            text += &format!(",{seed}\n");
         }
     }
     text

@@ -1,8 +1,10 @@
 //! Regrets: what the decisions of a run's plug-ins were worth, beside their alternatives.
 //!
 //! The run is repeated in virtual time with the same seed. At a decision it takes an alternative, and goes on with the same
-//! random streams. Both are compared by the samples that were sent from the decision on.
+//! random streams. Both are compared by the samples that were sent from the decision on. With several seeds, the differences
+//! of each pair of runs tell whether an alternative is better by more than chance.
 
+mod compared;
 mod decided;
 mod folder;
 
@@ -14,11 +16,13 @@ use std::{
 };
 
 use cotorra_graph::{ServiceId, Testbed, Timestamp, millis, seed};
-use cotorra_testbed::{Altered, Fork, Quantiles, Unrecorded};
+use cotorra_numbers::median;
+use cotorra_testbed::{Altered, Fork, Unrecorded};
 use serde::{Deserialize, Serialize};
 
-use self::decided::{Observer, Sample};
+use self::decided::{Observer, Sample, Taken};
 pub use self::{
+    compared::{Compared, Paired, Verdict},
     decided::{Alternative, Decided},
     folder::FILES,
 };
@@ -32,13 +36,14 @@ use crate::{
 /// Longest run with an alternative and without an own limit, as a multiple of the run as it was.
 const LONGEST: u32 = 2;
 
-/// A run whose decisions are examined.
+/// A run whose decisions are examined, with one seed or several.
 #[derive(Debug)]
 pub struct Regret {
     testbed: Arc<Testbed>,
     text: String,
     services: Vec<ServiceId>,
     seed: u64,
+    seeds: u32,
     until: Option<Duration>,
     hold: Option<Duration>,
 }
@@ -65,9 +70,11 @@ pub enum RegretError {
 /// A run as it was, with its decisions.
 #[derive(Debug)]
 pub struct Recorded {
+    pub seed: u64,
     /// The decisions, in order.
     pub decided: Vec<Decided>,
     samples: Vec<Sample>,
+    taken: Taken,
     duration: Duration,
     walked: bool,
 }
@@ -77,12 +84,24 @@ pub struct Recorded {
 pub struct Stood {
     /// Number of samples.
     pub samples: usize,
+    /// Number of samples above their target, or without an answer; `None` in journals of earlier versions.
+    #[serde(default, rename = "late_samples")]
+    pub late: Option<usize>,
     /// Share of samples within their target; `None` without samples.
     pub kept: Option<f64>,
     /// Median of answered samples, milliseconds.
     pub service_time_p50_ms: Option<f64>,
     /// Whether every walk was done.
     pub walked: bool,
+    /// Mean price of the CPUs that VNFs have, by the prices of servers; `None` in journals of earlier versions, as below.
+    #[serde(default)]
+    pub cost: Option<f64>,
+    /// Number of changes of VNFs' nodes.
+    #[serde(default)]
+    pub migrations: Option<usize>,
+    /// Number of changes of radio unit.
+    #[serde(default)]
+    pub handovers: Option<usize>,
 }
 
 /// A run with an alternative.
@@ -109,6 +128,7 @@ pub struct Tried {
 /// A decision beside its alternatives.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Examined {
+    pub seed: u64,
     #[serde(flatten)]
     pub decided: Decided,
     /// The samples with the decision as it was.
@@ -119,15 +139,23 @@ pub struct Examined {
     pub regret_kept: Option<f64>,
     /// Median service time with the decision, less that with the same alternative, milliseconds.
     pub regret_ms: Option<f64>,
+    /// Mean price of placed CPUs with the decision, less that with the same alternative.
+    pub regret_cost: Option<f64>,
 }
 
 /// The decisions that were examined.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Regrets {
+    /// The first seed.
     pub seed: u64,
+    /// Number of seeds.
+    pub seeds: u32,
     /// The services whose samples count, and that have any.
     pub services: Vec<ServiceId>,
+    /// The decisions of each seed.
     pub examined: Vec<Examined>,
+    /// The alternatives of each decision, over all seeds with that decision. Empty with a single seed.
+    pub compared: Vec<Compared>,
     /// Whether all alternatives were tried; false after a stop.
     pub complete: bool,
     /// Number of runs with alternatives.
@@ -151,7 +179,12 @@ impl Regret {
         until: Option<Duration>,
     ) -> Result<Self, UnknownService> {
         let services = kept::services(&testbed, services)?;
-        Ok(Self { testbed: Arc::new(testbed), text, services, seed, until, hold: None })
+        Ok(Self { testbed: Arc::new(testbed), text, services, seed, seeds: 1, until, hold: None })
+    }
+
+    /// Examines runs with this many seeds, counted up from the first.
+    pub fn seeds(self, seeds: u32) -> Self {
+        Self { seeds, ..self }
     }
 
     /// Holds alternatives for this time; by default, until the next decision about the same robot or VNF.
@@ -168,13 +201,23 @@ impl Regret {
         parent.join(format!("{}-decisions-{:08x}", testbed.name, seed::split(0, &depends) >> 32))
     }
 
-    /// Repeats the run as it was, to the end of its walks. If a plug-in is a program, it uses a new folder. Returns `None` if
-    /// `go_on` stopped it; it is called now and then.
+    /// Repeats the run as it was, to the end of its walks, with each seed. If a plug-in is a program, it uses a new folder.
+    /// Returns `None` if `go_on` stopped it; it is called now and then.
     ///
     /// # Errors
     /// [`RegretError`].
     pub fn record(
         &self,
+        folder: &Path,
+        mut go_on: impl FnMut() -> bool,
+    ) -> Result<Option<Vec<Recorded>>, RegretError> {
+        let seeds = (0..u64::from(self.seeds)).map(|place| self.seed.wrapping_add(place));
+        seeds.map(|seed| self.record_with(seed, folder, &mut go_on)).collect()
+    }
+
+    fn record_with(
+        &self,
+        seed: u64,
         folder: &Path,
         go_on: impl FnMut() -> bool,
     ) -> Result<Option<Recorded>, RegretError> {
@@ -182,56 +225,56 @@ impl Regret {
         let see = |event: &_| observer.see(event);
         let testbed = Arc::clone(&self.testbed);
         let (altered, text) = (&Altered::default(), self.text.as_str());
-        let run = Unrecorded { seed: self.seed, until: self.until, altered, folder, text };
+        let run = Unrecorded { seed, until: self.until, altered, folder, text };
         let ended = batch::sound(testbed, &run, "the run", see, go_on)?;
         Ok(ended.map(|ended| Recorded {
+            seed,
             decided: observer.decided,
             samples: observer.samples,
+            taken: observer.taken,
             duration: Duration::from_secs_f64(ended.summary.duration_ms / 1e3),
             walked: ended.summary.is_walked(),
         }))
     }
 
-    /// Runs the alternatives of a decision, or of all without a number, with `jobs` runs at a time. Runs that the journal
-    /// has are not repeated. Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run;
-    /// `false` stops.
+    /// Runs the alternatives of a decision of the first run, or of all without a number, with `jobs` runs at a time. With
+    /// several seeds, the others' decisions are those of the same plug-in for the same robot or VNF and target, for the same
+    /// time in their run. Runs that the journal has are not repeated. Calls `go_on` with the numbers of finished and of all
+    /// runs, at the beginning and after each run; `false` stops.
     ///
     /// # Errors
     /// [`RegretError`].
     pub fn examine(
         &self,
-        recorded: &Recorded,
+        recorded: &[Recorded],
         number: Option<NonZero<usize>>,
         journal: &Journal,
         jobs: NonZero<usize>,
         mut go_on: impl FnMut(usize, usize) -> bool,
     ) -> Result<Regrets, RegretError> {
-        let of = recorded.decided.len();
-        let decided = match number.map(NonZero::get) {
-            None => &recorded.decided[..],
-            Some(number) if number > of => return Err(RegretError::NoDecision { number, of }),
-            Some(number) => &recorded.decided[number - 1..number],
-        };
+        let decided = select(recorded, number)?;
         let end = |decided: &Decided| match self.hold {
             Some(hold) => decided.at + hold,
             None => decided.next.unwrap_or(Timestamp::from_nanos(u64::MAX)),
         };
         let tries: Vec<_> = decided
             .iter()
-            .flat_map(|decided| decided.alternatives.iter().map(move |alternative| (decided, alternative)))
+            .flat_map(|(run, decided)| {
+                decided.alternatives.iter().map(move |alternative| (*run, *decided, alternative))
+            })
             .collect();
         let services: Vec<_> = self.services.iter().map(ToString::to_string).collect();
-        let name = |(decided, alternative): &(&Decided, &Alternative)| {
+        let name = |(run, decided, alternative): &(&Recorded, &Decided, &Alternative)| {
             let (number, subject, target) = (decided.number, decided.subject(), &alternative.target);
             let (hold, services) = (end(decided).as_nanos(), services.join(","));
             format!(
                 "decision {number}: {subject} to {target} hold_ns={hold} kpi={services} seed={}",
-                self.seed
+                run.seed
             )
         };
         let names: Vec<_> = tries.iter().map(name).collect();
         let fork = |place: usize, stop: &AtomicBool| {
-            let (decided, alternative) = tries[place];
+            let (run, decided, alternative) = tries[place];
             let fork = Fork {
                 index: decided.number - 1,
                 at: decided.at,
@@ -240,32 +283,34 @@ impl Regret {
                 hold: end(decided),
             };
             let folder = journal.path().join(format!("run-{place}"));
-            self.fork(recorded, fork, &names[place], &folder, stop)
+            self.fork(run, fork, &names[place], &folder, stop)
         };
         let total = names.len();
         let batch = batch::run(journal, jobs, &names, fork, |done| go_on(done, total))?;
         let complete = batch.done.iter().all(Option::is_some);
         let runs = batch.done.iter().flatten().count();
         let mut forked = batch.done.into_iter();
-        let examined = decided
+        let examined: Vec<_> = decided
             .iter()
-            .map(|decided| {
-                let stood = self.stood(&recorded.samples, decided.at, recorded.walked);
+            .map(|(run, decided)| {
+                let stood = self.stood(&run.samples, &run.taken, decided.at, run.duration, run.walked);
                 let done = decided.alternatives.iter().zip(forked.by_ref());
                 let tried = done.filter_map(|(alternative, forked)| {
                     let Forked { stood, refused } = forked?;
                     let (target, stays) = (alternative.target.clone(), alternative.instead.is_none());
                     Some(Tried { target, stays, stood: refused.is_none().then_some(stood), refused })
                 });
-                Examined::of(decided.clone(), stood, tried.collect())
+                Examined::of(run.seed, (*decided).clone(), stood, tried.collect())
             })
             .collect();
         let has_samples = |service: &ServiceId| {
             let place = self.testbed.services.iter().position(|of| of.id == *service);
-            recorded.samples.iter().any(|sample| Some(sample.service) == place)
+            recorded.iter().flat_map(|run| &run.samples).any(|sample| Some(sample.service) == place)
         };
         let services = self.services.iter().filter(|service| has_samples(service)).cloned().collect();
-        Ok(Regrets { seed: self.seed, services, examined, complete, runs, resumed: batch.resumed })
+        let compared = if self.seeds > 1 { Compared::all(&examined) } else { Vec::new() };
+        let (seed, seeds, resumed) = (self.seed, self.seeds, batch.resumed);
+        Ok(Regrets { seed, seeds, services, examined, compared, complete, runs, resumed })
     }
 
     /// Repeats the run with a fork; returns `None` if it was stopped before its end.
@@ -284,15 +329,24 @@ impl Regret {
         let go_on = || !stop.load(Ordering::Relaxed);
         let testbed = Arc::clone(&self.testbed);
         let (until, altered, text) = (Some(until), &altered, self.text.as_str());
-        let run = Unrecorded { seed: self.seed, until, altered, folder, text };
+        let run = Unrecorded { seed: recorded.seed, until, altered, folder, text };
         let Some(ended) = batch::sound(testbed, &run, name, see, go_on)? else { return Ok(None) };
         let outcome = ended.forked.ok_or_else(|| RegretError::NotRepeated(name.to_owned()))?;
-        let stood = self.stood(&observer.samples, at, ended.summary.is_walked());
+        let duration = Duration::from_secs_f64(ended.summary.duration_ms / 1e3);
+        let walked = ended.summary.is_walked();
+        let stood = self.stood(&observer.samples, &observer.taken, at, duration, walked);
         Ok(Some(Forked { stood, refused: outcome.err().map(|reason| reason.to_string()) }))
     }
 
-    /// Summarizes the samples that were sent from a moment on.
-    fn stood(&self, samples: &[Sample], from: Timestamp, walked: bool) -> Stood {
+    /// Summarizes the samples that were sent from a moment on, and what that took.
+    fn stood(
+        &self,
+        samples: &[Sample],
+        taken: &Taken,
+        from: Timestamp,
+        duration: Duration,
+        walked: bool,
+    ) -> Stood {
         let targets: Vec<_> = self
             .testbed
             .services
@@ -304,11 +358,16 @@ impl Regret {
             counted.filter_map(|sample| Some((sample.took, targets[sample.service]?))).collect();
         let within = counted.iter().filter(|(took, target)| took.is_some_and(|took| took <= *target)).count();
         let answered = counted.iter().filter_map(|(took, _)| Some(millis::of((*took)?))).collect();
+        let count = |moments: &[Timestamp]| Some(moments.iter().filter(|at| **at >= from).count());
         Stood {
             samples: counted.len(),
+            late: Some(counted.len() - within),
             kept: (!counted.is_empty()).then(|| within as f64 / counted.len() as f64),
-            service_time_p50_ms: Quantiles::of(answered).map(|quantiles| quantiles.p50),
+            service_time_p50_ms: median(answered),
             walked,
+            cost: taken.cost(from, Timestamp::ZERO + duration),
+            migrations: count(&taken.migrations),
+            handovers: count(&taken.handovers),
         }
     }
 }
@@ -316,7 +375,7 @@ impl Regret {
 impl Examined {
     /// Compares a decision with its alternatives. One that leaves a walk undone is worse than all that end it. Of equals,
     /// the fastest is the best.
-    fn of(decided: Decided, stood: Stood, tried: Vec<Tried>) -> Self {
+    fn of(seed: u64, decided: Decided, stood: Stood, tried: Vec<Tried>) -> Self {
         let rank = |stood: &&Stood| {
             let median = stood.service_time_p50_ms.unwrap_or(f64::INFINITY);
             (stood.walked, stood.kept.unwrap_or(0.0), -median)
@@ -325,13 +384,27 @@ impl Examined {
             let (a, b) = (rank(a), rank(b));
             a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
         });
-        let (mut regret_kept, mut regret_ms) = (None, None);
+        let (mut regret_kept, mut regret_ms, mut regret_cost) = (None, None, None);
         if let Some(best) = best {
             regret_kept = best.kept.zip(stood.kept).map(|(best, own)| best - own);
             regret_ms = stood.service_time_p50_ms.zip(best.service_time_p50_ms).map(|(own, best)| own - best);
+            regret_cost = stood.cost.zip(best.cost).map(|(own, best)| own - best);
         }
-        Self { decided, stood, tried, regret_kept, regret_ms }
+        Self { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost }
     }
+}
+
+/// Selects a decision of the first run and its likes of the others, or all without a number.
+fn select(
+    recorded: &[Recorded],
+    number: Option<NonZero<usize>>,
+) -> Result<Vec<(&Recorded, &Decided)>, RegretError> {
+    let all = || recorded.iter().flat_map(|run| run.decided.iter().map(move |decided| (run, decided)));
+    let Some(number) = number.map(NonZero::get) else { return Ok(all().collect()) };
+    let of = recorded.first().map_or(0, |run| run.decided.len());
+    let wanted = recorded.first().and_then(|run| run.decided.get(number - 1));
+    let wanted = wanted.ok_or(RegretError::NoDecision { number, of })?;
+    Ok(all().filter(|(_, decided)| decided.is_like(wanted)).collect())
 }
 
 #[cfg(test)]

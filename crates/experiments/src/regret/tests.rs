@@ -63,6 +63,35 @@ fn a_decision_for_a_fast_path_is_not_regretted() {
 }
 
 #[test]
+fn several_seeds_tell_whether_an_alternative_is_better_by_more_than_chance() {
+    let compared = |delay: &str, seeds: u32| {
+        let out = tempfile::tempdir().unwrap();
+        let regrets = examine(&regret(delay).seeds(seeds), out.path());
+        assert_eq!((regrets.seed, regrets.seeds, regrets.examined.len()), (1, seeds, seeds as usize));
+        let [one] = &regrets.compared[..] else { panic!("{regrets:?}") };
+        assert_eq!((one.pairs as u32, one.undone, one.target.as_str()), (seeds, 0, "A"));
+        one.clone()
+    };
+    let slow = compared("10 ms", 4);
+    assert_eq!(slow.verdict(), Verdict::Better);
+    let Paired { mean, low, high, .. } = slow.kept.unwrap();
+    assert!(
+        low.unwrap() > 0.5 && low.unwrap() <= mean && mean <= high.unwrap() && high.unwrap() <= 1.0,
+        "{slow:?}"
+    );
+    // 7 ms less in each direction.
+    assert!((slow.service_time_p50_ms.unwrap().mean + 14.0).abs() < 0.5, "{slow:?}");
+    assert!(slow.late.unwrap().mean < -10.0, "{slow:?}");
+    // Navigation has its CPUs at the same server.
+    assert_eq!(slow.cost.unwrap().mean, 0.0);
+    assert_eq!(slow.handovers.unwrap().mean, -1.0, "it stays: {slow:?}");
+    // Both keep the target.
+    assert_eq!(compared("1 ms", 3).verdict(), Verdict::Open);
+    let two = compared("10 ms", 2);
+    assert_eq!((two.verdict(), two.kept.unwrap().p), (Verdict::TooFew, None));
+}
+
+#[test]
 fn an_alternative_is_held_only_as_long_as_asked() {
     let out = tempfile::tempdir().unwrap();
     let kept = |hold| {

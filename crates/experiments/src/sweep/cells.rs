@@ -1,8 +1,8 @@
 //! Statistics over the runs of one combination.
 
 use cotorra_graph::{NodeId, ServiceId};
+use cotorra_numbers::{self as numbers, FEWEST, Mean, share_over_runs};
 use serde::Serialize;
-use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::measured::{Measured, MeasuredService};
 
@@ -56,9 +56,11 @@ pub struct ServiceCell {
     pub unanswered: Option<Interval>,
 }
 
-/// A mean over runs and its 95 % confidence interval, by Student's t distribution.
+/// A mean over runs and its 95 % confidence interval, which is inside the range of the figure.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Interval {
+    /// Number of runs.
+    pub n: usize,
     pub mean: f64,
     /// Lower bound; `None` for a single run, which has no confidence interval.
     pub low: Option<f64>,
@@ -67,25 +69,37 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Returns the interval of these values; `None` without values.
+    /// Returns the interval of values that are 0 or more, by Student's t distribution; `None` without values.
     pub fn of(values: &[f64]) -> Option<Self> {
-        let n = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        if values.len() < 2 {
-            return (!values.is_empty()).then_some(Self { mean, low: None, high: None });
-        }
-        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        let t = StudentsT::new(0.0, 1.0, n - 1.0)
-            .expect("the scale and the freedom are above 0")
-            .inverse_cdf(0.975);
-        let half = t * (variance / n).sqrt();
-        Some(Self { mean, low: Some(mean - half), high: Some(mean + half) })
+        let Mean { n, mean, interval, .. } = Mean::of(values)?;
+        let interval = interval.map(|its| numbers::Interval { low: its.low.max(0.0), ..its });
+        Some(Self { n, mean, low: interval.map(|its| its.low), high: interval.map(|its| its.high) })
     }
 
-    /// Returns the interval in another unit, as `11.21 ± 0.02`.
+    /// Returns the interval of shares of `samples` samples in all, which is inside 0 to 1 ([`share_over_runs`]); `None` without
+    /// shares.
+    pub fn of_shares(shares: &[f64], samples: usize) -> Option<Self> {
+        let Mean { n, mean, .. } = Mean::of(shares)?;
+        let interval = share_over_runs(shares, samples as f64);
+        Some(Self { n, mean, low: interval.map(|its| its.low), high: interval.map(|its| its.high) })
+    }
+
+    /// Returns the interval in another unit, as `11.21 ± 0.02`, or as `0.80 (0.11 to 5.60)` where its ends are not equally far.
+    /// Two runs are too few to show one: `11.21 (n = 2)`.
     pub fn times(self, factor: f64) -> String {
-        let half = self.high.map(|high| format!(" ± {:.2}", (high - self.mean) * factor)).unwrap_or_default();
-        format!("{:.2}{half}", self.mean * factor)
+        let mean = self.mean * factor;
+        let Some((low, high)) = self.low.zip(self.high).map(|(low, high)| (low * factor, high * factor))
+        else {
+            return format!("{mean:.2}");
+        };
+        let ends = [mean - low, high - mean].map(|end| format!("{end:.2}"));
+        if self.n < FEWEST {
+            format!("{mean:.2} (n = {})", self.n)
+        } else if ends[0] == ends[1] {
+            format!("{mean:.2} ± {}", ends[0])
+        } else {
+            format!("{mean:.2} ({low:.2} to {high:.2})")
+        }
     }
 }
 
@@ -100,7 +114,7 @@ impl Cell {
             service_time_p50_ms: over(|run| run.service_time_p50_ms),
             service_time_p95_ms: over(|run| run.service_time_p95_ms),
             service_time_p99_ms: over(|run| run.service_time_p99_ms),
-            above_target: over(|run| run.above_target),
+            above_target: above_target(runs.iter().map(|run| (run.above_target, run.samples))),
             handovers: over(|run| Some(run.handovers as f64)),
             duration_ms: over(|run| Some(run.duration_ms)),
             blind_m: over(|run| Some(run.blind_m)),
@@ -155,7 +169,7 @@ impl ServiceCell {
             service_time_p50_ms: over(|its| its.service_time_p50_ms),
             service_time_p95_ms: over(|its| its.service_time_p95_ms),
             service_time_p99_ms: over(|its| its.service_time_p99_ms),
-            above_target: over(|its| its.above_target),
+            above_target: above_target(measured().map(|its| (its.above_target, its.samples))),
             unanswered: over(|its| Some(its.unanswered as f64)),
         }
     }
@@ -172,6 +186,13 @@ impl ServiceCell {
     }
 }
 
+/// Returns the interval of the share above the target, of runs with their numbers of samples.
+fn above_target(runs: impl Iterator<Item = (Option<f64>, usize)>) -> Option<Interval> {
+    let (shares, samples): (Vec<f64>, Vec<usize>) =
+        runs.filter_map(|(share, samples)| Some((share?, samples))).unzip();
+    Interval::of_shares(&shares, samples.iter().sum())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -179,19 +200,36 @@ mod tests {
     #[test]
     fn the_interval_follows_students_t() {
         // t for 4 degrees of freedom is 2.776; the standard error of 1 to 5 is sqrt(2.5 / 5).
-        let Interval { mean, low, high } = Interval::of(&[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
-        assert_eq!(mean, 3.0);
+        let Interval { n, mean, low, high } = Interval::of(&[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        assert_eq!((n, mean), (5, 3.0));
         assert!((high.unwrap() - 3.0 - 2.776_445 * 0.5_f64.sqrt()).abs() < 1e-5, "{high:?}");
         assert!((low.unwrap() + high.unwrap() - 6.0).abs() < 1e-12);
-        assert_eq!(Interval::of(&[7.0]), Some(Interval { mean: 7.0, low: None, high: None }));
+        assert_eq!(Interval::of(&[7.0]), Some(Interval { n: 1, mean: 7.0, low: None, high: None }));
         assert_eq!(Interval::of(&[]), None);
     }
 
     #[test]
     fn intervals_are_written_with_half_their_width() {
-        let interval = Interval { mean: 0.125, low: Some(0.12), high: Some(0.13) };
+        let interval = Interval { n: 5, mean: 0.125, low: Some(0.12), high: Some(0.13) };
         assert_eq!(interval.times(100.0), "12.50 ± 0.50");
-        assert_eq!(Interval { low: None, high: None, ..interval }.times(1.0), "0.12");
+        assert_eq!(Interval { n: 1, low: None, high: None, ..interval }.times(1.0), "0.12");
+        assert_eq!(Interval { low: Some(0.0), ..interval }.times(100.0), "12.50 (0.00 to 13.00)");
+    }
+
+    #[test]
+    fn two_runs_are_too_few_to_show_an_interval() {
+        assert_eq!(Interval::of(&[1.0, 2.0]).unwrap().times(1.0), "1.50 (n = 2)");
+        assert!(Interval::of(&[1.0, 2.0, 1.5]).unwrap().times(1.0).starts_with("1.50 ± "));
+    }
+
+    #[test]
+    fn intervals_stay_inside_the_range_of_their_figures() {
+        let Interval { mean, low, high, .. } = Interval::of_shares(&[0.0, 0.02, 0.0], 3000).unwrap();
+        assert!((mean - 0.02 / 3.0).abs() < 1e-12);
+        assert!(low.unwrap() >= 0.0 && mean < high.unwrap() && high.unwrap() < 1.0, "{low:?} {high:?}");
+        let all = Interval::of_shares(&[1.0; 5], 5000).unwrap();
+        assert!(all.high == Some(1.0) && all.low.unwrap() > 0.99, "{all:?}");
+        assert_eq!(Interval::of(&[0.0, 1.0, 5.0]).unwrap().low, Some(0.0), "of a number of handovers");
     }
 
     #[test]
@@ -218,7 +256,7 @@ mod tests {
             [("r1", 2), ("r2", 1), ("r3", 0)]
         );
         assert_eq!(services[0].service_time_p50_ms, Interval::of(&[10.0, 12.0]));
-        assert_eq!(services[1].above_target, Interval::of(&[1.0]));
+        assert_eq!(services[1].above_target, Interval::of_shares(&[1.0], 10));
         assert_eq!((services[2].service_time_p99_ms, services[2].unanswered), (None, None));
     }
 

@@ -1,6 +1,7 @@
 //! A sweep's plot: median service time and share above the target, each with its confidence interval.
 
 use cotorra_figure::{Axis as Across, Figure, Panel, Sample, Series as Drawn, SeriesKind};
+use cotorra_numbers::FEWEST;
 
 use super::{Axis, Cell, Interval};
 
@@ -34,7 +35,8 @@ pub(super) fn draw(axes: &[Axis], cells: &[Cell]) -> Figure {
         ("above target (%)", 100.0, |cell| cell.above_target),
     ];
     let panels = panels.into_iter().enumerate().map(|(i, (label, factor, figures))| {
-        let highest = cells.iter().filter_map(figures).map(|i| i.high.unwrap_or(i.mean) * factor);
+        let highest = cells.iter().filter_map(figures);
+        let highest = highest.map(|i| i.high.filter(|_| i.n >= FEWEST).unwrap_or(i.mean) * factor);
         let mut drawn: Vec<_> = series.iter().map(|series| drawn(series, factor, figures)).collect();
         if i > 0 {
             // One legend names the lines of both panels.
@@ -78,8 +80,10 @@ fn place(axis: &Axis, value: &str) -> f64 {
 
 fn drawn(series: &Series<'_>, factor: f64, figures: Figures) -> Drawn {
     let samples = series.points.iter().filter_map(|(at, cell)| {
-        let Interval { mean, low, high } = figures(cell)?;
-        let range = low.zip(high).map(|(low, high)| (low.max(0.0) * factor, high * factor));
+        let Interval { n, mean, low, high } = figures(cell)?;
+        let range = low.zip(high).map(|(low, high)| (low * factor, high * factor));
+        // Of two runs, it would be as high as the panel.
+        let range = range.filter(|_| n >= FEWEST);
         Some(Sample { x: *at, y: mean * factor, range })
     });
     Drawn { name: series.name.clone(), kind: SeriesKind::Marked, look: None, parts: vec![samples.collect()] }

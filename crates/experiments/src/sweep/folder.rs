@@ -7,9 +7,9 @@ use super::{Runs, figure, tables};
 use crate::journal::Journal;
 
 /// Files that [`Runs::write`] makes: a row per run, a row per combination, a row per region of a run, a row per service of
-/// a run, a row per service of a combination, and the latter for papers, a row per part of the service times of a run, and
-/// the plot.
-pub const FILES: [&str; 8] = [
+/// a run, a row per service of a combination, and the latter for papers, a row per part of the service times of a run, the
+/// plot, and a row per figure of a combination that is compared with the first.
+pub const FILES: [&str; 9] = [
     "runs.csv",
     "cells.csv",
     "regions.csv",
@@ -18,6 +18,7 @@ pub const FILES: [&str; 8] = [
     "service_cells.tex",
     "time_parts.csv",
     "sweep.svg",
+    "differences.csv",
 ];
 
 impl Runs {
@@ -27,7 +28,8 @@ impl Runs {
     /// [`FolderError`].
     pub fn write(&self, journal: &Journal) -> Result<(), FolderError> {
         let (path, cells) = (journal.path(), self.cells());
-        let [of_runs, of_cells, of_regions, of_services, of_service_cells, for_papers, of_parts, _] = FILES;
+        let [of_runs, of_cells, of_regions, of_services, of_service_cells, for_papers, of_parts, _, of_pairs] =
+            FILES;
         let csv = |name, table: DataTable| write_file(path, name, table.to_csv());
         csv(of_runs, tables::runs(self))?;
         csv(of_cells, tables::cells(&self.axes, &cells))?;
@@ -35,6 +37,7 @@ impl Runs {
         csv(of_services, tables::services(self))?;
         csv(of_service_cells, tables::service_cells(&self.axes, &cells))?;
         csv(of_parts, tables::time_parts(self))?;
+        csv(of_pairs, tables::differences(&self.axes, &self.differences()))?;
         write_file(path, for_papers, tables::by_service(&self.axes, &cells).to_latex())?;
         self.write_figure(journal, Format::Svg)
     }

@@ -25,6 +25,7 @@
 
 mod axis;
 mod cells;
+mod differences;
 mod figure;
 mod folder;
 mod measured;
@@ -52,6 +53,7 @@ use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 pub use self::{
     axis::{Axis, InvalidAxis},
     cells::{Cell, Interval, ServiceCell},
+    differences::Difference,
     folder::FILES,
     measured::{Measured, MeasuredService, Region},
     merge::{Merge, MergeError},

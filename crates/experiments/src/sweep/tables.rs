@@ -2,7 +2,7 @@
 
 use cotorra_testbed::{DataTable, name_of_total};
 
-use super::{Axis, Cell, Interval, MeasuredService, Runs, ServiceCell};
+use super::{Axis, Cell, Difference, Interval, MeasuredService, Runs, ServiceCell};
 
 /// Returns a row for each run.
 pub(super) fn runs(runs: &Runs) -> DataTable {
@@ -74,6 +74,18 @@ pub(super) fn time_parts(runs: &Runs) -> DataTable {
             let figures = part.figures().map(|(_, figure)| number(figure));
             table.row(of(&done.point.values).chain(fixed).chain(figures));
         }
+    }
+    table
+}
+
+/// Returns a row for each figure of each combination beside the first.
+pub(super) fn differences(axes: &[Axis], differences: &[Difference]) -> DataTable {
+    let figures = ["mean", "low", "high", "p"].map(str::to_owned);
+    let mut table = table(axes, ["figure", "pairs"], Some(figures));
+    for Difference { values, figure, pairs, mean, interval, p } in differences {
+        let ends = [Some(*mean), interval.map(|its| its.low), interval.map(|its| its.high), *p];
+        let fixed = [(*figure).to_owned(), pairs.to_string()];
+        table.row(of(values).chain(fixed).chain(ends.map(number)));
     }
     table
 }
@@ -169,6 +181,7 @@ fn rounded(interval: Option<Interval>) -> String {
 /// Returns the share within the target, in percent.
 fn kept(above_target: Option<Interval>) -> String {
     let kept = |above: Interval| Interval {
+        n: above.n,
         mean: 1.0 - above.mean,
         low: above.high.map(|high| 1.0 - high),
         high: above.low.map(|low| 1.0 - low),

@@ -45,6 +45,16 @@ fn twice_the_delay_is_twice_the_service_time_and_more_seeds_narrow_the_interval(
     // 2 ms over the air, and 9 ms over the wire once or twice.
     assert!((medians[1].mean - medians[0].mean - 9.0).abs() < 0.1, "{medians:?}");
     assert!(medians.iter().all(|i| i.low.unwrap() <= i.mean && i.mean <= i.high.unwrap()));
+    let differences = runs.differences();
+    let of = |figure| differences.iter().find(|its| its.figure == figure).unwrap();
+    let median = of("service_time_p50_ms");
+    assert_eq!((median.pairs, &median.values), (3, &runs.cells()[1].values));
+    // The same seeds vary together.
+    let pairs = medians[1].mean - medians[0].mean;
+    assert!((median.mean - pairs).abs() < 1e-9 && median.is_shown() == Some(true), "{median:?}");
+    assert!(median.interval.unwrap().holds(pairs), "{median:?}");
+    // Not one of the pairs has another number of handovers.
+    assert_eq!((of("handovers").mean, of("handovers").p), (0.0, Some(1.0)));
 }
 
 #[test]
