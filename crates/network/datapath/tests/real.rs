@@ -17,8 +17,8 @@ use std::{
 use cotorra_datapath::{Datapath, Error, HostsFile, Namespace, Options, PortKind, SpawnOptions};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    BitRate, Capacity, ConditionChange, Conditions, DomainId, HardwareGraph, HostAddress, Link, LinkId, Loss,
-    Node, NodeId, NodeKind, Probability, Server, Tier,
+    BitRate, Capacity, ConditionChange, Conditions, Direction, DomainId, HardwareGraph, HostAddress, Link,
+    LinkId, Loss, Node, NodeId, NodeKind, Probability, Server, Tier,
 };
 
 const HELPER: &str = "COTORRA_TEST_HELPER";
@@ -34,6 +34,7 @@ const TESTS: &[Test] = &[
     ("TCP carries every byte through loss", tcp_carries_every_byte_through_loss),
     ("large datagrams arrive whole", large_datagrams_arrive_whole),
     ("a change applies when it returns, and loses nothing", a_change_loses_nothing),
+    ("virtual time drops the datagrams that a kernel drops", virtual_time_drops_what_a_kernel_drops),
     ("commands fail after stop", commands_fail_once_it_has_stopped),
     ("nothing is left after drop", nothing_is_left_once_it_is_dropped),
     ("capabilities in use are reported as available", capabilities_in_use_are_reported),
@@ -296,6 +297,77 @@ fn a_change_loses_nothing(kind: PortKind) {
     let context = datapath.handle().with(|fabric, now| fabric.link_contexts(now)).unwrap();
     let changed = context.iter().find(|c| c.link == "link-host0").unwrap();
     assert_eq!(changed.effective.delay, Duration::ZERO);
+}
+
+/// Bits are flipped on both links, so that some checksums are correct again.
+fn virtual_time_drops_what_a_kernel_drops(kind: PortKind) {
+    const BURST: u64 = 50;
+    let (datapath, names) = up(2, Conditions::default(), kind);
+    let [a, b] = [0, 1].map(|i| udp(&datapath, &names[i], Ipv4Addr::UNSPECIFIED));
+    let HostAddress { mac, ipv4, .. } = HostAddress::of(1);
+    let network = u32::from(ipv4) >> (32 - HostAddress::IPV4_PREFIX);
+    let is_host = |sender: Ipv4Addr| u32::from(sender) >> (32 - HostAddress::IPV4_PREFIX) == network;
+    let corrupt = |share: f64| {
+        let corruption = Some(Probability::new(share).unwrap());
+        let change = ConditionChange { corruption, ..ConditionChange::default() };
+        let links = ["link-host0", "link-host1"].map(|link| LinkId::new(link).unwrap());
+        let change =
+            move |fabric: &mut Fabric, now| links.map(|link| fabric.change(now, &link, None, &change));
+        datapath.handle().with(change).unwrap().into_iter().for_each(|changed| drop(changed.unwrap()));
+    };
+    let mut buffer = [0; 200];
+    let mut received_until = |last: &[u8]| {
+        let receive = || {
+            let (length, sender) = b.recv_from(&mut buffer).unwrap();
+            (buffer[..length].to_vec(), sender)
+        };
+        let mut received: Vec<_> =
+            std::iter::repeat_with(receive).take_while(|(bytes, _)| bytes != last).collect();
+        received.retain(|(_, sender)| matches!(sender.ip(), IpAddr::V4(sender) if is_host(sender)));
+        received
+    };
+    // Resolves addresses.
+    a.send_to(b"first", (ipv4, 4000)).unwrap();
+    received_until(b"first");
+    let (frames, seen) = std::sync::mpsc::channel();
+    let tap = move |fabric: &mut Fabric, _| {
+        fabric.tap(
+            "link-host1",
+            Box::new(move |passage| {
+                let to_host = passage.filter(|passage| passage.direction == Direction::Backward);
+                to_host.is_none_or(|passage| frames.send(passage.frame.clone()).is_ok())
+            }),
+        )
+    };
+    datapath.handle().with(tap).unwrap().unwrap();
+    let mut taken = 0;
+    for (share, bursts) in [(0.01, 20), (0.2, 20), (1.0, 60)] {
+        for burst in 0..bursts {
+            corrupt(share);
+            let datagram = |i: u64| [(burst * BURST + i).to_be_bytes(); 9].concat();
+            (0..BURST).for_each(|i| drop(a.send_to(&datagram(i), (ipv4, 4000)).unwrap()));
+            let is_ipv4 = |frame: &cotorra_fabric::Frame| frame.bytes().get(12..14) == Some(&[8, 0]);
+            let crossed: Vec<_> = seen.iter().filter(is_ipv4).take(BURST as usize).collect();
+            corrupt(0.0);
+            a.send_to(b"last", (ipv4, 4000)).unwrap();
+            let received = received_until(b"last");
+            let last = seen.iter().find(is_ipv4).unwrap();
+            assert!(last.bytes().ends_with(b"last"));
+            let expected: Vec<_> = crossed
+                .iter()
+                .filter_map(|frame| {
+                    let checksum_left = frame.offload().checksum.is_some();
+                    let frame = cotorra_flows::Frame { bytes: frame.bytes(), checksum_left, segment: None };
+                    let datagram = cotorra_flows::Datagram::received(&frame, mac, ipv4)?;
+                    let is_for_socket = datagram.to == 4000 && is_host(*datagram.from.ip());
+                    is_for_socket.then(|| (datagram.payload.to_vec(), SocketAddr::V4(datagram.from)))
+                })
+                .collect();
+            assert_eq!(received, expected, "{share}");
+            taken += if share == 1.0 { received.len() } else { 0 };
+        }
+    }
+    assert!(taken > 0, "two flipped bits can cancel out");
 }
 
 fn commands_fail_once_it_has_stopped(kind: PortKind) {

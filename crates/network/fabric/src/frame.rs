@@ -6,7 +6,8 @@ use std::ops::Range;
 use cotorra_flows::{
     Frame as Seen, checksum,
     headers::{
-        self, ETHERNET, IPV6, IpVersion, PROTOCOL_TCP, PROTOCOL_UDP, UDP, find_ip, pseudo_header_sum, u16_at,
+        self, ETHERNET, IPV6, IpVersion, PROTOCOL_TCP, PROTOCOL_UDP, UDP, UDP_CHECKSUM, find_ip,
+        pseudo_header_sum, u16_at,
     },
 };
 
@@ -98,8 +99,6 @@ struct Layout {
 
 /// Offset of the checksum in the TCP header.
 const TCP_CHECKSUM: usize = 16;
-/// Offset of the checksum in the UDP header.
-const UDP_CHECKSUM: usize = 6;
 const TCP_FLAGS: usize = 13;
 const FIN_AND_PSH: u8 = 0x09;
 const CWR: u8 = 0x80;

@@ -2,7 +2,7 @@
 
 use std::net::Ipv4Addr;
 
-use crate::checksum::{fold, sum};
+use crate::checksum::{complement, fold, sum};
 
 /// Length of an Ethernet header without tags.
 pub const ETHERNET: usize = 14;
@@ -12,6 +12,8 @@ pub const IPV4: usize = 20;
 pub const IPV6: usize = 40;
 /// Length of a UDP header.
 pub const UDP: usize = 8;
+/// Offset of the checksum in a UDP header.
+pub const UDP_CHECKSUM: usize = 6;
 /// Length of a TCP header without options.
 pub const TCP: usize = 20;
 
@@ -116,6 +118,12 @@ pub fn udp_header(from: u16, to: u16, payload: usize) -> [u8; UDP] {
     header[2..4].copy_from_slice(&to.to_be_bytes());
     header[4..6].copy_from_slice(&length(UDP + payload));
     header
+}
+
+/// Returns the checksum of a datagram whose header has none yet. `addresses` are both IP addresses as they stand in the IP
+/// header.
+pub fn udp_checksum(addresses: &[u8], datagram: &[u8]) -> [u8; 2] {
+    complement(sum(datagram) + pseudo_header_sum(addresses, PROTOCOL_UDP, datagram.len())).to_be_bytes()
 }
 
 /// Returns the sum of the pseudo header that a transport's checksum covers (RFC 768, RFC 9293, RFC 8200, 8.1), not

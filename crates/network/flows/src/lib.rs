@@ -2,6 +2,7 @@
 
 mod carried;
 pub mod checksum;
+mod datagram;
 mod fragments;
 pub mod headers;
 mod http;
@@ -18,6 +19,7 @@ mod testing;
 mod udp;
 
 pub use carried::{Carried, Place};
+pub use datagram::Datagram;
 pub use meter::{Meter, Protocol};
 pub use packet::Frame;
 pub use requests::{Counts, Id, Sample};

@@ -43,9 +43,18 @@ pub(crate) struct Fragment {
 
 impl<'a> Packet<'a> {
     /// Parses the packet in a frame, behind up to two VLAN tags. `None` if there is none, or if its receiver would drop it
-    /// because of a wrong checksum.
+    /// because of a wrong checksum or length.
     pub fn of(frame: &Frame<'a>) -> Option<Self> {
-        Self::unchecked(frame).filter(|packet| packet.is_intact(frame))
+        Self::unchecked(frame)?.trimmed(frame).filter(|packet| packet.is_intact(frame))
+    }
+
+    /// Cuts what is behind a datagram away, by UDP's own length. `None` if the packet is shorter than that.
+    fn trimmed(mut self, frame: &Frame<'_>) -> Option<Self> {
+        if self.protocol == PROTOCOL_UDP && self.fragment.is_none() && frame.segment.is_none() {
+            let length = usize::from(u16_at(self.payload, 4)?);
+            self.payload = self.payload.get(..length).filter(|datagram| datagram.len() >= headers::UDP)?;
+        }
+        Some(self)
     }
 
     /// [`Packet::of`] without a check of the transport's checksum.
@@ -117,7 +126,8 @@ impl<'a> Packet<'a> {
             return true;
         }
         match self.protocol {
-            PROTOCOL_UDP if u16_at(self.payload, 6) == Some(0) => return true,
+            // Without a checksum; IPv6 needs one (RFC 8200, 8.1).
+            PROTOCOL_UDP if u16_at(self.payload, 6) == Some(0) => return self.source.is_ipv4(),
             PROTOCOL_UDP | PROTOCOL_TCP => {}
             _ => return true,
         }

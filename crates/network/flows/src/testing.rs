@@ -5,7 +5,7 @@ use std::{net::Ipv4Addr, time::Duration};
 use crate::{
     Frame, Meter, Sample,
     checksum::{complement, sum},
-    headers::{Ipv4, PROTOCOL_TCP, PROTOCOL_UDP, pseudo_header_sum, udp_header},
+    headers::{Ipv4, PROTOCOL_TCP, PROTOCOL_UDP, UDP, UDP_CHECKSUM, pseudo_header_sum, udp_header},
 };
 
 pub(crate) mod rtps;
@@ -42,7 +42,7 @@ fn checksum(from: u8, to: u8, protocol: u8, transport: &[u8]) -> [u8; 2] {
 fn datagram(from: End, to: End, payload: &[u8]) -> Vec<u8> {
     let mut udp = [&udp_header(from.1, to.1, payload.len())[..], payload].concat();
     let sum = checksum(from.0, to.0, PROTOCOL_UDP, &udp);
-    udp[6..8].copy_from_slice(&sum);
+    udp[UDP_CHECKSUM..UDP].copy_from_slice(&sum);
     udp
 }
 

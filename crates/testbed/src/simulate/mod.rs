@@ -11,7 +11,7 @@ mod unrecorded;
 
 use std::{
     collections::{HashMap, VecDeque},
-    net::{Ipv4Addr, SocketAddrV4},
+    net::Ipv4Addr,
     sync::Arc,
     time::Duration,
 };
@@ -457,25 +457,25 @@ impl Simulation {
     }
 
     fn deliver(&mut self, now: Timestamp, port: PortId, frame: &[u8]) {
-        let Some(datagram) = udp::parse(frame) else { return };
+        let Some(datagram) = udp::receive(frame, port) else { return };
         let Some(host) = self.network.fabric().host(port).cloned() else { return };
         if datagram.to == ROBOT_PORT {
             if self.interference.is_silent(&host) {
                 return;
             }
-            let from = SocketAddrV4::new(datagram.sender, datagram.from);
-            self.interference.note_answer(&host, from, datagram.payload);
-            return self.core.receive(now, &host, from, datagram.payload);
+            self.interference.note_answer(&host, datagram.from, datagram.payload);
+            return self.core.receive(now, &host, datagram.from, datagram.payload);
         }
         let mut answer = Vec::with_capacity(128);
         let answered = self.serving.answer(&host, datagram.to, datagram.payload, &mut answer);
         let from = (port, datagram.to);
-        match (answered, self.port_at(datagram.sender)) {
+        let (address, sender_port) = (*datagram.from.ip(), datagram.from.port());
+        match (answered, self.port_at(address)) {
             (Some(Duration::ZERO), Some(sender)) => {
-                self.send(now, from, (sender, datagram.from), &answer);
+                self.send(now, from, (sender, sender_port), &answer);
             }
             (Some(later), Some(_)) => {
-                let held = Held { from, to: (datagram.sender, datagram.from), payload: answer };
+                let held = Held { from, to: (address, sender_port), payload: answer };
                 self.interference.hold(now + later, held);
             }
             _ => {}
@@ -575,6 +575,8 @@ mod altered_tests;
 mod camera_tests;
 #[cfg(test)]
 mod container_tests;
+#[cfg(test)]
+mod corruption_tests;
 #[cfg(test)]
 mod federation_tests;
 #[cfg(test)]
