@@ -12,7 +12,7 @@ use std::{
 use crate::{
     compose, file,
     map_server::image_of,
-    tree,
+    python, tree,
     yaml::{Sink, decode::Node},
 };
 
@@ -30,7 +30,8 @@ const MAX_BYTES: u64 = file::MAX_TEXT as u64;
 pub struct Carried {
     /// The text, whose relative paths start at the new folder.
     pub text: String,
-    /// Map, traces, recorded conditions, files of commands, readable folders, compose files, and volumes.
+    /// Map, traces, recorded conditions, files of commands, modules that Python programs import, readable folders, compose
+    /// files, and volumes.
     pub files: Vec<CarriedFile>,
 }
 
@@ -65,7 +66,7 @@ pub fn carry(text: &str, folder: &Path, taken: &[&str]) -> Carried {
     let Some(root) = tree(text, &mut sink) else {
         return Carried { text: text.to_owned(), files: Vec::new() };
     };
-    let mut luggage = Luggage { folder, taken, files: BTreeMap::new() };
+    let mut luggage = Luggage::new(folder, taken);
     let mut changes = Changes::default();
     for (kind, node) in named(&root) {
         let Some(text) = node.text() else { continue };
@@ -82,14 +83,16 @@ pub fn carry(text: &str, folder: &Path, taken: &[&str]) -> Carried {
 
 /// Kind of a named file.
 #[derive(Clone, Copy)]
-enum Kind {
+pub(crate) enum Kind {
     Map,
     Trace,
     Conditions,
     /// A file or a folder that a VNF may read.
     Readable,
     /// A word of a command, which may name a file.
-    Word,
+    Word(Role),
+    /// A module that Python runs in the testbed file's folder.
+    Module,
     /// A volume of a container, with its path there.
     Volume,
     /// A compose file, which names volumes.
@@ -98,9 +101,20 @@ enum Kind {
     Key,
 }
 
+/// What a file is to the command that names it.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Role {
+    /// The program itself.
+    Program,
+    /// An argument, which may be a program for an interpreter.
+    Argument,
+    /// A program for Python.
+    Python,
+}
+
 impl Kind {
     /// Splits a value into the path and what follows.
-    fn split(self, text: &str) -> (&str, &str) {
+    pub(crate) fn split(self, text: &str) -> (&str, &str) {
         match self {
             Self::Volume => text.split_at(text.find(':').unwrap_or(text.len())),
             _ => (text, ""),
@@ -113,8 +127,30 @@ fn items<'a>(node: &'a Node, key: &str) -> impl Iterator<Item = &'a Node> + use<
     node.get(key).into_iter().flat_map(Node::items)
 }
 
+/// Returns the words of a command that may name files.
+fn words(command: &Node) -> Vec<(Kind, &Node)> {
+    let words: Vec<_> = command.items().collect();
+    let is_python = |word: &Node| {
+        let name = Path::new(word.text().unwrap_or_default()).file_name();
+        name.is_some_and(|name| name.to_string_lossy().starts_with("python"))
+    };
+    let python = words.iter().position(|word| is_python(word));
+    let kind = |at: usize| match python {
+        _ if at == 0 => Kind::Word(Role::Program),
+        Some(python) if python < at && words[at - 1].text() == Some("-m") => Kind::Module,
+        // Options come first.
+        Some(python)
+            if (python + 1..at).all(|at| words[at].text().is_some_and(|word| word.starts_with('-'))) =>
+        {
+            Kind::Word(Role::Python)
+        }
+        _ => Kind::Word(Role::Argument),
+    };
+    (0..words.len()).map(|at| (kind(at), words[at])).collect()
+}
+
 /// Returns all values that name files.
-fn named(root: &Node) -> Vec<(Kind, &Node)> {
+pub(crate) fn named(root: &Node) -> Vec<(Kind, &Node)> {
     let mut found = Vec::new();
     found.extend(root.get("map").map(|node| (Kind::Map, node)));
     found.extend(
@@ -137,14 +173,14 @@ fn named(root: &Node) -> Vec<(Kind, &Node)> {
             continue;
         }
         let readable: Vec<_> = items(program, "readable").collect();
-        for word in items(program, "command") {
+        for (kind, word) in program.get("command").map(words).unwrap_or_default() {
             let is_readable = readable.iter().any(|path| path.text() == word.text());
-            found.push((if is_readable { Kind::Readable } else { Kind::Word }, word));
+            found.push((if is_readable { Kind::Readable } else { kind }, word));
         }
         found.extend(readable.into_iter().map(|node| (Kind::Readable, node)));
         let ledger = program.get("settings").and_then(|its| its.get("ledger"));
         for key in LEDGER_PATHS {
-            let kind = if key == "program" { Kind::Word } else { Kind::Key };
+            let kind = if key == "program" { Kind::Word(Role::Program) } else { Kind::Key };
             found.extend(ledger.and_then(|its| its.get(key)).map(|node| (kind, node)));
         }
     }
@@ -152,33 +188,74 @@ fn named(root: &Node) -> Vec<(Kind, &Node)> {
 }
 
 /// The files so far, by their new paths.
-struct Luggage<'a> {
+pub(crate) struct Luggage<'a> {
     folder: &'a Path,
     taken: &'a [&'a str],
     files: BTreeMap<PathBuf, Contents>,
+    /// All files that are named, carried or not, and whether each is only an argument of programs. The folder of a run whose
+    /// conditions are replayed stands for that run.
+    pub(crate) sources: BTreeMap<PathBuf, bool>,
 }
 
-impl Luggage<'_> {
+impl<'a> Luggage<'a> {
+    pub(crate) fn new(folder: &'a Path, taken: &'a [&'a str]) -> Self {
+        Self { folder, taken, files: BTreeMap::new(), sources: BTreeMap::new() }
+    }
+
     /// Packs a named file, if it can be packed. Returns its new path; `None` if the path stays as it is.
-    fn pack(&mut self, kind: Kind, name: &str) -> Option<PathBuf> {
+    pub(crate) fn pack(&mut self, kind: Kind, name: &str) -> Option<PathBuf> {
         let from = self.folder.join(name);
+        let mut modules = Vec::new();
+        match kind {
+            Kind::Word(role) if from.is_file() => modules = self.note_program(&from, role),
+            Kind::Word(_) if is_plain(name) && from.is_dir() => {
+                if let Some(contents) = small_folder(&from) {
+                    self.note_all(&contents, true);
+                }
+            }
+            // A line for a shell may name programs.
+            Kind::Word(role) if name.contains(char::is_whitespace) => {
+                let ends = |c: char| c.is_whitespace() || "'\";&|()<>=`$".contains(c);
+                for word in name.split(ends).filter(|word| self.folder.join(word).is_file()) {
+                    self.note_program(&self.folder.join(word), role);
+                    if self.inside(word).is_some() {
+                        self.pack(kind, word);
+                    }
+                }
+                return None;
+            }
+            Kind::Module => {
+                for module in python::module(self.folder, name) {
+                    self.note(self.folder.join(&module), false);
+                    self.pack_inside(&module);
+                }
+                return None;
+            }
+            Kind::Map | Kind::Trace | Kind::Compose if from.is_file() => self.note(from.clone(), false),
+            Kind::Conditions if from.is_dir() => self.note(from.clone(), false),
+            _ => {}
+        }
         let contents = match kind {
             Kind::Map | Kind::Trace | Kind::Compose => {
                 Some(Contents::Copy(from.is_file().then(|| from.clone())?))
             }
             Kind::Conditions => Some(Contents::Conditions(from.is_dir().then(|| from.clone())?)),
-            Kind::Readable | Kind::Volume | Kind::Word | Kind::Key if Path::new(name).is_absolute() => {
+            Kind::Readable | Kind::Volume | Kind::Word(_) | Kind::Key if Path::new(name).is_absolute() => {
                 return None;
             }
             Kind::Readable | Kind::Volume => small_file(&from).or_else(|| small_folder(&from)),
-            Kind::Word => small_file(&from),
-            Kind::Key => None,
+            Kind::Word(_) => small_file(&from),
+            Kind::Key | Kind::Module => None,
         };
         let Some(contents) = contents else {
-            let is_path = name.contains('/') || !matches!(kind, Kind::Word);
+            let is_path = name.contains('/') || !matches!(kind, Kind::Word(_));
             return Some(from).filter(|from| is_path && stays(from));
         };
+        if matches!(kind, Kind::Readable | Kind::Volume) {
+            self.note_all(&contents, false);
+        }
         let to = match self.inside(name) {
+            _ if !modules.is_empty() => self.pack_program(name, &from, &modules),
             Some(to) => {
                 self.files.entry(to.clone()).or_insert(contents);
                 to
@@ -193,6 +270,70 @@ impl Luggage<'_> {
         Some(to)
     }
 
+    /// Notes a program or an argument, and the modules that it imports if it is for Python. Returns these.
+    fn note_program(&mut self, from: &Path, role: Role) -> Vec<PathBuf> {
+        let is_python = role == Role::Python || python::is_python(from);
+        let modules = if is_python { python::modules(from) } else { Vec::new() };
+        self.note(from.to_owned(), role == Role::Argument && !is_python);
+        modules.iter().for_each(|module| self.note(from.with_file_name(module), false));
+        modules
+    }
+
+    /// Notes a file that is named.
+    fn note(&mut self, source: PathBuf, is_argument: bool) {
+        let noted = self.sources.entry(source).or_insert(is_argument);
+        *noted &= is_argument;
+    }
+
+    /// Notes the files that are copied.
+    fn note_all(&mut self, contents: &Contents, is_argument: bool) {
+        match contents {
+            Contents::Copy(from) => self.note(from.clone(), is_argument),
+            Contents::Folder(from, files) => {
+                files.iter().for_each(|file| self.note(from.join(file), is_argument));
+            }
+            Contents::Text(_) | Contents::Conditions(_) => {}
+        }
+    }
+
+    /// Packs a file of the folder in its place, if that is free and the file can be packed.
+    fn pack_inside(&mut self, name: &Path) {
+        if let (Some(to), Some(contents)) =
+            (name.to_str().and_then(|name| self.inside(name)), small_file(&self.folder.join(name)))
+        {
+            self.files.entry(to).or_insert(contents);
+        }
+    }
+
+    /// Packs a Python program and the modules beside it, which keep their names and their places. Returns its new path.
+    fn pack_program(&mut self, name: &str, from: &Path, modules: &[PathBuf]) -> PathBuf {
+        let stays = |to: &PathBuf| {
+            let mut all = modules.iter().map(|module| to.with_file_name(module));
+            all.all(|to| to.to_str().is_some_and(|to| self.inside(to).is_some()))
+        };
+        let to = self.inside(name).filter(stays).unwrap_or_else(|| self.own_folder(from).join(plain(from)));
+        let beside = modules.iter().map(|module| (to.with_file_name(module), from.with_file_name(module)));
+        for (to, from) in beside.chain([(to.clone(), from.to_owned())]) {
+            if let Some(contents) = small_file(&from) {
+                self.files.entry(to).or_insert(contents);
+            }
+        }
+        to
+    }
+
+    /// Returns a new folder for a program from elsewhere, or the one that it has.
+    fn own_folder(&self, program: &Path) -> PathBuf {
+        let name = plain(&program.with_extension(""));
+        let names = (1_u64..).map(|i| if i == 1 { name.clone() } else { format!("{i}-{name}") });
+        let mut free = names.map(|name| Path::new(OTHERS).join(name)).filter(|own| {
+            let has_it =
+                self.files.get(&own.join(plain(program))) == Some(&Contents::Copy(program.to_owned()));
+            let is_used = self.files.keys().any(|to| to.starts_with(own)) || self.folder.join(own).exists();
+            has_it || !is_used
+        });
+        free.next().expect("there are more names than programs")
+    }
+
     /// Packs the picture of a map, whose description may have to name it anew.
     fn pack_image(&mut self, map: &Path, to: &Path) {
         let Ok(text) = file::read_text(map) else { return };
@@ -201,6 +342,7 @@ impl Luggage<'_> {
         if !picture.is_file() {
             return;
         }
+        self.note(picture.clone(), false);
         let named = self.pack_beside(to, &name, &picture, Contents::Copy(picture.clone()));
         if named != Path::new(&name) {
             let mut changes = Changes::default();
@@ -221,12 +363,11 @@ impl Luggage<'_> {
             let from: PathBuf = file.parent().unwrap_or(Path::new("")).join(path).components().collect();
             let new = match small_file(&from).or_else(|| small_folder(&from)) {
                 // Without `./`, a name would be that of a named volume.
-                Some(contents) => Path::new(".").join(self.pack_beside(
-                    to,
-                    source.trim_start_matches("./"),
-                    &from,
-                    contents,
-                )),
+                Some(contents) => {
+                    self.note_all(&contents, false);
+                    let name = source.trim_start_matches("./");
+                    Path::new(".").join(self.pack_beside(to, name, &from, contents))
+                }
                 None if stays(&from) => from,
                 None => continue,
             };
@@ -268,7 +409,7 @@ impl Luggage<'_> {
         let mut free = names.map(|name| wanted.with_file_name(name)).filter(|to| match self.files.get(to) {
             Some(there) => *there == contents,
             // A file of this name may still be packed from there.
-            None => !self.folder.join(to).exists(),
+            None => !self.folder.join(to).exists() && !self.files.keys().any(|at| at.starts_with(to)),
         });
         let to = free.next().expect("there are more names than files");
         self.files.insert(to.clone(), contents);
@@ -490,6 +631,53 @@ mod tests {
             "map: files/2-hall.yaml\nlinks: [{ ends: [a, b], trace: files/hall.yaml }]\n"
         );
     }
+
+    #[test]
+    fn modules_are_carried_beside_the_program_that_imports_them() {
+        let place = place();
+        let bed = place.path().join("bed");
+        fs::create_dir(place.path().join("elsewhere/pack")).unwrap();
+        for (name, text) in [
+            ("bed/serve.py", "import helper\n"),
+            ("bed/helper.py", "from maps import names\n"),
+            ("bed/maps/names.py", ""),
+            ("bed/unused.py", ""),
+            ("bed/main.py", ""),
+            ("elsewhere/move it.py", "import pack, helper\n"),
+            ("elsewhere/helper.py", ""),
+            ("elsewhere/pack/__init__.py", ""),
+        ] {
+            fs::write(place.path().join(name), text).unwrap();
+        }
+        let text = |program: &str| {
+            format!(
+                "plugins: [{{ id: a, command: [python3, -u, serve.py] }}, {{ id: b, command: [python3, -m, main] }}, \
+                 {{ id: c, command: ['{program}'] }}, {{ id: d, command: [sh, -c, \"exec '{program}'\"] }}]\n"
+            )
+        };
+        let carried = carry(&text("../elsewhere/move it.py"), &bed, &[]);
+        let expected = text("files/move_it/move_it.py")
+            .replace("exec 'files/move_it/move_it.py'", "exec '../elsewhere/move it.py'");
+        assert_eq!(carried.text, expected);
+        let expected = [
+            "files/move_it/helper.py",
+            "files/move_it/move_it.py",
+            "files/move_it/pack/__init__.py",
+            "helper.py",
+            "main.py",
+            "maps/names.py",
+            "serve.py",
+        ];
+        assert_eq!(files(&carried), expected);
+        // The modules' places are taken, so that the program moves with them.
+        let carried = carry("nodes: { n: { command: [python3, serve.py] } }\n", &bed, &["maps"]);
+        assert_eq!(carried.text, "nodes: { n: { command: [python3, files/serve/serve.py] } }\n");
+        assert_eq!(
+            files(&carried),
+            ["files/serve/helper.py", "files/serve/maps/names.py", "files/serve/serve.py"]
+        );
+    }
+
     #[test]
     fn volumes_are_carried_and_words_inside_images_stay() {
         let place = place();

@@ -8,9 +8,11 @@ mod build;
 mod carry;
 mod check;
 pub mod compose;
+mod dependencies;
 mod file;
 mod image;
 pub mod map_server;
+mod python;
 mod records;
 mod setting;
 mod vnf_keys;
@@ -26,6 +28,7 @@ use self::yaml::{Sink, decode::Decode};
 pub use self::{
     build::{COMMAND_LINE, SCHEDULE},
     carry::{Carried, CarriedFile, Contents, LEDGER_PATHS, carry},
+    dependencies::{Dependencies, Dependency, dependencies},
     setting::{InvalidSetting, Setting},
     vnf_keys::{VnfKeysError, set_vnf_keys},
     yaml::{Diagnostic, Diagnostics},
