@@ -1,13 +1,28 @@
-//! Packs the picture of the corridor's map, which the program carries for the published experiments. Each run of equal bytes
-//! becomes that byte and a length of two bytes.
+//! Packs the picture of the corridor's map, which the program carries for the published experiments: each run of equal bytes
+//! becomes that byte and a length of two bytes. Also tells the program the commit that it is built from.
 
-use std::{env, fs, path::Path};
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 fn main() {
     let variable = |name| env::var_os(name).expect("cargo sets it");
-    let manifest = variable("CARGO_MANIFEST_DIR");
-    let picture = Path::new(&manifest).join("../../testbeds/maps/corridor.pgm");
-    println!("cargo::rerun-if-changed={}", picture.display());
+    let root = Path::new(&variable("CARGO_MANIFEST_DIR")).join("../..");
+    pack(&root, Path::new(&variable("OUT_DIR")));
+    sources(&root).iter().filter(|path| path.exists()).for_each(|path| watch(path));
+    println!("cargo::rustc-env=COTORRA_COMMIT={}", commit(&root).unwrap_or_else(|| "unknown".to_owned()));
+}
+
+/// Lets cargo run this again when a file, or one in a folder, changes.
+fn watch(path: &Path) {
+    println!("cargo::rerun-if-changed={}", path.display());
+}
+
+fn pack(root: &Path, out: &Path) {
+    let picture = root.join("testbeds/maps/corridor.pgm");
+    watch(&picture);
     let picture = fs::read(picture).expect("the checkout has the map");
     let mut packed = Vec::new();
     for run in picture.chunk_by(|one, next| one == next) {
@@ -16,6 +31,36 @@ fn main() {
             packed.extend((part.len() as u16).to_le_bytes());
         }
     }
-    let out = variable("OUT_DIR");
-    fs::write(Path::new(&out).join("corridor.packed"), packed).expect("cargo made the folder");
+    fs::write(out.join("corridor.packed"), packed).expect("cargo made the folder");
+}
+
+/// Returns what decides the commit: the log of the checkout's commits, and the sources of the program, which can differ from
+/// their commit.
+fn sources(root: &Path) -> Vec<PathBuf> {
+    let below = |folder: &Path| {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).collect::<Vec<_>>()
+    };
+    let mut found = vec![root.join(".git/logs/HEAD"), root.join("Cargo.lock")];
+    for path in ["crates", "plugins"].iter().flat_map(|folder| below(&root.join(folder))) {
+        // It is a crate, or a folder of several.
+        found.extend(below(&path).into_iter().map(|path| path.join("src")));
+        found.push(path.join("src"));
+    }
+    found
+}
+
+/// Returns the commit of the checkout, with `+changes` if its sources differ from that; `None` outside of one.
+fn commit(root: &Path) -> Option<String> {
+    // A checkout of another project may hold a copy of this one without its `.git`.
+    if !root.join(".git").exists() {
+        return None;
+    }
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git").arg("-C").arg(root).args(arguments).output().ok()?;
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let commit = git(&["rev-parse", "HEAD"])?;
+    let changed = git(&["status", "--porcelain", "--", "crates", "plugins", "Cargo.toml", "Cargo.lock"])?;
+    Some(if changed.is_empty() { commit } else { commit + "+changes" })
 }

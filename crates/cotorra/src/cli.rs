@@ -24,6 +24,7 @@ use crate::{
     new::New,
     ps::PsArgs,
     replay::ReplayArgs,
+    reproduce::ReproduceArgs,
     run::RunArgs,
     stamp::Stamp,
     stop::StopArgs,
@@ -52,6 +53,7 @@ Examples:
   cotorra calibrate site.yaml --survey walk.csv    fit it to a real site
   cotorra experiment okpi                          repeat the published comparison
   cotorra history series latest service            plot the service time of the last run
+  cotorra reproduce runs/corridor-20260101-120000  run it again from its folder, and compare
   cotorra view --open                              see the last run in a browser
   cotorra exec robot -- ping cloud                 run a program inside a node of a run
   cotorra link set lan-cloud --delay 40ms          change a link of a run
@@ -63,7 +65,7 @@ Exit status:
   0    done
   1    an error, reported on standard error, or a record that is not complete
   2    wrong usage
-  3    the run is done and its report is written, but the figures are not valid
+  3    the run is done and its report is written, but the figures are not valid; or a repeat differs
   5    the run ended because no robot made progress on its walk
   130  stopped with Ctrl-C before the end";
 
@@ -88,6 +90,7 @@ pub enum Command {
         command: History,
     },
     Replay(ReplayArgs),
+    Reproduce(ReproduceArgs),
     View(ViewArgs),
     Localize(LocalizeArgs),
     Check(CheckArgs),

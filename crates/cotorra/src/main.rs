@@ -35,10 +35,12 @@ mod logs;
 mod margin;
 mod netem;
 mod new;
+mod origin;
 mod progress;
 mod ps;
 mod quantity;
 mod replay;
+mod reproduce;
 mod run;
 mod running;
 mod service_table;
@@ -87,6 +89,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::FaultTest(args) => return fault_test::fault_test(&args),
         Command::History { command } => return history::history(&command),
         Command::Replay(args) => return replay::replay(&args),
+        Command::Reproduce(args) => return reproduce::reproduce(&args),
         Command::View(args) => return view::view(&args),
         Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),

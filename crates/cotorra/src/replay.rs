@@ -6,7 +6,7 @@ use clap::Args;
 use cotorra_graph::{PluginId, Timestamp};
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{
-    Speed,
+    Manifest, Speed,
     replay::{Played, Replay, ReplayEnd, ReplayOptions},
 };
 use indicatif::ProgressBar;
@@ -81,6 +81,13 @@ pub struct ReplayArgs {
 pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let opener = Opener::prepare(args.open)?;
     let source = Source::find(&args.run, &args.place)?;
+    if let Some(folder) = &source.folder
+        && let Ok(manifest) = Manifest::read(folder)
+    {
+        for name in manifest.changed_inputs(folder) {
+            note!("warning: {} was changed after the run, or removed", folder.join(name).display());
+        }
+    }
     let bundled = args.bundled.as_ref().map(|plugin| format!("plugin={plugin}"));
     let setting = bundled.map(|setting| setting.parse().expect("a plug-in's name is a value"));
     let base = source.base(args.base.as_deref());

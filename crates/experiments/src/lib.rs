@@ -5,7 +5,8 @@
 //! searches for the smallest change that breaks a target, and [`Regret`](regret::Regret) replays decisions of plug-ins with
 //! their alternatives. These three share how runs are made and kept ([`Journal`](journal::Journal)). [`okpi::Comparison`] and
 //! [`federation::Comparison`] compare runs with published figures, and [`handover::Comparison`] compares kinds of radio. They
-//! only read reports and histories: the caller runs the testbeds, in real or in virtual time.
+//! only read reports and histories: the caller runs the testbeds, in real or in virtual time. [`repeat`] compares a folder of
+//! results with that of a repeat.
 #![forbid(unsafe_code)]
 
 mod batch;
@@ -17,6 +18,7 @@ mod kept;
 pub mod margin;
 pub mod okpi;
 pub mod regret;
+pub mod repeat;
 pub mod sweep;
 mod walk_time;
 

@@ -62,23 +62,16 @@ pub enum Contents {
 /// folders, volumes and keys, because those belong to the machine. Makes relative paths absolute if they lead to something that
 /// is not carried: keys, links, and what is too large. A text that cannot be parsed stays as it is.
 pub fn carry(text: &str, folder: &Path, taken: &[&str]) -> Carried {
-    let mut sink = Sink::default();
-    let Some(root) = tree(text, &mut sink) else {
-        return Carried { text: text.to_owned(), files: Vec::new() };
-    };
+    let (mut texts, files) = carry_all(&[text], folder, taken);
+    Carried { text: texts.pop().unwrap_or_default(), files }
+}
+
+/// Carries variants of a testbed file as [`carry`] does one, to the same folder. Returns their texts, and the files of all.
+pub fn carry_all(texts: &[&str], folder: &Path, taken: &[&str]) -> (Vec<String>, Vec<CarriedFile>) {
     let mut luggage = Luggage::new(folder, taken);
-    let mut changes = Changes::default();
-    for (kind, node) in named(&root) {
-        let Some(text) = node.text() else { continue };
-        let (name, rest) = kind.split(text);
-        if let Some(to) = luggage.pack(kind, name)
-            && to != Path::new(name)
-        {
-            changes.replace(&node.span, text, &format!("{}{rest}", to.display()));
-        }
-    }
+    let texts = texts.iter().map(|text| luggage.pack_all(text)).collect();
     let files = luggage.files.into_iter().map(|(to, contents)| CarriedFile { to, contents });
-    Carried { text: changes.apply(text), files: files.collect() }
+    (texts, files.collect())
 }
 
 /// Kind of a named file.
@@ -200,6 +193,22 @@ pub(crate) struct Luggage<'a> {
 impl<'a> Luggage<'a> {
     pub(crate) fn new(folder: &'a Path, taken: &'a [&'a str]) -> Self {
         Self { folder, taken, files: BTreeMap::new(), sources: BTreeMap::new() }
+    }
+
+    /// Packs what a testbed file names. Returns its text with the new paths.
+    fn pack_all(&mut self, text: &str) -> String {
+        let Some(root) = tree(text, &mut Sink::default()) else { return text.to_owned() };
+        let mut changes = Changes::default();
+        for (kind, node) in named(&root) {
+            let Some(value) = node.text() else { continue };
+            let (name, rest) = kind.split(value);
+            if let Some(to) = self.pack(kind, name)
+                && to != Path::new(name)
+            {
+                changes.replace(&node.span, value, &format!("{}{rest}", to.display()));
+            }
+        }
+        changes.apply(text)
     }
 
     /// Packs a named file, if it can be packed. Returns its new path; `None` if the path stays as it is.
@@ -630,6 +639,24 @@ mod tests {
             carried.text,
             "map: files/2-hall.yaml\nlinks: [{ ends: [a, b], trace: files/hall.yaml }]\n"
         );
+    }
+
+    #[test]
+    fn variants_share_files_and_keep_others_apart() {
+        let place = place();
+        let bed = place.path().join("bed");
+        fs::create_dir(bed.join("other")).unwrap();
+        fs::write(bed.join("other/hall.yaml"), "image: x.pgm\n").unwrap();
+        fs::write(bed.join("hall.yaml"), "image: x.pgm\n").unwrap();
+        let text = |map: &str| format!("map: {map}\nlinks: [{{ ends: [a, b], trace: hall.yaml }}]\n");
+        let outside = format!("{}/other/hall.yaml", bed.display());
+        let variants = ["../elsewhere/hall.yaml", "hall.yaml", &outside, "../elsewhere/hall.yaml"].map(text);
+        let variants: Vec<_> = variants.iter().map(String::as_str).collect();
+        let (texts, files) = carry_all(&variants, &bed, &[]);
+        let expected = ["files/hall.yaml", "hall.yaml", "files/2-hall.yaml", "files/hall.yaml"].map(text);
+        assert_eq!(texts, expected);
+        let files: Vec<_> = files.iter().map(|file| file.to.to_str().unwrap()).collect();
+        assert_eq!(files, ["files/2-hall.yaml", "files/hall.pgm", "files/hall.yaml", "hall.yaml"]);
     }
 
     #[test]

@@ -27,7 +27,7 @@ use serde_json::{Value as Json, json};
 use self::yaml::{Sink, decode::Decode};
 pub use self::{
     build::{COMMAND_LINE, SCHEDULE},
-    carry::{Carried, CarriedFile, Contents, LEDGER_PATHS, carry},
+    carry::{Carried, CarriedFile, Contents, LEDGER_PATHS, carry, carry_all},
     dependencies::{Dependencies, Dependency, dependencies},
     setting::{InvalidSetting, Setting},
     vnf_keys::{VnfKeysError, set_vnf_keys},

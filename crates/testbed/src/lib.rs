@@ -26,6 +26,7 @@ mod images;
 mod keeping;
 mod leftovers;
 mod live;
+mod manifest;
 mod message;
 mod options;
 mod plugins;
@@ -66,6 +67,7 @@ pub use finished::Finished;
 pub use history_bound::HistoryLimit;
 pub use leftovers::{Leftovers, clean, leftovers};
 pub use live::{Live, Snapshot};
+pub use manifest::{Digest, Inputs, Machine, Made, Manifest, ManifestError, Origin, Repeat, Time};
 pub use options::Options;
 pub use plugins::{PluginError, panic_text};
 pub use previous_run::{CannotGoOn, PreviousRun, orchestrators};
@@ -89,5 +91,5 @@ pub use simulate::{
     simulate_unrecorded, simulate_watched,
 };
 pub use time_control::Speed;
-pub use whole::put_all;
+pub use whole::{ManyInputs, put_all};
 pub use wifi::{PlanError as WifiPlanError, WIFI_FOLDERS, WifiError, wifi_programs};

@@ -9,12 +9,15 @@ use cotorra_plugin::runs::Runs;
 use cotorra_recording::Wanted;
 
 use crate::{
-    api::Tokens, capture::CapturePlan, history_bound::HistoryLimit, previous_run::PreviousRun, report::Place,
+    api::Tokens, capture::CapturePlan, history_bound::HistoryLimit, manifest::Origin, previous_run::PreviousRun,
+    report::Place,
 };
 
 /// Options of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
+    /// What starts the run, for its manifest.
+    pub origin: Origin,
     /// Replaces the testbed file's seed.
     pub seed: Option<u64>,
     /// Ends the run after this duration, even if walks are not finished.

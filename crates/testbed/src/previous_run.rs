@@ -94,6 +94,11 @@ impl PreviousRun {
         settings
     }
 
+    /// Whether plug-ins continue from notes, with a ledger that outlives a run.
+    pub fn has_notes(&self) -> bool {
+        !self.notes.is_empty()
+    }
+
     /// Reads the notes of a run.
     pub(crate) fn kept(history: &History, run: &Run) -> Result<Self, cotorra_measurements::Error> {
         let decisions = history.all_events(run.id, &[Kind::Decision])?;

@@ -13,12 +13,12 @@ use cotorra_experiments::federation::{
 use cotorra_graph::DomainId;
 use cotorra_measurements::{History, RunId};
 use cotorra_plugin::runs::Runs;
-use cotorra_testbed::{FolderError, Options, Place, Recorded, RecordedError};
+use cotorra_testbed::{FolderError, Made, Manifest, Options, Place, Recorded, RecordedError, Repeat, Time};
 use cotorra_testbed_file::Setting;
 
 use super::{
     args::{FederationArgs, LedgerArgs, LedgerNode},
-    folder::withdraw,
+    folder::{begin, withdraw},
     tell_faults,
 };
 use crate::{
@@ -91,6 +91,18 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     let known = Runs::of_user();
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-federation").map_err(Error::from)?;
+    let mut seeds: Vec<_> = planned.iter().map(|plan| plan.seed).collect();
+    seeds.sort_unstable();
+    seeds.dedup();
+    let time = if args.emulate { Time::Real } else { Time::Virtual };
+    begin(&folder, &args.testbed, &args.walks, &Made { time, seeds, until: args.until }, |_| {
+        Ok(match args.ledger.nodes.is_empty() {
+            true => Repeat::Words(Vec::new()),
+            false => {
+                Repeat::Not("it negotiated on an Ethereum network, with keys that it did not copy".to_owned())
+            }
+        })
+    })?;
     // A run that fails or is stopped does not affect the results of the others.
     let (mut runs, mut failed, mut worst) = (Vec::new(), Vec::new(), Status::Done);
     for (number, plan) in planned.iter().enumerate() {
@@ -109,7 +121,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             note!("{what}{} of {}", number + 1, planned.len());
             stage.emulate(&plan.loaded, &args.testbed, options)
         } else {
-            stage.simulate(&plan.loaded, &options, &what)
+            stage.simulate(&plan.loaded, options, &what)
         };
         let finished = finished.inspect_err(|_| withdraw(&folder))?;
         let at = finished.folder.display().to_string();
@@ -140,6 +152,9 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     }
     let comparison = Comparison { how: how.to_owned(), ledger: on.to_string(), runs };
     comparison.write(&folder).map_err(Error::from)?;
+    if comparison.runs.len() + failed.len() == planned.len() {
+        Manifest::complete(&folder).map_err(Error::from)?;
+    }
     for format in args.walks.figure.further() {
         comparison.write_figure(&folder, format).map_err(Error::from)?;
     }

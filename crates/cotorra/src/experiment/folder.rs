@@ -2,9 +2,55 @@
 
 use std::{fs, path::Path};
 
-/// Removes an experiment's folder, and the folder around it, if they are empty: an experiment that cannot begin leaves
-/// nothing.
+use cotorra_testbed::{FolderError, Made, ManyInputs, Repeat};
+use miette::IntoDiagnostic;
+
+use super::args::WalkArgs;
+use crate::origin;
+
+/// Carries the testbed file and what it names into an experiment's folder, and notes there how the experiment came to be.
+/// `others` carries further files, and returns the words that name them.
+pub fn begin(
+    folder: &Path,
+    testbed: &Path,
+    walks: &WalkArgs,
+    made: &Made,
+    others: impl FnOnce(&mut ManyInputs) -> Result<Repeat, FolderError>,
+) -> miette::Result<()> {
+    note(folder, testbed, walks, made, others).inspect_err(|_| withdraw(folder))
+}
+
+fn note(
+    folder: &Path,
+    testbed: &Path,
+    walks: &WalkArgs,
+    made: &Made,
+    others: impl FnOnce(&mut ManyInputs) -> Result<Repeat, FolderError>,
+) -> miette::Result<()> {
+    let text = cotorra_testbed_file::read(testbed).into_diagnostic()?;
+    let base = testbed.parent().unwrap_or(Path::new(""));
+    let mut carried = ManyInputs::carry(folder, &text, base, &walks.settings).into_diagnostic()?;
+    let repeat = match others(&mut carried).into_diagnostic()? {
+        Repeat::Words(others) => {
+            let mut words = origin::given();
+            words.push(format!("--testbed={}", ManyInputs::TESTBED));
+            words.extend(carried.settings.iter().map(|setting| format!("--set={setting}")));
+            words.extend(others);
+            Repeat::Words(words)
+        }
+        not => not,
+    };
+    origin::note(folder, repeat, made, &carried).into_diagnostic()
+}
+
+/// Removes an experiment's folder, and the folder around it, if they are empty but for what [`begin`] wrote: an experiment that
+/// cannot begin leaves nothing.
 pub fn withdraw(folder: &Path) {
-    // A folder that is not empty stays.
-    let _ = fs::remove_dir(folder).and_then(|()| folder.parent().map_or(Ok(()), fs::remove_dir));
+    let is_own = |entry: fs::DirEntry| ManyInputs::NAMES.iter().any(|name| entry.file_name() == *name);
+    let is_new = fs::read_dir(folder).is_ok_and(|mut all| all.all(|entry| entry.is_ok_and(is_own)));
+    if is_new {
+        // A folder that cannot be removed harms nobody.
+        let removed = fs::remove_dir_all(folder);
+        let _ = removed.and_then(|()| folder.parent().map_or(Ok(()), fs::remove_dir));
+    }
 }

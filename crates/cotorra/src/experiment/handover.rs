@@ -16,12 +16,15 @@ use cotorra_experiments::{
 use cotorra_graph::Testbed;
 use cotorra_measurements::History;
 use cotorra_plugin::runs::Runs;
-use cotorra_testbed::{Finished, FolderError, Options, Place, Recorded, RecordedError, wifi_programs};
+use cotorra_testbed::{
+    Finished, FolderError, Made, Manifest, Options, Place, Recorded, RecordedError, Repeat, Time,
+    wifi_programs,
+};
 use cotorra_testbed_file::Setting;
 
 use super::{
     args::{HAS_AGENTS, HandoverArgs},
-    folder::withdraw,
+    folder::{begin, withdraw},
     tell_faults,
 };
 use crate::{
@@ -85,6 +88,7 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
     let is_real = kinds.iter().any(|kind| kind.is_real);
     let stage = Stage::set(args.walks.headless, args.walks.verbose, is_real)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-handover").map_err(Error::from)?;
+    note(args, &folder, &planned, &kinds)?;
     earlier.retain(|walked| kinds.iter().all(|kind| kind.name != walked.kind));
     let (mut walks, mut worst) = (earlier, Status::Done);
     let mut done = 0;
@@ -105,6 +109,9 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
     }
     let comparison = Comparison::of(walks, first.seed);
     comparison.write(&folder).map_err(Error::from)?;
+    if done == planned.len() {
+        Manifest::complete(&folder).map_err(Error::from)?;
+    }
     for format in args.walks.figure.further() {
         comparison.write_figure(&folder, format).map_err(Error::from)?;
     }
@@ -210,8 +217,29 @@ fn walk(
         note!("{name}");
         stage.emulate(&plan.loaded, &args.testbed, options)
     } else {
-        stage.simulate(&plan.loaded, &options, &format!("{name}: "))
+        stage.simulate(&plan.loaded, options, &format!("{name}: "))
     }
+}
+
+/// Notes in the experiment's folder how it came to be.
+fn note(args: &HandoverArgs, folder: &Path, planned: &[Planned], kinds: &[Kind]) -> miette::Result<()> {
+    let mut seeds: Vec<_> = planned.iter().map(|plan| plan.seed).collect();
+    seeds.dedup();
+    let time = if kinds.iter().any(|kind| kind.is_real) { Time::Real } else { Time::Virtual };
+    begin(folder, &args.testbed, &args.walks, &Made { time, seeds, until: args.until }, |inputs| {
+        let mut words = Vec::new();
+        if args.kinds.is_empty() {
+            // By default, they are those of the machine.
+            words.extend(kinds.iter().map(|kind| format!("--kind={}", kind.name)));
+        }
+        for (number, with) in args.with.iter().enumerate() {
+            let file = FILES[2];
+            let carried = inputs.add(folder, &with.join(file), &format!("with-{number}/{file}"))?;
+            let with = carried.parent().unwrap_or(Path::new(""));
+            words.push(format!("--with={}", with.display()));
+        }
+        Ok(Repeat::Words(words))
+    })
 }
 
 fn measure(plan: &Planned, finished: &Finished) -> Result<Walked, Error> {

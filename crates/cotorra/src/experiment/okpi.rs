@@ -11,12 +11,12 @@ use cotorra_experiments::okpi::{
 };
 use cotorra_measurements::Location;
 use cotorra_plugin::runs::Runs;
-use cotorra_testbed::{Finished, FolderError, Options, Place};
+use cotorra_testbed::{Finished, FolderError, Made, Manifest, Options, Place, Repeat, Time};
 use cotorra_testbed_file::Setting;
 
 use super::{
     args::{MeasuredFile, OkpiArgs},
-    folder::withdraw,
+    folder::{begin, withdraw},
 };
 use crate::{
     exit::Status,
@@ -61,6 +61,19 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let known = Runs::of_user();
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-okpi").map_err(Error::from)?;
+    let made = Made {
+        time: if args.emulate { Time::Real } else { Time::Virtual },
+        seeds: vec![args.seed.unwrap_or(variants[0].1.testbed.seed)],
+        until: args.until,
+    };
+    begin(&folder, &args.testbed, &args.walks, &made, |inputs| {
+        let Some(MeasuredFile { contender, path }) = &args.measured else {
+            return Ok(Repeat::Words(Vec::new()));
+        };
+        let beside = contender.map(|contender| format!("{}=", contender.name)).unwrap_or_default();
+        let carried = inputs.add(&folder, path, "measured.csv")?;
+        Ok(Repeat::Words(vec![format!("--measured={beside}{}", carried.display())]))
+    })?;
     let conduct = Conduct { args, stage: &stage, folder: &folder, known: &known, history: history.as_ref() };
     let mut walks = Vec::new();
     for (contender, loaded) in &variants {
@@ -93,6 +106,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let how = format!("{how}, seed {}", soa.summary.seed);
     let comparison = Comparison::of(&walked);
     comparison.write(&folder, &how, &walked).map_err(Error::from)?;
+    Manifest::complete(&folder).map_err(Error::from)?;
     for format in args.walks.figure.further() {
         let written = comparison.write_figure(&folder, &walked, format);
         written.map_err(Error::from)?;
@@ -157,7 +171,7 @@ impl Conduct<'_> {
             note!("{name}");
             stage.emulate(loaded, &args.testbed, options)
         } else {
-            stage.simulate(loaded, &options, &format!("{name}: "))
+            stage.simulate(loaded, options, &format!("{name}: "))
         };
         let finished = finished.inspect_err(|_| withdraw(self.folder))?;
         if finished.was_stopped() {

@@ -7,6 +7,7 @@ use cotorra_experiments::regret::{
 };
 use cotorra_graph::Timestamp;
 use cotorra_numbers::FEWEST;
+use cotorra_testbed::Manifest;
 
 use super::{Error, MarginArgs, WhichDecision, again, exit, open};
 use crate::{
@@ -37,7 +38,7 @@ pub fn examine(
         WhichDecision::Number(number) => Some(number),
     };
     let fail = |error: RegretError| Error::from(error);
-    let regret = Regret::new(testbed, text, &args.kpi, seed, args.until)
+    let regret = Regret::new(testbed, text.clone(), &args.kpi, seed, args.until)
         .map_err(|error| fail(error.into()))?
         .seeds(args.seeds)
         .hold(args.hold);
@@ -55,7 +56,7 @@ pub fn examine(
         output::print(&(list(&recorded, number) + &again(&place)))?;
         return Ok(ExitCode::SUCCESS);
     }
-    let (interrupts, journal) = open(args, &place)?;
+    let (interrupts, journal) = open(args, &place, &text, seed)?;
     let folder = journal.path().join("run-as-it-was");
     let recorded = regret.record(&folder, || interrupts.try_recv().is_err());
     let Some(recorded) = recorded.map_err(fail)? else { return Ok(exit(false)) };
@@ -67,6 +68,9 @@ pub fn examine(
     progress.close();
     let regrets = regrets.map_err(fail)?;
     regrets.write(&journal).map_err(Error::from)?;
+    if regrets.complete {
+        Manifest::complete(journal.path()).map_err(Error::from)?;
+    }
     output::print(&describe(&regrets, journal.path()))?;
     Ok(exit(regrets.complete))
 }

@@ -11,11 +11,11 @@ use cotorra_experiments::{
     margin::{Grid, Kind, LOSS_UNITS, Margin, MarginError, Options},
     regret::RegretError,
 };
-use cotorra_testbed::FolderError;
+use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError, Time};
 
 pub use self::args::MarginArgs;
 use self::args::WhichDecision;
-use crate::{exit::Status, output, progress::Progress, signals, testbed_file};
+use crate::{exit::Status, origin, output, progress::Progress, signals, testbed_file};
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
@@ -33,6 +33,8 @@ enum Error {
     Resolution { name: &'static str, most: &'static str },
     #[error(transparent)]
     Folder(#[from] FolderError),
+    #[error(transparent)]
+    Inputs(#[from] RunError),
     #[error(transparent)]
     Signals(#[from] signals::SignalsError),
 }
@@ -81,13 +83,14 @@ pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
             .ok_or(wrong("loss-resolution", "most-loss"))?,
         pairs: !args.singles,
     };
+    let text = loaded.text.clone();
     let margin = Margin::new(loaded.testbed, loaded.text, options).map_err(Error::from)?;
     let place = args.out.clone().unwrap_or_else(|| margin.default_folder(Path::new("margins")));
     if args.dry_run {
         output::print(&(show::plan(&margin, args, jobs) + &again(&place)))?;
         return Ok(ExitCode::SUCCESS);
     }
-    let (interrupts, journal) = open(args, &place)?;
+    let (interrupts, journal) = open(args, &place, &text, seed)?;
     let mut progress = Progress::new(args.headless);
     let margins = margin.run(&journal, jobs, |done, of| {
         progress.show(done, of);
@@ -96,17 +99,33 @@ pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
     progress.close();
     let margins = margins.map_err(Error::from)?;
     margins.write(&journal).map_err(Error::from)?;
+    if margins.complete {
+        Manifest::complete(journal.path()).map_err(Error::from)?;
+    }
     output::print(&show::describe(&margins, journal.path()))?;
     Ok(exit(margins.complete))
 }
 
-/// Opens the folder of the results, and listens to Ctrl-C.
-fn open(args: &MarginArgs, place: &Path) -> Result<(std::sync::mpsc::Receiver<()>, Journal), Error> {
+/// Opens the folder of the results of runs with this text of the testbed file, carries there what they need, and listens to
+/// Ctrl-C.
+fn open(
+    args: &MarginArgs,
+    place: &Path,
+    text: &str,
+    seed: u64,
+) -> Result<(std::sync::mpsc::Receiver<()>, Journal), Error> {
     let interrupts = signals::listen()?;
     let journal = Journal::open(place)?;
     if args.fresh {
         journal.clear()?;
     }
+    let base = args.file.parent().unwrap_or(Path::new(""));
+    let carried = ManyInputs::carry(journal.path(), text, base, &[])?;
+    let mut words = origin::given();
+    words.push(ManyInputs::TESTBED.to_owned());
+    let seeds = (0..u64::from(args.seeds)).map(|number| seed.wrapping_add(number)).collect();
+    let made = Made { time: Time::Virtual, seeds, until: args.until };
+    origin::note(journal.path(), Repeat::Words(words), &made, &carried)?;
     Ok((interrupts, journal))
 }
 

@@ -31,7 +31,8 @@ pub const DEFAULT_API: &str = "127.0.0.1:7700";
 /// or with Ctrl-C, which loses nothing. A second Ctrl-C ends it at once.
 ///
 /// It leaves a folder with summary.json, services.csv and services.tex (a row for each robot and service),
-/// service_time.csv, service_time.svg, history.sqlite, the logs, and the testbed file with its settings.
+/// service_time.csv, service_time.svg, history.sqlite, the logs, the testbed file with its settings and all that it names, and
+/// manifest.json, from which `cotorra reproduce` runs it again.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

@@ -20,8 +20,8 @@ use cotorra_netem::{Confirmed, HoldError};
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{
-    CannotGoOn, Finished, Options, Place, PreviousRun, RealLinkError, Run, RunError, Speed, Token, Tokens,
-    TokensError, Watched, interface_plans, simulate_watched,
+    CannotGoOn, Finished, FolderError, Manifest, Options, Origin, Place, PreviousRun, RealLinkError, Run,
+    RunError, Speed, Time, Token, Tokens, TokensError, Watched, interface_plans, simulate_watched,
 };
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
@@ -31,7 +31,7 @@ use crate::{
     exit::Status,
     history::{self, HistoryPlace, Source},
     logs::{self, LogFile},
-    output,
+    origin, output,
     running::{TOKEN_VARIABLE, token_text},
     signals,
     testbed_file::{self, Loaded},
@@ -56,6 +56,8 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(help("{}", help_for(.0)))]
     RealLink(RealLinkError),
+    #[error(transparent)]
+    Folder(#[from] FolderError),
     #[error(transparent)]
     Run(RunError),
     #[error("{TOKEN_VARIABLE} is too short to be a secret")]
@@ -101,6 +103,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     let mut loaded = testbed_file::load(&args.file, &args.settings)?;
     let history = history::location(args.history.as_ref())?;
     let mut options = Options {
+        origin: Origin::default(),
         seed: args.seed,
         until: args.until,
         folder: Place::In(args.out.clone()),
@@ -136,8 +139,8 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     options.after = previous(&args, &mut loaded)?;
     let finished = if args.simulate {
         match args.watched() {
-            None => stage.simulate(&loaded, &options, "")?,
-            Some(speed) => stage.simulate_and_show(&loaded, &options, speed, opener)?,
+            None => stage.simulate(&loaded, options, "")?,
+            Some(speed) => stage.simulate_and_show(&loaded, options, speed, opener)?,
         }
     } else {
         stage.emulate_and_show(&loaded, &args.file, options, |address| opener.open(address))?
@@ -202,9 +205,10 @@ impl Stage {
         &self,
         loaded: &Loaded,
         file: &Path,
-        options: Options,
+        mut options: Options,
         show: impl FnOnce(&str),
     ) -> miette::Result<Finished> {
+        options.origin = origin::of_run(&options, Time::Real);
         let until = options.until;
         let run = Run::start(loaded.testbed.clone(), &loaded.text, options).map_err(Error::from)?;
         let folder = run.folder().to_owned();
@@ -224,12 +228,13 @@ impl Stage {
         view.close();
         let finished = finished?;
         tracing::info!(ended = finished.summary.ended, valid = finished.summary.is_valid(), "over");
+        complete(&finished)?;
         Ok(finished)
     }
 
     /// Runs a testbed in virtual time, to its end. `prefix` names the run in the progress line; it can be empty.
-    pub fn simulate(&self, loaded: &Loaded, options: &Options, prefix: &str) -> miette::Result<Finished> {
-        self.show_virtual_time(prefix, |_, go_on| {
+    pub fn simulate(&self, loaded: &Loaded, options: Options, prefix: &str) -> miette::Result<Finished> {
+        self.show_virtual_time(options, prefix, |options, _, go_on| {
             cotorra_testbed::simulate(loaded.testbed.clone(), &loaded.text, options, go_on)
         })
     }
@@ -238,12 +243,12 @@ impl Stage {
     fn simulate_and_show(
         &self,
         loaded: &Loaded,
-        options: &Options,
+        options: Options,
         speed: Speed,
         opener: Opener,
     ) -> miette::Result<Finished> {
         let mut opener = Some(opener);
-        self.show_virtual_time("", |spinner, go_on| {
+        self.show_virtual_time(options, "", |options, spinner, go_on| {
             let mut served = |address| {
                 let address = format!("http://{address}/");
                 spinner.suspend(|| note!("Dashboard on {address}"));
@@ -257,12 +262,14 @@ impl Stage {
     /// Shows the progress of a run in virtual time, which is given a function to call with the time.
     fn show_virtual_time(
         &self,
+        mut options: Options,
         prefix: &str,
-        run: impl FnOnce(&ProgressBar, &mut dyn FnMut(Timestamp) -> bool) -> Result<Finished, RunError>,
+        run: impl FnOnce(&Options, &ProgressBar, &mut dyn FnMut(Timestamp) -> bool) -> Result<Finished, RunError>,
     ) -> miette::Result<Finished> {
+        options.origin = origin::of_run(&options, Time::Virtual);
         let spinner = self.terminal.add(ProgressBar::new_spinner().with_prefix(prefix.to_owned()));
         let mut next_line = FIRST_LINE;
-        let finished = run(&spinner, &mut |now| {
+        let finished = run(&options, &spinner, &mut |now| {
             if self.terminal.is_hidden() && now >= Timestamp::ZERO + next_line {
                 note!("{prefix}{:.0} s of virtual time", now.as_secs_f64());
                 while now >= Timestamp::ZERO + next_line {
@@ -277,6 +284,7 @@ impl Stage {
         spinner.finish_and_clear();
         let finished = finished?;
         self.log_to(&finished.folder)?;
+        complete(&finished)?;
         Ok(finished)
     }
 
@@ -284,6 +292,11 @@ impl Stage {
         let path = folder.join("logs/cotorra.log");
         self.log.open(&path).map_err(|source| Error::Log { path, source })
     }
+}
+
+/// Notes the results of a run in its manifest. Nothing can end a run again at the moment at which a user did.
+fn complete(finished: &Finished) -> Result<(), Error> {
+    if finished.was_stopped() { Ok(()) } else { Ok(Manifest::complete(&finished.folder)?) }
 }
 
 /// Reads and checks the tokens of the operator and of domains from the environment.

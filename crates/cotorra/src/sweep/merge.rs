@@ -1,16 +1,19 @@
 //! `cotorra sweep merge`: joins the shards of a sweep.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use clap::Args;
 use cotorra_experiments::{
     journal::Journal,
     sweep::{Merge, MergeError},
 };
-use cotorra_testbed::FolderError;
+use cotorra_testbed::{FolderError, Manifest, ManifestError, Repeat};
 
 use super::results;
-use crate::{figures::FigureArgs, output, words::count};
+use crate::{figures::FigureArgs, origin, output, words::count};
 
 /// Join the shards of a sweep
 ///
@@ -42,6 +45,10 @@ enum Error {
     Merge(#[from] MergeError),
     #[error(transparent)]
     Folder(#[from] FolderError),
+    #[error(transparent)]
+    Manifest(#[from] ManifestError),
+    #[error("{} and {} are shards of runs with other inputs: {} differs", .folders[0].display(), .folders[1].display(), .file.display())]
+    OtherInputs { folders: [PathBuf; 2], file: PathBuf },
     #[error("{0}")]
     #[diagnostic(help(
         "run these shards, which go on where they were, or merge what there is with --partial"
@@ -61,14 +68,52 @@ pub fn merge(args: &MergeArgs) -> miette::Result<ExitCode> {
     if !args.partial && !missing.is_empty() {
         return Err(Error::Missing(missing).into());
     }
+    let manifest = manifest(&merge.shards)?;
     let folder = Journal::open(args.out.as_ref().unwrap_or(&merge.folder)).map_err(Error::from)?;
     merge.write(&folder).map_err(Error::from)?;
+    if let Some((shard, manifest)) = manifest {
+        manifest.copy(shard, folder.path()).map_err(Error::from)?;
+        manifest.write(folder.path()).map_err(Error::from)?;
+        if missing.is_empty() {
+            Manifest::complete(folder.path()).map_err(Error::from)?;
+        }
+    }
     for format in args.figure.further() {
         merge.runs.write_figure(&folder, format).map_err(Error::from)?;
     }
     let note = if missing.is_empty() { String::new() } else { format!("\n{missing}\n") };
     output::print(&results::describe(&merge.runs, &note, folder.path(), &args.figure))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Returns the manifest of the whole sweep, with a shard that has its inputs; `None` if an older cotorra made a shard.
+fn manifest(shards: &[PathBuf]) -> Result<Option<(&Path, Manifest)>, Error> {
+    let mut whole: Option<(&Path, Manifest)> = None;
+    for shard in shards {
+        let manifest = match Manifest::read(shard) {
+            Err(ManifestError::None(_)) => return Ok(None),
+            read => read?,
+        };
+        let Some((first, whole)) = &mut whole else {
+            whole = Some((shard, manifest));
+            continue;
+        };
+        let (one, other) = (&whole.carried, &manifest.carried);
+        if let Some(file) = one.keys().chain(other.keys()).find(|file| one.get(*file) != other.get(*file)) {
+            let (folders, file) = ([first.to_owned(), shard.clone()], file.clone());
+            return Err(Error::OtherInputs { folders, file });
+        }
+        whole.seeds.extend(manifest.seeds);
+    }
+    let Some((_, manifest)) = &mut whole else { return Ok(None) };
+    manifest.seeds.sort_unstable();
+    manifest.seeds.dedup();
+    let own = origin::of(manifest.repeat.clone());
+    (manifest.command, manifest.commit) = (own.command, own.commit);
+    if let Repeat::Words(words) = &mut manifest.repeat {
+        words.retain(|word| !word.starts_with("--shard="));
+    }
+    Ok(whole)
 }
 
 /// Maximum number of shards, and of their runs, that are listed.

@@ -10,9 +10,10 @@ use std::{env, fs, io, num::NonZero, path::Path, process::ExitCode, thread};
 
 use cotorra_experiments::{
     journal::Journal,
-    sweep::{FILES, Shard, Sweep, SweepError},
+    sweep::{Axis, FILES, Point, Shard, Sweep, SweepError},
 };
-use cotorra_testbed::FolderError;
+use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError, Time};
+use cotorra_testbed_file::Setting;
 
 pub use args::SweepArgs;
 use args::SweepCommand;
@@ -21,7 +22,7 @@ use trial::Trial;
 
 use crate::{
     exit::Status,
-    output,
+    origin, output,
     progress::Progress,
     signals,
     table::Table,
@@ -36,6 +37,8 @@ enum Error {
     Sweep(SweepError),
     #[error(transparent)]
     Folder(#[from] FolderError),
+    #[error(transparent)]
+    Inputs(#[from] RunError),
     #[error("the figure is drawn when all shards are merged")]
     #[diagnostic(help("give --figure to `cotorra sweep merge`"))]
     Figure,
@@ -60,8 +63,9 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
     }
     let loaded = testbed_file::load(args.file(), &[])?;
     let base = args.file().parent().unwrap_or(Path::new(""));
-    let sweep =
-        Sweep::new(&args.file().display().to_string(), loaded.text, base).seeds(args.seeds).until(args.until);
+    let sweep = Sweep::new(&args.file().display().to_string(), loaded.text.clone(), base)
+        .seeds(args.seeds)
+        .until(args.until);
     let sweep = args.axes.iter().cloned().fold(sweep, Sweep::axis);
     let place = match &args.out {
         Some(out) => out.clone(),
@@ -76,12 +80,12 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
         SweepArgs { shard: Some(_), figure, .. } if figure.further().next().is_some() => {
             Err(Error::Figure.into())
         }
-        _ => run(&sweep, args, &place),
+        _ => run(&sweep, args, &place, &loaded.text),
     }
 }
 
 /// Runs a sweep or a shard of it.
-fn run(sweep: &Sweep, args: &SweepArgs, place: &Path) -> miette::Result<ExitCode> {
+fn run(sweep: &Sweep, args: &SweepArgs, place: &Path, text: &str) -> miette::Result<ExitCode> {
     // So that an invalid sweep leaves no folder.
     let points = sweep.points().map_err(report)?;
     if let Some(shard) = args.shard {
@@ -96,6 +100,7 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path) -> miette::Result<ExitCode
     if args.fresh {
         folder.clear().map_err(Error::from)?;
     }
+    note(sweep, args, &points, text, folder.path())?;
     let mut progress = Progress::new(args.headless);
     let go_on = |done, of| {
         progress.show(done, of);
@@ -121,6 +126,9 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path) -> miette::Result<ExitCode
         None => {
             // A sweep that was stopped has its tables, too.
             runs.write(&folder).map_err(Error::from)?;
+            if whole {
+                Manifest::complete(folder.path()).map_err(Error::from)?;
+            }
             for format in args.figure.further() {
                 runs.write_figure(&folder, format).map_err(Error::from)?;
             }
@@ -128,6 +136,35 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path) -> miette::Result<ExitCode
         }
     }
     Ok(if whole { ExitCode::SUCCESS } else { Status::Interrupted.into() })
+}
+
+/// Carries the inputs of a sweep into its folder, and notes there how it came to be.
+fn note(sweep: &Sweep, args: &SweepArgs, points: &[Point], text: &str, folder: &Path) -> Result<(), Error> {
+    // Numbers name no files.
+    let axes = sweep.axes().iter().filter(|axis| axis.numbers().is_none());
+    let of = |axis: &Axis| -> Vec<_> {
+        axis.values().iter().filter_map(|value| Setting::new(axis.path(), value).ok()).collect()
+    };
+    let settings: Vec<_> = axes.flat_map(of).collect();
+    let base = args.file().parent().unwrap_or(Path::new(""));
+    let carried = ManyInputs::carry(folder, text, base, &settings)?;
+    // The tables have the values as they were given, so that others would make other tables.
+    let moved = settings.iter().zip(&carried.settings).find(|(given, carried)| given != carried);
+    let repeat = match moved {
+        Some((given, _)) => {
+            Repeat::Not(format!("`--set {given}` leads out of the folder of the testbed file"))
+        }
+        None => {
+            let mut words = origin::given();
+            words.push(ManyInputs::TESTBED.to_owned());
+            Repeat::Words(words)
+        }
+    };
+    let mut seeds: Vec<_> = points.iter().map(|point| point.seed).collect();
+    seeds.sort_unstable();
+    seeds.dedup();
+    let made = Made { time: Time::Virtual, seeds, until: args.until };
+    Ok(origin::note(folder, repeat, &made, &carried)?)
 }
 
 fn jobs(args: &SweepArgs) -> NonZero<usize> {

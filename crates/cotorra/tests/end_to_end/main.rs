@@ -51,6 +51,7 @@ mod plugin;
 mod real_servers;
 mod recording;
 mod replicas;
+mod reproduce;
 #[cfg(feature = "agents")]
 mod robot_at_agent;
 mod robots;

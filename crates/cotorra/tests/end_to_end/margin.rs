@@ -199,7 +199,8 @@ fn plug_ins_that_are_programs_take_part_in_searches() {
         let mut names: Vec<_> =
             fs::read_dir(out.path().join(name)).unwrap().flatten().map(|file| file.file_name()).collect();
         names.sort();
-        assert_eq!(names, ["journal.jsonl", "margins.csv", "margins.json"], "a run's folder is left");
+        let expected = ["inputs", "journal.jsonl", "manifest.json", "margins.csv", "margins.json"];
+        assert_eq!(names, expected, "a run's folder is left");
         text
     };
     let one = search("one", "1");

@@ -21,6 +21,8 @@ use crate::journal::{self, Journal};
 pub struct Merge {
     /// Folder that holds the first shard.
     pub folder: PathBuf,
+    /// Folders of the shards.
+    pub shards: Vec<PathBuf>,
     pub runs: Runs,
     /// Names of the runs that are missing, by their shard.
     pub missing: BTreeMap<Shard, Vec<String>>,
@@ -103,7 +105,8 @@ impl Merge {
         });
         let runs = Runs::new(&plan.axes, runs.collect::<Vec<_>>().into_iter(), 0);
         let folder = first.parent().unwrap_or(first).to_owned();
-        Ok(Self { folder, runs, missing })
+        let shards = shards.into_iter().map(|(folder, _)| folder).collect();
+        Ok(Self { folder, shards, runs, missing })
     }
 
     /// Adds the runs to a journal, and writes [`FILES`](super::FILES) into its folder.

@@ -14,6 +14,7 @@ use super::{
     services,
     summary::{Report, Summary, service_time_ms},
 };
+use crate::manifest::Manifest;
 
 /// Name of the file with a run's [`Summary`].
 pub(super) const SUMMARY: &str = "summary.json";
@@ -26,13 +27,14 @@ pub struct RunFolder {
 
 impl RunFolder {
     /// Names in the folder that the run itself uses.
-    pub const NAMES: [&str; 17] = [
+    pub const NAMES: [&str; 18] = [
         "history.json",
         "history.sqlite",
         "history.sqlite-journal",
         "history.sqlite-shm",
         "history.sqlite-wal",
         "logs",
+        Manifest::NAME,
         "recording.mcap",
         "samples",
         "sensors",

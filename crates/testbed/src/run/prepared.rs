@@ -17,6 +17,7 @@ use crate::{
     cpus::missing_cpus,
     error::{RunError, system},
     keeping::Keeping,
+    manifest::Time,
     options::Options,
     plugins::running::PreparedPlugins,
     real_links::RealLinkError,
@@ -95,7 +96,7 @@ impl Prepared {
         let any_port = options.api.is_none();
         let listener =
             Listener::bind(options.api.unwrap_or(api::DEFAULT_ADDRESS), any_port, &options.tokens)?;
-        let (folder, text) = whole::create(&options.folder, &testbed, seed, text)?;
+        let (folder, text) = whole::create(&options, &testbed, Time::Real, text)?;
         let info = run_info(&testbed, seed, &text);
         let confined = Confined::new(&testbed, &options, &folder)
             .map_err(system("show VNFs the testbed file's folder"))?;

@@ -23,6 +23,7 @@ use crate::{
     history_bound::HistoryBound,
     keeping::{Keeper, Keeping},
     live::Live,
+    manifest::Time,
     options::Options,
     plugins::{
         self,
@@ -45,7 +46,7 @@ const HISTORY_PACE: usize = 10_000;
 /// real time. `go_on` is called now and then with the time; false stops the run. If a plug-in is a program, the API is
 /// served, by default on any free port of 127.0.0.1, and time waits for the program.
 ///
-/// The same testbed, seed and version give the same bytes in every file but the log.
+/// The same testbed, seed and version give the same bytes in every file but the manifest and the log.
 ///
 /// # Errors
 /// [`RunError`]. A testbed without walks needs an `until`: virtual time has no other end.
@@ -129,7 +130,7 @@ pub(super) fn simulate_with(
     let wiretap = simulation.network.wiretap();
     let captures = CaptureFile::begin_all(&options.captures, &wiretap)?;
     let mut simulation = Guarded::new(simulation, Arc::clone(&wall));
-    let (folder, text) = whole::create(&options.folder, &testbed, seed, text)?;
+    let (folder, text) = whole::create(options, &testbed, Time::Virtual, text)?;
     // Calendar time is not part of virtual time.
     let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text };
     let recording =
