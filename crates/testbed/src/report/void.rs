@@ -253,7 +253,7 @@ mod tests {
 name: test
 wireless: { lab: {} }
 nodes:
-  r: { kind: robot, position: [0, 0] }
+  r: { kind: robot, cpus: 4, memory: 8 GB }
   A: { kind: radio_unit, position: [0, 1], channel: 1 }
   s: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
 links:
