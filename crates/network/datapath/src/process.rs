@@ -144,7 +144,7 @@ impl Namespace {
     /// # Errors
     /// [`Error::Spawn`] if there is no such program, or a control group or the kernel rejects it.
     pub fn spawn(&self, command: Command, options: SpawnOptions<'_>) -> Result<Child, Error> {
-        self.start(command, &options, false)
+        self.start(command, &options, None)
     }
 
     /// Runs a program inside in the place of this process, and returns its exit status; see [`Child::wait`]. It uses this
@@ -156,12 +156,12 @@ impl Namespace {
     pub fn run_program(&self, command: Command, options: SpawnOptions<'_>) -> Result<ExitStatus, Error> {
         let terminal = sys::Terminal::of_foreground();
         let signals = sys::Signals::block().action("block signals")?;
-        let mut child = self.start(command, &options, true)?;
+        let mut child = self.start(command, &options, Some(&signals))?;
         let status = loop {
-            let signal = signals.wait().action("wait for signals")?;
             if let Some(status) = child.try_wait().action("wait for a program")? {
                 break status;
             }
+            let signal = signals.wait().action("wait for signals")?;
             if signal.is_sent && signal.number != libc::SIGCHLD {
                 init::send(child.id(), signal.number).action("pass a signal on")?;
             }
@@ -173,21 +173,22 @@ impl Namespace {
         Ok(status)
     }
 
+    /// Starts a program. With blocked signals, it has this process's terminal.
     fn start(
         &self,
         mut command: Command,
         options: &SpawnOptions<'_>,
-        has_terminal: bool,
+        blocked: Option<&sys::Signals>,
     ) -> Result<Child, Error> {
         let program = command.get_program().to_string_lossy().into_owned();
-        self.try_start(&mut command, options, has_terminal).map_err(|source| Error::Spawn { program, source })
+        self.try_start(&mut command, options, blocked).map_err(|source| Error::Spawn { program, source })
     }
 
     fn try_start(
         &self,
         command: &mut Command,
         options: &SpawnOptions<'_>,
-        has_terminal: bool,
+        blocked: Option<&sys::Signals>,
     ) -> io::Result<Child> {
         let (hold, lifeline) = io::pipe()?;
         let join = |path: &PathBuf| File::options().write(true).open(path);
@@ -233,12 +234,14 @@ impl Namespace {
                 cgroups,
                 lifeline: lifeline_end,
                 other: options.ends_with.map_or(-1, |process| process.as_raw_fd()),
-                has_terminal,
+                has_terminal: blocked.is_some(),
                 open_files,
                 unique_number: options.unique_number,
                 restrictions,
             }
             .before_exec_of(command);
+            // The program inherits what this thread blocks.
+            blocked.map_or(Ok(()), sys::Signals::unblock_here)?;
             command.spawn()
         })?;
         Ok(Child { init, _lifeline: lifeline })

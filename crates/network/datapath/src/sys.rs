@@ -131,6 +131,15 @@ impl Signals {
         }
     }
 
+    /// Lets the calling thread, another one, receive those that were not blocked before.
+    pub(crate) fn unblock_here(&self) -> io::Result<()> {
+        // SAFETY: the set is live.
+        match unsafe { libc::pthread_sigmask(libc::SIG_SETMASK, &self.before, std::ptr::null_mut()) } {
+            0 => Ok(()),
+            error => Err(io::Error::from_raw_os_error(error)),
+        }
+    }
+
     /// Waits for the next one.
     pub(crate) fn wait(&self) -> io::Result<Signal> {
         loop {
