@@ -1,6 +1,7 @@
 use std::{path::Path, time::Duration};
 
 use cotorra_graph::{Event, Stamped, Timestamp};
+use cotorra_numbers::Interval;
 
 use super::*;
 
