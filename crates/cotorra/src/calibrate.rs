@@ -18,7 +18,7 @@ use cotorra_calibrate::{
 use cotorra_graph::{Probability, Testbed};
 use cotorra_measurements::{Kind, PageRequest};
 use cotorra_testbed::{put_all, write_file};
-use cotorra_testbed_file::{Carried, carry};
+use cotorra_testbed_file::{Carried, CarriedFile, Contents, carry};
 use indicatif::ProgressBar;
 use miette::{Diagnostic, IntoDiagnostic};
 
@@ -322,10 +322,29 @@ fn write(calibration: &Calibration, text: &str, testbed: &Testbed, folder: &Path
     let text = calibrated_text(text, &calibration.settings);
     let Carried { text, files } = carry(&text, &testbed.folder, &[TESTBED, REPORT, FIGURES]);
     fs::create_dir_all(folder).map_err(|reason| Error::Unwritable { path: folder.to_owned(), reason })?;
+    for file in &files {
+        remove_earlier(file, folder)?;
+    }
     put_all(&files, folder).into_diagnostic()?;
     let figures = serde_json::to_string_pretty(calibration).into_diagnostic()? + "\n";
     for (name, content) in [(TESTBED, &text), (REPORT, &markdown(calibration)), (FIGURES, &figures)] {
         write_file(folder, name, content).into_diagnostic()?;
+    }
+    Ok(())
+}
+
+/// Removes what an earlier calibration carried into the folder, which may be another version of it.
+fn remove_earlier(file: &CarriedFile, folder: &Path) -> Result<(), Error> {
+    let to = folder.join(&file.to);
+    let pairs: Vec<_> = match &file.contents {
+        Contents::Copy(from) => vec![(from.clone(), to)],
+        Contents::Folder(from, names) => names.iter().map(|name| (from.join(name), to.join(name))).collect(),
+        Contents::Text(_) | Contents::Conditions(_) => Vec::new(),
+    };
+    let canonical = |path: &Path| path.canonicalize().ok();
+    let is_other = |(from, to): &(PathBuf, PathBuf)| to.is_file() && canonical(from) != canonical(to);
+    for (_, to) in pairs.into_iter().filter(is_other) {
+        fs::remove_file(&to).map_err(|reason| Error::Unwritable { path: to, reason })?;
     }
     Ok(())
 }

@@ -92,6 +92,22 @@ fn a_testbed_is_fitted_to_measurements_and_runs() {
 }
 
 #[test]
+fn an_overwritten_calibration_has_the_files_as_they_are_now() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    fs::write(path("lab.yaml"), format!("{LAB}plugins: [{{ id: mine, command: [sh, mine.sh] }}]\n")).unwrap();
+    fs::write(path("ping.txt"), ping()).unwrap();
+    let pinged = format!("A-edge={}", path("ping.txt"));
+    for version in ["echo one\n", "echo two\n"] {
+        fs::write(path("mine.sh"), version).unwrap();
+        let fitted =
+            output(["calibrate", &path("lab.yaml"), "--ping", &pinged, "--force", "--out", &path("fitted")]);
+        assert!(fitted.status.success(), "{}", stderr(&fitted));
+        assert_eq!(fs::read_to_string(path("fitted/mine.sh")).unwrap(), version);
+    }
+}
+
+#[test]
 fn measurements_that_determine_nothing_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
