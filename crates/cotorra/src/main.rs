@@ -64,6 +64,9 @@ use miette::{IntoDiagnostic, MietteHandlerOpts};
 use cli::{BundledVnf, Cli, Command};
 use testbed_file::FileError;
 
+/// A hash of the source code that this program was built from.
+const SOURCES: &str = env!("COTORRA_SOURCES");
+
 fn main() -> ExitCode {
     // The messages of our errors include their causes.
     miette::set_hook(Box::new(|_| Box::new(MietteHandlerOpts::new().without_cause_chain().build())))

@@ -11,14 +11,12 @@ use cotorra_experiments::repeat::{Compared, Outcome, RepeatError, Service, compa
 use cotorra_testbed::{FolderError, Manifest, ManifestError, Repeat, Time};
 
 use crate::{
-    history::HISTORY_VARIABLE, origin, output, signals, table::Table, temporary::TemporaryFolder,
+    exit::Status, history::HISTORY_VARIABLE, origin, output, signals, table::Table, temporary::TemporaryFolder,
     words::count,
 };
 
-/// Exit status of a repeat with other results.
-const DIFFERS: u8 = 3;
-/// Exit status of a run whose figures are not valid, but complete.
-const NOT_VALID: i32 = crate::run::NOT_VALID as i32;
+/// Outcomes of runs whose results are complete.
+const COMPLETE: [Status; 3] = [Status::Done, Status::NotValid, Status::NoProgress];
 /// Commands whose results are made again.
 const COMMANDS: [&str; 4] = ["experiment", "margin", "run", "sweep"];
 /// Maximum number of files that differ which are listed.
@@ -119,9 +117,9 @@ pub fn reproduce(args: &ReproduceArgs) -> miette::Result<ExitCode> {
     command.env_remove(HISTORY_VARIABLE).stdout(Stdio::null());
     let status = command.status().map_err(Error::Start)?;
     if interrupts.try_recv().is_ok() {
-        return Ok(ExitCode::from(signals::INTERRUPTED));
+        return Ok(Status::Interrupted.into());
     }
-    if !matches!(status.code(), Some(0 | NOT_VALID)) {
+    if COMPLETE.iter().all(|complete| status.code() != Some(complete.number().into())) {
         return Err(Error::Failed(status).into());
     }
     let repeat = repeat_in(&kept.join("repeat"))?;
@@ -133,7 +131,7 @@ pub fn reproduce(args: &ReproduceArgs) -> miette::Result<ExitCode> {
         text += &format!("\n{}/\n", repeat.display());
     }
     output::print(&text)?;
-    Ok(if is_same { ExitCode::SUCCESS } else { ExitCode::from(DIFFERS) })
+    Ok(if is_same { ExitCode::SUCCESS } else { Status::NotValid.into() })
 }
 
 /// Returns the words of the command line that makes a folder's results again.

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use cotorra_experiments::LOGS;
 use cotorra_graph::{Conditions, LinkId, Loss, Probed, QueueLimit, Rate};
 
 /// `1 link`, `2 links`, `3 switches`.
@@ -11,6 +12,17 @@ pub fn count(n: usize, what: &str) -> String {
         _ if what.ends_with("ch") => format!("{n} {what}es"),
         _ => format!("{n} {what}s"),
     }
+}
+
+/// `, 2 of them from before, 1 of them void`; nothing of what there is none.
+pub fn of_them(resumed: usize, void: usize) -> String {
+    let part = |n: usize, what| if n > 0 { format!(", {n} of them {what}") } else { String::new() };
+    part(resumed, "from before") + &part(void, "void")
+}
+
+/// Says where the output of plug-ins is whose runs are void.
+pub fn logs() -> String {
+    format!("{LOGS}/ has the output of plug-ins in void runs. The same command makes these runs again.")
 }
 
 /// `28.7 ms`.

@@ -1,8 +1,11 @@
 //! Many runs in virtual time, several at a time. Each goes into a journal as soon as it is done.
 
 use std::{
+    collections::BTreeMap,
+    fmt, fs, io,
     num::NonZero,
     panic::{AssertUnwindSafe, catch_unwind},
+    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicUsize, Ordering},
@@ -10,11 +13,20 @@ use std::{
     },
 };
 
-use cotorra_graph::{Stamped, Testbed};
+use cotorra_graph::{Stamped, Testbed, seed};
 use cotorra_testbed::{FolderError, RunError, Unrecorded, UnrecordedRun, panic_text, simulate_unrecorded};
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::journal::Journal;
+use crate::{
+    journal::{Found, Journal},
+    key::{Key, Keys, Listed},
+    outcome::{Outcome, Void},
+};
+
+/// Folder with the output of programs whose runs are void, in the folder of a journal.
+pub const LOGS: &str = "logs";
+/// Most letters of a run's name in the name of its folder of logs.
+const MAX_NAME: usize = 100;
 
 /// Error that ends many runs. Those finished until then are in the journal.
 #[derive(Debug, thiserror::Error)]
@@ -38,6 +50,14 @@ pub enum BatchError {
         /// The plug-in, and the reason.
         fault: String,
     },
+    /// A file changed while the run was made, so that nobody knows which version it shows.
+    #[error("{run}: {} changed during the run: start it again when they stay as they are", Listed(changed))]
+    Changed {
+        /// Name of the run.
+        run: String,
+        /// Names of the files.
+        changed: Vec<String>,
+    },
     /// A run panicked, which is a bug.
     #[error("{run} panicked, which is a bug: {reason}")]
     Panicked {
@@ -48,8 +68,88 @@ pub enum BatchError {
     },
 }
 
-/// Makes one run of many for a search. Unlike a sweep, which counts them, a search accepts no run in which a plug-in was cut
-/// off: it would find what the testbed does without the plug-in.
+/// A run that is to be made, unless the journal has it.
+#[derive(Debug, Clone)]
+pub(crate) struct Wanted {
+    pub(crate) name: String,
+    pub(crate) key: Key,
+}
+
+/// Runs that were made again although the journal had them: their number, by the reason.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Again(BTreeMap<String, usize>);
+
+impl Again {
+    /// Adds those of another batch.
+    pub(crate) fn add(&mut self, other: Self) {
+        other.0.into_iter().for_each(|(reason, runs)| *self.0.entry(reason).or_default() += runs);
+    }
+}
+
+impl fmt::Display for Again {
+    /// Writes a line for each reason.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|(reason, runs)| {
+            writeln!(f, "{reason}: {runs} {} again", if *runs == 1 { "run" } else { "runs" })
+        })
+    }
+}
+
+/// Makes wanted runs for a journal.
+#[derive(Clone, Copy)]
+pub(crate) struct Maker<'a> {
+    pub(crate) journal: &'a Journal,
+    pub(crate) keys: &'a Keys,
+}
+
+impl Maker<'_> {
+    /// Makes a run. One that is void leaves the output of its programs in [`LOGS`]. Returns `None` if `go_on` stopped it.
+    pub(crate) fn make(
+        self,
+        wanted: &Wanted,
+        testbed: Arc<Testbed>,
+        run: &Unrecorded<'_>,
+        observe: impl FnMut(&Stamped),
+        go_on: impl FnMut() -> bool,
+    ) -> Result<Option<Outcome<UnrecordedRun>>, BatchError> {
+        let name = || wanted.name.clone();
+        let ended = simulate_unrecorded(Arc::clone(&testbed), run, observe, go_on);
+        let ended = ended.map_err(|source| BatchError::Run { run: name(), source })?;
+        let Some(ended) = ended else { return Ok(None) };
+        let changed = self.keys.changed_since(&wanted.key, &testbed, run.text);
+        if !changed.is_empty() {
+            return Err(BatchError::Changed { run: name(), changed });
+        }
+        let void = Void::of(&ended.summary);
+        keep_logs(self.journal, run.folder, &wanted.name, void.is_some())?;
+        Ok(Some(void.map_or(Outcome::Measured(ended), Outcome::Void)))
+    }
+}
+
+/// Moves the logs in the folder of a void run to [`LOGS`], in place of those of the same run before, and removes the folder.
+fn keep_logs(journal: &Journal, folder: &Path, name: &str, is_void: bool) -> Result<(), BatchError> {
+    let to = journal.path().join(LOGS).join(name_of_logs(name));
+    let absent = |result: io::Result<()>| match result {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(FolderError::new(&to, error)),
+        _ => Ok(()),
+    };
+    absent(fs::remove_dir_all(&to))?;
+    if is_void {
+        fs::create_dir_all(journal.path().join(LOGS)).map_err(|e| FolderError::new(&to, e))?;
+        absent(fs::rename(folder.join(LOGS), &to))?;
+        absent(fs::remove_dir_all(folder))?;
+    }
+    Ok(())
+}
+
+/// Returns the name of the folder with the logs of a run: the run's name, in letters that need no quotes, and a hash of it.
+fn name_of_logs(run: &str) -> String {
+    let fits = |c: char| c.is_ascii_alphanumeric() || "=._-,+".contains(c);
+    let plain = run.chars().map(|c| if fits(c) { c } else { '_' }).take(MAX_NAME);
+    format!("{}-{:08x}", plain.collect::<String>(), seed::split(0, run) >> 32)
+}
+
+/// Makes a run without which nothing else can be made. Unlike others, it must not be void.
 pub(crate) fn sound(
     testbed: Arc<Testbed>,
     run: &Unrecorded<'_>,
@@ -59,39 +159,62 @@ pub(crate) fn sound(
 ) -> Result<Option<UnrecordedRun>, BatchError> {
     let ended = simulate_unrecorded(testbed, run, observe, go_on);
     let ended = ended.map_err(|source| BatchError::Run { run: name.to_owned(), source })?;
-    match ended.as_ref().and_then(|ended| ended.summary.plugin_faults.first()) {
+    match ended.as_ref().and_then(|ended| Void::of(&ended.summary)) {
         None => Ok(ended),
-        Some(fault) => {
-            let logs = run.folder.join("logs");
-            let logs = logs.exists().then(|| format!("; its log is in {}", logs.display()));
-            let fault = format!("plug-in {fault}{}", logs.unwrap_or_default());
-            Err(BatchError::CutOff { run: name.to_owned(), fault })
-        }
+        Some(void) => Err(BatchError::void(name, &void, &run.folder.join(LOGS))),
     }
 }
 
-/// The results of many runs.
-pub(crate) struct Batch<M> {
-    /// In the order of the names; `None` for runs that were not made before the stop.
-    pub(crate) done: Vec<Option<M>>,
-    /// Number of results that the journal already had.
-    pub(crate) resumed: usize,
+impl BatchError {
+    /// Returns the error that a run is void whose logs are in this folder.
+    fn void(run: &str, void: &Void, logs: &Path) -> Self {
+        let logs = logs.exists().then(|| format!("; its log is in {}", logs.display())).unwrap_or_default();
+        Self::CutOff { run: run.to_owned(), fault: format!("{}{logs}", void.reason()) }
+    }
+
+    /// Returns the error that a run of a batch is void.
+    pub(crate) fn void_in(journal: &Journal, run: &str, void: &Void) -> Self {
+        Self::void(run, void, &journal.path().join(LOGS).join(name_of_logs(run)))
+    }
 }
 
-/// Makes the runs that the journal does not have yet, `jobs` at a time, and adds each to the journal as soon as it is done.
-/// `measure` makes the run of that index; it returns `None` if it was stopped. Calls `go_on` with the number of finished
+/// The outcomes of many runs.
+pub(crate) struct Batch<M> {
+    /// In the order of the runs; `None` for those that were not made before the stop.
+    pub(crate) done: Vec<Option<Outcome<M>>>,
+    /// Number of outcomes that the journal already had.
+    pub(crate) resumed: usize,
+    /// Runs that the journal had otherwise.
+    pub(crate) again: Again,
+}
+
+/// Makes the runs that the journal does not have yet, or has with another key or without results, `jobs` at a time, and adds
+/// each to the journal as soon as it is done. `file` is the name of the testbed file. `measure` makes the run of that index; it
+/// returns `None` if it was stopped. Calls `go_on` with the number of finished
 /// runs, at the beginning and after each run; `false` stops all.
 pub(crate) fn run<M: Serialize + DeserializeOwned + Send, E: From<BatchError> + Send>(
     journal: &Journal,
     jobs: NonZero<usize>,
-    names: &[String],
-    measure: impl Fn(usize, &AtomicBool) -> Result<Option<M>, E> + Sync,
+    (wanted, file): (&[Wanted], &str),
+    measure: impl Fn(usize, &AtomicBool) -> Result<Option<Outcome<M>>, E> + Sync,
     mut go_on: impl FnMut(usize) -> bool,
 ) -> Result<Batch<M>, E> {
-    let mut kept = journal.kept().map_err(BatchError::from)?;
-    let mut done: Vec<Option<M>> = names.iter().map(|name| kept.remove(name)).collect();
-    let missing: Vec<usize> = (0..names.len()).filter(|&i| done[i].is_none()).collect();
-    let resumed = names.len() - missing.len();
+    let kept = journal.kept().map_err(BatchError::from)?;
+    let mut again = Again::default();
+    let mut find = |wanted: &Wanted| {
+        let reason = match kept.find(&wanted.name, &wanted.key, file) {
+            Found::Outcome(Outcome::Measured(measured)) => return Some(Outcome::Measured(measured)),
+            Found::Nothing => return None,
+            // Its reason may be gone.
+            Found::Outcome(Outcome::Void(_)) => "void before".to_owned(),
+            Found::Stale(reason) => reason,
+        };
+        *again.0.entry(reason).or_default() += 1;
+        None
+    };
+    let mut done: Vec<Option<Outcome<M>>> = wanted.iter().map(&mut find).collect();
+    let missing: Vec<usize> = (0..wanted.len()).filter(|&i| done[i].is_none()).collect();
+    let resumed = wanted.len() - missing.len();
     let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(!go_on(resumed)));
     let (sender, results) = mpsc::channel();
     let mut failed = None;
@@ -107,7 +230,7 @@ pub(crate) fn run<M: Serialize + DeserializeOwned + Send, E: From<BatchError> + 
                         Ok(Ok(Some(measured))) => Ok(measured),
                         Ok(Err(error)) => Err(error),
                         Err(panic) => {
-                            let (run, reason) = (names[place].clone(), panic_text(&*panic).to_owned());
+                            let (run, reason) = (wanted[place].name.clone(), panic_text(&*panic).to_owned());
                             Err(BatchError::Panicked { run, reason }.into())
                         }
                     };
@@ -120,13 +243,14 @@ pub(crate) fn run<M: Serialize + DeserializeOwned + Send, E: From<BatchError> + 
         drop(sender);
         let mut count = resumed;
         for (place, result) in &results {
-            let result = result.and_then(|measured| {
-                journal.keep(&names[place], &measured).map_err(BatchError::from)?;
-                Ok(measured)
+            let result = result.and_then(|outcome| {
+                let Wanted { name, key } = &wanted[place];
+                journal.keep(name, key, &outcome).map_err(BatchError::from)?;
+                Ok(outcome)
             });
             match result {
-                Ok(measured) => {
-                    done[place] = Some(measured);
+                Ok(outcome) => {
+                    done[place] = Some(outcome);
                     count += 1;
                     if !go_on(count) {
                         stop.store(true, Ordering::Relaxed);
@@ -139,5 +263,18 @@ pub(crate) fn run<M: Serialize + DeserializeOwned + Send, E: From<BatchError> + 
             }
         }
     });
-    failed.map_or(Ok(Batch { done, resumed }), Err)
+    failed.map_or(Ok(Batch { done, resumed, again }), Err)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn different_runs_have_different_folders_of_logs() {
+        assert!(name_of_logs("plugin=okpi seed=1").starts_with("plugin=okpi_seed=1-"));
+        let [a, b] = ["w.shadowing={deviation: 2 dB} seed=1", "w.shadowing={deviation_ 2 dB} seed=1"];
+        assert_ne!(name_of_logs(a), name_of_logs(b));
+        assert!(name_of_logs(&"x".repeat(500)).len() < 120);
+    }
 }

@@ -1,13 +1,19 @@
 //! Rows of tables in CSV (RFC 4180).
 
-/// Appends fields, each followed by a comma, quoted where necessary (RFC 4180, 2).
+/// Appends fields, each followed by a comma.
 pub(crate) fn values(text: &mut String, values: &[String]) {
     for value in values {
-        if value.contains(['"', ',', '\n', '\r']) {
-            *text += &format!("\"{}\",", value.replace('"', "\"\""));
-        } else {
-            *text += &format!("{value},");
-        }
+        *text += &quoted(value);
+        text.push(',');
+    }
+}
+
+/// Returns a field, quoted where necessary (RFC 4180, 2).
+pub(crate) fn quoted(value: &str) -> String {
+    if value.contains(['"', ',', '\n', '\r']) {
+        format!("\"{}\"", value.replace('"', "\"\""))
+    } else {
+        value.to_owned()
     }
 }
 

@@ -9,6 +9,12 @@ use std::{
 
 use cotorra_testbed::FolderError;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde_json::Value;
+
+use crate::{
+    key::{Key, Listed},
+    outcome::Outcome,
+};
 
 const JOURNAL: &str = "journal.jsonl";
 
@@ -18,13 +24,48 @@ pub struct Journal {
     path: PathBuf,
     file: File,
     durable: bool,
+    version: String,
 }
 
 /// A line of the journal.
 #[derive(Serialize, Deserialize)]
-struct Line<M> {
+struct Line<O> {
     run: String,
-    measured: M,
+    /// What the outcome depends on. Journals of earlier versions have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    key: Option<Key>,
+    /// A single entry, `measured` or `void`.
+    #[serde(flatten)]
+    outcome: O,
+}
+
+/// The outcomes in a journal, by the names of their runs.
+#[derive(Debug, Default)]
+pub(crate) struct Kept(HashMap<String, Vec<(Option<Key>, Value)>>);
+
+/// What a journal has of a run.
+pub(crate) enum Found<M> {
+    Outcome(Outcome<M>),
+    /// Only outcomes with other keys; the reason not to believe them.
+    Stale(String),
+    Nothing,
+}
+
+impl Kept {
+    /// Finds the last outcome of a run with this key. `file` is the name of the testbed file.
+    pub(crate) fn find<M: DeserializeOwned>(&self, run: &str, key: &Key, file: &str) -> Found<M> {
+        let Some(kept) = self.0.get(run) else { return Found::Nothing };
+        let same = kept.iter().rev().find(|(of, _)| of.as_ref() == Some(key));
+        if let Some(outcome) = same.and_then(|(_, outcome)| serde_json::from_value(outcome.clone()).ok()) {
+            return Found::Outcome(outcome);
+        }
+        match kept.last() {
+            Some((Some(of), _)) if of != key => {
+                Found::Stale(format!("{} changed", Listed(&key.changes(of, file))))
+            }
+            _ => Found::Stale("the journal is of an earlier version of cotorra".to_owned()),
+        }
+    }
 }
 
 impl Journal {
@@ -46,7 +87,8 @@ impl Journal {
             }
             Err(fs::TryLockError::Error(error)) => return Err(fail(&journal, error)),
         }
-        let folder = Self { path, file, durable: false };
+        let version = env!("CARGO_PKG_VERSION").to_owned();
+        let folder = Self { path, file, durable: false, version };
         folder.mend().map_err(|e| fail(&journal, e))?;
         Ok(folder)
     }
@@ -55,6 +97,16 @@ impl Journal {
     /// may leave a gap if the whole machine ends and the folder is on another one.
     pub fn durable(self) -> Self {
         Self { durable: true, ..self }
+    }
+
+    /// Says which program makes the runs, beyond its version: what another program made is made again.
+    pub fn by(self, program: &str) -> Self {
+        Self { version: format!("{} {program}", self.version), ..self }
+    }
+
+    /// Returns the version of the program that makes the runs.
+    pub(crate) fn version(&self) -> &str {
+        &self.version
     }
 
     /// Removes an incomplete last line.
@@ -77,21 +129,20 @@ impl Journal {
         self.file.set_len(0).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
     }
 
-    /// Returns whether the journal has no runs.
-    pub(crate) fn is_empty(&self) -> Result<bool, FolderError> {
-        let file = self.file.metadata().map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))?;
-        Ok(file.len() == 0)
-    }
-
-    /// Returns the runs in the journal, by name.
-    pub(crate) fn kept<M: DeserializeOwned>(&self) -> Result<HashMap<String, M>, FolderError> {
+    /// Returns the outcomes in the journal.
+    pub(crate) fn kept(&self) -> Result<Kept, FolderError> {
         read(&self.path).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
     }
 
     /// Adds a run to the journal. The run survives any end of the process after this returns, and that of the machine if the
     /// journal is [durable](Self::durable).
-    pub(crate) fn keep<M: Serialize>(&self, run: &str, measured: &M) -> Result<(), FolderError> {
-        let line = Line { run: run.to_owned(), measured };
+    pub(crate) fn keep<M: Serialize>(
+        &self,
+        run: &str,
+        key: &Key,
+        outcome: &Outcome<M>,
+    ) -> Result<(), FolderError> {
+        let line = Line { run: run.to_owned(), key: Some(key.clone()), outcome };
         let mut line = serde_json::to_string(&line).expect("results are valid JSON");
         line.push('\n');
         let written = (&self.file).write_all(line.as_bytes());
@@ -100,15 +151,15 @@ impl Journal {
     }
 }
 
-/// Returns the runs in the journal of a folder, by name. Another process may be adding to it: an incomplete last line is
-/// left out.
-pub(crate) fn read<M: DeserializeOwned>(folder: &Path) -> io::Result<HashMap<String, M>> {
-    let mut kept = HashMap::new();
+/// Returns the outcomes in the journal of a folder. Another process may be adding to it: an incomplete last line is left
+/// out.
+pub(crate) fn read(folder: &Path) -> io::Result<Kept> {
+    let mut kept = Kept::default();
     let mut journal = BufReader::new(File::open(folder.join(JOURNAL))?);
     let mut line = String::new();
     while journal.read_line(&mut line)? > 0 && line.ends_with('\n') {
-        let Line { run, measured } = serde_json::from_str(&line)?;
-        kept.insert(run, measured);
+        let Line { run, key, outcome } = serde_json::from_str(&line)?;
+        kept.0.entry(run).or_default().push((key, outcome));
         line.clear();
     }
     Ok(kept)

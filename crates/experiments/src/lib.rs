@@ -15,12 +15,15 @@ pub mod federation;
 pub mod handover;
 pub mod journal;
 mod kept;
+mod key;
 pub mod margin;
 pub mod okpi;
+mod outcome;
 pub mod regret;
 pub mod repeat;
 pub mod sweep;
 mod walk_time;
 
-pub use batch::BatchError;
+pub use batch::{Again, BatchError, LOGS};
+pub use outcome::{Outcome, Void};
 pub use walk_time::walk_time;

@@ -85,7 +85,7 @@ pub use report::{
 pub use robots::RobotError;
 pub use run::{Run, Stopper};
 pub use run_info::about;
-pub use script::{Rehearsal, ScriptError};
+pub use script::{Rehearsal, ScriptError, replayed_conditions};
 pub use simulate::{
     Altered, Fork, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,
     simulate_unrecorded, simulate_watched,

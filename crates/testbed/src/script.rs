@@ -246,6 +246,17 @@ fn replayed(folder: &Path, graph: &HardwareGraph) -> Result<Vec<(Timestamp, Chan
     Err(ScriptError::OtherLinks { folder: folder.to_owned(), there })
 }
 
+/// Returns the changes of links in the recorded run that a testbed replays, as a text: other changes have another. It is empty
+/// if the testbed replays none.
+///
+/// # Errors
+/// [`ScriptError`] if the run cannot be read.
+pub fn replayed_conditions(testbed: &Testbed) -> Result<String, ScriptError> {
+    let changes =
+        testbed.script.replay.as_ref().map(|folder| replayed(folder, &testbed.graph)).transpose()?;
+    Ok(changes.map(|changes| format!("{changes:?}")).unwrap_or_default())
+}
+
 /// Copies the conditions of links in the run of a folder, as an export to another folder.
 pub(crate) fn copy_conditions(of: &Path, to: &Path) -> Result<(), ScriptError> {
     let (history, run) = open(of)?;

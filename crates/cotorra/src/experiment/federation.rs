@@ -18,7 +18,7 @@ use cotorra_testbed_file::Setting;
 
 use super::{
     args::{FederationArgs, LedgerArgs, LedgerNode},
-    folder::{begin, withdraw},
+    folder::{begin, sound, withdraw},
     tell_faults,
 };
 use crate::{
@@ -132,6 +132,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             worst = worst.max(Status::Interrupted);
             break;
         }
+        let finished = sound(finished)?;
         let testbed = &plan.loaded.testbed;
         let read = |history: &History, run: RunId| {
             Federated::read(history, run, testbed, plan.block_period, plan.seed)

@@ -1,8 +1,9 @@
-//! The folder of an experiment.
+//! The folder of an experiment, and of its runs.
 
 use std::{fs, path::Path};
 
-use cotorra_testbed::{FolderError, Made, ManyInputs, Repeat};
+use cotorra_experiments::Void;
+use cotorra_testbed::{Finished, FolderError, Made, ManyInputs, Repeat};
 use miette::IntoDiagnostic;
 
 use super::args::WalkArgs;
@@ -41,6 +42,28 @@ fn note(
         not => not,
     };
     origin::note(folder, repeat, made, &carried).into_diagnostic()
+}
+
+/// A run whose figures are not those of its testbed. An experiment compares none with others.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+#[error("the run in {folder} is {void}")]
+#[diagnostic(help("the folder's logs/ has the output of plug-ins; run the experiment again when they work"))]
+pub struct VoidRun {
+    folder: String,
+    void: Void,
+}
+
+/// Returns a run, unless it is void for another reason than its lateness, which the experiment reports.
+///
+/// # Errors
+/// [`VoidRun`].
+pub fn sound(finished: Finished) -> Result<Finished, VoidRun> {
+    let summary = &finished.summary;
+    let is_only_late = !summary.fidelity.valid && summary.void == [summary.fidelity.reason.clone()];
+    match Void::of(summary).filter(|_| !is_only_late) {
+        None => Ok(finished),
+        Some(void) => Err(VoidRun { folder: finished.folder.display().to_string(), void }),
+    }
 }
 
 /// Removes an experiment's folder, and the folder around it, if they are empty but for what [`begin`] wrote: an experiment that

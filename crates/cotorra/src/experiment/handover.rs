@@ -24,7 +24,7 @@ use cotorra_testbed_file::Setting;
 
 use super::{
     args::{HAS_AGENTS, HandoverArgs},
-    folder::{begin, withdraw},
+    folder::{begin, sound, withdraw},
     tell_faults,
 };
 use crate::{
@@ -100,6 +100,7 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
             }
             break;
         }
+        let finished = sound(finished)?;
         walks.push(measure(plan, &finished)?);
         done += 1;
         // So that a walk that is done is not lost with a later one.

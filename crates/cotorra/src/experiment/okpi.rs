@@ -16,7 +16,7 @@ use cotorra_testbed_file::Setting;
 
 use super::{
     args::{MeasuredFile, OkpiArgs},
-    folder::{begin, withdraw},
+    folder::{begin, sound, withdraw},
 };
 use crate::{
     exit::Status,
@@ -178,7 +178,7 @@ impl Conduct<'_> {
             let folder = finished.folder.display().to_string();
             return Err(Error::Stopped { contender: contender.name, folder }.into());
         }
-        Ok(finished)
+        Ok(sound(finished)?)
     }
 
     /// Walks the testbed with fitted values; `None` if nothing was fitted, so that the walk would be the same.

@@ -16,7 +16,7 @@ use crate::{
     table::{Table, wrap},
     temporary::TemporaryFolder,
     testbed_file::Loaded,
-    words::count,
+    words::{self, count, of_them},
 };
 
 /// What a single seed does not tell.
@@ -38,7 +38,8 @@ pub fn examine(
         WhichDecision::Number(number) => Some(number),
     };
     let fail = |error: RegretError| Error::from(error);
-    let regret = Regret::new(testbed, text.clone(), &args.kpi, seed, args.until)
+    let file = args.file.display().to_string();
+    let regret = Regret::new((&file, testbed, text.clone()), &args.kpi, seed, args.until)
         .map_err(|error| fail(error.into()))?
         .seeds(args.seeds)
         .hold(args.hold);
@@ -59,7 +60,7 @@ pub fn examine(
     let (interrupts, journal) = open(args, &place, &text, seed)?;
     let folder = journal.path().join("run-as-it-was");
     let recorded = regret.record(&folder, || interrupts.try_recv().is_err());
-    let Some(recorded) = recorded.map_err(fail)? else { return Ok(exit(false)) };
+    let Some(recorded) = recorded.map_err(fail)? else { return Ok(exit(false, 0)) };
     let mut progress = Progress::new(args.headless);
     let regrets = regret.examine(&recorded, number, &journal, jobs, |done, of| {
         progress.show(done, of);
@@ -72,7 +73,7 @@ pub fn examine(
         Manifest::complete(journal.path()).map_err(Error::from)?;
     }
     output::print(&describe(&regrets, journal.path()))?;
-    Ok(exit(regrets.complete))
+    Ok(exit(regrets.complete, regrets.void))
 }
 
 /// Lists the decisions of a run, and their alternatives.
@@ -117,8 +118,8 @@ fn named(target: &str, stays: bool) -> String {
 }
 
 fn describe(regrets: &Regrets, folder: &Path) -> String {
-    let Regrets { seed, seeds, services, examined, compared, complete, runs, resumed } = regrets;
-    let before = if *resumed > 0 { format!(", {resumed} of them from before") } else { String::new() };
+    let Regrets { seed, seeds, services, examined, compared, complete, runs, resumed, again, void } = regrets;
+    let of_them = of_them(*resumed, *void);
     let services: Vec<_> = services.iter().map(ToString::to_string).collect();
     let runs = count(*runs, "run");
     let which = match seeds {
@@ -126,7 +127,7 @@ fn describe(regrets: &Regrets, folder: &Path) -> String {
         seeds => format!("{seeds} seeds from {seed} on"),
     };
     let mut text = format!(
-        "{runs} with alternatives{before}; samples of {} from each decision on, {which}\n\n",
+        "{runs} with alternatives{of_them}; samples of {} from each decision on, {which}\n{again}\n",
         services.join(", ")
     );
     text += &match &examined[..] {
@@ -159,12 +160,15 @@ fn single(Examined { decided, stood, tried, regret_kept, regret_ms, .. }: &Exami
         [kept(of, stood), number(of.late), median(of), cost, number(of.migrations), number(of.handovers)]
     };
     table.row(["decision".to_owned(), decided.chosen()].into_iter().chain(figures(stood)));
-    for Tried { target, stays, stood, refused } in tried {
-        let figures = match (stood, refused) {
-            (Some(stood), _) => figures(stood),
-            (None, refused) => {
+    for Tried { target, stays, stood, refused, void } in tried {
+        let figures = match (stood, refused, void) {
+            (Some(stood), ..) => figures(stood),
+            (None, refused, void) => {
                 let mut cells = [const { String::new() }; 6];
-                cells[0] = format!("rejected: {}", refused.as_deref().unwrap_or_default());
+                cells[0] = match void {
+                    Some(void) => void.to_string(),
+                    None => format!("rejected: {}", refused.as_deref().unwrap_or_default()),
+                };
                 cells
             }
         };
@@ -174,6 +178,9 @@ fn single(Examined { decided, stood, tried, regret_kept, regret_ms, .. }: &Exami
         (Some(regret), regret_ms) => {
             let median = regret_ms.map(|ms| format!(", and {} ms at the median", signed(ms)));
             format!("Regret: {} percentage points{}.", signed(regret * 100.0), median.unwrap_or_default())
+        }
+        _ if tried.iter().any(|tried| tried.void.is_some()) => {
+            format!("The regret is unknown: a run is void. {}", words::logs())
         }
         _ => "No alternative can be compared.".to_owned(),
     };
@@ -247,8 +254,10 @@ fn overview(examined: &[Examined]) -> String {
     let heads_of =
         ["decision", "at", "by", "of", "to", "kept, %", "median, ms", "regret, points", "regret, ms", "cost"];
     table.row(heads_of.map(str::to_owned));
-    for Examined { decided, stood, regret_kept, regret_ms, regret_cost, .. } in examined.iter().take(LISTED) {
-        let figure = |figure: Option<f64>| figure.map_or_else(|| "-".to_owned(), signed);
+    for Examined { decided, stood, tried, regret_kept, regret_ms, regret_cost, .. } in examined.iter().take(LISTED) {
+        let void = tried.iter().find_map(|tried| tried.void.as_ref());
+        let without = void.map_or_else(|| "-".to_owned(), ToString::to_string);
+        let figure = |figure: Option<f64>| figure.map_or_else(|| without.clone(), signed);
         let figures = [
             kept(stood, stood),
             median(stood),

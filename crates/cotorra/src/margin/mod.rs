@@ -15,7 +15,7 @@ use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError,
 
 pub use self::args::MarginArgs;
 use self::args::WhichDecision;
-use crate::{exit::Status, origin, output, progress::Progress, signals, testbed_file};
+use crate::{SOURCES, exit::Status, origin, output, progress::Progress, signals, testbed_file};
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
@@ -83,8 +83,8 @@ pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
             .ok_or(wrong("loss-resolution", "most-loss"))?,
         pairs: !args.singles,
     };
-    let text = loaded.text.clone();
-    let margin = Margin::new(loaded.testbed, loaded.text, options).map_err(Error::from)?;
+    let (file, text) = (args.file.display().to_string(), loaded.text.clone());
+    let margin = Margin::new(&file, loaded.testbed, loaded.text, options).map_err(Error::from)?;
     let place = args.out.clone().unwrap_or_else(|| margin.default_folder(Path::new("margins")));
     if args.dry_run {
         output::print(&(show::plan(&margin, args, jobs) + &again(&place)))?;
@@ -103,7 +103,7 @@ pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
         Manifest::complete(journal.path()).map_err(Error::from)?;
     }
     output::print(&show::describe(&margins, journal.path()))?;
-    Ok(exit(margins.complete))
+    Ok(exit(margins.complete, margins.void))
 }
 
 /// Opens the folder of the results of runs with this text of the testbed file, carries there what they need, and listens to
@@ -115,7 +115,7 @@ fn open(
     seed: u64,
 ) -> Result<(std::sync::mpsc::Receiver<()>, Journal), Error> {
     let interrupts = signals::listen()?;
-    let journal = Journal::open(place)?;
+    let journal = Journal::open(place)?.by(SOURCES);
     if args.fresh {
         journal.clear()?;
     }
@@ -129,13 +129,22 @@ fn open(
     Ok((interrupts, journal))
 }
 
-fn exit(is_complete: bool) -> ExitCode {
-    if is_complete { ExitCode::SUCCESS } else { Status::Interrupted.into() }
+fn exit(is_complete: bool, void: usize) -> ExitCode {
+    let status = match (is_complete, void) {
+        (false, _) => Status::Interrupted,
+        (true, 0) => Status::Done,
+        (true, _) => Status::NotValid,
+    };
+    status.into()
 }
 
 /// Names the folder of the results before they are there.
 fn again(place: &Path) -> String {
     let exists = fs::exists(place).unwrap_or(false);
-    let again = if exists { "; it exists: the runs that it has are not repeated" } else { "" };
+    let again = if exists {
+        "; it exists: the runs that it has are not repeated unless something changed"
+    } else {
+        ""
+    };
     format!("\n{}/{again}\n", place.display())
 }

@@ -7,7 +7,7 @@ use cotorra_experiments::margin::{Estimate, FILES, Finding, Margin, Margins, Ser
 use super::MarginArgs;
 use crate::{
     table::{Table, wrap},
-    words::count,
+    words::{self, count, of_them},
 };
 
 /// Maximum number of searches that the terminal lists.
@@ -37,11 +37,11 @@ pub fn plan(margin: &Margin, args: &MarginArgs, jobs: std::num::NonZero<usize>) 
 
 /// Describes the result of a search.
 pub fn describe(margins: &Margins, folder: &Path) -> String {
-    let Margins { keep, seeds, unchanged, findings, complete, runs, resumed } = margins;
-    let before = if *resumed > 0 { format!(", {resumed} of them from before") } else { String::new() };
+    let Margins { keep, seeds, unchanged, findings, complete, runs, resumed, again, void } = margins;
     let mut text = format!(
-        "{}{before}; {} % of samples must keep their target, over {}\n\n",
+        "{}{}; {} % of samples must keep their target, over {}\n{again}\n",
         count(*runs, "run"),
+        of_them(*resumed, *void),
         keep * 100.0,
         count(*seeds as usize, "seed")
     );
@@ -73,6 +73,9 @@ pub fn describe(margins: &Margins, folder: &Path) -> String {
         text += "\n";
         sentences.iter().for_each(|sentence| text += &wrap(sentence, "  ", WIDTH));
     }
+    if *void > 0 {
+        text += &format!("\n  {}\n", words::logs());
+    }
     if !complete {
         text += "\nThe search was stopped; the same command resumes it.\n";
     }
@@ -85,9 +88,10 @@ fn by_breaks(a: &Finding, b: &Finding) -> Ordering {
 }
 
 fn row(finding: &Finding) -> [String; 6] {
-    let Finding { change, on, down, breaks, service, kept, complete, .. } = finding;
+    let Finding { change, on, down, breaks, service, kept, complete, void, .. } = finding;
     let name = |name: &Option<String>| name.clone().unwrap_or_default();
     let [survives, at] = match (on, breaks) {
+        _ if void.is_some() => [void.iter().map(ToString::to_string).collect(), String::new()],
         (None, true) => ["no", ""].map(str::to_owned),
         (None, false) => [if *complete { "yes" } else { "" }, ""].map(str::to_owned),
         (Some(_), _) => [survives(finding), breaks_at(finding).unwrap_or_default()],
@@ -153,6 +157,8 @@ fn of_units(sorted: &[&Finding]) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use cotorra_experiments::Again;
+
     use super::*;
 
     fn finding(change: &'static str, on: Option<&str>, down: Option<&str>, breaks: Option<f64>) -> Finding {
@@ -168,6 +174,7 @@ mod tests {
             service: breaks.map(|_| "navigation".parse().unwrap()),
             kept: breaks.map(|_| 0.982),
             complete: true,
+            void: None,
         }
     }
 
@@ -188,6 +195,8 @@ mod tests {
             complete: false,
             runs: 7,
             resumed: 3,
+            again: Again::default(),
+            void: 0,
         };
         let text = describe(&margins, Path::new("here"));
         for expected in [
@@ -200,6 +209,15 @@ mod tests {
         ] {
             assert!(text.contains(expected), "{expected}\n{text}");
         }
+        let void = serde_json::from_str(r#""plug-in x: ended""#).unwrap();
+        let void = Finding { complete: false, void: Some(void), ..finding("delay", Some("w"), None, None) };
+        let text = describe(&Margins { findings: vec![void], void: 1, ..margins.clone() }, Path::new("here"));
+        for expected in
+            ["7 runs, 3 of them from before, 1 of them void; ", "delay   w         void: plug-in x: ended"]
+        {
+            assert!(text.contains(expected), "{expected}\n{text}");
+        }
+        assert!(!text.contains("survives +"), "{text}");
         let survived = Margins { findings: vec![finding("down", None, Some("R2"), None)], ..margins };
         assert!(describe(&survived, Path::new("here")).contains("survives any single one down"));
     }

@@ -8,6 +8,11 @@ use std::{
 
 use clap::ValueEnum;
 
+use crate::exit::Status;
+
+/// Exit status of a merge with void runs.
+const NOT_VALID: u8 = Status::NotValid.number();
+
 /// What runs a job file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Scheduler {
@@ -128,7 +133,8 @@ END
         // Kubernetes replaces $(NAME) in commands, and $$ by $.
         let [run, merge] = [&self.run, &self.merge].map(|line| line.replace('$', "$$"));
         let run = json(&format!(r#"exec {run} --shard "$((JOB_COMPLETION_INDEX + 1))/{shards}""#));
-        let merge = json(&format!("until {merge}; do sleep 60; done"));
+        // With void runs, its status is 3.
+        let merge = json(&format!("until {merge} || [ $? -eq {NOT_VALID} ]; do sleep 60; done"));
         format!(
             r#"# {summary}.
 # Start with `kubectl create -f FILE`. A shard that was killed goes on with the runs that it has.
@@ -196,16 +202,17 @@ exec {merge}
     }
 
     fn snakemake(&self) -> String {
-        let Self { summary, shards, jobs, .. } = self;
+        let Self { summary, run, merge, shards, jobs, .. } = self;
         // Snakemake replaces {NAME} in commands.
         let line = |line: &str, rest: &str| {
             json(
-                &(format!("cd {} && exec {line}", quoted(self.folder)).replace('{', "{{").replace('}', "}}")
+                &(format!("cd {} && {line}", quoted(self.folder)).replace('{', "{{").replace('}', "}}")
                     + rest),
             )
         };
-        let (run, merge) =
-            (line(&self.run, &format!(" --shard {{wildcards.shard}}/{shards}")), line(&self.merge, ""));
+        let run = line(&format!("exec {run}"), &format!(" --shard {{wildcards.shard}}/{shards}"));
+        // Its status is not 0 with void runs, after which Snakemake would remove the tables.
+        let merge = line(&format!("{merge} || [ $? -eq {NOT_VALID} ]"), "");
         let place = json(self.place);
         format!(
             r#"# {summary}.

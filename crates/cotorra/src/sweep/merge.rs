@@ -83,7 +83,7 @@ pub fn merge(args: &MergeArgs) -> miette::Result<ExitCode> {
     }
     let note = if missing.is_empty() { String::new() } else { format!("\n{missing}\n") };
     output::print(&results::describe(&merge.runs, &note, folder.path(), &args.figure))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(results::verdict(&merge.runs))
 }
 
 /// Returns the manifest of the whole sweep, with a shard that has its inputs; `None` if an older cotorra made a shard.

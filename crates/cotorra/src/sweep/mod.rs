@@ -21,6 +21,7 @@ use job_file::{Job, Scheduler};
 use trial::Trial;
 
 use crate::{
+    SOURCES,
     exit::Status,
     origin, output,
     progress::Progress,
@@ -28,7 +29,7 @@ use crate::{
     table::Table,
     temporary::TemporaryFolder,
     testbed_file::{self, FileError},
-    words::count,
+    words::{count, of_them},
 };
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -96,7 +97,7 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path, text: &str) -> miette::Res
         Some(shard) => Journal::open(&place.join(shard.folder())).map(Journal::durable),
         None => Journal::open(place),
     };
-    let folder = folder.map_err(Error::from)?;
+    let folder = folder.map_err(Error::from)?.by(SOURCES);
     if args.fresh {
         folder.clear().map_err(Error::from)?;
     }
@@ -118,9 +119,10 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path, text: &str) -> miette::Res
     match args.shard {
         Some(shard) => {
             let (done, folder) = (runs.done.len(), folder.path().display());
+            let (all, of_them) = (count(runs.total, "run"), of_them(0, runs.void()));
+            let again = &runs.again;
             output::print(&format!(
-                "shard {shard}: {done} of {}\n{stopped}\n{folder}/\n",
-                count(runs.total, "run")
+                "shard {shard}: {done} of {all}{of_them}\n{again}{stopped}\n{folder}/\n"
             ))?;
         }
         None => {
@@ -135,7 +137,12 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path, text: &str) -> miette::Res
             output::print(&results::describe(&runs, stopped, folder.path(), &args.figure))?;
         }
     }
-    Ok(if whole { ExitCode::SUCCESS } else { Status::Interrupted.into() })
+    Ok(match args.shard {
+        _ if !whole => Status::Interrupted.into(),
+        // Its void runs are those of the whole sweep, which merging says, so that schedulers get there.
+        Some(_) => ExitCode::SUCCESS,
+        None => results::verdict(&runs),
+    })
 }
 
 /// Carries the inputs of a sweep into its folder, and notes there how it came to be.
@@ -214,7 +221,7 @@ fn plan(sweep: &Sweep, args: &SweepArgs, place: &Path) -> miette::Result<String>
     }
     table.row(["seeds".to_owned(), args.seeds.to_string()]);
     let again = if fs::exists(place).unwrap_or(false) {
-        "; it exists: the runs that it has are not repeated"
+        "; it exists: the runs that it has are not repeated unless something changed"
     } else {
         ""
     };

@@ -1,19 +1,23 @@
 //! Results of a sweep in the terminal.
 
-use std::{collections::BTreeSet, path::Path};
+use std::{collections::BTreeSet, path::Path, process::ExitCode};
 
 use cotorra_experiments::sweep::{Cell, FILES, Interval, Runs, ServiceCell};
 
-use crate::{figures::FigureArgs, table::Table, words::count};
+use crate::{
+    figures::FigureArgs,
+    table::Table,
+    words::{self, count, of_them},
+};
 
 /// Maximum number of combinations that the terminal lists.
 const LISTED: usize = 40;
 
 /// Describes the results, and lists the files. A note comes between them.
 pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> String {
-    let resumed =
-        if runs.resumed > 0 { format!(", {} of them from before", runs.resumed) } else { String::new() };
-    let mut text = format!("{} of {}{resumed}\n\n", runs.done.len(), count(runs.total, "run"));
+    let (done, all) = (runs.done.len(), count(runs.total, "run"));
+    let void = runs.void();
+    let mut text = format!("{done} of {all}{}\n{}\n", of_them(runs.resumed, void), runs.again);
     let (axes, cells) = (&runs.axes, runs.cells());
     let mut table = Table::new(&("<".repeat(axes.len()) + ">>>>>>>"));
     let heads = ["runs", "median, ms", "p99, ms", "above target, %", "took, s", "blind, m", "at once, m"]
@@ -22,6 +26,12 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
     for cell in cells.iter().take(LISTED) {
         let Cell { values, runs, service_time_p50_ms, service_time_p99_ms, above_target, .. } = cell;
         let Cell { duration_ms, blind_m, longest_blind_m, .. } = cell;
+        if let Some(void) = &cell.void {
+            let cells = ["", "", "", "", ""].map(str::to_owned);
+            let row = values.iter().cloned().chain([runs.to_string(), void.to_string()]);
+            table.row(row.chain(cells));
+            continue;
+        }
         let figures = [
             runs.to_string(),
             interval(*service_time_p50_ms, 1.0),
@@ -39,6 +49,9 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
     }
     text += &services(runs, &cells);
     text += &differences(runs);
+    if void > 0 {
+        text += &format!("\n{}\n", words::logs());
+    }
     text += note;
     let figures = figure.files("sweep");
     text + &format!("\n{}/\n  {}{figures}\n", folder.display(), FILES.join("  "))
@@ -107,6 +120,11 @@ fn differences(runs: &Runs) -> String {
     } else {
         "  Means with 95 % intervals by Student's t; * differs at 5 %, corrected for all rows (Holm).\n"
     }
+}
+
+/// Returns the exit status after a sweep that was not stopped.
+pub fn verdict(runs: &Runs) -> ExitCode {
+    if runs.void() == 0 { ExitCode::SUCCESS } else { Status::NotValid.into() }
 }
 
 fn interval(interval: Option<Interval>, factor: f64) -> String {

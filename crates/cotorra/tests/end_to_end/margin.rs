@@ -243,11 +243,49 @@ fn a_program_that_fails_ends_a_search_with_its_log() {
         assert_eq!(failed.status.code(), Some(1));
         let text = stderr(&failed).replace("\n  │ ", " ");
         assert!(text.contains("plug-in mine: ") && text.contains("its log is in"), "{text}");
-        let runs =
-            fs::read_dir(&folder).unwrap().flatten().map(|entry| entry.path().join("logs/plugin-mine.log"));
-        let logs: Vec<_> = runs.filter_map(|log| fs::read_to_string(log).ok()).collect();
+        // That of the run as it was is in its own folder.
+        let folders = [folder.join("logs"), folder.join("run-as-it-was")];
+        let folders = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten();
+        let logs: Vec<_> =
+            folders.filter_map(|at| fs::read_to_string(at.path().join("plugin-mine.log")).ok()).collect();
         assert_eq!(logs, ["no such luck\n"]);
     }
+}
+
+#[test]
+fn an_edit_of_the_file_the_program_or_the_settings_is_searched_anew() {
+    let out = tempfile::tempdir().unwrap();
+    fs::copy(project_file("examples/strongest_signal.py"), out.path().join("mine.py")).unwrap();
+    let file = with_program(out.path(), "python3, mine.py, '1'");
+    let search = |more: &[&str]| {
+        let mut command =
+            cotorra(["margin", "--headless", "--keep", "0.9", "--singles", "--change", "delay"]);
+        command.args(["--on", "lan-edge", "--most", "8ms", "--resolution", "1ms"]).args(more).arg(&file);
+        let found = command.arg("--out").arg(out.path().join("margin")).output().unwrap();
+        assert!(found.status.success(), "{}", stderr(&found));
+        stdout(&found)
+    };
+    let breaks = || breaks_at(out.path(), "ms", 1.0);
+    let first = search(&[]);
+    let before = breaks();
+    assert!(!first.contains("again") && search(&[]).contains(" of them from before; "), "{first}");
+
+    let text = fs::read_to_string(&file).unwrap();
+    fs::write(&file, text.replace("ends: [lan, edge], delay: 1 ms", "ends: [lan, edge], delay: 3 ms"))
+        .unwrap();
+    let edited = search(&[]);
+    assert!(edited.contains("\nprogram.yaml changed: ") && !edited.contains("from before"), "{edited}");
+    assert_eq!(breaks(), before - 2.0);
+    let set = search(&["--set", "links.lan-edge.delay=1 ms"]);
+    assert!(set.contains("\n--set changed: "), "{set}");
+    assert_eq!(breaks(), before);
+    let until = search(&["--until", "1min"]);
+    assert!(until.contains("\n--until changed: ") || until.contains("\n--until and "), "{until}");
+
+    let program = fs::read_to_string(out.path().join("mine.py")).unwrap();
+    fs::write(out.path().join("mine.py"), program + "\n# Edited.\n").unwrap();
+    let edited = search(&["--until", "1min"]);
+    assert!(edited.contains("\nmine.py changed: ") && !edited.contains("from before"), "{edited}");
 }
 
 #[test]

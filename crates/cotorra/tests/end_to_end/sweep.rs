@@ -3,8 +3,11 @@
 use std::{
     fs,
     io::{BufRead, BufReader},
-    process::{Command, Stdio},
+    path::Path,
+    process::{Command, Output, Stdio},
 };
+
+use tempfile::TempDir;
 
 use crate::harness::{corridor, cotorra, stderr, stdout};
 
@@ -49,4 +52,167 @@ fn a_sweep_stopped_by_ctrl_c_is_resumed() {
     assert!(fs::read_to_string(folder.join("sweep.svg")).unwrap().starts_with("<svg"));
     assert!(fs::read(folder.join("sweep.pdf")).unwrap().starts_with(b"%PDF-1.4"));
     assert!(stdout(&rest).contains("sweep.svg  sweep.pdf\n"), "{}", stdout(&rest));
+}
+
+/// A robot at one radio unit, with a plug-in that is a program, and a bundled one that is not enabled.
+const LAB: &str = "name: lab
+wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
+nodes:
+  robot: { kind: robot, roaming: signal }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [A, edge], delay: 2 ms }
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 15 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: edge }
+walks:
+  robot: { waypoints: [[0, 0], [2, 0]], speed_limit: 0.5 m/s, position_interval: 50 ms }
+plugins:
+  - { bundled: probing, enabled: false }
+  - { id: mine, command: [python3, mine.py] }
+";
+
+/// A plug-in that sets the delay of the link from its own file.
+const PROGRAM: &str = "import json, os
+from urllib import request
+HEADERS = {'Content-Type': 'application/json', 'Authorization': 'Bearer ' + os.environ['COTORRA_TOKEN']}
+def ask(path, body=None):
+    data = None if body is None else json.dumps(body).encode()
+    return request.urlopen(request.Request(os.environ['COTORRA_API'] + '/api/v1/' + path, data, HEADERS))
+first = True
+for line in ask('events?kinds=robot'):
+    if line.startswith(b'id: '):
+        if first:
+            change = {'instruction': 'condition', 'link': 'A-edge', 'change': {'delay_ms': 2}}
+            ask('instructions', {'instruction': change, 'reason': ''})
+        first = False
+        ask('marks/%d' % int(line[4:]), {})
+";
+
+/// Runs the sweep of both plug-ins in a folder.
+fn both(lab: &Path, more: &[&str]) -> Output {
+    let mut command = cotorra(["sweep", "lab.yaml", "--headless", "--set", "plugin=mine,probing"]);
+    command.args(more).current_dir(lab).output().unwrap()
+}
+
+fn lab() -> TempDir {
+    let lab = tempfile::tempdir().unwrap();
+    fs::write(lab.path().join("lab.yaml"), LAB).unwrap();
+    fs::write(lab.path().join("mine.py"), PROGRAM).unwrap();
+    lab
+}
+
+/// Returns a column of a table.
+fn column(table: &Path, name: &str) -> Vec<String> {
+    let table = fs::read_to_string(table).unwrap();
+    let place = table.lines().next().unwrap().split(',').position(|head| head == name).unwrap();
+    table.lines().skip(1).map(|row| row.split(',').nth(place).unwrap().to_owned()).collect()
+}
+
+#[test]
+fn an_edit_of_the_file_the_program_or_the_limit_gives_new_figures_and_says_so() {
+    let lab = lab();
+    // With and without a folder of its own.
+    for out in [&["--out", "out"][..], &[]] {
+        fs::write(lab.path().join("mine.py"), PROGRAM).unwrap();
+        let sweep = |more: &[&str]| {
+            let done = both(lab.path(), &[out, more].concat());
+            assert!(done.status.success(), "{}", stderr(&done));
+            let text = stdout(&done);
+            let folder = text.lines().rev().find_map(|line| line.strip_suffix('/')).unwrap();
+            let medians = column(&Path::new(folder).join("runs.csv"), "service_time_p50_ms");
+            (text, medians.iter().map(|ms| ms.parse::<f64>().unwrap().round()).collect::<Vec<_>>())
+        };
+        let (first, medians) = sweep(&[]);
+        assert!(first.starts_with("2 of 2 runs\n\n"), "{first}");
+        assert_eq!(medians, [6.0, 6.0]);
+        assert!(sweep(&[]).0.starts_with("2 of 2 runs, 2 of them from before\n\n"));
+
+        fs::write(lab.path().join("mine.py"), PROGRAM.replace("'delay_ms': 2", "'delay_ms': 5")).unwrap();
+        let (edited, medians) = sweep(&[]);
+        let said = "2 of 2 runs, 1 of them from before\nmine.py changed: 1 run again\n";
+        assert!(edited.starts_with(said), "{edited}");
+        assert_eq!(medians, [12.0, 6.0]);
+    }
+
+    let out = ["--out", "out"];
+    let table = lab.path().join("out/runs.csv");
+    let took = || column(&table, "duration_ms");
+    let whole = took();
+    let shorter = both(lab.path(), &[&out[..], &["--until", "2s"]].concat());
+    assert!(
+        stdout(&shorter).starts_with("2 of 2 runs\n--until changed: 2 runs again\n"),
+        "{}",
+        stdout(&shorter)
+    );
+    assert_eq!(took(), ["2000", "2000"]);
+    assert_ne!(whole, took());
+
+    fs::write(lab.path().join("lab.yaml"), LAB.replace("delay: 2 ms", "delay: 7 ms")).unwrap();
+    let edited = both(lab.path(), &out);
+    assert!(stdout(&edited).starts_with("2 of 2 runs\n--until and lab.yaml changed: 2 runs again\n"));
+    let medians = column(&table, "service_time_p50_ms");
+    assert!(medians[0].starts_with("12.") && medians[1].starts_with("16."), "{medians:?}");
+}
+
+#[test]
+fn a_plug_in_that_fails_at_its_first_import_makes_its_cell_void() {
+    let lab = lab();
+    let program = "print('starting')\nimport no_such_module\n";
+    fs::write(lab.path().join("mine.py"), program).unwrap();
+    let swept = both(lab.path(), &["--out", "out"]);
+    assert_eq!(swept.status.code(), Some(3), "{}", stderr(&swept));
+    let text = stdout(&swept);
+    let reason = "plug-in mine: its program ended: exit status: 1";
+    assert!(text.starts_with("2 of 2 runs, 1 of them void\n"), "{text}");
+    let cell = text.lines().find(|line| line.trim_start().starts_with("mine ")).unwrap();
+    assert!(cell.contains(&format!("void: {reason}")), "{text}");
+    assert!(text.contains("logs/ has the output of plug-ins"), "{text}");
+    let out = lab.path().join("out");
+    for table in ["runs.csv", "cells.csv", "services.csv", "service_cells.csv", "regions.csv"] {
+        assert_eq!(column(&out.join(table), "void")[0], reason, "{table}");
+    }
+    assert_eq!(column(&out.join("runs.csv"), "service_time_p50_ms")[0], "");
+    let logs: Vec<_> = fs::read_dir(out.join("logs")).unwrap().flatten().collect();
+    let log = fs::read_to_string(logs[0].path().join("plugin-mine.log")).unwrap();
+    assert!(log.contains("starting") && log.contains("No module named 'no_such_module'"), "{log}");
+
+    // With the module that it lacked, it is made again.
+    fs::write(lab.path().join("no_such_module.py"), PROGRAM).unwrap();
+    let mended = both(lab.path(), &["--out", "out"]);
+    assert!(mended.status.success(), "{}", stderr(&mended));
+    let said = "2 of 2 runs, 1 of them from before\nno_such_module.py changed: 1 run again\n";
+    assert!(stdout(&mended).starts_with(said), "{}", stdout(&mended));
+    assert!(!out.join("logs").read_dir().unwrap().any(|_| true), "the log of the void run is gone");
+}
+
+#[test]
+fn a_shard_with_a_void_run_is_merged_as_void() {
+    let lab = lab();
+    fs::write(lab.path().join("mine.py"), "import no_such_module\n").unwrap();
+    for shard in ["1/2", "2/2"] {
+        let done = both(lab.path(), &["--out", "out", "--shard", shard]);
+        assert!(done.status.success(), "{}", stderr(&done));
+    }
+    let merged = cotorra(["sweep", "merge", "out"]).current_dir(lab.path()).output().unwrap();
+    assert_eq!(merged.status.code(), Some(3), "{}", stderr(&merged));
+    assert!(stdout(&merged).contains("void: plug-in mine: its program ended"), "{}", stdout(&merged));
+    assert!(
+        lab.path().join("out/shard-1-of-2/logs").exists()
+            || lab.path().join("out/shard-2-of-2/logs").exists()
+    );
+
+    // One that was edited since is not merged with the other.
+    fs::write(lab.path().join("mine.py"), PROGRAM).unwrap();
+    let done = both(lab.path(), &["--out", "out", "--shard", "1/2"]);
+    assert!(stdout(&done).contains("mine.py changed: 1 run again\n"), "{}", stdout(&done));
+    let refused = cotorra(["sweep", "merge", "out"]).current_dir(lab.path()).output().unwrap();
+    assert_eq!(refused.status.code(), Some(1));
+    let said = stderr(&refused).replace("\n  │ ", " ");
+    assert!(said.contains("they have another mine.py"), "{said}");
 }

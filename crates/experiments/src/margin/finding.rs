@@ -3,6 +3,8 @@
 use cotorra_graph::{NodeId, ServiceId};
 use serde::Serialize;
 
+use crate::{batch::Again, outcome::Void};
+
 /// The result of a search.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Margins {
@@ -21,6 +23,12 @@ pub struct Margins {
     /// Number of these that the journal already had.
     #[serde(skip)]
     pub resumed: usize,
+    /// Runs that the journal had, but not as they are now.
+    #[serde(skip)]
+    pub again: Again,
+    /// Number of void runs.
+    #[serde(rename = "void_runs")]
+    pub void: usize,
 }
 
 /// The share of a service's samples within its target, over all seeds.
@@ -60,4 +68,7 @@ pub struct Finding {
     pub kept: Option<f64>,
     /// Whether the search ended.
     pub complete: bool,
+    /// The reason for which a run was void. The search then ended without a result.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub void: Option<Void>,
 }

@@ -4,8 +4,9 @@ use cotorra_testbed::{FolderError, write_file};
 
 use super::finding::{Finding, Margins};
 use crate::{
-    csv::{push, values},
+    csv::{push, quoted, values},
     journal::Journal,
+    outcome::Void,
 };
 
 /// Files that [`Margins::write`] makes: a row per search, and everything.
@@ -26,7 +27,7 @@ impl Margins {
 
 fn table_of(findings: &[Finding]) -> String {
     let mut text =
-        "change,on,down,complete,breaks,service,survives_ms,breaks_ms,survives_loss,breaks_loss,kept\n"
+        "change,on,down,complete,breaks,service,survives_ms,breaks_ms,survives_loss,breaks_loss,kept,void\n"
             .to_owned();
     for finding in findings {
         let Finding { change, on, down, breaks, survives_ms, breaks_ms, service, kept, complete, .. } =
@@ -43,6 +44,8 @@ fn table_of(findings: &[Finding]) -> String {
         text += &name(service.as_ref().map(ToString::to_string));
         let figures = [*survives_ms, *breaks_ms, finding.survives_loss, finding.breaks_loss, *kept];
         figures.into_iter().for_each(|figure| push(&mut text, figure));
+        text.push(',');
+        text += &quoted(finding.void.as_ref().map(Void::reason).unwrap_or_default());
         text.push('\n');
     }
     text

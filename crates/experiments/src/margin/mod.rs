@@ -19,7 +19,7 @@ use std::{
 };
 
 use cotorra_graph::{NodeId, ServiceId, Testbed, seed};
-use cotorra_testbed::Unrecorded;
+use cotorra_testbed::{Unrecorded, UnrecordedRun};
 
 pub use self::{
     bisection::Grid,
@@ -33,9 +33,11 @@ use self::{
     search::{Search, Verdict},
 };
 use crate::{
-    batch::{self, BatchError},
+    batch::{self, Again, BatchError, Maker, Wanted},
     journal::Journal,
     kept,
+    key::Keys,
+    outcome::Outcome,
 };
 
 /// Longest changed run without an own limit, as a multiple of the unchanged run.
@@ -71,6 +73,7 @@ pub struct Options {
 pub struct Margin {
     testbed: Arc<Testbed>,
     text: String,
+    keys: Keys,
     services: Vec<ServiceId>,
     options: Options,
     dimensions: Vec<Dimension>,
@@ -93,6 +96,8 @@ struct Runs<'a> {
     go_on: &'a mut dyn FnMut(usize, usize) -> bool,
     done: usize,
     resumed: usize,
+    again: Again,
+    void: usize,
     /// For each seed, the limit of a changed run, and whether the unchanged one ended its walks.
     limits: Vec<(Option<Duration>, bool)>,
     /// The services whose targets count, and have samples in unchanged runs.
@@ -100,11 +105,11 @@ struct Runs<'a> {
 }
 
 impl Margin {
-    /// Prepares a search on the testbed of a file with this text.
+    /// Prepares a search on the testbed of a file with this path and text.
     ///
     /// # Errors
     /// [`MarginError`] if a name is unknown, or nothing can be changed.
-    pub fn new(testbed: Testbed, text: String, options: Options) -> Result<Self, MarginError> {
+    pub fn new(path: &str, testbed: Testbed, text: String, options: Options) -> Result<Self, MarginError> {
         let services = kept::services(&testbed, &options.services)?;
         let of = |kind| options.kinds.contains(&kind);
         let graph = &testbed.graph;
@@ -142,7 +147,8 @@ impl Margin {
         if testbed.script.replay.is_some() && dimensions.iter().any(sets_links) {
             return Err(MarginError::Replay);
         }
-        Ok(Self { testbed: Arc::new(testbed), text, services, options, dimensions, units })
+        let (testbed, keys) = (Arc::new(testbed), Keys::new(path));
+        Ok(Self { testbed, text, keys, services, options, dimensions, units })
     }
 
     /// Returns the services whose targets count.
@@ -189,7 +195,7 @@ impl Margin {
         self.dimensions.iter().filter(move |dimension| self.options.pairs && is_delay(dimension))
     }
 
-    /// Searches, with `jobs` runs at a time. Runs that the journal has are not repeated. Calls `go_on` with the numbers of
+    /// Searches, with `jobs` runs at a time. Runs that the journal has with the same key are not repeated. Calls `go_on` with the numbers of
     /// finished and of known runs, at the beginning and after each run; `false` stops the search.
     ///
     /// # Errors
@@ -200,8 +206,17 @@ impl Margin {
         jobs: NonZero<usize>,
         mut go_on: impl FnMut(usize, usize) -> bool,
     ) -> Result<Margins, MarginError> {
-        let (limits, services) = (Vec::new(), self.services.clone());
-        let mut runs = Runs { journal, jobs, go_on: &mut go_on, done: 0, resumed: 0, limits, services };
+        let mut runs = Runs {
+            journal,
+            jobs,
+            go_on: &mut go_on,
+            done: 0,
+            resumed: 0,
+            again: Again::default(),
+            void: 0,
+            limits: Vec::new(),
+            services: self.services.clone(),
+        };
         let mut margins = Margins {
             keep: self.options.keep,
             seeds: self.options.seeds,
@@ -210,8 +225,11 @@ impl Margin {
             complete: false,
             runs: 0,
             resumed: 0,
+            again: Again::default(),
+            void: 0,
         };
-        if let Some(unchanged) = self.measure(&mut runs, &[Change::default()])?.into_iter().flatten().next() {
+        let unchanged = self.measure(&mut runs, &[Change::default()])?.into_iter().flatten().next();
+        if let Some(unchanged) = unchanged.map(|outcomes| self.sound(journal, outcomes)).transpose()? {
             margins.unchanged = self.check(&unchanged)?;
             let limit = |run: &Measured| {
                 let twice = || Duration::from_secs_f64(run.duration_ms * LONGEST / 1e3);
@@ -226,7 +244,8 @@ impl Margin {
                 self.dimensions.iter().map(worse).chain(self.units.iter().map(down)).collect();
             margins.complete = self.search(&mut runs, &mut searches)?;
             if margins.complete {
-                let survived = searches.iter().filter(|search| search.broken.is_none());
+                let survived =
+                    searches.iter().filter(|search| search.broken.is_none() && search.void.is_none());
                 let survived = survived.filter(|search| search.dimension.is_none());
                 let survived: Vec<_> = survived.filter_map(|search| search.down.clone()).collect();
                 let pairs = survived.iter().flat_map(|unit| self.paired().map(move |of| (unit, of)));
@@ -239,7 +258,23 @@ impl Margin {
             margins.findings = searches.iter().map(Search::finding).collect();
         }
         (margins.runs, margins.resumed) = (runs.done, runs.resumed);
+        (margins.again, margins.void) = (runs.again, runs.void);
         Ok(margins)
+    }
+
+    /// Returns the results of runs without changes, which nothing can be found without.
+    fn sound(
+        &self,
+        journal: &Journal,
+        outcomes: Vec<Outcome<Measured>>,
+    ) -> Result<Vec<Measured>, MarginError> {
+        let sound = |(place, outcome): (usize, Outcome<Measured>)| match outcome {
+            Outcome::Measured(measured) => Ok(measured),
+            Outcome::Void(void) => {
+                Err(BatchError::void_in(journal, &self.name(&Change::default(), place), &void).into())
+            }
+        };
+        outcomes.into_iter().enumerate().map(sound).collect()
     }
 
     /// Searches to the end; returns false if it was stopped before. All searches make their next test at the same time.
@@ -256,7 +291,14 @@ impl Margin {
             let mut is_complete = true;
             for (place, measured) in places.into_iter().zip(self.measure(runs, &changes)?) {
                 match measured {
-                    Some(measured) => searches[place].learn(self.verdict(&measured, runs)),
+                    Some(outcomes) => match outcomes.iter().find_map(|outcome| outcome.void()) {
+                        Some(void) => searches[place].void = Some(void.clone()),
+                        None => {
+                            let measured: Vec<_> =
+                                outcomes.into_iter().filter_map(Outcome::into_measured).collect();
+                            searches[place].learn(self.verdict(&measured, runs));
+                        }
+                    },
                     None => is_complete = false,
                 }
             }
@@ -271,32 +313,50 @@ impl Margin {
         &self,
         runs: &mut Runs<'_>,
         changes: &[Change],
-    ) -> Result<Vec<Option<Vec<Measured>>>, MarginError> {
+    ) -> Result<Vec<Option<Vec<Outcome<Measured>>>>, MarginError> {
         let seeds = self.options.seeds as usize;
-        let seed = |place: usize| self.options.seed.wrapping_add((place % seeds) as u64);
-        let name = |place: usize| format!("{} seed={}", changes[place / seeds], seed(place));
-        let names: Vec<_> = (0..changes.len() * seeds).map(name).collect();
+        let key = self.keys.key(runs.journal.version(), &self.testbed, &self.text, self.options.until);
+        let want = |place: usize| Wanted {
+            name: self.name(&changes[place / seeds], place % seeds),
+            key: key.clone(),
+        };
+        let wanted: Vec<_> = (0..changes.len() * seeds).map(want).collect();
+        let maker = Maker { journal: runs.journal, keys: &self.keys };
         let limits = &runs.limits;
         let measure = |place: usize, stop: &AtomicBool| {
             let mut testbed = Testbed::clone(&self.testbed);
             let altered = changes[place / seeds].apply(&mut testbed);
             let until = limits.get(place % seeds).map_or(self.options.until, |(until, _)| *until);
             let folder = runs.journal.path().join(format!("run-{place}"));
-            let run =
-                Unrecorded { seed: seed(place), until, altered: &altered, folder: &folder, text: &self.text };
+            let seed = self.seed(place % seeds);
+            let run = Unrecorded { seed, until, altered: &altered, folder: &folder, text: &self.text };
             let go_on = || !stop.load(Ordering::Relaxed);
-            let ended = batch::sound(Arc::new(testbed), &run, &names[place], |_| {}, go_on)?;
-            Ok::<_, BatchError>(ended.map(|ended| Measured::of(&ended.summary)))
+            let outcome = maker.make(&wanted[place], Arc::new(testbed), &run, |_| {}, go_on)?;
+            let measured = |ended: UnrecordedRun| Measured::of(&ended.summary);
+            Ok::<_, BatchError>(outcome.map(|outcome| outcome.map(measured)))
         };
-        let (before, total, go_on) = (runs.done, runs.done + names.len(), &mut runs.go_on);
-        let batch = batch::run(runs.journal, runs.jobs, &names, measure, |done| go_on(before + done, total))?;
+        let (before, total, go_on) = (runs.done, runs.done + wanted.len(), &mut runs.go_on);
+        let named = (&wanted[..], self.keys.file());
+        let batch = batch::run(runs.journal, runs.jobs, named, measure, |done| go_on(before + done, total))?;
         runs.done += batch.done.iter().flatten().count();
+        runs.void += batch.done.iter().flatten().filter(|outcome| outcome.void().is_some()).count();
         runs.resumed += batch.resumed;
+        runs.again.add(batch.again);
         let mut done = batch.done.into_iter();
         Ok(changes
             .iter()
             .map(|_| done.by_ref().take(seeds).collect::<Vec<_>>().into_iter().collect())
             .collect())
+    }
+
+    /// Returns the seed of a run, counted from 0.
+    fn seed(&self, place: usize) -> u64 {
+        self.options.seed.wrapping_add(place as u64)
+    }
+
+    /// Returns the name of a run.
+    fn name(&self, change: &Change, place: usize) -> String {
+        format!("{change} seed={}", self.seed(place))
     }
 
     /// Returns the services' shares over these runs.

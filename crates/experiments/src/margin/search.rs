@@ -7,6 +7,7 @@ use super::{
     change::{Change, Dimension, Kind, LOSS_UNITS},
     finding::{Finding, ServiceKept},
 };
+use crate::outcome::Void;
 
 /// One search.
 pub(super) struct Search {
@@ -15,15 +16,20 @@ pub(super) struct Search {
     bisection: Bisection,
     /// The verdict at the smallest amount that broke the target so far.
     pub(super) broken: Option<Verdict>,
+    /// The reason for which a run was void, which ends the search.
+    pub(super) void: Option<Void>,
 }
 
 impl Search {
     pub(super) fn new(dimension: Option<Dimension>, down: Option<NodeId>, grid: Grid) -> Self {
-        Self { dimension, down, bisection: Bisection::new(grid), broken: None }
+        Self { dimension, down, bisection: Bisection::new(grid), broken: None, void: None }
     }
 
     /// Returns the next change to test; `None` at the end.
     pub(super) fn next(&self) -> Option<Change> {
+        if self.void.is_some() {
+            return None;
+        }
         let amount = self.bisection.next()?;
         let worse = self.dimension.clone().map(|dimension| (dimension, amount));
         Some(Change { worse, down: self.down.clone() })
@@ -37,6 +43,7 @@ impl Search {
     }
 
     pub(super) fn finding(&self) -> Finding {
+        let is_void = self.void.is_some();
         let first = self.broken.as_ref().and_then(|verdict| verdict.first.clone());
         let (service, kept) = first.map_or((None, None), |its| (Some(its.service), its.kept));
         let survives = self.bisection.survived() as f64;
@@ -46,6 +53,7 @@ impl Search {
         let in_share = || [Some(survives / units), breaks.map(|breaks| breaks / units)];
         let kind = self.dimension.as_ref().map_or(Kind::Down, Dimension::kind);
         let ([survives_ms, breaks_ms], [survives_loss, breaks_loss]) = match kind {
+            _ if is_void => (none, none),
             Kind::Down => (none, none),
             Kind::Loss => (none, in_share()),
             Kind::Delay | Kind::Answers => (in_ms(), none),
@@ -54,14 +62,15 @@ impl Search {
             change: kind.name(),
             on: self.dimension.as_ref().map(|dimension| dimension.on().to_owned()),
             down: self.down.clone(),
-            breaks: breaks.is_some(),
+            breaks: breaks.is_some() && !is_void,
             survives_ms,
             breaks_ms,
             survives_loss,
             breaks_loss,
-            service,
-            kept,
-            complete: self.bisection.next().is_none(),
+            service: service.filter(|_| !is_void),
+            kept: kept.filter(|_| !is_void),
+            complete: !is_void && self.bisection.next().is_none(),
+            void: self.void.clone(),
         }
     }
 }

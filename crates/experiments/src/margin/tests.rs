@@ -45,7 +45,8 @@ fn options(kinds: &[Kind]) -> Options {
 
 fn margin(text: &str, options: Options) -> Margin {
     let testbed = cotorra_testbed_file::parse("lab.yaml", text, Path::new(""));
-    Margin::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), text.to_owned(), options).unwrap()
+    let testbed = testbed.unwrap_or_else(|wrong| panic!("{wrong}"));
+    Margin::new("lab.yaml", testbed, text.to_owned(), options).unwrap()
 }
 
 fn run(margin: &Margin) -> Margins {
@@ -77,7 +78,8 @@ fn a_margin_is_where_a_sweep_over_the_same_axis_breaks() {
     let sweep = Sweep::new("lab.yaml", LAB.to_owned(), Path::new("")).axis(axis.parse().unwrap());
     let out = tempfile::tempdir().unwrap();
     let runs = sweep.run(&Journal::open(out.path()).unwrap(), JOBS, |_, _| true).unwrap();
-    let above: Vec<_> = runs.done.iter().map(|done| done.measured.above_target.unwrap()).collect();
+    let above: Vec<_> =
+        runs.done.iter().map(|done| done.outcome.measured().unwrap().above_target.unwrap()).collect();
     assert!(above[0] <= 0.1 && above[1] > 0.1, "{above:?}");
     assert_eq!(margins.findings[0].kept, Some(1.0 - above[1]));
 }
@@ -137,10 +139,10 @@ fn localization_counts_by_name_and_has_a_margin_of_its_own() {
         delays: Grid::new(200_000_000, 5_000_000).unwrap(),
         ..options(&[Kind::Delay])
     };
-    let all = Margin::new(testbed.clone(), text.clone(), options.clone()).unwrap();
+    let all = Margin::new("corridor.yaml", testbed.clone(), text.clone(), options.clone()).unwrap();
     assert_eq!(all.services().iter().map(ServiceId::as_str).collect::<Vec<_>>(), ["navigation"]);
     let named = Options { services: vec!["localization".into()], ..options };
-    let margins = run(&Margin::new(testbed, text, named).unwrap());
+    let margins = run(&Margin::new("corridor.yaml", testbed, text, named).unwrap());
     assert!(margins.unchanged[0].samples > 8 && margins.unchanged[0].kept == Some(1.0), "{margins:?}");
     let finding = of(&margins, Kind::Delay, Some("R1-edge"), None);
     assert_eq!(finding.service.as_ref().map(ServiceId::as_str), Some("localization"));
@@ -192,10 +194,69 @@ fn a_target_that_is_broken_before_has_no_margin() {
 fn unknown_names_list_the_known_ones() {
     let prepare = |options| {
         let testbed = cotorra_testbed_file::parse("lab.yaml", LAB, Path::new("")).unwrap();
-        Margin::new(testbed, LAB.to_owned(), options).unwrap_err().to_string()
+        Margin::new("lab.yaml", testbed, LAB.to_owned(), options).unwrap_err().to_string()
     };
     let wrong = prepare(Options { services: vec!["x".into()], ..options(&[Kind::Delay]) });
     assert_eq!(wrong, "there is no service `x` in the testbed file; its services: navigation");
     let wrong = prepare(Options { on: vec!["x".into()], ..options(&[Kind::Delay]) });
     assert!(wrong.starts_with("`x` is no link") && wrong.ends_with("lan-A, lan-B, lan-edge, w"), "{wrong}");
+}
+
+/// A plug-in that is a program.
+const PROGRAM: &str = "plugins:\n  - { id: mine, command: [sh, mine.sh] }\n";
+
+#[test]
+fn a_search_is_made_again_if_the_testbed_or_the_limit_changes() {
+    let out = tempfile::tempdir().unwrap();
+    let journal = Journal::open(out.path()).unwrap();
+    let options = Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) };
+    let search = |text: &str, options: &Options| {
+        margin(text, options.clone()).run(&journal, JOBS, |_, _| true).unwrap()
+    };
+    let first = search(LAB, &options);
+    assert_eq!((first.resumed, first.again.to_string()), (0, String::new()));
+    let same = search(&LAB.replace("name: lab", "name: lab # the same"), &options);
+    assert_eq!((same.resumed, &same.findings), (first.runs, &first.findings));
+
+    let slower = search(&LAB.replace("delay: 2 ms", "delay: 3 ms"), &options);
+    let breaks = |margins: &Margins| margins.findings[0].breaks_ms.unwrap();
+    assert!((breaks(&first) - breaks(&slower) - 1.0).abs() < 0.05, "{slower:?}");
+    assert_eq!(slower.resumed, 0);
+    assert!(slower.again.to_string().starts_with("lab.yaml changed: "), "{}", slower.again);
+
+    let until = Options { until: Some(Duration::from_secs(4)), ..options.clone() };
+    let shorter = search(LAB, &until);
+    assert!(
+        shorter.resumed == 0 && shorter.again.to_string().starts_with("--until changed: "),
+        "{shorter:?}"
+    );
+    // What it had before is there, too.
+    assert_eq!(search(LAB, &options).resumed, first.runs);
+}
+
+#[test]
+fn a_search_without_its_plug_in_finds_nothing() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("mine.sh"), "echo I am gone; exit 1\n").unwrap();
+    let text = format!("{LAB}{PROGRAM}");
+    let testbed = cotorra_testbed_file::parse("lab.yaml", &text, place.path()).unwrap();
+    let margin = Margin::new("lab.yaml", testbed, text, options(&[Kind::Down])).unwrap();
+    let journal = Journal::open(&place.path().join("out")).unwrap();
+    let error = margin.run(&journal, JOBS, |_, _| true).unwrap_err().to_string();
+    assert!(error.contains("plug-in mine: ") && error.contains("its log is in "), "{error}");
+    let logs: Vec<_> = fs::read_dir(journal.path().join("logs")).unwrap().flatten().collect();
+    let log = fs::read_to_string(logs[0].path().join("plugin-mine.log")).unwrap();
+    assert_eq!((logs.len(), log.as_str()), (1, "I am gone\n"));
+}
+
+#[test]
+fn a_search_that_meets_a_void_run_ends_without_a_result() {
+    let grid = Grid::new(8, 1).unwrap();
+    let mut search = Search::new(Some(Dimension::Delay("lan-edge".parse().unwrap())), None, grid);
+    search.learn(Verdict { breaks: true, first: None });
+    search.void = Some(serde_json::from_str("\"plug-in mine: ended\"").unwrap());
+    assert_eq!(search.next(), None);
+    let finding = search.finding();
+    assert!(!finding.breaks && !finding.complete && finding.void.is_some(), "{finding:?}");
+    assert_eq!((finding.survives_ms, finding.breaks_ms, finding.kept), (None, None, None));
 }

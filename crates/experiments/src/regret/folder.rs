@@ -4,7 +4,7 @@ use cotorra_testbed::{FolderError, write_file};
 
 use super::{Examined, Regrets};
 use crate::{
-    csv::{push, values},
+    csv::{push, quoted, values},
     journal::Journal,
 };
 
@@ -27,14 +27,15 @@ impl Regrets {
 fn table_of(examined: &[Examined]) -> String {
     let mut text =
         "decision,at_ns,plugin,subject,target,chosen,walked,refused,samples,kept,service_time_p50_ms,\
-                    regret_kept,regret_ms,regret_cost,late_samples,cost,migrations,handovers,seed\n"
+                    regret_kept,regret_ms,regret_cost,late_samples,cost,migrations,handovers,seed,void\n"
             .to_owned();
     for Examined { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost } in examined {
-        let own = (decided.chosen(), true, Some(stood), None, [*regret_kept, *regret_ms, *regret_cost]);
+        let own = (decided.chosen(), true, Some(stood), [None, None], [*regret_kept, *regret_ms, *regret_cost]);
         let others = tried.iter().map(|tried| {
-            (tried.target.clone(), false, tried.stood.as_ref(), tried.refused.clone(), [None; 3])
+            let without = [tried.refused.clone(), tried.void.as_ref().map(|void| void.reason().to_owned())];
+            (tried.target.clone(), false, tried.stood.as_ref(), without, [None; 3])
         });
-        for (target, chosen, stood, refused, regrets) in std::iter::once(own).chain(others) {
+        for (target, chosen, stood, [refused, void], regrets) in std::iter::once(own).chain(others) {
             let names = [
                 decided.number.to_string(),
                 decided.at.as_nanos().to_string(),
@@ -55,7 +56,9 @@ fn table_of(examined: &[Examined]) -> String {
             push(&mut text, stood.and_then(|stood| stood.cost));
             push(&mut text, stood.and_then(|stood| count(stood.migrations)));
             push(&mut text, stood.and_then(|stood| count(stood.handovers)));
-            text += &format!(",{seed}\n");
+            text += &format!(",{seed},");
+            text += &quoted(&void.unwrap_or_default());
+            text.push('\n');
         }
     }
     text

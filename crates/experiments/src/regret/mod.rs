@@ -28,9 +28,11 @@ pub use self::{
 };
 pub use crate::kept::UnknownService;
 use crate::{
-    batch::{self, BatchError},
+    batch::{self, Again, Batch, BatchError, Maker, Wanted},
     journal::Journal,
     kept,
+    key::Keys,
+    outcome::{Outcome, Void},
 };
 
 /// Longest run with an alternative and without an own limit, as a multiple of the run as it was.
@@ -41,6 +43,7 @@ const LONGEST: u32 = 2;
 pub struct Regret {
     testbed: Arc<Testbed>,
     text: String,
+    keys: Keys,
     services: Vec<ServiceId>,
     seed: u64,
     seeds: u32,
@@ -119,10 +122,13 @@ pub struct Tried {
     pub target: String,
     /// Whether the alternative left everything as it was.
     pub stays: bool,
-    /// The samples; `None` if the alternative was rejected.
+    /// The samples; `None` if the alternative was rejected, or the run is void.
     pub stood: Option<Stood>,
     /// Reason for which the alternative was rejected.
     pub refused: Option<String>,
+    /// Reason for which the run is void.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub void: Option<Void>,
 }
 
 /// A decision beside its alternatives.
@@ -163,23 +169,29 @@ pub struct Regrets {
     /// Number of these that the journal already had.
     #[serde(skip)]
     pub resumed: usize,
+    /// Runs that the journal had, but not as they are now.
+    #[serde(skip)]
+    pub again: Again,
+    /// Number of void runs.
+    #[serde(rename = "void_runs")]
+    pub void: usize,
 }
 
 impl Regret {
-    /// Prepares a run with that seed on the testbed of a file with this text. Without names, the samples of all services
+    /// Prepares a run with that seed on the testbed of a file, which is given by its path, itself and its text. Without names, the samples of all services
     /// count but those that localize.
     ///
     /// # Errors
     /// [`UnknownService`].
     pub fn new(
-        testbed: Testbed,
-        text: String,
+        (path, testbed, text): (&str, Testbed, String),
         services: &[String],
         seed: u64,
         until: Option<Duration>,
     ) -> Result<Self, UnknownService> {
         let services = kept::services(&testbed, services)?;
-        Ok(Self { testbed: Arc::new(testbed), text, services, seed, seeds: 1, until, hold: None })
+        let (testbed, keys) = (Arc::new(testbed), Keys::new(path));
+        Ok(Self { testbed, text, keys, services, seed, seeds: 1, until, hold: None })
     }
 
     /// Examines runs with this many seeds, counted up from the first.
@@ -239,7 +251,7 @@ impl Regret {
 
     /// Runs the alternatives of a decision of the first run, or of all without a number, with `jobs` runs at a time. With
     /// several seeds, the others' decisions are those of the same plug-in for the same robot or VNF and target, for the same
-    /// time in their run. Runs that the journal has are not repeated. Calls `go_on` with the numbers of finished and of all
+    /// time in their run. Runs that the journal has with the same key are not repeated. Calls `go_on` with the numbers of finished and of all
     /// runs, at the beginning and after each run; `false` stops.
     ///
     /// # Errors
@@ -266,13 +278,16 @@ impl Regret {
         let services: Vec<_> = self.services.iter().map(ToString::to_string).collect();
         let name = |(run, decided, alternative): &(&Recorded, &Decided, &Alternative)| {
             let (number, subject, target) = (decided.number, decided.subject(), &alternative.target);
-            let (hold, services) = (end(decided).as_nanos(), services.join(","));
+            let (at, hold, services) = (decided.at.as_nanos(), end(decided).as_nanos(), services.join(","));
             format!(
-                "decision {number}: {subject} to {target} hold_ns={hold} kpi={services} seed={}",
+                "decision {number}: {subject} to {target} at_ns={at} hold_ns={hold} kpi={services} seed={}",
                 run.seed
             )
         };
-        let names: Vec<_> = tries.iter().map(name).collect();
+        let key = self.keys.key(journal.version(), &self.testbed, &self.text, self.until);
+        let want = |tried| Wanted { name: name(tried), key: key.clone() };
+        let wanted: Vec<_> = tries.iter().map(want).collect();
+        let maker = Maker { journal, keys: &self.keys };
         let fork = |place: usize, stop: &AtomicBool| {
             let (run, decided, alternative) = tries[place];
             let fork = Fork {
@@ -283,10 +298,11 @@ impl Regret {
                 hold: end(decided),
             };
             let folder = journal.path().join(format!("run-{place}"));
-            self.fork(run, fork, &names[place], &folder, stop)
+            self.fork(run, fork, (maker, &wanted[place]), &folder, stop)
         };
-        let total = names.len();
-        let batch = batch::run(journal, jobs, &names, fork, |done| go_on(done, total))?;
+        let total = wanted.len();
+        let batch = batch::run(journal, jobs, (&wanted, self.keys.file()), fork, |done| go_on(done, total))?;
+        let void = batch.done.iter().flatten().filter(|outcome| outcome.void().is_some()).count();
         let complete = batch.done.iter().all(Option::is_some);
         let runs = batch.done.iter().flatten().count();
         let mut forked = batch.done.into_iter();
@@ -296,9 +312,15 @@ impl Regret {
                 let stood = self.stood(&run.samples, &run.taken, decided.at, run.duration, run.walked);
                 let done = decided.alternatives.iter().zip(forked.by_ref());
                 let tried = done.filter_map(|(alternative, forked)| {
-                    let Forked { stood, refused } = forked?;
                     let (target, stays) = (alternative.target.clone(), alternative.instead.is_none());
-                    Some(Tried { target, stays, stood: refused.is_none().then_some(stood), refused })
+                    let tried = Tried { target, stays, stood: None, refused: None, void: None };
+                    Some(match forked? {
+                        Outcome::Void(void) => Tried { void: Some(void), ..tried },
+                        Outcome::Measured(Forked { stood, refused: None }) => {
+                            Tried { stood: Some(stood), ..tried }
+                        }
+                        Outcome::Measured(Forked { refused, .. }) => Tried { refused, ..tried },
+                    })
                 });
                 Examined::of(run.seed, (*decided).clone(), stood, tried.collect())
             })
@@ -309,8 +331,9 @@ impl Regret {
         };
         let services = self.services.iter().filter(|service| has_samples(service)).cloned().collect();
         let compared = if self.seeds > 1 { Compared::all(&examined) } else { Vec::new() };
-        let (seed, seeds, resumed) = (self.seed, self.seeds, batch.resumed);
-        Ok(Regrets { seed, seeds, services, examined, compared, complete, runs, resumed })
+        let (seed, seeds) = (self.seed, self.seeds);
+        let Batch { resumed, again, .. } = batch;
+        Ok(Regrets { seed, seeds, services, examined, compared, complete, runs, resumed, again, void })
     }
 
     /// Repeats the run with a fork; returns `None` if it was stopped before its end.
@@ -318,10 +341,10 @@ impl Regret {
         &self,
         recorded: &Recorded,
         fork: Fork,
-        name: &str,
+        (maker, wanted): (Maker<'_>, &Wanted),
         folder: &Path,
         stop: &AtomicBool,
-    ) -> Result<Option<Forked>, RegretError> {
+    ) -> Result<Option<Outcome<Forked>>, RegretError> {
         let (at, altered) = (fork.at, Altered { fork: Some(fork), ..Altered::default() });
         let until = self.until.unwrap_or(recorded.duration * LONGEST);
         let mut observer = Observer::new(&self.testbed);
@@ -330,12 +353,17 @@ impl Regret {
         let testbed = Arc::clone(&self.testbed);
         let (until, altered, text) = (Some(until), &altered, self.text.as_str());
         let run = Unrecorded { seed: recorded.seed, until, altered, folder, text };
-        let Some(ended) = batch::sound(testbed, &run, name, see, go_on)? else { return Ok(None) };
-        let outcome = ended.forked.ok_or_else(|| RegretError::NotRepeated(name.to_owned()))?;
+        let ended = match maker.make(wanted, testbed, &run, see, go_on)? {
+            None => return Ok(None),
+            Some(Outcome::Void(void)) => return Ok(Some(Outcome::Void(void))),
+            Some(Outcome::Measured(ended)) => ended,
+        };
+        let outcome = ended.forked.ok_or_else(|| RegretError::NotRepeated(wanted.name.clone()))?;
         let duration = Duration::from_secs_f64(ended.summary.duration_ms / 1e3);
         let walked = ended.summary.is_walked();
         let stood = self.stood(&observer.samples, &observer.taken, at, duration, walked);
-        Ok(Some(Forked { stood, refused: outcome.err().map(|reason| reason.to_string()) }))
+        let refused = outcome.err().map(|reason| reason.to_string());
+        Ok(Some(Outcome::Measured(Forked { stood, refused })))
     }
 
     /// Summarizes the samples that were sent from a moment on, and what that took.
@@ -385,7 +413,8 @@ impl Examined {
             a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
         });
         let (mut regret_kept, mut regret_ms, mut regret_cost) = (None, None, None);
-        if let Some(best) = best {
+        // A void alternative may be the best one.
+        if let Some(best) = best.filter(|_| tried.iter().all(|tried| tried.void.is_none())) {
             regret_kept = best.kept.zip(stood.kept).map(|(best, own)| best - own);
             regret_ms = stood.service_time_p50_ms.zip(best.service_time_p50_ms).map(|(own, best)| own - best);
             regret_cost = stood.cost.zip(best.cost).map(|(own, best)| own - best);

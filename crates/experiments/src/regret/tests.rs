@@ -31,7 +31,8 @@ plugins:
 fn regret(delay: &str) -> Regret {
     let text = LAB.replace("DELAY", delay);
     let testbed = cotorra_testbed_file::parse("lab.yaml", &text, Path::new(""));
-    Regret::new(testbed.unwrap_or_else(|wrong| panic!("{wrong}")), text, &[], 1, None).unwrap()
+    let testbed = testbed.unwrap_or_else(|wrong| panic!("{wrong}"));
+    Regret::new(("lab.yaml", testbed, text), &[], 1, None).unwrap()
 }
 
 fn examine(regret: &Regret, out: &Path) -> Regrets {
@@ -122,6 +123,12 @@ fn examined_decisions_are_resumed_and_end_with_the_same_bytes() {
     assert_eq!(examine("stopped", true).1, bytes);
     assert_eq!(examine("stopped", true).0.resumed, 1);
     assert!(bytes[0].lines().nth(1).unwrap().contains(",probing,robot,B,true,true,,"), "{}", bytes[0]);
+    // Another file is another run, although the decision has the same name.
+    let other = self::regret("9 ms");
+    let recorded_there = other.record(Path::new(""), || true).unwrap().unwrap();
+    let there = Journal::open(&out.path().join("stopped")).unwrap();
+    let again = other.examine(&recorded_there, None, &there, JOBS, |_, _| true).unwrap();
+    assert_eq!((again.resumed, again.again.to_string()), (0, "lab.yaml changed: 1 run again\n".to_owned()));
     let beyond = NonZero::new(2);
     let journal = Journal::open(&out.path().join("whole")).unwrap();
     let wrong = regret.examine(&recorded, beyond, &journal, JOBS, |_, _| true).unwrap_err();
@@ -129,4 +136,15 @@ fn examined_decisions_are_resumed_and_end_with_the_same_bytes() {
         wrong.to_string(),
         "the run has no decision 2: its plug-ins made 1 about attachments and placements"
     );
+}
+
+#[test]
+fn a_regret_beside_a_void_run_is_unknown() {
+    let out = tempfile::tempdir().unwrap();
+    let examined = examine(&regret("10 ms"), out.path()).examined.remove(0);
+    let Examined { decided, stood, mut tried, .. } = examined;
+    let void = serde_json::from_str("\"plug-in mine: ended\"").unwrap();
+    tried.push(Tried { target: "C".into(), stays: false, stood: None, refused: None, void: Some(void) });
+    let examined = Examined::of(decided, stood, tried);
+    assert_eq!((examined.regret_kept, examined.regret_ms), (None, None));
 }

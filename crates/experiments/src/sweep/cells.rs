@@ -5,14 +5,17 @@ use cotorra_numbers::{self as numbers, FEWEST, Mean, share_over_runs};
 use serde::Serialize;
 
 use super::measured::{Measured, MeasuredService};
+use crate::outcome::{Outcome, Void};
 
-/// A combination of values, and the statistics over its runs.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// A combination of values, and the statistics over its runs. If any of them is void, so is the cell: it has no figures.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Cell {
     /// One value per axis.
     pub values: Vec<String>,
     /// Number of runs.
     pub runs: usize,
+    /// The reason for which the first void run is, if there is one.
+    pub void: Option<Void>,
     /// The runs' median service times, ms.
     pub service_time_p50_ms: Option<Interval>,
     /// The runs' 95th percentiles of the service time, ms.
@@ -104,13 +107,20 @@ impl Interval {
 }
 
 impl Cell {
-    pub(crate) fn of(values: Vec<String>, runs: &[&Measured]) -> Self {
+    pub(crate) fn of(values: Vec<String>, outcomes: &[&Outcome<Measured>]) -> Self {
+        let mut void = outcomes.iter().filter_map(|outcome| outcome.void());
+        if let Some(first) = void.next() {
+            let (runs, number) = (outcomes.len(), 1 + void.count());
+            return Self { values, runs, void: Some(first.among(number, runs)), ..Self::default() };
+        }
+        let runs: Vec<_> = outcomes.iter().filter_map(|outcome| outcome.measured()).collect();
         let over = |figure: fn(&Measured) -> Option<f64>| {
             Interval::of(&runs.iter().filter_map(|run| figure(run)).collect::<Vec<_>>())
         };
         Self {
             values,
             runs: runs.len(),
+            void: None,
             service_time_p50_ms: over(|run| run.service_time_p50_ms),
             service_time_p95_ms: over(|run| run.service_time_p95_ms),
             service_time_p99_ms: over(|run| run.service_time_p99_ms),
@@ -119,7 +129,7 @@ impl Cell {
             duration_ms: over(|run| Some(run.duration_ms)),
             blind_m: over(|run| Some(run.blind_m)),
             longest_blind_m: over(|run| Some(run.longest_blind_m)),
-            services: ServiceCell::all(runs),
+            services: ServiceCell::all(&runs),
         }
     }
 
@@ -209,6 +219,16 @@ mod tests {
     }
 
     #[test]
+    fn a_cell_with_a_void_run_has_no_figures() {
+        let void: Outcome<Measured> = serde_json::from_str(r#"{"void":"plug-in x: ended"}"#).unwrap();
+        let measured = Outcome::Measured(Measured { above_target: Some(0.5), ..Measured::default() });
+        let cell = Cell::of(Vec::new(), &[&measured, &void, &measured]);
+        assert_eq!(cell.void.unwrap().to_string(), "void: plug-in x: ended (1 of 3 runs)");
+        assert_eq!((cell.runs, cell.above_target, cell.handovers, cell.duration_ms), (3, None, None, None));
+        assert!(Cell::of(Vec::new(), &[&measured]).above_target.is_some());
+    }
+
+    #[test]
     fn intervals_are_written_with_half_their_width() {
         let interval = Interval { n: 5, mean: 0.125, low: Some(0.12), high: Some(0.13) };
         assert_eq!(interval.times(100.0), "12.50 ± 0.50");
@@ -249,7 +269,8 @@ mod tests {
         };
         let [first, second] = [(10.0, Some(20.0)), (12.0, None)]
             .map(|(r1, r2)| [service("r1", Some(r1)), service("r2", r2), service("r3", None)]);
-        let [first, second] = [first, second].map(|services| Measured { services: services.into(), ..EMPTY });
+        let [first, second] =
+            [first, second].map(|services| Measured { services: services.into(), ..Measured::default() });
         let services = ServiceCell::all(&[&first, &second]);
         assert_eq!(
             services.iter().map(|its| (its.robot.as_str(), its.runs)).collect::<Vec<_>>(),
@@ -259,27 +280,4 @@ mod tests {
         assert_eq!(services[1].above_target, Interval::of_shares(&[1.0], 10));
         assert_eq!((services[2].service_time_p99_ms, services[2].unanswered), (None, None));
     }
-
-    const EMPTY: Measured = Measured {
-        duration_ms: 0.0,
-        walked: true,
-        samples: 0,
-        unanswered: 0,
-        above_target: None,
-        service_time_p50_ms: None,
-        service_time_p95_ms: None,
-        service_time_p99_ms: None,
-        service_time_max_ms: None,
-        handovers: 0,
-        handover_gap_p50_ms: None,
-        handover_gap_max_ms: None,
-        migrations: 0,
-        plugin_faults: 0,
-        driven_m: 0.0,
-        blind_m: 0.0,
-        longest_blind_m: 0.0,
-        services: Vec::new(),
-        time_parts: Vec::new(),
-        regions: Vec::new(),
-    };
 }

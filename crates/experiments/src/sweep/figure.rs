@@ -45,7 +45,9 @@ pub(super) fn draw(axes: &[Axis], cells: &[Cell]) -> Figure {
         let y = Across::around(label, 0.0, highest.fold(0.0, f64::max));
         Panel { x: x.clone(), y, series: drawn, ..Panel::default() }
     });
-    let title = "Service time: means and 95 % confidence intervals".to_owned();
+    let void = cells.iter().filter(|cell| cell.void.is_some()).count();
+    let void = if void > 0 { format!(" ({void} void)") } else { String::new() };
+    let title = format!("Service time: means and 95 % confidence intervals{void}");
     Figure { title, panels: panels.collect(), data: "cells.csv".to_owned() }
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::time_parts::MeasuredPart;
 
 /// The results of a run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// Duration in virtual time, ms.
     pub duration_ms: f64,

@@ -1,7 +1,7 @@
 //! Merging of shards: their journals become one, and their runs those of the whole sweep.
 
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::BTreeMap,
     fs, io,
     num::NonZero,
     path::{Path, PathBuf},
@@ -14,7 +14,12 @@ use super::{
     runs::Runs,
     shard::{Record, Shard},
 };
-use crate::journal::{self, Journal};
+use crate::{
+    batch::Again,
+    journal::{self, Found, Journal, Kept},
+    key::Key,
+    outcome::Outcome,
+};
 
 /// The runs of several shards.
 #[derive(Debug)]
@@ -26,6 +31,8 @@ pub struct Merge {
     pub runs: Runs,
     /// Names of the runs that are missing, by their shard.
     pub missing: BTreeMap<Shard, Vec<String>>,
+    /// Names and keys of the runs that are done.
+    keys: Vec<(String, Key)>,
 }
 
 /// Error of merging shards. Nothing was changed.
@@ -50,7 +57,7 @@ pub enum MergeError {
     OtherSweep {
         folders: [PathBuf; 2],
         /// What differs.
-        difference: &'static str,
+        difference: String,
     },
     /// A run has two results, although runs in virtual time repeat.
     #[error("{run} has other results in {} than in {}", .folders[0].display(), .folders[1].display())]
@@ -75,38 +82,29 @@ impl Merge {
         let Some((first, Record { plan, .. })) = shards.first() else {
             return Err(MergeError::NoShards(folders.first().cloned().unwrap_or_default()));
         };
-        let mut kept: HashMap<String, (&PathBuf, Measured)> = HashMap::new();
+        let mut kept = Vec::new();
         for (folder, record) in &shards {
             if let Some(difference) = plan.difference(&record.plan) {
                 return Err(MergeError::OtherSweep { folders: [first.clone(), folder.clone()], difference });
             }
-            for (run, measured) in journal::read::<Measured>(folder).map_err(unreadable(folder))? {
-                match kept.get(&run) {
-                    Some((other, same)) if *same != measured => {
-                        return Err(MergeError::Conflict {
-                            run,
-                            folders: [(*other).clone(), folder.clone()],
-                        });
-                    }
-                    Some(_) => {}
-                    None => drop(kept.insert(run, (folder, measured))),
-                }
-            }
+            kept.push((folder, journal::read(folder).map_err(unreadable(folder))?));
         }
         let number = usual_number(shards.iter().map(|(_, record)| record.shard));
         let mut missing: BTreeMap<_, Vec<_>> = BTreeMap::new();
-        let runs = plan.points().into_iter().enumerate().map(|(place, point)| {
-            let name = point.name(&plan.axes);
-            let measured = kept.remove(&name).map(|(_, measured)| measured);
-            if measured.is_none() {
-                missing.entry(Shard::of_place(place, number)).or_default().push(name);
+        let (mut runs, mut keys) = (Vec::new(), Vec::new());
+        for (place, point) in plan.points().into_iter().enumerate() {
+            let (name, key) = (point.name(&plan.axes), plan.key(place));
+            let outcome = outcome(&name, key, &kept)?;
+            match outcome {
+                Some(_) => keys.push((name, key.clone())),
+                None => missing.entry(Shard::of_place(place, number)).or_default().push(name),
             }
-            (point, measured)
-        });
-        let runs = Runs::new(&plan.axes, runs.collect::<Vec<_>>().into_iter(), 0);
+            runs.push((point, outcome));
+        }
+        let runs = Runs::new(&plan.axes, runs.into_iter(), 0, Again::default());
         let folder = first.parent().unwrap_or(first).to_owned();
         let shards = shards.into_iter().map(|(folder, _)| folder).collect();
-        Ok(Self { folder, shards, runs, missing })
+        Ok(Self { folder, shards, runs, missing, keys })
     }
 
     /// Adds the runs to a journal, and writes [`FILES`](super::FILES) into its folder.
@@ -114,19 +112,48 @@ impl Merge {
     /// # Errors
     /// [`MergeError::Conflict`] if the journal has a run with another result; [`MergeError::Folder`].
     pub fn write(&self, journal: &Journal) -> Result<(), MergeError> {
-        let kept = journal.kept::<Measured>()?;
-        let named = || self.runs.done.iter().map(|done| (done.point.name(&self.runs.axes), &done.measured));
-        let differs =
-            |(run, measured): &(String, &Measured)| kept.get(run).is_some_and(|its| its != *measured);
-        if let Some((run, _)) = named().find(differs) {
-            let folders = [journal.path().to_owned(), self.folder.clone()];
-            return Err(MergeError::Conflict { run, folders });
+        let kept = journal.kept()?;
+        let mut new = Vec::new();
+        for ((run, key), done) in self.keys.iter().zip(&self.runs.done) {
+            match find(&kept, run, key) {
+                Some(before) if before == done.outcome => {}
+                Some(Outcome::Measured(_)) if done.outcome.measured().is_some() => {
+                    let folders = [journal.path().to_owned(), self.folder.clone()];
+                    return Err(MergeError::Conflict { run: run.clone(), folders });
+                }
+                _ => new.push((run, key, &done.outcome)),
+            }
         }
-        for (run, measured) in named().filter(|(run, _)| !kept.contains_key(run)) {
-            journal.keep(&run, measured)?;
+        for (run, key, outcome) in new {
+            journal.keep(run, key, outcome)?;
         }
         Ok(self.runs.write(journal)?)
     }
+}
+
+fn find(kept: &Kept, run: &str, key: &Key) -> Option<Outcome<Measured>> {
+    match kept.find(run, key, "") {
+        Found::Outcome(outcome) => Some(outcome),
+        Found::Stale(_) | Found::Nothing => None,
+    }
+}
+
+/// Returns the outcome of a run in any of these folders. One with results is preferred to a void one.
+fn outcome(run: &str, key: &Key, kept: &[(&PathBuf, Kept)]) -> Result<Option<Outcome<Measured>>, MergeError> {
+    let mut found: Option<(&PathBuf, Outcome<Measured>)> = None;
+    for (folder, kept) in kept {
+        let Some(outcome) = find(kept, run, key) else { continue };
+        match &found {
+            Some((other, before)) if before.measured().is_some() => {
+                if outcome.measured().is_some() && outcome != *before {
+                    let folders = [(*other).clone(), (*folder).clone()];
+                    return Err(MergeError::Conflict { run: run.to_owned(), folders });
+                }
+            }
+            _ => found = Some((folder, outcome)),
+        }
+    }
+    Ok(found.map(|(_, outcome)| outcome))
 }
 
 fn unreadable(path: &Path) -> impl FnOnce(io::Error) -> MergeError + '_ {

@@ -37,6 +37,7 @@ mod tables;
 mod time_parts;
 
 use std::{
+    collections::BTreeMap,
     num::NonZero,
     path::{Path, PathBuf},
     sync::{
@@ -47,7 +48,7 @@ use std::{
 };
 
 use cotorra_graph::{Testbed, seed};
-use cotorra_testbed::{Altered, Unrecorded, simulate_unrecorded};
+use cotorra_testbed::{Altered, Unrecorded, UnrecordedRun, simulate_unrecorded};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
@@ -62,11 +63,15 @@ pub use self::{
     shard::{InvalidShard, Shard},
 };
 use crate::{
-    batch::{self, BatchError},
+    batch::{self, BatchError, Maker, Wanted},
     journal::Journal,
+    key::Keys,
 };
 use plan::Plan;
 use shard::Record;
+
+/// A sweep changes nothing but settings.
+static UNALTERED: Altered = Altered { slow: BTreeMap::new(), fork: None };
 
 /// A testbed file, the settings to vary, and the number of seeds.
 #[derive(Debug, Clone)]
@@ -77,6 +82,7 @@ pub struct Sweep {
     axes: Vec<Axis>,
     seeds: u32,
     until: Option<Duration>,
+    keys: Arc<Keys>,
 }
 
 /// Error that ends a sweep. The runs finished until then are in its folder.
@@ -99,9 +105,6 @@ pub enum SweepError {
         /// Number of runs.
         runs: usize,
     },
-    /// The shard's folder has runs of a sweep of another file, version, duration or list of settings.
-    #[error("{} has runs of another sweep; choose another folder, or discard its runs", .0.display())]
-    OtherSweep(PathBuf),
 }
 
 impl Sweep {
@@ -109,7 +112,8 @@ impl Sweep {
     /// the file are relative to `base_dir`.
     pub fn new(source_name: &str, text: String, base_dir: &Path) -> Self {
         let (source_name, base_dir) = (source_name.to_owned(), base_dir.to_owned());
-        Self { source_name, text, base_dir, axes: Vec::new(), seeds: 1, until: None }
+        let keys = Arc::new(Keys::new(&source_name));
+        Self { source_name, text, base_dir, axes: Vec::new(), seeds: 1, until: None, keys }
     }
 
     /// Adds an axis.
@@ -138,13 +142,18 @@ impl Sweep {
     /// # Errors
     /// [`SweepError::Testbed`] or [`SweepError::Setting`] for the first combination that cannot be run.
     pub fn points(&self) -> Result<Vec<Point>, SweepError> {
-        Ok(self.plan()?.points())
+        Ok(self.plan("")?.points())
     }
 
-    fn plan(&self) -> Result<Plan, SweepError> {
-        let first = |values: Vec<String>| Ok::<_, SweepError>(self.testbed(&values)?.seed);
-        let first_seeds = axis::combinations(&self.axes).into_iter().map(first).collect::<Result<_, _>>()?;
-        Ok(Plan { sweep: self.id()?, axes: self.axes.clone(), seeds: self.seeds, first_seeds })
+    /// Returns the plan of a program of this version.
+    fn plan(&self, version: &str) -> Result<Plan, SweepError> {
+        let (mut first_seeds, mut keys) = (Vec::new(), Vec::new());
+        for values in axis::combinations(&self.axes) {
+            let testbed = self.testbed(&values)?;
+            first_seeds.push(testbed.seed);
+            keys.push(self.keys.key(version, &testbed, &self.text_with(&values)?, self.until));
+        }
+        Ok(Plan { sweep: self.id()?, axes: self.axes.clone(), seeds: self.seeds, first_seeds, keys })
     }
 
     /// Returns a folder in `parent` for this sweep alone. Its name has the testbed's name, and a hash of the version, the
@@ -172,13 +181,18 @@ impl Sweep {
         self.axes.iter().zip(values).map(|(axis, value)| Setting::new(axis.path(), value)).collect()
     }
 
+    /// Returns the file's text with the settings of these values.
+    fn text_with(&self, values: &[String]) -> Result<String, InvalidSetting> {
+        Ok(cotorra_testbed_file::annotated(&self.text, &self.settings(values)?))
+    }
+
     fn testbed(&self, values: &[String]) -> Result<Testbed, SweepError> {
         let settings = self.settings(values)?;
         Ok(cotorra_testbed_file::parse_with(&self.source_name, &self.text, &self.base_dir, &settings)?)
     }
 
-    /// Runs the points that the journal does not have yet, `jobs` at a time, and adds each to it as soon as it is done.
-    /// Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run; `false` stops the
+    /// Runs the points that the journal does not have yet, or has with another key, `jobs` at a time, and adds each to it as
+    /// soon as it is done. Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run; `false` stops the
     /// sweep.
     ///
     /// # Errors
@@ -189,7 +203,7 @@ impl Sweep {
         jobs: NonZero<usize>,
         go_on: impl FnMut(usize, usize) -> bool,
     ) -> Result<Runs, SweepError> {
-        let plan = self.plan()?;
+        let plan = self.plan(journal.version())?;
         let all = (0..plan.len()).collect();
         self.run_places(&plan, all, journal, jobs, go_on)
     }
@@ -198,7 +212,7 @@ impl Sweep {
     /// [`Merge`].
     ///
     /// # Errors
-    /// [`SweepError`]; [`SweepError::OtherSweep`] if the journal has runs of another sweep.
+    /// [`SweepError`].
     pub fn run_shard(
         &self,
         shard: Shard,
@@ -206,7 +220,7 @@ impl Sweep {
         jobs: NonZero<usize>,
         go_on: impl FnMut(usize, usize) -> bool,
     ) -> Result<Runs, SweepError> {
-        let plan = self.plan()?;
+        let plan = self.plan(journal.version())?;
         let places = shard.places(plan.len())?;
         let record = Record { shard, plan };
         record.write(journal)?;
@@ -223,15 +237,23 @@ impl Sweep {
     ) -> Result<Runs, SweepError> {
         let all = plan.points();
         let total = places.len();
-        let names: Vec<_> = places.iter().map(|&place| all[place].name(&self.axes)).collect();
+        let want =
+            |&place: &usize| Wanted { name: all[place].name(&self.axes), key: plan.key(place).clone() };
+        let wanted: Vec<_> = places.iter().map(want).collect();
+        let maker = Maker { journal, keys: &self.keys };
         let measure = |i: usize, stop: &AtomicBool| {
             let place = places[i];
-            let folder = journal.path().join(format!("run-{place}"));
-            self.measure(&all[place], &folder, || !stop.load(Ordering::Relaxed))
+            let (testbed, text) = self.of(&all[place])?;
+            let folder = &journal.path().join(format!("run-{place}"));
+            let run = self.unrecorded(&all[place], folder, &text);
+            let outcome = maker.make(&wanted[i], testbed, &run, |_| {}, || !stop.load(Ordering::Relaxed));
+            let measured = |ended: UnrecordedRun| Measured::of(&ended.summary);
+            Ok::<_, SweepError>(outcome?.map(|outcome| outcome.map(measured)))
         };
-        let batch = batch::run(journal, jobs, &names, measure, |done| go_on(done, total))?;
+        let runs = (&wanted[..], self.keys.file());
+        let batch = batch::run(journal, jobs, runs, measure, |done| go_on(done, total))?;
         let done = places.iter().map(|&place| all[place].clone()).zip(batch.done);
-        Ok(Runs::new(&self.axes, done, batch.resumed))
+        Ok(Runs::new(&self.axes, done, batch.resumed, batch.again))
     }
 
     /// Runs a point without keeping it, in a folder that may be needed meanwhile. Returns whether it ended before `go_on`,
@@ -245,23 +267,19 @@ impl Sweep {
         folder: &Path,
         go_on: impl FnMut() -> bool,
     ) -> Result<bool, SweepError> {
-        Ok(self.measure(point, folder, go_on)?.is_some())
+        let (testbed, text) = self.of(point)?;
+        let ended = simulate_unrecorded(testbed, &self.unrecorded(point, folder, &text), |_| {}, go_on);
+        let ended = ended.map_err(|source| BatchError::Run { run: point.name(&self.axes), source })?;
+        Ok(ended.is_some())
     }
 
-    /// Runs a point; returns `None` if it was stopped before its end.
-    fn measure(
-        &self,
-        point: &Point,
-        folder: &Path,
-        go_on: impl FnMut() -> bool,
-    ) -> Result<Option<Measured>, SweepError> {
-        let testbed = Arc::new(self.testbed(&point.values)?);
-        let text = cotorra_testbed_file::annotated(&self.text, &self.settings(&point.values)?);
-        let (until, altered) = (self.until, &Altered::default());
-        let run = Unrecorded { seed: point.seed, until, altered, folder, text: &text };
-        let ended = simulate_unrecorded(testbed, &run, |_| {}, go_on);
-        let ended = ended.map_err(|source| BatchError::Run { run: point.name(&self.axes), source })?;
-        Ok(ended.map(|ended| Measured::of(&ended.summary)))
+    /// Returns the testbed of a point, and the text of its file.
+    fn of(&self, point: &Point) -> Result<(Arc<Testbed>, String), SweepError> {
+        Ok((Arc::new(self.testbed(&point.values)?), self.text_with(&point.values)?))
+    }
+
+    fn unrecorded<'a>(&self, point: &Point, folder: &'a Path, text: &'a str) -> Unrecorded<'a> {
+        Unrecorded { seed: point.seed, until: self.until, altered: &UNALTERED, folder, text }
     }
 }
 

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::axis::{Axis, combinations};
+use crate::key::{Key, Listed};
 
 /// One run of a sweep.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -30,6 +31,8 @@ pub(super) struct Plan {
     pub(super) seeds: u32,
     /// Seed of each combination's first run.
     pub(super) first_seeds: Vec<u64>,
+    /// Key of each combination's runs.
+    pub(super) keys: Vec<Key>,
 }
 
 impl Plan {
@@ -46,26 +49,43 @@ impl Plan {
             .collect()
     }
 
-    /// Returns whether there is a first seed for each combination.
+    /// Returns the key of the run at this place.
+    pub(super) fn key(&self, place: usize) -> &Key {
+        &self.keys[place / self.seeds as usize]
+    }
+
+    /// Returns whether there is a first seed and a key for each combination.
     pub(super) fn is_whole(&self) -> bool {
         let combinations =
             self.axes.iter().try_fold(1_usize, |product, axis| product.checked_mul(axis.values().len()));
         combinations == Some(self.first_seeds.len())
+            && combinations == Some(self.keys.len())
+            && self.seeds > 0
     }
 
     /// Returns what another plan has otherwise; `None` if both have the same runs.
-    pub(super) fn difference(&self, other: &Self) -> Option<&'static str> {
-        let settings = |plan: &Self| -> Vec<_> {
-            plan.axes.iter().map(|axis| (axis.path().to_owned(), axis.values().to_owned())).collect()
-        };
-        if self.sweep != other.sweep {
-            Some("testbed file, version of cotorra, --until or paths of --set")
-        } else if settings(self) != settings(other) {
-            Some("values of --set")
-        } else if self.seeds != other.seeds {
-            Some("number of seeds")
-        } else {
-            (self.first_seeds != other.first_seeds).then_some("first seeds")
+    pub(super) fn difference(&self, other: &Self) -> Option<String> {
+        let paths = |plan: &Self| plan.axes.iter().map(|axis| axis.path().to_owned()).collect::<Vec<_>>();
+        let values = |plan: &Self| plan.axes.iter().map(|axis| axis.values().to_owned()).collect::<Vec<_>>();
+        if paths(self) != paths(other) {
+            return Some("paths of --set".to_owned());
         }
+        if values(self) != values(other) {
+            return Some("values of --set".to_owned());
+        }
+        let mut keys = self.keys.iter().zip(&other.keys);
+        if let Some((one, another)) = keys.find(|(one, another)| one != another) {
+            return Some(Listed(&one.changes(another, "testbed file")).to_string());
+        }
+        let difference = if self.seeds != other.seeds {
+            "number of seeds"
+        } else if self.first_seeds != other.first_seeds {
+            "first seeds"
+        } else if self.sweep != other.sweep {
+            "testbed file, version of cotorra or --until"
+        } else {
+            return None;
+        };
+        Some(difference.to_owned())
     }
 }

@@ -9,12 +9,13 @@ use super::{
     plan::Point,
     tables,
 };
+use crate::{batch::Again, outcome::Outcome};
 
 /// A finished run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Done {
     pub point: Point,
-    pub measured: Measured,
+    pub outcome: Outcome<Measured>,
 }
 
 /// The result of a sweep.
@@ -26,6 +27,8 @@ pub struct Runs {
     pub done: Vec<Done>,
     /// Number of finished runs that the folder already had.
     pub resumed: usize,
+    /// Runs that the folder had, but not as they are now.
+    pub again: Again,
     /// Number of all runs; more than the finished ones if the sweep was stopped.
     pub total: usize,
 }
@@ -34,25 +37,27 @@ impl Runs {
     /// Creates the result of these runs; `None` stands for a run that is not finished.
     pub(super) fn new(
         axes: &[Axis],
-        runs: impl ExactSizeIterator<Item = (Point, Option<Measured>)>,
+        runs: impl ExactSizeIterator<Item = (Point, Option<Outcome<Measured>>)>,
         resumed: usize,
+        again: Again,
     ) -> Self {
         let total = runs.len();
-        let done = runs.filter_map(|(point, measured)| Some(Done { point, measured: measured? })).collect();
-        Self { axes: axes.to_owned(), done, resumed, total }
+        let done = runs.filter_map(|(point, outcome)| Some(Done { point, outcome: outcome? })).collect();
+        Self { axes: axes.to_owned(), done, resumed, again, total }
+    }
+
+    /// Returns the number of void runs.
+    pub fn void(&self) -> usize {
+        self.done.iter().filter(|done| done.outcome.void().is_some()).count()
     }
 
     /// Returns the statistics of each combination of the axes' values, without those that have no run. The last axis
     /// changes fastest.
     pub fn cells(&self) -> Vec<Cell> {
         let of = |values: Vec<String>| {
-            let measured: Vec<_> = self
-                .done
-                .iter()
-                .filter(|done| done.point.values == values)
-                .map(|done| &done.measured)
-                .collect();
-            (!measured.is_empty()).then(|| Cell::of(values, &measured))
+            let done = self.done.iter().filter(|done| done.point.values == values);
+            let outcomes: Vec<_> = done.map(|done| &done.outcome).collect();
+            (!outcomes.is_empty()).then(|| Cell::of(values, &outcomes))
         };
         combinations(&self.axes).into_iter().filter_map(of).collect()
     }

@@ -120,14 +120,8 @@ impl Record {
     /// Writes the record beside a journal.
     ///
     /// # Errors
-    /// [`SweepError::OtherSweep`] if the journal has runs of another sweep.
+    /// [`FolderError`](cotorra_testbed::FolderError).
     pub(super) fn write(&self, journal: &Journal) -> Result<(), SweepError> {
-        // A record that cannot be read protects nothing: a machine that lost its power may leave such a one.
-        let before = Self::read(journal.path()).ok().flatten();
-        let is_other = before.is_some_and(|before| before.plan.sweep != self.plan.sweep);
-        if is_other && !journal.is_empty().map_err(BatchError::from)? {
-            return Err(SweepError::OtherSweep(journal.path().to_owned()));
-        }
         let text = serde_json::to_string(self).expect("a record is valid JSON");
         Ok(write_file(journal.path(), RECORD, text + "\n").map_err(BatchError::from)?)
     }
@@ -139,11 +133,16 @@ impl Record {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(error),
         };
-        let record: Self = serde_json::from_slice(&text)?;
+        let record: Self = serde_json::from_slice(&text).map_err(|error| {
+            let hint = "if it is of an earlier version of cotorra, run the shard again";
+            io::Error::other(format!("{RECORD}: {error}; {hint}"))
+        })?;
         if record.plan.is_whole() {
             Ok(Some(record))
         } else {
-            Err(io::Error::other(format!("{RECORD} does not have a first seed for each combination")))
+            Err(io::Error::other(format!(
+                "{RECORD} does not have a first seed and a key for each combination"
+            )))
         }
     }
 }

@@ -2,15 +2,38 @@
 
 use cotorra_testbed::{DataTable, name_of_total};
 
-use super::{Axis, Cell, Difference, Interval, MeasuredService, Runs, ServiceCell};
+use super::{
+    Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, runs::Done,
+    time_parts::MeasuredPart,
+};
+use crate::outcome::Void;
+
+/// Last column of all tables for programs: the reason for which a run or a cell has no figures.
+const VOID: &str = "void";
 
 /// Returns a row for each run.
 pub(super) fn runs(runs: &Runs) -> DataTable {
-    let first = runs.done.first();
-    let mut table = table(&runs.axes, ["seed"], first.map(|done| names(done.measured.figures())));
-    for done in &runs.done {
-        let figures = done.measured.figures().map(|(_, figure)| number(figure));
-        table.row(of(&done.point.values).chain([done.point.seed.to_string()]).chain(figures));
+    let heads = names(Measured::default().figures());
+    rows(runs, ["seed"], &heads, |measured| {
+        vec![measured.figures().into_iter().map(|(_, figure)| number(figure)).collect()]
+    })
+}
+
+/// Returns a table with the rows of each run; of a void run, with a single one.
+fn rows<const N: usize>(
+    runs: &Runs,
+    heads: [&str; N],
+    figures: &[String],
+    rows: impl Fn(&Measured) -> Vec<Vec<String>>,
+) -> DataTable {
+    let mut table = table(&runs.axes, heads, Some(figures.iter().cloned()));
+    let width = N - 1 + figures.len();
+    for Done { point, outcome } in &runs.done {
+        let of_run = outcome.measured().map_or_else(|| vec![vec![String::new(); width]], &rows);
+        for cells in of_run {
+            let run = of(&point.values).chain([point.seed.to_string()]);
+            table.row(run.chain(cells).chain([reason(outcome.void())]));
+        }
     }
     table
 }
@@ -20,20 +43,19 @@ pub(super) fn cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
     let mut table = table(axes, ["runs"], cells.first().map(|cell| bounds(cell.intervals())));
     for cell in cells {
         let figures = cell.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
-        table.row(of(&cell.values).chain([cell.runs.to_string()]).chain(figures));
+        let row = of(&cell.values).chain([cell.runs.to_string()]).chain(figures);
+        table.row(row.chain([reason(cell.void.as_ref())]));
     }
     table
 }
 
 /// Returns a row for each region of each run.
 pub(super) fn regions(runs: &Runs) -> DataTable {
-    let fixed = ["seed", "robot", "service", "attachment", "server"];
-    let figures = ["from_ns", "until_ns", "samples", "service_time_p50_ms"];
-    let mut table = table(&runs.axes, fixed, Some(figures.map(str::to_owned)));
-    for done in &runs.done {
-        for region in &done.measured.regions {
-            let cells = [
-                done.point.seed.to_string(),
+    let heads = ["seed", "robot", "service", "attachment", "server"];
+    let figures = ["from_ns", "until_ns", "samples", "service_time_p50_ms"].map(str::to_owned);
+    rows(runs, heads, &figures, |measured| {
+        let row = |region: &Region| {
+            vec![
                 region.robot.to_string(),
                 region.service.to_string(),
                 region.attachment.as_ref().map(ToString::to_string).unwrap_or_default(),
@@ -42,40 +64,42 @@ pub(super) fn regions(runs: &Runs) -> DataTable {
                 region.until.as_nanos().to_string(),
                 region.samples.to_string(),
                 number(region.service_time_p50_ms),
-            ];
-            table.row(of(&done.point.values).chain(cells));
-        }
-    }
-    table
+            ]
+        };
+        measured.regions.iter().map(row).collect()
+    })
 }
 
 /// Returns a row for each service of each run.
 pub(super) fn services(runs: &Runs) -> DataTable {
-    let first = runs.done.iter().find_map(|done| done.measured.services.first());
-    let mut table = table(&runs.axes, ["seed", "robot", "service"], first.map(|its| names(its.figures())));
-    for done in &runs.done {
-        for its in &done.measured.services {
+    let first = measured(runs).find_map(|measured| measured.services.first());
+    let figures = first.map(|its| names(its.figures()).to_vec()).unwrap_or_default();
+    rows(runs, ["seed", "robot", "service"], &figures, |measured| {
+        let row = |its: &MeasuredService| {
             let MeasuredService { robot, service, .. } = its;
-            let fixed = [done.point.seed.to_string(), robot.to_string(), service.to_string()];
             let figures = its.figures().map(|(_, figure)| number(figure));
-            table.row(of(&done.point.values).chain(fixed).chain(figures));
-        }
-    }
-    table
+            [robot.to_string(), service.to_string()].into_iter().chain(figures).collect()
+        };
+        measured.services.iter().map(row).collect()
+    })
 }
 
 /// Returns a row for each part of the service times of each run.
 pub(super) fn time_parts(runs: &Runs) -> DataTable {
-    let first = runs.done.iter().find_map(|done| done.measured.time_parts.first());
-    let mut table = table(&runs.axes, ["seed", "service", "part"], first.map(|part| names(part.figures())));
-    for done in &runs.done {
-        for part in &done.measured.time_parts {
-            let fixed = [done.point.seed.to_string(), part.service.to_string(), part.part.clone()];
+    let first = measured(runs).find_map(|measured| measured.time_parts.first());
+    let figures = first.map(|part| names(part.figures()).to_vec()).unwrap_or_default();
+    rows(runs, ["seed", "service", "part"], &figures, |measured| {
+        let row = |part: &MeasuredPart| {
             let figures = part.figures().map(|(_, figure)| number(figure));
-            table.row(of(&done.point.values).chain(fixed).chain(figures));
-        }
-    }
-    table
+            [part.service.to_string(), part.part.clone()].into_iter().chain(figures).collect()
+        };
+        measured.time_parts.iter().map(row).collect()
+    })
+}
+
+/// Returns the results of the runs that have some.
+fn measured(runs: &Runs) -> impl Iterator<Item = &Measured> {
+    runs.done.iter().filter_map(|done| done.outcome.measured())
 }
 
 /// Returns a row for each figure of each combination beside the first.
@@ -105,7 +129,12 @@ pub(super) fn service_cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
                 number(Some(*service_time_target_ms)),
             ];
             let figures = its.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
-            table.row(of(&cell.values).chain(fixed).chain(figures));
+            table.row(of(&cell.values).chain(fixed).chain(figures).chain([String::new()]));
+        }
+        if let Some(void) = &cell.void {
+            let fixed = ["", "", &cell.runs.to_string(), ""].map(str::to_owned);
+            let figures = vec![String::new(); first.map_or(0, |its| its.intervals().len() * 3)];
+            table.row(of(&cell.values).chain(fixed).chain(figures).chain([reason(Some(void))]));
         }
     }
     table
@@ -129,6 +158,10 @@ pub(super) fn by_service(axes: &[Axis], cells: &[Cell]) -> DataTable {
             table
                 .row(of(&cell.values).chain(fixed).chain(times.map(rounded)).chain([kept(its.above_target)]));
         }
+        if let Some(void) = &cell.void {
+            let figures = ["", "", &cell.runs.to_string(), "", &void.to_string(), "", "", ""];
+            table.row(of(&cell.values).chain(figures.map(str::to_owned)));
+        }
         if let Some(name) = name_of_total(cell.services.iter().map(|its| its.in_total)) {
             let fixed = [name, "", &cell.runs.to_string(), ""].map(str::to_owned);
             let times = [cell.service_time_p50_ms, cell.service_time_p95_ms, cell.service_time_p99_ms];
@@ -147,7 +180,13 @@ fn table<const N: usize>(
     figures: Option<impl IntoIterator<Item = String>>,
 ) -> DataTable {
     let axes = axes.iter().map(|axis| axis.path().to_owned());
-    DataTable::new(axes.chain(heads.map(str::to_owned)).chain(figures.into_iter().flatten()))
+    let heads = axes.chain(heads.map(str::to_owned)).chain(figures.into_iter().flatten());
+    DataTable::new(heads.chain([VOID.to_owned()]))
+}
+
+/// Returns the reason for which a run or a cell is void; nothing if it is not.
+fn reason(void: Option<&Void>) -> String {
+    void.map(|void| void.reason().to_owned()).unwrap_or_default()
 }
 
 fn of(values: &[String]) -> impl Iterator<Item = String> + '_ {

@@ -1,6 +1,7 @@
 use std::{fs, path::PathBuf};
 
 use super::*;
+use crate::Outcome;
 
 const JOBS: NonZero<usize> = NonZero::new(2).unwrap();
 
@@ -114,7 +115,7 @@ fn tables_are_tidy() {
     assert!(files[3].contains(",probing,1,robot,navigation,15,"), "{}", files[3]);
     let localization =
         files[4].lines().find(|row| row.contains(",probing,robot,localization,1,200,")).unwrap();
-    assert!(localization.ends_with(",0,,,0,,"), "{localization}");
+    assert!(localization.ends_with(",0,,,0,,,"), "{localization}");
     assert!(files[5].contains("probing & robot & navigation & 1 & 15 & 11"), "{}", files[5]);
     let slow = files[6].lines().find(|row| row.contains(",R1-cloud,")).unwrap();
     assert!(slow.contains("probing,1,navigation,R1-cloud,"), "{slow}");
@@ -125,7 +126,7 @@ fn regions_name_the_robot_and_the_service() {
     let out = tempfile::tempdir().unwrap();
     let sweep = sweep(&[]);
     let mut runs = sweep.run(&Journal::open(out.path()).unwrap(), JOBS, |_, _| true).unwrap();
-    let measured = &mut runs.done[0].measured;
+    let Outcome::Measured(measured) = &mut runs.done[0].outcome else { panic!() };
     // As if the robot had a second service on another server.
     let mut other = measured.regions[0].clone();
     (other.service, other.server) = ("second".parse().unwrap(), "fog".parse().unwrap());
@@ -149,17 +150,227 @@ fn a_folder_is_open_in_one_process_only() {
 }
 
 #[test]
-fn programs_leave_logs_only_where_they_failed() {
+fn a_run_without_its_plug_in_is_void_in_every_table_and_made_again() {
     let out = tempfile::tempdir().unwrap();
     let folder = Journal::open(&out.path().join("sweep")).unwrap();
     // The program follows no events: it exits, and is cut off.
-    let axis = "plugins=[{id: gone, command: ['true']}],[probing]";
+    let axis = "plugins=[{id: gone, command: [echo, Gone.]}],[probing]";
     let sweep = sweep(&[axis]).until(Some(Duration::from_secs(5)));
     let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
-    let faults: Vec<_> = runs.done.iter().map(|done| done.measured.plugin_faults).collect();
-    assert_eq!(faults, [1, 0]);
-    assert!(folder.path().join("run-0/logs/plugin-gone.log").exists());
-    assert!(!folder.path().join("run-1").exists());
+    runs.write(&folder).unwrap();
+    assert_eq!((runs.void(), runs.done[1].outcome.void()), (1, None));
+    let reason = "plug-in gone: its program ended: exit status: 0";
+    assert_eq!(runs.done[0].outcome.void().unwrap().reason(), reason);
+    let cells = runs.cells();
+    assert_eq!((cells[0].above_target, cells[0].duration_ms, &cells[0].services[..]), (None, None, &[][..]));
+    for (table, name) in files(&folder).into_iter().zip(FILES) {
+        match name.rsplit('.').next() {
+            Some("csv") => {
+                let rows: Vec<_> = table.lines().filter(|row| row.contains("gone, command")).collect();
+                assert_eq!(rows.len(), 1, "{name}: {table}");
+                assert!(rows[0].ends_with(&format!(",{reason}")), "{name}: {}", rows[0]);
+                assert!(table.lines().next().unwrap().ends_with(",void"), "{name}");
+                let blank = rows[0].trim_end_matches(reason).rsplit("}]\"").next().unwrap();
+                assert!(blank.chars().all(|c| ",1".contains(c)), "{name}: {blank}");
+            }
+            Some("tex") => assert!(table.contains(&format!("void: {reason}")), "{table}"),
+            _ => assert!(table.contains("confidence intervals (1 void)<"), "{table}"),
+        }
+    }
+    let logs: Vec<_> = fs::read_dir(folder.path().join("logs")).unwrap().flatten().collect();
+    let log = fs::read_to_string(logs[0].path().join("plugin-gone.log")).unwrap();
+    assert_eq!((logs.len(), log.as_str()), (1, "Gone.\n"));
+    assert!(!folder.path().join("run-0").exists() && !folder.path().join("run-1").exists());
+
+    let again = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+    assert_eq!((again.resumed, again.void()), (1, 1));
+    assert_eq!(again.again.to_string(), "void before: 1 run again\n");
+}
+
+/// A folder with a testbed whose plug-in is a program, which sets the delay of a link that its module names.
+struct Lab(tempfile::TempDir);
+
+impl Lab {
+    const FILE: &str = "name: lab
+wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
+nodes:
+  robot: { kind: robot, roaming: signal }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [A, edge], delay: 2 ms }
+services:
+  navigation:
+    robot: robot
+    kpis: { service_time: 15 ms }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: robot }
+      navigation: { program: navigation, node: edge }
+walks:
+  robot: { waypoints: [[0, 0], [2, 0]], speed_limit: 0.5 m/s, position_interval: 50 ms }
+plugins:
+  - { bundled: probing, enabled: false }
+  - { id: mine, command: [python3, mine.py] }
+";
+    const PROGRAM: &str = "import json, os
+from urllib import request
+from amount import AMOUNT_MS
+HEADERS = {'Content-Type': 'application/json', 'Authorization': 'Bearer ' + os.environ['COTORRA_TOKEN']}
+def ask(path, body=None):
+    data = None if body is None else json.dumps(body).encode()
+    return request.urlopen(request.Request(os.environ['COTORRA_API'] + '/api/v1/' + path, data, HEADERS))
+first = True
+for line in ask('events?kinds=robot'):
+    if line.startswith(b'id: '):
+        if first:
+            change = {'instruction': 'condition', 'link': 'A-edge', 'change': {'delay_ms': AMOUNT_MS}}
+            ask('instructions', {'instruction': change, 'reason': ''})
+        first = False
+        ask('marks/%d' % int(line[4:]), {})
+";
+
+    fn new() -> Self {
+        let lab = Self(tempfile::tempdir().unwrap());
+        lab.write("lab.yaml", Self::FILE);
+        lab.write("mine.py", Self::PROGRAM);
+        lab.write("amount.py", "AMOUNT_MS = 2\n");
+        lab
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        fs::write(self.0.path().join(name), text).unwrap();
+    }
+
+    fn sweep(&self, axes: &[&str]) -> Sweep {
+        let text = fs::read_to_string(self.0.path().join("lab.yaml")).unwrap();
+        let sweep = Sweep::new("beds/lab.yaml", text, self.0.path());
+        axes.iter().fold(sweep, |sweep, axis| sweep.axis(axis.parse().unwrap()))
+    }
+
+    /// Returns the runs, and their median service times rounded to milliseconds.
+    fn run(&self, journal: &Journal, axes: &[&str]) -> (Runs, Vec<f64>) {
+        let runs = self.sweep(axes).run(journal, JOBS, |_, _| true).unwrap();
+        let median = |done: &Done| done.outcome.measured().unwrap().service_time_p50_ms.unwrap().round();
+        let medians = runs.done.iter().map(median).collect();
+        (runs, medians)
+    }
+}
+
+#[test]
+fn runs_are_made_again_only_where_something_that_they_depend_on_changed() {
+    let lab = Lab::new();
+    let journal = Journal::open(&lab.0.path().join("out")).unwrap();
+    let axes = ["plugin=mine,probing"];
+    let run = || lab.run(&journal, &axes);
+    let (first, medians) = run();
+    assert_eq!((first.resumed, first.again.to_string(), medians), (0, String::new(), vec![6.0, 6.0]));
+    assert_eq!(run().0.resumed, 2);
+
+    // A module of the program, which only one of them runs. Each text has another length: Python takes one of the same length
+    // and second for the same.
+    lab.write("amount.py", "AMOUNT_MS = 5.0\n");
+    let (edited, medians) = run();
+    assert_eq!(edited.again.to_string(), "amount.py changed: 1 run again\n");
+    assert_eq!((edited.resumed, medians), (1, vec![12.0, 6.0]));
+
+    lab.write("lab.yaml", &Lab::FILE.replace("delay: 2 ms", "delay: 4 ms"));
+    let (edited, medians) = run();
+    assert_eq!(edited.again.to_string(), "lab.yaml changed: 2 runs again\n");
+    assert_eq!((edited.resumed, medians), (0, vec![12.0, 10.0]));
+
+    lab.write("mine.py", &(Lab::PROGRAM.to_owned() + "# The end.\n"));
+    lab.write("amount.py", "AMOUNT_MS = 3.00\n");
+    let (edited, medians) = run();
+    assert_eq!(edited.again.to_string(), "amount.py and mine.py changed: 1 run again\n");
+    assert_eq!((edited.resumed, medians), (1, vec![8.0, 10.0]));
+
+    // As it was in the beginning.
+    lab.write("lab.yaml", Lab::FILE);
+    lab.write("mine.py", Lab::PROGRAM);
+    lab.write("amount.py", "AMOUNT_MS = 2\n");
+    assert_eq!((run().0.resumed, run().1), (2, vec![6.0, 6.0]));
+}
+
+#[test]
+fn another_limit_or_another_program_makes_runs_again() {
+    let lab = Lab::new();
+    let journal = |program: &str| Journal::open(&lab.0.path().join("out")).unwrap().by(program);
+    let run = |program: &str, until| {
+        let sweep = lab.sweep(&["plugin=probing"]).until(until);
+        sweep.run(&journal(program), JOBS, |_, _| true).unwrap()
+    };
+    let duration = |runs: &Runs| runs.done[0].outcome.measured().unwrap().duration_ms;
+    let whole = run("a", None);
+    let until = run("a", Some(Duration::from_secs(1)));
+    assert_eq!(until.again.to_string(), "--until changed: 1 run again\n");
+    assert_eq!((until.resumed, duration(&until)), (0, 1000.0));
+    let other = run("b", None);
+    assert_eq!(
+        (other.resumed, other.again.to_string()),
+        (0, "cotorra and --until changed: 1 run again\n".to_owned())
+    );
+    assert_eq!((run("a", None).resumed, duration(&other)), (1, duration(&whole)));
+}
+
+#[test]
+fn a_journal_of_an_earlier_version_is_not_believed() {
+    let lab = Lab::new();
+    let journal = Journal::open(&lab.0.path().join("out")).unwrap();
+    lab.run(&journal, &["plugin=probing"]);
+    let path = journal.path().join("journal.jsonl");
+    let line: serde_json::Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+    let old = serde_json::json!({ "run": line["run"], "measured": line["measured"] });
+    fs::write(&path, format!("{old}\n")).unwrap();
+    let (again, _) = lab.run(&journal, &["plugin=probing"]);
+    let said = again.again.to_string();
+    assert_eq!(
+        (again.resumed, said.as_str()),
+        (0, "the journal is of an earlier version of cotorra: 1 run again\n")
+    );
+    assert_eq!(lab.run(&journal, &["plugin=probing"]).0.resumed, 1);
+}
+
+#[test]
+fn a_file_that_changes_during_a_run_ends_the_sweep() {
+    let lab = Lab::new();
+    let journal = Journal::open(&lab.0.path().join("out")).unwrap();
+    let sweep = lab.sweep(&["plugin=mine"]).seeds(2);
+    let error = sweep.run(&journal, NonZero::<usize>::MIN, |done, _| {
+        if done == 1 {
+            lab.write("amount.py", "AMOUNT_MS = 50\n");
+        }
+        true
+    });
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("amount.py changed during the run"), "{error}");
+}
+
+#[test]
+fn shards_of_edited_programs_are_made_again_and_never_merged_with_others() {
+    let lab = Lab::new();
+    let [one, other] = ["1/2", "2/2"];
+    let shards = lab.0.path().join("out");
+    let sweep = || lab.sweep(&["plugin=mine"]).seeds(2);
+    run_shard(&sweep(), one, &shards);
+    lab.write("amount.py", "AMOUNT_MS = 5.0\n");
+    run_shard(&sweep(), other, &shards);
+    let error = merge_error(&[&shards]);
+    assert!(error.contains("different sweeps: they have another amount.py"), "{error}");
+
+    let again = run_shard(&sweep(), one, &shards);
+    assert_eq!((again.resumed, again.again.to_string()), (0, "amount.py changed: 1 run again\n".to_owned()));
+    let merged = Journal::open(&shards).unwrap();
+    merge(&shards).write(&merged).unwrap();
+    assert_eq!(lab.run(&merged, &["plugin=mine"]).1, [12.0]);
+
+    // The merged folder believes neither what it had before.
+    lab.write("amount.py", "AMOUNT_MS = 2\n");
+    for shard in [one, other] {
+        run_shard(&sweep(), shard, &shards);
+    }
+    merge(&shards).write(&merged).unwrap();
+    let runs = sweep().run(&merged, JOBS, |_, _| true).unwrap();
+    assert_eq!(runs.resumed, 2);
 }
 
 fn shard(text: &str) -> Shard {
@@ -281,15 +492,13 @@ fn runs_with_two_results_are_not_merged() {
 }
 
 #[test]
-fn a_shard_does_not_go_on_with_another_sweep() {
+fn a_shard_makes_the_runs_of_another_sweep_again() {
     let out = tempfile::tempdir().unwrap();
     let of = |until| sweep(&[]).until(Some(Duration::from_secs(until)));
     run_shard(&of(2), "1/1", out.path());
     let journal = Journal::open(&out.path().join(shard("1/1").folder())).unwrap();
     let go_on = |sweep: &Sweep| sweep.run_shard(shard("1/1"), &journal, JOBS, |_, _| true);
-    let error = go_on(&of(3)).unwrap_err().to_string();
-    assert!(error.contains("has runs of another sweep"), "{error}");
-    journal.clear().unwrap();
-    assert_eq!(go_on(&of(3)).unwrap().resumed, 0);
+    let other = go_on(&of(3)).unwrap();
+    assert_eq!((other.resumed, other.again.to_string()), (0, "--until changed: 1 run again\n".to_owned()));
     assert_eq!(go_on(&of(3).seeds(2)).unwrap().resumed, 1, "more seeds add to it");
 }
