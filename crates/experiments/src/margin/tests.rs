@@ -227,7 +227,7 @@ fn a_search_is_made_again_if_the_testbed_or_the_limit_changes() {
     let until = Options { until: Some(Duration::from_secs(4)), ..options.clone() };
     let shorter = search(LAB, &until);
     assert!(
-        shorter.resumed == 0 && shorter.again.to_string().starts_with("--until changed: "),
+        shorter.resumed == 0 && shorter.again.to_string().starts_with("--until and lab.yaml changed: "),
         "{shorter:?}"
     );
     // What it had before is there, too.
