@@ -282,6 +282,6 @@ fn link<'a>(testbed: &'a Testbed, name: &str) -> Result<&'a Link, CalibrateError
 fn sending(link: &Link, [frame, answer]: [usize; 2]) -> [f64; 2] {
     [(&link.forward, frame), (&link.backward, answer)].map(|(conditions, bytes)| match &conditions.rate {
         Rate::Fixed { bits_per_second } => bytes as f64 * 8e3 / bits_per_second.bits_per_second() as f64,
-        Rate::Unlimited | Rate::Trace { .. } => 0.0,
+        Rate::Unlimited | Rate::Trace { .. } | Rate::NamedTrace(_) => 0.0,
     })
 }

@@ -72,9 +72,11 @@ impl Recorded {
         }
         let place = pose.position();
         for attachment in &context.attachments {
-            let Some(signal) = attachment.signal.filter(|signal| signal.0.is_finite()) else { continue };
+            // A signal of the last scan was heard elsewhere.
+            let heard = attachment.signal.filter(|signal| signal.0.is_finite() && attachment.is_news());
+            let Some(signal) = heard else { continue };
             let key = (context.robot.clone(), attachment.radio_unit.clone());
-            // A signal that is the same was heard elsewhere, at the last scan.
+            // In older runs, signals have no age: one that is the same was heard elsewhere, too.
             let is_new =
                 |(before, same): &(Position, f64)| before.distance(place) >= self.step_m && *same != signal.0;
             if !self.last.get(&key).is_none_or(is_new) {
@@ -136,7 +138,7 @@ mod tests {
     fn robot(ms: u64, x: f64, signal: f64, source: PoseSource) -> Stamped {
         let pose = Pose::planar(x, 0.0, 0.0, [0.0; 9], source);
         let signal = Some(Dbm(signal));
-        let attachments = vec![Attachment { radio_unit: name("A"), attached: true, signal }];
+        let attachments = vec![Attachment { radio_unit: name("A"), attached: true, signal, age: None }];
         let velocity = Velocity::default();
         let sensors = SensorData { pose, odometry: pose, velocity, bumper: false, nearest_obstacle_m: None };
         let context = RobotContext {

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use cotorra_experiments::LOGS;
-use cotorra_graph::{Conditions, LinkId, Loss, Probed, QueueLimit, Rate};
+use cotorra_graph::{Conditions, LinkId, Loss, Probed, QueueLimit, Rate, TraceName};
 
 /// `1 link`, `2 links`, `3 switches`.
 pub fn count(n: usize, what: &str) -> String {
@@ -65,6 +65,11 @@ pub fn probed(probed: &Probed) -> String {
     [delay, loss].into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
+/// Describes a trace by its mean rate.
+fn traced(trace: &TraceName) -> String {
+    format!("a trace of {:.3} Mbit/s", trace.mean_bits_per_second() / 1e6)
+}
+
 /// Describes what a link does to packets.
 pub fn conditions(conditions: &Conditions) -> String {
     let percent = |share: f64| format!("{:.3} %", share * 100.0);
@@ -78,7 +83,8 @@ pub fn conditions(conditions: &Conditions) -> String {
     parts.push(match &conditions.rate {
         Rate::Unlimited => "unlimited".to_owned(),
         Rate::Fixed { bits_per_second } => bits_per_second.to_string(),
-        Rate::Trace { trace } => format!("a trace of {:.3} Mbit/s", trace.mean_bits_per_second() / 1e6),
+        Rate::Trace { trace } => traced(trace.name()),
+        Rate::NamedTrace(name) => traced(name),
     });
     match conditions.loss {
         Loss::None => {}

@@ -80,9 +80,11 @@ export function kinds(model) {
 function attachment(form, model) {
     const found = model.robots.get(String(form.get("robot")))?.context?.attachments ?? [];
     const to = found.find(({ attached }) => attached);
-    const heard = found.find(({ radio_unit }) => radio_unit === form.get("radio_unit"))?.signal_dbm;
+    const other = found.find(({ radio_unit }) => radio_unit === form.get("radio_unit"));
+    const age = other?.signal_age_ms;
+    const heard = figure(other?.signal_dbm, "dBm") + (age ? `, ${(age / 1e3).toFixed(1)} s ago` : "");
     const now = to ? `Attached to ${to.radio_unit}, ${figure(to.signal_dbm, "dBm")}.` : "Not attached.";
-    return to?.radio_unit === form.get("radio_unit") ? now : `${now} ${form.get("radio_unit")}: ${figure(heard, "dBm")}.`;
+    return to?.radio_unit === form.get("radio_unit") ? now : `${now} ${form.get("radio_unit")}: ${heard}.`;
 }
 
 /** @type {Kind["hint"]} */

@@ -340,8 +340,10 @@ export class Model {
         robot.pass(at, x, y);
         // A handover has an event of its own, at its exact time. Where the run began, there was none.
         if (robot.regions.length === 0 && robot.unit) robot.attach(at, robot.unit);
-        for (const { radio_unit, signal_dbm } of context.attachments) {
-            if (signal_dbm !== null && signal_dbm !== undefined) {
+        for (const { radio_unit, attached, signal_dbm, signal_age_ms } of context.attachments) {
+            // A signal counts once, where it was heard. Contexts come every 100 ms.
+            const isNews = attached || (signal_age_ms ?? 0) <= 100;
+            if (isNews && signal_dbm !== null && signal_dbm !== undefined) {
                 this.figure(`signal:${context.robot}:${radio_unit}`).add(at, signal_dbm);
             }
         }

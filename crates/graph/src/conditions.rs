@@ -2,7 +2,8 @@
 
 use std::{sync::Arc, time::Duration};
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
+use sha2::{Digest, Sha256};
 
 use crate::{
     jitter::Jitter,
@@ -33,8 +34,8 @@ pub struct Conditions {
     /// Share of packets that skip the delay, and so overtake those before them.
     #[serde(default)]
     pub reordering: Probability,
-    /// Serialisation rate.
-    #[serde(default)]
+    /// Serialisation rate. Serialised with a trace's name in place of its opportunities.
+    #[serde(default, serialize_with = "Rate::serialize_named")]
     pub rate: Rate,
     /// Limit of the queue.
     #[serde(default)]
@@ -54,7 +55,7 @@ impl Conditions {
             Rate::Fixed { bits_per_second } => {
                 Duration::from_secs_f64(bytes as f64 * 8.0 / bits_per_second.bits_per_second() as f64)
             }
-            Rate::Trace { .. } => return None,
+            Rate::Trace { .. } | Rate::NamedTrace(_) => return None,
         };
         (!by_chance).then(|| *delay + sending)
     }
@@ -101,10 +102,14 @@ pub enum Rate {
     },
     /// Rate of a trace's opportunities.
     Trace {
-        /// The delivery opportunities.
+        /// The delivery opportunities, milliseconds from the start.
         #[serde(rename = "trace_ms")]
+        #[cfg_attr(feature = "openapi", schema(value_type = Vec<u64>))]
         trace: Arc<Trace>,
     },
+    /// Rate of a trace's opportunities, which are known where the link is emulated. As a change of conditions, it names the
+    /// trace that the link has.
+    NamedTrace(TraceName),
 }
 
 impl Rate {
@@ -113,17 +118,58 @@ impl Rate {
         match self {
             Self::Unlimited => f64::INFINITY,
             Self::Fixed { bits_per_second } => bits_per_second.bits_per_second() as f64,
-            Self::Trace { trace } => trace.mean_bits_per_second(),
+            Self::Trace { trace } => trace.name().mean_bits_per_second(),
+            Self::NamedTrace(name) => name.mean_bits_per_second(),
+        }
+    }
+
+    /// Returns the name of its trace, if it has one.
+    pub fn trace_name(&self) -> Option<&TraceName> {
+        match self {
+            Self::Unlimited | Self::Fixed { .. } => None,
+            Self::Trace { trace } => Some(trace.name()),
+            Self::NamedTrace(name) => Some(name),
+        }
+    }
+
+    fn serialize_named<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Trace { trace } => Self::NamedTrace(trace.name().clone()).serialize(serializer),
+            other => other.serialize(serializer),
         }
     }
 }
 
-/// A packet-delivery trace in Mahimahi's format: one line an opportunity to deliver 1500 bytes, at that many
-/// milliseconds from the start; after the last one it begins again.
+/// What is known of a trace without its opportunities.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct TraceName {
+    /// Name of its file; `None` for one that is in no file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// SHA-256 of its opportunities, one in each line: that of its file, if that has no spaces and no empty lines.
+    pub sha256: String,
+    /// Number of its opportunities; above zero.
+    pub opportunities: u64,
+    /// After how many milliseconds it begins again; above zero.
+    pub period_ms: u64,
+}
+
+impl TraceName {
+    /// The mean rate over one period in bit/s, Ethernet headers left out.
+    pub fn mean_bits_per_second(&self) -> f64 {
+        self.opportunities as f64 * Trace::BYTES as f64 * 8e3 / self.period_ms as f64
+    }
+}
+
+/// A packet-delivery trace in Mahimahi's format: one line an opportunity to deliver an IP packet of 1500 bytes, at that many
+/// milliseconds from the start; after the last one it begins again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<u64>", into = "Vec<u64>")]
-pub struct Trace(Vec<u64>);
+pub struct Trace {
+    name: TraceName,
+    opportunities_ms: Vec<u64>,
+}
 
 /// Error of a text or list that is not a trace.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -155,7 +201,7 @@ pub enum InvalidTrace {
 }
 
 impl Trace {
-    /// Bytes that one opportunity delivers.
+    /// Bytes of the IP packet that one opportunity delivers.
     pub const BYTES: usize = 1500;
 
     /// Reads Mahimahi's format.
@@ -176,19 +222,31 @@ impl Trace {
             .try_into()
     }
 
+    /// Names its file.
+    #[must_use]
+    pub fn in_file(mut self, file: impl Into<String>) -> Self {
+        self.name.file = Some(file.into());
+        self
+    }
+
+    /// The name that stands for it in contexts.
+    pub fn name(&self) -> &TraceName {
+        &self.name
+    }
+
     /// The opportunities, in milliseconds from the start; never falling, never empty.
     pub fn opportunities_ms(&self) -> &[u64] {
-        &self.0
+        &self.opportunities_ms
     }
 
     /// After how many milliseconds it begins again; above zero.
     pub fn period_ms(&self) -> u64 {
-        self.0.last().copied().unwrap_or(1)
+        self.name.period_ms
     }
 
-    /// The mean rate over one period, in bit/s.
+    /// The mean rate over one period in bit/s, Ethernet headers left out.
     pub fn mean_bits_per_second(&self) -> f64 {
-        self.0.len() as f64 * Self::BYTES as f64 * 8e3 / self.period_ms() as f64
+        self.name.mean_bits_per_second()
     }
 }
 
@@ -200,17 +258,24 @@ impl TryFrom<Vec<u64>> for Trace {
                 return Err(InvalidTrace::Backwards { line: i + 2, at: pair[1], before: pair[0] });
             }
         }
-        match opportunities_ms.last() {
-            None => Err(InvalidTrace::Empty),
-            Some(0) => Err(InvalidTrace::Instant),
-            Some(_) => Ok(Self(opportunities_ms)),
+        let period_ms = match opportunities_ms.last() {
+            None => return Err(InvalidTrace::Empty),
+            Some(0) => return Err(InvalidTrace::Instant),
+            Some(end) => *end,
+        };
+        let mut digest = Sha256::new();
+        for ms in &opportunities_ms {
+            digest.update(format!("{ms}\n"));
         }
+        let sha256 = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        let opportunities = opportunities_ms.len() as u64;
+        Ok(Self { name: TraceName { file: None, sha256, opportunities, period_ms }, opportunities_ms })
     }
 }
 
 impl From<Trace> for Vec<u64> {
     fn from(trace: Trace) -> Self {
-        trace.0
+        trace.opportunities_ms
     }
 }
 
@@ -268,4 +333,54 @@ pub struct ConditionChange {
     /// δ.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drop_scale: Option<f64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn traced() -> Conditions {
+        let trace = Trace::parse("1\n1\n4\n").unwrap().in_file("air.trace");
+        Conditions { rate: Rate::Trace { trace: trace.into() }, ..Conditions::default() }
+    }
+
+    #[test]
+    fn conditions_name_their_trace_in_place_of_its_opportunities() {
+        let json = serde_json::to_value(traced()).unwrap();
+        let rate = serde_json::json!({
+            "kind": "named_trace",
+            "file": "air.trace",
+            // printf '1\n1\n4\n' | sha256sum
+            "sha256": "249889e73c46d3ce2b1b34d1fd385d3b8774c484863496d662ac3e52cae5a095",
+            "opportunities": 3,
+            "period_ms": 4,
+        });
+        assert_eq!(json["rate"], rate);
+        let read: Conditions = serde_json::from_value(json).unwrap();
+        assert_eq!(read.rate.trace_name(), traced().rate.trace_name());
+        assert_eq!(read.rate.mean_bits_per_second(), 9e6);
+    }
+
+    #[test]
+    fn the_name_of_a_long_trace_is_short() {
+        let trace: Trace = (1..100_000).collect::<Vec<_>>().try_into().unwrap();
+        let conditions = Conditions { rate: Rate::Trace { trace: trace.into() }, ..Conditions::default() };
+        assert!(serde_json::to_string(&conditions).unwrap().len() < 500);
+    }
+
+    #[test]
+    fn conditions_with_opportunities_are_read_as_before() {
+        let mut json = serde_json::to_value(traced()).unwrap();
+        json["rate"] = serde_json::json!({ "kind": "trace", "trace_ms": [1, 1, 4] });
+        let read: Conditions = serde_json::from_value(json).unwrap();
+        let expected = Trace::parse("1\n1\n4").unwrap();
+        assert_eq!(read.rate, Rate::Trace { trace: expected.into() });
+    }
+
+    #[test]
+    fn a_change_sends_the_opportunities() {
+        let change = ConditionChange { rate: Some(traced().rate), ..ConditionChange::default() };
+        let json = serde_json::to_value(&change).unwrap();
+        assert_eq!(json["rate"], serde_json::json!({ "kind": "trace", "trace_ms": [1, 1, 4] }));
+    }
 }

@@ -130,6 +130,23 @@ pub struct Attachment {
     /// Received signal at the last scan or frame; `None` before the first.
     #[serde(rename = "signal_dbm")]
     pub signal: Option<Dbm>,
+    /// Time since the signal was received; `None` without a signal, or if nobody knows.
+    #[serde(
+        rename = "signal_age_ms",
+        default,
+        skip_serializing_if = "Option::is_none",
+        with = "millis::option"
+    )]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub age: Option<Duration>,
+}
+
+impl Attachment {
+    /// Whether the signal may have been received since the robot's context before: it is that of the own radio unit, or its
+    /// age is small or unknown.
+    pub fn is_news(&self) -> bool {
+        self.attached || self.age.is_none_or(|age| age <= RobotContext::INTERVAL)
+    }
 }
 
 /// κ(r): (φ(r,R_1)…φ(r,R_N), σ(r)).
@@ -252,6 +269,9 @@ impl std::fmt::Display for RobotFault {
 }
 
 impl RobotContext {
+    /// Time from one context of a robot to the next.
+    pub const INTERVAL: Duration = Duration::from_millis(100);
+
     /// The radio unit that it is attached to.
     pub fn attached_to(&self) -> Option<&NodeId> {
         self.attachments.iter().find(|a| a.attached).map(|a| &a.radio_unit)

@@ -42,7 +42,7 @@ mod wifi_software;
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
 pub use border::Border;
-pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace};
+pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace, TraceName};
 pub use container::{Containers, EngineKind, Image, ListenPort, Pull, Transport, Volume};
 pub use contention::{Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl};
 pub use context::{

@@ -84,6 +84,7 @@ fn robot(n: u64) -> Stamped {
         radio_unit: unit.clone(),
         attached: i == 0,
         signal: Some(Dbm(-50.5 - i as f64)),
+        age: Some(Duration::from_secs(i as u64)),
     };
     let context = RobotContext {
         robot: NODE_IDS[place as usize].clone(),

@@ -107,7 +107,7 @@ pub(crate) fn empty(kind: Kind) -> Vec<u8> {
 /// Returns a child row's name and the figure that chunks hold.
 pub(crate) fn of_child<'a>(kind: Kind, row: &[Value<'a>]) -> Option<(&'a str, f64)> {
     match (kind, row) {
-        (Kind::Robot, [Value::Name(radio_unit), _, Value::Real(signal)]) => Some((radio_unit, *signal)),
+        (Kind::Robot, [Value::Name(radio_unit), _, Value::Real(signal), ..]) => Some((radio_unit, *signal)),
         (Kind::Sensor, [Value::Name(component), Value::Real(value)]) => Some((component, *value)),
         _ => None,
     }
@@ -407,8 +407,10 @@ mod tests {
         let read_back = |error: &Value<'static>, part| {
             let mut chunk = Chunk::default();
             for t in 0..3 {
-                let mut row = vec![Value::Null; table(Kind::Robot).columns.len()];
-                *row.last_mut().unwrap() = error.clone();
+                let columns = table(Kind::Robot).columns;
+                let mut row = vec![Value::Null; columns.len()];
+                row[columns.iter().position(|column| *column == "localization_error_m").unwrap()] =
+                    error.clone();
                 chunk.push(Kind::Robot, t, &row);
                 // One radio unit is heard each time, and another once.
                 chunk.push_child(1, -50.0);

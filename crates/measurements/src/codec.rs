@@ -4,6 +4,7 @@
 pub(crate) mod binary;
 mod decode;
 mod encode;
+mod heard;
 pub(crate) mod time_parts;
 
 use std::borrow::Cow;
@@ -15,6 +16,7 @@ use cotorra_graph::{
 pub(crate) use self::{
     decode::{ReadError, Source, decode, decode_conditions},
     encode::{Fields, encode, encode_conditions},
+    heard::Heard,
 };
 use crate::kind::Kind;
 
@@ -48,10 +50,10 @@ pub(crate) const fn table(kind: Kind) -> Table {
                 "odometry_source",
                 "linear", "angular", "bumper", "nearest_obstacle_m", "health",
                 "z", "roll", "pitch", "odometry_z", "odometry_roll", "odometry_pitch", "vertical",
-                "speed_limit_mps", "localization_error_m",
+                "speed_limit_mps", "localization_error_m", "heard",
             ],
             series: &["robot"],
-            children: Some(("attachment", &["radio_unit", "attached", "signal_dbm"])),
+            children: Some(("attachment", &["radio_unit", "attached", "signal_dbm", "signal_age_ms"])),
         },
         Kind::Radio => Table {
             columns: &["radio_unit", "channel", "load"],
@@ -129,8 +131,11 @@ pub(crate) const fn table(kind: Kind) -> Table {
 pub(crate) const CONDITIONS: &[&str] = &[
     "delay_ms", "jitter_deviation_ms", "jitter_distribution", "loss", "loss_share", "loss_mean_burst",
     "duplication", "corruption", "reordering", "rate_bps", "trace_ms", "queue_packets", "queue_bytes",
-    "queue_discipline", "jitter_correlation",
+    "queue_discipline", "jitter_correlation", "trace_file",
 ];
+
+/// Columns of `heard` after its id.
+pub(crate) const HEARD: &[&str] = &["signals"];
 
 /// A value on its way into a column.
 #[derive(Debug, Clone)]
@@ -144,6 +149,8 @@ pub(crate) enum Value<'a> {
     Name(&'a str),
     /// Becomes the id of the conditions' row.
     Conditions(Role, &'a Conditions),
+    /// Becomes the id of the signals' row.
+    Heard(Heard),
 }
 
 /// The role of conditions of a link.

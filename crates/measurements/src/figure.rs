@@ -278,7 +278,9 @@ impl Figure {
                 }
             }
             (Self::Signal { robot, radio_unit }, Event::Robot(context)) if context.robot == *robot => {
-                let heard = context.attachments.iter().filter(|heard| heard.radio_unit == *radio_unit);
+                let heard = context.attachments.iter();
+                // A signal counts once, where it was heard.
+                let heard = heard.filter(|heard| heard.radio_unit == *radio_unit && heard.is_news());
                 heard.filter_map(|heard| heard.signal).for_each(|signal| each(signal.0));
             }
             (Self::Load(unit), Event::Radio(context)) if context.radio_unit == *unit => {

@@ -174,7 +174,7 @@ mod tests {
                     let name = ["a", "b"];
                     let children = match place {
                         0 => vec![],
-                        n => vec![Value::Name(name[n - 1]), Value::Integer(0), Value::Real(*figure)],
+                        n => vec![Value::Name(name[n - 1]), Value::Integer(0), Value::Real(*figure), Value::Null],
                     };
                     if *place > 0 {
                         row[2] = Value::Null;

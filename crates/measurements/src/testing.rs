@@ -101,15 +101,26 @@ fn velocity() -> impl Strategy<Value = Velocity> {
 }
 
 prop_compose! {
-    fn attachment()(radio_unit in node(), attached: bool, signal in of(real().prop_map(Dbm))) -> Attachment {
-        Attachment { radio_unit, attached, signal }
+    fn attachment()(
+        radio_unit in node(),
+        attached: bool,
+        (signal, age) in (of(real().prop_map(Dbm)), of(0..1_000_000_000_000_u64)),
+    ) -> Attachment {
+        Attachment { radio_unit, attached, signal, age: signal.and(age).map(Duration::from_nanos) }
     }
+}
+
+/// Keeps one attachment to each radio unit.
+fn each_once(mut attachments: Vec<Attachment>) -> Vec<Attachment> {
+    attachments.sort_by(|a, b| a.radio_unit.cmp(&b.radio_unit));
+    attachments.dedup_by(|a, b| a.radio_unit == b.radio_unit);
+    attachments
 }
 
 prop_compose! {
     fn robot_context()(
         robot in node(),
-        attachments in vec(attachment(), 0..4),
+        attachments in vec(attachment(), 0..4).prop_map(each_once),
         (pose, odometry, velocity) in (pose(), pose(), velocity()),
         bumper: bool,
         nearest_obstacle_m in of(real()),
@@ -165,9 +176,16 @@ fn loss(mean_burst: impl Strategy<Value = f64>) -> impl Strategy<Value = Loss> {
 }
 
 fn rate() -> impl Strategy<Value = Rate> {
-    let trace = vec(1..1000_u64, 1..5).prop_map(|mut times| {
+    let file = of(prop_oneof![Just("air.trace".to_owned()), Just("ärea 51".to_owned())]);
+    let trace = (vec(1..1000_u64, 1..5), file).prop_map(|(mut times, file)| {
         times.sort_unstable();
-        Rate::Trace { trace: Arc::new(Trace::try_from(times).unwrap()) }
+        let trace = Trace::try_from(times).unwrap();
+        Rate::Trace {
+            trace: Arc::new(match file {
+                Some(file) => trace.in_file(file),
+                None => trace,
+            }),
+        }
     });
     let fixed = (1..=u64::MAX)
         .prop_map(|rate| Rate::Fixed { bits_per_second: BitRate::from_bits_per_second(rate).unwrap() });

@@ -58,6 +58,7 @@ fn robot(n: u64) -> Stamped {
         radio_unit: NodeId::new(name).unwrap(),
         attached: name == "R1",
         signal: (!n.is_multiple_of(3)).then_some(Dbm(signal)),
+        age: None,
     };
     let context = RobotContext {
         robot: NodeId::new("robot").unwrap(),

@@ -11,8 +11,8 @@ use std::{
 
 use cotorra_engine::{Engine, InstanceWaits};
 use cotorra_graph::{
-    Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId, Stamped,
-    Testbed, Timestamp, VnfEvent, VnfId, VnfState,
+    Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, RobotContext, SensorId,
+    Stamped, Testbed, Timestamp, VnfEvent, VnfId, VnfState,
 };
 use cotorra_ledger::tunnel::TunnelId;
 use cotorra_localization::trajectory::Errors;
@@ -41,8 +41,6 @@ use crate::{
 /// The discard port, at which nobody listens (RFC 863).
 const DISCARD: u16 = 9;
 
-/// Interval of κ.
-const CONTEXT: Duration = Duration::from_millis(100);
 /// Interval of ι, d and λ.
 const OBSERVATION: Duration = Duration::from_secs(1);
 
@@ -110,7 +108,7 @@ impl<N: Network, E: Engine> Core<N, E> {
         let ports = navigators.iter().chain(&localizers).map(|(robot, of)| (robot.clone(), of.port));
         Ok(Self {
             trips: Trips::follow(&network, ports),
-            middleware: RobotMiddleware::driven(&testbed, seed, CONTEXT, nonces, drive)?,
+            middleware: RobotMiddleware::driven(&testbed, seed, RobotContext::INTERVAL, nonces, drive)?,
             control: NetworkControl::new(&testbed, network, engine),
             border: None,
             navigators,
@@ -165,7 +163,7 @@ impl<N: Network, E: Engine> Core<N, E> {
         }
         if self.begun {
             if now >= self.next_context {
-                self.next_context = now + CONTEXT;
+                self.next_context = now + RobotContext::INTERVAL;
                 self.locate(now)?;
             }
             if std::mem::take(&mut self.stale_servers) {

@@ -54,7 +54,7 @@ pub(crate) trait AgentLinks: Send {
 /// Figures of radios that are none of the fabric's.
 pub(crate) trait RadioFigures: Send + Sync {
     /// Completes φ of a robot with such a radio, and leaves all others as they are.
-    fn complete_attachments(&self, robot: &NodeId, attachments: &mut [Attachment]);
+    fn complete_attachments(&self, now: Timestamp, robot: &NodeId, attachments: &mut [Attachment]);
 
     /// Completes ι of a radio unit with such a radio, and leaves all others as they are.
     fn complete_radio(&self, context: &mut RadioContext);
@@ -296,9 +296,9 @@ impl Network for RealNetwork {
         }
     }
 
-    fn complete_attachments(&self, robot: &NodeId, attachments: &mut [Attachment]) {
+    fn complete_attachments(&self, now: Timestamp, robot: &NodeId, attachments: &mut [Attachment]) {
         if let Some(figures) = &self.figures {
-            figures.complete_attachments(robot, attachments);
+            figures.complete_attachments(now, robot, attachments);
         }
     }
 

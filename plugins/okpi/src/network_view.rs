@@ -10,7 +10,7 @@ use std::{
 
 use cotorra_graph::{
     Conditions, Direction, Event, HardwareGraph, Instruction, LinkContext, LinkId, NodeId, NodeKind, Nodes,
-    Rate, Scale, Service, ServiceId, Testbed, Trace, VnfEvent, VnfId, VnfState,
+    Scale, Service, ServiceId, Testbed, VnfEvent, VnfId, VnfState,
 };
 
 use crate::model::{self, Infrastructure, Queue};
@@ -355,16 +355,7 @@ fn scaled((delay, rate_bps): Carriage, scale: Scale, medium_bps: f64) -> Carriag
 }
 
 fn carriage(conditions: &Conditions) -> Carriage {
-    let rate = match &conditions.rate {
-        Rate::Unlimited => f64::INFINITY,
-        Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second() as f64,
-        Rate::Trace { trace } => {
-            let opportunities = trace.opportunities_ms();
-            let seconds = opportunities.last().map_or(0.0, |&end| end as f64 / 1e3);
-            (opportunities.len() * Trace::BYTES * 8) as f64 / seconds
-        }
-    };
-    (conditions.delay, rate)
+    (conditions.delay, conditions.rate.mean_bits_per_second())
 }
 
 #[cfg(test)]
@@ -525,7 +516,8 @@ walks:
             bumper: false,
             nearest_obstacle_m: None,
         };
-        let attachments = vec![Attachment { radio_unit: unit.clone(), attached: true, signal: None }];
+        let attachments =
+            vec![Attachment { radio_unit: unit.clone(), attached: true, signal: None, age: None }];
         let there = Event::Robot(RobotContext {
             robot: robot.clone(),
             attachments,

@@ -213,6 +213,7 @@ links:
                     radio_unit: id(name),
                     attached,
                     signal: signal.map(Dbm),
+                    age: None,
                 })
                 .collect(),
             sensors: SensorData {

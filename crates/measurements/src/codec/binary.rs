@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use cotorra_graph::{Conditions, Stamped, Timestamp};
 
-use super::{Fields, ReadError, Source, Value, decode, decode_conditions, encode, encode_conditions, table};
+use super::{
+    Fields, Heard, ReadError, Source, Value, decode, decode_conditions, encode, encode_conditions, table,
+};
 use crate::{
     kind::Kind,
     run::{Entry, RunId},
@@ -20,7 +22,7 @@ const TEXT: u8 = 3;
 #[cfg_attr(not(any(test, feature = "mariadb")), expect(dead_code, reason = "used by spools only"))]
 pub(crate) fn write(entry: &Entry, bytes: &mut Vec<u8>) {
     let (mut row, mut children) = (Fields::default(), Fields::default());
-    encode(&entry.stamped.event, &mut row, &mut children);
+    encode(&entry.stamped, &mut row, &mut children);
     let kind = Kind::of(&entry.stamped.event);
     write_integer(entry.run.0, bytes);
     write_integer(entry.stamped.at.as_nanos().cast_signed(), bytes);
@@ -55,6 +57,7 @@ fn write_value(value: &Value<'_>, bytes: &mut Vec<u8>) {
             encode_conditions(conditions, &mut row);
             row.0.iter().for_each(|value| write_value(value, bytes));
         }
+        Value::Heard(heard) => text(&heard.text()),
     }
 }
 
@@ -80,7 +83,7 @@ impl Bytes<'_> {
         let at = Timestamp::from_nanos(self.plain_integer()?.cast_unsigned());
         let kind = self.byte()?;
         let kind = Kind::ALL.get(usize::from(kind)).ok_or_else(|| unreadable("an unknown kind of event"))?;
-        Ok(Entry { run, stamped: Stamped { at, event: decode(*kind, self)? } })
+        Ok(Entry { run, stamped: Stamped { at, event: decode(*kind, at, self)? } })
     }
 
     /// Reads an integer of [`write_integer`].
@@ -170,6 +173,10 @@ impl Source for Bytes<'_> {
 
     fn conditions(&mut self) -> Answer<Conditions> {
         decode_conditions(self)
+    }
+
+    fn heard(&mut self) -> Answer<Option<Heard>> {
+        self.text()?.as_deref().map(Heard::parse).transpose()
     }
 
     fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source) -> Answer<()>) -> Answer<()> {

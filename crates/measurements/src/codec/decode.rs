@@ -13,7 +13,7 @@ use cotorra_graph::{
     Tested, TimeParts, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
-use super::{direction_of, time_parts};
+use super::{direction_of, heard::Heard, time_parts};
 use crate::{error::Error, kind::Kind};
 
 /// A row that is read column by column, from the first to the last.
@@ -23,6 +23,7 @@ pub(crate) trait Source {
     fn text(&mut self) -> Result<Option<String>>;
     fn name(&mut self) -> Result<Option<Arc<str>>>;
     fn conditions(&mut self) -> Result<Conditions>;
+    fn heard(&mut self) -> Result<Option<Heard>>;
     /// Calls `read` with each of the row's child rows, in their order.
     fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source) -> Result<()>) -> Result<()>;
 }
@@ -54,7 +55,7 @@ impl From<Error> for ReadError {
 
 type Result<T> = std::result::Result<T, ReadError>;
 
-fn unreadable(what: impl std::fmt::Display) -> ReadError {
+pub(super) fn unreadable(what: impl std::fmt::Display) -> ReadError {
     ReadError::Unreadable(what.to_string())
 }
 
@@ -200,8 +201,8 @@ impl Columns<'_> {
     }
 }
 
-/// Reads an event of a kind.
-pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
+/// Reads an event of a kind that happened at a time.
+pub(crate) fn decode(kind: Kind, at: Timestamp, source: &mut dyn Source) -> Result<Event> {
     let mut row = Columns(source);
     Ok(match kind {
         Kind::Robot => {
@@ -219,13 +220,19 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             row.height(&mut sensors.odometry)?;
             sensors.velocity.vertical = row.real()?;
             let (speed_limit_mps, localization_error_m) = (row.0.real()?, row.0.real()?);
+            let heard = row.0.heard()?;
             let attachments = children(source, |mut row| {
                 Ok(Attachment {
                     radio_unit: row.name()?,
                     attached: row.boolean()?,
                     signal: row.0.real()?.map(Dbm),
+                    age: row.duration()?,
                 })
             })?;
+            let attachments = match heard {
+                Some(heard) => heard.complete(at, attachments),
+                None => attachments,
+            };
             Event::Robot(RobotContext {
                 robot,
                 attachments,
@@ -493,6 +500,7 @@ pub(crate) fn decode_conditions(source: &mut dyn Source) -> Result<Conditions> {
     };
     let (duplication, corruption, reordering) = (row.share()?, row.share()?, row.share()?);
     let rate = match (row.0.integer()?, row.0.text()?) {
+        (_, Some(name)) if name.starts_with('{') => Rate::NamedTrace(json(&name)?),
         (_, Some(trace)) => Rate::Trace { trace: Arc::new(json::<Trace>(&trace)?) },
         (Some(rate), None) => Rate::Fixed {
             bits_per_second: BitRate::from_bits_per_second(rate.cast_unsigned())
@@ -513,6 +521,12 @@ pub(crate) fn decode_conditions(source: &mut dyn Source) -> Result<Conditions> {
         None => Correlation::NONE,
         Some(correlation) => Correlation::new(correlation)
             .ok_or_else(|| unreadable(format_args!("{correlation} is not a correlation")))?,
+    };
+    let rate = match (rate, row.0.text()?) {
+        (Rate::Trace { trace }, Some(file)) => {
+            Rate::Trace { trace: Arc::new(Arc::unwrap_or_clone(trace).in_file(file)) }
+        }
+        (rate, _) => rate,
     };
     let jitter = deviation.zip(distribution);
     let jitter = jitter.map(|(deviation, distribution)| Jitter { deviation, distribution, correlation });

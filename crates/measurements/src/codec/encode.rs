@@ -5,11 +5,12 @@ use std::{borrow::Cow, time::Duration};
 use cotorra_graph::{
     AccessPoint, AnswersRejected, Conditions, Direction, Event, GoalEvent, Instruction, InterfaceContext,
     InterfaceTraffic, JitterDistribution, Loss, MachineContext, Pose, PoseSource, QueueLimit, Rate,
-    RobotFault, SensorReading, VnfState, millis,
+    RobotFault, SensorReading, Stamped, VnfState, millis,
 };
 
 use super::{
     Role, Value, direction_code,
+    heard::{Heard, is_written},
     time_parts::{self, Row},
 };
 
@@ -80,8 +81,8 @@ impl<'a> Fields<'a> {
 }
 
 /// Writes an event's columns into `row`, and those of its child rows into `children`.
-pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut Fields<'a>) {
-    match event {
+pub(crate) fn encode<'a>(stamped: &'a Stamped, row: &mut Fields<'a>, children: &mut Fields<'a>) {
+    match &stamped.event {
         Event::Robot(context) => {
             let sensors = &context.sensors;
             row.name(context.robot.as_str())
@@ -97,12 +98,17 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .height(&sensors.odometry)
                 .real(sensors.velocity.vertical)
                 .optional(context.speed_limit_mps, Fields::real)
-                .optional(context.localization_error_m, Fields::real);
-            for attachment in &context.attachments {
+                .optional(context.localization_error_m, Fields::real)
+                .optional(Heard::of(stamped.at, &context.attachments), |row, heard| {
+                    row.0.push(Value::Heard(heard));
+                    row
+                });
+            for attachment in context.attachments.iter().filter(|attachment| is_written(attachment)) {
                 children
                     .name(attachment.radio_unit.as_str())
                     .integer(attachment.attached.into())
-                    .optional(attachment.signal, |f, signal| f.real(signal.0));
+                    .optional(attachment.signal, |f, signal| f.real(signal.0))
+                    .optional(attachment.age, Fields::duration);
             }
         }
         Event::Radio(context) => {
@@ -468,6 +474,10 @@ pub(crate) fn encode_conditions<'a>(conditions: &'a Conditions, row: &mut Fields
             let opportunities = trace.opportunities_ms();
             row.text(serde_json::to_string(opportunities).expect("whole numbers are JSON"));
         }
+        Rate::NamedTrace(name) => {
+            row.0.push(Value::Null);
+            row.text(serde_json::to_string(name).expect("a name is JSON"));
+        }
     }
     match conditions.queue {
         QueueLimit::Packets(packets) => {
@@ -487,4 +497,6 @@ pub(crate) fn encode_conditions<'a>(conditions: &'a Conditions, row: &mut Fields
     row.optional(correlation.filter(|correlation| !correlation.is_none()), |row, correlation| {
         row.real(correlation.get())
     });
+    let file = conditions.rate.trace_name().and_then(|name| name.file.as_deref());
+    row.optional(file, |row, file| row.text(file.to_owned()));
 }

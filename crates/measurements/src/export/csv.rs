@@ -67,11 +67,15 @@ type Field = (String, bool);
 impl Reader {
     pub fn open(path: &Path, shape: &Shape) -> Result<Self> {
         let file = File::open(path).map_err(ExportError::file(path))?;
-        let types = shape.columns.iter().map(|(_, of)| *of).collect();
+        let types: Vec<_> = shape.columns.iter().map(|(_, of)| *of).collect();
         let mut reader = Self { path: path.to_owned(), file: BufReader::new(file), types, line: 1 };
         let heads = reader.fields()?.unwrap_or_default();
         let expected = shape.columns.iter().map(|(name, _)| *name);
-        if !heads.iter().map(|(name, _)| name.as_str()).eq(expected.clone()) {
+        // Exports of older versions lack columns at the end.
+        reader.types.truncate(heads.len());
+        if heads.len() < 2
+            || !heads.iter().map(|(name, _)| name.as_str()).eq(expected.clone().take(heads.len()))
+        {
             let expected = expected.collect::<Vec<_>>().join(",");
             return Err(reader.wrong(format!("its columns are not {expected}")));
         }

@@ -10,15 +10,22 @@ use super::{
 };
 use crate::{
     Gap, Kind,
-    codec::{self, ReadError, Source},
+    codec::{self, Heard, ReadError, Source},
 };
 
 /// Tables of an export.
 pub struct Tables {
     kinds: Vec<(Kind, Rows, Option<Rows>)>,
     gaps: Rows,
-    conditions: HashMap<i64, Conditions>,
+    shared: Shared,
     events: u64,
+}
+
+/// What several events refer to, by id.
+#[derive(Default)]
+struct Shared {
+    conditions: HashMap<i64, Conditions>,
+    heard: HashMap<i64, Heard>,
 }
 
 impl Tables {
@@ -30,17 +37,26 @@ impl Tables {
             kinds.push((kind, open(format, folder, &Shape::of(kind))?, children));
         }
         let mut rows = open(format, folder, &Shape::conditions())?;
-        let mut conditions = HashMap::new();
+        let mut shared = Shared::default();
         while let Some(id) = rows.key()? {
             let cells = rows.take()?.into_iter().flatten().skip(1).collect::<Vec<_>>();
             let decoded = codec::decode_conditions(&mut Row {
                 cells: cells.into_iter(),
                 children: Vec::new(),
-                conditions: &HashMap::new(),
+                shared: &Shared::default(),
             });
-            conditions.insert(id, decoded.map_err(|e| ExportError::unreadable(rows.path(), e))?);
+            shared.conditions.insert(id, decoded.map_err(|e| ExportError::unreadable(rows.path(), e))?);
         }
-        Ok(Self { kinds, gaps: open(format, folder, &Shape::gaps())?, conditions, events: 0 })
+        let mut rows = open(format, folder, &Shape::heard())?;
+        while let Some(id) = rows.key()? {
+            let signals = match rows.take()?.unwrap_or_default().pop() {
+                Some(Cell::Text(signals)) => signals,
+                _ => String::new(),
+            };
+            let heard = Heard::parse(&signals).map_err(|e| ExportError::unreadable(rows.path(), e))?;
+            shared.heard.insert(id, heard);
+        }
+        Ok(Self { kinds, gaps: open(format, folder, &Shape::gaps())?, shared, events: 0 })
     }
 
     pub fn events(&self) -> u64 {
@@ -76,10 +92,11 @@ impl Tables {
         let Some(Cell::Integer(at @ 0..)) = cells.next() else {
             return Err(ExportError::malformed(rows.path(), format!("event {n} has no time")));
         };
-        let mut row =
-            Row { cells: cells.collect::<Vec<_>>().into_iter(), children, conditions: &self.conditions };
-        let event = codec::decode(*kind, &mut row).map_err(|e| ExportError::unreadable(rows.path(), e))?;
-        let stamped = Stamped { at: Timestamp::from_nanos(at.cast_unsigned()), event };
+        let at = Timestamp::from_nanos(at.cast_unsigned());
+        let mut row = Row { cells: cells.collect::<Vec<_>>().into_iter(), children, shared: &self.shared };
+        let event =
+            codec::decode(*kind, at, &mut row).map_err(|e| ExportError::unreadable(rows.path(), e))?;
+        let stamped = Stamped { at, event };
         if !codec::storable(&stamped) {
             let problem = format!("event {n} has values that no history can hold");
             return Err(ExportError::malformed(rows.path(), problem));
@@ -103,7 +120,7 @@ impl Tables {
 struct Row<'a> {
     cells: vec::IntoIter<Cell>,
     children: Vec<Vec<Cell>>,
-    conditions: &'a HashMap<i64, Conditions>,
+    shared: &'a Shared,
 }
 
 type Column<T> = std::result::Result<Option<T>, ReadError>;
@@ -142,8 +159,14 @@ impl Source for Row<'_> {
     }
 
     fn conditions(&mut self) -> std::result::Result<Conditions, ReadError> {
-        let known = self.integer()?.and_then(|id| self.conditions.get(&id));
+        let known = self.integer()?.and_then(|id| self.shared.conditions.get(&id));
         known.cloned().ok_or_else(|| ReadError::Unreadable("a link refers to missing conditions".to_owned()))
+    }
+
+    fn heard(&mut self) -> Column<Heard> {
+        let Some(id) = self.integer()? else { return Ok(None) };
+        let missing = || ReadError::Unreadable("a robot refers to missing signals".to_owned());
+        self.shared.heard.get(&id).cloned().map(Some).ok_or_else(missing)
     }
 
     fn children(
@@ -151,7 +174,7 @@ impl Source for Row<'_> {
         read: &mut dyn FnMut(&mut dyn Source) -> std::result::Result<(), ReadError>,
     ) -> std::result::Result<(), ReadError> {
         std::mem::take(&mut self.children).into_iter().try_for_each(|cells| {
-            read(&mut Row { cells: cells.into_iter(), children: Vec::new(), conditions: self.conditions })
+            read(&mut Row { cells: cells.into_iter(), children: Vec::new(), shared: self.shared })
         })
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::Result;
 use crate::{
     Kind,
-    codec::{self, CONDITIONS},
+    codec::{self, CONDITIONS, HEARD},
 };
 
 /// Type of a column.
@@ -54,6 +54,11 @@ impl Shape {
         Self::new("conditions", &["id"], CONDITIONS)
     }
 
+    /// Returns the table of signals that robots heard.
+    pub fn heard() -> Self {
+        Self::new("heard", &["id"], HEARD)
+    }
+
     /// Returns the table of gaps.
     pub fn gaps() -> Self {
         Self::new("gap", &["at_ns", "until_ns", "events"], &[])
@@ -65,7 +70,7 @@ const TEXTS: &[&str] = &[
     "robot", "radio_unit", "link", "vnf", "node", "from_vnf", "to_vnf", "service", "attachment", "server",
     "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
     "reason", "refused", "message", "health", "sensor", "component", "path", "others", "format",
-    "jitter_distribution", "loss", "trace_ms", "queue_discipline", "part", "interface", "wifi",
+    "jitter_distribution", "loss", "trace_ms", "trace_file", "queue_discipline", "part", "interface", "wifi", "signals",
 ];
 #[rustfmt::skip]
 const REALS: &[&str] = &[

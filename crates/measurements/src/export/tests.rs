@@ -83,13 +83,13 @@ proptest! {
     fn every_figure_is_of_its_columns_type(event in stamped()) {
         let kind = Kind::of(&event.event);
         let (mut row, mut children) = (Fields::default(), Fields::default());
-        codec::encode(&event.event, &mut row, &mut children);
+        codec::encode(&event, &mut row, &mut children);
         let check = |values: &[Value<'_>], columns: &[(&'static str, Type)]| {
             assert_eq!(values.len(), columns.len());
             for (value, (name, of)) in values.iter().zip(columns) {
                 let fits = match value {
                     Value::Null => true,
-                    Value::Integer(_) | Value::Conditions(..) => *of == Type::Integer,
+                    Value::Integer(_) | Value::Conditions(..) | Value::Heard(_) => *of == Type::Integer,
                     Value::Real(_) => *of == Type::Real,
                     Value::Text(_) | Value::Name(_) => *of == Type::Text,
                 };

@@ -23,14 +23,15 @@ pub struct Tables {
     open: BTreeMap<&'static str, Box<dyn TableWriter>>,
     /// Conditions that were written, by their JSON.
     conditions: HashMap<String, i64>,
+    /// Signals that were written.
+    heard: HashMap<String, i64>,
     events: u64,
 }
 
 impl Tables {
     pub fn new(folder: &Path, format: Format) -> Result<Self> {
-        let open = BTreeMap::new();
-        let mut tables =
-            Self { folder: folder.to_owned(), format, open, conditions: HashMap::new(), events: 0 };
+        let (open, conditions, heard) = Default::default();
+        let mut tables = Self { folder: folder.to_owned(), format, open, conditions, heard, events: 0 };
         // Created at once, so that an unsupported format fails at once.
         tables.table(&Shape::gaps())?;
         Ok(tables)
@@ -47,12 +48,12 @@ impl Tables {
         Ok(&mut **self.open.get_mut(shape.name).expect("it was just made"))
     }
 
-    pub fn event(&mut self, Stamped { at, event }: &Stamped) -> Result<()> {
-        let kind = Kind::of(event);
+    pub fn event(&mut self, stamped: &Stamped) -> Result<()> {
+        let kind = Kind::of(&stamped.event);
         let (mut row, mut children) = (Fields::default(), Fields::default());
-        codec::encode(event, &mut row, &mut children);
+        codec::encode(stamped, &mut row, &mut children);
         let n = Cell::Integer(self.events.cast_signed());
-        let mut cells = vec![n.clone(), Cell::Integer(at.as_nanos().cast_signed())];
+        let mut cells = vec![n.clone(), Cell::Integer(stamped.at.as_nanos().cast_signed())];
         for value in row.0 {
             cells.push(self.cell(value)?);
         }
@@ -85,6 +86,7 @@ impl Tables {
             Value::Text(text) => Cell::Text(text.into_owned()),
             Value::Name(name) => Cell::Text(name.to_owned()),
             Value::Conditions(_, conditions) => Cell::Integer(self.id(conditions)?),
+            Value::Heard(heard) => Cell::Integer(self.heard(heard.text())?),
         })
     }
 
@@ -102,6 +104,16 @@ impl Tables {
         }
         self.table(&Shape::conditions())?.row(&cells)?;
         self.conditions.insert(json, id);
+        Ok(id)
+    }
+
+    fn heard(&mut self, signals: String) -> Result<i64> {
+        if let Some(id) = self.heard.get(&signals) {
+            return Ok(*id);
+        }
+        let id = self.heard.len() as i64;
+        self.table(&Shape::heard())?.row(&[Cell::Integer(id), Cell::Text(signals.clone())])?;
+        self.heard.insert(signals, id);
         Ok(id)
     }
 

@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Retention, Timestamp};
+use cotorra_graph::{Retention, Stamped, Timestamp};
 
 use super::History;
 use crate::{
@@ -123,19 +123,20 @@ impl History {
         loop {
             let rows = self.store.samples(run, kind, span, after, READ, step.is_some())?;
             let more = rows.len() == READ;
-            for (cursor, event) in &rows {
-                let Some(series) = Series::of(event) else { continue };
+            for (cursor, event) in rows {
+                let Some(series) = Series::of(&event) else { continue };
                 let its = all.entry(series).or_default();
-                its.cursors.push(*cursor);
+                its.cursors.push(cursor);
                 if let Some(step) = step {
                     let (mut row, mut children) = (Fields::default(), Fields::default());
-                    codec::encode(event, &mut row, &mut children);
+                    let stamped = Stamped { at: Timestamp::from_nanos(cursor.t.cast_unsigned()), event };
+                    codec::encode(&stamped, &mut row, &mut children);
                     let (last, gathered) =
-                        its.steps.entry(cursor.t / step).or_insert_with(|| (*cursor, Step::default()));
-                    *last = *cursor;
+                        its.steps.entry(cursor.t / step).or_insert_with(|| (cursor, Step::default()));
+                    *last = cursor;
                     gathered.push(kind, &row.0, &children.0);
                 }
-                after = *cursor;
+                after = cursor;
             }
             if !more {
                 break;

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 
 use super::session::ServerSession;
 use crate::{
-    codec,
     error::{Error, Result},
     run::{Entry, Gap, RunId},
     sql::{self, Cell, Known, Session, Stretch, Target, column_list, integer, integers, quoted, transaction},
@@ -137,8 +136,8 @@ impl sql::Batch for Batch<'_> {
         }
     }
 
-    fn add_conditions(&mut self, columns: Vec<Cell>) -> Result<i64> {
-        self.session.insert(&inserting("conditions", codec::CONDITIONS, 1), &columns)
+    fn add_shared(&mut self, table: &str, columns: &[&'static str], cells: Vec<Cell>) -> Result<i64> {
+        self.session.insert(&inserting(table, columns, 1), &cells)
     }
 
     fn push(&mut self, target: Target, cells: &mut Vec<Cell>) -> Result<()> {

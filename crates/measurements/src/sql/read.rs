@@ -15,7 +15,7 @@ use super::session::{
 };
 use crate::{
     chunk::{self, Part},
-    codec::{self, ReadError, Source},
+    codec::{self, Heard, ReadError, Source},
     error::{Error, Result},
     figure::{Figure, Kept},
     kind::{Kind, Series},
@@ -40,6 +40,7 @@ pub(crate) struct Reader<S> {
     pub session: S,
     names: RefCell<HashMap<i64, Arc<str>>>,
     conditions: RefCell<HashMap<i64, Conditions>>,
+    heard: RefCell<HashMap<i64, Heard>>,
 }
 
 /// A row of a kind, and its place in the order of events.
@@ -47,7 +48,7 @@ type Found = (Cursor, Kind, Row);
 
 impl<S: Session> Reader<S> {
     pub fn new(session: S) -> Self {
-        Self { session, names: RefCell::default(), conditions: RefCell::default() }
+        Self { session, names: RefCell::default(), conditions: RefCell::default(), heard: RefCell::default() }
     }
 
     fn rows(&self, sql: &str, parameters: &[Cell]) -> Answer<Vec<Row>> {
@@ -480,7 +481,8 @@ impl<S: Session> Reader<S> {
         let event = |(cursor, kind, row): &Found| {
             let children = children.get(cursor).map_or(&[][..], Vec::as_slice);
             let mut source = RowSource { reader: self, row, column: 2, children };
-            Ok(Stamped { at: timestamp(cursor.t), event: codec::decode(*kind, &mut source)? })
+            let at = timestamp(cursor.t);
+            Ok(Stamped { at, event: codec::decode(*kind, at, &mut source)? })
         };
         found.iter().map(event).collect()
     }
@@ -522,6 +524,27 @@ impl<S: Session> Reader<S> {
             .get(&id)
             .cloned()
             .ok_or_else(|| ReadError::Unreadable(format!("there are no conditions {id}")))
+    }
+
+    fn heard(&self, id: i64) -> Answer<Heard> {
+        if let Some(heard) = self.heard.borrow().get(&id) {
+            return Ok(heard.clone());
+        }
+        let rows = self.rows(
+            "SELECT id, signals FROM heard WHERE id >= ? ORDER BY id LIMIT ?",
+            &integers([id, S::DIALECT.ids_ahead]),
+        )?;
+        let mut remembered = self.heard.borrow_mut();
+        if remembered.len() >= REMEMBERED {
+            remembered.clear();
+        }
+        for row in rows {
+            remembered.insert(integer(&row, 0)?, Heard::parse(required(text(&row, 1)?)?)?);
+        }
+        remembered
+            .get(&id)
+            .cloned()
+            .ok_or_else(|| ReadError::Unreadable(format!("there are no signals {id}")))
     }
 }
 
@@ -682,6 +705,11 @@ impl<S: Session> Source for RowSource<'_, S> {
     fn name(&mut self) -> Answer<Option<Arc<str>>> {
         let Some(id) = self.integer()? else { return Ok(None) };
         self.reader.name(id).map(Some)
+    }
+
+    fn heard(&mut self) -> Answer<Option<Heard>> {
+        let Some(id) = self.integer()? else { return Ok(None) };
+        self.reader.heard(id).map(Some)
     }
 
     fn conditions(&mut self) -> Answer<Conditions> {

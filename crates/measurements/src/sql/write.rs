@@ -8,7 +8,7 @@ use cotorra_graph::{Conditions, Event, Timestamp};
 use super::{read::series_ids, session::Cell};
 use crate::{
     chunk::{self, Chunk, has_chunks},
-    codec::{self, Fields, Role, Value},
+    codec::{self, Fields, Heard, Role, Value},
     error::Result,
     kind::{Kind, Series},
     run::{Entry, Gap, RunId},
@@ -84,8 +84,8 @@ pub(crate) trait Batch {
     /// Returns the id of a name, which is added if it is new.
     fn name_id(&mut self, name: &str) -> Result<i64>;
 
-    /// Adds conditions, and returns their id.
-    fn add_conditions(&mut self, columns: Vec<Cell>) -> Result<i64>;
+    /// Adds a row that others refer to, and returns its id.
+    fn add_shared(&mut self, table: &str, columns: &[&'static str], cells: Vec<Cell>) -> Result<i64>;
 
     /// Takes the cells of one or more rows, and leaves none.
     fn push(&mut self, target: Target, cells: &mut Vec<Cell>) -> Result<()>;
@@ -123,6 +123,8 @@ struct KnownSeries {
     chunk: Option<Chunk>,
     /// The last conditions and their id, by role.
     conditions: [Option<(Conditions, i64)>; Role::COUNT],
+    /// The last signals and their id.
+    heard: Option<(Heard, i64)>,
 }
 
 impl Known {
@@ -175,7 +177,7 @@ impl<B: Batch> Append<'_, B> {
         for Entry { run, stamped } in events {
             row.0.clear();
             children.0.clear();
-            codec::encode(&stamped.event, &mut row, &mut children);
+            codec::encode(stamped, &mut row, &mut children);
             let kind = Kind::of(&stamped.event);
             let t = stamped.at.as_nanos().cast_signed();
             let key = [run.0, t, self.seq(*run)?];
@@ -249,6 +251,10 @@ impl<B: Batch> Append<'_, B> {
                 let series = series.expect("conditions are those of a link, which makes a series");
                 Cell::Integer(self.conditions(series, *role, conditions)?)
             }
+            Value::Heard(heard) => {
+                let series = series.expect("signals are those of a robot, which makes a series");
+                Cell::Integer(self.heard(series, heard)?)
+            }
         };
         self.cells.push(cell);
         Ok(())
@@ -285,6 +291,7 @@ impl<B: Batch> Append<'_, B> {
             presence: None,
             chunk: None,
             conditions: [const { None }; Role::COUNT],
+            heard: None,
         });
         self.known.series.insert(series, place);
         Ok(Some(place))
@@ -304,8 +311,20 @@ impl<B: Batch> Append<'_, B> {
             self.push_cell(None, value)?;
         }
         let columns = self.cells.split_off(began);
-        let id = self.batch.add_conditions(columns)?;
+        let id = self.batch.add_shared("conditions", codec::CONDITIONS, columns)?;
         self.known.of_series[series].conditions[role as usize] = Some((conditions.clone(), id));
+        Ok(id)
+    }
+
+    /// Returns the id of signals that a robot heard, which are written when they differ from its last ones.
+    fn heard(&mut self, series: usize, heard: &Heard) -> Result<i64> {
+        if let Some((last, id)) = &self.known.of_series[series].heard
+            && last == heard
+        {
+            return Ok(*id);
+        }
+        let id = self.batch.add_shared("heard", codec::HEARD, vec![Cell::Text(heard.text())])?;
+        self.known.of_series[series].heard = Some((heard.clone(), id));
         Ok(id)
     }
 

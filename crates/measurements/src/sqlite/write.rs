@@ -6,7 +6,6 @@ use rusqlite::{CachedStatement, Connection};
 
 use super::{Fallible, session::SqliteSession};
 use crate::{
-    codec,
     error::{Error, Result},
     run::{Entry, Gap, RunId},
     sql::{self, Cell, Known, Session, Stretch, Target, integer, integers, transaction},
@@ -81,8 +80,8 @@ impl sql::Batch for Batch<'_> {
         }
     }
 
-    fn add_conditions(&mut self, columns: Vec<Cell>) -> Result<i64> {
-        self.session.insert(&insert_into("conditions", codec::CONDITIONS, 1), &columns)
+    fn add_shared(&mut self, table: &str, columns: &[&'static str], cells: Vec<Cell>) -> Result<i64> {
+        self.session.insert(&insert_into(table, columns, 1), &cells)
     }
 
     fn push(&mut self, target: Target, cells: &mut Vec<Cell>) -> Result<()> {

@@ -131,7 +131,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// # Errors
     /// [`NetworkGone`].
     pub fn locate(&self, robots: Vec<(NodeId, Position)>) -> Result<Vec<Vec<Attachment>>, NetworkGone> {
-        let located = self.network.with(move |fabric, now| {
+        let (now, located) = self.network.with(move |fabric, now| {
             let locate = |(robot, position): (NodeId, Position)| {
                 if let Err(error) = fabric.move_robot(now, &robot, position) {
                     tracing::warn!("cannot move {robot} in the emulated network: {error}");
@@ -140,13 +140,13 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             };
             let robots: Vec<_> = robots.into_iter().map(locate).collect();
             let with_attachments = |robot: NodeId| {
-                let attachments = fabric.attachments(&robot);
+                let attachments = fabric.attachments(now, &robot);
                 (robot, attachments)
             };
-            robots.into_iter().map(with_attachments).collect::<Vec<_>>()
+            (now, robots.into_iter().map(with_attachments).collect::<Vec<_>>())
         })?;
         let complete = |(robot, mut attachments): (NodeId, Vec<Attachment>)| {
-            self.network.complete_attachments(&robot, &mut attachments);
+            self.network.complete_attachments(now, &robot, &mut attachments);
             attachments
         };
         Ok(located.into_iter().map(complete).collect())

@@ -120,7 +120,7 @@ pub trait Network {
     }
 
     /// Completes φ of a robot, if its radio is none of the fabric's.
-    fn complete_attachments(&self, _robot: &NodeId, _attachments: &mut [Attachment]) {}
+    fn complete_attachments(&self, _now: Timestamp, _robot: &NodeId, _attachments: &mut [Attachment]) {}
 
     /// Completes ι of a radio unit, if its radio is none of the fabric's.
     fn complete_radio(&self, _context: &mut RadioContext) {}
@@ -198,7 +198,7 @@ pub fn suggest_in_fabric<N: Network + ?Sized>(
 ) -> Result<Option<u8>, InstructionError> {
     let (robot, radio_unit) = (robot.clone(), radio_unit.clone());
     let suggest = move |fabric: &mut Fabric, now| {
-        let attachments = fabric.attachments(&robot);
+        let attachments = fabric.attachments(now, &robot);
         let own = attachments.iter().find(|its| its.attached);
         let other = attachments.iter().find(|its| its.radio_unit == radio_unit);
         match (own, other) {

@@ -390,8 +390,8 @@ impl Fabric {
     }
 
     /// Returns φ(r,R) of a robot for every radio unit of its network; empty for an unknown robot.
-    pub fn attachments(&self, robot: &NodeId) -> Vec<Attachment> {
-        self.radio.attachments(robot)
+    pub fn attachments(&self, now: Timestamp, robot: &NodeId) -> Vec<Attachment> {
+        self.radio.attachments(now, robot)
     }
 
     /// Returns the radio unit that a robot is attached to.

@@ -39,6 +39,11 @@ pub enum FabricError {
         /// The radio unit.
         radio_unit: NodeId,
     },
+    /// A trace of which only the name is known.
+    #[error(
+        "the link has no trace with the digest {0}, and a name alone says no opportunities: give them as `trace_ms`"
+    )]
+    UnknownTrace(String),
     /// The radio unit is off.
     #[error("`{0}` is off: no vAP is deployed on it")]
     NotServing(NodeId),
@@ -199,7 +204,14 @@ impl Settings {
         asked.duplication = change.duplication.unwrap_or(asked.duplication);
         asked.corruption = change.corruption.unwrap_or(asked.corruption);
         asked.reordering = change.reordering.unwrap_or(asked.reordering);
-        asked.rate = change.rate.clone().unwrap_or(asked.rate);
+        asked.rate = match change.rate.clone() {
+            Some(Rate::NamedTrace(name))
+                if asked.rate.trace_name().is_some_and(|own| own.sha256 == name.sha256) =>
+            {
+                asked.rate
+            }
+            changed => changed.unwrap_or(asked.rate),
+        };
         asked.queue = change.queue.unwrap_or(asked.queue);
         asked.queue_discipline = change.queue_discipline.unwrap_or(asked.queue_discipline);
         let scale = Scale {
@@ -327,6 +339,7 @@ fn scaled_rate(rate: &Rate, drop_scale: f64, medium: BitRate) -> Result<Rate, Fa
         Rate::Unlimited if drop_scale == 1.0 => Ok(Rate::Unlimited),
         Rate::Unlimited => fixed(medium),
         Rate::Fixed { bits_per_second } => fixed(*bits_per_second),
+        Rate::NamedTrace(name) => Err(FabricError::UnknownTrace(name.sha256.clone())),
         Rate::Trace { trace } => {
             within(trace.mean_bits_per_second() / drop_scale)?;
             Ok(Rate::Trace { trace: thinned(trace, drop_scale)? })
@@ -356,7 +369,10 @@ fn thinned(trace: &Arc<Trace>, drop_scale: f64) -> Result<Arc<Trace>, FabricErro
         kept.extend(std::iter::repeat_n(ms, copies as usize));
     }
     let kept = Trace::try_from(kept).expect("a trace's own times, thinned, never fall and end where it ends");
-    Ok(Arc::new(kept))
+    Ok(Arc::new(match &trace.name().file {
+        Some(file) => kept.in_file(file),
+        None => kept,
+    }))
 }
 
 /// Whether a link needs single packets: it has a random impairment, a queue that decides on each packet, or a rate at which
@@ -367,7 +383,7 @@ pub(crate) fn needs_packets(conditions: &Conditions) -> bool {
     let slow = match &conditions.rate {
         Rate::Unlimited => false,
         Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second() < COARSE,
-        Rate::Trace { .. } => true,
+        Rate::Trace { .. } | Rate::NamedTrace(_) => true,
     };
     // Without a rate, no packet waits.
     let decides = !conditions.queue_discipline.is_drop_tail() && conditions.rate != Rate::Unlimited;

@@ -2,6 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
+use cotorra_flows::headers::ETHERNET;
 use cotorra_graph::{BitRate, Rate, Timestamp, Trace};
 
 const NANOS: u128 = 1_000_000_000;
@@ -28,8 +29,9 @@ pub(crate) struct Fixed<P> {
     sending: Option<(P, Timestamp)>,
 }
 
-/// Sends by delivery opportunities, as Mahimahi does (Netravali et al., USENIX ATC 2015). Each opportunity delivers 1500
-/// bytes of the waiting packets, whole or in parts. The unused rest of an opportunity is lost.
+/// Sends by delivery opportunities, as Mahimahi does (Netravali et al., USENIX ATC 2015). Each opportunity delivers 1504
+/// bytes of the waiting packets, whole or in parts. The unused rest of an opportunity is lost. A packet counts as at
+/// Mahimahi's TUN interface: its IP packet and a header of 4 bytes. So an opportunity delivers one packet of 1500 bytes.
 #[derive(Debug)]
 pub(crate) struct Traced<P> {
     trace: Arc<Trace>,
@@ -39,15 +41,23 @@ pub(crate) struct Traced<P> {
     next: (u64, usize),
     /// Time of the current opportunity, and its bytes left.
     at_hand: (Timestamp, u64),
-    /// The current packet, and its bytes left to send.
+    /// The current packet, and its counted bytes left to send.
     sending: Option<(P, u64)>,
 }
+
+/// Bytes of the header that the TUN interface of Mahimahi puts before an IP packet.
+const TUN: u64 = 4;
+/// Bytes that one opportunity delivers.
+const OPPORTUNITY: u64 = TUN + Trace::BYTES as u64;
+/// Bytes of an Ethernet frame that do not count.
+const UNCOUNTED: u64 = ETHERNET as u64 - TUN;
 
 impl<P> Transmitter<P> {
     /// Creates an idle transmitter. A trace begins `now`.
     pub(crate) fn new(rate: &Rate, now: Timestamp) -> Self {
         match rate {
-            Rate::Unlimited => Self::Unlimited,
+            // Settings reject a trace of which only the name is known.
+            Rate::Unlimited | Rate::NamedTrace(_) => Self::Unlimited,
             Rate::Fixed { bits_per_second } => {
                 Self::Fixed(Fixed { rate: *bits_per_second, carried: 0, sending: None })
             }
@@ -100,7 +110,9 @@ impl<P> Transmitter<P> {
                 fixed.carried = (scaled % rate) as u64;
                 fixed.sending = Some((packet, now + Duration::from_nanos((scaled / rate) as u64)));
             }
-            Self::Traced(traced) => traced.sending = Some((packet, bits.div_ceil(8))),
+            Self::Traced(traced) => {
+                traced.sending = Some((packet, bits.div_ceil(8).saturating_sub(UNCOUNTED)));
+            }
         }
         None
     }
@@ -134,7 +146,9 @@ impl<P> Transmitter<P> {
                 let bits = end.since(now).as_nanos() * u128::from(rate.bits_per_second());
                 (packet, bits.div_ceil(NANOS) as u64)
             }),
-            Self::Traced(traced) => traced.sending.take().map(|(packet, bytes)| (packet, bytes * 8)),
+            Self::Traced(traced) => {
+                traced.sending.take().map(|(packet, bytes)| (packet, (bytes + UNCOUNTED) * 8))
+            }
         }
     }
 }
@@ -158,7 +172,7 @@ impl<P> Traced<P> {
 
     /// Takes the next opportunity.
     fn seize(&mut self) {
-        self.at_hand = (self.time_of_next(), Trace::BYTES as u64);
+        self.at_hand = (self.time_of_next(), OPPORTUNITY);
         let (period, index) = self.next;
         let wraps = index + 1 == self.trace.opportunities_ms().len();
         self.next = if wraps { (period + 1, 0) } else { (period, index + 1) };
@@ -231,8 +245,9 @@ mod tests {
 
     #[test]
     fn opportunities_carry_whole_packets_and_parts() {
-        // 1000 bytes and 500 of the next, its other 500 and 1000 of the third; the fourth waits for the next.
-        let sent = back_to_back(&traced("1\n1\n5"), Timestamp::ZERO, 4, 1000);
+        // Of frames of 1010 bytes, 1000 count: those and 504 of the next, its other 496 and 1000 of the third. Of the
+        // fourth, 8 bytes; the rest waits for the next.
+        let sent = back_to_back(&traced("1\n1\n5"), Timestamp::ZERO, 4, 1010);
         assert_eq!(sent, [1.0, 1.0, 1.0, 5.0].map(ms));
         // A packet larger than an opportunity takes several, round the trace's end.
         let sent = back_to_back(&traced("1\n1\n5"), Timestamp::ZERO, 2, 4000);
@@ -248,7 +263,60 @@ mod tests {
         assert_eq!(back_to_back(&rate, ms(5.0), 1, 100), [ms(6.0)]);
         assert_eq!(back_to_back(&rate, ms(7_000_003.0), 1, 100), [ms(7_000_005.0)]);
         // An opportunity at 0 comes again at each period's end.
-        assert_eq!(back_to_back(&traced("0\n4"), ms(3.9), 3, 1500), [4.0, 4.0, 8.0].map(ms));
+        assert_eq!(back_to_back(&traced("0\n4"), ms(3.9), 3, 1514), [4.0, 4.0, 8.0].map(ms));
+    }
+
+    #[test]
+    fn a_packet_of_1500_bytes_takes_exactly_one_opportunity() {
+        let opportunities: Vec<_> = (1..=1000).collect();
+        let rate = Rate::Trace { trace: Arc::new(opportunities.clone().try_into().unwrap()) };
+        let sent = back_to_back(&rate, Timestamp::ZERO, 1000, 1514);
+        assert_eq!(sent, opportunities.into_iter().map(|at| ms(at as f64)).collect::<Vec<_>>());
+        // Of one more byte, the last takes a second one, whose rest the next packet uses.
+        let sent = back_to_back(&rate, Timestamp::ZERO, 3, 1515);
+        assert_eq!(sent, [2.0, 3.0, 4.0].map(ms));
+    }
+
+    /// Mahimahi's rule, packet by packet: each opportunity takes bytes off the head of the queue.
+    fn as_mahimahi(opportunities: &[u64], ip_bytes: &[u64]) -> Vec<u64> {
+        let (mut sent, mut waiting) =
+            (Vec::new(), ip_bytes.iter().map(|bytes| bytes + 4).collect::<Vec<_>>());
+        waiting.reverse();
+        for at in opportunities {
+            let mut left = 1504;
+            while left > 0
+                && let Some(packet) = waiting.last_mut()
+            {
+                let bytes = left.min(*packet);
+                (left, *packet) = (left - bytes, *packet - bytes);
+                if *packet == 0 {
+                    waiting.pop();
+                    sent.push(*at);
+                }
+            }
+        }
+        sent
+    }
+
+    #[test]
+    fn packets_of_any_size_leave_when_they_leave_mahimahi() {
+        let opportunities = [1, 1, 2, 5, 5, 9, 30, 31, 32, 33];
+        let sizes = [1500, 40, 1500, 700, 28, 1464, 1500, 1200, 1500, 52, 900, 1500];
+        let rate = Rate::Trace { trace: Arc::new(opportunities.to_vec().try_into().unwrap()) };
+        let mut transmitter = Transmitter::new(&rate, Timestamp::ZERO);
+        transmitter.wake(Timestamp::ZERO);
+        let sent = sizes.map(|ip_bytes| {
+            assert!(transmitter.begin(Timestamp::ZERO, (), (ip_bytes + 14) * 8).is_none());
+            loop {
+                let deadline = transmitter.deadline().unwrap();
+                if let Some(((), end)) = transmitter.finish(deadline) {
+                    return end;
+                }
+            }
+        });
+        let expected: Vec<_> =
+            as_mahimahi(&opportunities, &sizes).into_iter().map(|at| ms(at as f64)).collect();
+        assert_eq!(sent.to_vec(), expected);
     }
 
     #[test]
@@ -271,6 +339,7 @@ mod tests {
         let mut transmitter = Transmitter::new(&traced("1\n5"), Timestamp::ZERO);
         assert!(transmitter.begin(Timestamp::ZERO, 'a', 2000 * 8).is_none());
         assert_eq!(transmitter.finish(ms(1.0)), None);
-        assert_eq!(transmitter.stop(ms(2.0)), Some(('a', 500 * 8)));
+        // 1990 bytes count, of which an opportunity has delivered 1504.
+        assert_eq!(transmitter.stop(ms(2.0)), Some(('a', 496 * 8)));
     }
 }

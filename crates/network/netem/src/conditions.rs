@@ -48,7 +48,7 @@ impl TryFrom<&Conditions> for Netem {
         let rate = match conditions.rate {
             Rate::Unlimited => None,
             Rate::Fixed { bits_per_second } => Some(bits_per_second),
-            Rate::Trace { .. } => return Err(ConditionsError::Trace),
+            Rate::Trace { .. } | Rate::NamedTrace(_) => return Err(ConditionsError::Trace),
         };
         if !conditions.queue_discipline.is_drop_tail() {
             return Err(ConditionsError::QueueDiscipline);

@@ -224,7 +224,7 @@ impl Uplink {
                 Rate::Unlimited => self.medium,
                 Rate::Fixed { bits_per_second } => bits_per_second,
                 // A trace has no current rate.
-                Rate::Trace { .. } => return None,
+                Rate::Trace { .. } | Rate::NamedTrace(_) => return None,
             };
             let kbps = u32::try_from(rate.bits_per_second() / 1000).unwrap_or(u32::MAX);
             Some((kbps, share(context.throughput_bps / rate.bits_per_second() as f64)))

@@ -65,6 +65,7 @@ pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f
             radio_unit: id(unit),
             attached: *place == Some(unit),
             signal: Some(Dbm(-50.0 - 10.0 * i as f64)),
+            age: None,
         });
         let sensors = SensorData {
             pose,

@@ -98,6 +98,7 @@ fn events() -> Vec<Event> {
                 radio_unit: node("R-1"),
                 attached: true,
                 signal: Some(Dbm(-61.5)),
+                age: None,
             }],
             sensors: SensorData {
                 pose: pose(1.5, 2.5, 0.0),

@@ -1,6 +1,6 @@
 //! Links and their conditions.
 
-use std::{sync::Arc, time::Duration};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{
     BitRate, Conditions, HardwareGraph, Jitter, Link, LinkId, Loss, NodeId, Probability, Rate, Scale, Trace,
@@ -233,11 +233,12 @@ impl Builder<'_> {
         let trace = file::read_text(&self.base_dir.join(&path.value))
             .map_err(|error| format!("the trace cannot be read: {error}"))
             .and_then(|text| Trace::parse(&text).map_err(|error| format!("{}: {error}", path.value)));
+        let file = Path::new(&path.value).file_name().unwrap_or_default().to_string_lossy();
         let trace = match trace {
-            Ok(trace) => Some(Arc::new(trace)),
+            Ok(trace) => Some(Arc::new(trace.in_file(file))),
             Err(message) => {
                 self.sink.error(&path.span, message).help(
-                    "a trace has a line for each 1500 bytes that can pass, with its time in milliseconds",
+                    "a trace has a line for each packet of 1500 bytes that can pass, with its time in milliseconds",
                 );
                 None
             }

@@ -153,6 +153,7 @@ impl Visit {
             radio_unit: self.radio_unit.clone(),
             attached: self.stage == Stage::Attached,
             signal: self.signal(now),
+            age: self.signal(now).and(self.heard.as_ref()).map(|(at, _)| now.since(*at)),
         });
     }
 

@@ -181,6 +181,7 @@ fn a_robots_context_has_the_other_domains_radio_units_that_it_hears() {
         radio_unit: id(radio_unit),
         attached,
         signal: signal.map(Dbm),
+        age: None,
     };
     let context = |attachments| RobotContext {
         robot: id("r1"),

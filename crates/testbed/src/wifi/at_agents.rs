@@ -335,7 +335,7 @@ impl AtAgents {
         for (program, Place { interface, .. }) in its {
             let wifi = reading.wifi.iter().find(|wifi| wifi.interface == interface.as_str()).cloned();
             let heard = reading.heard.get(interface).cloned().unwrap_or_default();
-            let is_news = self.figures.read(program.node(), Read { wifi, heard: heard.clone() });
+            let is_news = self.figures.read(now, program.node(), Read { wifi, heard: heard.clone() });
             if let (true, Program::Supplicant(robot)) = (is_news, program) {
                 self.handle(now, Input::Heard { robot: robot.clone(), heard });
             }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{
-    Attachment, Dbm, NodeId, RadioContext, StationContext, StationCounts, WifiContext, WifiStation,
+    Attachment, Dbm, NodeId, RadioContext, StationContext, StationCounts, Timestamp, WifiContext, WifiStation,
 };
 use cotorra_wifi::{MacAddress, wpa_supplicant::Heard};
 use parking_lot::Mutex;
@@ -14,7 +14,8 @@ use crate::real_network::RadioFigures;
 #[derive(Debug)]
 pub(super) struct Figures {
     addresses: BTreeMap<NodeId, MacAddress>,
-    read: Mutex<BTreeMap<NodeId, Read>>,
+    /// With the time of the newest scan that was read.
+    read: Mutex<BTreeMap<NodeId, (Timestamp, Read)>>,
 }
 
 /// What the machine of a radio read.
@@ -33,11 +34,11 @@ impl Figures {
     }
 
     /// Takes what was read of a radio. Returns whether its station heard something else than before.
-    pub(super) fn read(&self, node: &NodeId, read: Read) -> bool {
+    pub(super) fn read(&self, now: Timestamp, node: &NodeId, read: Read) -> bool {
         let mut all = self.read.lock();
-        let is_news = all.get(node).is_none_or(|before| before.heard != read.heard);
-        all.insert(node.clone(), read);
-        is_news
+        let same = all.get(node).filter(|(_, before)| before.heard == read.heard).map(|(heard, _)| *heard);
+        all.insert(node.clone(), (same.unwrap_or(now), read));
+        same.is_none()
     }
 
     /// Forgets what was read of a radio, whose agent is lost.
@@ -51,20 +52,25 @@ impl Figures {
 }
 
 impl RadioFigures for Figures {
-    fn complete_attachments(&self, robot: &NodeId, attachments: &mut [Attachment]) {
+    fn complete_attachments(&self, now: Timestamp, robot: &NodeId, attachments: &mut [Attachment]) {
         if !self.addresses.contains_key(robot) {
             return;
         }
         let all = self.read.lock();
         let read = all.get(robot);
-        for Attachment { radio_unit, attached, signal } in attachments {
+        for Attachment { radio_unit, attached, signal, age } in attachments {
             // A client's only station is its access point.
-            let stations = read.and_then(|read| read.wifi.as_ref()).map_or(&[][..], |wifi| &wifi.stations);
+            let stations =
+                read.and_then(|(_, read)| read.wifi.as_ref()).map_or(&[][..], |wifi| &wifi.stations);
             let own = stations.iter().find(|station| *attached && self.has_address(radio_unit, &station.mac));
+            let own = own.and_then(|station| Some((station.signal?, station.inactive)));
             let bssid = self.addresses.get(radio_unit);
-            let heard = read.and_then(|read| read.heard.iter().find(|heard| Some(&heard.bssid) == bssid));
-            let heard = || heard.map(|heard| Dbm(f64::from(heard.signal_dbm)));
-            *signal = own.and_then(|station| station.signal).or_else(heard);
+            let heard = || {
+                let (at, read) = read?;
+                let heard = read.heard.iter().find(|heard| Some(&heard.bssid) == bssid)?;
+                Some((Dbm(f64::from(heard.signal_dbm)), Some(now.since(*at))))
+            };
+            (*signal, *age) = own.or_else(heard).map_or((None, None), |(signal, age)| (Some(signal), age));
         }
     }
 
@@ -73,7 +79,7 @@ impl RadioFigures for Figures {
             return;
         }
         let all = self.read.lock();
-        let wifi = all.get(&context.radio_unit).and_then(|read| read.wifi.as_ref());
+        let wifi = all.get(&context.radio_unit).and_then(|(_, read)| read.wifi.as_ref());
         let in_use = wifi.and_then(|wifi| wifi.channels.iter().find(|channel| channel.in_use));
         context.load = in_use.and_then(|channel| channel.busy).map(|busy| busy.get());
         let station = |station: &WifiStation| {
@@ -109,6 +115,10 @@ mod tests {
         NodeId::new(name).unwrap()
     }
 
+    fn at(seconds: u64) -> Timestamp {
+        Timestamp::from_nanos(seconds * 1_000_000_000)
+    }
+
     fn mac(number: u8) -> MacAddress {
         MacAddress([2, 0, 0, 0, number, 0])
     }
@@ -123,7 +133,7 @@ mod tests {
             transmissions_failed: None,
             transmit_airtime: Some(Duration::from_millis(7)),
             receive_airtime: None,
-            inactive: None,
+            inactive: Some(Duration::from_millis(30)),
         }
     }
 
@@ -151,16 +161,18 @@ mod tests {
         Figures::new(nodes.into_iter().map(|(node, number)| (id(node), mac(number))).collect())
     }
 
-    fn signals(figures: &Figures) -> Vec<Option<f64>> {
+    /// Returns the signals with their ages, ms, 5 s after the run began.
+    fn signals(figures: &Figures) -> Vec<Option<(f64, u128)>> {
         let attachment = |unit: &str| Attachment {
             radio_unit: id(unit),
             attached: unit == "A",
             // That of the model.
             signal: Some(Dbm(-1.0)),
+            age: Some(Duration::ZERO),
         };
         let mut attachments = ["A", "B"].map(attachment);
-        figures.complete_attachments(&id("r1"), &mut attachments);
-        attachments.iter().map(|its| its.signal.map(|signal| signal.0)).collect()
+        figures.complete_attachments(at(5), &id("r1"), &mut attachments);
+        attachments.iter().map(|its| Some((its.signal?.0, its.age?.as_millis()))).collect()
     }
 
     #[test]
@@ -176,9 +188,9 @@ mod tests {
         };
         let heard = vec![heard(1, -50), heard(2, -70), heard(9, -20)];
         let associated = wifi(WifiRole::Client, vec![station(1, Some(-48.0))]);
-        assert!(figures.read(&id("r1"), Read { wifi: associated.clone(), heard: heard.clone() }));
-        assert!(!figures.read(&id("r1"), Read { wifi: associated, heard }), "no other scan");
-        assert_eq!(signals(&figures), [Some(-48.0), Some(-70.0)]);
+        assert!(figures.read(at(2), &id("r1"), Read { wifi: associated.clone(), heard: heard.clone() }));
+        assert!(!figures.read(at(3), &id("r1"), Read { wifi: associated, heard }), "no other scan");
+        assert_eq!(signals(&figures), [Some((-48.0, 30)), Some((-70.0, 3000))]);
         figures.forget(&id("r1"));
         assert_eq!(signals(&figures), [None, None]);
     }
@@ -189,7 +201,11 @@ mod tests {
         let mut context =
             RadioContext { radio_unit: id("A"), channel: 1, load: Some(0.9), stations: Vec::new() };
         let stations = vec![station(0, Some(-55.0)), station(9, Some(-30.0)), station(2, None)];
-        figures.read(&id("A"), Read { wifi: wifi(WifiRole::AccessPoint, stations), heard: Vec::new() });
+        figures.read(
+            at(0),
+            &id("A"),
+            Read { wifi: wifi(WifiRole::AccessPoint, stations), heard: Vec::new() },
+        );
         figures.complete_radio(&mut context);
         let counted = StationCounts {
             retransmissions: Some(3),

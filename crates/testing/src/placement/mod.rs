@@ -35,7 +35,12 @@ pub fn context((x, y): (f64, f64), attached: &str) -> Event {
     Event::Robot(RobotContext {
         robot: node_id("robot"),
         attachments: ["R1", "R2", "R3", "R4", "R5", "R6"]
-            .map(|unit| Attachment { radio_unit: node_id(unit), attached: unit == attached, signal: None })
+            .map(|unit| Attachment {
+                radio_unit: node_id(unit),
+                attached: unit == attached,
+                signal: None,
+                age: None,
+            })
             .into(),
         sensors: SensorData {
             pose,

@@ -82,7 +82,7 @@ impl Radio {
         self.advance(now);
         let index = self.robot(robot)?;
         self.check_lent(robot)?;
-        self.listen(index);
+        self.listen(index, now);
         self.emit(now, Event::Scanned { robot: robot.clone() });
         Ok(())
     }

@@ -63,7 +63,7 @@ impl Radio {
         let thresholds = self.robots[robot].policy.thresholds();
         let own = self.receive_beacon(now, robot, unit);
         if thresholds.is_some() {
-            self.listen(robot);
+            self.listen(robot, now);
         }
         let mut beacons = std::mem::take(&mut self.robots[robot].beacons);
         let others = self.joinable(robot).filter(|(other, _)| *other != unit);
@@ -101,6 +101,7 @@ impl Radio {
 
     /// Records that a station has left its channel. Queued frames stay or are lost, by the network's [`GapPolicy`].
     pub(super) fn leave(&mut self, robot: StationIndex, now: Timestamp) {
+        self.part(robot, now);
         self.leave_channel(robot, now);
         self.timers.set(self.channels + robot, self.robots[robot].station.deadline());
         self.drop_queued(robot);
@@ -121,7 +122,7 @@ impl Radio {
     fn end_phase(&mut self, robot: StationIndex, now: Timestamp) {
         let before = self.robots[robot].station.on_channel();
         let chosen = if self.robots[robot].station.completes_scan() {
-            self.listen(robot);
+            self.listen(robot, now);
             self.choose(robot, now)
         } else {
             None

@@ -8,6 +8,13 @@ use super::{
 };
 use crate::random::stream;
 
+/// A signal that a robot received.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Heard {
+    pub(super) signal: Dbm,
+    pub(super) at: Timestamp,
+}
+
 impl Radio {
     /// Returns the received power at the radio unit and at the robot: transmitted power less the losses by distance, walls
     /// and shadowing, which are equal in both directions. Stations decide by it, and reports have it. Single frames also see
@@ -71,18 +78,37 @@ impl Radio {
     }
 
     /// Records the signals of all radio units of a robot's network.
-    pub(super) fn listen(&mut self, robot: StationIndex) {
+    pub(super) fn listen(&mut self, robot: StationIndex, at: Timestamp) {
         let mut heard = std::mem::take(&mut self.robots[robot].heard);
         let units = &self.networks[self.robots[robot].network].units;
         heard.clear();
-        heard.extend(units.iter().map(|unit| self.hears(robot, *unit)));
+        heard.extend(units.iter().map(|unit| Some(Heard { signal: self.hears(robot, *unit)?, at })));
         self.robots[robot].heard = heard;
+    }
+
+    /// Forgets all signals: no scan has been made.
+    pub(super) fn forget(&mut self, robot: StationIndex) {
+        self.robots[robot].heard.fill(None);
+    }
+
+    /// Records the signal of the radio unit that a robot is attached to, before the robot leaves its channel.
+    pub(super) fn part(&mut self, robot: StationIndex, at: Timestamp) {
+        let Some(unit) = self.robots[robot].station.attached() else { return };
+        let [_, signal] = self.signals(robot, unit);
+        let units = &self.networks[self.robots[robot].network].units;
+        if let Some(place) = units.iter().position(|its| *its == unit) {
+            self.robots[robot].heard[place] = Some(Heard { signal, at });
+        }
     }
 
     /// Returns the radio units that a robot heard last, with their signals.
     fn heard(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
         let RobotRadio { network, heard, .. } = &self.robots[robot];
-        self.networks[*network].units.iter().zip(heard).filter_map(|(unit, heard)| Some((*unit, (*heard)?)))
+        self.networks[*network]
+            .units
+            .iter()
+            .zip(heard)
+            .filter_map(|(unit, heard)| Some((*unit, heard.as_ref()?.signal)))
     }
 
     /// Returns the radio units that a robot heard last and may attach to, with their signals.

@@ -211,7 +211,7 @@ impl WirelessLink {
 impl Lane {
     /// Returns the settings after a change.
     pub(super) fn changed(&self, change: &ConditionChange) -> Result<Settings, FabricError> {
-        if matches!(change.rate, Some(Rate::Trace { .. })) {
+        if change.rate.as_ref().is_some_and(|rate| rate.trace_name().is_some()) {
             return Err(FabricError::NotOnWireless("trace"));
         }
         if change.queue_discipline.is_some_and(|discipline| !discipline.is_drop_tail()) {
@@ -270,7 +270,7 @@ impl Lane {
         match &self.settings.effective().rate {
             Rate::Fixed { bits_per_second } => BitRate::serialisation(*bits_per_second, bytes),
             // Traces are rejected on wireless links.
-            Rate::Unlimited | Rate::Trace { .. } => Duration::ZERO,
+            Rate::Unlimited | Rate::Trace { .. } | Rate::NamedTrace(_) => Duration::ZERO,
         }
     }
 

@@ -63,6 +63,7 @@ use self::{
     edca::{Edca, Emitter, Interference},
     exchange::Exchanges,
     foreign::Lent,
+    hearing::Heard,
     link::WirelessLink,
     medium::{Flow, Medium, Waiting},
     phy::{Phy, Reception},
@@ -190,7 +191,7 @@ struct RobotRadio {
     /// The radio unit that it is, or was last, attached to. Its frames count on that link.
     home: Option<RadioUnitIndex>,
     /// Signals of its last scan, updated by beacons, in the order of the network's radio units.
-    heard: Vec<Option<Dbm>>,
+    heard: Vec<Option<Heard>>,
 }
 
 /// A frame in flight.
@@ -324,8 +325,11 @@ impl Radio {
             without_carrier: 0,
         };
         for robot in 0..radio.robots.len() {
-            radio.listen(robot);
-            if let Some(unit) = radio.strongest(robot) {
+            radio.listen(robot, Timestamp::ZERO);
+            let strongest = radio.strongest(robot);
+            // Before its first scan, a robot knows its own radio unit only.
+            radio.forget(robot);
+            if let Some(unit) = strongest {
                 radio.robots[robot].station.begin_attached(unit);
                 radio.associate(Timestamp::ZERO, robot, unit);
                 radio.enter_channel(robot, unit, Timestamp::ZERO);
@@ -577,16 +581,21 @@ impl Radio {
 
     /// Returns φ(r,R) for every radio unit of the robot's network, with the last signal that the robot received; empty for
     /// an unknown robot.
-    pub(crate) fn attachments(&self, robot: &NodeId) -> Vec<Attachment> {
+    pub(crate) fn attachments(&self, now: Timestamp, robot: &NodeId) -> Vec<Attachment> {
         let Some(&index) = self.robot_by_name.get(robot) else { return Vec::new() };
         let RobotRadio { network, station, heard, .. } = &self.robots[index];
-        let attachment = |(&unit, heard): (&RadioUnitIndex, &Option<Dbm>)| {
+        let attachment = |(&unit, heard): (&RadioUnitIndex, &Option<Heard>)| {
             let attached = station.attached() == Some(unit);
             // A station on the channel hears its radio unit's beacons all the time.
             let fresh = station.on_channel() == Some(unit);
-            let signal =
-                if fresh { Some(self.signals(index, unit)[Direction::Backward as usize]) } else { *heard };
-            Attachment { radio_unit: self.units[unit].id.clone(), attached, signal }
+            let [_, present] = self.signals(index, unit);
+            let heard = if fresh { Some(Heard { signal: present, at: now }) } else { *heard };
+            Attachment {
+                radio_unit: self.units[unit].id.clone(),
+                attached,
+                signal: heard.map(|heard| heard.signal),
+                age: heard.map(|heard| now.since(heard.at)),
+            }
         };
         self.networks[*network].units.iter().zip(heard).map(attachment).collect()
     }

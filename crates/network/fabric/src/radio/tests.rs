@@ -260,10 +260,27 @@ fn the_standard_limits_the_rate_without_a_cap() {
 fn a_station_begins_with_the_strongest_radio_unit() {
     let world = corridor(network(), Roaming::Instructed);
     assert_eq!(world.attached("r"), Some(world.port("R1")));
-    let attachments = world.radio.attachments(&id("r"));
+    let attachments = world.radio.attachments(at(0), &id("r"));
     assert_eq!(attachments.iter().map(|a| a.attached).collect::<Vec<_>>(), [true, false]);
-    let [near, far] = [0, 1].map(|i| attachments[i].signal.unwrap());
-    assert!(near > far);
+    assert!(attachments[0].signal.is_some());
+}
+
+#[test]
+fn before_its_first_scan_a_robot_has_heard_its_own_radio_unit_only() {
+    for roaming in [Roaming::Instructed, Roaming::Signal, Roaming::Supplicant(Default::default())] {
+        let mut world = corridor(network(), roaming);
+        let known = |world: &World, now| {
+            let attachments = world.radio.attachments(now, &id("r"));
+            attachments.iter().map(|a| (a.signal.is_some(), a.age)).collect::<Vec<_>>()
+        };
+        assert_eq!(known(&world, at(0)), [(true, Some(Duration::ZERO)), (false, None)], "{roaming:?}");
+        world.radio.scan(at(50), &id("r")).unwrap();
+        let left = Some(Duration::from_millis(10));
+        assert_eq!(known(&world, at(60)), [(true, left), (false, None)], "off its channel, {roaming:?}");
+        world.run(at(150));
+        let heard = Some(Duration::from_millis(30));
+        assert_eq!(known(&world, at(180)), [(true, Some(Duration::ZERO)), (true, heard)], "{roaming:?}");
+    }
 }
 
 #[test]
@@ -337,14 +354,14 @@ fn impossible_calls_are_rejected_with_a_reason() {
 fn a_scan_delays_frames_and_updates_signals() {
     let mut world = corridor(network(), Roaming::Instructed);
     world.radio.move_robot(at(40), &id("r"), Position::new(12.0, 0.0)).unwrap();
-    let stale = world.radio.attachments(&id("r"))[1].signal;
+    assert_eq!(world.radio.attachments(at(40), &id("r"))[1].signal, None);
     world.radio.scan(at(50), &id("r")).unwrap();
     world.up(at(60), "r", 100);
     world.run(at(500));
     // 100 ms off the channel, of which 90 were left, and 1 ms on the air.
     assert_eq!(world.arrivals_us(), [151_000.0]);
     assert_eq!(world.events(), [Stamped { at: at(150), event: Event::Scanned { robot: id("r") } }]);
-    assert!(world.radio.attachments(&id("r"))[1].signal > stale);
+    assert!(world.radio.attachments(at(500), &id("r"))[1].signal.is_some());
     assert_eq!(world.attached("r"), Some(world.port("R1")), "to look is not to roam");
 }
 
@@ -876,7 +893,7 @@ fn radio_units_that_are_off_are_not_heard_or_joined() {
     world.radio.scan(at(0), &id("r")).unwrap();
     world.run(at(2_000));
     assert_eq!(world.attached("r"), Some(world.port("A")));
-    let heard = world.radio.attachments(&id("r"));
+    let heard = world.radio.attachments(at(2_000), &id("r"));
     assert!(heard.iter().all(|a| a.radio_unit != id("B") || a.signal.is_none()), "{heard:?}");
     let attach = world.radio.attach(at(2_000), &id("r"), &id("B"));
     assert_eq!(attach, Err(FabricError::NotServing(id("B"))));

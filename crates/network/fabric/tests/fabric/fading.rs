@@ -78,7 +78,7 @@ fn reports_and_decisions_have_the_mean_signal() {
             fabric.move_robot(ms(0.0), &id("p"), place).unwrap();
         }
         assert_eq!(open.reach(&id("p"), &id("R1")).unwrap(), faded.reach(&id("p"), &id("R1")).unwrap());
-        assert_eq!(open.attachments(&id("p")), faded.attachments(&id("p")));
+        assert_eq!(open.attachments(ms(0.0), &id("p")), faded.attachments(ms(0.0), &id("p")));
         assert_eq!(open.radio_contexts(ms(0.0)), faded.radio_contexts(ms(0.0)));
     }
 }

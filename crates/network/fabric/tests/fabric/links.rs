@@ -65,12 +65,26 @@ fn a_full_queue_drops_at_its_tail() {
 }
 
 #[test]
-fn frames_follow_a_traces_opportunities() {
+fn full_frames_follow_a_traces_opportunities() {
     let trace = Arc::new(Trace::parse("2\n2\n10").unwrap());
     let mut fabric = pair(Conditions { rate: Rate::Trace { trace }, ..delay(1) }, 1);
-    (0..4).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1500)));
+    (0..4).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1514)));
     let out = run(&mut fabric, ms(0.0), ms(100.0));
     assert_eq!(arrivals(&out), [(0, ms(3.0)), (1, ms(3.0)), (2, ms(11.0)), (3, ms(13.0))]);
+}
+
+#[test]
+fn a_change_by_a_traces_name_keeps_that_trace_and_no_other() {
+    let trace = Arc::new(Trace::parse("2\n2\n10").unwrap().in_file("air.trace"));
+    let named = Rate::NamedTrace(trace.name().clone());
+    let mut fabric = pair(Conditions { rate: Rate::Trace { trace: Arc::clone(&trace) }, ..delay(1) }, 1);
+    let change = ConditionChange { rate: Some(named.clone()), ..ConditionChange::default() };
+    fabric.change(ms(0.0), &link(), None, &change).unwrap();
+    fabric.push(ms(0.0), A, frame(A, B, 0, 1514));
+    assert_eq!(arrivals(&run(&mut fabric, ms(0.0), ms(100.0))), [(0, ms(3.0))]);
+    let mut other = pair(delay(1), 1);
+    let refused = other.change(ms(0.0), &link(), None, &change);
+    assert_eq!(refused.unwrap_err(), FabricError::UnknownTrace(trace.name().sha256.clone()));
 }
 
 #[test]

@@ -84,7 +84,7 @@ fn simulated(testbed: &Testbed, seed: u64) -> RobotMiddleware {
 
 fn connect(middleware: &mut RobotMiddleware) {
     for robot in [id("robot1"), id("idle")] {
-        let attachment = Attachment { radio_unit: id("R1"), attached: true, signal: None };
+        let attachment = Attachment { radio_unit: id("R1"), attached: true, signal: None, age: None };
         middleware.set_attachments(&robot, vec![attachment]);
         let servers = vec![(id("cloud"), Some(SERVER))];
         let servers = Servers { navigation: servers.clone(), localization: servers };
