@@ -185,6 +185,8 @@ pub(crate) struct Luggage<'a> {
     folder: &'a Path,
     taken: &'a [&'a str],
     files: BTreeMap<PathBuf, Contents>,
+    /// New paths of files from outside of the folder, by the old ones.
+    moved: BTreeMap<PathBuf, PathBuf>,
     /// All files that are named, carried or not, and whether each is only an argument of programs. The folder of a run whose
     /// conditions are replayed stands for that run.
     pub(crate) sources: BTreeMap<PathBuf, bool>,
@@ -192,7 +194,7 @@ pub(crate) struct Luggage<'a> {
 
 impl<'a> Luggage<'a> {
     pub(crate) fn new(folder: &'a Path, taken: &'a [&'a str]) -> Self {
-        Self { folder, taken, files: BTreeMap::new(), sources: BTreeMap::new() }
+        Self { folder, taken, files: BTreeMap::new(), moved: BTreeMap::new(), sources: BTreeMap::new() }
     }
 
     /// Packs what a testbed file names. Returns its text with the new paths.
@@ -269,7 +271,13 @@ impl<'a> Luggage<'a> {
                 self.files.entry(to.clone()).or_insert(contents);
                 to
             }
-            None => self.add(&Path::new(OTHERS).join(plain(&from)), contents),
+            // Its contents may be changed by now.
+            None if self.moved.contains_key(&from) => return self.moved.get(&from).cloned(),
+            None => {
+                let to = self.add(&Path::new(OTHERS).join(plain(&from)), contents);
+                self.moved.insert(from.clone(), to.clone());
+                to
+            }
         };
         match kind {
             Kind::Map => self.pack_image(&from, &to),
