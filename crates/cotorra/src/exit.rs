@@ -4,7 +4,7 @@
 
 use std::process::ExitCode;
 
-use cotorra_testbed::{Finished, Summary};
+use cotorra_testbed::{Finished, Summary, Verdict};
 
 /// Outcome of a command. Of several, the greatest counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -13,6 +13,8 @@ pub enum Status {
     Done,
     /// Stopped by Ctrl-C before the end. Status 130, as shells have it.
     Interrupted,
+    /// A service kept its target less often than the testbed file demands. Status 4.
+    Failed,
     /// A walk ended because no robot made progress any more. Status 5.
     NoProgress,
     /// Done, but the figures are not valid. Status 3.
@@ -28,6 +30,7 @@ impl Status {
             Self::Done => 0,
             Self::Error => 1,
             Self::NotValid => 3,
+            Self::Failed => 4,
             Self::NoProgress => 5,
             Self::Interrupted => 130,
         }
@@ -39,6 +42,8 @@ impl Status {
             Self::NotValid
         } else if summary.is_stuck() {
             Self::NoProgress
+        } else if summary.verdict == Some(Verdict::Fail) {
+            Self::Failed
         } else {
             Self::Done
         }
@@ -65,9 +70,16 @@ mod tests {
 
     #[test]
     fn an_error_counts_more_than_void_figures_and_these_more_than_no_progress() {
-        let all = [Status::NoProgress, Status::NotValid, Status::Done, Status::Error, Status::Interrupted];
+        let all = [
+            Status::NoProgress,
+            Status::NotValid,
+            Status::Failed,
+            Status::Done,
+            Status::Error,
+            Status::Interrupted,
+        ];
         let mut sorted = all;
         sorted.sort_unstable();
-        assert_eq!(sorted.map(Status::number), [0, 130, 5, 3, 1]);
+        assert_eq!(sorted.map(Status::number), [0, 130, 4, 5, 3, 1]);
     }
 }

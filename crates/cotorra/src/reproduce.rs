@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// Outcomes of runs whose results are complete.
-const COMPLETE: [Status; 3] = [Status::Done, Status::NotValid, Status::NoProgress];
+const COMPLETE: [Status; 4] = [Status::Done, Status::NotValid, Status::NoProgress, Status::Failed];
 /// Commands whose results are made again.
 const COMMANDS: [&str; 4] = ["experiment", "margin", "run", "sweep"];
 /// Maximum number of files that differ which are listed.

@@ -1,19 +1,25 @@
 //! Verdicts on services: a sentence for each robot on how often it kept its target.
 
-use cotorra_testbed::{ServiceParts, ServiceSummary};
+use cotorra_testbed::{Kept, ServiceParts, ServiceSummary};
 
-use crate::{explanation::explanation, words::percent};
+use crate::{
+    explanation::explanation,
+    words::{count, demanded, percent, percent_apart},
+};
 
 /// Returns a sentence for each service, in their order, and one that names the worst of several. A service that missed its
-/// target has the part of its service times that explains most of that.
+/// target has the reasons of that.
 ///
-/// A testbed file demands no share of samples, so a service "did not keep" its target if most of its samples missed it.
+/// If the testbed file demands a share of samples, the sentence begins with PASS or FAIL. Without, a service "did not keep"
+/// its target if most of its samples missed it.
 pub fn verdicts(services: &[ServiceSummary], parts: &[ServiceParts]) -> Vec<String> {
     let sentence = |its: &ServiceSummary| {
         let verdict = verdict(its, &name(its, services));
+        let judged =
+            judged(&its.kept).map_or(verdict.clone(), |[word, why]| format!("{word}: {verdict} ({why})"));
         match reason(its, parts) {
-            None => verdict + ".",
-            Some(reason) => format!("{verdict}; {reason}."),
+            None => judged + ".",
+            Some(reason) => format!("{judged}; {reason}."),
         }
     };
     let mut sentences: Vec<_> = services.iter().map(sentence).collect();
@@ -29,7 +35,7 @@ fn name(of: &ServiceSummary, services: &[ServiceSummary]) -> String {
     }
 }
 
-/// Explains the samples above the target; `None` if there are none, or none with parts.
+/// Explains the samples that missed the target; `None` if there are none, or nothing is known of them.
 fn reason(its: &ServiceSummary, parts: &[ServiceParts]) -> Option<String> {
     its.above_target.filter(|above| *above > 0.0)?;
     explanation(parts.iter().find(|parts| parts.service == its.service)?)
@@ -37,23 +43,38 @@ fn reason(its: &ServiceSummary, parts: &[ServiceParts]) -> Option<String> {
 
 fn verdict(its: &ServiceSummary, name: &str) -> String {
     let target = its.service_time_target_ms;
-    let Some(kept) = kept(its) else {
+    let samples = count(its.samples, "sample");
+    let Some(kept) = its.kept.kept else {
         return format!("{name} has no samples; its target is {target} ms");
     };
+    let share = its.kept.keep.map_or_else(|| percent(kept), |keep| percent_apart(kept, keep));
     if kept >= 1.0 {
-        format!("{name} kept {target} ms in all samples")
+        format!("{name} kept {target} ms in all of {samples}")
     } else if kept >= 0.5 {
-        format!("{name} kept {target} ms in {} of samples", percent(kept))
+        format!("{name} kept {target} ms in {share} of {samples}")
     } else if kept > 0.0 {
-        format!("{name} did not keep {target} ms: only {} of samples did", percent(kept))
+        format!("{name} did not keep {target} ms: only {share} of {samples} did")
     } else {
-        format!("{name} did not keep {target} ms in any sample")
+        format!("{name} did not keep {target} ms in any of {samples}")
     }
+}
+
+/// Returns PASS or FAIL, and the figures behind it; `None` if the testbed file demands no share.
+fn judged(kept: &Kept) -> Option<[String; 2]> {
+    let Kept { kept_low, kept_high, keep, verdict, sure, .. } = *kept;
+    let mut why = format!("{} demanded", demanded(keep?));
+    if let (Some(low), Some(high)) = (kept_low, kept_high) {
+        why += &format!(", 95 % interval {} to {}", percent(low), percent(high));
+    }
+    if sure == Some(false) {
+        why += ", too few samples to be sure";
+    }
+    Some([verdict?.to_string(), why])
 }
 
 /// Names the service that kept its target least; `None` if no service is worse than all others.
 fn worst(services: &[ServiceSummary]) -> Option<String> {
-    let mut measured: Vec<_> = services.iter().filter_map(|its| Some((kept(its)?, its))).collect();
+    let mut measured: Vec<_> = services.iter().filter_map(|its| Some((its.kept.kept?, its))).collect();
     measured.sort_by(|(a, _), (b, _)| a.total_cmp(b));
     match measured[..] {
         [(least, worst), (next, _), ..] if least < next => {
@@ -63,25 +84,22 @@ fn worst(services: &[ServiceSummary]) -> Option<String> {
     }
 }
 
-/// Returns the share of samples within the target; `None` without samples.
-fn kept(its: &ServiceSummary) -> Option<f64> {
-    its.above_target.map(|above| 1.0 - above)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     /// Returns a service with 1000 samples, or none if `above` is `None`.
     fn service(robot: &str, service: &str, above: Option<usize>) -> ServiceSummary {
+        let samples = above.map_or(0, |_| 1000);
         ServiceSummary {
             robot: robot.parse().unwrap(),
             service: service.parse().unwrap(),
             in_total: service != "localization",
-            samples: above.map_or(0, |_| 1000),
+            samples,
             unanswered: 0,
             service_time_target_ms: 15.0,
             above_target: above.map(|above| above as f64 / 1000.0),
+            kept: Kept::of(samples - above.unwrap_or(0), samples, None),
             service_time_ms: None,
         }
     }
@@ -93,10 +111,10 @@ mod tests {
         assert_eq!(
             verdicts(&services, &[]),
             [
-                "r1 kept 15 ms in 99.2 % of samples.",
-                "r2 kept 15 ms in all samples.",
-                "r3 kept 15 ms in 91.4 % of samples.",
-                "r4 kept 15 ms in 50.0 % of samples.",
+                "r1 kept 15 ms in 99.2 % of 1000 samples.",
+                "r2 kept 15 ms in all of 1000 samples.",
+                "r3 kept 15 ms in 91.4 % of 1000 samples.",
+                "r4 kept 15 ms in 50.0 % of 1000 samples.",
                 "r4 kept its target least.",
             ]
         );
@@ -105,8 +123,42 @@ mod tests {
     #[test]
     fn a_robot_that_missed_its_target_mostly_did_not_keep_it() {
         let of = |above| verdicts(&[service("r1", "navigation", Some(above))], &[]);
-        assert_eq!(of(501), ["r1 did not keep 15 ms: only 49.9 % of samples did."]);
-        assert_eq!(of(1000), ["r1 did not keep 15 ms in any sample."]);
+        assert_eq!(of(501), ["r1 did not keep 15 ms: only 49.9 % of 1000 samples did."]);
+        assert_eq!(of(1000), ["r1 did not keep 15 ms in any of 1000 samples."]);
+    }
+
+    #[test]
+    fn a_demanded_share_passes_or_fails_with_its_interval() {
+        let of = |within, samples, keep| {
+            let kept = Kept::of(within, samples, Some(keep));
+            let above_target = kept.kept.map(|kept| 1.0 - kept);
+            verdicts(
+                &[ServiceSummary { samples, above_target, kept, ..service("r1", "navigation", None) }],
+                &[],
+            )
+        };
+        assert_eq!(
+            of(949, 1000, 0.99),
+            [
+                "FAIL: r1 kept 15 ms in 94.9 % of 1000 samples (99 % demanded, 95 % interval 93.4 % to 96.1 %)."
+            ]
+        );
+        assert_eq!(
+            of(1000, 1000, 0.99),
+            ["PASS: r1 kept 15 ms in all of 1000 samples (99 % demanded, 95 % interval 99.6 % to 100.0 %)."]
+        );
+        assert_eq!(
+            of(19, 20, 0.9),
+            [
+                "PASS: r1 kept 15 ms in 95.0 % of 20 samples (90 % demanded, 95 % interval 76.4 % to 99.1 %, too few samples \
+              to be sure)."
+            ]
+        );
+        assert_eq!(
+            of(0, 0, 0.9),
+            ["FAIL: r1 has no samples; its target is 15 ms (90 % demanded, too few samples to be sure)."]
+        );
+        assert!(of(98_996, 100_000, 0.99)[0].contains("98.996 % of"), "it does not look like 99 %");
     }
 
     #[test]
@@ -117,13 +169,16 @@ mod tests {
         assert_eq!(
             verdicts(&of(None), &[]),
             [
-                "navigation of r1 kept 15 ms in 90.0 % of samples.",
+                "navigation of r1 kept 15 ms in 90.0 % of 1000 samples.",
                 "localization of r1 has no samples; its target is 15 ms.",
             ]
         );
         assert_eq!(
             verdicts(&of(Some(0)), &[])[1..],
-            ["localization of r1 kept 15 ms in all samples.", "navigation of r1 kept its target least."]
+            [
+                "localization of r1 kept 15 ms in all of 1000 samples.",
+                "navigation of r1 kept its target least."
+            ]
         );
         let equal = ["r1", "r2"].map(|robot| service(robot, "navigation", Some(10)));
         assert_eq!(verdicts(&equal, &[]).len(), 2, "none of them is the worst");

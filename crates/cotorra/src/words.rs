@@ -37,6 +37,21 @@ pub fn percent(share: f64) -> String {
     format!("{percent:.1} %")
 }
 
+/// `98.96 %`: a share with the digits that tell it from another one.
+pub fn percent_apart(share: f64, other: f64) -> String {
+    let with = |digits: usize, share: f64| format!("{:.digits$} %", share * 100.0);
+    let digits = (1..=6).find(|digits| with(*digits, share) != with(*digits, other));
+    match digits {
+        Some(digits) if digits > 1 => with(digits, share),
+        _ => percent(share),
+    }
+}
+
+/// `99 %`, `99.5 %`: a share as people write it.
+pub fn demanded(share: f64) -> String {
+    format!("{} %", (share * 1e8).round() / 1e6)
+}
+
 /// `0:07`, `6:52`, `1:02:03`.
 pub fn clock(seconds: f64) -> String {
     let seconds = seconds as u64;
@@ -120,6 +135,14 @@ pub fn over(links: &[LinkId]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_share_is_told_from_the_demanded_one() {
+        let apart =
+            [(0.9896, 0.99), (0.98999, 0.99), (0.99, 0.99), (0.95, 0.99)].map(|(a, b)| percent_apart(a, b));
+        assert_eq!(apart, ["98.96 %", "98.999 %", "99.0 %", "95.0 %"]);
+        assert_eq!([0.99, 0.995, 1.0, 0.07].map(demanded), ["99 %", "99.5 %", "100 %", "7 %"]);
+    }
 
     #[test]
     fn only_all_samples_are_100_percent_and_only_none_are_0() {

@@ -5,7 +5,8 @@ import { area, draw, Svg } from "./plot.js";
 import { DASHES } from "./palette.js";
 import { element, rarely, save, setText } from "./dom.js";
 import { other, PARTS } from "./state.js";
-import { clock, figure, percent } from "./format.js";
+import { clock, figure } from "./format.js";
+import { kept } from "./kept.js";
 
 /** @typedef {import("./state.js").Model} Model */
 /** @typedef {import("./time_axis.js").TimeAxis} TimeAxis */
@@ -352,14 +353,16 @@ class Chart {
             const line = plot.lines.find((one) => one.name === name);
             const found = line && this.#hovered !== null ? line.series.valueAt(this.#hovered).value : line?.series.last;
             const value = line ? figure(found, this.subject.unit) : "hidden";
-            const share = line && plot.target !== null && this.#hovered === null ? line.series.shareWithin(plot.target, plot.from, plot.until) : NaN;
+            const counts = line && plot.target !== null && this.#hovered === null ? line.series.countWithin(plot.target, plot.from, plot.until) : null;
+            const keep = this.model.testbed.services.find(({ id }) => id === name)?.kpis.keep;
+            const share = counts && kept(counts, keep);
             const item = this.legend.children[i];
             const swatch = /** @type {SVGLineElement | null} */ (item.querySelector("line"));
             const index = this.#colours.get(name) ?? 0;
             swatch?.setAttribute("stroke", palette.series[index]);
             swatch?.setAttribute("stroke-dasharray", DASHES[index].join(" "));
-            setText(/** @type {Element} */ (item.querySelector(".value")), Number.isNaN(share) ? value : `${value}, ${percent(share)} in time`);
-            return `${name} ${value}`;
+            setText(/** @type {Element} */ (item.querySelector(".value")), share ? `${value}, ${share}` : value);
+            return share && keep ? `${name} ${value}, ${share}` : `${name} ${value}`;
         });
         const units = [...new Set(plot.bands.map((band) => band.name))].join(", ");
         const what = `${this.subject.title}, ${clock(plot.from)} to ${clock(plot.until)}${units && `, attached to ${units}`}`;

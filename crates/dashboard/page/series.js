@@ -119,18 +119,18 @@ export class Series {
     }
 
     /**
-     * Returns the share of the samples in a window that are at most a limit. A gap is not. NaN if there are none, or if some
-     * are only known in steps.
+     * Counts the samples of a window, and those up to a limit, of which samples without a value are none; `null` if some of
+     * them are not here, or there are none.
      * @param {number} limit
      * @param {number} from
      * @param {number} until
      */
-    shareWithin(limit, from, until) {
-        if (this.steps > 0 && this.ends[this.steps - 1] > from) return NaN;
+    countWithin(limit, from, until) {
+        if (this.steps > 0 && this.ends[this.steps - 1] > from) return null;
         const [first, end] = [after(this.times, this.length, from), after(this.times, this.length, until)];
         let within = 0;
         for (let i = first; i < end; i++) if (this.values[i] <= limit) within += 1;
-        return end > first ? within / (end - first) : NaN;
+        return end > first ? { within, samples: end - first } : null;
     }
 
     /** Turns the older half of the samples into steps. */

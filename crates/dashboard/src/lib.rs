@@ -69,6 +69,7 @@ fn with_modules(page: &'static [u8]) -> Vec<File> {
         "dom.js",
         "edit.js",
         "format.js",
+        "kept.js",
         "icon.svg",
         "map.js",
         "moment.js",

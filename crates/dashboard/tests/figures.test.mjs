@@ -6,6 +6,7 @@ import { test } from "node:test";
 import { EventParser } from "../page/api.js";
 import { csv } from "../page/charts.js";
 import { clock, figure, ticks, timeTicks } from "../page/format.js";
+import { kept, wilson } from "../page/kept.js";
 import { ellipse } from "../page/map.js";
 import { palette } from "../page/palette.js";
 import { read } from "../page/pgm.js";
@@ -41,14 +42,26 @@ test("the history comes before the stream, and no sample counts twice", () => {
     assert.deepEqual(scanned(series, 0, 20).map(({ last }) => last), [2, 4]);
     assert.equal(series.valueAt(10.5).value, 2);
     assert.equal(series.valueAt(12).value, 4);
-    assert.ok(Number.isNaN(series.shareWithin(15, 0, 20)), "extremes do not tell a share");
-    assert.equal(series.shareWithin(3, 10, 20), 0);
+    assert.equal(series.countWithin(15, 0, 20), null, "extremes do not tell a share");
+    assert.deepEqual(series.countWithin(3, 10, 20), { within: 0, samples: 1 });
 });
 
 test("a share within a target counts samples without an answer as outside", () => {
     const series = new Series();
     [10, 20, NaN, 15].forEach((value, i) => series.add(i + 1, value));
-    assert.equal(series.shareWithin(15, 0, 10), 0.5);
+    assert.deepEqual(series.countWithin(15, 0, 10), { within: 2, samples: 4 });
+    assert.equal(series.countWithin(15, 20, 30), null);
+});
+
+test("a demanded share passes or fails, and few samples are said not to be enough", () => {
+    const of = (within, samples, keep) => kept({ within, samples }, keep);
+    assert.equal(of(949, 1000, null), "94.9 % of 1000 in time");
+    assert.equal(of(949, 1000, 0.99), "94.9 % of 1000 in time: FAIL (99 % demanded)");
+    assert.equal(of(1000, 1000, 0.99), "100.0 % of 1000 in time: PASS (99 % demanded)");
+    assert.equal(of(20, 20, 0.99), "100.0 % of 20 in time: PASS (99 % demanded, too few to be sure)");
+    assert.equal(of(98996, 100000, 0.99).slice(0, 8), "98.996 %", "it does not look like 99 %");
+    assert.equal(of(9999, 10000).slice(0, 6), "99.9 %", "it does not look like all");
+    assert.deepEqual(wilson(81, 263).map((bound) => bound.toFixed(4)), ["0.2553", "0.3662"]);
 });
 
 const plot = (values, options = {}) => {

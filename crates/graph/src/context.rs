@@ -9,6 +9,7 @@ use crate::{
     conditions::{ConditionChange, Conditions, Scale},
     hardware::Direction,
     id::{LinkId, NodeId, ServiceId, VnfId},
+    lost_at::LostAt,
     nodes::Nodes,
     time_parts::TimeParts,
     units::{Dbm, Position, Timestamp, is_zero, millis},
@@ -503,6 +504,10 @@ pub struct ServiceTime {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<TimeParts>))]
     pub parts: Option<Box<TimeParts>>,
+    /// Where its packets ended, of one without an answer; `None` if that is unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<LostAt>))]
+    pub lost_at: Option<Box<LostAt>>,
 }
 
 /// A finished change of attachment.

@@ -18,6 +18,7 @@ mod goal;
 mod hardware;
 mod id;
 mod jitter;
+mod lost_at;
 mod machine_context;
 mod map;
 mod medium;
@@ -67,6 +68,7 @@ pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
 pub use jitter::{Correlation, InvalidCorrelation, Jitter, JitterDistribution};
+pub use lost_at::{LostAt, LostCause};
 pub use machine_context::{
     CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext, ReadingTime,
     WifiChannel, WifiContext, WifiRole, WifiStation,

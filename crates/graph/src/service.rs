@@ -10,7 +10,7 @@ use crate::{
     hardware::WifiStandard,
     id::{NodeId, ServiceId, VnfId},
     nodes::Nodes,
-    units::{BitRate, Position, millis},
+    units::{BitRate, Position, Probability, millis},
 };
 
 /// A service that robots use.
@@ -203,6 +203,10 @@ pub struct Kpis {
     #[serde(rename = "service_time_target_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub service_time: Duration,
+    /// Share of samples that must be within the target; `None` if any share will do.
+    #[serde(rename = "keep", default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub kept: Option<Probability>,
     /// Probability that all nodes and links in use work; 0 to 1.
     pub reliability: Option<f64>,
     /// Area of the service: a polygon of three places or more.

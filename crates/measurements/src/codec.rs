@@ -86,7 +86,9 @@ pub(crate) const fn table(kind: Kind) -> Table {
             children: Some(("hop", &["link"])),
         },
         Kind::ServiceTime => Table {
-            columns: &["service", "robot", "sequence", "emitted_ns", "service_time_ms", "attachment", "server"],
+            columns: &[
+                "service", "robot", "sequence", "emitted_ns", "service_time_ms", "attachment", "server", "lost_at",
+            ],
             series: &[],
             children: Some(("time_part", &["part", "direction", "total_ms", "queueing_ms", "retries_ms"])),
         },

@@ -1,7 +1,7 @@
 //! Comparison of two runs, for researchers who changed the plug-in, the testbed or the seed. Figures of both runs have the
 //! same names and units, so that any two can be compared.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
     Direction, Event, LinkId, NodeId, PluginId, ServiceId, Timestamp, VnfId, VnfState, millis,
@@ -79,12 +79,21 @@ keys! {
     VnfOf { vnf: VnfId, }
 }
 
+/// Targets of the services of a run.
+pub type Targets = BTreeMap<ServiceId, Duration>;
+
 /// Service times.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Services {
-    /// Position packets that were not answered in time.
+    /// Position packets, scans and requests, those without an answer in time included.
+    #[serde(default)]
+    pub samples: u64,
+    /// Those that were not answered in time.
     pub unanswered: u64,
+    /// Share of all of them that were answered within the target; `None` if the run's testbed file cannot be read.
+    #[serde(default)]
+    pub kept: Option<f64>,
     /// Service times of answered packets, ms, with quantiles 0.5, 0.95 and 0.99.
     pub service_time_ms: Option<Values>,
 }
@@ -168,11 +177,40 @@ pub struct Doubts {
 const QUANTILES: [f64; 3] = [0.5, 0.95, 0.99];
 const EVER: Span = Span { from: 0, until: i64::MAX };
 
+/// Service times gathered from one run.
+#[derive(Default)]
+struct Times {
+    unanswered: u64,
+    within_target: u64,
+    target: Option<Duration>,
+    took: Gathered,
+}
+
+impl Times {
+    fn add(&mut self, took: Option<Duration>) {
+        match took {
+            Some(took) => {
+                self.took.add(millis::of(took));
+                self.within_target += u64::from(self.target.is_some_and(|target| took <= target));
+            }
+            None => self.unanswered += 1,
+        }
+    }
+
+    fn finish(mut self) -> Services {
+        let service_time_ms = self.took.finish(&QUANTILES);
+        let samples = self.unanswered + service_time_ms.as_ref().map_or(0, |values| values.count);
+        let kept = self.target.map(|_| self.within_target as f64 / samples as f64);
+        Services { samples, unanswered: self.unanswered, kept, service_time_ms }
+    }
+}
+
 /// Figures gathered from one run.
 #[derive(Default)]
 struct Side {
-    services: BTreeMap<ServiceOf, (u64, Gathered)>,
-    regions: BTreeMap<RegionOf, (u64, Gathered)>,
+    targets: Targets,
+    services: BTreeMap<ServiceOf, Times>,
+    regions: BTreeMap<RegionOf, Times>,
     links: BTreeMap<LinkOf, Links>,
     handovers: BTreeMap<HandoverOf, (u64, u64, Gathered)>,
     placements: BTreeMap<PlacementOf, Placements>,
@@ -185,13 +223,13 @@ struct Side {
 }
 
 /// Compares two runs. Reads their events once, in pages. Its memory is bounded by the size of the graph.
-pub(crate) fn difference(a: (&dyn Store, RunId), b: (&dyn Store, RunId)) -> Result<Difference> {
+pub(crate) fn difference(
+    a: (&dyn Store, RunId),
+    b: (&dyn Store, RunId),
+    [of_a, of_b]: [Targets; 2],
+) -> Result<Difference> {
     let [(x, a), (y, b)] = [(a.0, a.0.run(a.1)?), (b.0, b.0.run(b.1)?)];
-    let [x, y] = [Side::of(x, &a)?, Side::of(y, &b)?];
-    let services = |(unanswered, mut took): (u64, Gathered)| Services {
-        unanswered,
-        service_time_ms: took.finish(&QUANTILES),
-    };
+    let [x, y] = [Side::of(x, &a, of_a)?, Side::of(y, &b, of_b)?];
     let handovers = |(count, fast, mut gap): (u64, u64, Gathered)| Handovers {
         count,
         fast,
@@ -199,8 +237,8 @@ pub(crate) fn difference(a: (&dyn Store, RunId), b: (&dyn Store, RunId)) -> Resu
     };
     Ok(Difference {
         runs: [a, b],
-        services: join(x.services, y.services, services),
-        regions: join(x.regions, y.regions, services),
+        services: join(x.services, y.services, Times::finish),
+        regions: join(x.regions, y.regions, Times::finish),
         links: join(x.links, y.links, |links| links),
         handovers: join(x.handovers, y.handovers, handovers),
         placements: join(x.placements, y.placements, |placements| placements),
@@ -221,8 +259,8 @@ fn join<K: Ord, G, V>(a: BTreeMap<K, G>, b: BTreeMap<K, G>, summary: impl Fn(G) 
 }
 
 impl Side {
-    fn of(store: &dyn Store, run: &Run) -> Result<Self> {
-        let mut side = Self::default();
+    fn of(store: &dyn Store, run: &Run, targets: Targets) -> Result<Self> {
+        let mut side = Self { targets, ..Self::default() };
         const TOLD: [Kind; 7] = [
             Kind::Placement,
             Kind::ServiceTime,
@@ -294,16 +332,15 @@ impl Side {
                 self.placed.insert(vnf, placed);
             }
             Event::ServiceTime(time) => {
+                let target = self.targets.get(&time.service).copied();
                 let service = ServiceOf { service: time.service.clone(), robot: time.robot.clone() };
                 let (attachment, server) = (time.attachment, time.server);
                 let region = RegionOf { service: time.service, robot: time.robot, attachment, server };
                 let both =
                     [self.services.entry(service).or_default(), self.regions.entry(region).or_default()];
-                for (unanswered, gathered) in both {
-                    match time.took {
-                        Some(took) => gathered.add(millis::of(took)),
-                        None => *unanswered += 1,
-                    }
+                for times in both {
+                    times.target = target;
+                    times.add(time.took);
                 }
             }
             Event::Handover(handover) => {

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     curve::{Curve, CurveRequest, Drawing},
-    difference::{Difference, difference},
+    difference::{Difference, Targets, difference},
     error::Result,
     figure::Figure,
     kind::{Kind, Series},
@@ -398,20 +398,26 @@ impl History {
         }
     }
 
-    /// Compares two runs.
+    /// Compares two runs, whose services have these targets.
     ///
     /// # Errors
     /// See [`History`].
-    pub fn difference(&self, a: RunId, b: RunId) -> Result<Difference> {
-        self.difference_with(a, self, b)
+    pub fn difference(&self, a: RunId, b: RunId, targets: [Targets; 2]) -> Result<Difference> {
+        self.difference_with(a, self, b, targets)
     }
 
     /// Compares a run with one of another history.
     ///
     /// # Errors
     /// See [`History`].
-    pub fn difference_with(&self, a: RunId, other: &Self, b: RunId) -> Result<Difference> {
-        difference((&*self.store, a), (&*other.store, b))
+    pub fn difference_with(
+        &self,
+        a: RunId,
+        other: &Self,
+        b: RunId,
+        targets: [Targets; 2],
+    ) -> Result<Difference> {
+        difference((&*self.store, a), (&*other.store, b), targets)
     }
 
     fn select<T: FromEvent>(
@@ -595,6 +601,7 @@ mod tests {
                 attachment: Some(node(unit)),
                 server: node("fog"),
                 parts: None,
+                lost_at: None,
             }),
         };
         let handover = Event::Handover(Handover {
@@ -632,7 +639,8 @@ mod tests {
         }
         history.end_run(b, s(10)).unwrap();
 
-        let difference = history.difference(a, b).unwrap();
+        let target = Targets::from([("navigation".parse().unwrap(), std::time::Duration::from_millis(20))]);
+        let difference = history.difference(a, b, [target.clone(), target]).unwrap();
         assert_eq!(difference.runs.each_ref().map(|run| run.id), [a, b]);
         let services = |entry: &[Option<crate::difference::Services>; 2]| {
             entry.each_ref().map(|side| {
@@ -641,6 +649,17 @@ mod tests {
             })
         };
         assert_eq!(services(&difference.services[0].runs), [Some((1, Some(10.0))), Some((0, Some(20.0)))]);
+        let shares = |entry: &[Option<crate::difference::Services>; 2]| {
+            entry.each_ref().map(|side| side.as_ref().map(|s| (s.samples, s.kept)))
+        };
+        assert_eq!(shares(&difference.services[0].runs), [Some((3, Some(1.0 / 3.0))), Some((1, Some(1.0)))]);
+        assert_eq!(shares(&difference.regions[1].runs), [Some((1, Some(0.0))), None]);
+        let without = history.difference(a, b, Default::default()).unwrap();
+        assert_eq!(
+            shares(&without.services[0].runs),
+            [Some((3, None)), Some((1, None))],
+            "no target is known"
+        );
         assert_eq!(difference.regions.len(), 2);
         assert_eq!(services(&difference.regions[1].runs), [Some((1, None)), None]);
         let handovers = difference.handovers[0].runs[0].as_ref().unwrap();
@@ -675,7 +694,7 @@ mod tests {
         let (history, run) =
             recorded(&[placed(0, &["fog"]), placed(2, &["fog", "edge"]), placed(5, &["edge"]), last.clone()]);
         history.end_run(run, Timestamp::from_nanos(10_000_000_000)).unwrap();
-        let difference = history.difference(run, run).unwrap().placements;
+        let difference = history.difference(run, run, Default::default()).unwrap().placements;
         let times = difference.iter().map(|entry| {
             let of = entry.runs[0].as_ref().unwrap();
             (entry.of.node.as_str(), of.count, of.duration_ms)

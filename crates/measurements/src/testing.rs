@@ -8,11 +8,11 @@ use cotorra_graph::{
     AccessPoint, AnswersRejected, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions,
     Correlation, DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Handover, Image,
     InstancePath, Instruction, Jitter, JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters,
-    LinkId, LinkTime, ListenPort, Loss, NodeId, Nodes, PathKind, Pie, Placement, PluginId, Pose, PoseSource,
-    Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext, Rate, Red,
-    RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId,
-    ServiceTime, Stamped, StationContext, StationCounts, Tested, ThroughputTest, TimeParts, Timestamp, Trace,
-    Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
+    LinkId, LinkTime, ListenPort, Loss, LostAt, LostCause, NodeId, Nodes, PathKind, Pie, Placement, PluginId,
+    Pose, PoseSource, Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext,
+    Rate, Red, RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading,
+    ServiceId, ServiceTime, Stamped, StationContext, StationCounts, Tested, ThroughputTest, TimeParts,
+    Timestamp, Trace, Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -290,6 +290,16 @@ prop_compose! {
 }
 
 prop_compose! {
+    fn lost_at()(
+        link in of(link()),
+        back: bool,
+        cause in select(vec![LostCause::Loss, LostCause::FullQueue, LostCause::NoAnswer, LostCause::Rejected]),
+    ) -> LostAt {
+        LostAt { link, back, cause }
+    }
+}
+
+prop_compose! {
     fn service_time()(
         (service, robot, server) in (service(), node(), node()),
         sequence: u32,
@@ -297,8 +307,9 @@ prop_compose! {
         took in of(duration()),
         attachment in of(node()),
         parts in of(time_parts().prop_map(Box::new)),
+        lost_at in of(lost_at().prop_map(Box::new)),
     ) -> ServiceTime {
-        ServiceTime { service, robot, sequence, emitted, took, attachment, server, parts }
+        ServiceTime { service, robot, sequence, emitted, took, attachment, server, parts, lost_at }
     }
 }
 

@@ -217,7 +217,7 @@ fn figures_are_the_same_before_and_after() {
                 Duration::from_secs(1)
             ))
         );
-        let difference = history.difference(run, other).unwrap();
+        let difference = history.difference(run, other, Default::default()).unwrap();
         for entry in &difference.links {
             let [a, b] = entry.runs.each_ref().map(|its| its.as_ref().unwrap().delay_ms.as_ref().unwrap());
             assert_eq!(exact(a), exact(b));

@@ -1134,6 +1134,8 @@ record! {
         /// packet that answers it. Of a service that localizes, from a scan to the pose; of one with a `flow`, from its
         /// requests to their answers.
         service_time: Spanned<Duration>,
+        /// Share of samples that must be within the target. With it, each run has a verdict on the service: PASS or FAIL.
+        kept: Option<Spanned<Probability>>,
         /// A flow of your own programs, whose time is the service's: docs/flows.md.
         flow: Option<Spanned<FlowRecord>>,
         /// Probability that all nodes and links in use work.

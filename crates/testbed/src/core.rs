@@ -170,6 +170,9 @@ impl<N: Network, E: Engine> Core<N, E> {
                 self.set_servers();
             }
             self.middleware.advance(now);
+            for (nonce, sample) in self.middleware.given_up() {
+                self.trips.explain(nonce, sample);
+            }
             self.take_data();
         }
         if now >= self.next_observation {

@@ -8,7 +8,7 @@ use std::{
 };
 
 use cotorra_graph::{
-    AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, NodeId, Nodes, Placement,
+    AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, LostAt, NodeId, Nodes, Placement,
     PluginId, RobotContext, ServiceTime, Stamped, Testbed, VirtualLinkMapping, VnfId,
 };
 use cotorra_measurements::{Figure, GraphState, Sample};
@@ -210,12 +210,15 @@ impl DomainView {
         }
     }
 
-    /// Returns a service time of one of the domain's robots. The time on links of others counts as unknown.
+    /// Returns a service time of one of the domain's robots. The time on links of others counts as unknown, and so does what
+    /// they lost.
     pub(crate) fn service_time(&self, sample: &ServiceTime) -> ServiceTime {
         let mut sample = sample.clone();
         if let Some(parts) = &mut sample.parts {
             parts.hide_links(|link| self.sees_link(link));
         }
+        let is_seen = |at: &LostAt| at.link.as_ref().is_none_or(|link| self.sees_link(link));
+        sample.lost_at = sample.lost_at.filter(|at| is_seen(at));
         sample
     }
 
@@ -238,7 +241,9 @@ impl DomainView {
             Event::Goal(goal) => self.owns(&goal.robot),
             Event::Sensor(reading) => self.owns(&reading.robot),
             Event::Machine(context) => self.owns(&context.node),
-            Event::ServiceTime(sample) if self.owns(&sample.robot) && sample.parts.is_some() => {
+            Event::ServiceTime(sample)
+                if self.owns(&sample.robot) && (sample.parts.is_some() || sample.lost_at.is_some()) =>
+            {
                 return changed(Event::ServiceTime(self.service_time(sample)));
             }
             Event::ServiceTime(sample) => self.owns(&sample.robot),

@@ -77,9 +77,9 @@ pub use recorded::{Recorded, RecordedError};
 pub use reflectors::ReflectorError;
 pub use rehearse::{interface_plans, rehearse};
 pub use report::{
-    AwaySummary, DataTable, DecisionRecord, Fidelity, FolderError, GatewaySummary, HandoverRecord,
-    LatenessSummary, LocalizationSummary, MeanParts, PartSummary, Place, PlacementRecord, Quantiles,
-    RegionSummary, Report, RobotSummary, ServiceParts, ServiceSummary, Summary, VnfWaits, by_service,
+    AwaySummary, DataTable, DecisionRecord, Fidelity, FolderError, GatewaySummary, HandoverRecord, Kept,
+    LatenessSummary, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, PlacementRecord, Quantiles,
+    RegionSummary, Report, RobotSummary, ServiceParts, ServiceSummary, Summary, Verdict, VnfWaits, by_service,
     name_of_total, panels, service_time_ms, write_file,
 };
 pub use robots::RobotError;

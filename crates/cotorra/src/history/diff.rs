@@ -1,17 +1,26 @@
 //! `cotorra history diff`: compares two runs.
 
+use std::collections::BTreeMap;
+
+use cotorra_graph::ServiceId;
 use cotorra_measurements::{
     Difference, Values,
     difference::{Entry, Links, Services},
 };
+use cotorra_testbed::Kept;
 
 use super::{
     answer::first_of,
     args::DiffArgs,
     plot,
+    services::testbed,
     source::{Error, Source},
 };
-use crate::{output, table::Table, words::clock};
+use crate::{
+    output,
+    table::Table,
+    words::{clock, percent, percent_apart},
+};
 
 /// Maximum number of rows of each table.
 const ROWS: usize = 30;
@@ -22,15 +31,26 @@ pub fn diff(args: &DiffArgs) -> miette::Result<()> {
     let [a, b] = &args.pair[..] else { unreachable!("the parser takes two runs") };
     // The runs may be in two histories.
     let (a, b) = (Source::find(a, &args.place)?, Source::find(b, &args.place)?);
-    let difference = a.history.difference_with(a.run.id, &b.history, b.run.id).map_err(Error::from)?;
+    // Without its testbed file, the share within the target is unknown.
+    let services = |source: &Source| testbed(source).map_or_else(|_| Vec::new(), |testbed| testbed.services);
+    let services = [&a, &b].map(services);
+    let targets = services.each_ref().map(|services| {
+        services.iter().map(|service| (service.id.clone(), service.kpis.service_time)).collect()
+    });
+    let difference =
+        a.history.difference_with(a.run.id, &b.history, b.run.id, targets).map_err(Error::from)?;
     if args.json {
         let json = serde_json::to_string_pretty(&difference).expect("a difference holds only what JSON can");
         return output::print(&(json + "\n"));
     }
-    output::print(&describe(&difference))
+    let keep = services.each_ref().map(|services| {
+        services.iter().filter_map(|service| Some((service.id.clone(), service.kpis.kept?.get()))).collect()
+    });
+    output::print(&describe(&difference, &keep))
 }
 
-fn describe(difference: &Difference) -> String {
+/// Describes the difference of two runs, of which each demands these shares of its services.
+fn describe(difference: &Difference, keep: &[BTreeMap<ServiceId, f64>; 2]) -> String {
     let mut text = String::new();
     let mut section = |title: &str, table: Table, rows: usize| {
         if rows > 0 {
@@ -60,18 +80,43 @@ fn describe(difference: &Difference) -> String {
     }));
     section("Runs", runs, 1);
 
+    let mut kept = Table::new("<>>>>>>");
+    kept.row(["service", "samples", "", "unanswered", "", "kept", ""]);
+    for Entry { of, runs } in difference.services.iter().take(ROWS) {
+        let show = |of: &dyn Fn(usize, &Services) -> String| {
+            [0, 1].map(|i| runs[i].as_ref().map_or("-".to_owned(), |its| of(i, its)))
+        };
+        let share = |i: usize, its: &Services| share(its, keep[i].get(&of.service).copied());
+        let columns = [
+            show(&|_, its| its.samples.to_string()),
+            show(&|_, its| its.unanswered.to_string()),
+            show(&share),
+        ];
+        let name = format!("{} of {}", of.service, of.robot);
+        kept.row([name].into_iter().chain(columns.into_iter().flatten()));
+    }
+    section("Samples within the target", kept, difference.services.len());
+
     let services = difference
         .services
         .iter()
         .map(|entry| (format!("{} of {}", entry.of.service, entry.of.robot), samples(&entry.runs)));
-    section("Service time, ms", figures("service", services.take(ROWS)), difference.services.len());
+    section(
+        "Service time of answered samples, ms",
+        figures("service", services.take(ROWS)),
+        difference.services.len(),
+    );
 
     let regions = difference.regions.iter().map(|entry| {
         let attachment = entry.of.attachment.as_ref().map_or("none", |id| id.as_str());
         let of = format!("{} of {}", entry.of.service, entry.of.robot);
         (format!("{of} by {attachment}, {}", entry.of.server), samples(&entry.runs))
     });
-    section("Service time by region, ms", figures("region", regions.take(ROWS)), difference.regions.len());
+    section(
+        "Service time of answered samples by region, ms",
+        figures("region", regions.take(ROWS)),
+        difference.regions.len(),
+    );
 
     // A link that no packet crossed has no delay.
     let used: Vec<_> =
@@ -118,6 +163,14 @@ fn describe(difference: &Difference) -> String {
         );
     }
     text
+}
+
+/// Returns the share of samples within the target, and the verdict on it.
+fn share(its: &Services, keep: Option<f64>) -> String {
+    let Some(kept) = its.kept else { return "-".to_owned() };
+    let verdict = Kept::beside(Some(1.0 - kept), its.samples as usize, keep).verdict;
+    let share = keep.map_or_else(|| percent(kept), |keep| percent_apart(kept, keep));
+    verdict.map_or(share.clone(), |verdict| format!("{share} {verdict}"))
 }
 
 /// Compared figures of a run. Requests without an answer count as samples, but have no time.

@@ -32,7 +32,7 @@ pub fn has_services_apart(source: &Source) -> bool {
 }
 
 /// Parses the testbed file of a run. One of another machine may lack its map.
-fn testbed(source: &Source) -> Result<Testbed, Diagnostics> {
+pub fn testbed(source: &Source) -> Result<Testbed, Diagnostics> {
     let info = &source.run.info;
     testbed_file::recorded(&info.testbed, &info.name, &source.base(None), None)
 }

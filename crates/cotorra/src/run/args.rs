@@ -52,8 +52,8 @@ Examples:
   COTORRA_HISTORY_PASSWORD=secret cotorra run testbeds/corridor.yaml --history mysql://ana@db.lab/cotorra
   COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
 
-Exit status: 0 done, 1 error or incomplete record, 2 wrong usage, 3 done but the figures are not valid, 5 ended because no
-robot made progress.")]
+Exit status: 0 done, 1 error or incomplete record, 2 wrong usage, 3 done but the figures are not valid, 4 done and valid but
+a service kept its target less often than the testbed file demands, 5 ended because no robot made progress.")]
 pub struct RunArgs {
     /// The testbed file
     pub file: PathBuf,

@@ -45,22 +45,22 @@ impl Tally {
         quantile(&self.answered_ms, 0.5)
     }
 
-    /// Returns the share of requests above their target. Unanswered requests count as above.
-    pub fn above(&self) -> Option<f64> {
+    /// Returns the share of requests above their target, and the number of requests. Unanswered requests count as above.
+    pub fn above(&self) -> Option<(f64, usize)> {
         let in_total = || self.services.values().filter(|its| its.in_total);
         let sum = |of: fn(&Counted) -> usize| in_total().map(of).sum::<usize>();
         share(sum(|its| its.above), sum(|its| its.total))
     }
 
-    /// Returns the share of a service's requests within its target.
-    pub fn kept(&self, service: &ServiceId) -> Option<f64> {
+    /// Returns the share of a service's requests within its target, and the number of requests.
+    pub fn kept(&self, service: &ServiceId) -> Option<(f64, usize)> {
         let its = self.services.get(service)?;
         share(its.total - its.above, its.total)
     }
 }
 
-fn share(part: usize, of: usize) -> Option<f64> {
-    (of > 0).then(|| part as f64 / of as f64)
+fn share(part: usize, of: usize) -> Option<(f64, usize)> {
+    (of > 0).then(|| (part as f64 / of as f64, of))
 }
 
 #[cfg(test)]
@@ -79,6 +79,7 @@ mod tests {
             attachment: None,
             server: "cloud".parse().unwrap(),
             parts: None,
+            lost_at: None,
         }
     }
 
@@ -90,7 +91,7 @@ mod tests {
             tally.count(&sample(sequence, took), 15.0, true);
         }
         assert_eq!(tally.median_ms(), Some(12.0));
-        assert_eq!(tally.above(), Some(0.5));
+        assert_eq!(tally.above(), Some((0.5, 4)));
     }
 
     #[test]
@@ -104,8 +105,11 @@ mod tests {
             tally.count(&ServiceTime { service, ..sample(sequence, took) }, 15.0, in_total);
         }
         let kept = |service: &str| tally.kept(&service.parse().unwrap());
-        assert_eq!([kept("a"), kept("b"), kept("apart"), kept("c")], [Some(0.5), Some(0.0), Some(0.0), None]);
-        assert_eq!(tally.above(), Some(2.0 / 3.0));
+        assert_eq!(
+            ["a", "b", "apart", "c"].map(kept),
+            [Some((0.5, 2)), Some((0.0, 1)), Some((0.0, 1)), None]
+        );
+        assert_eq!(tally.above(), Some((2.0 / 3.0, 3)));
         assert_eq!(tally.median_ms(), Some(15.0), "of 10 and 20 ms");
     }
 }

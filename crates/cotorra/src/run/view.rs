@@ -9,7 +9,7 @@ use indicatif::MultiProgress;
 use super::{lines::Lines, tally::Tally};
 use crate::{
     testbed_file::length,
-    words::{clock, in_ms, percent},
+    words::{clock, count, in_ms, percent},
 };
 
 /// Maximum number of robots that are shown. Further ones are only counted.
@@ -227,9 +227,9 @@ fn robot(testbed: &Testbed, tally: &Tally, now: &Snapshot, id: &NodeId) -> Strin
     for sample in &samples {
         let mut time = sample.took.map_or("no answer".to_owned(), |took| in_ms(millis::of(took)));
         if now.service_times.len() > 1
-            && let Some(kept) = tally.kept(&sample.service)
+            && let Some((kept, samples)) = tally.kept(&sample.service)
         {
-            time += &format!(" ({} in time)", percent(kept));
+            time += &format!(" ({} of {samples} in time)", percent(kept));
         }
         parts.push(if services().nth(1).is_some() { format!("{} {time}", sample.service) } else { time });
     }
@@ -250,15 +250,18 @@ fn server<'a>(testbed: &Testbed, now: &'a Snapshot, robot: &NodeId) -> Option<&'
 }
 
 fn summary(testbed: &Testbed, tally: &Tally) -> String {
-    let Some(median) = tally.median_ms() else { return "no service time yet".to_owned() };
+    let Some((above, samples)) = tally.above() else { return "no service time yet".to_owned() };
+    let Some(median) = tally.median_ms() else {
+        return format!("no answer to any of {}", count(samples, "sample"));
+    };
     let mut text = format!("median {}", in_ms(median));
-    let above = tally.above().unwrap_or(0.0) * 100.0;
+    let above = format!("{} of {}", percent(above), count(samples, "sample"));
     match &testbed.services_in_total().collect::<Vec<_>>()[..] {
         [] => {}
         [first, rest @ ..] if rest.iter().all(|other| other.kpis.service_time == first.kpis.service_time) => {
-            text += &format!(", {above:.1} % over the target of {} ms", target_ms(first));
+            text += &format!(", {above} over the target of {} ms", target_ms(first));
         }
-        _ => text += &format!(", {above:.1} % over their service's target"),
+        _ => text += &format!(", {above} over their service's target"),
     }
     text
 }

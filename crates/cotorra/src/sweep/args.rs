@@ -32,6 +32,8 @@ use crate::{duration::parse_duration, figures::FigureArgs};
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     after_long_help = "\
+Exit status: 0 done, 1 error, 2 wrong usage, 4 done but a run failed (with --require-pass), 130 stopped with Ctrl-C.
+
 Examples:
   cotorra sweep testbeds/corridor.yaml --set plugin=probing,okpi --seeds 20 --figure pdf
   cotorra sweep testbeds/corridor.yaml --set links.*.delay_scale=1..4 --set plugin=probing,okpi --seeds 100
@@ -64,6 +66,9 @@ pub struct SweepArgs {
     /// Discard the runs that the folder has
     #[arg(long)]
     pub fresh: bool,
+    /// End with exit status 4 if a service of any run kept its target less often than the testbed file demands
+    #[arg(long, conflicts_with_all = ["dry_run"])]
+    pub require_pass: bool,
     #[command(flatten)]
     pub figure: FigureArgs,
     /// Write plain lines instead of a progress bar
@@ -116,6 +121,9 @@ impl SweepArgs {
         let formats: Vec<_> = self.figure.further().map(|format| format.to_string()).collect();
         if !formats.is_empty() {
             words.extend(["--figure".into(), formats.join(",").into()]);
+        }
+        if self.require_pass {
+            words.push("--require-pass".into());
         }
         words
     }

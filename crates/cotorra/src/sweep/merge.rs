@@ -35,6 +35,9 @@ pub struct MergeArgs {
     /// Merge what there is, even if runs are missing
     #[arg(long)]
     partial: bool,
+    /// End with exit status 4 if a service of any run kept its target less often than the testbed file demands
+    #[arg(long)]
+    require_pass: bool,
     #[command(flatten)]
     figure: FigureArgs,
 }
@@ -83,7 +86,7 @@ pub fn merge(args: &MergeArgs) -> miette::Result<ExitCode> {
     }
     let note = if missing.is_empty() { String::new() } else { format!("\n{missing}\n") };
     output::print(&results::describe(&merge.runs, &note, folder.path(), &args.figure))?;
-    Ok(results::verdict(&merge.runs))
+    super::outcome(&merge.runs, args.require_pass)
 }
 
 /// Returns the manifest of the whole sweep, with a shard that has its inputs; `None` if an older cotorra made a shard.

@@ -10,9 +10,9 @@ use std::{env, fs, io, num::NonZero, path::Path, process::ExitCode, thread};
 
 use cotorra_experiments::{
     journal::Journal,
-    sweep::{Axis, FILES, Point, Shard, Sweep, SweepError},
+    sweep::{Axis, FILES, Measured, Point, Runs, Shard, Sweep, SweepError},
 };
-use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError, Time};
+use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError, Time, Verdict};
 use cotorra_testbed_file::Setting;
 
 pub use args::SweepArgs;
@@ -47,6 +47,11 @@ enum Error {
     Place(io::Error),
     #[error(transparent)]
     JobFile(#[from] job_file::JobFileError),
+    #[error("no run can pass or fail, because the testbed file demands no share of samples")]
+    #[diagnostic(help(
+        "demand one of a service, as in `kpis: {{ service_time: 15 ms, kept: 99 % }}`, or leave --require-pass out"
+    ))]
+    NothingDemanded,
 }
 
 /// Converts an error. Mistakes of the testbed file are shown in their place.
@@ -137,12 +142,25 @@ fn run(sweep: &Sweep, args: &SweepArgs, place: &Path, text: &str) -> miette::Res
             output::print(&results::describe(&runs, stopped, folder.path(), &args.figure))?;
         }
     }
-    Ok(match args.shard {
-        _ if !whole => Status::Interrupted.into(),
+    match args.shard {
+        _ if !whole => Ok(Status::Interrupted.into()),
         // Its void runs are those of the whole sweep, which merging says, so that schedulers get there.
-        Some(_) => ExitCode::SUCCESS,
-        None => results::verdict(&runs),
-    })
+        Some(_) => Ok(ExitCode::SUCCESS),
+        None => outcome(&runs, args.require_pass),
+    }
+}
+
+/// Returns the exit status after a sweep whose runs may have to pass.
+fn outcome(runs: &Runs, must_pass: bool) -> miette::Result<ExitCode> {
+    let measured = runs.done.iter().filter_map(|done| done.outcome.measured());
+    let status = match Verdict::of_all(measured.map(Measured::verdict)) {
+        _ if runs.void() > 0 => Status::NotValid,
+        _ if !must_pass => Status::Done,
+        Some(Verdict::Pass) => Status::Done,
+        Some(Verdict::Fail) => Status::Failed,
+        None => return Err(Error::NothingDemanded.into()),
+    };
+    Ok(status.into())
 }
 
 /// Carries the inputs of a sweep into its folder, and notes there how it came to be.

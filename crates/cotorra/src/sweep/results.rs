@@ -1,8 +1,8 @@
 //! Results of a sweep in the terminal.
 
-use std::{collections::BTreeSet, path::Path, process::ExitCode};
+use std::{collections::BTreeSet, path::Path};
 
-use cotorra_experiments::sweep::{Cell, FILES, Interval, Runs, ServiceCell};
+use cotorra_experiments::sweep::{Cell, FILES, Interval, Runs, ServiceCell, Verdicts};
 
 use crate::{
     figures::FigureArgs,
@@ -19,9 +19,10 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
     let void = runs.void();
     let mut text = format!("{done} of {all}{}\n{}\n", of_them(runs.resumed, void), runs.again);
     let (axes, cells) = (&runs.axes, runs.cells());
-    let mut table = Table::new(&("<".repeat(axes.len()) + ">>>>>>>"));
-    let heads = ["runs", "median, ms", "p99, ms", "above target, %", "took, s", "blind, m", "at once, m"]
-        .map(str::to_owned);
+    let is_judged = cells.iter().any(|cell| cell.verdicts.judged_runs > 0);
+    let mut table = Table::new(&("<".repeat(axes.len()) + &">".repeat(7 + usize::from(is_judged))));
+    let heads = ["runs", "median, ms", "p99, ms", "above target, %", "took, s", "blind, m", "at once, m"];
+    let heads = heads.into_iter().chain(is_judged.then_some("failed")).map(str::to_owned);
     table.row(axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
     for cell in cells.iter().take(LISTED) {
         let Cell { values, runs, service_time_p50_ms, service_time_p99_ms, above_target, .. } = cell;
@@ -41,7 +42,12 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
             interval(*blind_m, 1.0),
             interval(*longest_blind_m, 1.0),
         ];
-        table.row(values.iter().cloned().chain(figures));
+        let Verdicts { judged_runs, failed_runs } = cell.verdicts;
+        let failed = is_judged.then(|| match judged_runs {
+            0 => "-".to_owned(),
+            judged => format!("{failed_runs} of {judged}"),
+        });
+        table.row(values.iter().cloned().chain(figures).chain(failed));
     }
     text += &table.render("  ");
     if cells.len() > LISTED {
@@ -120,11 +126,6 @@ fn differences(runs: &Runs) -> String {
     } else {
         "  Means with 95 % intervals by Student's t; * differs at 5 %, corrected for all rows (Holm).\n"
     }
-}
-
-/// Returns the exit status after a sweep that was not stopped.
-pub fn verdict(runs: &Runs) -> ExitCode {
-    if runs.void() == 0 { ExitCode::SUCCESS } else { Status::NotValid.into() }
 }
 
 fn interval(interval: Option<Interval>, factor: f64) -> String {

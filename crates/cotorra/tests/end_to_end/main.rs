@@ -70,5 +70,6 @@ mod time_parts;
 mod turtlebot;
 #[cfg(feature = "ethereum")]
 mod two_cores;
+mod verdicts;
 mod wais;
 mod whole;

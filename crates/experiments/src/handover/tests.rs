@@ -54,6 +54,7 @@ fn answer(emitted_ms: f64, took_ms: Option<f64>) -> Stamped {
         attachment: None,
         server: id("edge"),
         parts: None,
+        lost_at: None,
     });
     stamped(emitted_ms + took_ms.unwrap_or(1000.0), event)
 }

@@ -48,6 +48,7 @@ fn walk(testbed: &Testbed, usual: f64, spike: f64) -> Report {
             attachment: Some("R1".parse().unwrap()),
             server: "cloud".parse().unwrap(),
             parts: None,
+            lost_at: None,
         });
         report.absorb(&Stamped { at: emitted, event });
     }

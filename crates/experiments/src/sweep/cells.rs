@@ -2,6 +2,7 @@
 
 use cotorra_graph::{NodeId, ServiceId};
 use cotorra_numbers::{self as numbers, FEWEST, Mean, share_over_runs};
+use cotorra_testbed::Verdict;
 use serde::Serialize;
 
 use super::measured::{Measured, MeasuredService};
@@ -32,8 +33,19 @@ pub struct Cell {
     pub blind_m: Option<Interval>,
     /// The runs' longest blind stretches, m.
     pub longest_blind_m: Option<Interval>,
+    /// The runs' verdicts.
+    pub verdicts: Verdicts,
     /// Each service, in the file's order.
     pub services: Vec<ServiceCell>,
+}
+
+/// Numbers of verdicts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Verdicts {
+    /// Number of runs with a verdict: 0 if the testbed file demands no share.
+    pub judged_runs: usize,
+    /// Number of them that failed.
+    pub failed_runs: usize,
 }
 
 /// Statistics of a robot's service over the runs of a combination.
@@ -57,6 +69,8 @@ pub struct ServiceCell {
     pub above_target: Option<Interval>,
     /// The runs' numbers of samples without an answer.
     pub unanswered: Option<Interval>,
+    /// The runs' verdicts on the service.
+    pub verdicts: Verdicts,
 }
 
 /// A mean over runs and its 95 % confidence interval, which is inside the range of the figure.
@@ -69,6 +83,22 @@ pub struct Interval {
     pub low: Option<f64>,
     /// Upper bound; `None` for a single run.
     pub high: Option<f64>,
+}
+
+impl Verdicts {
+    pub(crate) fn of(verdicts: impl Iterator<Item = Option<Verdict>>) -> Self {
+        verdicts.flatten().fold(Self::default(), |all, verdict| Self {
+            judged_runs: all.judged_runs + 1,
+            failed_runs: all.failed_runs + usize::from(verdict == Verdict::Fail),
+        })
+    }
+
+    /// Names of the columns of tables.
+    pub(crate) const NAMES: [&str; 2] = ["judged_runs", "failed_runs"];
+
+    pub(crate) fn numbers(self) -> [String; 2] {
+        [self.judged_runs, self.failed_runs].map(|runs| runs.to_string())
+    }
 }
 
 impl Interval {
@@ -129,6 +159,7 @@ impl Cell {
             duration_ms: over(|run| Some(run.duration_ms)),
             blind_m: over(|run| Some(run.blind_m)),
             longest_blind_m: over(|run| Some(run.longest_blind_m)),
+            verdicts: Verdicts::of(runs.iter().map(|run| run.verdict())),
             services: ServiceCell::all(&runs),
         }
     }
@@ -181,6 +212,7 @@ impl ServiceCell {
             service_time_p99_ms: over(|its| its.service_time_p99_ms),
             above_target: above_target(measured().map(|its| (its.above_target, its.samples))),
             unanswered: over(|its| Some(its.unanswered as f64)),
+            verdicts: Verdicts::of(runs.iter().map(|its| its.kept().verdict)),
         }
     }
 
@@ -266,6 +298,7 @@ mod tests {
             service_time_p95_ms: median,
             service_time_p99_ms: median,
             service_time_max_ms: median,
+            keep: (robot == "r1").then_some(0.9),
         };
         let [first, second] = [(10.0, Some(20.0)), (12.0, None)]
             .map(|(r1, r2)| [service("r1", Some(r1)), service("r2", r2), service("r3", None)]);
@@ -279,5 +312,58 @@ mod tests {
         assert_eq!(services[0].service_time_p50_ms, Interval::of(&[10.0, 12.0]));
         assert_eq!(services[1].above_target, Interval::of_shares(&[1.0], 10));
         assert_eq!((services[2].service_time_p99_ms, services[2].unanswered), (None, None));
+        let verdicts: Vec<_> = services.iter().map(|its| its.verdicts.numbers().join("/")).collect();
+        assert_eq!(verdicts, ["2/0", "0/0", "0/0"]);
     }
+
+    #[test]
+    fn runs_that_kept_too_little_are_counted_and_those_of_old_journals_are_not_judged() {
+        let run = |above: Option<f64>, keep| {
+            let json = serde_json::json!({
+                "robot": "r1", "service": "navigation", "service_time_target_ms": 15.0, "samples": 100, "unanswered": 0,
+                "above_target": above, "keep": keep,
+            });
+            let mut service: MeasuredService = serde_json::from_value(json).unwrap();
+            service.samples = above.map_or(0, |_| 100);
+            Measured { services: vec![service], ..EMPTY }
+        };
+        let runs = [
+            run(Some(0.1), Some(0.9)),
+            run(Some(0.11), Some(0.9)),
+            run(None, Some(0.9)),
+            run(Some(0.5), None),
+        ];
+        let cell = Cell::of(Vec::new(), &runs.each_ref());
+        assert_eq!(cell.verdicts, Verdicts { judged_runs: 3, failed_runs: 2 });
+        assert_eq!(cell.services[0].verdicts, cell.verdicts);
+        let old = r#"{"robot":"r1","service":"s","service_time_target_ms":15.0,"samples":1,"unanswered":0,
+            "above_target":0.0,"service_time_p50_ms":null,"service_time_p95_ms":null,"service_time_p99_ms":null,
+            "service_time_max_ms":null}"#;
+        let old: MeasuredService = serde_json::from_str(old).unwrap();
+        assert_eq!((old.kept().kept, old.kept().verdict), (Some(1.0), None));
+    }
+
+    const EMPTY: Measured = Measured {
+        duration_ms: 0.0,
+        walked: true,
+        samples: 0,
+        unanswered: 0,
+        above_target: None,
+        service_time_p50_ms: None,
+        service_time_p95_ms: None,
+        service_time_p99_ms: None,
+        service_time_max_ms: None,
+        handovers: 0,
+        handover_gap_p50_ms: None,
+        handover_gap_max_ms: None,
+        migrations: 0,
+        plugin_faults: 0,
+        driven_m: 0.0,
+        blind_m: 0.0,
+        longest_blind_m: 0.0,
+        services: Vec::new(),
+        time_parts: Vec::new(),
+        losses: Vec::new(),
+        regions: Vec::new(),
+    };
 }

@@ -7,9 +7,10 @@ use super::{Runs, figure, tables};
 use crate::journal::Journal;
 
 /// Files that [`Runs::write`] makes: a row per run, a row per combination, a row per region of a run, a row per service of
-/// a run, a row per service of a combination, and the latter for papers, a row per part of the service times of a run, the
-/// plot, and a row per figure of a combination that is compared with the first.
-pub const FILES: [&str; 9] = [
+/// a run, a row per service of a combination, and the latter for papers, a row per part of the service times of a run,
+/// a row per place where samples of a run without an answer ended, the plot, and a row per figure of a combination that is
+/// compared with the first.
+pub const FILES: [&str; 10] = [
     "runs.csv",
     "cells.csv",
     "regions.csv",
@@ -17,6 +18,7 @@ pub const FILES: [&str; 9] = [
     "service_cells.csv",
     "service_cells.tex",
     "time_parts.csv",
+    "unanswered.csv",
     "sweep.svg",
     "differences.csv",
 ];
@@ -28,8 +30,18 @@ impl Runs {
     /// [`FolderError`].
     pub fn write(&self, journal: &Journal) -> Result<(), FolderError> {
         let (path, cells) = (journal.path(), self.cells());
-        let [of_runs, of_cells, of_regions, of_services, of_service_cells, for_papers, of_parts, _, of_pairs] =
-            FILES;
+        let [
+            of_runs,
+            of_cells,
+            of_regions,
+            of_services,
+            of_service_cells,
+            for_papers,
+            of_parts,
+            of_unanswered,
+            _,
+            of_pairs,
+        ] = FILES;
         let csv = |name, table: DataTable| write_file(path, name, table.to_csv());
         csv(of_runs, tables::runs(self))?;
         csv(of_cells, tables::cells(&self.axes, &cells))?;
@@ -38,6 +50,7 @@ impl Runs {
         csv(of_service_cells, tables::service_cells(&self.axes, &cells))?;
         csv(of_parts, tables::time_parts(self))?;
         csv(of_pairs, tables::differences(&self.axes, &self.differences()))?;
+        csv(of_unanswered, tables::unanswered(self))?;
         write_file(path, for_papers, tables::by_service(&self.axes, &cells).to_latex())?;
         self.write_figure(journal, Format::Svg)
     }

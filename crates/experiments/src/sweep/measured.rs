@@ -1,10 +1,10 @@
 //! Results of one run of a sweep.
 
 use cotorra_graph::{NodeId, ServiceId, Timestamp};
-use cotorra_testbed::{Quantiles, RegionSummary, ServiceSummary, Summary};
+use cotorra_testbed::{Kept, Quantiles, RegionSummary, ServiceSummary, Summary, Verdict};
 use serde::{Deserialize, Serialize};
 
-use super::time_parts::MeasuredPart;
+use super::time_parts::{MeasuredLoss, MeasuredPart};
 
 /// The results of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -48,6 +48,9 @@ pub struct Measured {
     /// Parts of the service times.
     #[serde(default)]
     pub time_parts: Vec<MeasuredPart>,
+    /// Places where samples without an answer ended.
+    #[serde(default)]
+    pub losses: Vec<MeasuredLoss>,
     /// Stretches of services with one attachment and one server.
     pub regions: Vec<Region>,
 }
@@ -76,6 +79,9 @@ pub struct MeasuredService {
     pub service_time_p99_ms: Option<f64>,
     /// Longest service time, ms.
     pub service_time_max_ms: Option<f64>,
+    /// Share of samples that must be within the target; `None` if any will do, and in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub keep: Option<f64>,
 }
 
 /// In journals of earlier versions, all services do.
@@ -138,12 +144,18 @@ impl Measured {
             longest_blind_m: summary.driving.iter().map(|driven| driven.longest_blind_m).fold(0.0, f64::max),
             services: summary.services.iter().map(MeasuredService::of).collect(),
             time_parts: MeasuredPart::of(summary),
+            losses: MeasuredLoss::of(summary),
             regions: summary.regions.iter().map(region).collect(),
         }
     }
 
+    /// Returns the verdict on all services of which the testbed file demands a share; `None` without any.
+    pub fn verdict(&self) -> Option<Verdict> {
+        Verdict::of_all(self.services.iter().map(|its| its.kept().verdict))
+    }
+
     /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
-    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 17] {
+    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 18] {
         let count = |n: usize| Some(n as f64);
         [
             ("duration_ms", Some(self.duration_ms)),
@@ -163,6 +175,7 @@ impl Measured {
             ("driven_m", Some(self.driven_m)),
             ("blind_m", Some(self.blind_m)),
             ("longest_blind_m", Some(self.longest_blind_m)),
+            ("passed", passed(self.verdict())),
         ]
     }
 }
@@ -182,11 +195,18 @@ impl MeasuredService {
             service_time_p95_ms: service_time(|q| q.p95),
             service_time_p99_ms: service_time(|q| q.p99),
             service_time_max_ms: service_time(|q| q.max),
+            keep: summary.kept.keep,
         }
     }
 
+    /// Returns the share of samples within the target, and the verdict on it.
+    pub fn kept(&self) -> Kept {
+        Kept::beside(self.above_target, self.samples, self.keep)
+    }
+
     /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
-    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 8] {
+    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 13] {
+        let Kept { kept, kept_low, kept_high, keep, verdict, .. } = self.kept();
         [
             ("service_time_target_ms", Some(self.service_time_target_ms)),
             ("samples", Some(self.samples as f64)),
@@ -196,6 +216,16 @@ impl MeasuredService {
             ("service_time_p95_ms", self.service_time_p95_ms),
             ("service_time_p99_ms", self.service_time_p99_ms),
             ("service_time_max_ms", self.service_time_max_ms),
+            ("kept", kept),
+            ("kept_low", kept_low),
+            ("kept_high", kept_high),
+            ("keep", keep),
+            ("passed", passed(verdict)),
         ]
     }
+}
+
+/// Returns 1 for PASS and 0 for FAIL.
+fn passed(verdict: Option<Verdict>) -> Option<f64> {
+    verdict.map(|verdict| if verdict == Verdict::Pass { 1.0 } else { 0.0 })
 }

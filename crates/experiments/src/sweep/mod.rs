@@ -53,7 +53,7 @@ use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
     axis::{Axis, InvalidAxis},
-    cells::{Cell, Interval, ServiceCell},
+    cells::{Cell, Interval, ServiceCell, Verdicts},
     differences::Difference,
     folder::FILES,
     measured::{Measured, MeasuredService, Region},

@@ -3,7 +3,7 @@
 use cotorra_testbed::{DataTable, name_of_total};
 
 use super::{
-    Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, runs::Done,
+    Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts, runs::Done,
     time_parts::MeasuredPart,
 };
 use crate::outcome::Void;
@@ -40,10 +40,10 @@ fn rows<const N: usize>(
 
 /// Returns a row for each combination.
 pub(super) fn cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
-    let mut table = table(axes, ["runs"], cells.first().map(|cell| bounds(cell.intervals())));
+    let mut table = table(axes, ["runs"], cells.first().map(|cell| judged(bounds(cell.intervals()))));
     for cell in cells {
         let figures = cell.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
-        let row = of(&cell.values).chain([cell.runs.to_string()]).chain(figures);
+        let row = of(&cell.values).chain([cell.runs.to_string()]).chain(figures).chain(cell.verdicts.numbers());
         table.row(row.chain([reason(cell.void.as_ref())]));
     }
     table
@@ -114,11 +114,26 @@ pub(super) fn differences(axes: &[Axis], differences: &[Difference]) -> DataTabl
     table
 }
 
+/// Returns a row for each place where samples without an answer ended, of each run.
+pub(super) fn unanswered(runs: &Runs) -> DataTable {
+    let fixed = ["seed", "service", "link", "way", "cause"];
+    let mut table = table(&runs.axes, fixed, Some(["samples".to_owned()]));
+    for done in &runs.done {
+        for loss in &done.measured.losses {
+            let fixed = [done.point.seed.to_string(), loss.service.to_string()];
+            table.row(
+                of(&done.point.values).chain(fixed).chain(loss.place()).chain([loss.samples.to_string()]),
+            );
+        }
+    }
+    table
+}
+
 /// Returns a row for each service of each combination.
 pub(super) fn service_cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
     let first = cells.iter().find_map(|cell| cell.services.first());
     let heads = ["robot", "service", "runs", "service_time_target_ms"];
-    let mut table = table(axes, heads, first.map(|its| bounds(its.intervals())));
+    let mut table = table(axes, heads, first.map(|its| judged(bounds(its.intervals()))));
     for cell in cells {
         for its in &cell.services {
             let ServiceCell { robot, service, runs, service_time_target_ms, .. } = its;
@@ -129,11 +144,11 @@ pub(super) fn service_cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
                 number(Some(*service_time_target_ms)),
             ];
             let figures = its.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
-            table.row(of(&cell.values).chain(fixed).chain(figures).chain([String::new()]));
+            table.row(of(&cell.values).chain(fixed).chain(figures).chain(its.verdicts.numbers()).chain([String::new()]));
         }
         if let Some(void) = &cell.void {
             let fixed = ["", "", &cell.runs.to_string(), ""].map(str::to_owned);
-            let figures = vec![String::new(); first.map_or(0, |its| its.intervals().len() * 3)];
+            let figures = vec![String::new(); first.map_or(0, |its| its.intervals().len() * 3 + Verdicts::NAMES.len())];
             table.row(of(&cell.values).chain(fixed).chain(figures).chain([reason(Some(void))]));
         }
     }
@@ -201,6 +216,11 @@ fn names<const N: usize>(figures: [(&str, Option<f64>); N]) -> [String; N] {
 fn bounds<const N: usize>(intervals: [(&'static str, Option<Interval>); N]) -> impl Iterator<Item = String> {
     let names = |(name, _): (&str, _)| [name.to_owned(), format!("{name}_low"), format!("{name}_high")];
     intervals.into_iter().flat_map(names)
+}
+
+/// Returns the names of the columns of figures and verdicts.
+fn judged(figures: impl Iterator<Item = String>) -> impl Iterator<Item = String> {
+    figures.chain(Verdicts::NAMES.map(str::to_owned))
 }
 
 /// Returns a number with nanosecond resolution, if it is in milliseconds.

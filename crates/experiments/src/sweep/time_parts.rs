@@ -1,7 +1,7 @@
-//! The parts of service times in a run of a sweep.
+//! The parts of service times in a run of a sweep, and where samples without an answer ended.
 
-use cotorra_graph::ServiceId;
-use cotorra_testbed::{PartSummary, Summary};
+use cotorra_graph::{LostAt, ServiceId};
+use cotorra_testbed::{LostSummary, PartSummary, Summary};
 use serde::{Deserialize, Serialize};
 
 /// A link or host, and what it added to the samples above the target.
@@ -16,8 +16,44 @@ pub struct MeasuredPart {
     pub above_p95_ms: Option<f64>,
     /// 95th percentile of the time that it added to samples above the target, ms.
     pub added_p95_ms: Option<f64>,
-    /// Share of samples above the target to which it added most.
+    /// Share of the answered samples above the target to which it added most.
     pub explains: Option<f64>,
+}
+
+/// A place where samples without an answer ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredLoss {
+    pub service: ServiceId,
+    /// The place; `None` if it is unknown.
+    pub at: Option<LostAt>,
+    /// Number of samples.
+    pub samples: usize,
+}
+
+impl MeasuredLoss {
+    /// Returns the places of all services of a run.
+    pub(super) fn of(summary: &Summary) -> Vec<Self> {
+        let lost =
+            summary.time_parts.iter().flat_map(|its| its.lost_at.iter().map(|lost| (&its.service, lost)));
+        let measured = |(service, LostSummary { at, samples }): (&ServiceId, &LostSummary)| Self {
+            service: service.clone(),
+            at: at.clone(),
+            samples: *samples,
+        };
+        lost.map(measured).collect()
+    }
+
+    /// Returns the place: the link, the way and the cause.
+    pub(super) fn place(&self) -> [String; 3] {
+        match &self.at {
+            None => ["", "", "unknown"].map(str::to_owned),
+            Some(LostAt { link, back, cause }) => [
+                link.as_ref().map(ToString::to_string).unwrap_or_default(),
+                if *back { "answer" } else { "request" }.to_owned(),
+                cause.as_str().to_owned(),
+            ],
+        }
+    }
 }
 
 impl MeasuredPart {

@@ -310,6 +310,7 @@ pub(crate) fn decode(kind: Kind, at: Timestamp, source: &mut dyn Source) -> Resu
                 attachment: row.optional_name()?,
                 server: row.name()?,
                 parts: None,
+                lost_at: row.0.text()?.as_deref().map(json).transpose()?,
             };
             sample.parts = time_parts_of(source)?;
             Event::ServiceTime(sample)

@@ -177,7 +177,10 @@ pub(crate) fn encode<'a>(stamped: &'a Stamped, row: &mut Fields<'a>, children: &
                 .unsigned(time.emitted.as_nanos())
                 .optional(time.took, Fields::duration)
                 .optional(time.attachment.as_ref(), |f, unit| f.name(unit.as_str()))
-                .name(time.server.as_str());
+                .name(time.server.as_str())
+                .optional(time.lost_at.as_deref(), |row, lost_at| {
+                    row.text(serde_json::to_string(lost_at).expect("names are JSON"))
+                });
             for part in time.parts.iter().flat_map(|parts| time_parts::rows(parts)) {
                 match part {
                     Row::Host(name, took) => {

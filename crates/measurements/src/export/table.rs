@@ -71,6 +71,7 @@ const TEXTS: &[&str] = &[
     "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
     "reason", "refused", "message", "health", "sensor", "component", "path", "others", "format",
     "jitter_distribution", "loss", "trace_ms", "trace_file", "queue_discipline", "part", "interface", "wifi", "signals",
+    "lost_at",
 ];
 #[rustfmt::skip]
 const REALS: &[&str] = &[

@@ -13,3 +13,6 @@ ALTER TABLE robot ADD COLUMN heard INTEGER;
 
 -- Time since the signal was received; NULL: unknown.
 ALTER TABLE attachment ADD COLUMN signal_age_ms REAL;
+
+-- Where the packets of a sample without an answer ended, as JSON; NULL: it was answered, or that is unknown.
+ALTER TABLE service_time ADD COLUMN lost_at TEXT;

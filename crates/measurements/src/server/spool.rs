@@ -25,7 +25,7 @@ use crate::{
     run::{Entry, Gap, RunId},
 };
 
-const MAGIC: &[u8; 16] = b"cotorra spool 5\n";
+const MAGIC: &[u8; 16] = b"cotorra spool 6\n";
 const HEADER: usize = 20;
 
 /// A file of batches that wait for the server.

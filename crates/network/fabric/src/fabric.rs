@@ -15,8 +15,8 @@ use std::{
 
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Conditions, Direction, HardwareGraph, HostAddress, Lateness,
-    LinkContext, LinkId, Node, NodeId, NodeKind, Position, Probing, RadioContext, Stamped, ThroughputTest,
-    Timestamp,
+    LinkContext, LinkId, LostCause, Node, NodeId, NodeKind, Position, Probing, RadioContext, Stamped,
+    ThroughputTest, Timestamp,
 };
 
 use crate::{
@@ -172,7 +172,8 @@ impl Fabric {
                     .map_err(|error| GraphError::Conditions { link: link.id.to_string(), error })?;
                 routes.connect(from, to, settings.effective().delay);
                 let rng = |part: &str| stream(seed, &format!("{part} {} {direction}", link.id));
-                pipes.push(Pipe::new(settings, rng("link"), rng("queue")));
+                let link = DirectedLink::Wire(pipes.len());
+                pipes.push(Pipe::new(link, settings, rng("link"), rng("queue")));
             }
         }
         let port = |node: &Node| Port {
@@ -276,6 +277,7 @@ impl Fabric {
             deliver(self.ports[port.0].behind.unwrap_or(port), frame);
         }
         if self.observers.is_some() {
+            self.observe_drops();
             self.expire_requests(now);
         }
         let wired = self.timers.next().map(|(deadline, _)| deadline);
@@ -656,7 +658,7 @@ impl Fabric {
 
     /// Forwards all packets that move on at once.
     fn settle(&mut self, now: Timestamp) {
-        while let Some((vertex, frame, target)) = self.pending.pop() {
+        while let Some((vertex, mut frame, target)) = self.pending.pop() {
             let here = self.port_of_vertex[vertex];
             match &target {
                 Target::Port { port, .. } if here == Some(*port) => {
@@ -679,7 +681,8 @@ impl Fabric {
             if self.routes.vertex(vertex).forwards {
                 self.leave(now, vertex, frame, target);
             } else {
-                self.pool.put(frame.into_bytes());
+                frame.end(None, LostCause::NoRoute);
+                self.pool.discard(frame);
             }
         }
     }
@@ -797,10 +800,11 @@ impl Fabric {
         }
     }
 
-    fn drop_unroutable(&mut self, frame: Frame) {
+    fn drop_unroutable(&mut self, mut frame: Frame) {
         self.drops.unroutable += 1;
         self.balance.stranded += u64::from(frame.wire_packets());
-        self.pool.put(frame.into_bytes());
+        frame.end(None, LostCause::NoRoute);
+        self.pool.discard(frame);
     }
 }
 

@@ -170,6 +170,9 @@ impl Flows {
                     let out = following.completing(flow.from, ticket?, &later, back.entered)?;
                     Some(Box::new(out.split(back.clone(), emitted, took)))
                 });
+                let lost_at = ticket.filter(|_| took.is_none());
+                let lost_at =
+                    lost_at.and_then(|ticket| following.unanswered(flow.from, ticket)).map(Box::new);
                 // The server of a request to a group is the host that answered.
                 let server = server.or(from.filter(|_| took.is_some()));
                 let sample = ServiceTime {
@@ -182,6 +185,7 @@ impl Flows {
                     // The request went to no host, or to a group that did not answer.
                     server: name(server.unwrap_or(flow.from)),
                     parts,
+                    lost_at,
                 };
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(sample) });
             }

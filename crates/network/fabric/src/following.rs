@@ -3,10 +3,16 @@
 use std::{collections::VecDeque, fmt, time::Duration};
 
 use cotorra_flows::{Carried, Place};
-use cotorra_graph::{LinkTime, NodeId, TimeParts, Timestamp};
+use cotorra_graph::{LinkTime, LostAt, LostCause, NodeId, TimeParts, Timestamp};
 
-use crate::{frame::Frame, port::PortId, trace::Trace};
+use crate::{
+    frame::Frame,
+    port::PortId,
+    trace::{Answered, Trace},
+};
 
+/// Most frames to a client of flows that are remembered, so that its unanswered requests can be explained.
+const MOST_ANSWERS: usize = 256;
 /// Most frames of a client that are remembered.
 const MOST_SENT: usize = 1024;
 /// Most of them if only datagrams with an id are followed. Answered ones are forgotten.
@@ -49,8 +55,36 @@ pub struct RoundTrip {
     pub back: Trip,
 }
 
-/// Takes each round trip before its answer is handed out, on the thread that drives the fabric. Must not block.
-pub type RoundTripReader = Box<dyn FnMut(RoundTrip) + Send>;
+/// What became of a followed datagram.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Followed {
+    /// Its answer is handed out.
+    RoundTrip(RoundTrip),
+    /// It got on, or ended.
+    Progress {
+        /// The id, little endian.
+        id: u64,
+        /// How far it came.
+        progress: Progress,
+    },
+}
+
+/// How far a followed datagram came.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Progress {
+    /// It entered the network.
+    Sent,
+    /// It was handed to its server.
+    Reached,
+    /// Its answer entered the network.
+    Returned,
+    /// It, or its answer, was lost or damaged.
+    Lost(LostAt),
+}
+
+/// Takes what becomes of datagrams, on the thread that drives the fabric: a round trip before its answer is handed out. Must
+/// not block.
+pub type FollowedReader = Box<dyn FnMut(Followed) + Send>;
 
 impl Trip {
     /// Splits the time of a sample into parts, from this way to the server and the way back. The parts add up to the
@@ -73,9 +107,23 @@ impl Trip {
 /// A frame that a client sent.
 #[derive(Debug)]
 struct Sent {
+    /// Ports of the client and the server.
+    ports: [u16; 2],
     place: Option<Place>,
     id: Option<u64>,
     trip: Option<Trip>,
+    /// Where it was lost.
+    lost: Option<LostAt>,
+}
+
+/// A frame to a client of flows.
+#[derive(Debug)]
+struct Answer {
+    /// Ports of the client and the server.
+    ports: [u16; 2],
+    entered: Timestamp,
+    /// Where it was lost.
+    lost: Option<LostAt>,
 }
 
 /// A host whose frames are followed.
@@ -87,6 +135,8 @@ struct Client {
     datagrams: Vec<(u16, usize)>,
     /// The latest frames, oldest first.
     sent: VecDeque<Sent>,
+    /// The latest frames to it, oldest first, if all are followed.
+    answers: VecDeque<Answer>,
     /// Ticket of the next frame.
     next: u32,
 }
@@ -95,7 +145,7 @@ struct Client {
 #[derive(Default)]
 pub(crate) struct Following {
     clients: Vec<Option<Client>>,
-    reader: Option<RoundTripReader>,
+    reader: Option<FollowedReader>,
 }
 
 impl fmt::Debug for Following {
@@ -128,7 +178,8 @@ impl Client {
         if self.sent.len() == most {
             self.sent.pop_front();
         }
-        self.sent.push_back(Sent { place: carried.place, id: self.id(server, carried), trip: None });
+        let id = self.id(server, carried);
+        self.sent.push_back(Sent { ports: carried.ports, place: carried.place, id, trip: None, lost: None });
         let ticket = self.next;
         self.next = ticket.wrapping_add(1);
         Some(ticket)
@@ -149,6 +200,38 @@ impl Client {
         let trip = request.trip.take();
         while self.sent.pop_front_if(|first| first.id.is_none()).is_some() {}
         trip
+    }
+
+    /// Remembers a frame to it.
+    fn returns(&mut self, now: Timestamp, carried: &Carried<'_>) {
+        if self.all {
+            if self.answers.len() == MOST_ANSWERS {
+                self.answers.pop_front();
+            }
+            let [server, client] = carried.ports;
+            self.answers.push_back(Answer { ports: [client, server], entered: now, lost: None });
+        }
+    }
+
+    /// See [`Following::unanswered`].
+    fn unanswered(&mut self, ticket: u32) -> Option<LostAt> {
+        let at = |back, cause| LostAt { link: None, back, cause };
+        let Sent { ports, place, .. } = *self.get(ticket)?;
+        let first = self.sent.len().saturating_sub(self.next.wrapping_sub(ticket) as usize);
+        // A packet of a stream may have been sent again.
+        let copies = self.sent.range(first..).take(if place.is_some() { usize::MAX } else { 1 });
+        let copies: Vec<_> = copies.filter(|sent| sent.ports == ports && sent.place == place).collect();
+        let Some(reached) =
+            copies.iter().filter_map(|sent| sent.trip.as_ref()).map(|trip| trip.delivered).min()
+        else {
+            let lost = copies.iter().rev().find_map(|sent| sent.lost.clone());
+            return Some(lost.unwrap_or(at(false, LostCause::Late)));
+        };
+        let answer = self.answers.iter().find(|answer| answer.ports == ports && answer.entered >= reached);
+        Some(match answer {
+            None => at(false, LostCause::NoAnswer),
+            Some(answer) => answer.lost.clone().unwrap_or(at(true, LostCause::Late)),
+        })
     }
 
     /// See [`Following::completing`].
@@ -204,9 +287,15 @@ impl Following {
         client.datagrams.push((to, id_at));
     }
 
-    /// Passes round trips of followed datagrams to a reader, instead of to the one before.
-    pub fn read(&mut self, reader: RoundTripReader) {
+    /// Passes what becomes of followed datagrams to a reader, instead of to the one before.
+    pub fn read(&mut self, reader: FollowedReader) {
         self.reader = Some(reader);
+    }
+
+    fn tell(&mut self, id: Option<u64>, progress: Progress) {
+        if let (Some(id), Some(reader)) = (id, &mut self.reader) {
+            reader(Followed::Progress { id, progress });
+        }
     }
 
     /// Follows a frame that enters at a port for a host, if it is from or to a client. Returns the ticket of one that is
@@ -219,10 +308,41 @@ impl Following {
         let carried = Carried::of(&frame.seen())?;
         let [source, destination] = carried.ports;
         let ticket = self.client(port).and_then(|client| client.send(destination, &carried));
-        if ticket.is_some() || self.client(to).is_some_and(|client| client.follows(source, &carried)) {
-            frame.follow(Trace::new(port, ticket, now));
+        if let Some(ticket) = ticket {
+            let id = self.client(port).and_then(|client| client.get(ticket)?.id);
+            self.tell(id, Progress::Sent);
+        }
+        let answered = self.client(to).filter(|client| client.follows(source, &carried)).map(|client| {
+            client.returns(now, &carried);
+            client.id(source, &carried)
+        });
+        let id = answered.flatten();
+        self.tell(id, Progress::Returned);
+        if ticket.is_some() || answered.is_some() {
+            let [of_server, of_client] = carried.ports;
+            let answers = answered.map(|_| Answered { client: to, ports: [of_client, of_server], id });
+            frame.follow(Trace { answers, ..Trace::new(port, ticket, now) });
         }
         ticket
+    }
+
+    /// Records that a followed frame was lost or damaged.
+    pub fn dropped(&mut self, trace: &Trace, at: LostAt) {
+        if let Some(sent) =
+            self.client(trace.port).zip(trace.ticket).and_then(|(client, ticket)| client.get(ticket))
+        {
+            let id = sent.id;
+            sent.lost = Some(at.clone());
+            self.tell(id, Progress::Lost(at.clone()));
+        }
+        let Some(Answered { client, ports, id }) = trace.answers else { return };
+        let at = LostAt { back: true, ..at };
+        let answers = self.client(client).map(|client| &mut client.answers);
+        let is_it = |answer: &&mut Answer| answer.ports == ports && answer.entered == trace.entered;
+        if let Some(answer) = answers.and_then(|answers| answers.iter_mut().find(is_it)) {
+            answer.lost = Some(at.clone());
+        }
+        self.tell(id, Progress::Lost(at));
     }
 
     /// Records the delivery of a followed frame at a port.
@@ -236,13 +356,15 @@ impl Following {
     ) {
         if let Some(sent) = self.client(port).zip(ticket).and_then(|(client, ticket)| client.get(ticket)) {
             sent.trip = Some(trip.clone());
+            let id = sent.id;
+            self.tell(id, Progress::Reached);
         }
         let Some(client) = self.client(at).filter(|client| !client.datagrams.is_empty()) else { return };
         let id = Carried::of(&frame.seen()).and_then(|carried| client.id(carried.ports[0], &carried));
         let Some(id) = id else { return };
         let out = client.answered(id).filter(|out| out.delivered <= trip.entered);
         if let (Some(out), Some(reader)) = (out, &mut self.reader) {
-            reader(RoundTrip { from: name(at), id, out, back: trip.clone() });
+            reader(Followed::RoundTrip(RoundTrip { from: name(at), id, out, back: trip.clone() }));
         }
     }
 
@@ -250,5 +372,10 @@ impl Following {
     /// first packet, `later` are those of later requests, and `by` is the time of the answer.
     pub fn completing(&mut self, port: PortId, ticket: u32, later: &[u32], by: Timestamp) -> Option<Trip> {
         self.client(port)?.completing(ticket, later, by)
+    }
+
+    /// Returns where a request that got no answer in time ended. `ticket` is that of its first packet.
+    pub fn unanswered(&mut self, port: PortId, ticket: u32) -> Option<LostAt> {
+        self.client(port)?.unanswered(ticket)
     }
 }

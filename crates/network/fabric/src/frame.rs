@@ -10,8 +10,12 @@ use cotorra_flows::{
         pseudo_header_sum, u16_at,
     },
 };
+use cotorra_graph::LostCause;
 
-use crate::{pool::Pool, trace::Trace};
+use crate::{
+    pool::Pool,
+    trace::{DirectedLink, Trace},
+};
 
 /// A checksum to complete (virtio 1.2, 5.1.6.2). The ones' complement sum of everything from `start` on belongs at
 /// `start + offset`, which holds the sum of the pseudo header.
@@ -129,6 +133,13 @@ impl Frame {
     /// Returns the way so far, of a frame that is followed.
     pub(crate) fn trace(&mut self) -> Option<&mut Trace> {
         self.trace.as_deref_mut()
+    }
+
+    /// Records where and why the frame is lost or damaged, if it is followed. The first place counts.
+    pub(crate) fn end(&mut self, link: Option<DirectedLink>, cause: LostCause) {
+        if let Some(trace) = &mut self.trace {
+            trace.ended.get_or_insert((link, cause));
+        }
     }
 
     /// Ends following the frame, and returns its way.

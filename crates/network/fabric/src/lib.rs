@@ -58,7 +58,7 @@ mod transmitter;
 pub use balance::Balance;
 pub use error::{GraphError, NoPath};
 pub use fabric::{Departure, Drops, Fabric};
-pub use following::{Datagrams, RoundTrip, RoundTripReader, Trip};
+pub use following::{Datagrams, Followed, FollowedReader, Progress, RoundTrip, Trip};
 pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;
 pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};

@@ -3,7 +3,7 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use cotorra_graph::{Conditions, Direction, LinkContext, LinkCounters, LinkId, Rate, Timestamp};
+use cotorra_graph::{Conditions, Direction, LinkContext, LinkCounters, LinkId, LostCause, Rate, Timestamp};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::{
@@ -16,6 +16,7 @@ use crate::{
     queue::Queue,
     routes::Target,
     settings::{Settings, is_impaired, needs_packets},
+    trace::DirectedLink,
     transmitter::Transmitter,
 };
 
@@ -71,6 +72,8 @@ struct InFlight {
 /// One direction of a wired link.
 #[derive(Debug)]
 pub(crate) struct Pipe {
+    /// Its name in the ways of frames.
+    link: DirectedLink,
     settings: Settings,
     impairments: Impairments,
     transmitter: Transmitter<Packet>,
@@ -89,9 +92,15 @@ pub(crate) struct Pipe {
 
 impl Pipe {
     /// Creates an empty pipe that draws the random numbers of its impairments and of its queue from a stream each.
-    pub(crate) fn new(settings: Settings, rng: Xoshiro256PlusPlus, queue_rng: Xoshiro256PlusPlus) -> Self {
+    pub(crate) fn new(
+        link: DirectedLink,
+        settings: Settings,
+        rng: Xoshiro256PlusPlus,
+        queue_rng: Xoshiro256PlusPlus,
+    ) -> Self {
         let conditions = settings.effective();
         Self {
+            link,
             impairments: Impairments::new(conditions, rng),
             transmitter: Transmitter::new(&conditions.rate, Timestamp::ZERO),
             queue: Queue::new(Timestamp::ZERO, conditions, queue_rng),
@@ -233,8 +242,8 @@ impl Pipe {
     }
 
     fn enter(&mut self, now: Timestamp, packet: Packet, pool: &mut Pool) {
-        let Self { queue, meter, .. } = self;
-        let mut drop = |packet| drop_packet(meter, packet, pool);
+        let Self { queue, meter, link, .. } = self;
+        let mut drop = |packet| drop_packet(meter, *link, packet, pool);
         if self.transmitter.is_busy() {
             queue.push(now, packet, &mut drop);
         } else if let Some(packet) = queue.pass(now, packet, &mut drop) {
@@ -259,8 +268,8 @@ impl Pipe {
             if waiting > 0 {
                 self.meter.queued(now, waiting);
             }
-            let Self { queue, meter, .. } = self;
-            let mut drop = |packet| drop_packet(meter, packet, pool);
+            let Self { queue, meter, link, .. } = self;
+            let mut drop = |packet| drop_packet(meter, *link, packet, pool);
             let Some(mut packet) = queue.pop(now, &mut drop) else { return };
             packet.began = now;
             let bits = packet.frame.wire_bytes() * 8;
@@ -300,9 +309,13 @@ impl Pipe {
         let counts = u64::from(packet.counts());
         if self.impairments.loses() {
             self.meter.counters.lost += counts;
-            return pool.put(packet.frame.into_bytes());
+            packet.frame.end(Some(self.link), LostCause::Loss);
+            return pool.discard(packet.frame);
         }
-        self.meter.counters.corrupted += counts * u64::from(self.impairments.corrupts(&mut packet.frame));
+        if self.impairments.corrupts(&mut packet.frame) {
+            self.meter.counters.corrupted += counts;
+            packet.frame.end(Some(self.link), LostCause::Corruption);
+        }
         let copy = self.impairments.duplicates().then(|| packet.copy(pool));
         self.meter.counters.duplicated += counts * u64::from(copy.is_some());
         if self.impairments.reorders() {
@@ -348,11 +361,12 @@ impl Pipe {
 }
 
 /// Counts a packet that the queue dropped, and frees its buffer.
-fn drop_packet(meter: &mut Meter, packet: Packet, pool: &mut Pool) {
+fn drop_packet(meter: &mut Meter, link: DirectedLink, mut packet: Packet, pool: &mut Pool) {
+    packet.frame.end(Some(link), LostCause::FullQueue);
     if packet.counts() {
         meter.counters.overflowed += u64::from(packet.frame.wire_packets());
     }
-    pool.put(packet.frame.into_bytes());
+    pool.discard(packet.frame);
 }
 
 /// Whether a link with these conditions passes packets at once and unchanged.

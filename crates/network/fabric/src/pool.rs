@@ -1,6 +1,8 @@
 //! A pool of frame buffers. A dropped or delivered frame leaves its memory to the next one, so that the steady state
 //! allocates nothing per packet.
 
+use crate::{frame::Frame, trace::Trace};
+
 /// Capacity for a frame of an ordinary link, with its header and a VLAN tag.
 const SMALL: usize = 2048;
 /// Capacity for the largest super-packet: 64 KiB and its Ethernet header.
@@ -8,12 +10,16 @@ const LARGE: usize = 66 * 1024;
 /// Most buffers of each size in the pool. Further ones go back to the allocator.
 const SMALL_KEPT: usize = 16 * 1024;
 const LARGE_KEPT: usize = 512;
+/// Most ways of dropped frames that are kept until they are taken.
+const MOST_DROPPED: usize = 1024;
 
 /// Free buffers.
 #[derive(Debug, Default)]
 pub(crate) struct Pool {
     small: Vec<Vec<u8>>,
     large: Vec<Vec<u8>>,
+    /// Ways of followed frames that were dropped.
+    dropped: Vec<Box<Trace>>,
 }
 
 impl Pool {
@@ -25,6 +31,26 @@ impl Pool {
             Some(buffer) if buffer.capacity() >= length => buffer,
             _ => Vec::with_capacity(capacity),
         }
+    }
+
+    /// Takes the buffer of a dropped frame, and keeps its way if it was followed.
+    pub(crate) fn discard(&mut self, mut frame: Frame) {
+        if let Some(trace) = frame.take_trace() {
+            self.ended(trace);
+        }
+        self.put(frame.into_bytes());
+    }
+
+    /// Keeps the way of a frame that is not delivered.
+    pub(crate) fn ended(&mut self, trace: Box<Trace>) {
+        if self.dropped.len() < MOST_DROPPED {
+            self.dropped.push(trace);
+        }
+    }
+
+    /// Takes the ways of followed frames that were dropped since the last call, in that order.
+    pub(crate) fn take_dropped(&mut self) -> Vec<Box<Trace>> {
+        std::mem::take(&mut self.dropped)
     }
 
     /// Takes a buffer back.

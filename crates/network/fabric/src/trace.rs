@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{Direction, Timestamp};
+use cotorra_graph::{Direction, LostCause, Timestamp};
 
 use crate::port::{PortId, RadioUnitIndex, StationIndex};
 
@@ -16,6 +16,20 @@ pub(crate) struct Trace {
     /// Time of entering.
     pub entered: Timestamp,
     pub crossings: Vec<Crossing>,
+    /// The client that it is for, if it may answer followed frames.
+    pub answers: Option<Answered>,
+    /// Where it was lost or damaged first, and why.
+    pub ended: Option<(Option<DirectedLink>, LostCause)>,
+}
+
+/// The client that a frame may answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Answered {
+    pub client: PortId,
+    /// Ports of the client and the server.
+    pub ports: [u16; 2],
+    /// Id of the datagram that it answers, if that has one.
+    pub id: Option<u64>,
 }
 
 /// The crossing of one link.
@@ -40,7 +54,7 @@ impl Trace {
     const MOST: usize = 32;
 
     pub fn new(port: PortId, ticket: Option<u32>, entered: Timestamp) -> Self {
-        Self { port, ticket, entered, crossings: Vec::new() }
+        Self { port, ticket, entered, crossings: Vec::new(), answers: None, ended: None }
     }
 
     /// Adds a crossing, from entering the link over the start of the transmission to the arrival.

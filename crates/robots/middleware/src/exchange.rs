@@ -157,6 +157,12 @@ impl<N> Exchange<N> {
         Some(self.measured(pending, None).0)
     }
 
+    /// Returns the first nonce of a request that was answered or given up; `None` if it is forgotten.
+    pub fn nonce_of(&self, sequence: u32) -> Option<u64> {
+        let past = self.past.iter().rev().find(|past| past.sequence == sequence)?;
+        Some(past.recipients.nonce())
+    }
+
     /// Returns the reason for which an answer to a request that is not under way is rejected.
     fn reject_past(&mut self, reply: Reply) -> AnswerError {
         match self.past.iter_mut().find(|past| past.sequence == reply.sequence) {
@@ -189,6 +195,7 @@ impl<N> Exchange<N> {
             // Without an answer, the preferred server.
             server: pending.servers.swap_remove(by.unwrap_or(0)),
             parts: None,
+            lost_at: None,
         };
         (service_time, pending.note)
     }

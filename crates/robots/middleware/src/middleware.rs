@@ -131,6 +131,8 @@ pub struct RobotMiddleware {
     /// Deadline of each robot that has one.
     due: BTreeSet<(Timestamp, NodeId)>,
     events: VecDeque<Stamped>,
+    /// Places of the samples among the events that were given up last, and the nonces of their packets.
+    given_up: Vec<(usize, u64)>,
     /// Datagrams to send at once.
     outbox: VecDeque<Datagram>,
     /// Scans to poll; `None` without a tap.
@@ -213,6 +215,7 @@ impl RobotMiddleware {
             now: Timestamp::ZERO,
             due: BTreeSet::new(),
             events: VecDeque::new(),
+            given_up: Vec::new(),
             outbox: VecDeque::new(),
             scans: None,
             data: VecDeque::new(),
@@ -427,12 +430,14 @@ impl RobotMiddleware {
     /// Moves robots up to `now`, gives up packets without an answer, and builds κ when it is due.
     pub fn advance(&mut self, now: Timestamp) {
         self.now = self.now.max(now);
+        self.given_up.clear();
         let context_due = self.next_context <= now;
         let due = self.due_by(now);
         let all = context_due.then(|| self.robots.keys().cloned().collect());
         for robot in all.as_ref().unwrap_or(&due) {
             let Some(managed) = self.robots.get_mut(robot) else { continue };
-            while let Some(missing) = managed.expire(now) {
+            while let Some((missing, nonce)) = managed.expire(now) {
+                self.given_up.extend(nonce.map(|nonce| (self.events.len(), nonce)));
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(missing) });
             }
             managed.read_sensors(now, &mut self.events, &mut self.data);
@@ -519,6 +524,19 @@ impl RobotMiddleware {
             }));
             self.note_due(robot);
         }
+    }
+
+    /// Returns the samples that the last [`Self::advance`] gave up, which are still to be reported, with the first nonces of
+    /// their packets. Call it before [`Self::poll_event`].
+    pub fn given_up(&mut self) -> impl Iterator<Item = (u64, &mut ServiceTime)> {
+        let mut given_up = self.given_up.iter().peekable();
+        self.events.iter_mut().enumerate().filter_map(move |(place, stamped)| {
+            let (_, nonce) = given_up.next_if(|(its, _)| *its == place)?;
+            match &mut stamped.event {
+                Event::ServiceTime(sample) => Some((*nonce, sample)),
+                _ => None,
+            }
+        })
     }
 
     /// Receives an answer of a localization VNF. The robot's pose is the answer's, moved on by odometry since the answered
@@ -783,10 +801,18 @@ impl Managed {
         }
     }
 
-    /// Gives up the oldest packet of a service without an answer in time; `None` if there is none.
-    fn expire(&mut self, now: Timestamp) -> Option<ServiceTime> {
-        let position = self.service.as_mut().and_then(|service| service.expire(now));
-        position.or_else(|| self.localization.as_mut()?.endpoint.expire(now))
+    /// Gives up the oldest packet of a service without an answer in time; `None` if there is none. Returns its nonce, too.
+    fn expire(&mut self, now: Timestamp) -> Option<(ServiceTime, Option<u64>)> {
+        if let Some(service) = &mut self.service
+            && let Some(missing) = service.expire(now)
+        {
+            let nonce = service.nonce_of(&missing);
+            return Some((missing, nonce));
+        }
+        let endpoint = &mut self.localization.as_mut()?.endpoint;
+        let missing = endpoint.expire(now)?;
+        let nonce = endpoint.nonce_of(&missing);
+        Some((missing, nonce))
     }
 
     fn is_quiet(&self) -> bool {

@@ -262,6 +262,11 @@ impl ServiceEndpoint {
     pub fn expire(&mut self, now: Timestamp) -> Option<ServiceTime> {
         self.exchange.expire(now)
     }
+
+    /// Returns the nonce of a packet that was given up.
+    pub fn nonce_of(&self, given_up: &ServiceTime) -> Option<u64> {
+        self.exchange.nonce_of(given_up.sequence)
+    }
 }
 
 #[cfg(test)]

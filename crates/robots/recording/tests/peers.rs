@@ -153,6 +153,7 @@ fn events() -> Vec<Event> {
             attachment: Some(node("R-1")),
             server: node("edge"),
             parts: None,
+            lost_at: None,
         }),
         Event::Handover(Handover {
             robot: node("tb2"),

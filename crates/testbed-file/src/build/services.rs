@@ -40,6 +40,7 @@ impl Builder<'_> {
         });
         let kpis = Kpis {
             service_time: record.kpis.service_time.value,
+            kept: record.kpis.kept.as_ref().map(|kept| kept.value),
             reliability: record.kpis.reliability.as_ref().map(|r| r.value.get()),
             area: record.kpis.area.as_ref().map(|a| a.value.clone()),
             radio: record.kpis.radio.as_ref().map(|r| r.value),

@@ -27,6 +27,10 @@ pub(super) fn kpis(
             described(network.standard)
         ));
     }
+    if let Some(kept) = kpis.kept.as_ref().filter(|kept| kept.value.get() <= 0.0) {
+        sink.error(&kept.span, "every run keeps 0 %")
+            .help("demand more, such as `kept: 95 %`, or leave it out: any share will do then");
+    }
     if let Some(area) = kpis.area.as_ref().filter(|area| area.value.len() < 3) {
         sink.error(&area.span, format!("an area of {} corners", area.value.len()))
             .help("write 3 places or more, such as `[[0, 0], [5, 0], [5, 5]]`");

@@ -1,15 +1,15 @@
 //! The history of the run, and of other runs in the same history.
 
-use std::{borrow::Cow, ops::Bound};
+use std::{borrow::Cow, ops::Bound, sync::Arc};
 
 use axum::{Extension, Json, extract::State};
 use cotorra_graph::{
     Direction, Handover, LinkContext, LinkId, MachineContext, NodeId, RobotContext, ServiceTime, Stamped,
-    Timestamp,
+    Testbed, Timestamp,
 };
 use cotorra_measurements::{
     Cursor, Curve, CurveRequest, Difference, Figure, GraphState, History, Page, PageRequest, Retained, RunId,
-    Sample,
+    Sample, difference::Targets,
 };
 use serde::Deserialize;
 use tokio::sync::Semaphore;
@@ -406,7 +406,25 @@ pub(super) async fn difference(
     if context.replay && [a, b].contains(&context.run) {
         return Err(Failure::refused("this is a replay: how its run ends is not told before it does"));
     }
-    ask(context, Some(b), move |history, b, _| history.difference(a, b)).await
+    let (own, own_run) = (Arc::clone(&context.testbed), context.run);
+    ask(context, Some(b), move |history, b, _| {
+        let targets = |run: RunId| {
+            if run == own_run {
+                return Ok(targets(&own));
+            }
+            let info = history.run(run)?.info;
+            // Files that the other run's testbed file names need not be here.
+            let other = cotorra_testbed_file::parse(&info.name, &info.testbed, std::path::Path::new(""));
+            Ok(other.as_ref().map(targets).unwrap_or_default())
+        };
+        history.difference(a, b, [targets(a)?, targets(b)?])
+    })
+    .await
+}
+
+/// Returns the targets of a testbed's services.
+fn targets(testbed: &Testbed) -> Targets {
+    testbed.services.iter().map(|service| (service.id.clone(), service.kpis.service_time)).collect()
 }
 
 /// A time.

@@ -183,7 +183,10 @@ fn curves_gaps_runs_and_differences_are_what_the_history_answers() {
     assert_eq!(served.answer(&format!("measurements/runs?after={first}")).as_array().unwrap().len(), 1);
 
     let difference = served.answer(&format!("measurements/difference?a={first}"));
-    assert_eq!(difference, serde_json::to_value(served.history.difference(first, this).unwrap()).unwrap());
+    assert_eq!(
+        difference,
+        serde_json::to_value(served.history.difference(first, this, Default::default()).unwrap()).unwrap()
+    );
     let others = served.answer(&format!("measurements/service-times?run={first}"));
     assert_eq!(others["items"].as_array().unwrap().len(), 10);
 }

@@ -1,8 +1,8 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    Attachment, ConditionChange, Dbm, LinkTime, Pose, PoseSource, SensorData, ServiceTime, TimeParts,
-    Timestamp, Velocity, Vnf,
+    Attachment, ConditionChange, Dbm, LinkTime, LostCause, Pose, PoseSource, SensorData, ServiceTime,
+    TimeParts, Timestamp, Velocity, Vnf,
 };
 
 use super::*;
@@ -98,6 +98,7 @@ fn events_of_other_domains_are_not_seen() {
         attachment: None,
         server: id("s1"),
         parts: None,
+        lost_at: None,
     };
     for event in [
         Event::ServiceTime(sample),
@@ -154,10 +155,31 @@ fn the_time_on_links_of_others_is_unknown_to_a_domain() {
             attachment: None,
             server: id("s1"),
             parts: Some(Box::new(parts)),
+            lost_at: None,
         })
     };
     let own = TimeParts { unknown: ms(6), links: vec![on("A-s1")], ..TimeParts::default() };
     assert_eq!(seen_by_domains(sample(parts)), [Some(sample(own)), None]);
+}
+
+#[test]
+fn what_links_of_others_lost_is_unknown_to_a_domain() {
+    let lost = |link: Option<&str>| {
+        let at = |link| LostAt { link: Some(id(link)), back: true, cause: LostCause::Loss };
+        Event::ServiceTime(ServiceTime {
+            service: id("n1"),
+            robot: id("r1"),
+            sequence: 0,
+            emitted: Timestamp::ZERO,
+            took: None,
+            attachment: None,
+            server: id("s1"),
+            parts: None,
+            lost_at: link.map(at).map(Box::new),
+        })
+    };
+    assert_eq!(seen_by_domains(lost(Some("A-s1"))), [Some(lost(Some("A-s1"))), None]);
+    assert_eq!(seen_by_domains(lost(Some("B-s2"))), [Some(lost(None)), None]);
 }
 
 #[test]

@@ -177,6 +177,7 @@ fn sample(took: Option<Duration>) -> Event {
         attachment: None,
         server: node("one"),
         parts: None,
+        lost_at: None,
     })
 }
 

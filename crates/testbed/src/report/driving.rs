@@ -159,6 +159,7 @@ walks: { robot: { waypoints: [[0, 0], [1, 0]] } }
                 attachment: None,
                 server: "edge".parse().unwrap(),
                 parts: None,
+                lost_at: None,
             };
             driving.absorb(&Stamped { at: at(100), event: Event::ServiceTime(sample) });
             driving.robots[&robot].answered

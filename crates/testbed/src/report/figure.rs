@@ -177,6 +177,7 @@ mod tests {
                 attachment: Some(unit.parse().unwrap()),
                 server: "cloud".parse().unwrap(),
                 parts: None,
+                lost_at: None,
             });
             report.absorb(&Stamped { at: emitted, event });
         }

@@ -8,6 +8,7 @@ mod fidelity;
 mod figure;
 mod folder;
 mod gateways;
+mod kept;
 mod run_folder;
 mod samples;
 mod services;
@@ -24,6 +25,7 @@ pub use fidelity::{Fidelity, LatenessSummary};
 pub use figure::panels;
 pub use folder::{FolderError, Place, write_file};
 pub use gateways::GatewaySummary;
+pub use kept::{Kept, Verdict};
 pub use run_folder::{RunFolder, write_figure};
 pub use services::{by_service, name_of_total};
 pub use summary::{
@@ -31,6 +33,6 @@ pub use summary::{
     RobotSummary, ServiceSummary, Summary, service_time_ms,
 };
 pub use table::DataTable;
-pub use time_parts::{MeanParts, PartSummary, ServiceParts};
+pub use time_parts::{LostSummary, MeanParts, PartSummary, ServiceParts};
 pub use times::Quantiles;
 pub use vnf_waits::VnfWaits;

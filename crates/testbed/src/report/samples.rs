@@ -136,6 +136,7 @@ impl Samples {
             attachment: (attachment != NONE).then(|| self.nodes.list[attachment as usize].clone()),
             server: self.nodes.list[low(sequence_server)].clone(),
             parts: None,
+            lost_at: None,
         }
     }
 }
@@ -179,6 +180,7 @@ mod tests {
             attachment: (!number.is_multiple_of(4)).then(|| format!("R{}", number % 4).parse().unwrap()),
             server: "cloud".parse().unwrap(),
             parts: None,
+            lost_at: None,
         }
     }
 

@@ -1,6 +1,7 @@
 //! Tables of a run's services: exact for programs, rounded for readers.
 
 use super::{
+    kept::Kept,
     summary::{ServiceSummary, Summary},
     table::DataTable,
     times::Quantiles,
@@ -19,12 +20,22 @@ pub(super) fn exact(services: &[ServiceSummary]) -> DataTable {
         "service_time_p95_ms",
         "service_time_p99_ms",
         "service_time_max_ms",
+        "kept",
+        "kept_low",
+        "kept_high",
+        "keep",
+        "verdict",
+        "sure",
     ]);
     for its in services {
         let names = [its.robot.to_string(), its.service.to_string(), its.service_time_target_ms.to_string()];
         let counts = [its.samples.to_string(), its.unanswered.to_string(), or_empty(its.above_target)];
         let times = quantiles(its.service_time_ms).map(or_empty);
-        table.row(names.into_iter().chain(counts).chain(times));
+        let Kept { kept, kept_low, kept_high, keep, verdict, sure } = its.kept;
+        let shares = [kept, kept_low, kept_high, keep].map(or_empty);
+        let judged = [verdict.map(|verdict| verdict.to_string()), sure.map(|sure| sure.to_string())];
+        let judged = judged.map(Option::unwrap_or_default);
+        table.row(names.into_iter().chain(counts).chain(times).chain(shares).chain(judged));
     }
     table
 }
@@ -95,6 +106,7 @@ mod tests {
             unanswered: samples / 4,
             service_time_target_ms: 15.0,
             above_target: (samples > 0).then_some(0.25),
+            kept: Kept::of(samples * 3 / 4, samples, (robot == "r1").then_some(0.5)),
             service_time_ms: Quantiles::of(vec![10.0; samples]),
         };
         [service("r1", 4), service("r2", 0)]
@@ -114,8 +126,9 @@ mod tests {
     fn services_without_samples_have_a_row_without_figures() {
         let (exact, rounded) = (exact(&services()), by_service(&services()));
         let [_, first, second] = exact.rows() else { panic!() };
-        assert_eq!(first.join(","), "r1,navigation,15,4,1,0.25,10,10,10,10");
-        assert_eq!(second.join(","), "r2,navigation,15,0,0,,,,,");
+        let shares = "0.75,0.30064184258240184,0.9544127391902995,0.5,PASS,false";
+        assert_eq!(first.join(","), format!("r1,navigation,15,4,1,0.25,10,10,10,10,{shares}"));
+        assert_eq!(second.join(","), "r2,navigation,15,0,0,,,,,,,,,,,");
         let [_, first, second] = rounded.rows() else { panic!() };
         assert_eq!(first.join(" "), "r1 navigation 15 4 1 75.00 10.00 10.00 10.00 10.00");
         assert_eq!(second.join(" "), "r2 navigation 15 0 0 - - - - -");

@@ -5,8 +5,8 @@ use std::{collections::BTreeMap, path::Path};
 use cotorra_datapath::{Absence, GatewayTraffic};
 use cotorra_engine::InstanceWaits;
 use cotorra_graph::{
-    Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Requests, Service, ServiceId,
-    ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
+    Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Probability, Requests, Service,
+    ServiceId, ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
@@ -18,6 +18,7 @@ use super::{
     fidelity::{Fidelity, MeasuredFrames},
     folder::FolderError,
     gateways::GatewaySummary,
+    kept::{Kept, Verdict},
     samples::Samples,
     time_parts::{ServiceParts, TimePartsReport},
     times::{Quantiles, Times},
@@ -53,6 +54,8 @@ pub struct Summary {
     pub service_time_target_ms: Option<f64>,
     /// Share of samples above the target of their service. Unanswered ones count as above it.
     pub above_target: Option<f64>,
+    /// Verdict on all services of which the testbed file demands a share of samples within the target; `None` without any.
+    pub verdict: Option<Verdict>,
     /// Service times of all answered samples, milliseconds.
     pub service_time_ms: Option<Quantiles>,
     /// Summaries of all robots, in the file's order.
@@ -95,6 +98,8 @@ pub struct RobotSummary {
     pub unanswered: usize,
     /// Share of samples above the target of their service. Unanswered ones count as above it.
     pub above_target: Option<f64>,
+    /// Verdict on all of its services of which the testbed file demands a share, those apart from the total included.
+    pub verdict: Option<Verdict>,
     /// Number of changes of attachment.
     pub handovers: usize,
     /// Times without frames in these changes, milliseconds.
@@ -117,6 +122,9 @@ pub struct ServiceSummary {
     pub service_time_target_ms: f64,
     /// Share of samples above the target. Unanswered ones count as above it.
     pub above_target: Option<f64>,
+    /// The rest, and the verdict on it.
+    #[serde(flatten)]
+    pub kept: Kept,
     /// Service times of all answered samples, milliseconds.
     pub service_time_ms: Option<Quantiles>,
 }
@@ -243,6 +251,8 @@ struct Served {
     robot: NodeId,
     in_total: bool,
     target_ms: f64,
+    /// Share of samples that must be within the target.
+    keep: Option<f64>,
 }
 
 /// Collects the events of a run.
@@ -289,8 +299,13 @@ impl Served {
             robot: service.robot.clone(),
             in_total: testbed.services_in_total().any(|other| other.id == service.id),
             target_ms: millis::of(service.kpis.service_time),
+            keep: service.kpis.kept.map(Probability::get),
         };
         testbed.services.iter().map(served).collect()
+    }
+
+    fn kept(&self, times: &Times) -> Kept {
+        Kept::of(times.samples - times.above, times.samples, self.keep)
     }
 }
 
@@ -510,6 +525,7 @@ impl Report {
             unanswered: times.unanswered(),
             service_time_target_ms: its.target_ms,
             above_target: times.above_target(),
+            kept: its.kept(&times),
             service_time_ms: Quantiles::of(times.answered),
         };
         self.services.iter().zip(by_service).map(summary).collect()
@@ -523,6 +539,7 @@ impl Report {
 
     fn robots(&self, by_service: &[Times]) -> Vec<RobotSummary> {
         let summary = |robot: &NodeId| {
+            let services = self.services.iter().zip(by_service).filter(|(its, _)| its.robot == *robot);
             let times = self.merged(by_service, |its| its.robot == *robot);
             let gaps = self.handovers.iter().filter(|handover| handover.robot == *robot);
             let gaps: Vec<_> = gaps.map(|handover| handover.gap_ms).collect();
@@ -531,6 +548,7 @@ impl Report {
                 samples: times.samples,
                 unanswered: times.unanswered(),
                 above_target: times.above_target(),
+                verdict: Verdict::of_all(services.map(|(its, times)| its.kept(times).verdict)),
                 handovers: gaps.len(),
                 handover_gap_ms: Quantiles::of(gaps),
             }
@@ -542,6 +560,8 @@ impl Report {
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let by_service = self.by_service();
         let whole = self.merged(&by_service, |_| true);
+        let robots = self.robots(&by_service);
+        let services = self.summarize(by_service);
         let duration = end.since(Timestamp::ZERO);
         let mut summary = Summary {
             name: self.name.clone(),
@@ -555,9 +575,10 @@ impl Report {
             unanswered: whole.unanswered(),
             service_time_target_ms: self.service_time_target_ms(),
             above_target: whole.above_target(),
+            verdict: Verdict::of_all(services.iter().map(|its| its.kept.verdict)),
             service_time_ms: Quantiles::of(whole.answered),
-            robots: self.robots(&by_service),
-            services: self.summarize(by_service),
+            robots,
+            services,
             time_parts: self.time_parts(),
             regions: self.regions().into_iter().filter(|region| !self.is_apart(&region.service)).collect(),
             handovers: self.handovers.clone(),
@@ -656,6 +677,7 @@ mod tests {
             attachment: Some(attachment.parse().unwrap()),
             server: "cloud".parse().unwrap(),
             parts: None,
+            lost_at: None,
         });
         Stamped { at: emitted, event }
     }
@@ -667,7 +689,7 @@ mod tests {
         let testbed = cotorra_testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
         let served = |(service, robot, target_ms): (&str, &str, f64)| {
             let (service, robot) = (service.parse().unwrap(), robot.parse().unwrap());
-            Served { service, robot, in_total: true, target_ms }
+            Served { service, robot, in_total: true, target_ms, keep: None }
         };
         let services = [
             ("navigation", "robot", 15.0),
@@ -751,6 +773,31 @@ mod tests {
         let robots: Vec<_> =
             summary.robots.iter().map(|r| (r.robot.as_str(), r.samples, r.above_target)).collect();
         assert_eq!(robots, [("robot", 1, Some(0.0)), ("other", 0, None)]);
+    }
+
+    #[test]
+    fn a_demanded_share_of_a_service_judges_its_robot_and_the_run() {
+        let mut report = report();
+        // Localization is apart from the total, and judged all the same.
+        [Some(0.5), None, None, Some(1.0)]
+            .into_iter()
+            .zip(&mut report.services)
+            .for_each(|(keep, its)| its.keep = keep);
+        let services = report.services();
+        for (i, (place, took)) in [(0, Some(10)), (0, None), (2, None), (3, Some(60))].into_iter().enumerate()
+        {
+            report.absorb(&of_service(&services[place], sample(i as u32, "R1", took)));
+        }
+        let summary = report.summary(Timestamp::ZERO, "finished", Losses::default());
+        let verdicts: Vec<_> = summary.services.iter().map(|its| its.kept.verdict).collect();
+        assert_eq!(verdicts, [Some(Verdict::Pass), None, None, Some(Verdict::Fail)]);
+        let robots: Vec<_> = summary.robots.iter().map(|its| its.verdict).collect();
+        assert_eq!((robots, summary.verdict), (vec![Some(Verdict::Fail), None], Some(Verdict::Fail)));
+        let json = serde_json::to_value(&summary.services[0]).unwrap();
+        assert_eq!(
+            (&json["kept"], &json["keep"], &json["verdict"]),
+            (&0.5.into(), &0.5.into(), &"PASS".into())
+        );
     }
 
     #[test]

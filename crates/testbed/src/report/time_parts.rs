@@ -1,11 +1,12 @@
-//! The time of each service in every host and on every link, and the part that explains the samples above the target.
+//! The reasons for which samples missed their target: where those without an answer ended, the time of the others in every
+//! host and on every link, and the part that explains those above the target.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     time::Duration,
 };
 
-use cotorra_graph::{LinkId, ServiceId, ServiceTime, Testbed, TimeParts, millis};
+use cotorra_graph::{LinkId, LostAt, ServiceId, ServiceTime, Testbed, TimeParts, millis};
 use serde::Serialize;
 
 use super::times::Quantiles;
@@ -22,10 +23,28 @@ pub struct ServiceParts {
     pub samples: usize,
     /// Number of answered samples whose parts are unknown, because the fabric did not carry their packets.
     pub without_parts: usize,
+    /// Number of answered samples above the target.
+    pub late_answers: usize,
+    /// Number of them whose parts are known.
+    pub late_with_parts: usize,
+    /// Number of samples without an answer in time.
+    pub unanswered: usize,
+    /// Places where these ended, that of most samples first.
+    pub lost_at: Vec<LostSummary>,
     /// Mean time by kind of part. The means add up to the mean service time.
     pub mean: MeanParts,
     /// Links and hosts, those that explain most samples above the target first.
     pub parts: Vec<PartSummary>,
+}
+
+/// A place where samples without an answer ended.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LostSummary {
+    /// The place; `None` if it is unknown, because the fabric did not follow their packets.
+    #[serde(flatten)]
+    pub at: Option<LostAt>,
+    /// Number of samples that ended there.
+    pub samples: usize,
 }
 
 /// Mean time in each kind of part, milliseconds.
@@ -104,6 +123,10 @@ struct Gathered {
     within: Vec<Thinned<f64>>,
     /// Parts and milliseconds of the samples above the target.
     above: Thinned<Vec<(usize, f64)>>,
+    /// Number of answered samples above the target.
+    late: usize,
+    /// Number of samples without an answer, by the place where they ended.
+    lost: BTreeMap<Option<LostAt>, usize>,
 }
 
 /// Gathers the parts of all samples.
@@ -184,6 +207,14 @@ impl Gathered {
         }
     }
 
+    fn lost(&self) -> Vec<LostSummary> {
+        let summary =
+            |(at, samples): (&Option<LostAt>, &usize)| LostSummary { at: at.clone(), samples: *samples };
+        let mut lost: Vec<_> = self.lost.iter().map(summary).collect();
+        lost.sort_by_key(|place| std::cmp::Reverse(place.samples));
+        lost
+    }
+
     fn parts(&self) -> Vec<PartSummary> {
         let usual: Vec<_> =
             self.within.iter().map(|its| Quantiles::of(its.kept.clone()).map(|q| q.p50)).collect();
@@ -233,8 +264,13 @@ impl TimePartsReport {
 
     /// Adds a sample.
     pub fn absorb(&mut self, sample: &ServiceTime) {
-        let (Some(&place), Some(took)) = (self.places.get(&sample.service), sample.took) else { return };
+        let Some(&place) = self.places.get(&sample.service) else { return };
         let (_, target, gathered) = &mut self.services[place];
+        let Some(took) = sample.took else {
+            *gathered.lost.entry(sample.lost_at.as_deref().cloned()).or_default() += 1;
+            return;
+        };
+        gathered.late += usize::from(took > *target);
         let Some(parts) = &sample.parts else {
             gathered.unknown += 1;
             return;
@@ -249,17 +285,22 @@ impl TimePartsReport {
         }
     }
 
-    /// Returns the parts of each service with answered samples, in the file's order.
+    /// Returns the parts of each service with samples, in the file's order.
     pub fn summary(&self) -> Vec<ServiceParts> {
-        let answered = self.services.iter().filter(|(.., its)| its.samples > 0 || its.unknown > 0);
+        let measured = |its: &Gathered| its.samples > 0 || its.unknown > 0 || !its.lost.is_empty();
+        let measured = self.services.iter().filter(|(.., its)| measured(its));
         let summary = |(service, _, its): &(ServiceId, Duration, Gathered)| ServiceParts {
             service: service.clone(),
             samples: its.samples as usize,
             without_parts: its.unknown,
+            late_answers: its.late,
+            late_with_parts: its.above.seen,
+            unanswered: its.lost.values().sum(),
+            lost_at: its.lost(),
             mean: its.mean(),
             parts: its.parts(),
         };
-        answered.map(summary).collect()
+        measured.map(summary).collect()
     }
 }
 
@@ -267,7 +308,7 @@ impl TimePartsReport {
 mod tests {
     use std::path::Path;
 
-    use cotorra_graph::{Direction, LinkTime, Timestamp};
+    use cotorra_graph::{Direction, LinkTime, LostCause, Timestamp};
     use proptest::{collection::vec, prelude::*};
 
     use super::*;
@@ -319,6 +360,7 @@ services:
             attachment: None,
             server: "s".parse().unwrap(),
             parts: Some(Box::new(parts)),
+            lost_at: None,
         }
     }
 
@@ -333,6 +375,7 @@ services:
         report.absorb(&ServiceTime { parts: None, ..sample([1; 5]) });
         let [its] = &report.summary()[..] else { panic!("one service") };
         assert_eq!((its.samples, its.without_parts), (6, 1));
+        assert_eq!((its.late_answers, its.late_with_parts, its.unanswered), (3, 3, 1));
         let part = |name: &str| its.parts.iter().find(|part| part.part == name).unwrap();
         assert_eq!(its.parts[0].part, "A-s");
         assert_eq!(part("A-s").within_p50_ms, Some(2.0));
@@ -344,6 +387,29 @@ services:
         let MeanParts { air_out_ms, wires_out_ms, wires_back_ms, queueing_ms, vnf_ms, .. } = its.mean;
         let means = [air_out_ms, wires_out_ms, wires_back_ms, queueing_ms, vnf_ms];
         assert_eq!(means.map(|mean| (mean * 6.0).round()), [13.0, 6.0, 8.0, 14.0, 52.0]);
+    }
+
+    #[test]
+    fn samples_without_an_answer_are_counted_by_the_place_where_they_ended() {
+        let mut report = report();
+        let at = |link: &str, back, cause| LostAt { link: Some(link.parse().unwrap()), back, cause };
+        let on_air = at("r~A", false, LostCause::Loss);
+        let queued = at("A-s", true, LostCause::FullQueue);
+        for lost_at in [Some(&queued), None, Some(&on_air), Some(&on_air), Some(&on_air), Some(&queued)] {
+            let lost_at = lost_at.cloned().map(Box::new);
+            report.absorb(&ServiceTime { took: None, parts: None, lost_at, ..sample([0; 5]) });
+        }
+        let [its] = &report.summary()[..] else { panic!("a service without any answer") };
+        assert_eq!((its.samples, its.unanswered, its.late_answers), (0, 6, 0));
+        let lost: Vec<_> = its.lost_at.iter().map(|place| (place.at.clone(), place.samples)).collect();
+        assert_eq!(lost, [(Some(on_air), 3), (Some(queued), 2), (None, 1)]);
+        let json = serde_json::to_value(&its.lost_at).unwrap();
+        let expected = serde_json::json!([
+            { "link": "r~A", "back": false, "cause": "loss", "samples": 3 },
+            { "link": "A-s", "back": true, "cause": "full_queue", "samples": 2 },
+            { "samples": 1 },
+        ]);
+        assert_eq!(json, expected);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Robots that are attached to a radio unit of another core. Their frames leave this fabric there, and those to them leave at
 //! the border: a host of the wired network. The other core carries both, and returns them at the other end.
 
-use cotorra_graph::{Dbm, Direction, HostAddress, NodeId, Timestamp};
+use cotorra_graph::{Dbm, Direction, HostAddress, LostCause, NodeId, Timestamp};
 
 use super::Fabric;
 use crate::{frame::Frame, port::PortId, routes::Target, settings::FabricError};
@@ -112,7 +112,11 @@ impl Fabric {
     }
 
     /// Hands a robot's frame to the other core, as single packets.
-    pub(super) fn depart_frame(&mut self, port: PortId, direction: Direction, frame: Frame) {
+    pub(super) fn depart_frame(&mut self, port: PortId, direction: Direction, mut frame: Frame) {
+        frame.end(None, LostCause::OtherCore);
+        if let Some(trace) = frame.take_trace() {
+            self.pool.ended(trace);
+        }
         let (departures, balance) = (&mut self.departures, &mut self.balance);
         let robot = &self.ports[port.0].node;
         let each = |mut packet: Frame| {

@@ -1,11 +1,11 @@
 //! Shows frames to those who measure round trips: the flows of services, and the readers of followed datagrams.
 
-use cotorra_graph::{Direction, LinkTime, NodeId, Service, Timestamp};
+use cotorra_graph::{Direction, LinkId, LinkTime, LostAt, LostCause, NodeId, Service, Timestamp};
 
 use super::Fabric;
 use crate::{
     flows::{Mark, Measuring},
-    following::{Datagrams, RoundTripReader, Trip},
+    following::{Datagrams, FollowedReader, Trip},
     frame::Frame,
     port::PortId,
     radio::Path,
@@ -25,8 +25,8 @@ impl Fabric {
         }
     }
 
-    /// Follows datagrams and their answers from now on. Their round trips go to the reader, which replaces the one before.
-    pub fn follow(&mut self, datagrams: &[Datagrams], reader: RoundTripReader) {
+    /// Follows datagrams and their answers from now on. What becomes of them goes to the reader, which replaces the one before.
+    pub fn follow(&mut self, datagrams: &[Datagrams], reader: FollowedReader) {
         for Datagrams { from, port, id_at } in datagrams {
             if let Some(from) = self.port(from) {
                 let observers = self.observers.get_or_insert_default();
@@ -68,16 +68,35 @@ impl Fabric {
     ) {
         let Some(mut observers) = self.observers.take() else { return };
         let name = |port: PortId| self.ports[port.0].node.clone();
-        let trip = frame.take_trace().map(|trace| {
+        let trip = frame.take_trace().and_then(|trace| {
+            if trace.ended.is_some() {
+                // Its receiver rejects a damaged frame.
+                let at = self.lost_at(&trace);
+                observers.following.dropped(&trace, at);
+                return None;
+            }
             let of = (trace.port, trace.ticket);
             let trip = self.trip(*trace, due, now);
             observers.following.delivered(of, port, frame, &trip, name);
-            trip
+            Some(trip)
         });
         if observers.flows.watch(port) {
             let from = frame.source().and_then(|address| self.owner(address));
             let measuring = Measuring { now, from, back: trip.as_ref() };
             observers.flows.delivered(measuring, port, frame, &mut observers.following, name);
+        }
+        self.observers = Some(observers);
+    }
+
+    /// Shows followed frames that were dropped.
+    #[cold]
+    pub(super) fn observe_drops(&mut self) {
+        self.radio.discard_lost(&mut self.pool);
+        let dropped = self.pool.take_dropped();
+        let Some(mut observers) = self.observers.take() else { return };
+        for trace in dropped {
+            let at = self.lost_at(&trace);
+            observers.following.dropped(&trace, at);
         }
         self.observers = Some(observers);
     }
@@ -93,18 +112,28 @@ impl Fabric {
     /// Returns the way of a frame with the names of its links.
     fn trip(&self, trace: Trace, due: Timestamp, delivered: Timestamp) -> Trip {
         let on = |Crossing { link, queueing, retries, crossing }: Crossing| {
-            let (link, direction) = match link {
-                DirectedLink::Wire(edge) if edge.is_multiple_of(2) => {
-                    (&self.links[edge / 2], Direction::Forward)
-                }
-                DirectedLink::Wire(edge) => (&self.links[edge / 2], Direction::Backward),
-                DirectedLink::Air(robot, unit, direction) => {
-                    (self.radio.counters(Path { robot, unit, direction })?.0, direction)
-                }
-            };
+            let (link, direction) = self.named(link)?;
             Some(LinkTime { link: link.clone(), direction, back: false, queueing, retries, crossing })
         };
         let links = trace.crossings.into_iter().filter_map(on).collect();
         Trip { entered: trace.entered, due, delivered, links }
+    }
+
+    /// Returns where a request was lost or damaged, and why.
+    fn lost_at(&self, trace: &Trace) -> LostAt {
+        let (link, cause) = trace.ended.unwrap_or((None, LostCause::NoRoute));
+        let link = link.and_then(|link| self.named(link)).map(|(link, _)| link.clone());
+        LostAt { link, back: false, cause }
+    }
+
+    /// Returns the name of a link, and the direction.
+    fn named(&self, link: DirectedLink) -> Option<(&LinkId, Direction)> {
+        Some(match link {
+            DirectedLink::Wire(edge) if edge.is_multiple_of(2) => (&self.links[edge / 2], Direction::Forward),
+            DirectedLink::Wire(edge) => (&self.links[edge / 2], Direction::Backward),
+            DirectedLink::Air(robot, unit, direction) => {
+                (self.radio.counters(Path { robot, unit, direction })?.0, direction)
+            }
+        })
     }
 }

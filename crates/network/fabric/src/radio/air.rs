@@ -2,7 +2,7 @@
 
 use std::{cmp::Reverse, time::Duration};
 
-use cotorra_graph::{Direction, GapPolicy, Timestamp};
+use cotorra_graph::{Direction, GapPolicy, LostCause, Timestamp};
 
 use super::{
     InFlight, Path, Radio, RadioUnitIndex, StationIndex, link,
@@ -25,7 +25,8 @@ impl Radio {
         };
         let waiting = Waiting { frame, since: now, source: None, is_probe };
         let network = self.robots[path.robot].network;
-        if let Err(frame) = self.push(now, network, flow, waiting, limit) {
+        if let Err(mut frame) = self.push(now, network, flow, waiting, limit) {
+            frame.end(Some(path.into()), LostCause::FullQueue);
             self.lane(path).meter().counters.overflowed += u64::from(!is_probe);
             self.lost.push(frame);
             return;
@@ -41,7 +42,9 @@ impl Radio {
         }
     }
 
-    pub(super) fn lose(&mut self, path: Path, frame: Frame, is_probe: bool) {
+    /// Loses a frame of a robot that is off its channel.
+    pub(super) fn lose(&mut self, path: Path, mut frame: Frame, is_probe: bool) {
+        frame.end(Some(path.into()), LostCause::NoAttachment);
         self.lane(path).meter().counters.lost += u64::from(!is_probe);
         self.lost.push(frame);
     }
@@ -130,8 +133,12 @@ impl Radio {
     pub(super) fn fly(&mut self, now: Timestamp, path: Path, waiting: Waiting, exchange: &Exchange) {
         let Waiting { mut frame, since, is_probe, .. } = waiting;
         let Some(landing) = self.lane(path).land(now, exchange, &mut frame, !is_probe) else {
+            frame.end(Some(path.into()), LostCause::Loss);
             return self.lost.push(frame);
         };
+        if landing.corrupted {
+            frame.end(Some(path.into()), LostCause::Corruption);
+        }
         let copy = landing.twice.then(|| frame.clone());
         for frame in [Some(frame), copy].into_iter().flatten() {
             let link::Landing { due, flight, .. } = landing;

@@ -76,6 +76,8 @@ pub(super) struct Landing {
     pub(super) due: Timestamp,
     pub(super) flight: Flight,
     pub(super) twice: bool,
+    /// Whether a bit of it was flipped.
+    pub(super) corrupted: bool,
 }
 
 impl Flight {
@@ -287,12 +289,13 @@ impl Lane {
             self.meter.counters.lost += u64::from(counts);
             return None;
         }
-        self.meter.counters.corrupted += u64::from(self.impairments.corrupts(frame) && counts);
+        let corrupted = self.impairments.corrupts(frame);
+        self.meter.counters.corrupted += u64::from(corrupted && counts);
         let deviate = if self.impairments.reorders() { None } else { Some(self.impairments.deviate()) };
         let twice = self.impairments.duplicates();
         self.meter.counters.duplicated += u64::from(twice && counts);
         let flight = Flight { start, first: sent.first, retries: sent.retries, deviate };
-        Some(Landing { due: self.line_up(&flight), flight, twice })
+        Some(Landing { due: self.line_up(&flight), flight, twice, corrupted })
     }
 
     /// Returns when a frame arrives. The delay includes the first attempt; retries come on top. Frames keep their order,

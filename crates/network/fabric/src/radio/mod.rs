@@ -46,8 +46,8 @@ use std::{
 
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy, HardwareGraph,
-    LinkContext, LinkCounters, LinkId, NodeId, Position, Probed, QueueLimit, RadioContext, Stamped,
-    StationContext, StationCounts, Timestamp, WirelessNetwork,
+    LinkContext, LinkCounters, LinkId, LostCause, NodeId, Position, Probed, QueueLimit, RadioContext,
+    Stamped, StationContext, StationCounts, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -216,6 +216,12 @@ pub(crate) struct Path {
     pub(crate) direction: Direction,
 }
 
+impl From<Path> for DirectedLink {
+    fn from(Path { robot, unit, direction }: Path) -> Self {
+        Self::Air(robot, unit, direction)
+    }
+}
+
 impl Radio {
     /// Creates the radios of a graph. Each station begins attached to the strongest radio unit within reach of its network.
     ///
@@ -354,7 +360,8 @@ impl Radio {
     }
 
     /// Drops a frame that no wireless link can carry.
-    fn strand(&mut self, frame: Frame) {
+    fn strand(&mut self, mut frame: Frame) {
+        frame.end(None, LostCause::NoAttachment);
         self.without_carrier += 1;
         self.lost.push(frame);
     }
@@ -444,7 +451,7 @@ impl Radio {
         out: &mut Vec<Arrival>,
     ) -> Option<Timestamp> {
         self.advance(now);
-        self.lost.drain(..).for_each(|frame| pool.put(frame.into_bytes()));
+        self.discard_lost(pool);
         while self.in_flight.peek().is_some_and(|Reverse(f)| f.due <= now) {
             let Some(Reverse(InFlight { due, path, since, flight, mut frame, is_probe, .. })) =
                 self.in_flight.pop()
@@ -455,13 +462,7 @@ impl Radio {
                 self.lane(path).meter().crossed(since, due, 1, frame.wire_bytes());
             }
             if let Some(trace) = frame.trace() {
-                let Path { robot, unit, direction } = path;
-                let began = flight.start();
-                trace.crossed(
-                    DirectedLink::Air(robot, unit, direction),
-                    [since, began, due],
-                    flight.retries(),
-                );
+                trace.crossed(path.into(), [since, flight.start(), due], flight.retries());
             }
             let (robot, unit) = (self.robots[path.robot].port, self.units[path.unit].port);
             let (from, at) = match path.direction {
@@ -471,6 +472,11 @@ impl Radio {
             out.push(Arrival { since, due, from, at, frame, path, is_probe });
         }
         self.deadline()
+    }
+
+    /// Gives lost frames to the pool.
+    pub(crate) fn discard_lost(&mut self, pool: &mut Pool) {
+        self.lost.drain(..).for_each(|frame| pool.discard(frame));
     }
 
     /// Returns when [`Self::poll`] is due.

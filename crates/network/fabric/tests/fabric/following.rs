@@ -5,11 +5,11 @@ use std::{
     time::Duration,
 };
 
-use cotorra_fabric::{Checksum, Datagrams, Fabric, Frame, Offload, PortId, RoundTrip};
+use cotorra_fabric::{Checksum, Datagrams, Fabric, Followed, Frame, Offload, PortId, Progress, RoundTrip};
 use cotorra_flows::headers::{IPV4, Ipv4, PROTOCOL_TCP, PROTOCOL_UDP, udp_header};
 use cotorra_graph::{
-    ConditionChange, Conditions, Direction, Event, Flow, FlowProtocol, HostAddress, Kpis, LinkTime, Service,
-    ServiceTime, TimeParts, Timestamp,
+    ConditionChange, Conditions, Direction, Event, Flow, FlowProtocol, HostAddress, Kpis, LinkTime, Loss,
+    LostAt, LostCause, Probability, QueueLimit, Service, ServiceTime, TimeParts, Timestamp,
 };
 use proptest::{collection::vec, prelude::*};
 
@@ -67,7 +67,14 @@ fn run(
 fn follow(fabric: &mut Fabric, from: &str) -> Receiver<RoundTrip> {
     let (sender, trips) = channel();
     let followed = Datagrams { from: from.parse().unwrap(), port: PORT, id_at: 0 };
-    fabric.follow(&[followed], Box::new(move |trip| sender.send(trip).unwrap()));
+    fabric.follow(
+        &[followed],
+        Box::new(move |followed| {
+            if let Followed::RoundTrip(trip) = followed {
+                sender.send(trip).unwrap();
+            }
+        }),
+    );
     trips
 }
 
@@ -226,29 +233,31 @@ fn other_packets_and_answers_of_others_give_no_round_trip() {
     assert!(trips.try_recv().is_err());
 }
 
-/// Measures TCP from `a` to `b`, and returns the samples of segments: time, whether `a` sends, sequence number, bytes.
-fn tcp(segments: &[(f64, bool, u32, &[u8])]) -> Vec<ServiceTime> {
-    let mut fabric = pair(delay(5), 1);
-    let flow = Flow {
-        from: "a".parse().unwrap(),
-        timeout: Duration::from_secs(1),
-        protocol: FlowProtocol::Tcp { port: PORT },
-    };
+/// A service whose flow begins at `a`.
+fn flow_of_a(protocol: FlowProtocol) -> Service {
+    let flow = Flow { from: "a".parse().unwrap(), timeout: Duration::from_secs(1), protocol };
     let kpis = Kpis {
         service_time: Duration::from_millis(50),
+        kept: None,
         reliability: None,
         area: None,
         radio: None,
         flow: Some(flow),
     };
-    fabric.measure_flows(&[Service {
+    Service {
         id: "walk".parse().unwrap(),
         robot: "a".parse().unwrap(),
         vnfs: Vec::new(),
         virtual_links: Vec::new(),
         kpis,
         requests: Default::default(),
-    }]);
+    }
+}
+
+/// Measures TCP from `a` to `b`, and returns the samples of segments: time, whether `a` sends, sequence number, bytes.
+fn tcp(segments: &[(f64, bool, u32, &[u8])]) -> Vec<ServiceTime> {
+    let mut fabric = pair(delay(5), 1);
+    fabric.measure_flows(&[flow_of_a(FlowProtocol::Tcp { port: PORT })]);
     let mut now = ms(0.0);
     for (at, is_client, sequence, payload) in segments {
         run(&mut fabric, &mut now, ms(*at), |_, _| {});
@@ -312,4 +321,122 @@ fn the_gap_of_a_handover_shows_as_queueing_on_the_new_link() {
     assert_eq!(out.links[0].link.as_str(), format!("p~{to}"));
     assert_eq!(out.links[0].queueing, handover.gap - Duration::from_millis(1));
     assert_eq!(back.links[1].queueing, Duration::ZERO);
+}
+
+/// Follows datagrams from `a`, and returns where those that were lost ended.
+fn losses(fabric: &mut Fabric, from: &str) -> Receiver<(u64, LostAt)> {
+    let (sender, losses) = channel();
+    let followed = Datagrams { from: from.parse().unwrap(), port: PORT, id_at: 0 };
+    let read = move |followed| {
+        if let Followed::Progress { id, progress: Progress::Lost(at) } = followed {
+            sender.send((id, at)).unwrap();
+        }
+    };
+    fabric.follow(&[followed], Box::new(read));
+    losses
+}
+
+/// Sends datagrams from `a` and answers them. Returns where those that were lost ended.
+fn lost_between(out: Conditions, back: Conditions, count: u64) -> Vec<(u64, LostAt)> {
+    let mut fabric = pair(delay(5), 1);
+    let link = "a-b".parse().unwrap();
+    for (direction, conditions) in [(Direction::Forward, out), (Direction::Backward, back)] {
+        let change = ConditionChange {
+            loss: Some(conditions.loss),
+            corruption: Some(conditions.corruption),
+            rate: Some(conditions.rate),
+            queue: Some(conditions.queue),
+            ..ConditionChange::default()
+        };
+        fabric.change(ms(0.0), &link, Some(direction), &change).unwrap();
+    }
+    let losses = losses(&mut fabric, "a");
+    (0..count).for_each(|id| fabric.push(ms(0.0), A, datagram((A, CLIENT), (B, PORT), id)));
+    let mut now = ms(0.0);
+    run(&mut fabric, &mut now, ms(999.0), |fabric, Delivery { at, port, frame }| {
+        if port == B {
+            let id = u64::from_le_bytes(*frame.bytes()[42..].first_chunk().unwrap());
+            fabric.push(at, B, datagram((B, PORT), (A, CLIENT), id));
+        }
+    });
+    losses.try_iter().collect()
+}
+
+fn at(link: &str, back: bool, cause: LostCause) -> LostAt {
+    LostAt { link: Some(link.parse().unwrap()), back, cause }
+}
+
+#[test]
+fn a_lost_datagram_tells_its_link_its_way_and_the_cause() {
+    let fine = || delay(5);
+    let lossy = || Conditions { loss: Loss::Independent { rate: Probability::ONE }, ..delay(5) };
+    let corrupt = || Conditions { corruption: Probability::ONE, ..delay(5) };
+    let narrow = || Conditions { rate: rate(0.1), queue: QueueLimit::Packets(1), ..delay(5) };
+    let cases = [
+        (lossy(), fine(), 2, at("a-b", false, LostCause::Loss)),
+        (fine(), lossy(), 2, at("a-b", true, LostCause::Loss)),
+        (corrupt(), fine(), 2, at("a-b", false, LostCause::Corruption)),
+        (fine(), corrupt(), 2, at("a-b", true, LostCause::Corruption)),
+        (narrow(), fine(), 2, at("a-b", false, LostCause::FullQueue)),
+        (fine(), narrow(), 2, at("a-b", true, LostCause::FullQueue)),
+    ];
+    for (out, back, lost, expected) in cases {
+        let count = if expected.cause == LostCause::FullQueue { 2 + lost } else { lost };
+        let found = lost_between(out, back, count);
+        let expected: Vec<_> = (count - lost..count).map(|id| (id, expected.clone())).collect();
+        assert_eq!(found, expected);
+    }
+}
+
+#[test]
+fn a_datagram_on_the_air_or_without_a_route_tells_where_it_ended() {
+    // Nothing leads to `c`.
+    let network = Network::new().radio_unit("R1", 0.0).robot("p", 3.0).server("b").server("c");
+    let mut fabric = network.link("R1", "b", delay(1)).fabric(1);
+    let [p, b, c] = ["p", "b", "c"].map(|name| fabric.port(&name.parse().unwrap()).unwrap());
+    let losses = losses(&mut fabric, "p");
+    let loss =
+        |rate| ConditionChange { loss: Some(Loss::Independent { rate }), ..ConditionChange::default() };
+    let air = "p~R1".parse().unwrap();
+    fabric.change(ms(0.0), &air, Some(Direction::Forward), &loss(Probability::ONE)).unwrap();
+    fabric.push(ms(1.0), p, datagram((p, CLIENT), (b, PORT), 1));
+    let mut now = ms(1.0);
+    run(&mut fabric, &mut now, ms(50.0), |_, _| {});
+    fabric.change(ms(50.0), &air, None, &loss(Probability::ZERO)).unwrap();
+    fabric.push(ms(60.0), p, datagram((p, CLIENT), (c, PORT), 2));
+    run(&mut fabric, &mut now, ms(99.0), |_, _| {});
+    let found: Vec<_> = losses.try_iter().collect();
+    let unroutable = LostAt { link: None, back: false, cause: LostCause::NoRoute };
+    assert_eq!(found, [(1, at("p~R1", false, LostCause::Loss)), (2, unroutable)]);
+}
+
+/// Sends requests of a flow from `a`, and returns where its samples without an answer ended.
+fn unanswered(conditions: Conditions, answers: bool) -> Vec<Option<LostAt>> {
+    let mut fabric = pair(conditions, 1);
+    fabric.measure_flows(&[flow_of_a(FlowProtocol::Udp { port: PORT, id: None })]);
+    let mut now = ms(0.0);
+    for step in 0..3 {
+        fabric.push(now, A, datagram((A, CLIENT), (B, PORT), step));
+        run(&mut fabric, &mut now, ms(2000.0 * (step + 1) as f64), |fabric, Delivery { at, port, .. }| {
+            if port == B && answers {
+                fabric.push(at, B, datagram((B, PORT), (A, CLIENT), step));
+            }
+        });
+    }
+    let sample = |stamped: cotorra_graph::Stamped| match stamped.event {
+        Event::ServiceTime(sample) => Some(sample.lost_at.map(|at| *at)),
+        _ => None,
+    };
+    std::iter::from_fn(|| fabric.next_event()).filter_map(sample).collect()
+}
+
+#[test]
+fn a_request_of_a_flow_without_an_answer_tells_where_it_ended() {
+    let lossy = Conditions { loss: Loss::Independent { rate: Probability::ONE }, ..delay(5) };
+    let silent = LostAt { link: None, back: false, cause: LostCause::NoAnswer };
+    assert_eq!(unanswered(lossy, true), vec![Some(at("a-b", false, LostCause::Loss)); 3]);
+    assert_eq!(unanswered(delay(5), false), vec![Some(silent); 3]);
+    assert_eq!(unanswered(delay(5), true), [None, None, None], "all were answered");
+    let late = LostAt { link: None, back: false, cause: LostCause::Late };
+    assert_eq!(unanswered(delay(5000), true)[0], Some(late));
 }

@@ -3,8 +3,8 @@
 use std::{sync::mpsc::channel, time::Duration};
 
 use cotorra_fabric::{
-    Antenna, Association, Category, Datagrams, Fabric, FabricError, PhyRate, PortId, RateTries, Receiver,
-    RoundTrip, Transmission, Trip,
+    Antenna, Association, Category, Datagrams, Fabric, FabricError, Followed, PhyRate, PortId, RateTries,
+    Receiver, RoundTrip, Transmission, Trip,
 };
 use cotorra_graph::{AccessPoint, Conditions, Edca, Event, Handover, NodeId, Position, RateControl, Stamped};
 
@@ -187,7 +187,14 @@ fn a_robots_round_trips_are_measured_at_its_radio_units_port() {
     fabric.associate(ms(0.0), &id("p"), &id("R1"), Association { began: ms(0.0), fast: false }).unwrap();
     let (sender, trips) = channel();
     let followed = Datagrams { from: id("p"), port: 7711, id_at: 0 };
-    fabric.follow(&[followed], Box::new(move |trip| sender.send(trip).unwrap()));
+    fabric.follow(
+        &[followed],
+        Box::new(move |followed| {
+            if let Followed::RoundTrip(trip) = followed {
+                sender.send(trip).unwrap();
+            }
+        }),
+    );
     fabric.push(ms(1.0), R1, datagram((P, 40_000), (B, 7711), 5));
     run(&mut fabric, ms(1.0), ms(10.0));
     fabric.push(ms(10.0), B, datagram((B, 7711), (P, 40_000), 5));

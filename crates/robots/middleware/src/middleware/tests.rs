@@ -43,7 +43,14 @@ fn testbed() -> Testbed {
             to: VnfId::new("brain").unwrap(),
             rate: BitRate::from_bits_per_second(6_000_000).unwrap(),
         }],
-        kpis: Kpis { service_time: ms(15), reliability: None, area: None, radio: None, flow: None },
+        kpis: Kpis {
+            service_time: ms(15),
+            kept: None,
+            reliability: None,
+            area: None,
+            radio: None,
+            flow: None,
+        },
         requests: Default::default(),
     };
     Testbed {
