@@ -26,6 +26,7 @@ use crate::{
     replay::ReplayArgs,
     reproduce::ReproduceArgs,
     run::RunArgs,
+    selftest::SelftestArgs,
     stamp::Stamp,
     stop::StopArgs,
     sweep::SweepArgs,
@@ -47,6 +48,7 @@ pub struct Cli {
 const EXAMPLES: &str = "\
 Examples:
   cotorra doctor                                   find out what this machine can do
+  cotorra selftest                                 compare runs with answers that are known
   cotorra check testbeds/corridor.yaml             check a testbed file
   cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
   cotorra sweep testbeds/corridor.yaml --seeds 10  run it ten times in virtual time
@@ -133,6 +135,7 @@ Examples:
     /// Tries everything, and leaves nothing behind. Each missing capability is shown with the reason and a remedy; most
     /// runs do not need it.
     Doctor,
+    Selftest(SelftestArgs),
     Clean(CleanArgs),
     Exec(ExecArgs),
     Ps(PsArgs),

@@ -43,6 +43,7 @@ mod replay;
 mod reproduce;
 mod run;
 mod running;
+mod selftest;
 mod service_table;
 mod signals;
 mod speed;
@@ -97,6 +98,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),
         Command::Edit(args) => return edit::edit(&args),
+        Command::Selftest(args) => return selftest::selftest(&args),
         Command::Calibrate(args) => calibrate::calibrate(&args)?,
         Command::New { new } => new::new(&new)?,
         Command::Schema => output::print(&format!("{:#}\n", cotorra_testbed_file::schema()))?,

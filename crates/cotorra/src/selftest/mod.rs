@@ -1,0 +1,370 @@
+//! `cotorra selftest`: runs testbeds whose right answers are known, and compares.
+//!
+//! Each scene is a run of this program, as a user would start it. Its files and its exit status are compared with closed forms.
+
+mod check;
+mod observed;
+mod scene;
+mod scenes;
+
+use std::{
+    env, fs, io,
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitCode, ExitStatus, Stdio},
+    time::Duration,
+};
+
+use clap::Args;
+use console::style;
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::{
+    output,
+    progress::Progress,
+    run::NOT_VALID,
+    signals,
+    table::{Table, columns, wrap},
+    temporary::TemporaryFolder,
+    words::count,
+};
+use check::Check;
+use observed::{Observed, World};
+use scene::{Dies, Scene};
+
+/// How often a run with real packets is made, if the machine was too slow for it.
+const ATTEMPTS: usize = 3;
+/// How long a run is stopped, and how long it runs before.
+const STOPPED: Duration = Duration::from_secs(2);
+
+/// Run small testbeds whose right answers are known, and compare
+///
+/// Each scene is run in virtual time and with real packets, by this program, as `cotorra run` does it. Its figures are compared
+/// with closed forms: sums of delays, binomial intervals, queues, traces, phases of handovers. So you know whether to trust this
+/// program on this machine. With real packets it takes about three minutes.
+///
+/// Random figures are right within four standard deviations. Times of real packets may be as late as a valid run can be. A run
+/// that says itself that it is not valid is made again, three times at most; after that, the machine is too slow or too busy, and
+/// the scene is neither right nor wrong.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra selftest
+  cotorra selftest --simulate               only in virtual time, in seconds
+  cotorra selftest loss bursts corruption   only these scenes
+  cotorra selftest --list
+  cotorra selftest --keep /tmp/selftest     keep the folders of all runs
+
+Exit status: 0 all is right, 1 something is wrong, 2 wrong usage, 3 nothing is wrong, but the machine was too slow for some scenes.")]
+pub struct SelftestArgs {
+    /// The scenes; default: all
+    #[arg(value_name = "NAME")]
+    pub names: Vec<String>,
+    /// List the scenes
+    #[arg(long, conflicts_with = "names")]
+    pub list: bool,
+    /// Run them in virtual time only
+    #[arg(long)]
+    pub simulate: bool,
+    /// Keep testbed files and folders of runs in this new folder
+    #[arg(long, value_name = "DIR")]
+    pub keep: Option<PathBuf>,
+    /// Write plain lines instead of the live view
+    #[arg(long)]
+    pub headless: bool,
+}
+
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum Error {
+    #[error("there is no scene `{name}`")]
+    #[diagnostic(help("`cotorra selftest --list` lists them"))]
+    Unknown { name: String },
+    #[error("cannot start this program again: {0}")]
+    Program(io::Error),
+    #[error("cannot write {}: {source}", path.display())]
+    #[diagnostic(help("--keep takes a folder that does not exist yet"))]
+    Folder { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    Temporary(#[from] cotorra_testbed::FolderError),
+    #[error("stopped")]
+    Stopped,
+}
+
+/// What became of a scene in one kind of time.
+#[derive(Debug)]
+enum Outcome {
+    /// Its figures, which may be wrong.
+    Compared(Vec<Check>),
+    /// The machine was too slow, as the run says.
+    TooSlow(String),
+    /// The run left nothing to compare.
+    Failed(String),
+}
+
+impl Outcome {
+    fn is_wrong(&self) -> bool {
+        match self {
+            Self::Compared(checks) => !checks.iter().all(Check::holds),
+            Self::Failed(_) => true,
+            Self::TooSlow(_) => false,
+        }
+    }
+}
+
+/// Runs the scenes, and prints a table.
+pub fn selftest(args: &SelftestArgs) -> miette::Result<ExitCode> {
+    let scenes = choose(&args.names)?;
+    if args.list {
+        let mut table = Table::new("<<");
+        scenes.iter().for_each(|scene| table.row([scene.name, scene.promise]));
+        output::print(&table.render(""))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let worlds: &[World] = if args.simulate { &[World::Virtual] } else { &[World::Virtual, World::Real] };
+    let temporary;
+    let folder = match &args.keep {
+        Some(folder) => {
+            fs::create_dir_all(folder.parent().unwrap_or(Path::new("")))
+                .and_then(|()| fs::create_dir(folder))
+                .map_err(|source| Error::Folder { path: folder.clone(), source })?;
+            folder
+        }
+        None => {
+            temporary = TemporaryFolder::new().map_err(Error::from)?;
+            temporary.path()
+        }
+    };
+    let program = Program {
+        path: env::current_exe().map_err(Error::Program)?,
+        folder: folder.to_owned(),
+        interrupts: signals::listen()?,
+    };
+    let planned: Vec<_> = worlds
+        .iter()
+        .flat_map(|world| scenes.iter().map(move |scene| (scene, *world)))
+        .filter(|(scene, world)| (scene.dies, *world) != (Dies::Stopped, World::Virtual))
+        .collect();
+    let mut progress = Progress::new(args.headless);
+    let mut outcomes = Vec::new();
+    let mut repeated = 0;
+    for (done, &(scene, world)) in planned.iter().enumerate() {
+        progress.show(done, planned.len());
+        let (outcome, attempts) = program.outcome(scene, world)?;
+        repeated += attempts - 1;
+        outcomes.push((scene, world, outcome));
+    }
+    progress.close();
+    output::print(&describe(&scenes, &outcomes, repeated))?;
+    let is_any = |of: fn(&Outcome) -> bool| outcomes.iter().any(|(.., outcome)| of(outcome));
+    Ok(if is_any(Outcome::is_wrong) {
+        ExitCode::FAILURE
+    } else if is_any(|outcome| matches!(outcome, Outcome::TooSlow(_))) {
+        ExitCode::from(NOT_VALID)
+    } else {
+        ExitCode::SUCCESS
+    })
+}
+
+fn choose(names: &[String]) -> Result<Vec<Scene>, Error> {
+    let all = scenes::scenes();
+    if let Some(name) = names.iter().find(|name| all.iter().all(|scene| scene.name != *name)) {
+        return Err(Error::Unknown { name: name.clone() });
+    }
+    Ok(all
+        .into_iter()
+        .filter(|scene| names.is_empty() || names.iter().any(|name| scene.name == name))
+        .collect())
+}
+
+/// This program, and where its runs leave their folders.
+struct Program {
+    path: PathBuf,
+    folder: PathBuf,
+    interrupts: std::sync::mpsc::Receiver<()>,
+}
+
+impl Program {
+    /// Runs a scene, and again if the machine was too slow. Returns how often, too.
+    fn outcome(&self, scene: &Scene, world: World) -> Result<(Outcome, usize), Error> {
+        let most = if world == World::Real { ATTEMPTS } else { 1 };
+        let mut attempt = 1;
+        loop {
+            let outcome = self.attempt(scene, world, attempt)?;
+            if !matches!(outcome, Outcome::TooSlow(_)) || attempt == most {
+                return Ok((outcome, attempt));
+            }
+            attempt += 1;
+        }
+    }
+
+    fn attempt(&self, scene: &Scene, world: World, attempt: usize) -> Result<Outcome, Error> {
+        let name = match world {
+            World::Virtual => format!("{}-virtual", scene.name),
+            World::Real => format!("{}-real-{attempt}", scene.name),
+        };
+        let folder = self.folder.join(name);
+        let cannot = |source| Error::Folder { path: folder.clone(), source };
+        fs::create_dir(&folder).map_err(cannot)?;
+        let file = scene.write(&folder).map_err(cannot)?;
+        let log = fs::File::create(folder.join("output.txt")).map_err(cannot)?;
+        let seconds = if world == World::Virtual { scene.virtual_seconds } else { scene.seconds };
+        let mut command = Command::new(&self.path);
+        command.args([
+            "run",
+            "--headless",
+            "--api",
+            "127.0.0.1:0",
+            "--until",
+            &format!("{seconds}s"),
+            "--out",
+        ]);
+        command.arg(folder.join("runs")).arg(&file).env_remove(crate::history::HISTORY_VARIABLE);
+        if world == World::Virtual {
+            command.arg("--simulate");
+        }
+        let errors = log.try_clone().map_err(cannot)?;
+        let child =
+            command.stdin(Stdio::null()).stdout(log).stderr(errors).spawn().map_err(Error::Program)?;
+        let status = self.wait(child, scene.dies)?;
+        let output = || fs::read_to_string(folder.join("output.txt")).unwrap_or_default();
+        let Some(run) = run_folder(&folder.join("runs")) else {
+            return Ok(Outcome::Failed(output().trim().to_owned()));
+        };
+        let observed = match Observed::read(world, status.code(), &run) {
+            Ok(observed) => observed,
+            Err(error) => return Ok(Outcome::Failed(format!("{error}\n{}", output().trim()))),
+        };
+        if let (Dies::Not | Dies::Missed, Some(fidelity)) = (scene.dies, &observed.report.fidelity)
+            && !fidelity.valid
+        {
+            return Ok(Outcome::TooSlow(fidelity.reason.clone()));
+        }
+        Ok(Outcome::Compared((scene.check)(&observed)))
+    }
+
+    /// Waits for the end of a run, and stops its process meanwhile if the scene wants that.
+    fn wait(&self, mut child: Child, dies: Dies) -> Result<ExitStatus, Error> {
+        if dies == Dies::Stopped {
+            let id = Pid::from_child(&child);
+            self.pause(&mut child, STOPPED)?;
+            let signal = |signal| kill_process(id, signal).map_err(|error| Error::Program(error.into()));
+            signal(Signal::STOP)?;
+            let paused = self.pause(&mut child, STOPPED);
+            signal(Signal::CONT)?;
+            paused?;
+        }
+        loop {
+            if let Some(status) = child.try_wait().map_err(Error::Program)? {
+                return Ok(status);
+            }
+            self.pause(&mut child, Duration::from_millis(20))?;
+        }
+    }
+
+    /// Waits, unless a user stops it.
+    fn pause(&self, child: &mut Child, time: Duration) -> Result<(), Error> {
+        match self.interrupts.recv_timeout(time) {
+            Err(std::sync::mpsc::RecvTimeoutError::Timeout) => Ok(()),
+            _ => {
+                // It got the same signal, if that came from a terminal.
+                let _ = kill_process(Pid::from_child(child), Signal::CONT);
+                let _ = kill_process(Pid::from_child(child), Signal::TERM);
+                let _ = child.wait();
+                Err(Error::Stopped)
+            }
+        }
+    }
+}
+
+/// Returns the only folder in a folder of runs.
+fn run_folder(runs: &Path) -> Option<PathBuf> {
+    fs::read_dir(runs).ok()?.filter_map(|entry| Some(entry.ok()?.path())).find(|path| path.is_dir())
+}
+
+/// Returns a table of all figures, and a sentence.
+fn describe(scenes: &[Scene], outcomes: &[(&Scene, World, Outcome)], repeated: usize) -> String {
+    let mut table = Table::new("<<>>>");
+    table.row(["scene", "figure", "right", "virtual time", "real packets"]);
+    let mut text = String::new();
+    for scene in scenes {
+        let of = |world| {
+            outcomes
+                .iter()
+                .find(|(its, at, _)| its.name == scene.name && *at == world)
+                .map(|(.., outcome)| outcome)
+        };
+        let worlds = [of(World::Virtual), of(World::Real)];
+        let compared = |outcome: Option<&Outcome>| match outcome {
+            Some(Outcome::Compared(checks)) => checks.clone(),
+            _ => Vec::new(),
+        };
+        let checks = worlds.map(compared);
+        let rows = checks.iter().max_by_key(|checks| checks.len()).cloned().unwrap_or_default();
+        for (place, row) in rows.iter().enumerate() {
+            let cell = |world: usize| match (worlds[world], checks[world].get(place)) {
+                (None, _) => "-".to_owned(),
+                (_, Some(check)) => cell(check),
+                (_, None) => "?".to_owned(),
+            };
+            let name = if place == 0 { scene.name } else { "" };
+            table.row([name.to_owned(), row.figure.to_owned(), figure(row.expected), cell(0), cell(1)]);
+        }
+        for (world, outcome) in ["in virtual time", "with real packets"].iter().zip(worlds) {
+            match outcome {
+                Some(Outcome::TooSlow(reason)) => {
+                    text += &wrap(
+                        &format!("{} {world}: the machine was too slow: {reason}", scene.name),
+                        "  ",
+                        columns(),
+                    );
+                }
+                Some(Outcome::Failed(reason)) => text += &format!("  {} {world}: {reason}\n", scene.name),
+                _ => {}
+            }
+        }
+        for (world, checks) in ["in virtual time", "with real packets"].iter().zip(&checks) {
+            for check in checks.iter().filter(|check| !check.holds()) {
+                let (low, high) = check.within;
+                let measured = check.measured.map_or("missing".to_owned(), figure);
+                text += &wrap(
+                    &format!(
+                        "{} {world}: {} is {measured}, right is {} to {}: {}",
+                        scene.name,
+                        check.figure,
+                        figure(low),
+                        figure(high),
+                        scene.promise
+                    ),
+                    "  ",
+                    columns(),
+                );
+            }
+        }
+    }
+    let count_of = |of: fn(&Outcome) -> bool| outcomes.iter().filter(|(.., outcome)| of(outcome)).count();
+    let wrong = count_of(Outcome::is_wrong);
+    let slow = count_of(|outcome| matches!(outcome, Outcome::TooSlow(_)));
+    let mut sentence = format!("{} of {}", outcomes.len() - wrong - slow, count(outcomes.len(), "run"));
+    sentence += " right";
+    if wrong > 0 {
+        sentence += &format!(", {} WRONG", style(wrong).red());
+    }
+    if slow > 0 {
+        sentence += &format!(", {slow} not judged, because the machine was too slow or too busy");
+    }
+    if repeated > 0 {
+        sentence += &format!("; {} repeated", count(repeated, "run"));
+    }
+    let gap = if text.is_empty() { "" } else { "\n" };
+    format!("{}{gap}{text}\n{sentence}\n", table.render(""))
+}
+
+/// Formats a figure and whether it is right.
+fn cell(check: &Check) -> String {
+    let measured = check.measured.map_or("missing".to_owned(), figure);
+    if check.holds() { measured } else { format!("{measured} {}", style("WRONG").red()) }
+}
+
+/// Formats a figure with three digits, or fewer for whole ones.
+fn figure(value: f64) -> String {
+    if value.fract() == 0.0 { format!("{value:.0}") } else { format!("{value:.3}") }
+}
