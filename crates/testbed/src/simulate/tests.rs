@@ -574,7 +574,9 @@ fn a_walk_on_which_no_robot_makes_progress_ends_with_the_robots_names() {
     let folder = &out.path().join("unrecorded");
     let unrecorded = Unrecorded { seed: 1, until: None, altered: &altered, folder, text: "" };
     let ended = simulate_unrecorded(Arc::new(out_of_reach()), &unrecorded, |_| {}, || true).unwrap().unwrap();
-    assert_eq!(ended.summary, stuck.summary);
+    // Localization errors are in runs with files only.
+    let localization = stuck.summary.localization.clone();
+    assert_eq!(Summary { localization, ..ended.summary }, stuck.summary);
 }
 
 #[test]
