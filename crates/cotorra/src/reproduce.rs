@@ -227,6 +227,9 @@ fn describe(Compared { of, outcome }: &Compared, level: f64) -> String {
             let all = count(same + different.len(), "file");
             format!("{name}{} of {all} differ: {}{more}\n", different.len(), listed.join(", "))
         }
+        Outcome::Distributions { services, .. } if services.is_empty() => {
+            format!("{name}no service has samples to compare\n")
+        }
         Outcome::Distributions { services, tolerance_ms, valid } => {
             let mut text = format!(
                 "{name}{} of {}; {tolerance_ms:.2} ms are within the lateness of packets; each test at {}\n\n",

@@ -274,10 +274,11 @@ fn an_experiment_is_reproduced_with_its_walks() {
 
 #[test]
 fn a_real_run_is_compared_by_distribution() {
-    let mut run = Run::start(&corridor(), &["--until", "10s"]);
+    let mut run = Run::start(&corridor(), &["--until", "20s"]);
+    run.wait_for_service();
     run.report();
     let done = reproduce(&run.folder, &[]);
-    // On a busy machine, it may differ.
+    // On a busy machine, it may differ, or not be valid.
     assert!(matches!(done.status.code(), Some(0 | 3)), "{}", stderr(&done));
     let printed = stdout(&done);
     for told in ["median, ms", "p99, ms", "kept, %", "navigation of robot", "repeat", "REPRODUCED"] {

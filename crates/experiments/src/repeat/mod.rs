@@ -69,13 +69,16 @@ pub struct Service {
 }
 
 impl Compared {
-    /// Whether the repeat has the same results; with real time, whether no test rejects that at a level over all tests of the
-    /// run.
+    /// Whether the repeat has the same results; with real time, whether the figures of both runs are valid, some service has
+    /// samples, and no test rejects them at a level over all tests of the run.
     pub fn is_same(&self, level: f64) -> bool {
         match &self.outcome {
-            Outcome::Bytes { different, .. } => different.is_empty(),
-            Outcome::Distributions { services, .. } => {
-                services.iter().all(|its| its.two.is_same(each(level, services)))
+            Outcome::Bytes { same, different } => *same > 0 && different.is_empty(),
+            Outcome::Distributions { services, valid, .. } => {
+                let level = each(level, services);
+                *valid == [true, true]
+                    && !services.is_empty()
+                    && services.iter().all(|its| its.two.is_same(level))
             }
             Outcome::Missing => false,
         }

@@ -75,6 +75,23 @@ fn real_time_is_compared_by_distribution() {
     assert_eq!(services[0].two.samples, [1000, 1000]);
     assert!(near.is_same(0.01) && !of("far").is_same(0.01));
 
+    // Runs without samples, and figures that are not valid, confirm nothing.
+    let [(_, samples), (_, summary)] = run(8.0);
+    let head = samples.lines().next().unwrap().to_owned();
+    for name in ["none", "nothing"] {
+        let files = [("service_time.csv", head.clone()), ("summary.json", summary.clone())];
+        results(&at(name), Time::Real, &["run"], &files);
+    }
+    assert!(!compare(&at("none"), &at("nothing")).unwrap()[0].is_same(0.01));
+    let invalid = summary.replace("\"valid\": true", "\"valid\": false");
+    results(
+        &at("invalid"),
+        Time::Real,
+        &["run"],
+        &[("service_time.csv", samples), ("summary.json", invalid)],
+    );
+    assert!(!of("invalid").is_same(0.01));
+
     fs::write(at("one/service_time.csv"), "edited").unwrap();
     assert!(matches!(compare(&at("one"), &at("near")), Err(RepeatError::Changed(_))));
 }
