@@ -74,7 +74,7 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     let whole = ask(&whole).map_err(Error::from)?;
     let mut text = describe(&drawn, &whole);
     if matches!(figure, Figure::ServiceTime { service: None, .. }) && has_services_apart(&source) {
-        text += "  All services count, also those that localize, which the summary of a run leaves out.\n";
+        text += "  all services, also those that localize, which the summary of a run leaves out\n";
     }
     if args.of == SERVICE && matches!(figure, Figure::ServiceTime { .. }) {
         text += &format!("\n{}", services(&source, args.span.range())?);

@@ -199,7 +199,7 @@ fn over_seeds(examined: &[Examined], compared: &[Compared]) -> String {
         let Compared { number, seed, target, stays, pairs, undone, kept, .. } = of;
         let decided = examined.iter().find(|its| its.seed == *seed && its.decided.number == *number);
         let of_decision = decided.map(|its| heads(&its.decided)).unwrap_or_default();
-        let p = kept.and_then(|kept| kept.p).map_or_else(|| "-".to_owned(), |p| format!("{p:.3}"));
+        let p = kept.and_then(|kept| kept.p).map_or_else(|| "-".to_owned(), shown_p);
         let undone = if *undone > 0 { format!(", no end in {undone}") } else { String::new() };
         let cells = [
             named(target, *stays),
@@ -229,11 +229,16 @@ fn over_seeds(examined: &[Examined], compared: &[Compared]) -> String {
     };
     let sentence = format!(
         "An alternative kept more samples, by more than chance, in {better} of {of}.{few} Figures are means of the \
-         alternative less the decision with the same seed, with 95 % intervals by Student's t; p is corrected for all {} by \
-         Holm.",
-        count(compared.len(), "alternative")
+         alternative less the decision with the same seed, with 95 % intervals by Student's t; p is corrected for the number of alternatives, \
+         {}, by Holm.",
+        compared.len()
     );
     text + "\n" + &wrap(&sentence, "", 100)
+}
+
+/// `0.012`, `<0.001`.
+fn shown_p(p: f64) -> String {
+    if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
 }
 
 /// `+0.16 (-0.02 to +0.34)`; two pairs are too few for an interval.
