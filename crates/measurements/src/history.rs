@@ -648,7 +648,7 @@ mod tests {
                     .map(|s| (s.unanswered, s.service_time_ms.as_ref().map(|took| took.quantiles[0])))
             })
         };
-        assert_eq!(services(&difference.services[0].runs), [Some((1, Some(10.0))), Some((0, Some(20.0)))]);
+        assert_eq!(services(&difference.services[0].runs), [Some((1, Some(20.0))), Some((0, Some(20.0)))]);
         let shares = |entry: &[Option<crate::difference::Services>; 2]| {
             entry.each_ref().map(|side| side.as_ref().map(|s| (s.samples, s.kept)))
         };
