@@ -53,7 +53,6 @@ fn twice_the_delay_is_twice_the_service_time_and_more_seeds_narrow_the_interval(
     // The same seeds vary together.
     let pairs = medians[1].mean - medians[0].mean;
     assert!((median.mean - pairs).abs() < 1e-9 && median.is_shown() == Some(true), "{median:?}");
-    assert!(median.interval.unwrap().holds(pairs), "{median:?}");
     // Not one of the pairs has another number of handovers.
     assert_eq!((of("handovers").mean, of("handovers").p), (0.0, Some(1.0)));
 }
