@@ -54,6 +54,7 @@ fn place(LostSummary { at, samples }: &LostSummary) -> String {
         LostCause::NoAnswer => on("not answered by the VNF in time"),
         LostCause::Late => on("still under way when given up"),
         LostCause::Rejected => on("rejected by the robot"),
+        LostCause::NotSent => on("due and not sent"),
     }
 }
 

@@ -40,6 +40,8 @@ pub enum LostCause {
     Late,
     /// The answer came, and the robot rejected it.
     Rejected,
+    /// It was due and not sent, because nobody ran the core then.
+    NotSent,
 }
 
 impl LostCause {
@@ -55,6 +57,7 @@ impl LostCause {
             Self::NoAnswer => "no_answer",
             Self::Late => "late",
             Self::Rejected => "rejected",
+            Self::NotSent => "not_sent",
         }
     }
 }

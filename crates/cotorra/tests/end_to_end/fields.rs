@@ -28,7 +28,7 @@ const OF: [&str; 12] = [
     "sent",
 ];
 /// Names of numbers that are not quantities: positions, limits, names of rows, and inputs of statistics.
-const NO_QUANTITIES: [&str; 13] = [
+const NO_QUANTITIES: [&str; 14] = [
     "a",
     "b",
     "after",

@@ -142,9 +142,9 @@ fn examined_decisions_are_resumed_and_end_with_the_same_bytes() {
 fn a_regret_beside_a_void_run_is_unknown() {
     let out = tempfile::tempdir().unwrap();
     let examined = examine(&regret("10 ms"), out.path()).examined.remove(0);
-    let Examined { decided, stood, mut tried, .. } = examined;
+    let Examined { seed, decided, stood, mut tried, .. } = examined;
     let void = serde_json::from_str("\"plug-in mine: ended\"").unwrap();
     tried.push(Tried { target: "C".into(), stays: false, stood: None, refused: None, void: Some(void) });
-    let examined = Examined::of(decided, stood, tried);
+    let examined = Examined::of(seed, decided, stood, tried);
     assert_eq!((examined.regret_kept, examined.regret_ms), (None, None));
 }

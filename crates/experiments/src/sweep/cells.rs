@@ -325,7 +325,7 @@ mod tests {
             });
             let mut service: MeasuredService = serde_json::from_value(json).unwrap();
             service.samples = above.map_or(0, |_| 100);
-            Measured { services: vec![service], ..EMPTY }
+            Outcome::Measured(Measured { services: vec![service], ..EMPTY })
         };
         let runs = [
             run(Some(0.1), Some(0.9)),

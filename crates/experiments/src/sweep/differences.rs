@@ -62,12 +62,13 @@ const FIGURES: [Figure; 8] = [
 
 impl Runs {
     /// Returns how each combination differs from the first one that has runs, figure by figure. Combinations without a seed
-    /// in common with it have no differences.
+    /// in common with it have no differences, and neither have those with a void run.
     pub fn differences(&self) -> Vec<Difference> {
         let mut contenders: Vec<(&[String], BTreeMap<u64, &Measured>)> = Vec::new();
         for cell in self.combinations() {
             let its = self.done.iter().filter(|done| done.point.values == *cell);
-            contenders.push((cell, its.map(|done| (done.point.seed, &done.measured)).collect()));
+            let measured = its.map(|done| Some((done.point.seed, done.outcome.measured()?)));
+            contenders.push((cell, measured.collect::<Option<_>>().unwrap_or_default()));
         }
         let Some(((_, first), others)) = contenders.split_first() else { return Vec::new() };
         let mut all = Vec::new();

@@ -4,7 +4,7 @@ use cotorra_testbed::{DataTable, name_of_total};
 
 use super::{
     Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts, runs::Done,
-    time_parts::MeasuredPart,
+    time_parts::{MeasuredLoss, MeasuredPart},
 };
 use crate::outcome::Void;
 
@@ -116,17 +116,13 @@ pub(super) fn differences(axes: &[Axis], differences: &[Difference]) -> DataTabl
 
 /// Returns a row for each place where samples without an answer ended, of each run.
 pub(super) fn unanswered(runs: &Runs) -> DataTable {
-    let fixed = ["seed", "service", "link", "way", "cause"];
-    let mut table = table(&runs.axes, fixed, Some(["samples".to_owned()]));
-    for done in &runs.done {
-        for loss in &done.measured.losses {
-            let fixed = [done.point.seed.to_string(), loss.service.to_string()];
-            table.row(
-                of(&done.point.values).chain(fixed).chain(loss.place()).chain([loss.samples.to_string()]),
-            );
-        }
-    }
-    table
+    rows(runs, ["seed", "service", "link", "way", "cause"], &["samples".to_owned()], |measured| {
+        let row = |loss: &MeasuredLoss| {
+            let cells = [loss.service.to_string()].into_iter().chain(loss.place());
+            cells.chain([loss.samples.to_string()]).collect()
+        };
+        measured.losses.iter().map(row).collect()
+    })
 }
 
 /// Returns a row for each service of each combination.

@@ -2,7 +2,7 @@
 
 use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
-use cotorra_graph::{NodeId, ServiceId, ServiceTime, Timestamp};
+use cotorra_graph::{LostAt, LostCause, NodeId, ServiceId, ServiceTime, Timestamp};
 
 use crate::{answer_error::AnswerError, nonce::Nonces, request::Recipients};
 
@@ -117,6 +117,7 @@ impl<N> Exchange<N> {
             attachment: route.attachment.clone(),
             server: route.servers[0].0.clone(),
             parts: None,
+            lost_at: Some(Box::new(LostAt { link: None, back: false, cause: LostCause::NotSent })),
         }
     }
 

@@ -299,6 +299,7 @@ plugins:
                 attachment: None,
                 server,
                 parts: None,
+                lost_at: None,
             }),
         )
     }
