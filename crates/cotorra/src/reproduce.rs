@@ -11,8 +11,8 @@ use cotorra_experiments::repeat::{Compared, Outcome, RepeatError, Service, compa
 use cotorra_testbed::{FolderError, Manifest, ManifestError, Repeat, Time};
 
 use crate::{
-    exit::Status, history::HISTORY_VARIABLE, origin, output, signals, table::Table, temporary::TemporaryFolder,
-    words::count,
+    exit::Status, history::HISTORY_VARIABLE, origin, output, signals, table::Table,
+    temporary::TemporaryFolder, words::count,
 };
 
 /// Outcomes of runs whose results are complete.

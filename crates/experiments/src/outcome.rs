@@ -11,9 +11,10 @@ use serde::{Deserialize, Serialize};
 pub struct Void(String);
 
 impl Void {
-    /// Returns whether a run is void, and why.
+    /// Returns whether a run shows something else than its testbed, and why: a plug-in that is not optional was cut off, or ended
+    /// before the run did. A service without a sample is a result.
     pub fn of(summary: &Summary) -> Option<Self> {
-        (!summary.is_valid()).then(|| Self(summary.void.join("; ")))
+        summary.plugin_faults.first().map(|fault| Self(format!("plug-in {fault}")))
     }
 
     /// Returns the reason for one of several runs.

@@ -9,8 +9,8 @@ use cotorra_plugin::runs::Runs;
 use cotorra_recording::Wanted;
 
 use crate::{
-    api::Tokens, capture::CapturePlan, history_bound::HistoryLimit, manifest::Origin, previous_run::PreviousRun,
-    report::Place,
+    api::Tokens, capture::CapturePlan, history_bound::HistoryLimit, manifest::Origin,
+    previous_run::PreviousRun, report::Place,
 };
 
 /// Options of a run.

@@ -53,14 +53,12 @@ pub struct VoidRun {
     void: Void,
 }
 
-/// Returns a run, unless it is void for another reason than its lateness, which the experiment reports.
+/// Returns a run unless it is void.
 ///
 /// # Errors
 /// [`VoidRun`].
 pub fn sound(finished: Finished) -> Result<Finished, VoidRun> {
-    let summary = &finished.summary;
-    let is_only_late = !summary.fidelity.valid && summary.void == [summary.fidelity.reason.clone()];
-    match Void::of(summary).filter(|_| !is_only_late) {
+    match Void::of(&finished.summary) {
         None => Ok(finished),
         Some(void) => Err(VoidRun { folder: finished.folder.display().to_string(), void }),
     }

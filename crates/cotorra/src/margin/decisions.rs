@@ -259,7 +259,9 @@ fn overview(examined: &[Examined]) -> String {
     let heads_of =
         ["decision", "at", "by", "of", "to", "kept, %", "median, ms", "regret, points", "regret, ms", "cost"];
     table.row(heads_of.map(str::to_owned));
-    for Examined { decided, stood, tried, regret_kept, regret_ms, regret_cost, .. } in examined.iter().take(LISTED) {
+    for Examined { decided, stood, tried, regret_kept, regret_ms, regret_cost, .. } in
+        examined.iter().take(LISTED)
+    {
         let void = tried.iter().find_map(|tried| tried.void.as_ref());
         let without = void.map_or_else(|| "-".to_owned(), ToString::to_string);
         let figure = |figure: Option<f64>| figure.map_or_else(|| without.clone(), signed);

@@ -19,9 +19,9 @@ use console::style;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{
+    exit::Status,
     output,
     progress::Progress,
-    run::NOT_VALID,
     signals,
     table::{Table, columns, wrap},
     temporary::TemporaryFolder,
@@ -155,13 +155,14 @@ pub fn selftest(args: &SelftestArgs) -> miette::Result<ExitCode> {
     progress.close();
     output::print(&describe(&scenes, &outcomes, repeated))?;
     let is_any = |of: fn(&Outcome) -> bool| outcomes.iter().any(|(.., outcome)| of(outcome));
-    Ok(if is_any(Outcome::is_wrong) {
-        ExitCode::FAILURE
+    let status = if is_any(Outcome::is_wrong) {
+        Status::Error
     } else if is_any(|outcome| matches!(outcome, Outcome::TooSlow(_))) {
-        ExitCode::from(NOT_VALID)
+        Status::NotValid
     } else {
-        ExitCode::SUCCESS
-    })
+        Status::Done
+    };
+    Ok(status.into())
 }
 
 fn choose(names: &[String]) -> Result<Vec<Scene>, Error> {

@@ -30,7 +30,8 @@ fn table_of(examined: &[Examined]) -> String {
                     regret_kept,regret_ms,regret_cost,late_samples,cost,migrations,handovers,seed,void\n"
             .to_owned();
     for Examined { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost } in examined {
-        let own = (decided.chosen(), true, Some(stood), [None, None], [*regret_kept, *regret_ms, *regret_cost]);
+        let own =
+            (decided.chosen(), true, Some(stood), [None, None], [*regret_kept, *regret_ms, *regret_cost]);
         let others = tried.iter().map(|tried| {
             let without = [tried.refused.clone(), tried.void.as_ref().map(|void| void.reason().to_owned())];
             (tried.target.clone(), false, tried.stood.as_ref(), without, [None; 3])

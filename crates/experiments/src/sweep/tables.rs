@@ -3,7 +3,8 @@
 use cotorra_testbed::{DataTable, name_of_total};
 
 use super::{
-    Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts, runs::Done,
+    Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts,
+    runs::Done,
     time_parts::{MeasuredLoss, MeasuredPart},
 };
 use crate::outcome::Void;
@@ -43,7 +44,8 @@ pub(super) fn cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
     let mut table = table(axes, ["runs"], cells.first().map(|cell| judged(bounds(cell.intervals()))));
     for cell in cells {
         let figures = cell.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
-        let row = of(&cell.values).chain([cell.runs.to_string()]).chain(figures).chain(cell.verdicts.numbers());
+        let row =
+            of(&cell.values).chain([cell.runs.to_string()]).chain(figures).chain(cell.verdicts.numbers());
         table.row(row.chain([reason(cell.void.as_ref())]));
     }
     table
@@ -140,11 +142,18 @@ pub(super) fn service_cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
                 number(Some(*service_time_target_ms)),
             ];
             let figures = its.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
-            table.row(of(&cell.values).chain(fixed).chain(figures).chain(its.verdicts.numbers()).chain([String::new()]));
+            table.row(
+                of(&cell.values)
+                    .chain(fixed)
+                    .chain(figures)
+                    .chain(its.verdicts.numbers())
+                    .chain([String::new()]),
+            );
         }
         if let Some(void) = &cell.void {
             let fixed = ["", "", &cell.runs.to_string(), ""].map(str::to_owned);
-            let figures = vec![String::new(); first.map_or(0, |its| its.intervals().len() * 3 + Verdicts::NAMES.len())];
+            let figures =
+                vec![String::new(); first.map_or(0, |its| its.intervals().len() * 3 + Verdicts::NAMES.len())];
             table.row(of(&cell.values).chain(fixed).chain(figures).chain([reason(Some(void))]));
         }
     }

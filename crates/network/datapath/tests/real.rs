@@ -313,7 +313,7 @@ fn virtual_time_drops_what_a_kernel_drops(kind: PortKind) {
         let links = ["link-host0", "link-host1"].map(|link| LinkId::new(link).unwrap());
         let change =
             move |fabric: &mut Fabric, now| links.map(|link| fabric.change(now, &link, None, &change));
-        datapath.handle().with(change).unwrap().into_iter().for_each(|changed| drop(changed.unwrap()));
+        datapath.handle().with(change).unwrap().into_iter().for_each(|changed| changed.unwrap());
     };
     let mut buffer = [0; 200];
     let mut received_until = |last: &[u8]| {
@@ -345,7 +345,9 @@ fn virtual_time_drops_what_a_kernel_drops(kind: PortKind) {
         for burst in 0..bursts {
             corrupt(share);
             let datagram = |i: u64| [(burst * BURST + i).to_be_bytes(); 9].concat();
-            (0..BURST).for_each(|i| drop(a.send_to(&datagram(i), (ipv4, 4000)).unwrap()));
+            for i in 0..BURST {
+                a.send_to(&datagram(i), (ipv4, 4000)).unwrap();
+            }
             let is_ipv4 = |frame: &cotorra_fabric::Frame| frame.bytes().get(12..14) == Some(&[8, 0]);
             let crossed: Vec<_> = seen.iter().filter(is_ipv4).take(BURST as usize).collect();
             corrupt(0.0);
