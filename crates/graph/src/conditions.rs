@@ -109,7 +109,7 @@ pub enum Rate {
     },
     /// Rate of a trace's opportunities, which are known where the link is emulated. As a change of conditions, it names the
     /// trace that the link has.
-    NamedTrace(TraceName),
+    NamedTrace(Box<TraceName>),
 }
 
 impl Rate {
@@ -134,7 +134,7 @@ impl Rate {
 
     fn serialize_named<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
-            Self::Trace { trace } => Self::NamedTrace(trace.name().clone()).serialize(serializer),
+            Self::Trace { trace } => Self::NamedTrace(Box::new(trace.name().clone())).serialize(serializer),
             other => other.serialize(serializer),
         }
     }

@@ -176,7 +176,11 @@ fn loss(mean_burst: impl Strategy<Value = f64>) -> impl Strategy<Value = Loss> {
 }
 
 fn rate() -> impl Strategy<Value = Rate> {
-    let file = of(prop_oneof![Just("air.trace".to_owned()), Just("ärea 51".to_owned())]);
+    rate_by(of(prop_oneof![Just("air.trace".to_owned()), Just("ärea 51".to_owned())]))
+}
+
+/// Draws a rate, which may be a trace in such a file.
+fn rate_by(file: impl Strategy<Value = Option<String>>) -> impl Strategy<Value = Rate> {
     let trace = (vec(1..1000_u64, 1..5), file).prop_map(|(mut times, file)| {
         times.sort_unstable();
         let trace = Trace::try_from(times).unwrap();
@@ -351,7 +355,7 @@ prop_compose! {
         jitter in of(jitter(hours())),
         loss in of(loss(finite())),
         (duplication, corruption, reordering) in (of(share()), of(share()), of(share())),
-        (rate, queue, queue_discipline) in (of(rate()), of(queue()), of(discipline())),
+        (rate, queue, queue_discipline) in (of(rate_by(Just(None))), of(queue()), of(discipline())),
     ) -> ConditionChange {
         ConditionChange {
             delay_ms, jitter, loss, duplication, corruption, reordering, rate, queue, queue_discipline, delay_scale,

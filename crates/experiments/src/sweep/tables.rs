@@ -106,8 +106,8 @@ fn measured(runs: &Runs) -> impl Iterator<Item = &Measured> {
 
 /// Returns a row for each figure of each combination beside the first.
 pub(super) fn differences(axes: &[Axis], differences: &[Difference]) -> DataTable {
-    let figures = ["mean", "low", "high", "p"].map(str::to_owned);
-    let mut table = table(axes, ["figure", "pairs"], Some(figures));
+    let heads = ["figure", "pairs", "mean", "low", "high", "p"].map(str::to_owned);
+    let mut table = DataTable::new(axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
     for Difference { values, figure, pairs, mean, interval, p } in differences {
         let ends = [Some(*mean), interval.map(|its| its.low), interval.map(|its| its.high), *p];
         let fixed = [(*figure).to_owned(), pairs.to_string()];

@@ -133,7 +133,7 @@ fn folders_that_are_no_export_are_rejected_with_the_file() {
     assert!(matches!(history.export(run, Format::Csv, &out, |_| true), Err(ExportError::Taken(_))));
     let table = out.join("notice.csv");
     for (text, problem) in [
-        ("n,at_ns\n", "line 1: its columns are not n,at_ns,message"),
+        ("n,message\n", "line 1: its columns are not n,at_ns,message"),
         ("n,at_ns,message\n0,1\n", "line 2: 2 fields, not 3"),
         ("n,at_ns,message\n0,x,y\n", "line 2: expected a number"),
         ("n,at_ns,message\n0,1,\"y\n", "line 2: a quote is not closed"),

@@ -19,6 +19,7 @@ pub(crate) struct Pool {
     small: Vec<Vec<u8>>,
     large: Vec<Vec<u8>>,
     /// Ways of followed frames that were dropped.
+    #[allow(clippy::vec_box, reason = "frames have them boxed, and pass them on")]
     dropped: Vec<Box<Trace>>,
 }
 
@@ -49,6 +50,7 @@ impl Pool {
     }
 
     /// Takes the ways of followed frames that were dropped since the last call, in that order.
+    #[allow(clippy::vec_box, reason = "frames have them boxed, and pass them on")]
     pub(crate) fn take_dropped(&mut self) -> Vec<Box<Trace>> {
         std::mem::take(&mut self.dropped)
     }

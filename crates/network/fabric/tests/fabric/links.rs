@@ -76,7 +76,7 @@ fn full_frames_follow_a_traces_opportunities() {
 #[test]
 fn a_change_by_a_traces_name_keeps_that_trace_and_no_other() {
     let trace = Arc::new(Trace::parse("2\n2\n10").unwrap().in_file("air.trace"));
-    let named = Rate::NamedTrace(trace.name().clone());
+    let named = Rate::NamedTrace(Box::new(trace.name().clone()));
     let mut fabric = pair(Conditions { rate: Rate::Trace { trace: Arc::clone(&trace) }, ..delay(1) }, 1);
     let change = ConditionChange { rate: Some(named.clone()), ..ConditionChange::default() };
     fabric.change(ms(0.0), &link(), None, &change).unwrap();
