@@ -164,6 +164,8 @@ fn a_run_without_its_plug_in_is_void_in_every_table_and_made_again() {
     assert_eq!((cells[0].above_target, cells[0].duration_ms, &cells[0].services[..]), (None, None, &[][..]));
     for (table, name) in files(&folder).into_iter().zip(FILES) {
         match name.rsplit('.').next() {
+            // There is nothing to compare.
+            Some("csv") if name == "differences.csv" => assert_eq!(table.lines().count(), 1, "{table}"),
             Some("csv") => {
                 let rows: Vec<_> = table.lines().filter(|row| row.contains("gone, command")).collect();
                 assert_eq!(rows.len(), 1, "{name}: {table}");
