@@ -53,7 +53,8 @@ fn times_are_measured_and_written(kind: EngineKind) {
     assert_eq!(written.lines().count(), text.lines().count());
     let checked = cotorra(["check"]).arg(&file).output().unwrap();
     assert!(checked.status.success(), "{}", stderr(&checked));
-    assert_eq!(stderr(&checked), "");
+    // Only that this machine may have too few CPUs.
+    assert!(stderr(&checked).lines().all(|hint| hint.contains("this machine has")), "{}", stderr(&checked));
     assert_eq!(engine.names(), Vec::<String>::new());
 }
 
