@@ -315,7 +315,8 @@ for way in json.load(sys.stdin):
          # No reflector is at the other machine's address.
          shown desk-leg | grep -c '\"probed\": {' || true
          kill -INT $run; ends
-         grep -o 'only probes tell how late' run.txt",
+         # Its first lines repeat the reason if the figures are not valid.
+         grep -m 1 -o 'only probes tell how late' run.txt",
     );
     let said = lines(&done);
     let told = |line: &str| -> Vec<f64> { line.split(' ').filter_map(|word| word.parse().ok()).collect() };
