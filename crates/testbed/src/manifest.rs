@@ -335,7 +335,7 @@ fn changed<'a>(files: &'a BTreeMap<PathBuf, Digest>, folder: &Path) -> Vec<&'a P
     let is_same = |name: &Path, expected: &Digest| {
         Digest::of_file(&folder.join(name)).is_ok_and(|now| now == *expected)
     };
-    let changed = files.iter().filter(|(name, expected)| !is_same(name, *expected));
+    let changed = files.iter().filter(|(name, expected)| !is_same(name, expected));
     changed.map(|(name, _)| name.as_path()).collect()
 }
 

@@ -158,7 +158,7 @@ fn localization_moves_to_another_server_while_the_robot_walks() {
     let mut servers: Vec<_> = scans.iter().map(|row| row[6]).collect();
     servers.dedup();
     assert_eq!(servers, ["edge", "fog"]);
-    assert!(printed.contains("localization  off by a median of"), "{printed}");
+    assert!(printed.contains("off by a median of"), "{printed}");
     let log = fs::read_to_string(run.folder.join("logs/localization.log")).unwrap();
     assert_eq!(log.matches("localizing `robot`").count(), 2, "{log}");
 }

@@ -99,7 +99,7 @@ impl Lab {
     fn is_as_on_one_machine(&self, out: &str) {
         done(&mut self.sweep("whole", &["--figure", "pdf"]));
         let (whole, merged) = (self.files("whole"), self.files(out));
-        assert_eq!(whole.len(), 9);
+        assert_eq!(whole.len(), 11);
         assert_eq!(merged.keys().collect::<Vec<_>>(), whole.keys().collect::<Vec<_>>());
         for (name, content) in whole {
             assert!(merged[&name] == content, "{name}: {}", String::from_utf8_lossy(&merged[&name]));

@@ -217,7 +217,8 @@ impl Doubts {
         }
         // Robots that stood out of reach sent nothing, which the end of the run says.
         let is_silent = summary.is_stuck() && summary.fidelity.frames == 0;
-        if !summary.fidelity.valid && !(is_silent && summary.fidelity.frames_dropped == 0) {
+        let is_excused = is_silent && summary.fidelity.frames_dropped == 0;
+        if !summary.fidelity.valid && !is_excused {
             void.push(summary.fidelity.reason.clone());
         }
         void
