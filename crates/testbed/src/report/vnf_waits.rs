@@ -6,7 +6,7 @@ use cotorra_engine::{InstanceWaits, ProcessorWaits};
 use cotorra_graph::{Testbed, VnfId, millis};
 use serde::{Deserialize, Serialize};
 
-use super::fidelity::{Fidelity, VALID_P50_US};
+use super::fidelity::{Fidelity, VALID_P99_US};
 
 /// Highest trusted share of a run in which a thread waited for a processor. Below, its waits are too few to matter.
 const VALID_SHARE: f64 = 1e-3;
@@ -69,7 +69,7 @@ fn each_ms(its: &ProcessorWaits) -> f64 {
 }
 
 fn is_starved(its: &ProcessorWaits, duration: Duration) -> bool {
-    its.runs > 0 && each_ms(its) > VALID_P50_US / 1e3 && its.longest > duration.mul_f64(VALID_SHARE)
+    its.runs > 0 && each_ms(its) > VALID_P99_US / 1e3 && its.longest > duration.mul_f64(VALID_SHARE)
 }
 
 impl Fidelity {
