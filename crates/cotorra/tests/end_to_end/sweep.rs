@@ -51,7 +51,11 @@ fn a_sweep_stopped_by_ctrl_c_is_resumed() {
     assert!(cells.lines().nth(2).unwrap().starts_with("2,3,20.2"), "{cells}");
     assert!(fs::read_to_string(folder.join("sweep.svg")).unwrap().starts_with("<svg"));
     assert!(fs::read(folder.join("sweep.pdf")).unwrap().starts_with(b"%PDF-1.4"));
-    assert!(stdout(&rest).contains("sweep.svg  sweep.pdf\n"), "{}", stdout(&rest));
+    assert!(
+        stdout(&rest).contains("  sweep.svg  ") && stdout(&rest).contains("  sweep.pdf\n"),
+        "{}",
+        stdout(&rest)
+    );
 }
 
 /// A robot at one radio unit, with a plug-in that is a program, and a bundled one that is not enabled.
