@@ -66,8 +66,8 @@ fn a_run_has_the_same_figures_in_every_command() {
             assert_eq!(compared[run]["unanswered"], of["unanswered"], "history diff, {service}");
         }
         // The terminal shows four digits, in the table of times.
-        let of_service = format!("{service} of robot ");
-        let lines: Vec<_> = read.lines().filter(|line| line.trim_start().starts_with(&of_service)).collect();
+        let beginning = format!("{service} of robot ");
+        let lines: Vec<_> = read.lines().filter(|line| line.trim_start().starts_with(&beginning)).collect();
         let shows = |line: &&str| {
             [figures[0], figures[2]].into_iter().all(|figure| {
                 let digits = if figure < 10.0 { 3 } else { 2 };
