@@ -168,7 +168,7 @@ pub(crate) fn sound(
 impl BatchError {
     /// Returns the error that a run is void whose logs are in this folder.
     fn void(run: &str, void: &Void, logs: &Path) -> Self {
-        let logs = logs.exists().then(|| format!("; its log is in {}", logs.display())).unwrap_or_default();
+        let logs = if logs.exists() { format!("; its log is in {}", logs.display()) } else { String::new() };
         Self::CutOff { run: run.to_owned(), fault: format!("{}{logs}", void.reason()) }
     }
 

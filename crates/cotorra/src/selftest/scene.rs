@@ -149,7 +149,7 @@ impl Room {
     }
 
     /// Sends each packet to all of these nodes.
-    pub fn to_all(self, nodes: &'static str) -> Self {
+    pub fn requests_to_all(self, nodes: &'static str) -> Self {
         Self { navigation: nodes, requests: "all", ..self }
     }
 

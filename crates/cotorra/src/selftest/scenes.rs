@@ -329,7 +329,7 @@ fn replicas() -> String {
     Room::new("delay: 5 ms, forward: { loss: 30 % }")
         .node("fog: { kind: server, tier: fog, cpus: 1, memory: 1 GB }")
         .link("{ ends: [lan, fog], delay: 5 ms, forward: { loss: 30 % } }")
-        .to_all("[edge, fog]")
+        .requests_to_all("[edge, fog]")
         .text()
 }
 

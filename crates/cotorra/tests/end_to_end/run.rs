@@ -1,4 +1,5 @@
 //! Complete runs, and their files.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
     fs,

@@ -1,4 +1,5 @@
 //! Sweeps that are stopped and resumed.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
     fs,

@@ -171,8 +171,8 @@ pub(super) fn verdicts(walks: &[Walked], seed: u64) -> Vec<Verdict> {
                 let (model, other) = (values(first.name), values(kind.name));
                 let both = Quantiles::of(model.clone()).zip(Quantiles::of(other.clone()));
                 let Some((of_model, of_other)) = both else { continue };
-                let quantiles: [(&str, fn(Quantiles) -> f64); 2] =
-                    [("p50", |its| its.p50), ("p95", |its| its.p95)];
+                type Quantile = (&'static str, fn(Quantiles) -> f64);
+                let quantiles: [Quantile; 2] = [("p50", |its| its.p50), ("p95", |its| its.p95)];
                 for (quantile, read) in quantiles {
                     let label = format!("{name} {quantile}");
                     let draws = &mut Draws::new(seed::split(seed, &format!("bootstrap {label}")));
