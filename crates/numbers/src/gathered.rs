@@ -11,7 +11,7 @@ const BLOCK: usize = 1 << 16;
 ///
 /// The first million, i.e. 2²⁰, are all kept, in 8 MiB. Of more, a sorted block gives every second value to the next level,
 /// where each value stands for twice as many samples. That moves the rank of any value by less than one of the values
-/// ([`Gathered::quantiles`] returns what follows from the sum of all that; see Manku, Rajagopalan and Lindsay, "Approximate
+/// ([`Sorted::quantile`] returns what follows from the sum of all that; see Manku, Rajagopalan and Lindsay, "Approximate
 /// Medians and other Quantiles in One Pass and with Limited Memory", 1998).
 #[derive(Debug, Clone, Default)]
 pub struct Gathered {

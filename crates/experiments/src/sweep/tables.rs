@@ -44,8 +44,12 @@ pub(super) fn cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
     let mut table = table(axes, ["runs"], cells.first().map(|cell| judged(bounds(cell.intervals()))));
     for cell in cells {
         let figures = cell.intervals().into_iter().flat_map(|(_, interval)| numbers(interval));
-        let row =
-            of(&cell.values).chain([cell.runs.to_string()]).chain(figures).chain(cell.verdicts.numbers());
+        // A void combination has no verdicts, either.
+        let verdicts = match &cell.void {
+            None => cell.verdicts.numbers(),
+            Some(_) => [const { String::new() }; 2],
+        };
+        let row = of(&cell.values).chain([cell.runs.to_string()]).chain(figures).chain(verdicts);
         table.row(row.chain([reason(cell.void.as_ref())]));
     }
     table
