@@ -18,30 +18,23 @@ pub fn begin(
     made: &Made,
     others: impl FnOnce(&mut ManyInputs) -> Result<Repeat, FolderError>,
 ) -> miette::Result<()> {
-    note(folder, testbed, walks, made, others).inspect_err(|_| withdraw(folder))
-}
-
-fn note(
-    folder: &Path,
-    testbed: &Path,
-    walks: &WalkArgs,
-    made: &Made,
-    others: impl FnOnce(&mut ManyInputs) -> Result<Repeat, FolderError>,
-) -> miette::Result<()> {
-    let text = cotorra_testbed_file::read(testbed).into_diagnostic()?;
-    let base = testbed.parent().unwrap_or(Path::new(""));
-    let mut carried = ManyInputs::carry(folder, &text, base, &walks.settings).into_diagnostic()?;
-    let repeat = match others(&mut carried).into_diagnostic()? {
-        Repeat::Words(others) => {
-            let mut words = origin::given();
-            words.push(format!("--testbed={}", ManyInputs::TESTBED));
-            words.extend(carried.settings.iter().map(|setting| format!("--set={setting}")));
-            words.extend(others);
-            Repeat::Words(words)
-        }
-        not => not,
+    let note = || {
+        let text = cotorra_testbed_file::read(testbed).into_diagnostic()?;
+        let base = testbed.parent().unwrap_or(Path::new(""));
+        let mut carried = ManyInputs::carry(folder, &text, base, &walks.settings).into_diagnostic()?;
+        let repeat = match others(&mut carried).into_diagnostic()? {
+            Repeat::Words(others) => {
+                let mut words = origin::given();
+                words.push(format!("--testbed={}", ManyInputs::TESTBED));
+                words.extend(carried.settings.iter().map(|setting| format!("--set={setting}")));
+                words.extend(others);
+                Repeat::Words(words)
+            }
+            not => not,
+        };
+        origin::note(folder, repeat, made, &carried).into_diagnostic()
     };
-    origin::note(folder, repeat, made, &carried).into_diagnostic()
+    note().inspect_err(|_| withdraw(folder))
 }
 
 /// A run whose figures are not those of its testbed. An experiment compares none with others.

@@ -37,7 +37,7 @@ pub fn scenes() -> Vec<Scene> {
             promise: "probes measure the delay of each direction of a link",
             testbed: hosts("delay: 3 ms, backward: { delay: 9 ms }"),
             check: |run| {
-                let delay = |direction| probed(run, "left-right", direction).and_then(|(delay, _)| delay);
+                let delay = |direction| probed_ms(run, "left-right", direction);
                 vec![
                     Check::time("forward, ms", run, 3.0, delay(Direction::Forward)),
                     Check::time("backward, ms", run, 9.0, delay(Direction::Backward)),
@@ -50,7 +50,7 @@ pub fn scenes() -> Vec<Scene> {
             promise: "a packet of 86 bytes takes 6.88 ms at 100 kbit/s, on top of the delay",
             testbed: hosts("delay: 3 ms, rate: 100 kbit/s"),
             check: |run| {
-                let delay = probed(run, "left-right", Direction::Forward).and_then(|(delay, _)| delay);
+                let delay = probed_ms(run, "left-right", Direction::Forward);
                 vec![Check::time("delay, ms", run, 3.0 + 86.0 * 8.0 / 100.0, delay)]
             },
             ..Scene::DEFAULT
@@ -144,7 +144,7 @@ pub fn scenes() -> Vec<Scene> {
             testbed: Room::new("delay: 5 ms, corruption: 20 %").text(),
             check: |run| {
                 // Only the sender's Ethernet address is in no checksum: 6 bytes of a frame. Hosts and switches do not look at it.
-                let bytes = |direction| frame(run, "lan-edge", direction).map_or(f64::NAN, |bytes| bytes);
+                let bytes = |direction| frame(run, "lan-edge", direction).unwrap_or(f64::NAN);
                 let arrives = |direction| 1.0 - 0.2 * (1.0 - 6.0 / bytes(direction));
                 let lost = 1.0 - arrives(Direction::Forward) * arrives(Direction::Backward);
                 vec![Check::share("without an answer, %", lost, 0.0, run.samples.len(), run.unanswered())]
@@ -388,10 +388,10 @@ fn frame(run: &Observed, link: &str, direction: Direction) -> Option<f64> {
     Some(counters.bytes as f64 / counters.packets as f64)
 }
 
-/// Returns the delay by probes, ms, and their loss.
-fn probed(run: &Observed, link: &str, direction: Direction) -> Option<(Option<f64>, Option<f64>)> {
-    let probed = last(run, link, direction)?.probed.as_ref()?;
-    Some((probed.delay.map(|delay| delay.as_secs_f64() * 1e3), probed.loss))
+/// Returns the delay by probes, ms.
+fn probed_ms(run: &Observed, link: &str, direction: Direction) -> Option<f64> {
+    let delay = last(run, link, direction)?.probed.as_ref()?.delay?;
+    Some(delay.as_secs_f64() * 1e3)
 }
 
 #[cfg(test)]
