@@ -1,6 +1,9 @@
 //! What a run of a scene left.
 
-use std::{fs, io, path::Path};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
 
 use cotorra_graph::{Event, LinkContext};
 use cotorra_measurements::{History, Kind, PageRequest};
@@ -73,6 +76,7 @@ pub struct Observed {
     pub report: Report,
     /// Contexts of links, by time.
     pub links: Vec<LinkContext>,
+    folder: PathBuf,
 }
 
 impl Observed {
@@ -83,7 +87,13 @@ impl Observed {
     pub fn read(world: World, status: Option<i32>, folder: &Path) -> io::Result<Self> {
         let report = serde_json::from_str(&fs::read_to_string(folder.join("summary.json"))?)?;
         let samples = samples(&fs::read_to_string(folder.join("service_time.csv"))?)?;
-        Ok(Self { world, status, samples, report, links: links(folder).map_err(io::Error::other)? })
+        let links = links(folder).map_err(io::Error::other)?;
+        Ok(Self { world, status, samples, report, links, folder: folder.to_owned() })
+    }
+
+    /// Returns what a VNF printed.
+    pub fn log(&self, vnf: &str) -> Option<String> {
+        fs::read_to_string(self.folder.join("logs").join(format!("{vnf}.log"))).ok()
     }
 
     /// Returns the service times of answered samples, ms.

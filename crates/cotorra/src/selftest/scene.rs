@@ -21,8 +21,8 @@ pub struct Scene {
     pub files: &'static [(&'static str, &'static str)],
     /// Duration with real packets, s.
     pub seconds: u32,
-    /// Duration in virtual time, s.
-    pub virtual_seconds: u32,
+    /// Duration in virtual time, s; `None` if virtual time lacks what it shows.
+    pub virtual_seconds: Option<u32>,
     /// How a run of it must fail.
     pub dies: Dies,
     /// Compares what a run left with what is right.
@@ -36,10 +36,12 @@ pub enum Dies {
     Not,
     /// Its figures are void.
     Void,
-    /// The same, because its process is stopped for a while. Virtual time does not notice.
+    /// The same, because its process is stopped for a while.
     Stopped,
     /// It keeps less than the file demands.
     Missed,
+    /// In order, or void: no figure depends on how late packets were.
+    EitherWay,
 }
 
 impl Scene {
@@ -50,7 +52,7 @@ impl Scene {
         testbed: String::new(),
         files: &[],
         seconds: 8,
-        virtual_seconds: 60,
+        virtual_seconds: Some(60),
         dies: Dies::Not,
         check: |_| Vec::new(),
     };

@@ -1,5 +1,7 @@
 //! The scenes: small testbeds, and what is known about them without running them.
 
+use std::{iter, path::Path};
+
 use cotorra_graph::{Direction, LinkContext};
 
 use super::{
@@ -15,8 +17,8 @@ const WIRE_MS: f64 = 5.0;
 /// Time of a round trip in a room without anything else, ms.
 const ROUND_TRIP_MS: f64 = 2.0 * (AIR_MS + WIRE_MS);
 
-/// All scenes.
-pub fn scenes() -> Vec<Scene> {
+/// All scenes. Programs in them are this one, which is at this path.
+pub fn scenes(program: &Path) -> Vec<Scene> {
     vec![
         Scene {
             name: "round-trip",
@@ -184,7 +186,7 @@ pub fn scenes() -> Vec<Scene> {
             testbed: queue(),
             seconds: 10,
             // The mean needs many packets.
-            virtual_seconds: 400,
+            virtual_seconds: Some(400),
             check: |run| {
                 let (p, slots) = (KEPT, service_ms(run).unwrap_or(f64::NAN) / SLOT_MS);
                 let load = p * slots;
@@ -223,7 +225,7 @@ pub fn scenes() -> Vec<Scene> {
                 ]
             },
             seconds: 12,
-            virtual_seconds: 12,
+            virtual_seconds: Some(12),
             ..Scene::DEFAULT
         },
         Scene {
@@ -238,7 +240,7 @@ pub fn scenes() -> Vec<Scene> {
                 ]
             },
             seconds: 12,
-            virtual_seconds: 12,
+            virtual_seconds: Some(12),
             ..Scene::DEFAULT
         },
         Scene {
@@ -248,6 +250,23 @@ pub fn scenes() -> Vec<Scene> {
             check: |run| {
                 let lost = 0.3 * 0.3;
                 vec![Check::share("without an answer, %", lost, 0.0, run.samples.len(), run.unanswered())]
+            },
+            ..Scene::DEFAULT
+        },
+        Scene {
+            name: "mesh",
+            promise: "each of 64 hosts has an answer from each other one",
+            testbed: mesh(program),
+            seconds: 16,
+            virtual_seconds: None,
+            dies: Dies::EitherWay,
+            check: |run| {
+                let answered = |host| {
+                    let log = run.log(&format!("peer-{host}")).unwrap_or_default();
+                    log.lines().next_back().and_then(|last| last.parse::<usize>().ok()).unwrap_or_default()
+                };
+                let pairs: usize = mesh_hosts().iter().map(answered).sum();
+                vec![Check::exact("pairs", (MESH * (MESH - 1)) as f64, Some(pairs as f64))]
             },
             ..Scene::DEFAULT
         },
@@ -273,6 +292,7 @@ pub fn scenes() -> Vec<Scene> {
             name: "stopped",
             promise: "a run whose emulation stood still for two seconds is void",
             testbed: Room::new("delay: 5 ms").text(),
+            virtual_seconds: None,
             check: |run| vec![Check::exact("exit status", 3.0, run.status())],
             dies: Dies::Stopped,
             ..Scene::DEFAULT
@@ -331,6 +351,52 @@ fn replicas() -> String {
         .link("{ ends: [lan, fog], delay: 5 ms, forward: { loss: 30 % } }")
         .requests_to_all("[edge, fog]")
         .text()
+}
+
+/// Number of hosts that talk to each other. They have 4,032 neighbours together: four times as many as the kernel's table has room
+/// for by default.
+const MESH: usize = 64;
+
+/// Returns the names of the hosts of [`mesh`].
+fn mesh_hosts() -> Vec<String> {
+    (1..MESH).map(|server| format!("s{server}")).chain(["robot".to_owned()]).collect()
+}
+
+/// Hosts at one switch, of which one is a robot, and which all run [`peer`](super::peer).
+fn mesh(program: &Path) -> String {
+    let hosts = mesh_hosts();
+    let servers = &hosts[..MESH - 1];
+    let program = program.to_string_lossy();
+    let lines = |line: &dyn Fn(&String) -> String| servers.iter().map(line).collect::<String>();
+    let nodes =
+        lines(&|server| format!("  {server}: {{ kind: server, tier: edge, cpus: 1, memory: 1 GB }}\n"));
+    let links = lines(&|server| format!("  - {{ ends: [lan, {server}], delay: 1 ms }}\n"));
+    let vnf = |host: &String, place: &str| {
+        let words = ["selftest", "--peer", host].into_iter().chain(hosts.iter().map(String::as_str));
+        let command: Vec<_> = iter::once(&*program).chain(words).collect();
+        let command = serde_json::to_string(&command).expect("words are valid JSON");
+        format!("      peer-{host}: {{ command: {command}, {place}: {host}, cpus: 0 }}\n")
+    };
+    let vnfs = lines(&|server| vnf(server, "node")) + &vnf(&hosts[MESH - 1], "pinned_to");
+    let port = super::peer::PORT;
+    format!(
+        "name: selftest
+wireless:
+  lab: {{ delay: 1 ms, shadowing: {{ deviation: 0 dB, correlation: 5 m }} }}
+nodes:
+  robot: {{ kind: robot, position: [1, 0] }}
+  unit: {{ kind: radio_unit, position: [0, 0], channel: 1 }}
+  lan: {{ kind: switch }}
+{nodes}links:
+  - {{ ends: [unit, lan] }}
+{links}services:
+  mesh:
+    robot: robot
+    kpis: {{ service_time: 100 ms, flow: {{ protocol: udp, port: {port}, id: {{ offset: 0, length: 4 }} }} }}
+    vnfs:
+{vnfs}probes: none
+"
+    )
 }
 
 /// Interval of the position packets in front of the queue, ms.
@@ -402,9 +468,9 @@ mod tests {
 
     #[test]
     fn each_scene_is_a_testbed_with_a_name_of_its_own() {
-        let scenes = scenes();
+        let scenes = scenes(Path::new("/bin/cotorra"));
         let names: BTreeSet<_> = scenes.iter().map(|scene| scene.name).collect();
-        assert_eq!((names.len(), scenes.len()), (20, 20));
+        assert_eq!((names.len(), scenes.len()), (21, 21));
         for scene in &scenes {
             let folder = tempfile::tempdir().unwrap();
             let file = scene.write(folder.path()).unwrap();
