@@ -11,6 +11,8 @@ pub(super) const VALID_P99_US: f64 = 1000.0;
 pub(super) const VALID_P50_US: f64 = 250.0;
 /// Highest trusted share of frames lost unintentionally.
 const VALID_DROPPED: f64 = 1e-4;
+/// Share of a target that the lateness may reach without a word about it.
+const UNNOTICED: f64 = 0.1;
 /// Lowest number of probes that says something about one in a hundred.
 const VALID_PROBES: u64 = 100;
 
@@ -138,6 +140,18 @@ impl Fidelity {
         if self.valid { Self { valid: false, reason, ..self } } else { self }
     }
 
+    /// Adds to the reason of a valid verdict how late frames were beside the tightest of these targets, ms, if that is much.
+    pub(super) fn beside_targets(mut self, targets_ms: impl Iterator<Item = f64>) -> Self {
+        if let Some(tightest) = targets_ms.reduce(f64::min) {
+            let share = self.lateness_us.p99 / 1e3 / tightest;
+            if self.valid && share > UNNOTICED {
+                self.reason +=
+                    &format!("; beside the tightest target, {tightest} ms, p99 is {:.0} %", share * 100.0);
+            }
+        }
+        self
+    }
+
     /// Returns the verdict in a word or a few.
     pub fn word(&self) -> &'static str {
         match self {
@@ -188,6 +202,17 @@ mod tests {
         assert!(!real.valid && real.reason.contains("NetEm"), "{real:?}");
         // The fabric's own frames are known, beside real links.
         assert!(Fidelity::of(MeasuredFrames::Emulated, good, 0, false).valid);
+    }
+
+    #[test]
+    fn lateness_that_is_much_beside_the_tightest_target_is_told() {
+        let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
+        let beside = |targets: &[f64]| {
+            let fidelity = Fidelity::of(MeasuredFrames::All, good, 0, false);
+            fidelity.beside_targets(targets.iter().copied()).reason
+        };
+        assert!(beside(&[15.0, 2.0]).ends_with("; beside the tightest target, 2 ms, p99 is 15 %"));
+        assert_eq!(beside(&[15.0, 4.0]), beside(&[]));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Computes a run's summary from its events.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use cotorra_datapath::{Absence, GatewayTraffic};
 use cotorra_engine::InstanceWaits;
@@ -104,6 +104,30 @@ pub struct RobotSummary {
     pub handovers: usize,
     /// Times without frames in these changes, milliseconds.
     pub handover_gap_ms: Option<Quantiles>,
+    /// Time without a radio unit after it had lost one, milliseconds. It is in no gap.
+    pub detached_ms: f64,
+}
+
+/// How long a robot had no radio unit, after it had lost one.
+#[derive(Debug, Clone, Copy, Default)]
+struct Detached {
+    since: Option<Timestamp>,
+    before: Duration,
+}
+
+impl Detached {
+    fn lost(&mut self, at: Timestamp) {
+        self.since.get_or_insert(at);
+    }
+
+    fn attached(&mut self, at: Timestamp) {
+        self.before = self.until(at);
+        self.since = None;
+    }
+
+    fn until(&self, end: Timestamp) -> Duration {
+        self.before + self.since.map_or(Duration::ZERO, |since| end.since(since))
+    }
 }
 
 /// The service times of one service.
@@ -270,6 +294,7 @@ pub struct Report {
     time_parts: TimePartsReport,
     driving: Driving,
     handovers: Vec<HandoverRecord>,
+    detached: BTreeMap<NodeId, Detached>,
     placements: Vec<PlacementRecord>,
     decisions: Vec<DecisionRecord>,
     lateness: Lateness,
@@ -331,6 +356,7 @@ impl Report {
             time_parts: TimePartsReport::new(testbed),
             driving: Driving::new(testbed),
             handovers: Vec::new(),
+            detached: BTreeMap::new(),
             placements: Vec::new(),
             decisions: Vec::new(),
             lateness: Lateness::default(),
@@ -392,15 +418,21 @@ impl Report {
                     None => drop(self.positions.insert(context.robot.clone(), position)),
                 }
             }
-            Event::Handover(h) => self.handovers.push(HandoverRecord {
-                at: *at,
-                robot: h.robot.clone(),
-                from: h.from.clone(),
-                to: h.to.clone(),
-                gap_ms: millis::of(h.gap),
-                fast: h.fast,
-                position: self.positions.get(&h.robot).copied(),
-            }),
+            Event::Handover(h) => {
+                self.handovers.push(HandoverRecord {
+                    at: *at,
+                    robot: h.robot.clone(),
+                    from: h.from.clone(),
+                    to: h.to.clone(),
+                    gap_ms: millis::of(h.gap),
+                    fast: h.fast,
+                    position: self.positions.get(&h.robot).copied(),
+                });
+                if let Some(detached) = self.detached.get_mut(&h.robot) {
+                    detached.attached(*at);
+                }
+            }
+            Event::Detached { robot, .. } => self.detached.entry(robot.clone()).or_default().lost(*at),
             Event::Placement(p) => {
                 let position = self.position_for(&p.vnf);
                 let (vnf, node) = (p.vnf.clone(), p.node.clone());
@@ -537,7 +569,7 @@ impl Report {
         Times::merged(its.map(|(_, times)| times))
     }
 
-    fn robots(&self, by_service: &[Times]) -> Vec<RobotSummary> {
+    fn robots(&self, by_service: &[Times], end: Timestamp) -> Vec<RobotSummary> {
         let summary = |robot: &NodeId| {
             let services = self.services.iter().zip(by_service).filter(|(its, _)| its.robot == *robot);
             let times = self.merged(by_service, |its| its.robot == *robot);
@@ -551,6 +583,7 @@ impl Report {
                 verdict: Verdict::of_all(services.map(|(its, times)| its.kept(times).verdict)),
                 handovers: gaps.len(),
                 handover_gap_ms: Quantiles::of(gaps),
+                detached_ms: self.detached.get(robot).map_or(0.0, |its| millis::of(its.until(end))),
             }
         };
         self.robot_ids.iter().map(summary).collect()
@@ -560,7 +593,7 @@ impl Report {
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let by_service = self.by_service();
         let whole = self.merged(&by_service, |_| true);
-        let robots = self.robots(&by_service);
+        let robots = self.robots(&by_service, end);
         let services = self.summarize(by_service);
         let duration = end.since(Timestamp::ZERO);
         let mut summary = Summary {
@@ -594,7 +627,8 @@ impl Report {
             .with_neighbours(losses.neighbour_overflows)
             .with_receptions(self.receptions)
             .with_away(self.absence.map(|absence| AwaySummary::new(&absence, duration)), self.measured_frames)
-            .with_vnf_waits(VnfWaits::of(&self.vnf_waits, &self.unwatched, duration)),
+            .with_vnf_waits(VnfWaits::of(&self.vnf_waits, &self.unwatched, duration))
+            .beside_targets(self.services.iter().map(|its| its.target_ms)),
             gateways: self.gateways.clone(),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
@@ -754,6 +788,27 @@ mod tests {
             let gaps = summary.robots.iter().map(|robot| max(robot.handover_gap_ms));
             prop_assert_eq!(gaps.fold(0.0, f64::max), longest);
         }
+    }
+
+    #[test]
+    fn time_without_a_radio_unit_is_reported_though_it_is_in_no_gap() {
+        let mut report = report();
+        let mut at = |s, event| report.absorb(&Stamped { at: Timestamp::from_secs_f64(s), event });
+        let (robot, from, to): (NodeId, NodeId, NodeId) =
+            ("robot".parse().unwrap(), "R1".parse().unwrap(), "R2".parse().unwrap());
+        let joined = |gap| {
+            Event::Handover(Handover { robot: robot.clone(), from: None, to: to.clone(), gap, fast: false })
+        };
+        let lost = || Event::Detached { robot: robot.clone(), from: from.clone() };
+        at(10.0, lost());
+        at(11.0, lost());
+        at(50.0, joined(Duration::from_millis(100)));
+        at(60.0, joined(Duration::from_millis(100)));
+        at(90.0, lost());
+        let summary = report.summary(Timestamp::from_secs_f64(99.0), "finished", Losses::default());
+        let detached = summary.robots.iter().map(|robot| robot.detached_ms).collect::<Vec<_>>();
+        assert_eq!(detached, [49_000.0, 0.0]);
+        assert_eq!(summary.robots[0].handover_gap_ms.unwrap().max, 100.0);
     }
 
     #[test]
