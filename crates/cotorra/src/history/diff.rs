@@ -7,7 +7,7 @@ use cotorra_measurements::{
     Difference, Values,
     difference::{Entry, Links, Services},
 };
-use cotorra_testbed::Kept;
+use cotorra_testbed::{Fidelity, Kept};
 
 use super::{
     answer::first_of,
@@ -46,11 +46,17 @@ pub fn diff(args: &DiffArgs) -> miette::Result<()> {
     let keep = services.each_ref().map(|services| {
         services.iter().filter_map(|service| Some((service.id.clone(), service.kpis.kept?.get()))).collect()
     });
-    output::print(&describe(&difference, &keep))
+    let verdicts = [&a, &b].map(|source| source.verdict().map_or("unknown".to_owned(), verdict));
+    output::print(&describe(&difference, &verdicts, &keep))
 }
 
-/// Describes the difference of two runs, of which each demands these shares of its services.
-fn describe(difference: &Difference, keep: &[BTreeMap<ServiceId, f64>; 2]) -> String {
+/// Returns the word of a verdict, with the reason if the run is not valid.
+fn verdict(its: Fidelity) -> String {
+    if its.valid { its.word().to_owned() } else { format!("{}: {}", its.word(), its.reason) }
+}
+
+/// Describes the difference of two runs with these verdicts, of which each demands these shares of its services.
+fn describe(difference: &Difference, verdicts: &[String; 2], keep: &[BTreeMap<ServiceId, f64>; 2]) -> String {
     let mut text = String::new();
     let mut section = |title: &str, table: Table, rows: usize| {
         if rows > 0 {
@@ -74,6 +80,7 @@ fn describe(difference: &Difference, keep: &[BTreeMap<ServiceId, f64>; 2]) -> St
         (1, false) => "another".to_owned(),
         _ => String::new(),
     }));
+    runs.row(both("verdict", &|i| verdicts[i].clone()));
     runs.row(both("events lost", &|i| difference.doubts[i].lost_events.to_string()));
     runs.row(both("lateness p99", &|i| {
         difference.doubts[i].lateness_p99_us.map_or("-".to_owned(), |us| format!("{us:.1} µs"))

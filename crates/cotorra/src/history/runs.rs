@@ -25,9 +25,10 @@ pub fn runs(args: &HistoryRunsArgs) -> miette::Result<()> {
             let Some(last) = runs.last().map(|run| run.id) else {
                 return output::print("no runs\n");
             };
-            let mut table = heads("run");
+            let mut table = Table::new("<<><>");
+            table.row(heads("run"));
             for run in &runs {
-                row(&mut table, run.id.to_string(), run);
+                table.row(row(run.id.to_string(), run));
             }
             let rest = if more { format!("... more with --after {last}\n") } else { String::new() };
             output::print(&(table.render("") + &rest))
@@ -43,11 +44,15 @@ fn in_folders(place: &Path, limit: usize) -> miette::Result<()> {
         return Err(Error::NoRuns(place.to_owned()).into());
     }
     let older = folders.len().saturating_sub(limit);
-    let mut table = heads("folder");
+    let mut table = Table::new("<<><><");
+    table.row(heads("folder").into_iter().chain(["verdict"]));
     for folder in &folders[older..] {
         let name = folder.display().to_string();
         match Source::of_folder(folder, None) {
-            Ok(source) => row(&mut table, name, &source.run),
+            Ok(source) => {
+                let verdict = source.verdict().map_or("unknown", |verdict| verdict.word());
+                table.row(row(name, &source.run).into_iter().chain([verdict.to_owned()]));
+            }
             // The other runs are listed nevertheless.
             Err(error) => table.row([name, error.to_string()]),
         }
@@ -59,13 +64,11 @@ fn in_folders(place: &Path, limit: usize) -> miette::Result<()> {
     output::print(&text)
 }
 
-fn heads(first: &str) -> Table {
-    let mut table = Table::new("<<><>");
-    table.row([first, "testbed", "seed", "began", "lasted"]);
-    table
+fn heads(first: &str) -> [&str; 5] {
+    [first, "testbed", "seed", "began", "lasted"]
 }
 
-fn row(table: &mut Table, name: String, run: &Run) {
+fn row(name: String, run: &Run) -> [String; 5] {
     let began = match run.info.started_at_unix_ns {
         0 => "in virtual time".to_owned(),
         ns => {
@@ -74,5 +77,5 @@ fn row(table: &mut Table, name: String, run: &Run) {
         }
     };
     let lasted = run.ended.map_or("no end".to_owned(), |ended| clock(ended.as_secs_f64()));
-    table.row([name, run.info.name.clone(), run.info.seed.to_string(), began, lasted]);
+    [name, run.info.name.clone(), run.info.seed.to_string(), began, lasted]
 }

@@ -6,7 +6,7 @@ use std::{
 };
 
 use cotorra_measurements::{History, Location, Run, RunId};
-use cotorra_testbed::{Recorded, RecordedError};
+use cotorra_testbed::{Fidelity, Recorded, RecordedError};
 
 use super::args::HistoryPlace;
 use super::place::{HISTORY_VARIABLE, WrongPlace, location};
@@ -82,6 +82,11 @@ impl Source {
             None => opened.runs(None, 1)?.into_iter().next().ok_or(Error::Empty(history))?,
         };
         Ok(Self { history: opened, run, folder: Some(folder.to_owned()) })
+    }
+
+    /// Returns the verdict on the run; `None` without its folder, or if the run was killed before it had one.
+    pub fn verdict(&self) -> Option<Fidelity> {
+        Fidelity::of_folder(self.folder.as_deref()?).ok()
     }
 
     /// Returns the folder that relative paths in the run's testbed file start from, unless the user named one.

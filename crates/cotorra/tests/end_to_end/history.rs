@@ -83,7 +83,10 @@ fn runs_are_found_by_folder_and_by_number() {
     let listed = runs.answer(&["runs"]);
     assert_eq!(listed.lines().count(), 5, "{listed}");
     assert!(
-        listed.lines().skip(1).all(|line| line.contains("corridor") && line.ends_with("0:20")),
+        listed
+            .lines()
+            .skip(1)
+            .all(|line| line.contains("corridor") && line.ends_with("0:20  exact by construction")),
         "{listed}"
     );
     let newest = runs.answer(&["runs", "--limit", "1"]);
@@ -335,7 +338,10 @@ fn an_exported_run_is_imported_with_the_same_answers() {
     assert!(csv.starts_with("n,at_ns,robot,from_radio_unit,to_radio_unit,fast,gap_ms\n"), "{csv}");
     let listed = runs.answer(&["runs", "--history", "imported.sqlite"]);
     assert!(
-        listed.lines().skip(1).all(|line| line.contains("corridor") && line.ends_with("0:20")),
+        listed
+            .lines()
+            .skip(1)
+            .all(|line| line.contains("corridor") && line.ends_with("0:20  exact by construction")),
         "{listed}"
     );
     assert!(runs.refusal(&["import", "csv"]).contains("--history"));

@@ -72,6 +72,12 @@ fn a_plugin_that_fails_at_its_first_import_voids_the_run() {
         "{}",
         stdout(&events)
     );
+    let path = folder.to_str().unwrap();
+    let difference = stdout(&output(["history", "diff", path, path]));
+    let verdict = difference.lines().find(|line| line.contains("verdict")).unwrap();
+    assert_eq!(verdict.matches("NOT VALID: plug-in mine was cut off").count(), 2, "{difference}");
+    let listed = stdout(&output(["history", "runs", "--runs", folder.parent().unwrap().to_str().unwrap()]));
+    assert!(listed.lines().nth(1).unwrap().ends_with("NOT VALID"), "{listed}");
 }
 
 #[test]

@@ -30,7 +30,7 @@ impl Fidelity {
     ///
     /// # Errors
     /// That of the system, if the folder has no `summary.json`; `InvalidData` if the file holds no verdict.
-    pub(crate) fn of_folder(folder: &Path) -> io::Result<Self> {
+    pub fn of_folder(folder: &Path) -> io::Result<Self> {
         #[derive(Deserialize)]
         struct Judged {
             fidelity: Fidelity,
