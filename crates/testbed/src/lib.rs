@@ -79,8 +79,8 @@ pub use rehearse::{interface_plans, rehearse};
 pub use report::{
     AwaySummary, DataTable, DecisionRecord, Fidelity, FolderError, GatewaySummary, HandoverRecord, Kept,
     LatenessSummary, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, PlacementRecord,
-    Quantiles, RegionSummary, Report, RobotSummary, ServiceParts, ServiceSummary, Summary, Verdict, VnfWaits,
-    by_service, name_of_total, panels, service_time_ms, write_file,
+    PluginSummary, Quantiles, RegionSummary, Report, RobotSummary, ServiceParts, ServiceSummary, Summary,
+    Verdict, VnfWaits, by_service, name_of_total, panels, service_time_ms, write_file,
 };
 pub use robots::RobotError;
 pub use run::{Run, Stopper};

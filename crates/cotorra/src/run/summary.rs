@@ -167,6 +167,9 @@ fn figures(summary: &Summary, several: bool) -> Table {
         let text = format!("without a radio unit for {:.1} s, in no gap", robot.detached_ms / 1e3);
         table.row([robot.robot.to_string(), text]);
     }
+    for plugin in &summary.plugins {
+        table.row([format!("plug-in {}", plugin.plugin), plugin.sentence()]);
+    }
     let mut starved: Vec<_> = summary.fidelity.vnf_waits.iter().filter(|vnf| vnf.is_starved).collect();
     starved.sort_by(|a, b| b.wait_ms.unwrap_or_default().total_cmp(&a.wait_ms.unwrap_or_default()));
     for vnf in starved.iter().take(MOST_LISTED) {

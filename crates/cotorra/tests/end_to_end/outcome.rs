@@ -17,6 +17,24 @@ const FAILS: &str = "print('about to begin')\nimport no_such_module\n";
 /// A script that follows the run for a while, prints a line, and is killed.
 const IS_KILLED: &str = "import os\nprint('last words')\nos.kill(os.getpid(), 9)\n";
 
+/// A script whose only instruction is rejected, and which then follows the run.
+const IS_REJECTED: &str = r#"
+import json, os
+from urllib import error, request
+def ask(path, body=None):
+    headers = {"Content-Type": "application/json", "X-Cotorra-Plugin": os.environ["COTORRA_PLUGIN"]}
+    if token := os.environ.get("COTORRA_TOKEN"):
+        headers["Authorization"] = f"Bearer {token}"
+    return request.urlopen(request.Request(os.environ["COTORRA_API"] + "/api/v1/" + path, body, headers))
+try:
+    ask("instructions", json.dumps({"instruction": {"instruction": "attach", "robot": "robot", "radio_unit": "R9"}}).encode())
+except error.HTTPError:
+    pass
+for line in ask("events?kinds=robot"):
+    if line.startswith(b"id: "):
+        ask(f"marks/{int(line[4:])}", b"{}")
+"#;
+
 /// Writes the corridor with this script as its only plug-in.
 fn corridor_with(script: &str, keys: &str, folder: &Path) -> PathBuf {
     let file = folder.join("script.py");
@@ -78,6 +96,16 @@ fn a_plugin_that_fails_at_its_first_import_voids_the_run() {
     assert_eq!(verdict.matches("NOT VALID: plug-in mine was cut off").count(), 2, "{difference}");
     let listed = stdout(&output(["history", "runs", "--runs", folder.parent().unwrap().to_str().unwrap()]));
     assert!(listed.lines().nth(1).unwrap().ends_with("NOT VALID"), "{listed}");
+}
+
+#[test]
+fn a_plugin_whose_instructions_are_all_rejected_is_named() {
+    let out = TempDir::new().unwrap();
+    let testbed = corridor_with(IS_REJECTED, "", out.path());
+    let (done, folder) = simulate(&testbed, out.path(), &["--until", "5s"]);
+    let said = stdout(&done);
+    assert!(said.contains("plug-in mine  1 instruction, all rejected, the last because "), "{said}");
+    assert_eq!(summary(&folder)["plugins"][0]["refused"], 1, "{said}");
 }
 
 #[test]

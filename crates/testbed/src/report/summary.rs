@@ -18,6 +18,7 @@ use super::{
     fidelity::{Fidelity, MeasuredFrames},
     folder::FolderError,
     gateways::GatewaySummary,
+    instructed::{Instructed, PluginSummary},
     kept::{Kept, Verdict},
     samples::Samples,
     time_parts::{ServiceParts, TimePartsReport},
@@ -80,6 +81,8 @@ pub struct Summary {
     pub localization: Vec<LocalizationSummary>,
     /// Distances of each robot that is navigated along a walk.
     pub driving: Vec<DrivingSummary>,
+    /// Instructions of each plug-in, those of the file first.
+    pub plugins: Vec<PluginSummary>,
     /// Plug-ins that were cut off, each with the reason. Of optional ones, there is a notice.
     pub plugin_faults: Vec<String>,
     /// The first hundred notices.
@@ -297,6 +300,7 @@ pub struct Report {
     detached: BTreeMap<NodeId, Detached>,
     placements: Vec<PlacementRecord>,
     decisions: Vec<DecisionRecord>,
+    instructed: Instructed,
     lateness: Lateness,
     gateways: Vec<GatewaySummary>,
     absence: Option<Absence>,
@@ -359,6 +363,7 @@ impl Report {
             detached: BTreeMap::new(),
             placements: Vec::new(),
             decisions: Vec::new(),
+            instructed: Instructed::new(testbed),
             lateness: Lateness::default(),
             gateways: Vec::new(),
             absence: None,
@@ -405,6 +410,9 @@ impl Report {
         self.driving.absorb(stamped);
         self.notices.extend(self.doubts.absorb(stamped));
         let Stamped { at, event } = stamped;
+        if let Event::Decision(decision) = event {
+            self.instructed.absorb(decision);
+        }
         match event {
             Event::ServiceTime(sample) => {
                 self.samples.push(sample);
@@ -633,6 +641,7 @@ impl Report {
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             driving: self.driving.summary(),
+            plugins: self.instructed.summary(),
             plugin_faults: self.faults.clone(),
             notices: self.notices.clone(),
             history_dropped: losses.history_dropped,
