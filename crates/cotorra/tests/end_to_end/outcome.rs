@@ -124,9 +124,16 @@ fn an_optional_plugin_that_ends_is_reported_and_what_a_killed_one_printed_is_kep
 #[test]
 fn a_plugin_whose_program_ends_voids_a_run_with_real_packets() {
     let out = TempDir::new().unwrap();
-    let testbed = corridor_with("print('all is done')\n", "", out.path());
-    let mut run = Run::start(&testbed, &["--until", "4s"]);
-    let (summary, printed) = run.report();
+    let go = out.path().join("go");
+    let script = format!("import os, time\nwhile not os.path.exists({:?}): time.sleep(0.01)\n", go.display());
+    let testbed = corridor_with(&script, "", out.path());
+    let mut run = Run::start(&testbed, &[]);
+    let mut faults = run.follow_only("?kinds=plugin_fault");
+    fs::write(&go, "").unwrap();
+    assert!(faults.next().is_some());
+    run.signal("INT");
+    let (_, printed, _) = run.wait();
+    let summary = summary(&run.folder);
     let void = summary["void"].as_array().unwrap();
     let reason = "plug-in mine was cut off: its program ended: exit status: 0 (logs/plugin-mine.log)";
     assert!(void.iter().any(|its| its == reason), "{summary}");
