@@ -87,14 +87,15 @@ impl Axis {
         Self { label: label.to_owned(), from, to, ticks: Vec::new(), scale: Scale::Logarithmic }
     }
 
-    /// Creates an axis with these values: numbers at their places, or names at 1, 2, 3 and so on.
+    /// Creates an axis with these values, in any order: numbers at their places, or names at 1, 2, 3 and so on.
     pub fn values(label: &str, values: &[(f64, String)]) -> Self {
-        let places = || values.iter().map(|(at, _)| *at);
+        let mut ticks = values.to_vec();
+        ticks.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         let (low, high) =
-            (places().fold(f64::INFINITY, f64::min), places().fold(f64::NEG_INFINITY, f64::max));
+            ticks.first().zip(ticks.last()).map_or((0.0, 0.0), |((low, _), (high, _))| (*low, *high));
         // A single value stands in the middle.
         let (from, to) = if high > low { (low, high) } else { (low - 1.0, low + 1.0) };
-        Self { label: label.to_owned(), from, to, ticks: values.to_vec(), scale: Scale::Linear }
+        Self { label: label.to_owned(), from, to, ticks, scale: Scale::Linear }
     }
 
     /// Returns an axis with the ends of both.
@@ -274,6 +275,7 @@ fn round_step(least: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Item;
 
     fn ends(low: f64, high: f64) -> (f64, f64) {
         let Axis { from, to, .. } = Axis::around("", low, high);
@@ -344,6 +346,24 @@ mod tests {
         let shares = Axis::logarithmic("", 0.01, 100.0);
         assert_eq!(labels(shares.up(60.0)), ["0.01", "0.1", "1", "10", "100"]);
         assert_eq!(labels(shares.up(25.0)), ["0.01", "1", "100"]);
+    }
+
+    #[test]
+    fn values_in_any_order_keep_their_labels() {
+        let labels = |places: &[u32]| {
+            let values: Vec<_> = places.iter().map(|at| (f64::from(*at), format!("{at} ms"))).collect();
+            let mut scene = Scene::new();
+            let plot = Rect { left: 30.0, top: 0.0, right: 230.0, bottom: 50.0 };
+            Axis::values("delay", &values).draw_below(&mut scene, &plot, 8.0, true);
+            let text = |item: &Item| match item {
+                Item::Text(text) if !text.is_turned => Some(text.text.clone()),
+                _ => None,
+            };
+            scene.items.iter().filter_map(text).collect::<Vec<_>>()
+        };
+        for places in [[10, 20, 30], [30, 20, 10], [20, 30, 10]] {
+            assert_eq!(labels(&places), ["10 ms", "20 ms", "30 ms", "delay"], "{places:?}");
+        }
     }
 
     #[test]

@@ -45,11 +45,16 @@ impl Axis {
         &self.values
     }
 
-    /// Returns the values as numbers without their unit, if all are numbers.
+    /// Returns the values as numbers without their unit, if all are numbers with the same unit or without one, and differ.
     pub fn numbers(&self) -> Option<Vec<f64>> {
+        let unit = |value: &str| value.split_whitespace().skip(1).collect::<String>();
         let number =
             |value: &String| value.split_whitespace().next()?.parse().ok().filter(|n: &f64| n.is_finite());
-        self.values.iter().map(number).collect()
+        let numbers: Vec<f64> = self.values.iter().map(number).collect::<Option<_>>()?;
+        let mut sorted = numbers.clone();
+        sorted.sort_by(f64::total_cmp);
+        let has_one_unit = self.values.windows(2).all(|pair| unit(&pair[0]) == unit(&pair[1]));
+        (has_one_unit && sorted.windows(2).all(|pair| pair[0] < pair[1])).then_some(numbers)
     }
 }
 
@@ -200,6 +205,9 @@ mod tests {
     fn numbers_may_have_units() {
         let axis = |text: &str| text.parse::<Axis>().unwrap();
         assert_eq!(axis("a=5..6 ms").numbers(), Some(vec![5.0, 6.0]));
-        assert_eq!(axis("a=one,2").numbers(), None);
+        assert_eq!(axis("a=30 ms,20 ms,10 ms").numbers(), Some(vec![30.0, 20.0, 10.0]));
+        for text in ["a=one,2", "a=30 ms,1 s", "a=1,2 ms", "a=1,1.0"] {
+            assert_eq!(axis(text).numbers(), None, "{text}");
+        }
     }
 }

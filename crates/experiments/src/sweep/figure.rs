@@ -66,6 +66,8 @@ fn series<'a>(axes: &[Axis], along: Option<usize>, cells: &'a [Cell]) -> Vec<Ser
             None => all.push(Series { name, points: vec![(at, cell)] }),
         }
     }
+    // Lines go from left to right, whatever the order of the values.
+    all.iter_mut().for_each(|series| series.points.sort_by(|(a, _), (b, _)| a.total_cmp(b)));
     all
 }
 
@@ -89,4 +91,29 @@ fn drawn(series: &Series<'_>, factor: f64, figures: Figures) -> Drawn {
         Some(Sample { x: *at, y: mean * factor, range })
     });
     Drawn { name: series.name.clone(), kind: SeriesKind::Marked, look: None, parts: vec![samples.collect()] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_in_descending_order_keep_their_labels_and_their_lines() {
+        let of = |text: &str| {
+            let axes = [text.parse::<Axis>().unwrap()];
+            let cell = |value: &String| Cell {
+                values: vec![value.clone()],
+                service_time_p50_ms: Interval::of(&[value.split(' ').next().unwrap().parse().unwrap()]),
+                ..Cell::default()
+            };
+            draw(&axes, &axes[0].values().iter().map(cell).collect::<Vec<_>>())
+        };
+        let places = |figure: &Figure| -> Vec<f64> {
+            figure.panels[0].series[0].parts[0].iter().map(|sample| sample.x).collect()
+        };
+        let (up, down) = (of("links.x.delay=10 ms,20 ms,30 ms"), of("links.x.delay=30 ms,20 ms,10 ms"));
+        assert_eq!((&up, places(&down)), (&down, vec![10.0, 20.0, 30.0]));
+        // A second is not less than 30 ms.
+        assert_eq!(places(&of("links.x.delay=30 ms,1 s")), [1.0, 2.0]);
+    }
 }
