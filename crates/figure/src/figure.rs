@@ -9,6 +9,7 @@ use crate::{
     scene::{Anchor, Scene, WIDTH},
     style::{
         ALERT, BANDS, BLACK, BOLD, DASHES, FINE, GREY, LABEL, LIGHT, PALE, SERIES, SMALL, TITLE, WIDE, mark,
+        mark_cut,
     },
 };
 
@@ -35,6 +36,10 @@ const WHISKER: f64 = 1.6;
 /// Length and distance of ticks for missing values, points.
 const MISSING: f64 = 4.0;
 const MISSING_EVERY: f64 = 0.5;
+/// Distance of marks of values above the axis, points.
+const CUT_EVERY: f64 = 1.5;
+/// A name can stand over the ends of its band if the band has this share of its width.
+const OVERHANG: f64 = 0.4;
 
 /// A figure.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -116,7 +121,18 @@ pub struct Sample {
     pub range: Option<(f64, f64)>,
 }
 
+impl Band {
+    fn is_finite(&self) -> bool {
+        self.from.is_finite() && self.to.is_finite()
+    }
+}
+
 impl Sample {
+    /// Returns the value, or the end of its range or error bar if that is higher.
+    fn highest(&self) -> f64 {
+        self.range.map_or(self.y, |(_, high)| high.max(self.y))
+    }
+
     fn is_finite(&self) -> bool {
         let (low, high) = self.range.unwrap_or_default();
         [self.x, self.y, low, high].into_iter().all(f64::is_finite)
@@ -191,6 +207,17 @@ fn names(panels: &[Panel]) -> Vec<String> {
     names
 }
 
+/// Writes a value above an axis with three digits, or all digits before the point.
+fn short(value: f64) -> String {
+    let decimals = match value.abs() {
+        100.0.. => 0,
+        10.0.. => 1,
+        _ => 2,
+    };
+    let factor = [1.0, 10.0, 100.0][decimals];
+    ((value * factor).round() / factor).to_string().replace('-', "−")
+}
+
 fn colour(name: &str, names: &[String]) -> Colour {
     names.iter().position(|other| other == name).map_or(GREY, |place| BANDS[place % BANDS.len()])
 }
@@ -254,16 +281,26 @@ impl<'a> Place<'a> {
         });
         let levels = panel.level.iter().chain(&panel.upright);
         let level = levels.map(|level| Entry { name: level.name.clone(), look: Look::Level });
+        let cut = self.highest_cut();
+        let cut = cut
+            .map(|value| Entry { name: format!("above the axis: up to {}", short(value)), look: Look::Cut });
         let missing = (!panel.missing.1.is_empty())
             .then(|| Entry { name: panel.missing.0.clone(), look: Look::Missing });
         // Bands whose name has no room in the strip.
+        let in_strip = self.names_in_strip();
         let unnamed = names.iter().filter(|name| {
-            let mut its = panel.bands.iter().filter(|band| band.name == **name).peekable();
-            its.peek().is_some() && its.all(|band| self.room_for_name(band).is_none())
+            let is_named = in_strip.iter().any(|(_, in_strip)| *in_strip == name.as_str());
+            !is_named && panel.bands.iter().any(|band| band.name == **name)
         });
         let unnamed = unnamed
             .map(|name| Entry { name: name.clone(), look: Look::Area(colour(name, names).lighter(LIGHT)) });
-        series.chain(level).chain(missing).filter(|entry| !entry.name.is_empty()).chain(unnamed).collect()
+        series
+            .chain(level)
+            .chain(missing)
+            .chain(cut)
+            .filter(|entry| !entry.name.is_empty())
+            .chain(unnamed)
+            .collect()
     }
 
     fn x(&self, value: f64) -> f64 {
@@ -280,10 +317,39 @@ impl<'a> Place<'a> {
         (within(band.from), within(band.to))
     }
 
-    /// Returns the middle of a band if its name has room there.
-    fn room_for_name(&self, band: &Band) -> Option<f64> {
-        let (from, to) = self.ends(band);
-        (font::width(&band.name, SMALL) + 2.0 <= to - from).then_some((from + to) / 2.0)
+    /// Returns the middles of names in the strip: of all bands that are wide enough, then of narrower ones beside which there
+    /// is room.
+    fn names_in_strip(&self) -> Vec<(f64, &str)> {
+        let named = self.panel.bands.iter().filter(|band| !band.name.is_empty() && band.is_finite());
+        let (wide, narrow): (Vec<_>, Vec<_>) = named
+            .map(|band| (self.ends(band), font::width(&band.name, SMALL) + 2.0, band.name.as_str()))
+            .partition(|((from, to), width, _)| *width <= to - from);
+        let mut placed: Vec<(f64, f64, &str)> = wide
+            .into_iter()
+            .map(|((from, to), width, name)| (f64::midpoint(from, to), width, name))
+            .collect();
+        for ((from, to), width, name) in narrow {
+            // Beside the last band is the margin, and beside the first are the labels of the axis.
+            let (first, last) = (self.plot.left + width / 2.0, WIDTH - width / 2.0);
+            let middle = f64::midpoint(from, to).min(last).max(first);
+            let is_free = |(other, its, _): &(f64, f64, &str)| (middle - other).abs() >= (width + its) / 2.0;
+            if to - from >= OVERHANG * width && placed.iter().all(is_free) {
+                placed.push((middle, width, name));
+            }
+        }
+        placed.into_iter().map(|(middle, _, name)| (middle, name)).collect()
+    }
+
+    /// Whether a value is above the vertical axis, other than by rounding.
+    fn is_cut(&self, value: f64) -> bool {
+        self.panel.y.share(value) > 1.0 + 1e-9
+    }
+
+    /// Returns the highest value above the vertical axis.
+    fn highest_cut(&self) -> Option<f64> {
+        let series = self.panel.series.iter().take(MAX_SERIES);
+        let samples = series.flat_map(|series| &series.parts).flatten().filter(|sample| sample.is_finite());
+        samples.map(Sample::highest).filter(|value| self.is_cut(*value)).max_by(f64::total_cmp)
     }
 
     fn draw(&self, scene: &mut Scene, names: &[String]) {
@@ -294,15 +360,15 @@ impl<'a> Place<'a> {
             scene.text(at, &title, LABEL, Anchor::Start, BLACK);
         }
         self.legend.draw(scene, self.top());
-        for band in panel.bands.iter().filter(|band| band.from.is_finite() && band.to.is_finite()) {
+        for band in panel.bands.iter().filter(|band| band.is_finite()) {
             let ((left, right), colour) = (self.ends(band), colour(&band.name, names));
             scene.area(Rect { left, right, ..*plot }.corners(), colour.lighter(PALE));
             let strip = Rect { left, right, top: plot.top - STRIP, bottom: plot.top };
             scene.area(strip.corners(), colour.lighter(LIGHT));
-            if let Some(middle) = self.room_for_name(band) {
-                let at = (middle, plot.top - STRIP / 2.0 + SMALL * 0.35);
-                scene.text(at, &band.name, SMALL, Anchor::Middle, BLACK);
-            }
+        }
+        for (middle, name) in self.names_in_strip() {
+            let at = (middle, plot.top - STRIP / 2.0 + SMALL * 0.35);
+            scene.text(at, name, SMALL, Anchor::Middle, BLACK);
         }
         panel.y.draw_beside(scene, plot, true);
         panel.x.draw_below(scene, plot, self.inset, self.is_labelled);
@@ -321,6 +387,9 @@ impl<'a> Place<'a> {
         let shown = panel.series.len().min(MAX_SERIES);
         for (i, series) in panel.series.iter().take(shown).enumerate() {
             self.draw_series(scene, i, series, shown);
+        }
+        for (i, series) in panel.series.iter().take(shown).enumerate() {
+            self.draw_cuts(scene, i, series, shown);
         }
         let mut free_from = f64::NEG_INFINITY;
         for x in panel.missing.1.iter().map(|at| self.x(*at)) {
@@ -374,6 +443,21 @@ impl<'a> Place<'a> {
                         mark(scene, at(sample, sample.y), number);
                     }
                 }
+            }
+        }
+    }
+
+    /// Marks the values of a series above the vertical axis, at the top of the plot.
+    fn draw_cuts(&self, scene: &mut Scene, place: usize, series: &Series, shown: usize) {
+        let number = series.look.unwrap_or(place);
+        let aside = self.dodge(place, shown);
+        let mut last = f64::NEG_INFINITY;
+        let cut = series.parts.iter().flatten().filter(|sample| sample.is_finite());
+        for sample in cut.filter(|sample| self.is_cut(sample.highest())) {
+            let x = self.x(sample.x) + aside;
+            if (self.plot.left..=self.plot.right).contains(&x) && (x - last).abs() >= CUT_EVERY {
+                mark_cut(scene, (x, self.plot.top), SERIES[number % SERIES.len()]);
+                last = x;
             }
         }
     }

@@ -5,7 +5,7 @@ use crate::{
     colour::Colour,
     font,
     scene::{Anchor, Scene, WIDTH},
-    style::{ALERT, AXIS, BLACK, BOLD, DASHES, FINE, LIGHT, SERIES, SMALL, THIN, WIDE, mark},
+    style::{ALERT, AXIS, BLACK, BOLD, DASHES, FINE, LIGHT, SERIES, SMALL, THIN, WIDE, mark, mark_cut},
 };
 
 /// Width of a sample, points.
@@ -34,6 +34,8 @@ pub(crate) enum Look {
     Level,
     /// A tick for a missing value.
     Missing,
+    /// A mark for values above the axis.
+    Cut,
 }
 
 /// An entry.
@@ -121,6 +123,7 @@ fn draw_sample(scene: &mut Scene, x: f64, y: f64, look: Look) {
         }
         Look::Level => scene.line(ends, ALERT, FINE * 1.4, LEVEL_DASHES),
         Look::Missing => scene.line(vec![(middle.0, y - 2.5), (middle.0, y + 2.5)], ALERT, FINE, &[]),
+        Look::Cut => mark_cut(scene, (middle.0, y - 1.5), AXIS),
     }
 }
 

@@ -113,6 +113,11 @@ pub(crate) fn mark(scene: &mut Scene, (x, y): Point, series: usize) {
     scene.line(closed, colour, 0.7, &[]);
 }
 
+/// Draws the mark of a value above an axis: a triangle below `top` that points there.
+pub(crate) fn mark_cut(scene: &mut Scene, (x, top): Point, colour: Colour) {
+    scene.area(vec![(x, top), (x + 1.6, top + 3.2), (x - 1.6, top + 3.2)], colour);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

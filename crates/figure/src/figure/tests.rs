@@ -96,6 +96,57 @@ fn spikes_end_at_the_top_of_the_plot() {
     assert!(bottom - top <= 96.0 && top > 20.0, "{top} {bottom}");
 }
 
+fn areas(scene: &Scene, colour: Colour) -> Vec<&[Point]> {
+    let areas = scene.items.iter().filter_map(|item| match item {
+        Item::Area(points, of) if *of == colour => Some(points.as_slice()),
+        _ => None,
+    });
+    areas.collect()
+}
+
+#[test]
+fn values_above_the_axis_are_marked_and_the_legend_has_the_highest() {
+    let marks = |top: f64| {
+        let panel = Panel { y: Axis::around("service time (ms)", 0.0, top), ..panel("robot") };
+        let scene = Figure { panels: vec![panel], ..Figure::default() }.draw();
+        assert_eq!(scene.collisions(), Vec::<String>::new());
+        let legend = texts(&scene)
+            .iter()
+            .find_map(|text| text.strip_prefix("above the axis: up to "))
+            .map(str::to_owned);
+        (areas(&scene, SERIES[0]).len(), legend)
+    };
+    assert_eq!(marks(38.0), (10, Some("90".to_owned())));
+    assert_eq!(marks(90.0), (0, None));
+}
+
+#[test]
+fn values_above_the_axis_are_written_with_three_digits() {
+    assert_eq!([155.3, 1234.5, 15.53, 15.0, 0.123].map(short), ["155", "1235", "15.5", "15", "0.12"]);
+}
+
+#[test]
+fn names_of_narrow_bands_stand_over_their_ends_where_there_is_room() {
+    let band = |from: f64, to: f64, name: &str| Band { from, to, name: name.to_owned() };
+    let named = |bands: Vec<Band>| {
+        let scene = Figure { panels: vec![Panel { bands, ..panel("robot") }], ..Figure::default() }.draw();
+        assert_eq!(scene.collisions(), Vec::<String>::new());
+        let in_strip =
+            |text: &&crate::scene::Text| text.anchor == Anchor::Middle && text.text.starts_with('R');
+        let texts = scene.items.iter().filter_map(|item| match item {
+            Item::Text(text) => Some(text),
+            _ => None,
+        });
+        texts.filter(in_strip).map(|text| text.text.clone()).collect::<Vec<_>>()
+    };
+    // The walk begins and ends near R1.
+    let there_and_back = vec![band(0.0, 14.0, "R1"), band(14.0, 391.0, "R2"), band(391.0, 400.0, "R1")];
+    assert_eq!(named(there_and_back), ["R2", "R1", "R1"]);
+    // Of two neighbours without room for both, the first is named.
+    let neighbours = vec![band(0.0, 200.0, "R2"), band(200.0, 211.0, "R1"), band(211.0, 222.0, "R3")];
+    assert_eq!(named(neighbours), ["R2", "R1"]);
+}
+
 #[test]
 fn series_on_the_same_values_are_all_visible() {
     let points = [(1.0, 20.0), (2.0, 20.0), (3.0, 20.0)];
