@@ -1,13 +1,15 @@
 //! The figure: service times of both walks over time in the published layout, and their distributions below.
 
 use cotorra_figure::{Axis, Figure, Level, Panel, Sample, Series, SeriesKind};
-use cotorra_graph::{ServiceId, millis};
+use cotorra_graph::{ServiceId, ServiceTime, millis};
 use cotorra_numbers::quantile;
-use cotorra_testbed::panels;
+use cotorra_testbed::{Report, panels};
 
 use super::{
     CONTENDERS, FILES, Walks, compared,
-    decided::Decided,
+    decided::{Decided, Legs},
+    published::{PUBLISHED, Published},
+    samples,
     times::{self, Timed, one_a_second},
 };
 
@@ -16,7 +18,12 @@ const POINT_EVERY_S: f64 = 2.0;
 /// Looks of the same thing in all panels.
 const LOOKS: [usize; 2] = [0, 1];
 const THEORY_LOOK: usize = 2;
+const PUBLISHED_LOOK: usize = 3;
 const MEASURED_LOOK: usize = 4;
+/// Name of the published medians in the legend, with their source.
+const PUBLISHED_NAME: &str = "published medians (arXiv 2101.07676)";
+/// The published median of a part of each walk.
+const MEDIANS: [fn(&Published) -> f64; 2] = [|of| of.soa, |of| of.okpi];
 /// Titles of both walks over time.
 const TITLES: [&str; 2] = ["SoA: cloud, probing", "OKpi"];
 /// Lowest share that the distributions show, in per cent, where there are enough samples for it.
@@ -29,8 +36,8 @@ const BEFORE: f64 = 0.9;
 const SHOWN_QUANTILE: f64 = 0.95;
 const ROOM: f64 = 1.25;
 
-/// Draws all samples pale, one a second as published over them, a measured walk, and the sum of the known link delays for
-/// OKpi's decisions (OKpi-t). The last panel has the share of samples above each service time.
+/// Draws all samples pale, one a second as published over them, the published medians of each part of the walk, a measured
+/// walk, and the sum of the known link delays for OKpi's decisions (OKpi-t). The last panel has the share of samples above each service time.
 pub(super) fn figure(walks: &Walks<'_>) -> Figure {
     let simulated = times::of(walks);
     let mut drawn: Vec<Panel> = Vec::new();
@@ -51,6 +58,7 @@ pub(super) fn figure(walks: &Walks<'_>) -> Figure {
             if i == 1 {
                 first.series.push(theory(walks, &simulated[i]));
             }
+            first.series.extend(published(walks, report, MEDIANS[i]));
             if let Some(measured) = walks.measured.filter(|its| its.is_beside(&CONTENDERS[i])) {
                 first.series.push(over_time("measured", MEASURED_LOOK, measured.samples()));
                 (first.x, first.y) = reaching(first, measured.samples());
@@ -97,6 +105,24 @@ fn theory(walks: &Walks<'_>, okpi: &[Timed]) -> Series {
     Series { name: "OKpi-t".to_owned(), kind: SeriesKind::Line, look: Some(THEORY_LOOK), parts: vec![points] }
 }
 
+/// Returns the published medians, each over the time that the walk spends in its part; `None` if it is in none of them.
+fn published(walks: &Walks<'_>, report: &Report, median: fn(&Published) -> f64) -> Option<Series> {
+    let legs = Legs::of(walks.testbed, report);
+    let part = |sample: &ServiceTime| PUBLISHED.iter().position(|part| legs.is_in(sample, part));
+    let mut seconds: Vec<_> =
+        samples(walks.testbed, report).map(|sample| (sample.emitted.as_secs_f64(), part(&sample))).collect();
+    seconds.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    let stretch = |of: &[(f64, Option<usize>)]| {
+        let (from, part) = of.first()?;
+        let (until, _) = of.last()?;
+        let y = median(&PUBLISHED[(*part)?]);
+        Some([from, until].map(|x| Sample { x: *x, y, range: None }).to_vec())
+    };
+    let parts: Vec<_> = seconds.chunk_by(|(_, a), (_, b)| a == b).filter_map(stretch).collect();
+    let name = PUBLISHED_NAME.to_owned();
+    (!parts.is_empty()).then(|| Series { name, kind: SeriesKind::Line, look: Some(PUBLISHED_LOOK), parts })
+}
+
 /// Returns the panel of the distributions; `None` without answered samples.
 fn distributions(walks: &Walks<'_>, simulated: &[Vec<Timed>; 2]) -> Option<Panel> {
     let published = simulated.each_ref().map(|samples| one_a_second(samples));
@@ -127,9 +153,10 @@ fn distributions(walks: &Walks<'_>, simulated: &[Vec<Timed>; 2]) -> Option<Panel
         parts: vec![shares_above(samples)],
     }));
     let target = compared(walks.testbed).map(|service| millis::of(service.kpis.service_time));
+    let (nearest, farthest) = target.map_or((shortest, longest), |ms| (shortest.min(ms), longest.max(ms)));
     Some(Panel {
         title: "Distribution".to_owned(),
-        x: Axis::logarithmic("service time (ms)", shortest * BEFORE, longest),
+        x: Axis::logarithmic("service time (ms)", nearest * BEFORE, farthest),
         y: Axis::logarithmic("samples above (%)", lowest, 100.0),
         upright: target.map(|at| Level { at, name: format!("target {at} ms") }),
         series,

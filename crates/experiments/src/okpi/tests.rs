@@ -33,26 +33,30 @@ fn testbed() -> Testbed {
 fn walk(testbed: &Testbed, usual: f64, spike: f64) -> Report {
     let mut report = Report::new(testbed, 1);
     for i in 0..1000_u32 {
-        let emitted = Timestamp::from_secs_f64(f64::from(i) / 10.0);
         let ms = match i % 250 {
             5 => Some(spike),
             6 => None,
             _ => Some(usual + f64::from(i % 7) / 10.0),
         };
-        let event = Event::ServiceTime(ServiceTime {
-            service: "navigation".parse().unwrap(),
-            robot: "robot".parse().unwrap(),
-            sequence: i,
-            emitted,
-            took: ms.map(|ms| Duration::from_secs_f64(ms / 1e3)),
-            attachment: Some("R1".parse().unwrap()),
-            server: "cloud".parse().unwrap(),
-            parts: None,
-            lost_at: None,
-        });
-        report.absorb(&Stamped { at: emitted, event });
+        report.absorb(&sample(i, f64::from(i) / 10.0, "R1", ms));
     }
     report
+}
+
+fn sample(sequence: u32, seconds: f64, attachment: &str, ms: Option<f64>) -> Stamped {
+    let emitted = Timestamp::from_secs_f64(seconds);
+    let event = Event::ServiceTime(ServiceTime {
+        service: "navigation".parse().unwrap(),
+        robot: "robot".parse().unwrap(),
+        sequence,
+        emitted,
+        took: ms.map(|ms| Duration::from_secs_f64(ms / 1e3)),
+        attachment: Some(attachment.parse().unwrap()),
+        server: "cloud".parse().unwrap(),
+        parts: None,
+        lost_at: None,
+    });
+    Stamped { at: emitted, event }
 }
 
 /// A measured walk with one sample a second: 11 ms, and from 50 s on 45 ms.
@@ -136,8 +140,9 @@ fn the_figure_has_both_walks_over_time_and_their_distributions() {
                     .filter(|name| name != "measured")
                     .collect()
             };
-            assert_eq!(names(soa), ["all samples", "one a second"]);
-            assert_eq!(names(okpi), ["all samples", "one a second", "OKpi-t"]);
+            let published = "published medians (arXiv 2101.07676)";
+            assert_eq!(names(soa), ["all samples", "one a second", published]);
+            assert_eq!(names(okpi), ["all samples", "one a second", "OKpi-t", published]);
             assert_eq!(
                 names(distributions),
                 ["SoA, all", "SoA, one a second", "OKpi, all", "OKpi, one a second"]
@@ -153,6 +158,37 @@ fn the_figure_has_both_walks_over_time_and_their_distributions() {
             assert_eq!(looks(soa, "measured").is_some(), measured.is_some());
         });
     }
+}
+
+#[test]
+fn published_medians_stand_over_the_time_in_their_part_of_the_walk() {
+    let testbed = testbed();
+    let along = ["R1", "R3", "R4", "R5", "R6", "R2", "elsewhere", "R1"];
+    let mut report = Report::new(&testbed, 1);
+    for second in 0..80_u32 {
+        report.absorb(&sample(second, f64::from(second), along[second as usize / 10], Some(20.0)));
+    }
+    let walks =
+        Walks { testbed: &testbed, soa: &report, okpi: &report, measured: None, fitted: &[], seed: 1 };
+    let figure = drawn::figure(&walks);
+    assert_eq!(figure.draw().collisions(), Vec::<String>::new());
+    let drawn = |panel: usize| -> Vec<(f64, f64, f64)> {
+        let name = "published medians (arXiv 2101.07676)";
+        let series = figure.panels[panel].series.iter().find(|series| series.name == name).unwrap();
+        let stretch = |part: &Vec<_>| -> (f64, f64, f64) {
+            let [from, to]: &[cotorra_figure::Sample; 2] = part.as_slice().try_into().unwrap();
+            assert_eq!(from.y, to.y);
+            (from.x, to.x, to.y)
+        };
+        series.parts.iter().map(stretch).collect()
+    };
+    let stretches = [(0.0, 19.0), (20.0, 29.0), (30.0, 49.0), (50.0, 59.0), (70.0, 79.0)];
+    let medians = |of: fn(&Part) -> f64| -> Vec<(f64, f64, f64)> {
+        let comparison = Comparison::of(&walks);
+        stretches.iter().zip(&comparison.parts).map(|((from, to), part)| (*from, *to, of(part))).collect()
+    };
+    assert_eq!(drawn(0), medians(|part| part.published_soa_ms));
+    assert_eq!(drawn(1), medians(|part| part.published_okpi_ms));
 }
 
 #[test]
