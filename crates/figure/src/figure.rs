@@ -139,6 +139,18 @@ impl Sample {
     }
 }
 
+/// Returns the steps of an empirical distribution function: the share of values up to each, in per cent. Values that are not
+/// finite count, but have no step.
+pub fn shares_up_to(mut values: Vec<f64>) -> Vec<Sample> {
+    values.sort_by(f64::total_cmp);
+    let share = |count: usize| count as f64 / values.len() as f64 * 100.0;
+    let mut steps = vec![Sample { x: 0.0, y: 0.0, range: None }];
+    for (i, value) in values.iter().enumerate().filter(|(_, value)| value.is_finite()) {
+        steps.extend([i, i + 1].map(|count| Sample { x: *value, y: share(count), range: None }));
+    }
+    steps
+}
+
 /// Where a panel stands in the figure.
 struct Place<'a> {
     panel: &'a Panel,

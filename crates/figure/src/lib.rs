@@ -23,7 +23,9 @@ mod svg;
 mod timeline;
 
 pub use axis::Axis;
-pub use figure::{Band, Figure, Level, MAX_PANELS, MAX_SERIES, Panel, Sample, Series, SeriesKind};
+pub use figure::{
+    Band, Figure, Level, MAX_PANELS, MAX_SERIES, Panel, Sample, Series, SeriesKind, shares_up_to,
+};
 pub use floor_map::{Extent, FloorMap, FloorPanel, Path, Spot};
 pub use format::Format;
 pub use scene::Scene;

@@ -1,6 +1,6 @@
 //! The figure: distributions of gaps by events and by packets, and the places of handovers that robots decided on.
 
-use cotorra_figure::{Axis, Figure, Panel, Sample, Series, SeriesKind};
+use cotorra_figure::{Axis, Figure, Panel, Sample, Series, SeriesKind, shares_up_to};
 
 use super::{FILES, KINDS, Walk, Walked, measured::Roam};
 
@@ -28,21 +28,14 @@ fn distribution(walks: &[Walked], label: &str, read: Read) -> Option<Panel> {
     let mut series = Vec::new();
     let mut longest = 0.0_f64;
     for (look, kind) in KINDS.iter().enumerate() {
-        let mut gaps: Vec<f64> = of(walks, kind.name, Walk::Sent).filter_map(read).collect();
-        gaps.sort_by(f64::total_cmp);
-        let Some(most) = gaps.last() else { continue };
-        longest = longest.max(*most);
-        let mut steps = vec![Sample { x: 0.0, y: 0.0, range: None }];
-        for (i, gap) in gaps.iter().enumerate() {
-            let share = |count: usize| count as f64 / gaps.len() as f64 * 100.0;
-            steps.push(Sample { x: *gap, y: share(i), range: None });
-            steps.push(Sample { x: *gap, y: share(i + 1), range: None });
-        }
+        let gaps: Vec<f64> = of(walks, kind.name, Walk::Sent).filter_map(read).collect();
+        let Some(most) = gaps.iter().copied().reduce(f64::max) else { continue };
+        longest = longest.max(most);
         series.push(Series {
             name: kind.name.to_owned(),
             kind: SeriesKind::Line,
             look: Some(look),
-            parts: vec![steps],
+            parts: vec![shares_up_to(gaps)],
         });
     }
     (!series.is_empty()).then(|| Panel {

@@ -261,3 +261,14 @@ fn a_level_of_the_horizontal_axis_stands_upright_at_its_value() {
     let beyond = with_upright(500.0);
     assert!(lines(&beyond, ALERT).iter().all(|line| line.points[0].0 != line.points[1].0));
 }
+
+#[test]
+fn a_distribution_rises_at_each_value_and_counts_values_without_a_step() {
+    let steps: Vec<_> =
+        shares_up_to(vec![4.0, f64::INFINITY, 2.0, 4.0]).iter().map(|step| (step.x, step.y)).collect();
+    assert_eq!(
+        steps,
+        [(0.0, 0.0), (2.0, 0.0), (2.0, 25.0), (4.0, 25.0), (4.0, 50.0), (4.0, 50.0), (4.0, 75.0)]
+    );
+    assert_eq!(shares_up_to(Vec::new()).len(), 1);
+}
