@@ -28,6 +28,8 @@ const LATEST = 100;
 /** Lines of a chart. There are as many colours. */
 const MOST_LINES = 8;
 const MOST_MARKS = 400;
+/** Compares names: R2 is before R10. */
+const BY_NAME = new Intl.Collator("en", { numeric: true });
 
 /**
  * Returns the charts of a testbed.
@@ -88,14 +90,14 @@ export function subjects(model) {
 }
 
 /**
- * Returns the directions of links that carry virtual links, in the testbed's order.
+ * Returns the directions of links that carry virtual links, in the order of their names: R2 is before R10.
  * @param {Model} model
  */
 function usedLinks(model) {
     /** @type {Set<string>} */
     const used = new Set();
     for (const { links } of model.virtualLinks.values()) for (const link of links) used.add(link);
-    const directions = [...used].sort().flatMap((link) => [`${link}:forward`, `${link}:backward`]);
+    const directions = [...used].sort(BY_NAME.compare).flatMap((link) => [`${link}:forward`, `${link}:backward`]);
     return directions.filter((of) => Number.isFinite(model.figure(`delay:${of}`).last)).slice(0, MOST_LINES);
 }
 

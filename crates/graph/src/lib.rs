@@ -22,6 +22,7 @@ mod lost_at;
 mod machine_context;
 mod map;
 mod medium;
+mod natural;
 mod nodes;
 #[cfg(feature = "openapi")]
 pub mod openapi;
@@ -75,6 +76,7 @@ pub use machine_context::{
 };
 pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
+pub use natural::Natural;
 pub use nodes::{InvalidNodes, Nodes};
 pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
 pub use real::{Gateway, Machine, Reached, RealLink, RealPort, RealRadio, RealServer};

@@ -3,6 +3,7 @@
 use std::{cmp::Ordering, path::Path};
 
 use cotorra_experiments::margin::{Estimate, FILES, Finding, Margin, Margins, ServiceKept};
+use cotorra_graph::Natural;
 
 use super::MarginArgs;
 use crate::{
@@ -21,7 +22,7 @@ pub fn plan(margin: &Margin, args: &MarginArgs, jobs: std::num::NonZero<usize>) 
     let services: Vec<_> = margin.services().iter().map(ToString::to_string).collect();
     let mut names: Vec<_> = margin.dimensions().iter().map(|dimension| dimension.on().to_owned()).collect();
     names.extend(margin.units().iter().map(ToString::to_string));
-    names.sort();
+    names.sort_by_cached_key(|name| Natural::of(name));
     names.dedup();
     format!(
         "{}: {least} to {most} runs in virtual time, {jobs} at a time\n\n{}{}",

@@ -3,6 +3,7 @@
 use std::{collections::BTreeSet, path::Path};
 
 use cotorra_experiments::sweep::{Cell, FILES, Interval, Runs, ServiceCell, Verdicts};
+use cotorra_graph::Natural;
 
 use crate::{
     figures::FigureArgs,
@@ -80,7 +81,8 @@ fn services(runs: &Runs, cells: &[Cell]) -> String {
     }
     let without: BTreeSet<_> = all().map(name).filter(|name| !measured.contains(name)).collect();
     if !without.is_empty() {
-        let names: Vec<_> = without.into_iter().collect();
+        let mut names: Vec<_> = without.into_iter().collect();
+        names.sort_by_cached_key(|name| Natural::of(name));
         text += &format!("\nwithout samples: {}\n", names.join(", "));
     }
     text

@@ -5,8 +5,8 @@ use std::{collections::BTreeMap, path::Path, time::Duration};
 use cotorra_datapath::{Absence, GatewayTraffic};
 use cotorra_engine::InstanceWaits;
 use cotorra_graph::{
-    Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Probability, Requests, Service,
-    ServiceId, ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
+    Event, Instruction, Lateness, Natural, NodeId, Nodes, PoseSource, Position, Probability, Requests,
+    Service, ServiceId, ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
@@ -691,7 +691,10 @@ impl Report {
             service_time_p50_ms: Quantiles::of(all).map(|quantiles| quantiles.p50),
             ..region
         };
-        robots.into_values().flatten().map(with_median).collect()
+        let mut sorted: Vec<_> = robots.into_iter().collect();
+        sorted
+            .sort_by_cached_key(|((robot, service), _)| [robot.as_str(), service.as_str()].map(Natural::of));
+        sorted.into_iter().flat_map(|(_, its)| its).map(with_median).collect()
     }
 }
 
