@@ -1,6 +1,10 @@
 //! Verdicts on services: a sentence for each robot on how often it kept its target.
 
-use cotorra_testbed::{Kept, ServiceParts, ServiceSummary};
+use std::collections::BTreeSet;
+
+use cotorra_graph::Natural;
+use cotorra_numbers::Quantiles;
+use cotorra_testbed::{FEW_ROBOTS, Kept, ServiceParts, ServiceSummary, Verdict, WORST_ROBOTS};
 
 use crate::{
     explanation::explanation,
@@ -8,7 +12,8 @@ use crate::{
 };
 
 /// Returns a sentence for each service, in their order, and one that names the worst of several. A service that missed its
-/// target has the reasons of that.
+/// target has the reasons of that. Of many robots, the worst services have a sentence each, and all services have one
+/// together.
 ///
 /// If the testbed file demands a share of samples, the sentence begins with PASS or FAIL. Without, a service "did not keep"
 /// its target if most of its samples missed it.
@@ -22,9 +27,50 @@ pub fn verdicts(services: &[ServiceSummary], parts: &[ServiceParts]) -> Vec<Stri
             Some(reason) => format!("{judged}; {reason}."),
         }
     };
-    let mut sentences: Vec<_> = services.iter().map(sentence).collect();
+    let shown = by_name(services);
+    let mut sentences: Vec<_> = shown.iter().copied().map(sentence).collect();
+    if shown.len() < services.len() {
+        sentences.push(all_together(services));
+    }
     sentences.extend(worst(services));
     sentences
+}
+
+/// Returns the services to show by name: all of a few robots, in their order, or else the worst, from the worst. Those that
+/// failed are worse than others, then those with the lower share within their target.
+pub fn by_name(services: &[ServiceSummary]) -> Vec<&ServiceSummary> {
+    let mut shown: Vec<_> = services.iter().collect();
+    if services.iter().map(|its| &its.robot).collect::<BTreeSet<_>>().len() > FEW_ROBOTS {
+        shown.sort_by_cached_key(|its| [its.robot.as_str(), its.service.as_str()].map(Natural::of));
+        let has_failed = |its: &ServiceSummary| its.kept.verdict == Some(Verdict::Fail);
+        // A service without samples did not miss its target, unless a share is demanded.
+        let kept = |its: &ServiceSummary| its.kept.kept.unwrap_or(if has_failed(its) { 0.0 } else { 2.0 });
+        shown.sort_by(|a, b| has_failed(b).cmp(&has_failed(a)).then(kept(a).total_cmp(&kept(b))));
+        shown.truncate(WORST_ROBOTS);
+    }
+    shown
+}
+
+/// Says how often services kept their targets, and how many passed and failed.
+fn all_together(services: &[ServiceSummary]) -> String {
+    let mut shares: Vec<_> = services.iter().filter_map(|its| its.kept.kept).collect();
+    shares.sort_by(f64::total_cmp);
+    let mut parts = Vec::new();
+    if let (Some(least), Some(Quantiles { p50, max, .. })) = (shares.first(), Quantiles::of(shares.clone())) {
+        let [least, median, most] = [*least, p50, max].map(percent);
+        parts.push(format!("kept their targets in {least} to {most} of samples, median {median}"));
+    }
+    let silent = services.len() - shares.len();
+    if silent > 0 {
+        parts.push(format!("{silent} without samples"));
+    }
+    for verdict in [Verdict::Pass, Verdict::Fail] {
+        let its = services.iter().filter(|its| its.kept.verdict == Some(verdict)).count();
+        if services.iter().any(|its| its.kept.verdict.is_some()) {
+            parts.push(format!("{its} {verdict}"));
+        }
+    }
+    format!("All {}: {}.", count(services.len(), "service"), parts.join("; "))
 }
 
 /// Returns the robot's name, with the service's if the robot has several.
@@ -118,6 +164,30 @@ mod tests {
                 "r4 kept its target least.",
             ]
         );
+    }
+
+    #[test]
+    fn of_many_robots_the_worst_have_a_sentence_each_and_all_have_one_together() {
+        let many = |keep: Option<f64>| -> Vec<ServiceSummary> {
+            let of = |i: usize| {
+                let its = service(&format!("r{i}"), &format!("navigation-{i}"), (i != 12).then_some(10 * i));
+                ServiceSummary { kept: Kept::of(1000 - 10 * i, its.samples, keep), ..its }
+            };
+            (1..=12).map(of).collect()
+        };
+        let sentences = verdicts(&many(None), &[]);
+        assert!(sentences[0].starts_with("r11 kept 15 ms in 89.0 %"), "{sentences:?}");
+        assert!(sentences[4].starts_with("r7 kept 15 ms in 93.0 %"), "{sentences:?}");
+        assert_eq!(
+            sentences[5..],
+            [
+                "All 12 services: kept their targets in 89.0 % to 99.0 % of samples, median 94.0 %; 1 without samples.",
+                "r11 kept its target least.",
+            ]
+        );
+        let judged = verdicts(&many(Some(0.985)), &[]);
+        assert!(judged[0].starts_with("FAIL: r12 has no samples"), "{judged:?}");
+        assert!(judged[5].ends_with("; 1 without samples; 1 PASS; 11 FAIL."), "{judged:?}");
     }
 
     #[test]

@@ -77,10 +77,11 @@ pub use recorded::{Recorded, RecordedError};
 pub use reflectors::ReflectorError;
 pub use rehearse::{interface_plans, rehearse};
 pub use report::{
-    AwaySummary, DataTable, DecisionRecord, Fidelity, FolderError, GatewaySummary, HandoverRecord, Kept,
-    LatenessSummary, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, PlacementRecord,
-    PluginSummary, Quantiles, RegionSummary, Report, RobotSummary, ServiceParts, ServiceSummary, Summary,
-    Verdict, VnfWaits, by_service, name_of_total, panels, service_time_ms, write_file,
+    AwaySummary, DataTable, DecisionRecord, FEW_ROBOTS, Fidelity, FolderError, GatewaySummary,
+    HandoverRecord, Kept, LatenessSummary, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place,
+    PlacementRecord, PluginSummary, Quantiles, RegionSummary, Report, RobotSummary, ServiceParts,
+    ServiceSummary, Summary, Verdict, VnfWaits, WORST_ROBOTS, by_service, name_of_total, panels,
+    robots_by_name, service_time_ms, write_file,
 };
 pub use robots::RobotError;
 pub use run::{Run, Stopper};

@@ -12,7 +12,7 @@ use crate::{
     service_table::service_table,
     table::{columns, wrap},
     testbed_file,
-    verdict::verdicts,
+    verdict::{by_name, verdicts},
 };
 
 /// Returns the service that stands for all of the run, or of a robot, because no other is in the total; `None` if there are
@@ -59,7 +59,11 @@ pub fn services(source: &Source, range: (Bound<Timestamp>, Bound<Timestamp>)) ->
 fn describe(services: &[ServiceSummary], parts: &[ServiceParts]) -> String {
     let table = match services {
         [] | [_] => String::new(),
-        several => service_table(&by_service(several)) + "\n",
+        several => {
+            let shown = by_name(several);
+            let is_shown = |service: &str| shown.iter().any(|its| its.service == *service);
+            service_table(&by_service(several), is_shown) + "\n"
+        }
     };
     verdicts(services, parts).iter().fold(table, |text, verdict| text + &wrap(verdict, "  ", columns()))
 }

@@ -1,14 +1,21 @@
 //! Output of a run at its end: its summary, formatted for people.
 
+use std::cmp::Reverse;
+
 use console::style;
+use cotorra_graph::{Natural, NodeId};
 use cotorra_measurements::Location;
+use cotorra_numbers::median;
 use cotorra_recording::RecordingSummary;
-use cotorra_testbed::{Finished, GatewaySummary, Quantiles, RobotSummary, Summary};
+use cotorra_testbed::{
+    FEW_ROBOTS, Finished, GatewaySummary, LocalizationSummary, Quantiles, RobotSummary, Summary,
+    WORST_ROBOTS, robots_by_name,
+};
 
 use crate::{
     service_table::service_table,
     table::{Table, columns, wrap},
-    verdict::verdicts,
+    verdict::{by_name, verdicts},
     words::{clock, count, in_ms},
 };
 
@@ -50,7 +57,9 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     let several = summary.services.iter().filter(|its| its.samples > 0).nth(1).is_some();
     if several {
         text += "\n";
-        text += &service_table(&summary.by_service());
+        let shown = by_name(&summary.services);
+        let is_shown = |service: &str| shown.iter().any(|its| its.service == *service);
+        text += &service_table(&summary.by_service(), is_shown);
     }
     text += "\n";
     text += &figures(summary, several).render("  ");
@@ -108,7 +117,12 @@ fn regions(summary: &Summary) -> String {
     let server = if services { "server" } else { "navigation on" };
     let heads = ["attached to", server, "from", "to", "samples", "median"].map(str::to_owned);
     table.row(robot("robot").into_iter().chain(service("service")).chain(heads));
-    for region in summary.regions.iter().filter(|region| region.samples >= FEWEST_SAMPLES) {
+    let named = robots_by_name(&summary.robots);
+    // Robots that are in no testbed file have regions, too.
+    let is_shown =
+        |robot: &NodeId| summary.robots.len() <= FEW_ROBOTS || named.iter().any(|its| its.robot == *robot);
+    let shown = summary.regions.iter().filter(|region| is_shown(&region.robot));
+    for region in shown.filter(|region| region.samples >= FEWEST_SAMPLES) {
         let cells = [
             region.attachment.as_ref().map_or("none".to_owned(), |id| id.to_string()),
             region.server.to_string(),
@@ -120,7 +134,11 @@ fn regions(summary: &Summary) -> String {
         let (robot, service) = (robot(region.robot.as_str()), service(region.service.as_str()));
         table.row(robot.into_iter().chain(service).chain(cells));
     }
-    table.render("  ")
+    let of = match summary.robots.len() {
+        ..=FEW_ROBOTS => String::new(),
+        all => format!("  Regions of the worst {} of {all} robots; summary.json has all:\n", named.len()),
+    };
+    of + &table.render("  ")
 }
 
 /// Returns the figures of the whole run. Service times of several services have a table of their own.
@@ -130,16 +148,7 @@ fn figures(summary: &Summary, several: bool) -> Table {
         let text = format!("median {p50:.2} ms, p95 {p95:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
         table.row(["service time".to_owned(), text]);
     }
-    for localization in &summary.localization {
-        let Quantiles { p50, p95, max, .. } = localization.error_m;
-        let robot = if summary.localization.len() > 1 {
-            format!(" of {}", localization.robot)
-        } else {
-            String::new()
-        };
-        let text = format!("off by a median of {p50:.2} m, p95 {p95:.2} m, max {max:.2} m");
-        table.row([format!("localization{robot}"), text]);
-    }
+    localization(&summary.localization).into_iter().for_each(|row| table.row(row));
     for gateway in &summary.gateways {
         let GatewaySummary { received_frames, sent_frames, rejected_frames, .. } = gateway;
         let (received, sent) = (gateway.received_lateness_us, gateway.sent_lateness_us);
@@ -154,11 +163,7 @@ fn figures(summary: &Summary, several: bool) -> Table {
         );
         table.row([format!("gateway {}", gateway.gateway), text]);
     }
-    let of_robot = |robot: &RobotSummary| format!("{} {}", robot.robot, robot.handovers);
-    let by_robot = match &summary.robots[..] {
-        robots @ [_, _, ..] => format!(" ({})", robots.iter().map(of_robot).collect::<Vec<_>>().join(", ")),
-        _ => String::new(),
-    };
+    let by_robot = handovers_by_robot(&summary.robots);
     let gaps = Quantiles::of(summary.handovers.iter().map(|handover| handover.gap_ms).collect());
     let gaps = gaps.map(|gaps| format!(", gap median {}, max {}", in_ms(gaps.p50), in_ms(gaps.max)));
     let handovers = format!("{}{by_robot}{}", summary.handovers.len(), gaps.unwrap_or_default());
@@ -183,4 +188,99 @@ fn figures(summary: &Summary, several: bool) -> Table {
     table.row(["fidelity".to_owned(), format!("{verdict}: {} (docs/trust.md)", summary.fidelity.reason)]);
     table.row(["seed".to_owned(), summary.seed.to_string()]);
     table
+}
+
+/// Describes the localization errors of each robot. Of many robots, it describes the range of their medians, and the worst.
+fn localization(all: &[LocalizationSummary]) -> Vec<[String; 2]> {
+    let mut rows = Vec::new();
+    let mut shown: Vec<_> = all.iter().collect();
+    if shown.len() > FEW_ROBOTS {
+        let medians = || all.iter().map(|its| its.error_m.p50);
+        let (least, most) = (medians().fold(f64::INFINITY, f64::min), medians().fold(0.0, f64::max));
+        let text = format!("off by a median of {least:.2} to {most:.2} m, {} robots", all.len());
+        rows.push(["localization".to_owned(), text]);
+        shown.sort_by_cached_key(|its| Natural::of(its.robot.as_str()));
+        shown.sort_by(|a, b| b.error_m.p95.total_cmp(&a.error_m.p95));
+        shown.truncate(WORST_ROBOTS);
+    }
+    rows.extend(shown.into_iter().map(|its| {
+        let Quantiles { p50, p95, max, .. } = its.error_m;
+        let robot = if all.len() > 1 { format!(" of {}", its.robot) } else { String::new() };
+        let text = format!("off by a median of {p50:.2} m, p95 {p95:.2} m, max {max:.2} m");
+        [format!("localization{robot}"), text]
+    }));
+    rows
+}
+
+/// Returns the handovers of each of several robots, in brackets. Of many robots, it returns the range and the median, and
+/// those with the most.
+fn handovers_by_robot(robots: &[RobotSummary]) -> String {
+    let list = |robots: &[&RobotSummary]| {
+        let of_robot = |its: &&RobotSummary| format!("{} {}", its.robot, its.handovers);
+        robots.iter().map(of_robot).collect::<Vec<_>>().join(", ")
+    };
+    let mut shown: Vec<_> = robots.iter().collect();
+    if shown.len() <= FEW_ROBOTS {
+        return if shown.len() > 1 { format!(" ({})", list(&shown)) } else { String::new() };
+    }
+    shown.sort_by_cached_key(|its| (Reverse(its.handovers), Natural::of(its.robot.as_str())));
+    let (most, least) = (shown[0].handovers, shown[shown.len() - 1].handovers);
+    let median = median(shown.iter().map(|its| its.handovers as f64).collect()).unwrap_or_default();
+    shown.truncate(WORST_ROBOTS);
+    let of = robots.len();
+    format!(" ({least} to {most} of each of {of} robots, median {median}; most: {})", list(&shown))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn localization_of_many_robots_is_a_range_and_the_worst_by_name() {
+        let of = |count: u32| -> Vec<[String; 2]> {
+            let robot = |i: u32| LocalizationSummary {
+                robot: format!("R{i}").parse().unwrap(),
+                samples: 9,
+                error_m: Quantiles {
+                    p50: f64::from(i) / 10.0,
+                    p95: if i == 7 { 5.0 } else { 2.0 },
+                    p99: 5.0,
+                    max: 6.0,
+                },
+                nees: 3.0,
+            };
+            localization(&(1..=count).map(robot).collect::<Vec<_>>())
+        };
+        let names = |rows: &[[String; 2]]| rows.iter().map(|[name, _]| name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&of(1)), ["localization"]);
+        assert_eq!(names(&of(2)), ["localization of R1", "localization of R2"]);
+        let many = of(12);
+        assert_eq!(many[0][1], "off by a median of 0.10 to 1.20 m, 12 robots");
+        assert_eq!(
+            names(&many[1..]),
+            ["R7", "R1", "R2", "R3", "R4"].map(|robot| format!("localization of {robot}"))
+        );
+    }
+
+    #[test]
+    fn handovers_of_many_robots_are_a_distribution_and_the_most_by_name() {
+        let robots = |handovers: &[usize]| -> Vec<RobotSummary> {
+            let robot = |(i, handovers): (usize, &usize)| RobotSummary {
+                robot: format!("R{}", i + 1).parse().unwrap(),
+                samples: 0,
+                unanswered: 0,
+                above_target: None,
+                verdict: None,
+                handovers: *handovers,
+                handover_gap_ms: None,
+            };
+            handovers.iter().enumerate().map(robot).collect()
+        };
+        assert_eq!(handovers_by_robot(&robots(&[3])), "");
+        assert_eq!(handovers_by_robot(&robots(&[3, 0])), " (R1 3, R2 0)");
+        assert_eq!(
+            handovers_by_robot(&robots(&[4, 4, 4, 4, 4, 4, 4, 2, 4, 4, 4, 9])),
+            " (2 to 9 of each of 12 robots, median 4; most: R12 9, R1 4, R2 4, R3 4, R4 4)"
+        );
+    }
 }

@@ -110,7 +110,7 @@ pub fn write_figure(
 ) -> Result<(), FolderError> {
     let mark = if summary.is_valid() { "" } else { "NOT VALID: " };
     let title = format!("{mark}{}: service time and attachment", summary.name);
-    let scene = draw(&title, report).draw();
+    let scene = draw(&title, report, &summary.robots).draw();
     write_file(folder, &format!("service_time.{format}"), scene.render(format))
 }
 
