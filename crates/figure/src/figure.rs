@@ -298,21 +298,34 @@ impl<'a> Place<'a> {
             .map(|value| Entry { name: format!("above the axis: up to {}", short(value)), look: Look::Cut });
         let missing = (!panel.missing.1.is_empty())
             .then(|| Entry { name: panel.missing.0.clone(), look: Look::Missing });
-        // Bands whose name has no room in the strip.
-        let in_strip = self.names_in_strip();
-        let unnamed = names.iter().filter(|name| {
-            let is_named = in_strip.iter().any(|(_, in_strip)| *in_strip == name.as_str());
-            !is_named && panel.bands.iter().any(|band| band.name == **name)
-        });
-        let unnamed = unnamed
-            .map(|name| Entry { name: name.clone(), look: Look::Area(colour(name, names).lighter(LIGHT)) });
         series
             .chain(level)
             .chain(missing)
             .chain(cut)
             .filter(|entry| !entry.name.is_empty())
-            .chain(unnamed)
+            .chain(self.outside_strip(names))
             .collect()
+    }
+
+    /// Returns the entries of bands whose names have no room in the strip. Where names are more than colours, an entry has all
+    /// names of its colour.
+    fn outside_strip(&self, names: &[String]) -> Vec<Entry> {
+        let in_strip = self.names_in_strip();
+        let in_panel = |name: &&String| self.panel.bands.iter().any(|band| band.name == **name);
+        let is_outside = |name: &&String| !in_strip.iter().any(|(_, named)| *named == name.as_str());
+        let mut colours: Vec<Colour> = Vec::new();
+        for name in names.iter().filter(in_panel).filter(is_outside) {
+            let colour = colour(name, names);
+            if !colours.contains(&colour) {
+                colours.push(colour);
+            }
+        }
+        let entry = |wanted: Colour| {
+            let same = names.iter().filter(in_panel).filter(|name| colour(name, names) == wanted);
+            let name = same.map(String::as_str).collect::<Vec<_>>().join(" or ");
+            Entry { name, look: Look::Area(wanted.lighter(LIGHT)) }
+        };
+        colours.into_iter().map(entry).collect()
     }
 
     fn x(&self, value: f64) -> f64 {

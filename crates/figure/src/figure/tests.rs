@@ -96,6 +96,20 @@ fn spikes_end_at_the_top_of_the_plot() {
     assert!(bottom - top <= 96.0 && top > 20.0, "{top} {bottom}");
 }
 
+#[test]
+fn a_colour_of_several_names_has_them_all_in_the_legend() {
+    // There are seven colours. The last two bands are too narrow for their names.
+    let band =
+        |i: u32| Band { from: f64::from(i) * 50.0, to: f64::from(i + 1) * 50.0, name: format!("R{i}") };
+    let narrow =
+        |i: u32| Band { from: 349.0 + f64::from(i), to: 350.0 + f64::from(i), name: format!("R{i}") };
+    let bands = (0..7).map(band).chain([narrow(7), narrow(8)]).collect();
+    let scene = Figure { panels: vec![Panel { bands, ..panel("robot") }], ..Figure::default() }.draw();
+    let texts = texts(&scene);
+    assert!(texts.contains(&"R0 or R7") && texts.contains(&"R1 or R8"), "{texts:?}");
+    assert!(!texts.contains(&"R7") && texts.contains(&"R1"), "{texts:?}");
+}
+
 fn areas(scene: &Scene, colour: Colour) -> Vec<&[Point]> {
     let areas = scene.items.iter().filter_map(|item| match item {
         Item::Area(points, of) if *of == colour => Some(points.as_slice()),
