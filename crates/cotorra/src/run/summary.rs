@@ -22,8 +22,8 @@ use crate::{
 /// Fewest samples of a region in the table. Two decisions at the same moment have a region with fewer between them.
 const FEWEST_SAMPLES: usize = 2;
 
-/// Most robots or VNFs that are listed for one reason.
-const MOST_LISTED: usize = 5;
+/// Number of starved VNFs that are listed.
+const WORST_VNFS: usize = 5;
 
 /// Describes the results of a run, and lists its files.
 pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
@@ -168,7 +168,9 @@ fn figures(summary: &Summary, several: bool) -> Table {
     let gaps = gaps.map(|gaps| format!(", gap median {}, max {}", in_ms(gaps.p50), in_ms(gaps.max)));
     let handovers = format!("{}{by_robot}{}", summary.handovers.len(), gaps.unwrap_or_default());
     table.row(["handovers".to_owned(), handovers]);
-    for robot in summary.robots.iter().filter(|robot| robot.detached_ms > 0.0).take(MOST_LISTED) {
+    let mut detached: Vec<_> = summary.robots.iter().filter(|robot| robot.detached_ms > 0.0).collect();
+    detached.sort_by(|a, b| b.detached_ms.total_cmp(&a.detached_ms));
+    for robot in detached.iter().take(WORST_ROBOTS) {
         let text = format!("without a radio unit for {:.1} s, in no gap", robot.detached_ms / 1e3);
         table.row([robot.robot.to_string(), text]);
     }
@@ -177,10 +179,10 @@ fn figures(summary: &Summary, several: bool) -> Table {
     }
     let mut starved: Vec<_> = summary.fidelity.vnf_waits.iter().filter(|vnf| vnf.is_starved).collect();
     starved.sort_by(|a, b| b.wait_ms.unwrap_or_default().total_cmp(&a.wait_ms.unwrap_or_default()));
-    for vnf in starved.iter().take(MOST_LISTED) {
+    for vnf in starved.iter().take(WORST_VNFS) {
         table.row([format!("VNF {}", vnf.vnf), vnf.sentence()]);
     }
-    if let Some(more @ 1..) = starved.len().checked_sub(MOST_LISTED) {
+    if let Some(more @ 1..) = starved.len().checked_sub(WORST_VNFS) {
         table.row([format!("{} more", count(more, "VNF")), "waited for a processor, too".to_owned()]);
     }
     let word = style(summary.fidelity.word());
