@@ -166,7 +166,7 @@ pub struct Vnfs {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Doubts {
-    /// Lost events.
+    /// Lost events; at least these if the run has no end.
     pub lost_events: u64,
     /// The emulator's lateness, 99th percentile over the run, µs; `None` in virtual time.
     pub lateness_p99_us: Option<f64>,

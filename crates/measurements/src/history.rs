@@ -10,7 +10,7 @@ use std::{
 
 use cotorra_graph::{
     Direction, Event, Handover, LinkContext, LinkId, MachineContext, NodeId, Placement, RadioContext,
-    RobotContext, SensorReading, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
+    RobotContext, SensorReading, ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
 };
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +26,7 @@ use crate::{
     page::{Page, PageRequest, pages},
     recorder::{Queue, Recorder},
     run::{Gap, Run, RunId, RunInfo},
+    silence::{Silence, silences},
     sqlite::Sqlite,
     store::{Selection, Span, Store},
 };
@@ -322,6 +323,38 @@ impl History {
         page: PageRequest,
     ) -> Result<Page<Gap>> {
         self.store.gaps(run, span(&range), page)
+    }
+
+    /// Returns the time up to which all lost events are in [`Self::gaps`]: the run's end, or the time of its last event if
+    /// it has no end. It is unknown what such a run lost later.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn known_until(&self, run: RunId) -> Result<Timestamp> {
+        if let Some(ended) = self.store.run(run)?.ended {
+            return Ok(ended);
+        }
+        let ever = Span { from: 0, until: i64::MAX };
+        let mut last = 0;
+        for kind in Kind::ALL {
+            last = self.store.extent(run, kind, ever)?.map_or(last, |(_, end)| last.max(end));
+        }
+        Ok(Timestamp::from_nanos(last.cast_unsigned()))
+    }
+
+    /// Returns when services had no samples in a range of time, by service and robot. `expected` are the services of the
+    /// testbed that should have samples; others count from their first sample in the range.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn silences(
+        &self,
+        run: RunId,
+        expected: impl IntoIterator<Item = (ServiceId, NodeId)>,
+        range: impl RangeBounds<Timestamp>,
+    ) -> Result<Vec<Silence>> {
+        let Span { from, until } = span(&range);
+        silences(&*self.store, run, expected, Span { from, until: until.min(nanos(self.known_until(run)?)) })
     }
 
     /// Returns the state of the whole graph: the last value of everything at a time or before.

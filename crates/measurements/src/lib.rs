@@ -25,6 +25,7 @@ mod run;
 mod schema;
 #[cfg(feature = "mariadb")]
 mod server;
+mod silence;
 mod sql;
 mod sqlite;
 mod store;
@@ -44,6 +45,7 @@ pub use page::{Cursor, InvalidCursor, Page, PageRequest};
 pub use recorder::{Recorder, RecorderStats};
 pub use retention::{Pruned, Retained};
 pub use run::{Gap, Run, RunId, RunInfo};
+pub use silence::Silence;
 
 /// Reads bytes as chunks of a history and as entries of a spool, for fuzzing.
 #[doc(hidden)]

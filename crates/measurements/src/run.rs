@@ -41,7 +41,8 @@ pub struct Run {
     pub id: RunId,
     #[serde(flatten)]
     pub info: RunInfo,
-    /// Time of the end; `None` while the run goes on, and for good if it was killed.
+    /// Time of the end; `None` while the run goes on, and for good if it was killed or its last events could not be
+    /// written.
     #[serde(rename = "ended_ns")]
     pub ended: Option<Timestamp>,
 }

@@ -42,7 +42,6 @@ pub enum History {
     /// Compare two runs: service times, links, handovers, placements, decisions
     Diff(DiffArgs),
     Data(DataArgs),
-    /// List gaps, in which events were lost
     Gaps(GapsArgs),
     Export(ExportArgs),
     Import(ImportArgs),
@@ -309,6 +308,14 @@ pub struct DiffArgs {
     pub place: HistoryPlace,
 }
 
+/// List gaps, in which events were lost, and services that stopped sampling
+///
+/// A run that was killed, or that ended while its history could not be written, has no end. It is unknown what it lost
+/// after its last recorded event.
+///
+/// A service counts as silent if it has no sample for more than a second, and for more than five times as long as is
+/// usual between two of its samples: its robot stood out of reach, its VNF did not run, or cotorra was kept from running.
+/// After the end of a robot's walk, no samples are expected.
 #[derive(Debug, Args)]
 pub struct GapsArgs {
     /// The run

@@ -81,7 +81,11 @@ fn describe(difference: &Difference, verdicts: &[String; 2], keep: &[BTreeMap<Se
         _ => String::new(),
     }));
     runs.row(both("verdict", &|i| verdicts[i].clone()));
-    runs.row(both("events lost", &|i| difference.doubts[i].lost_events.to_string()));
+    runs.row(both("events lost", &|i| {
+        let lost = difference.doubts[i].lost_events;
+        // It is unknown what a run without an end lost after its last event.
+        difference.runs[i].ended.map_or_else(|| format!("at least {lost}"), |_| lost.to_string())
+    }));
     runs.row(both("lateness p99", &|i| {
         difference.doubts[i].lateness_p99_us.map_or("-".to_owned(), |us| format!("{us:.1} µs"))
     }));

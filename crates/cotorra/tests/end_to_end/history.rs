@@ -146,6 +146,48 @@ fn with_machine(folder: &Path) -> String {
 }
 
 #[test]
+fn gaps_name_silent_services_and_say_when_losses_are_unknown() {
+    let folder = TempDir::new().unwrap();
+    let place = folder.path().join("gaps.sqlite");
+    let history = History::open(&place).unwrap();
+    let info = RunInfo { name: "office".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() };
+    let record = |ended: Option<f64>| {
+        let run = history.begin_run(&info).unwrap();
+        let recorder = history.recorder(run).unwrap();
+        for ms in (0..8000_u64).step_by(100).filter(|ms| !(1000..7200).contains(ms)) {
+            let event = json!({
+                "at_ns": ms * 1_000_000, "event": "service_time", "service": "navigation", "robot": "r1",
+                "sequence": 0, "emitted_ns": ms * 1_000_000, "service_time_ms": 12.5, "attachment": null,
+                "server": "edge",
+            });
+            recorder.record(serde_json::from_value(event).unwrap());
+        }
+        recorder.flush().unwrap();
+        if let Some(ended) = ended {
+            history.end_run(run, Timestamp::from_secs_f64(ended)).unwrap();
+        }
+    };
+    record(Some(8.0));
+    record(None);
+    let gaps = |run: &str, arguments: &[&str]| {
+        let done = cotorra(["history", "gaps", run, "--history", text(&place)]).args(arguments).output();
+        stdout(&done.unwrap())
+    };
+    let ended = gaps("1", &[]);
+    assert!(ended.starts_with("no events were lost in that time\n"), "{ended}");
+    assert!(ended.contains("\n  0.900  7.200  navigation of r1\n"), "{ended}");
+    let begin = gaps("1", &["--to", "1s"]);
+    assert!(begin.contains("\nno service stopped sampling in that time\n"), "{begin}");
+    let killed = gaps("2", &[]);
+    assert!(killed.starts_with("no events were lost up to 7.900 s\n"), "{killed}");
+    assert!(killed.contains("how many were lost after 7.900 s is unknown: the run has no end"), "{killed}");
+    assert!(gaps("2", &["--to", "7s"]).starts_with("no events were lost in that time\n"));
+    let differ = cotorra(["history", "diff", "1", "2", "--history", text(&place)]).output().unwrap();
+    let lost = stdout(&differ).lines().find(|line| line.contains("events lost")).map(str::to_owned).unwrap();
+    assert_eq!(lost.split_whitespace().collect::<Vec<_>>(), ["events", "lost", "0", "at", "least", "0"]);
+}
+
+#[test]
 fn machines_are_shown_and_drawn_and_exported() {
     let folder = TempDir::new().unwrap();
     let place = with_machine(folder.path());
@@ -215,7 +257,8 @@ fn state_series_and_events_are_shown() {
     let next = runs.answer(&["events", okpi, "--limit", "1", "--json", "--after", cursor]);
     let first_four = runs.answer(&["events", okpi, "--limit", "4", "--json"]);
     assert!(first_four.ends_with(&next), "pages join without a seam");
-    assert_eq!(runs.answer(&["gaps", okpi]), "no events were lost in that time\n");
+    let gaps = "no events were lost in that time\nno service stopped sampling in that time\n";
+    assert_eq!(runs.answer(&["gaps", okpi]), gaps);
 }
 
 #[test]

@@ -275,7 +275,7 @@ pub(super) async fn event_history(
     .await
 }
 
-/// Returns the gaps where events were lost.
+/// Returns the gaps where events were lost. What a run without an end lost after its last event is unknown.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/gaps", tag = "measurements",
     params(Part),
     responses((status = 200, body = Page<GapBody>))))]

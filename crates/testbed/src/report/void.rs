@@ -81,6 +81,20 @@ enum Samples {
     NotRunning,
 }
 
+impl Samples {
+    /// Returns where the samples of a service come from; `None` if it has none.
+    fn of(testbed: &Testbed, service: &Service) -> Option<Self> {
+        let of_robot = service.localizes() || (service.navigates() && testbed.walk(&service.robot).is_some());
+        let of_flow = service.kpis.flow.as_ref().map(|_| Self::Flow);
+        if of_robot { Some(Self::Robot) } else { of_flow }
+    }
+}
+
+/// Returns the services of a testbed that should have samples.
+pub fn sampled_services(testbed: &Testbed) -> impl Iterator<Item = &Service> {
+    testbed.services.iter().filter(|service| Samples::of(testbed, service).is_some())
+}
+
 /// The instances of a VNF on a node, one after another.
 #[derive(Debug, Default)]
 struct Life {
@@ -123,13 +137,7 @@ impl Doubts {
             let is_program = matches!(spec.program, PluginProgram::Command(_));
             (spec.id.clone(), Plugin { is_optional: spec.optional, is_program })
         };
-        let samples = |service: &Service| {
-            let of_robot =
-                service.localizes() || (service.navigates() && testbed.walk(&service.robot).is_some());
-            let of_flow = service.kpis.flow.as_ref().map(|_| Samples::Flow);
-            let samples = if of_robot { Some(Samples::Robot) } else { of_flow };
-            Some((service.id.clone(), samples?))
-        };
+        let samples = |service: &Service| Some((service.id.clone(), Samples::of(testbed, service)?));
         Self {
             plugins: testbed.plugins.iter().map(plugin).collect(),
             absent: testbed.graph.agents().map(|(node, agent)| (node.id.clone(), agent.clone())).collect(),
