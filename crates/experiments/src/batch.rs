@@ -5,7 +5,7 @@ use std::{
     fmt, fs, io,
     num::NonZero,
     panic::{AssertUnwindSafe, catch_unwind},
-    path::Path,
+    path::{Path, PathBuf},
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicUsize, Ordering},
@@ -73,6 +73,37 @@ pub enum BatchError {
 pub(crate) struct Wanted {
     pub(crate) name: String,
     pub(crate) key: Key,
+    /// The file with the samples of the run, of which batches of one kind have one.
+    pub(crate) samples: Option<SamplesFile>,
+}
+
+/// A file with the samples of a run. It is made after the run's line in the journal, and removed before a new one, so that it
+/// is that of the run's last line.
+#[derive(Debug, Clone)]
+pub(crate) struct SamplesFile {
+    pub(crate) path: PathBuf,
+    /// Whether the run must leave it.
+    pub(crate) is_wanted: bool,
+}
+
+impl SamplesFile {
+    /// Returns the place where the run writes it.
+    pub(crate) fn draft(&self) -> PathBuf {
+        self.path.with_extension("part")
+    }
+
+    /// Moves the draft to its place.
+    pub(crate) fn finish(&self) -> Result<(), FolderError> {
+        fs::rename(self.draft(), &self.path).map_err(|e| FolderError::new(&self.path, e))
+    }
+
+    /// Removes the file, if there is one.
+    pub(crate) fn remove(&self) -> Result<(), FolderError> {
+        match fs::remove_file(&self.path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(FolderError::new(&self.path, error)),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Runs that were made again although the journal had them: their number, by the reason.
@@ -128,7 +159,7 @@ impl Maker<'_> {
 
 /// Moves the logs in the folder of a void run to [`LOGS`], in place of those of the same run before, and removes the folder.
 fn keep_logs(journal: &Journal, folder: &Path, name: &str, is_void: bool) -> Result<(), BatchError> {
-    let to = journal.path().join(LOGS).join(name_of_logs(name));
+    let to = journal.path().join(LOGS).join(plain_name(name, name));
     let absent = |result: io::Result<()>| match result {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(FolderError::new(&to, error)),
         _ => Ok(()),
@@ -142,11 +173,12 @@ fn keep_logs(journal: &Journal, folder: &Path, name: &str, is_void: bool) -> Res
     Ok(())
 }
 
-/// Returns the name of the folder with the logs of a run: the run's name, in letters that need no quotes, and a hash of it.
-fn name_of_logs(run: &str) -> String {
+/// Returns a name for files of a run: the run's name, in letters that need no quotes, and the hash of a text that tells them
+/// apart.
+pub(crate) fn plain_name(run: &str, text: &str) -> String {
     let fits = |c: char| c.is_ascii_alphanumeric() || "=._-,+".contains(c);
     let plain = run.chars().map(|c| if fits(c) { c } else { '_' }).take(MAX_NAME);
-    format!("{}-{:08x}", plain.collect::<String>(), seed::split(0, run) >> 32)
+    format!("{}-{:08x}", plain.collect::<String>(), seed::split(0, text) >> 32)
 }
 
 /// Makes a run without which nothing else can be made. Unlike others, it must not be void.
@@ -174,7 +206,7 @@ impl BatchError {
 
     /// Returns the error that a run of a batch is void.
     pub(crate) fn void_in(journal: &Journal, run: &str, void: &Void) -> Self {
-        Self::void(run, void, &journal.path().join(LOGS).join(name_of_logs(run)))
+        Self::void(run, void, &journal.path().join(LOGS).join(plain_name(run, run)))
     }
 }
 
@@ -188,7 +220,7 @@ pub(crate) struct Batch<M> {
     pub(crate) again: Again,
 }
 
-/// Makes the runs that the journal does not have yet, or has with another key or without results, `jobs` at a time, and adds
+/// Makes the runs that the journal does not have yet, or has with another key, without results or without samples, `jobs` at a time, and adds
 /// each to the journal as soon as it is done. `file` is the name of the testbed file. `measure` makes the run of that index; it
 /// returns `None` if it was stopped. Calls `go_on` with the number of finished
 /// runs, at the beginning and after each run; `false` stops all.
@@ -203,7 +235,10 @@ pub(crate) fn run<M: Serialize + DeserializeOwned + Send, E: From<BatchError> + 
     let mut again = Again::default();
     let mut find = |wanted: &Wanted| {
         let reason = match kept.find(&wanted.name, &wanted.key, file) {
-            Found::Outcome(Outcome::Measured(measured)) => return Some(Outcome::Measured(measured)),
+            Found::Outcome(Outcome::Measured(measured)) => match &wanted.samples {
+                Some(file) if file.is_wanted && !file.path.is_file() => "samples not kept before".to_owned(),
+                _ => return Some(Outcome::Measured(measured)),
+            },
             Found::Nothing => return None,
             // Its reason may be gone.
             Found::Outcome(Outcome::Void(_)) => "void before".to_owned(),
@@ -212,6 +247,10 @@ pub(crate) fn run<M: Serialize + DeserializeOwned + Send, E: From<BatchError> + 
         *again.0.entry(reason).or_default() += 1;
         None
     };
+    let files = || wanted.iter().filter_map(|wanted| Some((wanted, wanted.samples.as_ref()?)));
+    for (_, file) in files().filter(|(its, _)| !kept.is_last(&its.name, &its.key)) {
+        file.remove().map_err(BatchError::from)?;
+    }
     let mut done: Vec<Option<Outcome<M>>> = wanted.iter().map(&mut find).collect();
     let missing: Vec<usize> = (0..wanted.len()).filter(|&i| done[i].is_none()).collect();
     let resumed = wanted.len() - missing.len();
@@ -244,8 +283,13 @@ pub(crate) fn run<M: Serialize + DeserializeOwned + Send, E: From<BatchError> + 
         let mut count = resumed;
         for (place, result) in &results {
             let result = result.and_then(|outcome| {
-                let Wanted { name, key } = &wanted[place];
+                let Wanted { name, key, samples } = &wanted[place];
                 journal.keep(name, key, &outcome).map_err(BatchError::from)?;
+                if let Some(file) = samples.as_ref().filter(|file| file.is_wanted)
+                    && outcome.measured().is_some()
+                {
+                    file.finish().map_err(BatchError::from)?;
+                }
                 Ok(outcome)
             });
             match result {
@@ -272,6 +316,7 @@ mod tests {
 
     #[test]
     fn different_runs_have_different_folders_of_logs() {
+        let name_of_logs = |run: &str| plain_name(run, run);
         assert!(name_of_logs("plugin=okpi seed=1").starts_with("plugin=okpi_seed=1-"));
         let [a, b] = ["w.shadowing={deviation: 2 dB} seed=1", "w.shadowing={deviation_ 2 dB} seed=1"];
         assert_ne!(name_of_logs(a), name_of_logs(b));

@@ -66,6 +66,12 @@ impl Kept {
             _ => Found::Stale("the journal is of an earlier version of cotorra".to_owned()),
         }
     }
+
+    /// Whether the last outcome of a run has this key. Files of the run are those of its last outcome.
+    pub(crate) fn is_last(&self, run: &str, key: &Key) -> bool {
+        let last = self.0.get(run).and_then(|kept| kept.last());
+        last.is_some_and(|(of, _)| of.as_ref() == Some(key))
+    }
 }
 
 impl Journal {

@@ -81,7 +81,7 @@ pub use report::{
     HandoverRecord, Kept, LatenessSummary, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place,
     PlacementRecord, PluginSummary, Quantiles, RegionSummary, Report, RobotSummary, ServiceParts,
     ServiceSummary, Summary, Verdict, VnfWaits, WORST_ROBOTS, by_service, name_of_total, panels,
-    robots_by_name, sampled_services, service_time_ms, write_file,
+    robots_by_name, sampled_services, service_time_ms, write_file, write_samples,
 };
 pub use robots::RobotError;
 pub use run::{Run, Stopper};

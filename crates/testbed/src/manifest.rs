@@ -24,8 +24,8 @@ const UNSTABLE: [&str; 7] = [
     "journal.jsonl",
     "samples",
 ];
-/// Folder of results with files of its own.
-const SENSORS: &str = "sensors";
+/// Folders in a folder of results with files of their own.
+const BELOW: [&str; 2] = ["samples", "sensors"];
 /// Maximum bytes of a file outside of the folder whose digest is taken.
 const MAX_OUTSIDE: u64 = 64 << 20;
 
@@ -243,8 +243,9 @@ impl Manifest {
         let mut manifest = Self::read(folder).map_err(failed)?;
         manifest.produced = BTreeMap::new();
         let top = names(folder).map_err(|source| FolderError::new(folder, source))?;
-        let below = names(&folder.join(SENSORS)).unwrap_or_default();
-        let below = below.into_iter().map(|name| Path::new(SENSORS).join(name));
+        let below = BELOW.into_iter().flat_map(|below| {
+            names(&folder.join(below)).unwrap_or_default().into_iter().map(|name| Path::new(below).join(name))
+        });
         for name in top.into_iter().chain(below) {
             let is_unstable = UNSTABLE.iter().any(|unstable| name == Path::new(unstable));
             if !is_unstable && !manifest.carried.contains_key(&name) {

@@ -7,7 +7,7 @@ use std::{
     time::Duration,
 };
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use cotorra_experiments::sweep::{Axis, Shard};
 
 use super::{job_file::Scheduler, merge::MergeArgs};
@@ -23,7 +23,7 @@ use crate::{duration::parse_duration, figures::FigureArgs};
 /// and 95 % confidence intervals), differences.csv (each combination less the first, over runs with the same seed), regions.csv (a row for each stretch of a service with one radio unit and one server)
 /// and sweep.svg. services.csv has a row for each robot and service of a run, service_cells.csv one for those of a combination, with means and
 /// intervals, and service_cells.tex is the same for a paper, in LaTeX. time_parts.csv has a row for each link and host of a
-/// run: what it added to service times above the target.
+/// run: what it added to service times above the target. With --keep samples, samples/ has every service time of each run.
 ///
 /// On several machines, --shard runs a part of the sweep, and `cotorra sweep merge` joins the parts. --emit prints a job
 /// file for a scheduler that does both. docs/cluster.md explains it.
@@ -32,11 +32,13 @@ use crate::{duration::parse_duration, figures::FigureArgs};
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     after_long_help = "\
-Exit status: 0 done, 1 error, 2 wrong usage, 4 done but a run failed (with --require-pass), 130 stopped with Ctrl-C.
+Exit status: 0 done, 1 error, 2 wrong usage, 3 done but a run is void, 4 done but a run failed (with --require-pass),
+130 stopped with Ctrl-C.
 
 Examples:
   cotorra sweep testbeds/corridor.yaml --set plugin=probing,okpi --seeds 20 --figure pdf
   cotorra sweep testbeds/corridor.yaml --set links.*.delay_scale=1..4 --set plugin=probing,okpi --seeds 100
+  cotorra sweep testbeds/corridor.yaml --set plugin=probing,okpi --seeds 20 --keep samples --out corridor
   cotorra sweep testbeds/corridor.yaml --set plugin=okpi --set plugins.okpi.settings.gamma=2..20:2 --dry-run
   cotorra sweep testbeds/corridor.yaml --seeds 5000 --emit slurm > sweep.sh   # then, on the cluster: sh sweep.sh
   cotorra sweep testbeds/corridor.yaml --seeds 5000 --out corridor --shard 3/40
@@ -63,6 +65,12 @@ pub struct SweepArgs {
     /// Folder of the sweep; default: one under sweeps/ that is named after the settings
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// What to keep of each run beside its figures
+    ///
+    /// Samples are a table for each run in samples/, with the settings and the seed in the first columns. Runs that the folder
+    /// has without their samples are made again.
+    #[arg(long, value_name = "WHAT")]
+    pub keep: Option<Keep>,
     /// Discard the runs that the folder has
     #[arg(long)]
     pub fresh: bool,
@@ -90,6 +98,13 @@ pub struct SweepArgs {
     pub shards: Option<NonZero<usize>>,
 }
 
+/// What a sweep keeps of each run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Keep {
+    /// Every service time
+    Samples,
+}
+
 #[derive(Debug, Subcommand)]
 pub enum SweepCommand {
     Merge(MergeArgs),
@@ -110,6 +125,7 @@ impl SweepArgs {
         words.extend(axes);
         words.extend(option("--seeds", self.seeds.to_string()));
         words.extend(until.into_iter().flatten());
+        words.extend(self.keep.iter().flat_map(|Keep::Samples| option("--keep", "samples".to_owned())));
         words.extend(option("--jobs", jobs.to_string()));
         words.extend(["--out".into(), out.into()]);
         words

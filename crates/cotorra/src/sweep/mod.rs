@@ -16,7 +16,7 @@ use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError,
 use cotorra_testbed_file::Setting;
 
 pub use args::SweepArgs;
-use args::SweepCommand;
+use args::{Keep, SweepCommand};
 use job_file::{Job, Scheduler};
 use trial::Trial;
 
@@ -73,6 +73,10 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
         .seeds(args.seeds)
         .until(args.until);
     let sweep = args.axes.iter().cloned().fold(sweep, Sweep::axis);
+    let sweep = match args.keep {
+        Some(Keep::Samples) => sweep.keep_samples(),
+        None => sweep,
+    };
     let place = match &args.out {
         Some(out) => out.clone(),
         None => sweep.default_folder(Path::new("sweeps")).map_err(report)?,

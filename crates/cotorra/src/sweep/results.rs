@@ -61,7 +61,11 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
     }
     text += note;
     let figures = figure.files("sweep");
-    text + &format!("\n{}/\n  {}{figures}\n", folder.display(), FILES.join("  "))
+    let samples = match runs.with_samples(folder) {
+        0 => String::new(),
+        kept => format!("\n  samples/ of {}", count(kept, "run")),
+    };
+    text + &format!("\n{}/\n  {}{figures}{samples}\n", folder.display(), FILES.join("  "))
 }
 
 /// Returns the table of each robot and service, if several have samples. Names those that have none in any run.

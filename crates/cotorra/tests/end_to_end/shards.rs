@@ -61,7 +61,7 @@ impl Lab {
     fn sweep(&self, out: &str, arguments: &[&str]) -> Command {
         let axis = "wireless.w.shadowing={deviation: 2 dB},{deviation: 6 dB}";
         let mut command = self.cotorra(&["sweep", "the lab.yaml", "--set", axis, "--seeds", "6"]);
-        command.args(["--jobs", "1", "--out", out]).args(arguments);
+        command.args(["--jobs", "1", "--keep", "samples", "--out", out]).args(arguments);
         command
     }
 
@@ -95,12 +95,14 @@ impl Lab {
         files.map(|path| (name(&path), fs::read(&path).unwrap())).collect()
     }
 
-    /// Asserts that the sweep of these shards has the tables and figures of the sweep on one machine.
+    /// Asserts that the sweep of these shards has the tables, samples and figures of the sweep on one machine.
     fn is_as_on_one_machine(&self, out: &str) {
         done(&mut self.sweep("whole", &["--figure", "pdf"]));
         let (whole, merged) = (self.files("whole"), self.files(out));
         assert_eq!(whole.len(), 11);
         assert_eq!(merged.keys().collect::<Vec<_>>(), whole.keys().collect::<Vec<_>>());
+        let [samples, of_shards] = ["whole", out].map(|out| self.files(&format!("{out}/samples")));
+        assert!(samples.len() == 12 && samples == of_shards, "{:?}", of_shards.keys());
         for (name, content) in whole {
             assert!(merged[&name] == content, "{name}: {}", String::from_utf8_lossy(&merged[&name]));
         }

@@ -319,6 +319,7 @@ impl Margin {
         let want = |place: usize| Wanted {
             name: self.name(&changes[place / seeds], place % seeds),
             key: key.clone(),
+            samples: None,
         };
         let wanted: Vec<_> = (0..changes.len() * seeds).map(want).collect();
         let maker = Maker { journal: runs.journal, keys: &self.keys };

@@ -285,7 +285,7 @@ impl Regret {
             )
         };
         let key = self.keys.key(journal.version(), &self.testbed, &self.text, self.until);
-        let want = |tried| Wanted { name: name(tried), key: key.clone() };
+        let want = |tried| Wanted { name: name(tried), key: key.clone(), samples: None };
         let wanted: Vec<_> = tries.iter().map(want).collect();
         let maker = Maker { journal, keys: &self.keys };
         let fork = |place: usize, stop: &AtomicBool| {

@@ -3,7 +3,7 @@
 use cotorra_figure::Format;
 use cotorra_testbed::{DataTable, FolderError, write_file};
 
-use super::{Runs, figure, tables};
+use super::{Runs, figure, samples, tables};
 use crate::journal::Journal;
 
 /// Files that [`Runs::write`] makes: a row per run, a row per combination, a row per region of a run, a row per service of
@@ -24,7 +24,7 @@ pub const FILES: [&str; 10] = [
 ];
 
 impl Runs {
-    /// Writes [`FILES`] into the folder of a journal.
+    /// Writes [`FILES`] into the folder of a journal. Of the samples there, only those of these runs stay.
     ///
     /// # Errors
     /// [`FolderError`].
@@ -52,6 +52,8 @@ impl Runs {
         csv(of_pairs, tables::differences(&self.axes, &self.differences()))?;
         csv(of_unanswered, tables::unanswered(self))?;
         write_file(path, for_papers, tables::by_service(&self.axes, &cells).to_latex())?;
+        let measured = self.done.iter().filter(|done| done.outcome.measured().is_some());
+        samples::retain(path, &measured.map(|done| done.samples.as_path()).collect())?;
         self.write_figure(journal, Format::Svg)
     }
 

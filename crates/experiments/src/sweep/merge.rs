@@ -11,11 +11,12 @@ use cotorra_testbed::FolderError;
 
 use super::{
     measured::Measured,
-    runs::Runs,
+    runs::{Done, Runs},
+    samples,
     shard::{Record, Shard},
 };
 use crate::{
-    batch::Again,
+    batch::{Again, SamplesFile},
     journal::{self, Found, Journal, Kept},
     key::Key,
     outcome::Outcome,
@@ -33,6 +34,8 @@ pub struct Merge {
     pub missing: BTreeMap<Shard, Vec<String>>,
     /// Names and keys of the runs that are done.
     keys: Vec<(String, Key)>,
+    /// Samples of runs in the folders of shards, by the runs' names.
+    samples: BTreeMap<String, PathBuf>,
 }
 
 /// Error of merging shards. Nothing was changed.
@@ -91,23 +94,27 @@ impl Merge {
         }
         let number = usual_number(shards.iter().map(|(_, record)| record.shard));
         let mut missing: BTreeMap<_, Vec<_>> = BTreeMap::new();
-        let (mut runs, mut keys) = (Vec::new(), Vec::new());
+        let (mut runs, mut keys, mut samples) = (Vec::new(), Vec::new(), BTreeMap::new());
         for (place, point) in plan.points().into_iter().enumerate() {
             let (name, key) = (point.name(&plan.axes), plan.key(place));
             let outcome = outcome(&name, key, &kept)?;
+            let of_run = samples::place(&name);
+            let with_run = kept.iter().filter(|(_, kept)| kept.is_last(&name, key));
+            let files = with_run.map(|(folder, _)| folder.join(&of_run));
+            samples.extend(files.filter(|file| file.is_file()).map(|file| (name.clone(), file)));
             match outcome {
                 Some(_) => keys.push((name, key.clone())),
                 None => missing.entry(Shard::of_place(place, number)).or_default().push(name),
             }
-            runs.push((point, outcome));
+            runs.push((point, of_run, outcome));
         }
         let runs = Runs::new(&plan.axes, runs.into_iter(), 0, Again::default());
         let folder = first.parent().unwrap_or(first).to_owned();
         let shards = shards.into_iter().map(|(folder, _)| folder).collect();
-        Ok(Self { folder, shards, runs, missing, keys })
+        Ok(Self { folder, shards, runs, missing, keys, samples })
     }
 
-    /// Adds the runs to a journal, and writes [`FILES`](super::FILES) into its folder.
+    /// Adds the runs with their samples to a journal, and writes [`FILES`](super::FILES) into its folder.
     ///
     /// # Errors
     /// [`MergeError::Conflict`] if the journal has a run with another result; [`MergeError::Folder`].
@@ -116,16 +123,27 @@ impl Merge {
         let mut new = Vec::new();
         for ((run, key), done) in self.keys.iter().zip(&self.runs.done) {
             match find(&kept, run, key) {
-                Some(before) if before == done.outcome => {}
-                Some(Outcome::Measured(_)) if done.outcome.measured().is_some() => {
+                Some(before) if before == done.outcome && kept.is_last(run, key) => {}
+                Some(before @ Outcome::Measured(_))
+                    if before != done.outcome && done.outcome.measured().is_some() =>
+                {
                     let folders = [journal.path().to_owned(), self.folder.clone()];
                     return Err(MergeError::Conflict { run: run.clone(), folders });
                 }
-                _ => new.push((run, key, &done.outcome)),
+                _ => new.push((run, key, done)),
             }
         }
-        for (run, key, outcome) in new {
-            journal.keep(run, key, outcome)?;
+        let file = |done: &Done| SamplesFile { path: journal.path().join(&done.samples), is_wanted: true };
+        for (run, key, done) in new {
+            file(done).remove()?;
+            journal.keep(run, key, &done.outcome)?;
+        }
+        for ((run, _), done) in self.keys.iter().zip(&self.runs.done) {
+            if let Some(from) = self.samples.get(run)
+                && !file(done).path.is_file()
+            {
+                samples::copy(from, &file(done))?;
+            }
         }
         Ok(self.runs.write(journal)?)
     }

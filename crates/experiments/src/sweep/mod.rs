@@ -32,6 +32,7 @@ mod measured;
 mod merge;
 mod plan;
 mod runs;
+mod samples;
 mod shard;
 mod tables;
 mod time_parts;
@@ -47,8 +48,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Testbed, seed};
-use cotorra_testbed::{Altered, Unrecorded, UnrecordedRun, simulate_unrecorded};
+use cotorra_graph::{Event, Stamped, Testbed, seed};
+use cotorra_testbed::{Altered, Report, Unrecorded, UnrecordedRun, simulate_unrecorded};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
@@ -63,9 +64,10 @@ pub use self::{
     shard::{InvalidShard, Shard},
 };
 use crate::{
-    batch::{self, BatchError, Maker, Wanted},
+    batch::{self, BatchError, Maker, SamplesFile, Wanted},
     journal::Journal,
     key::Keys,
+    outcome::Outcome,
 };
 use plan::Plan;
 use shard::Record;
@@ -82,6 +84,7 @@ pub struct Sweep {
     axes: Vec<Axis>,
     seeds: u32,
     until: Option<Duration>,
+    keeps_samples: bool,
     keys: Arc<Keys>,
 }
 
@@ -113,7 +116,8 @@ impl Sweep {
     pub fn new(source_name: &str, text: String, base_dir: &Path) -> Self {
         let (source_name, base_dir) = (source_name.to_owned(), base_dir.to_owned());
         let keys = Arc::new(Keys::new(&source_name));
-        Self { source_name, text, base_dir, axes: Vec::new(), seeds: 1, until: None, keys }
+        let (axes, seeds, until, keeps_samples) = (Vec::new(), 1, None, false);
+        Self { source_name, text, base_dir, axes, seeds, until, keeps_samples, keys }
     }
 
     /// Adds an axis.
@@ -130,6 +134,11 @@ impl Sweep {
     /// Ends each run after this duration, even if walks are not finished.
     pub fn until(self, until: Option<Duration>) -> Self {
         Self { until, ..self }
+    }
+
+    /// Keeps the samples of each run in the folder of the sweep. Runs that it has without their samples are made again.
+    pub fn keep_samples(self) -> Self {
+        Self { keeps_samples: true, ..self }
     }
 
     /// Returns the axes.
@@ -237,8 +246,15 @@ impl Sweep {
     ) -> Result<Runs, SweepError> {
         let all = plan.points();
         let total = places.len();
-        let want =
-            |&place: &usize| Wanted { name: all[place].name(&self.axes), key: plan.key(place).clone() };
+        let samples = |place: usize| samples::place(&all[place].name(&self.axes));
+        let want = |&place: &usize| Wanted {
+            name: all[place].name(&self.axes),
+            key: plan.key(place).clone(),
+            samples: Some(SamplesFile {
+                path: journal.path().join(samples(place)),
+                is_wanted: self.keeps_samples,
+            }),
+        };
         let wanted: Vec<_> = places.iter().map(want).collect();
         let maker = Maker { journal, keys: &self.keys };
         let measure = |i: usize, stop: &AtomicBool| {
@@ -246,13 +262,25 @@ impl Sweep {
             let (testbed, text) = self.of(&all[place])?;
             let folder = &journal.path().join(format!("run-{place}"));
             let run = self.unrecorded(&all[place], folder, &text);
-            let outcome = maker.make(&wanted[i], testbed, &run, |_| {}, || !stop.load(Ordering::Relaxed));
+            let mut report = self.keeps_samples.then(|| Report::new(&testbed, all[place].seed));
+            let observe = |event: &Stamped| {
+                if let (Some(report), Event::ServiceTime(_)) = (&mut report, &event.event) {
+                    report.absorb(event);
+                }
+            };
+            let outcome = maker.make(&wanted[i], testbed, &run, observe, || !stop.load(Ordering::Relaxed))?;
+            if let (Some(file), Some(report), Some(Outcome::Measured(_))) =
+                (&wanted[i].samples, &report, &outcome)
+            {
+                samples::write(file, &self.axes, &all[place], report).map_err(BatchError::from)?;
+            }
             let measured = |ended: UnrecordedRun| Measured::of(&ended.summary);
-            Ok::<_, SweepError>(outcome?.map(|outcome| outcome.map(measured)))
+            Ok::<_, SweepError>(outcome.map(|outcome| outcome.map(measured)))
         };
         let runs = (&wanted[..], self.keys.file());
         let batch = batch::run(journal, jobs, runs, measure, |done| go_on(done, total))?;
-        let done = places.iter().map(|&place| all[place].clone()).zip(batch.done);
+        let points = places.iter().map(|&place| (all[place].clone(), samples(place)));
+        let done = points.zip(batch.done).map(|((point, samples), outcome)| (point, samples, outcome));
         Ok(Runs::new(&self.axes, done, batch.resumed, batch.again))
     }
 

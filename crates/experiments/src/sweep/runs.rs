@@ -1,5 +1,7 @@
 //! The finished runs of a sweep, or of a shard of it.
 
+use std::path::{Path, PathBuf};
+
 use cotorra_testbed::DataTable;
 
 use super::{
@@ -16,6 +18,8 @@ use crate::{batch::Again, outcome::Outcome};
 pub struct Done {
     pub point: Point,
     pub outcome: Outcome<Measured>,
+    /// Place of its samples in the folder of the sweep, if they were kept.
+    pub samples: PathBuf,
 }
 
 /// The result of a sweep.
@@ -37,18 +41,25 @@ impl Runs {
     /// Creates the result of these runs; `None` stands for a run that is not finished.
     pub(super) fn new(
         axes: &[Axis],
-        runs: impl ExactSizeIterator<Item = (Point, Option<Outcome<Measured>>)>,
+        runs: impl ExactSizeIterator<Item = (Point, PathBuf, Option<Outcome<Measured>>)>,
         resumed: usize,
         again: Again,
     ) -> Self {
         let total = runs.len();
-        let done = runs.filter_map(|(point, outcome)| Some(Done { point, outcome: outcome? })).collect();
+        let done =
+            |(point, samples, outcome): (_, _, Option<_>)| Some(Done { point, outcome: outcome?, samples });
+        let done = runs.filter_map(done).collect();
         Self { axes: axes.to_owned(), done, resumed, again, total }
     }
 
     /// Returns the number of void runs.
     pub fn void(&self) -> usize {
         self.done.iter().filter(|done| done.outcome.void().is_some()).count()
+    }
+
+    /// Returns the number of runs whose samples are in the folder of the sweep.
+    pub fn with_samples(&self, folder: &Path) -> usize {
+        self.done.iter().filter(|done| folder.join(&done.samples).is_file()).count()
     }
 
     /// Returns the statistics of each combination of the axes' values, without those that have no run. The last axis

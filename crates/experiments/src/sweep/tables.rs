@@ -29,7 +29,7 @@ fn rows<const N: usize>(
 ) -> DataTable {
     let mut table = table(&runs.axes, heads, Some(figures.iter().cloned()));
     let width = N - 1 + figures.len();
-    for Done { point, outcome } in &runs.done {
+    for Done { point, outcome, .. } in &runs.done {
         let of_run = outcome.measured().map_or_else(|| vec![vec![String::new(); width]], &rows);
         for cells in of_run {
             let run = of(&point.values).chain([point.seed.to_string()]);

@@ -94,6 +94,83 @@ fn a_stopped_sweep_continues_and_ends_with_the_same_bytes() {
     assert_eq!(files(&folder), files(&whole));
 }
 
+/// Returns the names and texts of the samples in a folder.
+fn samples(folder: &Path) -> Vec<(String, String)> {
+    let entries = fs::read_dir(folder.join("samples")).into_iter().flatten().flatten();
+    let read = |path: PathBuf| {
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        (name, fs::read_to_string(path).unwrap())
+    };
+    let mut samples: Vec<_> = entries.map(|entry| read(entry.path())).collect();
+    samples.sort();
+    samples
+}
+
+#[test]
+fn samples_are_kept_for_each_run_of_the_tables() {
+    let lab = Lab::new();
+    let folder = Journal::open(&lab.0.path().join("out")).unwrap();
+    let run = |sweep: Sweep| {
+        let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+        runs.write(&folder).unwrap();
+        (runs.resumed, runs.again.to_string(), runs.with_samples(folder.path()))
+    };
+    let sweep = |seeds| lab.sweep(&["plugin=probing", "links.A-edge.delay_scale=1,2"]).seeds(seeds);
+    assert_eq!(run(sweep(1)), (0, String::new(), 0));
+    assert_eq!(samples(folder.path()), []);
+    assert_eq!(run(sweep(1).keep_samples()), (0, "samples not kept before: 2 runs again\n".to_owned(), 2));
+    assert_eq!(run(sweep(2).keep_samples()), (2, String::new(), 4));
+    let kept = samples(folder.path());
+    assert!(
+        kept[0].0.starts_with("plugin=probing_links.A-edge.delay_scale=1_seed=1-")
+            && kept[0].0.ends_with(".csv")
+    );
+    let lines: Vec<_> = kept[0].1.lines().collect();
+    assert!(lines[0].starts_with("plugin,links.A-edge.delay_scale,seed,emitted_ns,robot,service,sequence,"));
+    assert!(
+        lines[1].starts_with("probing,1,1,") && lines[1].contains(",robot,navigation,0,"),
+        "{}",
+        lines[1]
+    );
+    // As many as the table of runs says.
+    let measured = sweep(2).run(&folder, JOBS, |_, _| true).unwrap();
+    assert_eq!(lines.len() - 1, measured.done[0].outcome.measured().unwrap().samples);
+
+    // After an edit, the samples of the runs before it are gone. After it is undone, they are made again.
+    lab.write("lab.yaml", &Lab::FILE.replace("delay: 2 ms", "delay: 4 ms"));
+    assert_eq!(run(sweep(2).keep_samples()), (0, "lab.yaml changed: 4 runs again\n".to_owned(), 4));
+    assert!(samples(folder.path()) != kept);
+    lab.write("lab.yaml", Lab::FILE);
+    assert_eq!(run(sweep(2)), (4, String::new(), 0));
+    assert_eq!(samples(folder.path()), []);
+    assert_eq!(run(sweep(2).keep_samples()).1, "samples not kept before: 4 runs again\n");
+    assert_eq!(samples(folder.path()), kept);
+    // A table of fewer runs has the samples of these.
+    assert_eq!(run(sweep(1)), (2, String::new(), 2));
+    assert_eq!(samples(folder.path()).len(), 2);
+}
+
+#[test]
+fn shards_merge_with_their_samples() {
+    let lab = Lab::new();
+    let out = lab.0.path().join("out");
+    let sweep = || lab.sweep(&["plugin=probing"]).seeds(3).keep_samples();
+    for shard in ["1/2", "2/2"] {
+        let shard: Shard = shard.parse().unwrap();
+        let journal = Journal::open(&out.join(shard.folder())).unwrap();
+        sweep().run_shard(shard, &journal, JOBS, |_, _| true).unwrap();
+    }
+    let merged = Journal::open(&out).unwrap();
+    let merge = Merge::read(&[out]).unwrap();
+    merge.write(&merged).unwrap();
+    assert_eq!(merge.runs.with_samples(merged.path()), 3);
+    let whole = Journal::open(&lab.0.path().join("whole")).unwrap();
+    sweep().run(&whole, JOBS, |_, _| true).unwrap().write(&whole).unwrap();
+    assert!(samples(merged.path()) == samples(whole.path()));
+    // The merged sweep goes on without making them again.
+    assert_eq!(sweep().run(&merged, JOBS, |_, _| true).unwrap().resumed, 3);
+}
+
 #[test]
 fn tables_are_tidy() {
     let out = tempfile::tempdir().unwrap();

@@ -30,7 +30,7 @@ pub use folder::{FolderError, Place, write_file};
 pub use gateways::GatewaySummary;
 pub use instructed::PluginSummary;
 pub use kept::{Kept, Verdict};
-pub use run_folder::{RunFolder, write_figure};
+pub use run_folder::{RunFolder, write_figure, write_samples};
 pub use services::{by_service, name_of_total};
 pub use summary::{
     DecisionRecord, HandoverRecord, LocalizationSummary, Losses, PlacementRecord, RegionSummary, Report,

@@ -92,7 +92,7 @@ impl RunFolder {
         write_file(&self.path, "services.csv", services::exact(&summary.services).to_csv())?;
         write_file(&self.path, "services.tex", summary.by_service().to_latex())?;
         let path = self.path.join("service_time.csv");
-        let written = File::create(&path).and_then(|file| write_csv(report, file));
+        let written = File::create(&path).and_then(|file| write_samples(report, ["", ""], file));
         written.map_err(|source| FolderError::new(&path, source))?;
         write_figure(&self.path, report, summary, Format::Svg)
     }
@@ -114,9 +114,16 @@ pub fn write_figure(
     write_file(folder, &format!("service_time.{format}"), scene.render(format))
 }
 
-fn write_csv(report: &Report, to: File) -> io::Result<()> {
+/// Writes the service times of a run as comma-separated values. `before` are the heads and the values of columns that come
+/// first, as in CSV; empty without any.
+///
+/// # Errors
+/// Those of writing.
+pub fn write_samples(report: &Report, before: [&str; 2], to: impl io::Write) -> io::Result<()> {
     let mut text = BufWriter::new(to);
-    writeln!(text, "emitted_ns,robot,service,sequence,service_time_ms,attachment,server")?;
+    let comma = |cells: &str| if cells.is_empty() { String::new() } else { format!("{cells},") };
+    let [heads, values] = before.map(comma);
+    writeln!(text, "{heads}emitted_ns,robot,service,sequence,service_time_ms,attachment,server")?;
     for s in report.samples().iter() {
         let took = service_time_ms(&s).map(|ms| format!("{ms:.6}")).unwrap_or_default();
         let attachment = s.attachment.as_ref().map_or("", |a| a.as_str());
@@ -124,7 +131,7 @@ fn write_csv(report: &Report, to: File) -> io::Result<()> {
         // Names hold no character that CSV would need to quote.
         writeln!(
             text,
-            "{emitted},{},{},{},{took},{attachment},{}",
+            "{values}{emitted},{},{},{},{took},{attachment},{}",
             s.robot, s.service, s.sequence, s.server
         )?;
     }
