@@ -1,8 +1,8 @@
 //! `cotorra doctor`: lists what this machine can do. A missing capability is shown with the reason and a remedy, and one
-//! that only its use shows with a trial.
+//! that cannot be tried out with the way to find out.
 
 use console::{Term, style};
-use cotorra_datapath::{CapabilityState, Privilege, enter_user_namespace_if_needed, probe};
+use cotorra_datapath::{Capability, CapabilityState, Privilege, enter_user_namespace_if_needed, probe};
 use cotorra_testbed::wifi_programs;
 
 use crate::{output, table::wrap};
@@ -17,6 +17,7 @@ pub fn doctor() -> miette::Result<()> {
     let of_radios = capabilities.iter().position(|c| c.name == "mac80211_hwsim");
     let place = of_radios.map_or(capabilities.len(), |place| place + 1);
     capabilities.splice(place..place, wifi_programs());
+    capabilities.extend(container_engines());
     let width = usize::from(Term::stdout().size().1).min(WIDEST);
     let widest = capabilities.iter().map(|c| c.name.len()).max().unwrap_or(0);
     let indent = " ".repeat(4);
@@ -33,9 +34,9 @@ pub fn doctor() -> miette::Result<()> {
                     capability.purpose
                 );
             }
-            CapabilityState::Unknown { detail, trial } => {
+            CapabilityState::Unknown { reason, trial } => {
                 text += &format!("{} {}  {}\n", style("?").yellow(), style(name).bold(), capability.purpose);
-                text += &wrap(&format!("not known: {detail}"), &indent, width);
+                text += &wrap(&format!("not known: {reason}"), &indent, width);
                 text += &wrap(&format!("to find out: {trial}"), &indent, width);
             }
             CapabilityState::Missing { reason, remedy } => {
@@ -54,4 +55,50 @@ pub fn doctor() -> miette::Result<()> {
         Err(error) => format!("cotorra cannot run testbeds here: {error}.\n"),
     };
     output::print(&text)
+}
+
+const ENGINE: &str = "container engine";
+
+/// Tries out the engines of this machine: each starts a container.
+#[cfg(feature = "containers")]
+fn container_engines() -> Vec<Capability> {
+    use cotorra_containers::{Address, TrialError, try_out};
+    use cotorra_graph::EngineKind;
+
+    let tried = |(kind, name): (EngineKind, &'static str)| {
+        let address = Address::find(kind).ok()?;
+        let state = match try_out(kind, &address) {
+            Ok(()) => CapabilityState::Available("a container ran".to_owned()),
+            Err(error @ TrialError::NoProgram) => CapabilityState::Unknown {
+                reason: error.to_string(),
+                trial: "run a container of any image that you have, as the user who runs testbeds",
+            },
+            Err(error) => CapabilityState::Missing {
+                reason: format!("a container cannot start: {error}"),
+                remedy: "not needed: VNFs run as processes; for images, make `podman run` or `docker run` work for the \
+                         user who runs testbeds, such as with `runtime = \"runc\"` in containers.conf",
+            },
+        };
+        Some(Capability { name, purpose: "a container engine: VNFs from images", state })
+    };
+    let engines = [(EngineKind::Podman, "podman"), (EngineKind::Docker, "Docker")];
+    let engines: Vec<_> = engines.into_iter().filter_map(tried).collect();
+    if !engines.is_empty() {
+        return engines;
+    }
+    let state = CapabilityState::Missing {
+        reason: "podman is not installed, and Docker does not run".to_owned(),
+        remedy: "not needed: VNFs run as processes; for images, install podman, or start Docker",
+    };
+    vec![Capability { name: ENGINE, purpose: "VNFs from images", state }]
+}
+
+/// Containers are not part of this program.
+#[cfg(not(feature = "containers"))]
+fn container_engines() -> Vec<Capability> {
+    let state = CapabilityState::Missing {
+        reason: "this cotorra was built without containers".to_owned(),
+        remedy: "not needed: VNFs run as processes; for images, build with `--features containers`",
+    };
+    vec![Capability { name: ENGINE, purpose: "VNFs from images", state }]
 }

@@ -121,6 +121,23 @@ fn the_doctor_gives_a_reason_and_a_remedy_for_each_missing_capability() {
 }
 
 #[test]
+fn the_doctor_tries_container_engines_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = format!("unix://{}", folder.path().join("none").display());
+    let mut doctor = cotorra(["doctor"]);
+    doctor.env("CONTAINER_HOST", &socket).env("DOCKER_HOST", &socket).env("XDG_RUNTIME_DIR", folder.path());
+    let text = stdout(&doctor.output().unwrap()).split_whitespace().collect::<Vec<_>>().join(" ");
+    for engine in ["podman", "Docker"] {
+        let row = text.split_once(&format!("✗ {engine} ")).expect(&text).1;
+        let why = row.split_once("why: ").unwrap().1;
+        assert!(why.starts_with("a container cannot start: the engine does not answer: "), "{text}");
+    }
+    // No record of the trial is left for `cotorra clean`.
+    let records = fs::read_dir(folder.path().join("cotorra-containers")).unwrap();
+    assert_eq!(records.count(), 0);
+}
+
+#[test]
 fn completions_name_every_command() {
     for shell in ["bash", "zsh", "fish"] {
         let script = stdout(&output(["completions", shell]));

@@ -8,7 +8,7 @@ use bollard::{
     models::{ContainerCreateBody, ContainerState},
     query_parameters::{
         CreateContainerOptionsBuilder, CreateImageOptionsBuilder, KillContainerOptionsBuilder,
-        ListContainersOptionsBuilder, LogsOptionsBuilder, RemoveContainerOptionsBuilder,
+        ListContainersOptionsBuilder, LogsOptionsBuilder, RemoveContainerOptionsBuilder, RemoveImageOptions,
     },
 };
 use bytes::Bytes;
@@ -166,6 +166,11 @@ impl Daemon {
         let options = CreateImageOptionsBuilder::default().from_src("-").repo(name).tag(tag).build();
         let steps = self.docker.create_image(Some(options), Some(body_full(Bytes::from(tar))), None);
         self.answer(steps.try_for_each(|_| async { Ok(()) })).await
+    }
+
+    /// Removes an image.
+    pub(crate) async fn remove_image(&self, reference: &str) -> Result<(), DaemonError> {
+        self.answer(self.docker.remove_image(reference, None::<RemoveImageOptions>, None)).await.map(drop)
     }
 
     /// Creates a container.

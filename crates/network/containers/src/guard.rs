@@ -84,7 +84,7 @@ pub fn guard(record: &Path) -> io::Result<()> {
 fn serve(folder: &Path, ended: &mpsc::Receiver<()>) -> io::Result<()> {
     let mut backoff = Backoff::default();
     loop {
-        let mut service = Service::start(folder)?;
+        let mut service = Service::start(folder, Stdio::inherit)?;
         let started = std::time::Instant::now();
         while !service.has_ended() {
             if has_ended_within(ended, CHECK_INTERVAL) {
@@ -113,7 +113,8 @@ impl Service {
         folder.join("socket")
     }
 
-    pub(crate) fn start(folder: &Path) -> io::Result<Self> {
+    /// Starts a service in a folder, whose output goes to `output`.
+    pub(crate) fn start(folder: &Path, output: fn() -> Stdio) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let socket = Self::socket(folder);
         // podman refuses a socket that exists.
@@ -124,6 +125,8 @@ impl Service {
             // Its monitors of containers leave files where they run.
             .current_dir(folder)
             .stdin(Stdio::null())
+            .stdout(output())
+            .stderr(output())
             .spawn()
             .map_err(|e| io::Error::new(e.kind(), format!("cannot start podman: {e}")))?;
         Ok(Self(process))

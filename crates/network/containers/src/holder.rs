@@ -15,10 +15,10 @@ use crate::{
     spec::labels,
 };
 
-/// Name and tag of the holders' image. The tag changes with its content.
-const IMAGE: &str = "cotorra/holder";
-const TAG: &str = "1";
-const PROGRAM: &str = "hold";
+/// The holders' image. Its name changes with its content. podman gives what it imports no other tag.
+pub(crate) const REFERENCE: &str = "cotorra/holder-1:latest";
+/// Name of its program.
+pub(crate) const PROGRAM: &str = "hold";
 
 /// The program, in the machine's instructions:
 ///
@@ -108,7 +108,7 @@ impl Holders {
             // One that the daemon killed when it was started again.
             Ok(_) => daemon.remove(&name).await?,
         }
-        if CODE.is_empty() {
+        if !Self::has_program() {
             let what = format!("containers of Docker cannot join nodes on {}", std::env::consts::ARCH);
             return Err(rejected(format!("{what}: use podman")));
         }
@@ -125,12 +125,19 @@ impl Holders {
         Ok(name)
     }
 
-    async fn make_image(&self, daemon: &Daemon) -> Result<(), DaemonError> {
+    /// Whether there are holders on this machine's architecture.
+    pub(crate) const fn has_program() -> bool {
+        !CODE.is_empty()
+    }
+
+    /// Makes the image, unless the engine has it.
+    pub(crate) async fn make_image(&self, daemon: &Daemon) -> Result<(), DaemonError> {
         let _one_at_a_time = self.image.lock().await;
-        if daemon.has_image(&format!("{IMAGE}:{TAG}")).await? {
+        if daemon.has_image(REFERENCE).await? {
             return Ok(());
         }
-        daemon.import(IMAGE, TAG, tar(PROGRAM, &program())).await
+        let (name, tag) = REFERENCE.split_once(':').expect("it has a tag");
+        daemon.import(name, tag, tar(PROGRAM, &program())).await
     }
 }
 
@@ -173,7 +180,7 @@ fn container(node: &NodeId, namespace: &Path, run: &str) -> ContainerCreateBody 
         ..HostConfig::default()
     };
     ContainerCreateBody {
-        image: Some(format!("{IMAGE}:{TAG}")),
+        image: Some(REFERENCE.to_owned()),
         entrypoint: Some(vec![format!("/{PROGRAM}")]),
         hostname: Some(node.to_string()),
         labels: Some(labels(run, "", node)),

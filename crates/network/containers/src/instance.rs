@@ -172,7 +172,7 @@ async fn listens(daemon: &Daemon, name: &str, ports: &[ListenPort]) {
 }
 
 /// Waits for the end of a container. While the engine is away, the container may go on.
-async fn ended(daemon: &Daemon, name: &str) -> State {
+pub(crate) async fn ended(daemon: &Daemon, name: &str) -> State {
     let (mut retries, mut process) = (Retries::default(), None);
     loop {
         match daemon.state(name).await {

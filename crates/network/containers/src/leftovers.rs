@@ -10,7 +10,7 @@ use std::{
     io::{self, Write as _},
     os::unix::fs::{DirBuilderExt as _, MetadataExt as _},
     path::{Path, PathBuf},
-    process,
+    process::{self, Stdio},
 };
 
 use cotorra_graph::EngineKind;
@@ -179,7 +179,7 @@ pub(crate) fn remove_run(path: &Path) -> io::Result<usize> {
             Address::Socket(socket) => (Daemon::connect(socket).await.map_err(io::Error::other)?, None),
             Address::Service => {
                 let folder = service_folder(path);
-                let service = Service::start(&folder)?;
+                let service = Service::start(&folder, Stdio::inherit)?;
                 (
                     connect_to_service(&Service::socket(&folder)).await.map_err(io::Error::other)?,
                     Some(service),

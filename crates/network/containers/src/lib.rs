@@ -15,9 +15,11 @@ mod instance;
 mod leftovers;
 mod ready;
 mod spec;
+mod trial;
 
 pub use address::{Address, NoEngine};
 pub use engine::{ContainerEngine, Settings, Surroundings};
 pub use guard::guard;
 pub use leftovers::{Cleaned, clean, leftovers};
 pub use spec::Network;
+pub use trial::{TrialError, try_out};

@@ -1,10 +1,9 @@
 //! Tests what this machine allows, in ways that leave nothing behind. `cotorra doctor` prints the results.
 
 use std::{
-    env,
     fs::{self, OpenOptions},
     io,
-    os::{fd::AsFd, unix::net::UnixStream},
+    os::fd::AsFd,
     path::Path,
 };
 
@@ -31,9 +30,9 @@ pub struct Capability {
 pub enum CapabilityState {
     /// Available, with details for display, which may be empty.
     Available(String),
-    /// Only using it tells, with what is known for display.
+    /// It could not be tried out.
     Unknown {
-        detail: String,
+        reason: String,
         /// Advice to find out.
         trial: &'static str,
     },
@@ -130,7 +129,6 @@ pub fn probe() -> Vec<Capability> {
             "not needed: programs run without limits then; otherwise run as root, or in a delegated group: \
              `systemd-run --user --scope -p Delegate=yes …`",
         ),
-        Capability { name: "container engine", purpose: "VNFs from images", state: container_engine() },
     ]
 }
 
@@ -264,28 +262,4 @@ fn control_groups() -> io::Result<String> {
 fn may_make_groups_in(group: &Path) -> bool {
     let probe = group.join(format!("cotorra-probe-{}", std::process::id()));
     fs::create_dir(&probe).is_ok() && fs::remove_dir(&probe).is_ok()
-}
-
-/// Looks for engines. Docker's starts containers if it answers. podman's runtime may be unable to, as crun is where control groups
-/// of both versions are mounted, and shows that only when it starts one.
-fn container_engine() -> CapabilityState {
-    let is_served = |socket: &Path| UnixStream::connect(socket).is_ok();
-    const DOCKER: &str = "/run/docker.sock";
-    if is_served(Path::new(DOCKER)) {
-        return CapabilityState::Available(DOCKER.into());
-    }
-    let user = env::var_os("XDG_RUNTIME_DIR").map(|dir| Path::new(&dir).join("podman/podman.sock"));
-    let is_podman_served =
-        user.into_iter().chain(["/run/podman/podman.sock".into()]).any(|socket| is_served(&socket));
-    let path = env::var_os("PATH").unwrap_or_default();
-    if is_podman_served || env::split_paths(&path).any(|folder| folder.join("podman").is_file()) {
-        return CapabilityState::Unknown {
-            detail: "podman is here; whether its runtime can start containers shows only when it does".into(),
-            trial: "`podman run --rm IMAGE true`, as the user who runs testbeds, with any image that you have",
-        };
-    }
-    CapabilityState::Missing {
-        reason: "podman is not installed, and no socket of docker answers".into(),
-        remedy: "not needed: VNFs run as processes; for images, install podman, or start docker",
-    }
 }

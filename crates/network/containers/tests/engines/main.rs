@@ -5,3 +5,4 @@ mod contract;
 mod daemon;
 mod init;
 mod lab;
+mod trial;
