@@ -63,6 +63,7 @@ use clap::{CommandFactory, Parser};
 use miette::{IntoDiagnostic, MietteHandlerOpts};
 
 use cli::{BundledVnf, Cli, Command};
+use exit::Status;
 use testbed_file::FileError;
 
 /// A hash of the source code that this program was built from.
@@ -75,11 +76,12 @@ fn main() -> ExitCode {
     match dispatch(Cli::parse().command) {
         Ok(code) => code,
         Err(report) => {
+            let is_void = experiment::is_void(&report) || margin::is_void(&report);
             match report.downcast::<FileError>() {
                 Ok(error) => error.show(),
                 Err(report) => note!("{report:?}"),
             }
-            ExitCode::FAILURE
+            if is_void { Status::NotValid.into() } else { Status::Error.into() }
         }
     }
 }

@@ -80,7 +80,7 @@ Examples:
   cotorra experiment okpi --set plugins.okpi.settings.gamma=10
   cotorra experiment okpi --measured OKpi=walk.csv    beside a walk that was measured with OKpi
 
-Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
+Exit status: 0 done, 1 error, 2 wrong usage, 3 the figures are not valid.")]
 pub struct OkpiArgs {
     /// Run with real packets, one walk after the other: about 15 minutes
     #[arg(long, conflicts_with = "simulate")]
@@ -158,7 +158,7 @@ Examples:
   scripts/ledger-network --block-period 1 -- cotorra experiment federation --emulate
                                                             on a network of several nodes on this machine
 
-Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
+Exit status: 0 done, 1 error, 2 wrong usage, 3 the figures are not valid.")]
 pub struct FederationArgs {
     /// Run with real packets, on a single anvil node or on --ledger; needs a cotorra built with --features ethereum
     #[arg(long, conflicts_with = "simulate")]
@@ -218,7 +218,7 @@ Examples:
   cotorra experiment handover --testbed floor.yaml --kind model,hardware --until 5min
                                                        beside the access points of a floor, which have agents
 
-Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
+Exit status: 0 done, 1 error, 2 wrong usage, 3 the figures are not valid.")]
 pub struct HandoverArgs {
     /// Kinds of radio: model, hwsim, hardware; by default, all that this machine and the testbed file have
     #[arg(long = "kind", value_name = "KIND", value_delimiter = ',', value_parser = parse_kind)]

@@ -25,6 +25,11 @@ fn tell_faults(name: &str, finished: &Finished) {
     unrecorded.iter().for_each(|what| note!("{name}: not recorded: {what}"));
 }
 
+/// Whether a run of an experiment was void.
+pub fn is_void(error: &miette::Report) -> bool {
+    error.is::<folder::VoidRun>()
+}
+
 /// Runs an experiment.
 pub fn experiment(mut experiment: Experiment) -> miette::Result<ExitCode> {
     let (Experiment::Okpi(OkpiArgs { testbed, .. })

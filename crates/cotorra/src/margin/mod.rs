@@ -7,6 +7,7 @@ mod show;
 use std::{fs, num::NonZero, path::Path, process::ExitCode, thread};
 
 use cotorra_experiments::{
+    BatchError,
     journal::Journal,
     margin::{Grid, Kind, LOSS_UNITS, Margin, MarginError, Options},
     regret::RegretError,
@@ -55,6 +56,17 @@ impl From<RegretError> for Error {
             other => Self::Regret(other),
         }
     }
+}
+
+/// Whether the run without changes, or the one whose decisions are examined, was void.
+pub fn is_void(error: &miette::Report) -> bool {
+    matches!(
+        error.downcast_ref(),
+        Some(
+            Error::Margin(MarginError::Run(BatchError::CutOff { .. }))
+                | Error::Regret(RegretError::Batch(BatchError::CutOff { .. }))
+        )
+    )
 }
 
 /// Searches for margins, or examines decisions.

@@ -240,7 +240,7 @@ fn a_program_that_fails_ends_a_search_with_its_log() {
         let folder = out.path().join(more[1]);
         let mut command = cotorra(["margin", "--headless", "--jobs", "1"]);
         let failed = command.arg(&file).arg("--out").arg(&folder).args(more).output().unwrap();
-        assert_eq!(failed.status.code(), Some(1));
+        assert_eq!(failed.status.code(), Some(3));
         let text = stderr(&failed).replace("\n  │ ", " ");
         assert!(text.contains("plug-in mine: ") && text.contains("its log is in"), "{text}");
         // That of the run as it was is in its own folder.

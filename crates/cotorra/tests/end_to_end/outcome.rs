@@ -3,14 +3,16 @@
 
 use std::{
     fs,
+    io::{BufRead as _, BufReader, Read as _, Write as _},
+    net::TcpStream,
     path::{Path, PathBuf},
-    process::Output,
+    process::{Output, Stdio},
 };
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{Run, corridor_ending_in, output, stderr, stdout};
+use crate::harness::{Run, corridor, corridor_ending_in, cotorra, output, project_file, stderr, stdout};
 
 /// A script that fails at its first import, after a line that it leaves in Python's buffer.
 const FAILS: &str = "print('about to begin')\nimport no_such_module\n";
@@ -185,4 +187,38 @@ fn a_history_at_its_limit_ends_the_run_in_order() {
     assert_eq!(done.status.code(), Some(1), "{}", stdout(&done));
     assert!(stdout(&done).contains("its history reached 2 MB"), "{}", stdout(&done));
     assert_eq!(summary(&folder)["ended"], "the history reached its limit");
+}
+
+#[test]
+fn an_experiment_with_a_void_run_has_the_status_of_void_figures() {
+    let out = TempDir::new().unwrap();
+    let shipped = project_file("testbeds");
+    let text = fs::read_to_string(shipped.join("federation.yaml")).unwrap();
+    let text = text.replace("maps/", &format!("{}/maps/", shipped.display()));
+    let testbed = out.path().join("testbed.yaml");
+    fs::write(&testbed, text + "  - { id: gone, command: [echo, Gone.] }\n").unwrap();
+    let mut experiment = cotorra(["experiment", "federation", "--headless", "--until", "5s", "--testbed"]);
+    experiment.arg(testbed).args(["--block-period", "1", "--out"]).arg(out.path().join("runs"));
+    let done = experiment.output().unwrap();
+    assert_eq!(done.status.code(), Some(3), "{}", stderr(&done));
+    let said = stderr(&done).replace("\n  │ ", " ");
+    assert!(said.contains("is void: plug-in gone: its program ended: exit status: 0"), "{said}");
+}
+
+#[test]
+fn a_replay_that_its_plugin_leaves_has_the_status_of_void_figures() {
+    let out = TempDir::new().unwrap();
+    let (_, folder) = simulate(&corridor(), out.path(), &["--until", "3s"]);
+    let mut replay = cotorra(["replay", "--speed", "max", "--api", "127.0.0.1:0"]);
+    let mut replay = replay.arg(&folder).stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = BufReader::new(replay.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let address =
+        said.find_map(|line| Some(line.strip_prefix("API on http://")?.split_once(',')?.0.to_owned()));
+    let mut plugin = TcpStream::connect(address.unwrap()).unwrap();
+    let follow = "GET /api/v1/events HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Cotorra-Plugin: mine\r\n\r\n";
+    plugin.write_all(follow.as_bytes()).unwrap();
+    plugin.read_exact(&mut [0; 12]).unwrap();
+    drop(plugin);
+    assert!(said.any(|line| line.contains("no plug-in follows any more")));
+    assert_eq!(replay.wait().unwrap().code(), Some(3));
 }
