@@ -342,8 +342,8 @@ impl History {
         Ok(Timestamp::from_nanos(last.cast_unsigned()))
     }
 
-    /// Returns when services had no samples in a range of time, by service and robot. `expected` are the services of the
-    /// testbed that should have samples; others count from their first sample in the range.
+    /// Returns when services had no samples in a range of time, and when nothing was recorded at all. `expected` are the
+    /// services of the testbed that should have samples; others count from their first sample in the range.
     ///
     /// # Errors
     /// See [`History`].

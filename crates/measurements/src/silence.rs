@@ -1,6 +1,7 @@
-//! Times in which services had no samples, though they had some before or should have had some.
+//! Times in which services had no samples, though they had some before or should have had some, and in which nothing was
+//! recorded at all.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::collections::BTreeMap;
 
 use cotorra_graph::{Event, NodeId, ServiceId, Timestamp};
 
@@ -12,29 +13,25 @@ use crate::{
     store::{Selection, Span, Store},
 };
 
-/// A time in which a service had no samples.
+/// A time without samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Silence {
-    /// The service.
-    pub service: ServiceId,
-    /// The robot.
-    pub robot: NodeId,
+    /// The service and its robot; `None` if nothing was recorded at all.
+    pub service: Option<(ServiceId, NodeId)>,
     /// Time of the last sample before, or the beginning of the range.
     pub from: Timestamp,
     /// Time of the next sample, or the end of the range.
     pub until: Timestamp,
 }
 
-impl Silence {
-    /// Shorter times without samples do not count.
-    pub const SHORTEST: Duration = Duration::from_secs(1);
-    /// Nor do those of at most this many usual times between two samples of the service.
-    pub const INTERVALS: i64 = 5;
-}
-
-/// Longest time from a sample's emission until it is recorded: the longest command timeout, and more than a scan waits.
+/// Times without samples of a service count if they are longer than this, ns,
+const SHORTEST: i64 = 1_000_000_000;
+/// and than so many usual times between two samples of the service.
+const INTERVALS: i64 = 5;
+/// Times without any sample count if they are longer than this, ns: a run records the emulator's lateness each second.
+const NOTHING: i64 = 2_000_000_000;
+/// More than the time from a sample's emission until it is recorded, ns: a scan waits for 3 s.
 const RECORDED_WITHIN: i64 = 10_000_000_000;
-const SHORTEST: i64 = Silence::SHORTEST.as_nanos() as i64;
 
 /// The samples of a service so far.
 struct Heard {
@@ -85,14 +82,14 @@ impl Heard {
             intervals -= holes;
         }
         let usual = time / intervals.max(1);
-        let long = SHORTEST.max(usual.saturating_mul(Silence::INTERVALS));
+        let long = SHORTEST.max(usual.saturating_mul(INTERVALS));
         self.holes.retain(|(from, until)| self.samples == 0 || until - from > long);
         self.holes.sort_unstable();
         self.holes
     }
 }
 
-/// Returns the silences of the services of a run in a span. Its memory is bounded by the number of services and the
+/// Returns the silences of a run in a span, in order. Its memory is bounded by the number of services and the
 /// length of the span.
 pub(crate) fn silences(
     store: &dyn Store,
@@ -108,38 +105,51 @@ pub(crate) fn silences(
     let mut heard: BTreeMap<(ServiceId, NodeId), Heard> = expected.collect();
     let mut walked: BTreeMap<NodeId, i64> = BTreeMap::new();
     let read = Span { from, until: until.saturating_add(RECORDED_WITHIN) };
-    let selected = Selection::Kinds(&[Kind::ServiceTime, Kind::WalkFinished]);
+    let selected = Selection::Kinds(&[Kind::ServiceTime, Kind::WalkFinished, Kind::Lateness]);
+    // Histories of other origins may have no lateness.
+    let observed = store.extent(run, Kind::Lateness, Span { from: 0, until: i64::MAX })?;
+    let mut last = observed.map_or(until, |(first, _)| first.clamp(from, until));
+    let mut nothing = Vec::new();
+    let mut record = |at: i64| {
+        if at - last > NOTHING {
+            nothing.push((last, at));
+        }
+        last = last.max(at);
+    };
     let nanos = |at: Timestamp| i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
     pages(
         |page| store.events(run, &selected, read, page),
-        |stamped| match stamped.event {
-            Event::ServiceTime(sample) => {
-                let emitted = nanos(sample.emitted);
-                if !(from..=until).contains(&emitted) {
-                    return;
+        |stamped| {
+            record(nanos(stamped.at).min(until));
+            match stamped.event {
+                Event::ServiceTime(sample) => {
+                    let emitted = nanos(sample.emitted);
+                    if (from..=until).contains(&emitted) {
+                        let of = (sample.service, sample.robot);
+                        heard.entry(of).or_insert_with(|| Heard::nothing_since(emitted)).add(emitted);
+                    }
                 }
-                let of = (sample.service, sample.robot);
-                heard.entry(of).or_insert_with(|| Heard::nothing_since(emitted)).add(emitted);
+                Event::WalkFinished { robot } => drop(walked.insert(robot, nanos(stamped.at))),
+                _ => {}
             }
-            Event::WalkFinished { robot } => drop(walked.insert(robot, nanos(stamped.at))),
-            _ => {}
         },
     )?;
+    record(until);
     let time = |t: i64| Timestamp::from_nanos(t.cast_unsigned());
     let silences = heard.into_iter().flat_map(|((service, robot), heard)| {
         let holes = heard.finish(span, walked.get(&robot).copied());
-        let silence = move |(from, until)| {
-            let (service, robot) = (service.clone(), robot.clone());
-            Silence { service, robot, from: time(from), until: time(until) }
-        };
-        holes.into_iter().map(silence)
+        holes.into_iter().map(move |hole| (Some((service.clone(), robot.clone())), hole))
     });
-    Ok(silences.collect())
+    let silences = nothing.into_iter().map(|hole| (None, hole)).chain(silences);
+    let silence = |(service, (from, until))| Silence { service, from: time(from), until: time(until) };
+    let mut silences: Vec<_> = silences.map(silence).collect();
+    silences.sort_by_key(|silence| (silence.from, silence.until));
+    Ok(silences)
 }
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{ServiceTime, Stamped};
+    use cotorra_graph::{Lateness, ServiceTime, Stamped};
 
     use super::*;
     use crate::{History, testing::run_info};
@@ -201,6 +211,22 @@ mod tests {
         assert_eq!(found(each_100_ms(8000..20_000), Some(20_000)), [(0, 8000)]);
         assert_eq!(found(each_100_ms(0..5000), Some(20_000)), [(4900, 20_000)]);
         assert_eq!(found([], Some(2000)), [(0, 2000)]);
+    }
+
+    #[test]
+    fn a_run_that_records_nothing_for_seconds_is_silent_though_robots_catch_up() {
+        let lateness = |seconds: std::ops::Range<u64>| {
+            seconds.map(|s| Stamped { at: at(s * 1000 + 500), event: Event::Lateness(Lateness::default()) })
+        };
+        let caught_up = (5000..11_200).step_by(100).map(|ms| sample(ms, 11_200));
+        let events = each_100_ms(0..5000).chain(caught_up).chain(each_100_ms(11_200..20_000));
+        let (history, run) = recorded(events.chain(lateness(0..5)).chain(lateness(12..20)), Some(20_000));
+        let nothing = |from, until| Silence { service: None, from: at(from), until: at(until) };
+        assert_eq!(history.silences(run, expected(), ..).unwrap(), [nothing(4920, 11_200)]);
+        let inside = history.silences(run, [], at(6000)..=at(9000)).unwrap();
+        assert_eq!(inside, [nothing(6000, 9000)]);
+        let (history, run) = recorded(lateness(0..9), Some(20_000));
+        assert_eq!(history.silences(run, [], ..).unwrap(), [nothing(8500, 20_000)]);
     }
 
     #[test]

@@ -314,8 +314,9 @@ pub struct DiffArgs {
 /// after its last recorded event.
 ///
 /// A service counts as silent if it has no sample for more than a second, and for more than five times as long as is
-/// usual between two of its samples: its robot stood out of reach, its VNF did not run, or cotorra was kept from running.
-/// After the end of a robot's walk, no samples are expected.
+/// usual between two of its samples: its robot stood out of reach, or its VNF did not run. After the end of a robot's walk,
+/// no samples are expected. Times of more than two seconds in which nothing was recorded are listed as `anything`: cotorra
+/// was kept from running.
 #[derive(Debug, Args)]
 pub struct GapsArgs {
     /// The run

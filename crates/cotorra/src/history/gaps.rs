@@ -1,4 +1,4 @@
-//! `cotorra history gaps`: the parts of a run whose events were lost, and those in which services had no samples.
+//! `cotorra history gaps`: the parts of a run whose events were lost, and those without samples.
 
 use cotorra_graph::Timestamp;
 use cotorra_measurements::{Gap, PageRequest, Silence};
@@ -62,9 +62,10 @@ fn silences(args: &GapsArgs, source: &Source) -> Result<String, Error> {
     } else {
         let shown = silences.len().min(args.page.limit.get());
         let mut table = Table::new(">><");
-        table.row(["from, s", "to, s", "service without samples"]);
-        for Silence { service, robot, from, until } in &silences[..shown] {
-            table.row([seconds(*from), seconds(*until), format!("{service} of {robot}")]);
+        table.row(["from, s", "to, s", "no samples of"]);
+        for Silence { service, from, until } in &silences[..shown] {
+            let what = service.as_ref().map(|(service, robot)| format!("{service} of {robot}"));
+            table.row([seconds(*from), seconds(*until), what.unwrap_or_else(|| "anything".to_owned())]);
         }
         text += &format!("\n{}", table.render(""));
         first_of(&mut text, shown, silences.len(), "--limit shows them");
