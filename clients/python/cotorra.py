@@ -177,7 +177,7 @@ class Client:
         return self._pages("measurements/service-times", {"from_ns": from_ns, "until_ns": until_ns, "run": run})
 
     def gaps(self, from_ns: int = 0, until_ns: Optional[int] = None, run: Optional[int] = None) -> Iterator[JSON]:
-        """Where events were lost."""
+        """Where events were lost. What a run without an end lost after its last event is unknown."""
         return self._pages("measurements/gaps", {"from_ns": from_ns, "until_ns": until_ns, "run": run})
 
     def retained(self, run: Optional[int] = None) -> list[JSON]:

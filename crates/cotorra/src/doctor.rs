@@ -93,7 +93,7 @@ fn container_engines() -> Vec<Capability> {
     vec![Capability { name: ENGINE, purpose: "VNFs from images", state }]
 }
 
-/// Containers are not part of this program.
+/// Says that this program has no containers.
 #[cfg(not(feature = "containers"))]
 fn container_engines() -> Vec<Capability> {
     let state = CapabilityState::Missing {
