@@ -67,7 +67,7 @@ Exit status:
   0    done
   1    an error, reported on standard error, or a record that is not complete
   2    wrong usage
-  3    the run is done and its report is written, but the figures are not valid; or a repeat differs
+  3    done and reported, but the figures are not valid, or a run is void; or a repeat differs
   4    the figures are valid, but a service kept its target less often than the testbed file demands
   5    the run ended because no robot made progress on its walk
   130  stopped with Ctrl-C before the end";
