@@ -275,6 +275,7 @@ mod tests {
                 verdict: None,
                 handovers: *handovers,
                 handover_gap_ms: None,
+                detached_ms: 0.0,
             };
             handovers.iter().enumerate().map(robot).collect()
         };

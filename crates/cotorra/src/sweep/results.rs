@@ -1,9 +1,12 @@
 //! Results of a sweep in the terminal.
 
-use std::{collections::BTreeSet, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
 
 use cotorra_experiments::sweep::{Cell, FILES, Interval, Runs, ServiceCell, Verdicts};
-use cotorra_graph::Natural;
+use cotorra_graph::{Natural, PluginId};
 
 use crate::{
     figures::FigureArgs,
@@ -54,6 +57,7 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
     if cells.len() > LISTED {
         text += &format!("  and {} more in cells.csv\n", cells.len() - LISTED);
     }
+    text += &doubts(runs);
     text += &services(runs, &cells);
     text += &differences(runs);
     if void > 0 {
@@ -66,6 +70,25 @@ pub fn describe(runs: &Runs, note: &str, folder: &Path, figure: &FigureArgs) -> 
         kept => format!("\n  samples/ of {}", count(kept, "run")),
     };
     text + &format!("\n{}/\n  {}{figures}{samples}\n", folder.display(), FILES.join("  "))
+}
+
+/// Says which plug-ins changed nothing, and whether seeds did.
+fn doubts(runs: &Runs) -> String {
+    let mut text = String::new();
+    let mut ineffective: BTreeMap<&PluginId, usize> = BTreeMap::new();
+    for measured in runs.measured() {
+        measured.ineffective.iter().for_each(|plugin| *ineffective.entry(plugin).or_default() += 1);
+    }
+    for (plugin, of) in ineffective {
+        let of = count(of, "run");
+        text += &format!(
+            "  plug-in {plugin}: all its instructions were rejected in {of}, which show what happens without it\n"
+        );
+    }
+    if runs.are_alike() {
+        text += "  All runs of a combination are alike: the seed changes nothing, and they count as one.\n";
+    }
+    text
 }
 
 /// Returns the table of each robot and service, if several have samples. Names those that have none in any run.

@@ -1,6 +1,6 @@
 //! Results of one run of a sweep.
 
-use cotorra_graph::{NodeId, ServiceId, Timestamp};
+use cotorra_graph::{NodeId, PluginId, ServiceId, Timestamp};
 use cotorra_testbed::{Kept, Quantiles, RegionSummary, ServiceSummary, Summary, Verdict};
 use serde::{Deserialize, Serialize};
 
@@ -37,6 +37,15 @@ pub struct Measured {
     pub migrations: usize,
     /// Number of plug-ins that were cut off.
     pub plugin_faults: usize,
+    /// Number of instructions of plug-ins that were applied.
+    #[serde(default)]
+    pub applied: usize,
+    /// Number of instructions of plug-ins that were rejected.
+    #[serde(default)]
+    pub refused: usize,
+    /// Plug-ins whose instructions were all rejected.
+    #[serde(default)]
+    pub ineffective: Vec<PluginId>,
     /// Distance that all robots drove, metres.
     pub driven_m: f64,
     /// Distance that robots drove blind, metres.
@@ -124,6 +133,7 @@ impl Measured {
             samples: region.samples,
             service_time_p50_ms: region.service_time_p50_ms,
         };
+        let ineffective = summary.plugins.iter().filter(|its| its.applied == 0 && its.refused > 0);
         Self {
             duration_ms: summary.duration_ms,
             walked: summary.is_walked(),
@@ -139,6 +149,9 @@ impl Measured {
             handover_gap_max_ms: gaps.map(|q| q.max),
             migrations: summary.placements.iter().filter(|placement| placement.at > Timestamp::ZERO).count(),
             plugin_faults: summary.plugin_faults.len(),
+            applied: summary.plugins.iter().map(|its| its.applied).sum(),
+            refused: summary.plugins.iter().map(|its| its.refused).sum(),
+            ineffective: ineffective.map(|its| its.plugin.clone()).collect(),
             driven_m: summary.driving.iter().map(|driven| driven.driven_m).sum(),
             blind_m: summary.driving.iter().map(|driven| driven.blind_m).sum(),
             longest_blind_m: summary.driving.iter().map(|driven| driven.longest_blind_m).fold(0.0, f64::max),
@@ -155,7 +168,7 @@ impl Measured {
     }
 
     /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
-    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 18] {
+    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 20] {
         let count = |n: usize| Some(n as f64);
         [
             ("duration_ms", Some(self.duration_ms)),
@@ -172,6 +185,8 @@ impl Measured {
             ("handover_gap_max_ms", self.handover_gap_max_ms),
             ("migrations", count(self.migrations)),
             ("plugin_faults", count(self.plugin_faults)),
+            ("applied", count(self.applied)),
+            ("refused", count(self.refused)),
             ("driven_m", Some(self.driven_m)),
             ("blind_m", Some(self.blind_m)),
             ("longest_blind_m", Some(self.longest_blind_m)),

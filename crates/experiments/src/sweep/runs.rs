@@ -1,6 +1,9 @@
 //! The finished runs of a sweep, or of a shard of it.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::{BTreeMap, btree_map::Entry},
+    path::{Path, PathBuf},
+};
 
 use cotorra_testbed::DataTable;
 
@@ -57,6 +60,27 @@ impl Runs {
         self.done.iter().filter(|done| done.outcome.void().is_some()).count()
     }
 
+    /// Returns the results of all runs that are not void.
+    pub fn measured(&self) -> impl Iterator<Item = &Measured> {
+        self.done.iter().filter_map(|done| done.outcome.measured())
+    }
+
+    /// Returns whether there are runs that differ in their seed alone, and all of these have the same results.
+    pub fn are_alike(&self) -> bool {
+        let mut first: BTreeMap<&[String], &Outcome<Measured>> = BTreeMap::new();
+        let mut pairs = 0;
+        self.done.iter().all(|done| match first.entry(&done.point.values) {
+            Entry::Vacant(place) => {
+                place.insert(&done.outcome);
+                true
+            }
+            Entry::Occupied(other) => {
+                pairs += 1;
+                **other.get() == done.outcome
+            }
+        }) && pairs > 0
+    }
+
     /// Returns the number of runs whose samples are in the folder of the sweep.
     pub fn with_samples(&self, folder: &Path) -> usize {
         self.done.iter().filter(|done| folder.join(&done.samples).is_file()).count()
@@ -77,5 +101,26 @@ impl Runs {
     /// Several services also have a row for all together.
     pub fn by_service(&self, cells: &[Cell]) -> DataTable {
         tables::by_service(&self.axes, cells)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_are_alike_if_the_seed_changes_nothing() {
+        let alike = |runs: &[(&str, usize)]| {
+            let run = |&(value, handovers): &(&str, usize)| {
+                let point = Point { values: vec![value.to_owned()], seed: 1 };
+                let measured = Outcome::Measured(Measured { handovers, ..Measured::default() });
+                (point, PathBuf::new(), Some(measured))
+            };
+            let runs: Vec<_> = runs.iter().map(run).collect();
+            Runs::new(&[], runs.into_iter(), 0, Again::default()).are_alike()
+        };
+        assert!(alike(&[("a", 1), ("a", 1), ("b", 2), ("b", 2)]));
+        assert!(!alike(&[("a", 1), ("a", 1), ("b", 2), ("b", 3)]));
+        assert!(!alike(&[("a", 1), ("b", 1)]), "one seed says nothing");
     }
 }

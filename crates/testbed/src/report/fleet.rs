@@ -39,6 +39,7 @@ mod tests {
             verdict: None,
             handovers: 0,
             handover_gap_ms: None,
+            detached_ms: 0.0,
         };
         above.iter().enumerate().map(robot).collect()
     }
