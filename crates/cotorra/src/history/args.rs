@@ -239,7 +239,8 @@ pub struct SeriesArgs {
     /// A link, LINK:backward, a robot, ROBOT:RADIO_UNIT, a radio unit, a node with a machine, or `service`
     #[arg(value_name = "OF")]
     pub of: String,
-    /// The figure; default: a link's delay, a robot's speed, a radio unit's load, a machine's cpu, or service_time
+    /// The figure; default: a link's delay, a robot's speed, the signal of ROBOT:RADIO_UNIT, a radio unit's load, a machine's
+    /// cpu, or service_time
     #[arg(long, value_name = "FIGURE")]
     pub figure: Option<String>,
     #[command(flatten)]

@@ -84,7 +84,7 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
 
 /// Parses the figure: `delay:R1-cloud`, or `R1-cloud` with --figure, or `R1-cloud` alone for its default figure.
 fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, SeriesError> {
-    let node = of.split(':').next().unwrap_or(of);
+    let (node, part) = of.split_once(':').map_or((of, None), |(node, part)| (node, Some(part)));
     let parse = |text: &str| text.parse().map_err(SeriesError::Figure);
     match name {
         Some(name) if of == SERVICE => parse(name),
@@ -97,7 +97,9 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
         None => {
             let default = |state: &cotorra_measurements::GraphState| {
                 let is = |id: &str| id == node;
-                let robot = state.robots.iter().any(|s| is(s.value.robot.as_str())).then_some("linear");
+                let has_unit = |id: &str| state.radio_units.iter().any(|s| s.value.radio_unit.as_str() == id);
+                let of_robot = if part.is_some_and(has_unit) { "signal" } else { "linear" };
+                let robot = state.robots.iter().any(|s| is(s.value.robot.as_str())).then_some(of_robot);
                 let unit =
                     state.radio_units.iter().any(|s| is(s.value.radio_unit.as_str())).then_some("load");
                 let link = state.links.iter().any(|s| is(s.value.link.as_str())).then_some("delay");

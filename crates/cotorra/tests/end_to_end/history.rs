@@ -244,8 +244,11 @@ fn state_series_and_events_are_shown() {
             && table.contains("\n2000000000,4"),
         "{table}"
     );
-    let named = ["series", okpi, "robot:R1", "--figure", "signal", "--points", "1", "--csv"];
-    assert!(runs.answer(&named).contains(",-4"));
+    let signal = |figure: &[&str]| {
+        runs.answer(&[&["series", okpi, "robot:R1", "--points", "1", "--csv"], figure].concat())
+    };
+    assert!(signal(&[]).contains(",-4"));
+    assert_eq!(signal(&[]), signal(&["--figure", "signal"]));
 
     let printed = runs.ask(&["events", okpi, "--kinds", "handover,decision"]);
     assert!(stdout(&printed).contains("handover       robot from R1 to R3: "), "{}", stdout(&printed));
