@@ -92,7 +92,8 @@ pub struct PruneArgs {
 /// Export a run as tables for other programs, or as MCAP
 ///
 /// Tables are written to a new folder, one for each kind of event, as csv, parquet, or arrow (Arrow IPC, also known as
-/// Feather). Column names include units, as in the history; `n` is an event's position in the run.
+/// Feather). Column names include units, as in the history; `n` is an event's position in the run. Names stand in place of
+/// ids and codes, such as `forward` for a direction.
 ///
 /// mcap is one file, like that of `cotorra run --record` but without scans, which histories do not keep.
 #[derive(Debug, Args)]

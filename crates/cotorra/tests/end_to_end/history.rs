@@ -382,6 +382,13 @@ fn an_exported_run_is_imported_with_the_same_answers() {
     }
     let csv = fs::read_to_string(runs.place.path().join("csv/handover.csv")).unwrap();
     assert!(csv.starts_with("n,at_ns,robot,from_radio_unit,to_radio_unit,fast,gap_ms\n"), "{csv}");
+    for (table, column, names) in
+        [("link", 3, &["forward", "backward"][..]), ("robot", 16, &["simulator", "localization"])]
+    {
+        let csv = fs::read_to_string(runs.place.path().join(format!("csv/{table}.csv"))).unwrap();
+        let found = csv.lines().nth(1).unwrap().split(',').nth(column).unwrap();
+        assert!(names.contains(&found), "{found} in {table}.csv");
+    }
     let listed = runs.answer(&["runs", "--history", "imported.sqlite"]);
     assert!(
         listed

@@ -34,7 +34,7 @@ fn schema(shape: &Shape) -> Arc<Schema> {
         let of = match of {
             Type::Integer => DataType::Int64,
             Type::Real => DataType::Float64,
-            Type::Text => DataType::Utf8,
+            Type::Text | Type::Name(_) => DataType::Utf8,
         };
         Field::new(*name, of, true)
     };
@@ -178,7 +178,11 @@ fn rows<B: Iterator<Item = std::result::Result<RecordBatch, ArrowError>>>(
     // Exports of older versions lack columns at the end.
     let found = columns(found);
     if found.len() < 2 || !columns(&expected).starts_with(&found) {
-        let names: Vec<_> = shape.columns.iter().map(|(name, of)| format!("{name} ({of:?})")).collect();
+        let names: Vec<_> = expected
+            .fields()
+            .iter()
+            .map(|field| format!("{} ({})", field.name(), field.data_type()))
+            .collect();
         return Err(ExportError::malformed(path, format_args!("its columns are not {}", names.join(", "))));
     }
     let path = path.to_owned();

@@ -119,7 +119,7 @@ impl Reader {
         }
         let cell = |((text, quoted), of): (Field, &Type)| match of {
             _ if text.is_empty() && !quoted => Some(Cell::Null),
-            Type::Text => Some(Cell::Text(text)),
+            Type::Text | Type::Name(_) => Some(Cell::Text(text)),
             Type::Integer => text.parse().ok().map(Cell::Integer),
             Type::Real => text.parse().ok().map(Cell::Real),
         };

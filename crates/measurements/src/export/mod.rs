@@ -24,7 +24,7 @@ use table::TableWriter;
 
 /// File that marks a folder as an export. Written last, so that an incomplete export is not taken for one.
 const NOTE: &str = "run.json";
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 /// Format of an export's tables.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -145,7 +145,7 @@ const STEP: usize = 5_000;
 impl History {
     /// Writes a run as tables into a new folder, and returns the number of events. Each kind of events has a table, with
     /// name and columns as in the schema (`schema/1.sql`). `n`, the event's place in the run, replaces run and `seq`, and
-    /// names replace their ids. `go_on` is called from time to time with the number of events so far, and stops the
+    /// names replace their ids and codes. `go_on` is called from time to time with the number of events so far, and stops the
     /// export by returning false.
     ///
     /// # Errors
@@ -283,5 +283,11 @@ fn open(format: Format, folder: &Path, table: &table::Shape) -> Result<table::Ro
         #[cfg(not(feature = "arrow"))]
         other => return Err(ExportError::NotBuilt(other)),
     };
-    Ok(table::Rows::new(path, rows))
+    let (shape, file) = (table.clone(), path.clone());
+    let coded = rows.map(move |row| {
+        let mut cells = row?;
+        shape.code(&mut cells).map_err(|problem| ExportError::malformed(&file, problem))?;
+        Ok(cells)
+    });
+    Ok(table::Rows::new(path, Box::new(coded)))
 }

@@ -14,6 +14,8 @@ pub enum Type {
     Integer,
     Real,
     Text,
+    /// A code in the history, and its name in the table: the names in the order of their codes.
+    Name(&'static [&'static str]),
 }
 
 /// A value of a row.
@@ -36,6 +38,31 @@ impl Shape {
     fn new(name: &'static str, keys: &[&'static str], columns: &[&'static str]) -> Self {
         let columns = keys.iter().chain(columns).map(|column| (*column, type_of(column))).collect();
         Self { name, columns }
+    }
+
+    /// Puts names in place of the codes of a row.
+    pub fn name(&self, cells: &mut [Cell]) {
+        for (cell, (_, of)) in cells.iter_mut().zip(&self.columns) {
+            if let (Cell::Integer(code), Type::Name(names)) = (&*cell, of) {
+                let name = usize::try_from(*code).ok().and_then(|code| names.get(code));
+                *cell = name.map_or(Cell::Null, |name| Cell::Text((*name).to_owned()));
+            }
+        }
+    }
+
+    /// Puts codes in place of the names of a row.
+    ///
+    /// # Errors
+    /// The description of a name that has no code.
+    pub fn code(&self, cells: &mut [Cell]) -> std::result::Result<(), String> {
+        for (cell, (column, of)) in cells.iter_mut().zip(&self.columns) {
+            if let (Cell::Text(text), Type::Name(names)) = (&*cell, of) {
+                let code = names.iter().position(|name| name == text);
+                let unknown = || format!("`{text}` in column {column} is none of {}", names.join(", "));
+                *cell = Cell::Integer(code.ok_or_else(unknown)? as i64);
+            }
+        }
+        Ok(())
     }
 
     /// Returns the table of a kind's events: their place, time, and columns.
@@ -80,12 +107,20 @@ const REALS: &[&str] = &[
     "duplication", "corruption", "reordering", "jitter_correlation", "probed_loss", "tested_throughput_bps", "tested_offered_bps",
     "cpu_busy", "one_minute", "five_minutes", "fifteen_minutes", "received_throughput_bps", "sent_throughput_bps",
 ];
+/// Names of directions, in the order of their codes.
+const DIRECTIONS: &[&str] = &["forward", "backward"];
+/// Names of the sources of a pose, in the order of their codes.
+const SOURCES: &[&str] = &["simulator", "odometry", "localization"];
 const UNITS_OF_REALS: &[&str] = &["_m", "_mps", "_dbm", "_ms", "_us"];
 
 /// Returns the type of a column in the schema.
 fn type_of(column: &str) -> Type {
     let of = column.strip_prefix("odometry_").unwrap_or(column);
-    if TEXTS.contains(&column) {
+    if of == "direction" {
+        Type::Name(DIRECTIONS)
+    } else if of == "source" {
+        Type::Name(SOURCES)
+    } else if TEXTS.contains(&column) {
         Type::Text
     } else if REALS.contains(&of)
         || UNITS_OF_REALS.iter().any(|unit| of.ends_with(unit))

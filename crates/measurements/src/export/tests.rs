@@ -7,7 +7,7 @@ use crate::{
     run::Entry,
     testing::{notice, run_info, stamped},
 };
-use table::{Shape, Type};
+use table::{Cell, Shape, Type};
 
 fn formats() -> impl Iterator<Item = Format> {
     Format::ALL.into_iter().filter(|format| cfg!(feature = "arrow") || *format == Format::Csv)
@@ -89,7 +89,11 @@ proptest! {
             for (value, (name, of)) in values.iter().zip(columns) {
                 let fits = match value {
                     Value::Null => true,
-                    Value::Integer(_) | Value::Conditions(..) | Value::Heard(_) => *of == Type::Integer,
+                    Value::Integer(code) => match of {
+                        Type::Name(names) => (0..names.len() as i64).contains(code),
+                        of => *of == Type::Integer,
+                    },
+                    Value::Conditions(..) | Value::Heard(_) => *of == Type::Integer,
                     Value::Real(_) => *of == Type::Real,
                     Value::Text(_) | Value::Name(_) => *of == Type::Text,
                 };
@@ -125,6 +129,28 @@ fn tables_suit_other_programs() {
 }
 
 #[test]
+fn codes_have_names_in_tables() {
+    for (kind, column, code, name) in [
+        (Kind::Link, "direction", 1, "backward"),
+        (Kind::Decision, "direction", 0, "forward"),
+        (Kind::Robot, "source", 0, "simulator"),
+        (Kind::Robot, "odometry_source", 1, "odometry"),
+    ] {
+        let shape = Shape::of(kind);
+        let place = shape.columns.iter().position(|(name, _)| *name == column).unwrap();
+        let mut cells = vec![Cell::Null; shape.columns.len()];
+        cells[place] = Cell::Integer(code);
+        shape.name(&mut cells);
+        assert_eq!(cells[place], Cell::Text(name.to_owned()));
+        shape.code(&mut cells).unwrap();
+        assert_eq!(cells[place], Cell::Integer(code));
+        cells[place] = Cell::Text("up".to_owned());
+        let unknown = shape.code(&mut cells).unwrap_err();
+        assert!(unknown.starts_with(&format!("`up` in column {column} is none of ")), "{unknown}");
+    }
+}
+
+#[test]
 fn folders_that_are_no_export_are_rejected_with_the_file() {
     let history = History::in_memory().unwrap();
     let refusal = |out: &Path| history.import(out, |_| true).unwrap_err().to_string();
@@ -147,11 +173,11 @@ fn folders_that_are_no_export_are_rejected_with_the_file() {
         assert!(message.contains(problem), "{text:?}: {message}");
     }
     let note = fs::read_to_string(out.join(NOTE)).unwrap();
-    for other in [4, 9] {
-        fs::write(out.join(NOTE), note.replace("\"version\": 5", &format!("\"version\": {other}"))).unwrap();
+    for other in [5, 9] {
+        fs::write(out.join(NOTE), note.replace("\"version\": 6", &format!("\"version\": {other}"))).unwrap();
         let message = refusal(&out);
         assert!(
-            message.contains(&format!("has version {other} of the format, but this cotorra reads version 5")),
+            message.contains(&format!("has version {other} of the format, but this cotorra reads version 6")),
             "{message}"
         );
     }

@@ -41,6 +41,11 @@ impl Tables {
         self.events
     }
 
+    fn row(&mut self, shape: &Shape, mut cells: Vec<Cell>) -> Result<()> {
+        shape.name(&mut cells);
+        self.table(shape)?.row(&cells)
+    }
+
     fn table(&mut self, shape: &Shape) -> Result<&mut dyn TableWriter> {
         if !self.open.contains_key(shape.name) {
             self.open.insert(shape.name, create(self.format, &self.folder, shape)?);
@@ -57,7 +62,7 @@ impl Tables {
         for value in row.0 {
             cells.push(self.cell(value)?);
         }
-        self.table(&Shape::of(kind))?.row(&cells)?;
+        self.row(&Shape::of(kind), cells)?;
         if let Some(shape) = Shape::children(kind) {
             let width = shape.columns.len() - 2;
             for (place, child) in children.0.chunks(width).enumerate() {
@@ -65,7 +70,7 @@ impl Tables {
                 for value in child {
                     cells.push(self.cell(value.clone())?);
                 }
-                self.table(&shape)?.row(&cells)?;
+                self.row(&shape, cells)?;
             }
         }
         self.events += 1;
@@ -74,7 +79,7 @@ impl Tables {
 
     pub fn gap(&mut self, gap: &Gap) -> Result<()> {
         let figures = [gap.from.as_nanos(), gap.until.as_nanos(), gap.events];
-        self.table(&Shape::gaps())?.row(&figures.map(|n| Cell::Integer(n.cast_signed())))
+        self.row(&Shape::gaps(), figures.map(|n| Cell::Integer(n.cast_signed())).to_vec())
     }
 
     fn cell(&mut self, value: Value<'_>) -> Result<Cell> {
@@ -102,7 +107,7 @@ impl Tables {
         for value in fields.0 {
             cells.push(self.cell(value)?);
         }
-        self.table(&Shape::conditions())?.row(&cells)?;
+        self.row(&Shape::conditions(), cells)?;
         self.conditions.insert(json, id);
         Ok(id)
     }
@@ -112,7 +117,7 @@ impl Tables {
             return Ok(*id);
         }
         let id = self.heard.len() as i64;
-        self.table(&Shape::heard())?.row(&[Cell::Integer(id), Cell::Text(signals.clone())])?;
+        self.row(&Shape::heard(), vec![Cell::Integer(id), Cell::Text(signals.clone())])?;
         self.heard.insert(signals, id);
         Ok(id)
     }
