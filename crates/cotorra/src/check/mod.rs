@@ -33,8 +33,8 @@ pub struct CheckArgs {
     pub files: Vec<PathBuf>,
     /// Draw the mean signal of each radio unit over the map into a file: its name ends with .svg, .pdf or .png
     ///
-    /// The mean is that of path loss alone, without walls, shadowing and fading, at the height at which robots walk farthest.
-    /// It takes one testbed file. A file that exists is not overwritten.
+    /// The mean is that of path loss and of the walls of networks that have `walls`, without shadowing and fading, at the height
+    /// at which robots walk farthest. It takes one testbed file. A file that exists is not overwritten.
     #[arg(long, value_name = "PICTURE", value_parser = parse_figure_file)]
     pub coverage: Option<PathBuf>,
 }
