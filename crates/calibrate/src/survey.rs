@@ -217,7 +217,7 @@ impl Survey {
         if map.is_some() && !walls {
             notes.push(format!("all readings are behind {fewest} walls, so the loss of a wall is not known"));
         }
-        if network.walls.as_ref().is_some_and(|walls| walls.at_most_db.is_some()) {
+        if network.walls.as_ref().is_some_and(|walls| walls.loss.at_most_db.is_some()) {
             notes.push("the bound `at_most` of walls is not fitted, and the new value has none".to_owned());
         }
         if !walls {

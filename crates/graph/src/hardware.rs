@@ -432,6 +432,7 @@ pub struct WirelessNetwork {
     pub path_loss: PathLoss,
     /// Attenuation by the walls of the map. Without it, they take nothing away.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<crate::WallLoss>))]
     pub walls: Option<Walls>,
     /// Variation of the signal around the path loss.
     pub shadowing: Shadowing,

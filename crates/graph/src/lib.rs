@@ -89,5 +89,5 @@ pub use testbed::{
 };
 pub use time_parts::{LinkTime, TimeParts};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
-pub use walls::Walls;
+pub use walls::{WallLoss, Walls};
 pub use wifi_software::{Protection, RadioKind, Security, WifiSoftware};

@@ -3,36 +3,55 @@
 
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
 use crate::{
     map::{Cell, OccupancyGrid},
     units::Position,
 };
 
-/// Attenuation by the walls of the map: the sum of equal losses in the multi-wall model (COST 231, final report, 4.7.2),
-/// whose other terms are the path loss and a constant, which is zero here.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Loss of signal by walls: the sum of equal losses in the multi-wall model (COST 231, final report, 4.7.2), whose other terms
+/// are the path loss and a constant, which is zero here.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-pub struct Walls {
+pub struct WallLoss {
     /// Loss of each wall that the straight line between two antennas crosses, dB.
     #[serde(rename = "wall_loss_db")]
     pub loss_db: f64,
     /// Loss of all walls between two antennas together, at most, dB; without it there is no bound.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_most_db: Option<f64>,
-    /// The map. It is no part of the graph in JSON, for its size: walls that were read from there take nothing away until
-    /// they have one.
-    #[serde(skip)]
-    pub map: Option<Arc<OccupancyGrid>>,
+}
+
+/// Attenuation by the walls of a map.
+///
+/// In JSON, walls are their [`WallLoss`] alone, because a map is large. They cannot be read from there: read the loss, and add
+/// the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Walls {
+    /// What they take of a signal.
+    pub loss: WallLoss,
+    /// The map, whose occupied cells are the walls.
+    pub map: Arc<OccupancyGrid>,
+}
+
+impl Serialize for Walls {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.loss.serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Walls {
+    fn deserialize<D: Deserializer<'de>>(_deserializer: D) -> Result<Self, D::Error> {
+        Err(D::Error::custom("walls need their map, which is no part of the graph in JSON"))
+    }
 }
 
 impl Walls {
     /// Returns the loss by walls between two places, in dB; the same in both directions.
     pub fn loss_between(&self, a: Position, b: Position) -> f64 {
-        let Some(map) = &self.map else { return 0.0 };
-        let loss = map.walls_between(a, b) as f64 * self.loss_db;
-        self.at_most_db.map_or(loss, |most| loss.min(most))
+        let loss = self.map.walls_between(a, b) as f64 * self.loss.loss_db;
+        self.loss.at_most_db.map_or(loss, |most| loss.min(most))
     }
 }
 
@@ -267,11 +286,10 @@ mod tests {
     #[test]
     fn losses_add_up_to_the_bound() {
         let (from, to) = (at((0.5, 3.5)), at((8.5, 4.5)));
-        let map = Some(Arc::new(drawn(&ROOMS)));
-        let walls = Walls { loss_db: 3.4, at_most_db: None, map };
-        assert_eq!(walls.loss_between(from, to), 6.8);
-        assert_eq!(Walls { at_most_db: Some(5.0), ..walls.clone() }.loss_between(from, to), 5.0);
-        assert_eq!(Walls { map: None, ..walls }.loss_between(from, to), 0.0);
+        let map = Arc::new(drawn(&ROOMS));
+        let walls = |at_most_db| Walls { loss: WallLoss { loss_db: 3.4, at_most_db }, map: Arc::clone(&map) };
+        assert_eq!(walls(None).loss_between(from, to), 6.8);
+        assert_eq!(walls(Some(5.0)).loss_between(from, to), 5.0);
     }
 
     prop_compose! {

@@ -11,9 +11,9 @@ mod run;
 use std::{io::Read, path::PathBuf, time::Duration};
 
 use cotorra_graph::{
-    Emulation, HardwareGraph, HostAddress, Instruction, InvalidId, LinkContext, LinkId, MachineContext,
-    NodeId, Placement, PluginId, PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime,
-    Testbed, Timestamp, VirtualLinkMapping, WaisSettings, Walk,
+    Emulation, HostAddress, Instruction, InvalidId, LinkContext, LinkId, MachineContext, NodeId, Placement,
+    PluginId, PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime, Testbed,
+    Timestamp, VirtualLinkMapping, WaisSettings, Walk,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -22,6 +22,7 @@ use crate::{
     runs::{RunEntry, Runs, RunsError},
 };
 pub use events::Events;
+use map::GraphBody;
 
 /// Everything but a stream is answered within this time, or not at all.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -188,7 +189,7 @@ struct TestbedBody {
     name: String,
     #[serde(default)]
     description: String,
-    graph: HardwareGraph,
+    graph: GraphBody,
     services: Vec<Service>,
     walks: Vec<Walk>,
     #[serde(default)]
@@ -269,9 +270,9 @@ impl Client {
     /// # Errors
     /// [`ClientError`].
     pub fn testbed(&self) -> Result<Testbed, ClientError> {
-        let TestbedBody { name, description, mut graph, services, walks, plugins, seed } =
+        let TestbedBody { name, description, graph, services, walks, plugins, seed } =
             self.get("testbed", &[])?;
-        self.complete_walls(&mut graph)?;
+        let graph = self.walled(graph)?;
         let wais = WaisSettings::default();
         let (emulation, probes, retention) = (Emulation::default(), None, Default::default());
         let map = None;

@@ -133,7 +133,7 @@ fn deviation_m(pose: &Pose) -> f64 {
 mod tests {
     use std::{path::Path, sync::Arc};
 
-    use cotorra_graph::{OccupancyGrid, PoseSource, Walls};
+    use cotorra_graph::{OccupancyGrid, PoseSource, WallLoss, Walls};
     use proptest::prelude::*;
 
     use super::*;
@@ -184,8 +184,9 @@ walks:
         let mut graph = testbed.graph;
         // One column of occupied cells, from 10 m to 11 m.
         let cells = vec![cotorra_graph::Cell::Occupied; 10];
-        let map = OccupancyGrid::new(1, 10, 1.0, Position::new(10.0, -5.0), cells).map(Arc::new);
-        graph.wireless.get_mut("lab").unwrap().walls = Some(Walls { loss_db: 6.0, at_most_db: None, map });
+        let map = Arc::new(OccupancyGrid::new(1, 10, 1.0, Position::new(10.0, -5.0), cells).unwrap());
+        let loss = WallLoss { loss_db: 6.0, at_most_db: None };
+        graph.wireless.get_mut("lab").unwrap().walls = Some(Walls { loss, map });
         let coverage = Coverage::of(&graph, Dbm(-65.0));
         // 6 dB are a factor of 1.58 in distance at 30 dB a decade: 13.5 m in place of 21.4 m.
         let edge = coverage.edge(&pose(5.0, 0.0), &testbed.walks[0], 1, 100.0).unwrap();

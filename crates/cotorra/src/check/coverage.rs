@@ -297,10 +297,10 @@ mod tests {
             (testbed(TWO, "[[0, 0, 1], [30, 0, 1]]"), testbed(TWO, "[[0, 0, 1], [30, 0, 1]]"));
         // One column of occupied cells, from 10 m to 11 m, across the whole picture.
         let cells = vec![cotorra_graph::Cell::Occupied; 40];
-        let map =
-            cotorra_graph::OccupancyGrid::new(1, 40, 1.0, Position::new(10.0, -20.0), cells).map(Arc::new);
+        let map = cotorra_graph::OccupancyGrid::new(1, 40, 1.0, Position::new(10.0, -20.0), cells).unwrap();
+        let loss = cotorra_graph::WallLoss { loss_db: 5.0, at_most_db: None };
         let lab = testbed.graph.wireless.get_mut("lab").unwrap();
-        lab.walls = Some(cotorra_graph::Walls { loss_db: 5.0, at_most_db: None, map });
+        lab.walls = Some(cotorra_graph::Walls { loss, map: Arc::new(map) });
         let (walled, open) = (draw(&testbed), draw(&open));
         let losses: Vec<_> =
             open.panels[1].values.iter().zip(&walled.panels[1].values).map(|(a, b)| a - b).collect();

@@ -1,9 +1,10 @@
 //! The map, which walls of a graph need and which the API gives apart.
 
-use std::{io::Read, sync::Arc};
+use std::{collections::BTreeMap, io::Read, sync::Arc};
 
-use cotorra_graph::{Cell, HardwareGraph, OccupancyGrid, Position};
-use serde::Deserialize;
+use cotorra_graph::{Cell, HardwareGraph, OccupancyGrid, Position, WallLoss, Walls};
+use serde::{Deserialize, Deserializer, de::Error};
+use serde_json::Value;
 
 use super::{Client, ClientError, LARGEST_ANSWER, PATIENCE};
 
@@ -15,17 +16,39 @@ struct MapBody {
     origin: Position,
 }
 
+/// A graph as the API gives it: without walls, whose losses stand beside it by the names of their networks.
+pub(super) struct GraphBody {
+    open: HardwareGraph,
+    losses: BTreeMap<String, WallLoss>,
+}
+
+impl<'de> Deserialize<'de> for GraphBody {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let mut json = Value::deserialize(deserializer)?;
+        let mut losses = BTreeMap::new();
+        let networks = json.get_mut("wireless").and_then(Value::as_object_mut);
+        for (name, network) in networks.into_iter().flatten() {
+            if let Some(walls) = network.as_object_mut().and_then(|network| network.remove("walls")) {
+                losses.insert(name.clone(), serde_json::from_value(walls).map_err(D::Error::custom)?);
+            }
+        }
+        Ok(Self { open: serde_json::from_value(json).map_err(D::Error::custom)?, losses })
+    }
+}
+
 impl Client {
-    /// Gives the walls of a graph their map. Asks for it only if there are walls.
-    pub(super) fn complete_walls(&self, graph: &mut HardwareGraph) -> Result<(), ClientError> {
-        if graph.wireless.values().all(|network| network.walls.is_none()) {
-            return Ok(());
+    /// Gives a graph its walls. Asks for their map only if there are any.
+    pub(super) fn walled(&self, GraphBody { open, losses }: GraphBody) -> Result<HardwareGraph, ClientError> {
+        let mut graph = open;
+        if !losses.is_empty() {
+            let map = Arc::new(self.map()?);
+            for (name, loss) in losses {
+                if let Some(network) = graph.wireless.get_mut(&name) {
+                    network.walls = Some(Walls { loss, map: Arc::clone(&map) });
+                }
+            }
         }
-        let map = Arc::new(self.map()?);
-        for walls in graph.wireless.values_mut().filter_map(|network| network.walls.as_mut()) {
-            walls.map = Some(Arc::clone(&map));
-        }
-        Ok(())
+        Ok(graph)
     }
 
     fn map(&self) -> Result<OccupancyGrid, ClientError> {

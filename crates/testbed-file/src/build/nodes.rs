@@ -168,7 +168,8 @@ impl Builder<'_> {
                 .error(&record.span, "walls in a testbed without a map")
                 .help("add `map: …` with a ROS map_server file, whose occupied cells are the walls");
         }
-        Some(Walls { loss_db, at_most_db: at_most.map(|most| most.value.0), map: Some(map?.clone()) })
+        let loss = cotorra_graph::WallLoss { loss_db, at_most_db: at_most.map(|most| most.value.0) };
+        Some(Walls { loss, map: Arc::clone(map?) })
     }
 
     pub(super) fn nodes(&mut self) -> Option<Vec<Node>> {

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Cell, Dbm, HardwareGraph, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Shadowing, Timestamp, Walls,
+    Cell, Dbm, HardwareGraph, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Shadowing, Timestamp,
+    WallLoss, Walls,
 };
 use proptest::prelude::*;
 
@@ -32,7 +33,7 @@ fn floor(walls: Option<Walls>, shadowing_db: f64) -> HardwareGraph {
 }
 
 fn walls(at_most_db: Option<f64>) -> Option<Walls> {
-    Some(Walls { loss_db: 3.4, at_most_db, map: Some(map()) })
+    Some(Walls { loss: WallLoss { loss_db: 3.4, at_most_db }, map: map() })
 }
 
 fn id(name: &str) -> NodeId {
@@ -76,7 +77,7 @@ fn radio_units_hear_robots_weaker_by_the_same_loss() {
 
 #[test]
 fn without_walls_signals_are_those_of_the_path_loss_alone() {
-    for without in [None, Some(Walls { loss_db: 0.0, at_most_db: None, map: Some(map()) })] {
+    for without in [None, Some(Walls { loss: WallLoss { loss_db: 0.0, at_most_db: None }, map: map() })] {
         let graph = floor(without, 0.0);
         let unit = graph.node(&id("R1")).unwrap();
         let NodeKind::RadioUnit(radio) = &unit.kind else { panic!("a radio unit") };
@@ -109,7 +110,7 @@ fn a_robot_that_roams_by_signal_changes_earlier_behind_a_wall() {
         }
         panic!("it stays with R1")
     };
-    let strong = Some(Walls { loss_db: 15.0, at_most_db: None, map: Some(map()) });
+    let strong = Some(Walls { loss: WallLoss { loss_db: 15.0, at_most_db: None }, map: map() });
     let (open, walled) = (changes_at(None), changes_at(strong));
     // Past the wall at 10 m, R2 is the stronger one as soon as the line to it is through the door.
     assert!((20.0..25.0).contains(&open), "{open}");
