@@ -85,7 +85,8 @@ pub use schedule::{Scheduled, Script, When};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{
-    BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,
+    BUNDLED_PLUGINS, Emulation, InstructionLimit, PluginProgram, PluginSpec, Retention, Retentions, Testbed,
+    Walk,
 };
 pub use time_parts::{LinkTime, TimeParts};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};

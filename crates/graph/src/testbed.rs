@@ -1,6 +1,6 @@
 //! A whole testbed, as a testbed file describes it and validation let it pass.
 
-use std::{collections::HashSet, path::PathBuf, time::Duration};
+use std::{collections::HashSet, fmt, path::PathBuf, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
@@ -169,12 +169,66 @@ pub struct PluginSpec {
     /// Whether the run's figures stay valid if it is cut off.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub optional: bool,
+    /// Instructions that it may give.
+    #[serde(default, skip_serializing_if = "InstructionLimit::is_default")]
+    pub instructions_per_second: InstructionLimit,
     /// Variables that a program gets beside the usual ones: `NAME` with its value in cotorra's own environment, or
     /// `NAME=VALUE`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub env: Vec<String>,
     /// Settings, as the file has them.
     pub settings: serde_json::Map<String, serde_json::Value>,
+}
+
+/// Number of instructions that a plug-in may give in a second, also all at once: from 1 to 100000, 1000 by default.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(value_type = u32, minimum = 1, maximum = 100_000))]
+#[serde(try_from = "u32", into = "u32")]
+pub struct InstructionLimit(u32);
+
+impl InstructionLimit {
+    /// The highest limit. More would keep a core from its other work.
+    pub const MOST: u32 = 100_000;
+
+    /// Returns `None` for 0, and above [`Self::MOST`].
+    pub fn new(per_second: u32) -> Option<Self> {
+        (1..=Self::MOST).contains(&per_second).then_some(Self(per_second))
+    }
+
+    /// Instructions in a second.
+    pub const fn get(self) -> u32 {
+        self.0
+    }
+
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl Default for InstructionLimit {
+    fn default() -> Self {
+        Self(1000)
+    }
+}
+
+impl fmt::Display for InstructionLimit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl From<InstructionLimit> for u32 {
+    fn from(limit: InstructionLimit) -> Self {
+        limit.0
+    }
+}
+
+impl TryFrom<u32> for InstructionLimit {
+    type Error = String;
+    fn try_from(per_second: u32) -> Result<Self, Self::Error> {
+        Self::new(per_second).ok_or_else(|| format!("instructions per second are from 1 to {}", Self::MOST))
+    }
 }
 
 /// Program of a plug-in.

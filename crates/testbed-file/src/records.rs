@@ -4,9 +4,9 @@ use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
     AgentId, BackgroundScan, BitRate, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
-    EngineKind, GapPolicy, IpNetwork, JitterDistribution, LinkId, LinuxCapability, ListenPort, NodeId,
-    PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl, Requests, Roaming,
-    RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume, WifiStandard,
+    EngineKind, GapPolicy, InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability,
+    ListenPort, NodeId, PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl,
+    Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume, WifiStandard,
 };
 
 use crate::{
@@ -1353,6 +1353,8 @@ record! {
         enabled: bool = true,
         /// Whether the run's figures stay valid if it is cut off, or ends before the run does.
         optional: bool = false,
+        /// Instructions that it may give in a second, also all at once. One that gives more is cut off.
+        instructions_per_second: InstructionLimit = 1000,
         /// Settings of the plug-in.
         settings: serde_json::Map<String, serde_json::Value> = {},
     }

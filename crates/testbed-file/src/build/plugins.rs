@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use cotorra_graph::{BUNDLED_PLUGINS, PluginId, PluginProgram, PluginSpec};
+use cotorra_graph::{BUNDLED_PLUGINS, InstructionLimit, PluginId, PluginProgram, PluginSpec};
 
 use super::builder::{Builder, each};
 use crate::{
@@ -31,6 +31,7 @@ impl Builder<'_> {
                         program,
                         domain: None,
                         optional: false,
+                        instructions_per_second: InstructionLimit::default(),
                         env: Vec::new(),
                         settings: serde_json::Map::new(),
                     }
@@ -83,8 +84,15 @@ impl Builder<'_> {
             None => Some(None),
         };
         let env = self.env(&record.env, !matches!(program, Some(PluginProgram::Bundled(_))));
-        let (optional, settings) = (record.optional, record.settings.clone());
-        Some(PluginSpec { id: id?, program: program?, domain: domain?, optional, env: env?, settings })
+        Some(PluginSpec {
+            id: id?,
+            program: program?,
+            domain: domain?,
+            optional: record.optional,
+            instructions_per_second: record.instructions_per_second,
+            env: env?,
+            settings: record.settings.clone(),
+        })
     }
 
     fn bundled(&mut self, name: &Spanned<String>) -> Option<PluginProgram> {

@@ -7,7 +7,8 @@ use serde_json::{Value as Json, json};
 pub(crate) use super::tree::{Entry, Node, Value};
 use super::{Sink, Span, tree::shorten};
 use cotorra_graph::{
-    AgentId, DomainId, IpNetwork, LinkId, NodeId, PluginId, Position, SensorId, ServiceId, VnfId,
+    AgentId, DomainId, InstructionLimit, IpNetwork, LinkId, NodeId, PluginId, Position, SensorId, ServiceId,
+    VnfId,
 };
 
 /// A type that stands in a file.
@@ -574,6 +575,20 @@ macro_rules! small_number {
     )*};
 }
 small_number! { u8, "6"; u16, "1"; u32, "3"; }
+
+impl Decode for InstructionLimit {
+    fn schema() -> Json {
+        json!({ "type": "integer", "minimum": 1, "maximum": Self::MOST })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let limit = node.plain().and_then(|text| text.parse().ok()).and_then(Self::new);
+        if limit.is_none() {
+            let what = format!("a whole number from 1 to {}", Self::MOST);
+            expected(node, &what, "write only digits, such as `1000`", sink);
+        }
+        limit
+    }
+}
 
 /// Reads a finite number; Rust's own parser would let `inf` and `nan` pass.
 fn number(node: &Node) -> Option<f64> {

@@ -9,14 +9,14 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{DomainId, Instruction, NodeId, PluginId, Stamped, Timestamp};
+use cotorra_graph::{
+    DomainId, Instruction, InstructionLimit, NodeId, PluginId, PluginSpec, Stamped, Timestamp,
+};
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::Actions;
 
 use crate::follower::{Follower, PluginMessage};
 
-/// Instructions that a plug-in may give per second; also the size of a burst.
-const INSTRUCTIONS_PER_SECOND: f64 = 1000.0;
 /// VNFs that a plug-in may add per second. Each starts programs.
 const VNFS_PER_SECOND: f64 = 10.0;
 /// VNFs that a plug-in may add at once.
@@ -38,8 +38,8 @@ pub(crate) enum Fault {
     Undone { mark: u64, patience: Duration },
     #[error("followed no `/api/v1/events` within {} s, with the secret in its `COTORRA_TOKEN`", .0.as_secs_f64())]
     Absent(Duration),
-    #[error("it asked for more than {INSTRUCTIONS_PER_SECOND} things in a second")]
-    Flooded,
+    #[error("it gave more than {0} instructions in a second, its `instructions_per_second`")]
+    Flooded(InstructionLimit),
     #[error("its program ended: {0}")]
     Ended(ExitStatus),
     #[error("its program is lost: {0}")]
@@ -53,8 +53,8 @@ enum NotTriedError {
     CutOff,
     #[error("{0}")]
     Fault(Fault),
-    #[error("no more than {INSTRUCTIONS_PER_SECOND} instructions a second are taken")]
-    TooMany,
+    #[error("no more than {0} instructions a second are taken")]
+    TooMany(InstructionLimit),
     #[error("no more than {VNFS_AT_ONCE} VNFs at once, and {VNFS_PER_SECOND} a second, are added")]
     TooManyVnfs,
 }
@@ -138,6 +138,8 @@ impl Program {
 pub(crate) struct PluginHost {
     members: BTreeSet<PluginId>,
     cut: BTreeSet<PluginId>,
+    /// Limits of plug-ins in the testbed file. All other callers have the default.
+    limits: BTreeMap<PluginId, InstructionLimit>,
     budgets: BTreeMap<PluginId, Budget>,
     /// Callers of the API on behalf of a domain. Beside the members, they have a budget each.
     domains: BTreeSet<PluginId>,
@@ -159,6 +161,7 @@ impl PluginHost {
         Self {
             members: members.into_iter().collect(),
             cut: BTreeSet::new(),
+            limits: BTreeMap::new(),
             budgets: BTreeMap::new(),
             domains: BTreeSet::new(),
             others: None,
@@ -168,6 +171,12 @@ impl PluginHost {
             marks: 0,
             patience,
         }
+    }
+
+    /// Limits these plug-ins as the testbed file says.
+    pub(crate) fn with_limits(mut self, plugins: &[PluginSpec]) -> Self {
+        self.limits = plugins.iter().map(|spec| (spec.id.clone(), spec.instructions_per_second)).collect();
+        self
     }
 
     /// Gives callers on behalf of these domains a budget each.
@@ -279,18 +288,24 @@ impl PluginHost {
         if self.is_cut_off(plugin) {
             return Err(NotTriedError::CutOff);
         }
-        let full = || Budget { left: INSTRUCTIONS_PER_SECOND, at: now };
-        let budget = if self.members.contains(plugin) || self.domains.contains(plugin) {
+        let is_plugin = self.members.contains(plugin);
+        let limit = self.limits.get(plugin).copied().filter(|_| is_plugin).unwrap_or_default();
+        let per_second = f64::from(limit.get());
+        let full = || Budget { left: per_second, at: now };
+        let budget = if is_plugin || self.domains.contains(plugin) {
             self.budgets.entry(plugin.clone()).or_insert_with(full)
         } else {
             self.others.get_or_insert_with(full)
         };
-        if budget.take(now, INSTRUCTIONS_PER_SECOND, INSTRUCTIONS_PER_SECOND) {
+        if budget.take(now, per_second, per_second) {
             return Ok(());
         }
         // A caller of the API that is no plug-in may come back later.
-        let is_plugin = self.members.contains(plugin);
-        Err(if is_plugin { NotTriedError::Fault(Fault::Flooded) } else { NotTriedError::TooMany })
+        Err(if is_plugin {
+            NotTriedError::Fault(Fault::Flooded(limit))
+        } else {
+            NotTriedError::TooMany(limit)
+        })
     }
 }
 
@@ -434,7 +449,7 @@ mod tests {
         for _ in 0..1000 {
             ask(now, &flooding, &mut testbed).unwrap();
         }
-        let flooded = "it asked for more than 1000 things in a second".to_owned();
+        let flooded = Fault::Flooded(InstructionLimit::default()).to_string();
         assert_eq!(ask(now, &flooding, &mut testbed), Err(flooded.clone()));
         let robot: NodeId = "robot".parse().unwrap();
         assert_eq!(testbed.faults, [(format!("flooding: {flooded}"), vec![robot])]);
@@ -448,6 +463,33 @@ mod tests {
         assert_eq!(ask(later, &somebody, &mut testbed), Ok(()));
         assert_eq!((testbed.done, testbed.faults.len()), (2001, 1));
         assert!(host.is_cut_off(&flooding) && !host.is_cut_off(&somebody));
+    }
+
+    #[test]
+    fn each_plugin_has_its_own_limit() {
+        let spec = |id: &str, per_second| PluginSpec {
+            id: id.parse().unwrap(),
+            program: cotorra_graph::PluginProgram::Bundled("probing".to_owned()),
+            domain: None,
+            optional: false,
+            instructions_per_second: InstructionLimit::new(per_second).unwrap(),
+            env: Vec::new(),
+            settings: Default::default(),
+        };
+        let specs = [spec("few", 10), spec("many", 3000)];
+        let members = specs.iter().map(|spec| spec.id.clone());
+        let mut host = PluginHost::new(members, Duration::from_secs(1)).with_limits(&specs);
+        let mut testbed = Obedient::default();
+        let now = Timestamp::from_secs_f64(1.0);
+        let mut done = |who: &PluginId| {
+            let ask = |_: &i32| host.instruct(now, who.clone(), move_robot(), None, &mut testbed).is_ok();
+            (0..5000).filter(ask).count()
+        };
+        let [few, many] = specs.each_ref().map(|spec| done(&spec.id));
+        assert_eq!((few, many), (10, 3000));
+        let [(few, _), (many, _)] = &testbed.faults[..] else { panic!("{:?}", testbed.faults) };
+        assert!(few.starts_with("few: it gave more than 10 instructions in a second"), "{few}");
+        assert!(many.starts_with("many: it gave more than 3000 instructions in a second"), "{many}");
     }
 
     #[test]

@@ -77,7 +77,9 @@ impl PreparedPlugins {
         let domains = Domains::new(testbed);
         let members = testbed.plugins.iter().map(|spec| spec.id.clone());
         let mut plugins = RunningPlugins::new(
-            PluginHost::new(members, LONGEST_CALL).with_domains(&testbed.graph.domains),
+            PluginHost::new(members, LONGEST_CALL)
+                .with_limits(&testbed.plugins)
+                .with_domains(&testbed.graph.domains),
             self.ledgers,
         );
         for spec in &testbed.plugins {

@@ -291,7 +291,11 @@ impl Network for Ticking {
 fn faults_end_the_same_in_real_time_virtual_time_and_replay() {
     for (misdeed, reason, flood) in [
         (Misdeed::Panic, "panicked: by design", 0),
-        (Misdeed::Flood, "it asked for more than 1000 things in a second", 1000),
+        (
+            Misdeed::Flood,
+            "it gave more than 1000 instructions in a second, its `instructions_per_second`",
+            1000,
+        ),
         (Misdeed::Hang, "did not return from a call within 30 s", 0),
     ] {
         let expected = Recorded { faults: vec![(id(), reason.to_owned())], flood, any_later: false };
@@ -313,7 +317,11 @@ fn faults_end_the_same_in_real_time_virtual_time_and_replay() {
 #[test]
 fn a_program_that_floods_or_hangs_is_cut_off_in_a_replay() {
     for (misdeed, reason, flood) in [
-        (Misdeed::Flood, "it asked for more than 1000 things in a second", 1000),
+        (
+            Misdeed::Flood,
+            "it gave more than 1000 instructions in a second, its `instructions_per_second`",
+            1000,
+        ),
         (Misdeed::Hang, "was not done with mark ", 0),
     ] {
         let played = misdeed.in_virtual_time();

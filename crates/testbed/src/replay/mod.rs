@@ -141,9 +141,9 @@ impl Controlled for Record {
 }
 
 impl Audience {
-    fn new(now: Timestamp) -> Self {
+    fn new(testbed: &Testbed, now: Timestamp) -> Self {
         Self {
-            host: PluginHost::new([], PATIENCE),
+            host: PluginHost::new([], PATIENCE).with_limits(&testbed.plugins),
             locals: Locals::default(),
             _ledgers: Ledgers::default(),
             record: Record::default(),
@@ -228,7 +228,7 @@ impl Replay {
         let (history, testbed) = (Arc::new(history), Arc::new(testbed));
         let wanted = Wanted { file: None, foxglove: options.foxglove };
         let info = history.run(run)?.info;
-        let mut audience = Audience::new(options.from);
+        let mut audience = Audience::new(&testbed, options.from);
         if options.to_plugins {
             audience.invite(&testbed, info.seed)?;
         }

@@ -195,6 +195,7 @@ impl Simulation {
             serving,
             interference: Interference::default(),
             host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE)
+                .with_limits(&testbed.plugins)
                 .with_domains(&testbed.graph.domains),
             locals,
             forking: None,

@@ -1,8 +1,8 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, LinkId, Loss, Nodes, OccupancyGrid,
-    PoseSource, Position, Probability, Program, RobotContext, ServiceTime, Velocity,
+    Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, InstructionLimit, LinkId, Loss, Nodes,
+    OccupancyGrid, PoseSource, Position, Probability, Program, RobotContext, ServiceTime, Velocity,
 };
 use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
@@ -740,6 +740,7 @@ fn run_with_program(command: &[&str], settings: serde_json::Value, patience: Dur
     let mut testbed = Testbed::clone(&corridor());
     testbed.plugins[0].program = PluginProgram::Command(command.iter().map(ToString::to_string).collect());
     testbed.plugins[0].settings = serde_json::from_value(settings).unwrap();
+    testbed.plugins[0].instructions_per_second = InstructionLimit::new(500).unwrap();
     let options = Options {
         seed: Some(1),
         until: Some(Duration::from_secs(60)),
@@ -781,7 +782,7 @@ fn the_program_of_other_tests() {
         let mut events = client.events(&["robot"]).unwrap();
         events.next().unwrap().unwrap();
         let scan = Instruction::Scan { robot: "robot".parse().unwrap() };
-        while !matches!(client.instruct(&scan, None), Err(ClientError::Refused(why)) if why.contains("1000"))
+        while !matches!(client.instruct(&scan, None), Err(ClientError::Refused(why)) if why.contains("more than 500"))
         {
         }
         return;
@@ -838,7 +839,7 @@ fn a_program_that_floods_is_cut_off_after_the_same_instructions_each_time() {
         run_with_program(&command, serde_json::json!({ "flood": true }), PATIENT).0.summary
     };
     let summary = flood();
-    let reason = "it asked for more than 1000 things in a second";
+    let reason = "it gave more than 500 instructions in a second, its `instructions_per_second`";
     assert!(matches!(&summary.plugin_faults[..], [fault] if fault.ends_with(reason)), "{summary:?}");
     assert_eq!(summary, flood());
 }
