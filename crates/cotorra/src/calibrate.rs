@@ -187,7 +187,7 @@ enum Error {
 
 /// Fits, and writes the results.
 pub fn calibrate(args: &CalibrateArgs) -> miette::Result<()> {
-    let Loaded { testbed, text } = testbed_file::load(&args.file, &[])?;
+    let Loaded { testbed, text, .. } = testbed_file::load(&args.file, &[])?;
     let folder = args.out.clone().unwrap_or_else(|| Path::new("calibrations").join(&testbed.name));
     let results = [TESTBED, REPORT, FIGURES];
     let exists = |name: &&str| folder.join(name).symlink_metadata().is_ok();

@@ -18,6 +18,15 @@ use crate::words::count;
 pub struct Loaded {
     pub testbed: Testbed,
     pub text: String,
+    /// What to check before its results are trusted.
+    pub warnings: Vec<Mistake>,
+}
+
+impl Loaded {
+    /// Shows the warnings on standard error, each in its place.
+    pub fn warn(&self) {
+        self.warnings.iter().for_each(|warning| note!("{:?}", warning.report()));
+    }
 }
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -52,7 +61,7 @@ impl FileError {
     pub fn show(self) {
         if let Self::Wrong { name, mistakes } = self {
             let all = count(mistakes.len(), "mistake");
-            mistakes.into_iter().for_each(|mistake| note!("{:?}", miette::Report::new(mistake)));
+            mistakes.iter().for_each(|mistake| note!("{:?}", mistake.report()));
             note!("{name} has {all}");
         } else {
             note!("{:?}", miette::Report::new(self));
@@ -65,17 +74,22 @@ pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
     let text = cotorra_testbed_file::read(path)
         .map_err(|reason| FileError::Unreadable { path: path.to_owned(), reason })?;
     let base = path.parent().unwrap_or(Path::new(""));
-    match cotorra_testbed_file::parse_with(&path.display().to_string(), &text, base, settings) {
-        Ok(testbed) => Ok(Loaded { testbed, text: cotorra_testbed_file::annotated(&text, settings) }),
+    match cotorra_testbed_file::parse_with_warnings(&path.display().to_string(), &text, base, settings) {
+        Ok((testbed, warnings)) => Ok(Loaded {
+            testbed,
+            text: cotorra_testbed_file::annotated(&text, settings),
+            warnings: warnings.map(|found| Mistake::all(found, Severity::Warning)).unwrap_or_default(),
+        }),
         Err(found) => Err(found.into()),
     }
 }
 
-/// A mistake with the source text to show it in.
-#[derive(Debug, thiserror::Error)]
+/// A mistake, or a warning, with the source text to show it in.
+#[derive(Debug, Clone, thiserror::Error)]
 #[error("{message}")]
 pub struct Mistake {
     message: String,
+    severity: Severity,
     found: cotorra_testbed_file::Diagnostic,
     /// `None` if lines are too long to show.
     source_code: Option<Arc<NamedSource<String>>>,
@@ -83,7 +97,7 @@ pub struct Mistake {
 
 impl miette::Diagnostic for Mistake {
     fn severity(&self) -> Option<Severity> {
-        Some(Severity::Error)
+        Some(self.severity)
     }
 
     fn help(&self) -> Option<Box<dyn std::fmt::Display + '_>> {
@@ -102,21 +116,32 @@ impl miette::Diagnostic for Mistake {
     }
 }
 
-impl From<Diagnostics> for FileError {
-    fn from(found: Diagnostics) -> Self {
+impl Mistake {
+    fn all(found: Diagnostics, severity: Severity) -> Vec<Self> {
         let name = found.source_name.clone();
         let source_code = found
             .can_be_shown_in_place()
             .then(|| Arc::new(NamedSource::new(&found.source_name, found.source_text).with_language("YAML")));
-        let mistake = |found: cotorra_testbed_file::Diagnostic| Mistake {
+        let mistake = |found: cotorra_testbed_file::Diagnostic| Self {
             message: match source_code {
                 Some(_) => found.message.clone(),
                 None => format!("{name}:{}:{}: {}", found.line, found.column, found.message),
             },
             found,
+            severity,
             source_code: source_code.clone(),
         };
-        Self::Wrong { mistakes: found.list.into_iter().map(mistake).collect(), name }
+        found.list.into_iter().map(mistake).collect()
+    }
+
+    fn report(&self) -> miette::Report {
+        miette::Report::new(self.clone())
+    }
+}
+
+impl From<Diagnostics> for FileError {
+    fn from(found: Diagnostics) -> Self {
+        Self::Wrong { name: found.source_name.clone(), mistakes: Mistake::all(found, Severity::Error) }
     }
 }
 

@@ -82,6 +82,19 @@ pub fn parse_with(
     base_dir: &Path,
     settings: &[Setting],
 ) -> Result<Testbed, Diagnostics> {
+    parse_with_warnings(source_name, text, base_dir, settings).map(|(testbed, _)| testbed)
+}
+
+/// As [`parse_with`], and returns warnings, too: what is valid, but to be checked before results are trusted.
+///
+/// # Errors
+/// All mistakes, each with its place.
+pub fn parse_with_warnings(
+    source_name: &str,
+    text: &str,
+    base_dir: &Path,
+    settings: &[Setting],
+) -> Result<(Testbed, Option<Diagnostics>), Diagnostics> {
     let mut sink = Sink::default();
     let text = annotated(text, settings);
     let testbed = tree(&text, &mut sink)
@@ -92,7 +105,7 @@ pub fn parse_with(
             Some(testbed)
         });
     match testbed {
-        Some(testbed) if sink.is_empty() => Ok(testbed),
+        Some(testbed) if sink.is_empty() => Ok((testbed, sink.finish_warnings(source_name, &text))),
         _ => Err(sink.finish(source_name, &text)),
     }
 }

@@ -967,7 +967,7 @@ record! {
         /// Time from the last bit sent to the last bit received, one way. Without it: none.
         delay: Option<Duration>,
         /// Random part of the delay; keeps order. A deviation, or a mapping.
-        jitter: Option<Either<Duration, JitterRecord>>,
+        jitter: Option<Spanned<Either<Duration, JitterRecord>>>,
         /// Packets that vanish: a share of all, or a mapping for losses in bursts.
         loss: Option<Either<Probability, LossRecord>>,
         /// Share of packets that arrive twice.

@@ -1,6 +1,9 @@
 //! The testbed files that ship with the project say what is published about them.
 
-use std::{path::PathBuf, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use cotorra_graph::{
     BackgroundScan, Dbm, Fading, LinkId, NodeId, Position, Program, Rate, Roaming, Testbed, WallLoss,
@@ -254,4 +257,47 @@ fn fading_is_rayleigh_rician_or_none() {
     assert!(!serde_json::to_string(&shipped("corridor.yaml").graph).unwrap().contains("fading"));
     assert_eq!(json(of(None, 0.0)), serde_json::json!({ "motion_mps": 0.0 }));
     assert_eq!(json(of(Some(6.0), 0.3)), serde_json::json!({ "k_factor_db": 6.0, "motion_mps": 0.3 }));
+}
+
+/// Returns the warnings of links and a schedule.
+fn warnings(links: &str) -> Vec<String> {
+    let text = format!(
+        "name: x\nnodes:\n  a: {{ kind: server, tier: fog, cpus: 4, memory: 8 GB }}\n  lan: {{ kind: switch }}\n{links}"
+    );
+    let (_, warnings) = cotorra_testbed_file::parse_with_warnings("x.yaml", &text, Path::new(""), &[])
+        .unwrap_or_else(|wrong| panic!("{wrong}"));
+    let list = warnings.map(|warnings| warnings.list).unwrap_or_default();
+    list.into_iter().map(|warning| format!("{}: {}", warning.line, warning.message)).collect()
+}
+
+#[test]
+fn jitter_that_raises_the_mean_delay_is_warned_of() {
+    let jitter = |keys: &str| warnings(&format!("links:\n  - {{ ends: [a, lan], {keys} }}\n"));
+    let of = |distribution: &str, ms: u32| {
+        jitter(&format!("delay: 10 ms, jitter: {{ deviation: {ms} ms, distribution: {distribution} }}"))
+    };
+    for (distribution, largest, mean) in
+        [("uniform", 10, "15.625ms"), ("normal", 5, "21.454ms"), ("pareto", 17, "14.019ms")]
+    {
+        assert_eq!(of(distribution, largest), [""; 0], "{distribution}");
+        let expected = format!("6: with this jitter, the mean delay is {mean}, not 10ms");
+        assert_eq!(of(distribution, 40), [expected], "{distribution}");
+    }
+    assert_eq!(jitter("jitter: 1 ms"), ["6: with this jitter, the mean delay is 399µs, not 0ns"]);
+    assert_eq!(jitter("delay: 10 ms, jitter: 2 ms, backward: { delay: 1 ms }").len(), 1);
+}
+
+#[test]
+fn scheduled_jitter_that_raises_the_mean_delay_is_warned_of() {
+    let scheduled = |set: &str| {
+        warnings(&format!(
+            "links:\n  - {{ ends: [a, lan], delay: 10 ms, jitter: 2 ms }}\n\
+             schedule:\n  - {{ at: 5 s, links: a-lan, set: {{ {set} }} }}\n"
+        ))
+    };
+    assert_eq!(scheduled("delay: 4 ms"), [""; 0]);
+    for set in ["delay: 1 ms", "jitter: 20 ms", "delay: 40 ms, jitter: 80 ms"] {
+        let [warning] = &scheduled(set)[..] else { panic!("{set}: {:?}", scheduled(set)) };
+        assert!(warning.starts_with("8: with this jitter"), "{set}: {warning}");
+    }
 }

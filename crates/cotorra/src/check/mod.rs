@@ -18,8 +18,8 @@ use crate::{figures::parse_figure_file, output, testbed_file};
 
 /// Check testbed files
 ///
-/// Reports every mistake of a file in its place, with the remedy, or summarises the testbed if there is none. Plug-ins are
-/// created as in a run, but no ledger is contacted.
+/// Reports every mistake of a file in its place, with the remedy, or summarises the testbed if there is none. Warnings stand
+/// in their place, too: check them before you trust results. Plug-ins are created as in a run, but no ledger is contacted.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -81,6 +81,7 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
                 Ok(script) => {
                     let overview = testbed_file::overview(&loaded.testbed) + &scripted(script);
                     output::print(&format!("{}: {overview}\n", file.display()))?;
+                    loaded.warn();
                     let cpus = thread::available_parallelism().ok();
                     let missing = cpus.and_then(|have| missing_cpus(&loaded.testbed, have.get()));
                     missing.iter().for_each(|missing| note!("{}: hint: {missing}", file.display()));

@@ -28,7 +28,7 @@ const LISTED: usize = 40;
 /// Examines decisions of a run.
 pub fn examine(
     args: &MarginArgs,
-    Loaded { testbed, text }: Loaded,
+    Loaded { testbed, text, .. }: Loaded,
     seed: u64,
     jobs: NonZero<usize>,
     which: WhichDecision,

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
-use cotorra_graph::{BitRate, Probability};
+use cotorra_graph::{BitRate, JitterDistribution, Probability};
 use cotorra_netem::{Distribution, Jitter, Loss, Network, Rule, Side};
 
 use crate::{
@@ -158,6 +158,18 @@ impl PacketsArgs {
 }
 
 impl SetArgs {
+    /// Returns the mean delay if the jitter raises it; `None` for a mixture of distributions, too.
+    pub fn raised_mean(&self) -> Option<Duration> {
+        let distribution = match self.distribution {
+            Shape::Uniform => JitterDistribution::Uniform,
+            Shape::Normal => JitterDistribution::Normal,
+            Shape::Pareto => JitterDistribution::Pareto,
+            Shape::Paretonormal => return None,
+        };
+        let jitter = cotorra_graph::Jitter { deviation: self.jitter?, distribution, ..Default::default() };
+        jitter.raised_mean(self.delay.unwrap_or_default())
+    }
+
     /// Returns the rule, or the reason why the options make none.
     pub fn rule(&self) -> Result<Rule, String> {
         let distribution = match self.distribution {

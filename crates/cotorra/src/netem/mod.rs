@@ -65,6 +65,9 @@ fn set(args: &SetArgs) -> miette::Result<()> {
     let kernel = Kernel::open().into_diagnostic()?;
     let (device, mut record) = device(&kernel, &args.packets.interface)?;
     is_free(&record, &args.packets.interface)?;
+    if let Some(mean) = args.raised_mean() {
+        note!("note: with this jitter, the mean delay is {mean:?}: delays below zero count as zero");
+    }
     let plan = device.set(&rule, args.replace).into_diagnostic()?;
     if args.dry_run {
         return output::print(&plan.to_string());

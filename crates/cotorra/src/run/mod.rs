@@ -121,6 +121,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         #[cfg(feature = "agents")]
         agents: args.agents.options(),
     };
+    loaded.warn();
     if args.dry_run {
         previous(&args, &mut loaded)?;
         let interfaces = if args.simulate {

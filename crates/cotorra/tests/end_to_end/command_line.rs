@@ -56,6 +56,27 @@ fn all_mistakes_of_a_file_are_reported_with_lines_and_help() {
 }
 
 #[test]
+fn jitter_that_raises_the_mean_delay_is_warned_of_in_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("lab.yaml");
+    let text = "name: lab\nnodes:\n  a: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n  \
+        b: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\nlinks:\n  - { ends: [a, b], delay: 10 ms, jitter: 20 ms }\n";
+    fs::write(&file, text).unwrap();
+    for arguments in [&["check"][..], &["run", "--simulate", "--dry-run"]] {
+        let checked = cotorra(arguments).arg(&file).output().unwrap();
+        assert!(checked.status.success(), "{}", stderr(&checked));
+        let shown = stderr(&checked);
+        for part in [
+            "lab.yaml:6:43",
+            "with this jitter, the mean delay is 13.956ms, not 10ms",
+            "a delay of 40ms or more",
+        ] {
+            assert!(shown.contains(part), "{part} is not in {shown}");
+        }
+    }
+}
+
+#[test]
 fn a_closed_standard_error_does_not_change_the_exit_status() {
     let folder = tempfile::tempdir().unwrap();
     let bad = folder.path().join("bad.yaml");

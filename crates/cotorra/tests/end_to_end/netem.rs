@@ -54,6 +54,8 @@ tc filter add dev lo parent c070: protocol ip pref 9601 u32 match ip dst 10.0.0.
 no conditions
 ";
     assert_eq!(stdout(&done), expected);
+    let wide = script("$COTORRA netem set lo --delay 10ms --jitter 20ms --dry-run");
+    assert!(stderr(&wide).contains("the mean delay is 13.956ms"), "{}", stderr(&wide));
 }
 
 #[test]

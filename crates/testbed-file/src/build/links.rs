@@ -3,7 +3,8 @@
 use std::{path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    BitRate, Conditions, HardwareGraph, Jitter, Link, LinkId, Loss, NodeId, Probability, Rate, Scale, Trace,
+    BitRate, Conditions, HardwareGraph, Jitter, JitterDistribution, Link, LinkId, Loss, NodeId, Probability,
+    Rate, Scale, Trace,
 };
 
 use super::builder::{Builder, each};
@@ -103,7 +104,12 @@ impl Builder<'_> {
             };
         }
         let delay = pick!(delay).copied().unwrap_or_default();
-        let jitter = pick!(jitter).map(|jitter| self.jitter(jitter));
+        let jitter = pick!(jitter).map(|jitter| {
+            let Spanned { value, span } = jitter;
+            let jitter = self.jitter(value);
+            self.warn_of_mean(span, jitter, delay);
+            jitter
+        });
         let reordering = pick!(reordering);
         if let Some(share) = reordering.filter(|share| share.value.get() > 0.0 && delay.is_zero()) {
             self.sink
@@ -144,6 +150,28 @@ impl Builder<'_> {
             delay_scale: delay.map_or(1.0, |scale| scale.0),
             drop_scale: drop.map_or(1.0, |scale| scale.value.0),
         }
+    }
+
+    /// Warns of a jitter that raises the mean of a delay.
+    pub(super) fn warn_of_mean(&mut self, span: &Span, jitter: Jitter, delay: Duration) {
+        let Some(mean) = jitter.raised_mean(delay) else { return };
+        // The largest deviation that leaves the mean as it is, or raises it by less than half a percent, for a delay of 1.
+        let largest = match jitter.distribution {
+            JitterDistribution::Uniform => 1.0,
+            JitterDistribution::Normal => 0.5,
+            JitterDistribution::Pareto => 3f64.sqrt(),
+        };
+        let micros = |time: Duration, factor: f64| (time.as_secs_f64() * 1e6 * factor).round() as u64;
+        let shortest = Duration::from_micros(micros(jitter.deviation, 1.0 / largest));
+        let smaller = match micros(delay, largest) {
+            0 => String::new(),
+            deviation => format!(", or a jitter of {:?} or less", Duration::from_micros(deviation)),
+        };
+        self.sink
+            .warning(span, format!("with this jitter, the mean delay is {mean:?}, not {delay:?}"))
+            .help(format!(
+                "delays below zero count as zero: write a delay of {shortest:?} or more{smaller}, or expect this mean"
+            ));
     }
 
     pub(super) fn jitter(&mut self, jitter: &Either<Duration, JitterRecord>) -> Jitter {

@@ -1,6 +1,6 @@
 //! Scripted conditions of links: each entry of a schedule, and the run whose conditions are replayed.
 
-use cotorra_graph::{BitRate, ConditionChange, Link, LinkId, Rate, Scheduled, Script, When};
+use cotorra_graph::{BitRate, ConditionChange, Direction, Link, LinkId, Rate, Scheduled, Script, When};
 
 use super::builder::Builder;
 use crate::{
@@ -60,9 +60,12 @@ fn scheduled(
         named_well &= is_there(builder, link, links);
     }
     // What may not be faster than a medium that is not known is told with what is wrong with the links.
-    let mediums = links.unwrap_or_default().iter().filter(|link| named.iter().any(|n| n.value == link.id));
-    let medium = mediums.map(|link| link.medium).min();
+    let wired = links.unwrap_or_default().iter().filter(|link| named.iter().any(|n| n.value == link.id));
+    let medium = wired.clone().map(|link| link.medium).min();
     let set = change(builder, &record.set, medium.unwrap_or(UNBOUNDED));
+    if let Some(set) = &set {
+        wired.for_each(|link| warn_of_mean(builder, record, link, set));
+    }
     named_well.then_some(())?;
     Some(Scheduled {
         when: when?,
@@ -70,6 +73,24 @@ fn scheduled(
         direction: record.direction,
         set: set?,
     })
+}
+
+/// Warns of a jitter that raises the mean of a delay, in each direction that changes. What is left out counts as at the start.
+fn warn_of_mean(builder: &mut Builder<'_>, record: &ScheduledRecord, link: &Link, set: &ConditionChange) {
+    if set.delay_ms.is_none() && set.jitter.is_none() {
+        return;
+    }
+    let place = record.set.value.jitter.as_ref().map_or(&record.set.span, |jitter| &jitter.span);
+    for (direction, conditions) in
+        [(Direction::Forward, &link.forward), (Direction::Backward, &link.backward)]
+    {
+        let delay = record.set.value.delay.unwrap_or(conditions.delay);
+        if let Some(jitter) = set.jitter.or(conditions.jitter)
+            && record.direction.is_none_or(|only| only == direction)
+        {
+            builder.warn_of_mean(place, jitter, delay);
+        }
+    }
 }
 
 /// Stands in for the medium of a wireless link. The run checks such entries against the network's own rate.
@@ -125,7 +146,7 @@ fn change(
     let (queue, queue_discipline) = builder.queue(record.queue.as_ref())?;
     let change = ConditionChange {
         delay_ms: record.delay.map(|delay| delay.as_secs_f64() * 1e3),
-        jitter: record.jitter.as_ref().map(|jitter| builder.jitter(jitter)),
+        jitter: record.jitter.as_ref().map(|jitter| builder.jitter(&jitter.value)),
         loss: loss?,
         duplication: record.duplication,
         corruption: record.corruption,

@@ -4,10 +4,10 @@ use std::{collections::BTreeSet, fmt, ops::Range};
 
 use super::Span;
 
-/// One mistake.
+/// One mistake or warning.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
-    /// Description of the mistake.
+    /// Description of it.
     pub message: String,
     /// Note at the place itself; may be empty.
     pub label: String,
@@ -24,14 +24,14 @@ pub struct Diagnostic {
 /// Bytes of a line that is shown with a mistake in it. Nobody finds the place in a longer one.
 const MAX_LINE: usize = 1000;
 
-/// Everything that is wrong with a file, in the file's order; never empty.
+/// All mistakes of a file, or all its warnings, in the file's order; never empty.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub struct Diagnostics {
     /// The file's name, as it was asked for.
     pub source_name: String,
     /// Text of the file; empty if it could not be read.
     pub source_text: String,
-    /// The mistakes.
+    /// The mistakes or warnings.
     pub list: Vec<Diagnostic>,
 }
 
@@ -72,10 +72,12 @@ impl fmt::Display for Diagnostics {
     }
 }
 
-/// Collects mistakes from decoders and checks.
+/// Collects mistakes and warnings from decoders and checks.
 #[derive(Debug, Default)]
 pub(crate) struct Sink {
     found: Vec<Diagnostic>,
+    /// What is valid, but to be checked before results are trusted.
+    warnings: Vec<Diagnostic>,
 }
 
 impl Sink {
@@ -84,15 +86,12 @@ impl Sink {
 
     /// Something is wrong there. What would be right follows: see [`Diagnostic::help`].
     pub fn error(&mut self, span: &Span, message: impl Into<String>) -> &mut Diagnostic {
-        self.found.push(Diagnostic {
-            message: message.into(),
-            label: String::new(),
-            help: None,
-            span: span.clone(),
-            line: 0,
-            column: 0,
-        });
-        self.found.last_mut().expect("one was just pushed")
+        self.found.push_mut(Diagnostic::new(span, message.into()))
+    }
+
+    /// Something there is valid, but may not be meant.
+    pub fn warning(&mut self, span: &Span, message: impl Into<String>) -> &mut Diagnostic {
+        self.warnings.push_mut(Diagnostic::new(span, message.into()))
     }
 
     /// Whether nothing is wrong so far.
@@ -107,9 +106,18 @@ impl Sink {
     /// Panics if there are none.
     pub fn finish(self, source_name: &str, source_text: &str) -> Diagnostics {
         assert!(!self.found.is_empty(), "diagnostics are of something");
+        Self::placed(self.found, source_name, source_text)
+    }
+
+    /// Returns all warnings as [`finish`](Self::finish) does mistakes; `None` if there are none.
+    pub fn finish_warnings(self, source_name: &str, source_text: &str) -> Option<Diagnostics> {
+        let list = self.warnings;
+        (!list.is_empty()).then(|| Self::placed(list, source_name, source_text))
+    }
+
+    fn placed(mut list: Vec<Diagnostic>, source_name: &str, source_text: &str) -> Diagnostics {
         let lines: Vec<usize> =
             std::iter::once(0).chain(source_text.match_indices('\n').map(|(i, _)| i + 1)).collect();
-        let mut list = self.found;
         list.sort_by_key(|d| d.span.start);
         let mut seen = BTreeSet::new();
         list.retain(|d| seen.insert((d.span.start, d.message.clone())));
@@ -123,6 +131,10 @@ impl Sink {
 }
 
 impl Diagnostic {
+    fn new(span: &Span, message: String) -> Self {
+        Self { message, label: String::new(), help: None, span: span.clone(), line: 0, column: 0 }
+    }
+
     /// Says something at the place itself.
     pub(crate) fn label(&mut self, label: impl Into<String>) -> &mut Self {
         self.label = label.into();
