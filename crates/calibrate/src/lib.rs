@@ -39,7 +39,7 @@ pub use self::{
     },
     capture::{MAX_CAPTURE, one_way_of_captures, round_trips_of_capture},
     compare::{Comparison, Figures, Prediction, Predictor, compare},
-    csv::MAX_LINES,
+    csv::{CsvRow, MAX_LINES, csv_rows},
     draws::Draws,
     error::CalibrateError,
     estimate::Estimate,

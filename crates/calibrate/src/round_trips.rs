@@ -4,7 +4,7 @@ use std::{collections::BTreeSet, time::Duration};
 
 use crate::{
     calibration::LinkMeasurement,
-    csv::{self, Table},
+    csv::{self, Table, csv_rows},
     error::CalibrateError,
     times::{Means, OneWay, PacketTimes, middle},
 };
@@ -26,11 +26,8 @@ const USUAL_FRAME: usize = 64 + HEADERS;
 /// [`CalibrateError::Line`] with the first line that is wrong, or [`CalibrateError::Unreadable`].
 pub fn parse_round_trips(text: &str) -> Result<PacketTimes, CalibrateError> {
     csv::check_length(text)?;
-    let mut header = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
-    match header.next().is_some_and(|line| line.split(',').any(|column| column.trim() == "rtt_ms")) {
-        true => parse_csv(text),
-        false => parse_ping(text),
-    }
+    let has_header = csv_rows(text).next().is_some_and(|header| header.cells().any(|cell| cell == "rtt_ms"));
+    if has_header { parse_csv(text) } else { parse_ping(text) }
 }
 
 /// Reads the packets that `cotorra stamp send --packets` wrote: CSV with the columns `seq` and `rtt_ms`, and `there_ms` and

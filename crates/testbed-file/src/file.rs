@@ -43,7 +43,11 @@ fn read_at_most(file: File, most: usize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn text(bytes: Vec<u8>) -> io::Result<String> {
+/// Returns a text without its byte order mark.
+fn text(mut bytes: Vec<u8>) -> io::Result<String> {
+    if bytes.starts_with("\u{feff}".as_bytes()) {
+        bytes.drain(..'\u{feff}'.len_utf8());
+    }
     String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8"))
 }
 
@@ -58,6 +62,14 @@ mod tests {
         fs::write(&path, [7; 100]).unwrap();
         assert_eq!(read(&path, 100).unwrap(), [7; 100]);
         assert_eq!(read(&path, 99).unwrap_err().to_string(), "it has more than 99 bytes");
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_part_of_a_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        fs::write(&path, "\u{feff}name: x\u{feff}").unwrap();
+        assert_eq!(read_text(&path).unwrap(), "name: x\u{feff}");
     }
 
     #[test]

@@ -42,14 +42,14 @@ fn ping() -> String {
     text
 }
 
-/// A survey along a line, of a path loss with the exponent 2.2 and independent deviations.
+/// A survey along a line, of a path loss with the exponent 2.2 and independent deviations, as spreadsheets write it.
 fn survey() -> String {
-    let mut text = "time_s,x,y,radio_unit,signal_dbm\n".to_owned();
+    let mut text = "\u{feff}\"time_s\",\"x\",\"y\",\"radio_unit\",\"signal_dbm\"\r\n".to_owned();
     for (i, number) in (0..120).zip(numbers()) {
         let distance = 1.5 + 0.5 * f64::from(i);
         let free_space_at_1_m = 20.0 * 2412_f64.log10() - 27.55;
         let signal = 15.0 - free_space_at_1_m - 22.0 * distance.log10() + 4.0 * (number - 0.5);
-        writeln!(text, "{i},{distance},0,A,{signal:.1}").unwrap();
+        write!(text, "{i},{distance},0,\"A\",\"{signal:.1}\"\r\n").unwrap();
     }
     text
 }

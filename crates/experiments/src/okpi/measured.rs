@@ -2,6 +2,8 @@
 
 use std::{io, path::Path};
 
+use cotorra_calibrate::{CsvRow, csv_rows};
+
 use super::{CONTENDERS, Contender, times::Timed};
 
 /// Maximum number of samples of a measured walk.
@@ -44,21 +46,20 @@ impl Measured {
         Self::parse(&cotorra_testbed_file::read(path)?, contender)
     }
 
-    /// Parses a line for each sample: seconds since the walk began and the service time in milliseconds, with a comma
-    /// between. Without an answer, the service time is empty. The first line can be a head.
+    /// Parses CSV with a line for each sample: seconds since the walk began and the service time in milliseconds. Without an
+    /// answer, the service time is empty. The first line can be a head.
     ///
     /// # Errors
     /// [`MeasuredError::Line`] or [`MeasuredError::EmptyHalf`].
     pub fn parse(text: &str, contender: Option<Contender>) -> Result<Self, MeasuredError> {
-        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut samples: Vec<Timed> = Vec::new();
         let mut may_be_head = true;
-        for (number, text) in text.lines().enumerate().filter(|(_, text)| !text.trim().is_empty()) {
-            if std::mem::take(&mut may_be_head) && is_head(text) {
+        for row in csv_rows(text) {
+            if std::mem::take(&mut may_be_head) && is_head(&row) {
                 continue;
             }
-            let wrong = |reason| MeasuredError::Line { line: number + 1, reason };
-            let sample = sample(text).map_err(wrong)?;
+            let wrong = |reason| MeasuredError::Line { line: row.line, reason };
+            let sample = sample(&row).map_err(wrong)?;
             if let Some(last) = samples.last().filter(|last| last.at_s > sample.at_s) {
                 return Err(wrong(format!(
                     "{} s is before {} s of the sample above",
@@ -96,13 +97,13 @@ impl Contender {
     }
 }
 
-/// Whether a line names its columns: none of them is a number.
-fn is_head(line: &str) -> bool {
-    line.split(',').all(|field| !field.trim().is_empty() && field.trim().parse::<f64>().is_err())
+/// Whether a row names its columns: none of them is a number.
+fn is_head(row: &CsvRow) -> bool {
+    row.cells().all(|field| !field.is_empty() && field.parse::<f64>().is_err())
 }
 
-fn sample(line: &str) -> Result<Timed, String> {
-    let fields: Vec<_> = line.split(',').map(str::trim).collect();
+fn sample(row: &CsvRow) -> Result<Timed, String> {
+    let fields: Vec<_> = row.cells().collect();
     let [seconds, ms] = fields[..] else {
         return Err(format!(
             "it has {} columns; write seconds and milliseconds, as in 12.0,10.4",
@@ -142,9 +143,13 @@ mod tests {
         let plain = Measured::parse(rows, None).unwrap();
         let ms: Vec<_> = plain.samples().iter().map(|sample| (sample.at_s, sample.ms)).collect();
         assert_eq!(ms, [(0.0, Some(11.2)), (1.0, Some(10.9)), (2.0, None), (3.0, Some(152.0))]);
-        for head in ["seconds,milliseconds\n", "\u{feff}t,ms\n", "\ntime (s),service time (ms)\n"] {
+        for head in
+            ["seconds,milliseconds\n", "\u{feff}t,ms\n", "\ntime (s),service time (ms)\n", "\"t\",\"ms\"\n"]
+        {
             assert_eq!(Measured::parse(&format!("{head}{rows}"), None).unwrap(), plain, "{head}");
         }
+        let quoted = "\"0\",\"11.2\"\n\"1.0\",10.9\n2,\"\"\n3,\"152\"\n";
+        assert_eq!(Measured::parse(quoted, None).unwrap(), plain);
     }
 
     #[test]

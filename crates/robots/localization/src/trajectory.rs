@@ -24,8 +24,8 @@ const GAP: f64 = 2.0;
 
 impl Trajectory {
     /// Reads a trajectory: a corrected CARMEN log (the robot's pose in its laser messages), or lines of `time x y heading`,
-    /// or of `time x y z qx qy qz qw` (TUM), separated by commas or blanks. Lines that begin with `#` and a header line are
-    /// skipped.
+    /// or of `time x y z qx qy qz qw` (TUM), separated by commas or blanks, with or without
+    /// quotes. Lines that begin with `#`, a header line and a byte order mark are skipped.
     ///
     /// # Errors
     /// [`LogError`] at the first line in none of these formats.
@@ -48,8 +48,8 @@ impl Trajectory {
             return Ok(Self { poses, per_scan: true });
         }
         let mut poses: Vec<(f64, Pose2)> = Vec::new();
-        for (line, text) in text.lines().enumerate() {
-            let text = text.trim();
+        for (line, text) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+            let text = text.trim().trim_start_matches('"');
             let words =
                 poses.is_empty() && text.starts_with(|c: char| c.is_alphabetic() && !text.starts_with("nan"));
             if text.is_empty() || text.starts_with('#') || words {
@@ -98,7 +98,7 @@ impl Trajectory {
 fn row(text: &str) -> Result<(f64, Pose2), LogProblem> {
     let message = "trajectory";
     let mut numbers = Vec::new();
-    for found in text.split([',', ' ', '\t']).filter(|field| !field.is_empty()) {
+    for found in text.split([',', ' ', '\t', '"']).filter(|field| !field.is_empty()) {
         match found.parse::<f64>() {
             Ok(number) if number.is_finite() => numbers.push(number),
             _ => {
@@ -227,7 +227,8 @@ mod tests {
         let (sin, cos) = 0.5_f64.sin_cos();
         let (sin_after, cos_after) = 0.75_f64.sin_cos();
         let tum = read(&format!("1 2 3 0 0 0 {sin} {cos}\n2 4 3 0 0 0 {sin_after} {cos_after}\n"));
-        for trajectory in [&table, &tum] {
+        let quoted = "\u{feff}\"time\",\"x\",\"y\",\"heading\"\r\n\"1\",\"2\",\"3\",\"1.0\"\r\n2,4,3,1.5\r\n";
+        for trajectory in [&table, &tum, &read(quoted)] {
             let between = trajectory.at(0, 9, 1.5).unwrap();
             assert!((between.x - 3.0).abs() < 1e-9 && (between.heading - 1.25).abs() < 1e-9);
             assert_eq!(trajectory.at(0, 9, 0.9), None);
