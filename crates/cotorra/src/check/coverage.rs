@@ -308,7 +308,7 @@ mod tests {
         assert!(first_row[0].abs() < 1e-9 && (first_row[first_row.len() - 1] - 5.0).abs() < 1e-9);
         assert_eq!(walled.notes[0], "The mean by path loss and walls: shadowing and fading are left out.");
         assert_eq!(open.notes[0], "The mean by path loss alone: walls, shadowing and fading are left out.");
-        let mut command = <crate::check::CheckArgs as clap::Args>::augment_args(clap::Command::new("check"));
+        let command = <crate::check::CheckArgs as clap::Args>::augment_args(clap::Command::new("check"));
         let help = command.term_width(1000).render_long_help().to_string();
         assert!(help.contains("path loss and of the walls of networks that have `walls`"), "{help}");
     }
