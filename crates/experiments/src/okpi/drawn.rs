@@ -120,7 +120,7 @@ fn published(walks: &Walks<'_>, report: &Report, median: fn(&Published) -> f64) 
     };
     let parts: Vec<_> = seconds.chunk_by(|(_, a), (_, b)| a == b).filter_map(stretch).collect();
     let name = PUBLISHED_NAME.to_owned();
-    (!parts.is_empty()).then(|| Series { name, kind: SeriesKind::Line, look: Some(PUBLISHED_LOOK), parts })
+    (!parts.is_empty()).then_some(Series { name, kind: SeriesKind::Line, look: Some(PUBLISHED_LOOK), parts })
 }
 
 /// Returns the panel of the distributions; `None` without answered samples.

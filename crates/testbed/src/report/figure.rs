@@ -143,14 +143,14 @@ fn distributions(all: &[Its], target: impl Fn(&Its) -> f64) -> Panel {
     let mut robots: Vec<_> = shown.iter().map(|its| &its.robot).collect();
     robots.dedup();
     let what = if robots.len() == shown.len() { "robots" } else { "services" };
-    let by: [(&str, fn(&Quantiles) -> f64); 3] =
-        [("median", |its| its.p50), ("p95", |its| its.p95), ("p99", |its| its.p99)];
-    let series = by.map(|(name, read)| Series {
+    let series = |name: &str, read: fn(&Quantiles) -> f64| Series {
         name: name.to_owned(),
         kind: SeriesKind::Line,
         look: None,
         parts: vec![shares_up_to(quantiles.iter().map(read).collect())],
-    });
+    };
+    let series =
+        [series("median", |its| its.p50), series("p95", |its| its.p95), series("p99", |its| its.p99)];
     Panel {
         x: Axis::logarithmic(label, low * BEFORE, high),
         y: Axis::around(&format!("{what} up to (%)"), 0.0, 100.0),
