@@ -74,6 +74,7 @@ fn late(its: &ServiceParts) -> Option<String> {
     let (added, explains) = (added_p95_ms.as_ref()?, explains.as_ref()?);
     let who = match part.as_str() {
         "sender" => "the sender's host",
+        "vnf" if its.mean.processor_ms > its.mean.vnf_ms => "the VNF, which mostly waited for a processor,",
         "vnf" => "the VNF",
         "receiver" => "the receiver's host",
         "unknown" => "time outside all stamps",
@@ -112,6 +113,17 @@ mod tests {
             mean: MeanParts::default(),
             parts: vec![part],
         }
+    }
+
+    #[test]
+    fn a_vnf_that_waited_for_a_processor_is_not_blamed_alone() {
+        let mut its = parts(20, &[]);
+        its.parts[0].part = "vnf".to_owned();
+        let said = |its: &ServiceParts| explanation(its).unwrap();
+        its.mean = MeanParts { vnf_ms: 3.0, processor_ms: 2.0, ..MeanParts::default() };
+        assert!(said(&its).starts_with("the VNF added 22.00 ms"), "{}", said(&its));
+        its.mean = MeanParts { vnf_ms: 2.0, processor_ms: 3.0, ..MeanParts::default() };
+        assert!(said(&its).starts_with("the VNF, which mostly waited for a processor, added 22.00 ms"));
     }
 
     fn at(link: Option<&str>, back: bool, cause: LostCause) -> Option<LostAt> {

@@ -540,7 +540,7 @@ impl Report {
 
     /// Returns the parts of the service times of services with answered samples, in the file's order.
     pub fn time_parts(&self) -> Vec<ServiceParts> {
-        self.time_parts.summary()
+        self.time_parts.summary(&self.vnf_waits)
     }
 
     /// Returns the service times of each service, in the file's order.

@@ -6,7 +6,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{LinkId, LostAt, ServiceId, ServiceTime, Testbed, TimeParts, millis};
+use cotorra_engine::InstanceWaits;
+use cotorra_graph::{LinkId, LostAt, NodeId, ServiceId, ServiceTime, Testbed, TimeParts, VnfId, millis};
 use serde::Serialize;
 
 use super::times::Quantiles;
@@ -55,13 +56,25 @@ pub struct MeanParts {
     pub wires_out_ms: f64,
     /// In queues, until channels were free, and in handovers.
     pub queueing_ms: f64,
+    /// In VNFs and their hosts, without the next part.
     pub vnf_ms: f64,
+    /// Waits of VNFs for a processor of this machine: those of each instance's thread that waited longest, over all answered
+    /// samples, and at most the time in VNFs. Zero if they are unknown.
+    pub processor_ms: f64,
     pub wires_back_ms: f64,
     pub air_back_ms: f64,
     /// Airtime of all attempts but the first.
     pub retries_ms: f64,
     pub receiver_ms: f64,
     pub unknown_time_ms: f64,
+}
+
+impl MeanParts {
+    /// Takes waits for a processor, ms for each sample, out of the time in VNFs.
+    fn with_processor(self, waited_ms: f64) -> Self {
+        let processor_ms = waited_ms.min(self.vnf_ms);
+        Self { vnf_ms: self.vnf_ms - processor_ms, processor_ms, ..self }
+    }
 }
 
 /// A link, or one of `sender`, `vnf`, `receiver` and `unknown`. The time on a link is that of both ways, with queueing and
@@ -136,6 +149,8 @@ pub(super) struct TimePartsReport {
     services: Vec<(ServiceId, Duration, Gathered)>,
     places: BTreeMap<ServiceId, usize>,
     wires: BTreeSet<LinkId>,
+    /// The service of each VNF, and the service's robot. VNFs on the robot are part of the sender and the receiver.
+    vnfs: BTreeMap<VnfId, (ServiceId, NodeId)>,
 }
 
 impl Gathered {
@@ -199,6 +214,7 @@ impl Gathered {
             wires_out_ms: wires_out,
             queueing_ms: queueing,
             vnf_ms: vnf,
+            processor_ms: 0.0,
             wires_back_ms: wires_back,
             air_back_ms: air_back,
             retries_ms: retries,
@@ -259,7 +275,30 @@ impl TimePartsReport {
             services: testbed.services.iter().map(service).collect(),
             places: testbed.services.iter().map(|service| service.id.clone()).zip(0..).collect(),
             wires: testbed.graph.links.iter().map(|link| link.id.clone()).collect(),
+            vnfs: testbed
+                .services
+                .iter()
+                .flat_map(|service| {
+                    service
+                        .vnfs
+                        .iter()
+                        .map(|vnf| (vnf.id.clone(), (service.id.clone(), service.robot.clone())))
+                })
+                .collect(),
         }
+    }
+
+    /// Returns the waits of each service's VNFs for a processor, ms.
+    fn waited_ms(&self, waits: &[InstanceWaits]) -> BTreeMap<&ServiceId, f64> {
+        let mut waited_ms: BTreeMap<_, f64> = BTreeMap::new();
+        for InstanceWaits { vnf, node, waits } in waits {
+            if let (Some((service, robot)), Some(waits)) = (self.vnfs.get(vnf), waits)
+                && node != robot
+            {
+                *waited_ms.entry(service).or_default() += millis::of(waits.longest);
+            }
+        }
+        waited_ms
     }
 
     /// Adds a sample.
@@ -285,8 +324,10 @@ impl TimePartsReport {
         }
     }
 
-    /// Returns the parts of each service with samples, in the file's order.
-    pub fn summary(&self) -> Vec<ServiceParts> {
+    /// Returns the parts of each service with samples, in the file's order, in a run with these waits of VNFs for a processor.
+    pub fn summary(&self, waits: &[InstanceWaits]) -> Vec<ServiceParts> {
+        let waited_ms = self.waited_ms(waits);
+        let waited_ms = |service: &ServiceId| waited_ms.get(service).copied().unwrap_or_default();
         let measured = |its: &Gathered| its.samples > 0 || its.unknown > 0 || !its.lost.is_empty();
         let measured = self.services.iter().filter(|(.., its)| measured(its));
         let summary = |(service, _, its): &(ServiceId, Duration, Gathered)| ServiceParts {
@@ -297,7 +338,7 @@ impl TimePartsReport {
             late_with_parts: its.above.seen,
             unanswered: its.lost.values().sum(),
             lost_at: its.lost(),
-            mean: its.mean(),
+            mean: its.mean().with_processor(waited_ms(service) / f64::from(its.samples.max(1))),
             parts: its.parts(),
         };
         measured.map(summary).collect()
@@ -308,6 +349,7 @@ impl TimePartsReport {
 mod tests {
     use std::path::Path;
 
+    use cotorra_engine::ProcessorWaits;
     use cotorra_graph::{Direction, LinkTime, LostCause, Timestamp};
     use proptest::{collection::vec, prelude::*};
 
@@ -326,7 +368,7 @@ services:
   n:
     robot: r
     kpis: { service_time: 15 ms, flow: { protocol: udp, port: 9000 } }
-    vnfs: {}
+    vnfs: { v: { command: [v], node: s } }
 ";
 
     fn report() -> TimePartsReport {
@@ -336,6 +378,12 @@ services:
 
     fn ms(ms: u64) -> Duration {
         Duration::from_millis(ms)
+    }
+
+    /// Waits of an instance of a VNF on a node, of one of its threads.
+    fn waits(vnf: &str, node: &str, waited: u64) -> InstanceWaits {
+        let waits = ProcessorWaits { all: ms(2 * waited), longest: ms(waited), runs: 1 };
+        InstanceWaits { vnf: vnf.parse().unwrap(), node: node.parse().unwrap(), waits: Some(waits) }
     }
 
     /// A sample with these milliseconds: in the VNF, on the air to it, on the wire to it with queueing, and back.
@@ -373,7 +421,7 @@ services:
         within.into_iter().chain(above).for_each(|ms| report.absorb(&sample(ms)));
         report.absorb(&ServiceTime { took: None, parts: None, ..sample([0; 5]) });
         report.absorb(&ServiceTime { parts: None, ..sample([1; 5]) });
-        let [its] = &report.summary()[..] else { panic!("one service") };
+        let [its] = &report.summary(&[])[..] else { panic!("one service") };
         assert_eq!((its.samples, its.without_parts), (6, 1));
         assert_eq!((its.late_answers, its.late_with_parts, its.unanswered), (3, 3, 1));
         let part = |name: &str| its.parts.iter().find(|part| part.part == name).unwrap();
@@ -399,7 +447,7 @@ services:
             let lost_at = lost_at.cloned().map(Box::new);
             report.absorb(&ServiceTime { took: None, parts: None, lost_at, ..sample([0; 5]) });
         }
-        let [its] = &report.summary()[..] else { panic!("a service without any answer") };
+        let [its] = &report.summary(&[])[..] else { panic!("a service without any answer") };
         assert_eq!((its.samples, its.unanswered, its.late_answers), (0, 6, 0));
         let lost: Vec<_> = its.lost_at.iter().map(|place| (place.at.clone(), place.samples)).collect();
         assert_eq!(lost, [(Some(on_air), 3), (Some(queued), 2), (None, 1)]);
@@ -415,9 +463,9 @@ services:
     #[test]
     fn a_service_within_its_target_needs_no_explanation() {
         let mut report = report();
-        assert!(report.summary().is_empty());
+        assert!(report.summary(&[]).is_empty());
         report.absorb(&sample([1; 5]));
-        let [its] = &report.summary()[..] else { panic!("one service") };
+        let [its] = &report.summary(&[])[..] else { panic!("one service") };
         assert!(its.parts.iter().all(|part| part.explains.is_none() && part.added_p95_ms.is_none()));
     }
 
@@ -432,11 +480,16 @@ services:
         }
 
         #[test]
-        fn means_add_up_to_the_mean_service_time(all in vec(proptest::array::uniform5(0..50_u64), 1..20)) {
+        fn means_add_up_to_the_mean_service_time(
+            all in vec(proptest::array::uniform5(0..50_u64), 1..20),
+            waited in 0..500_u64,
+        ) {
             let mut report = report();
             all.iter().for_each(|ms| report.absorb(&sample(*ms)));
             let sum: u64 = all.iter().flatten().sum();
-            let mean = report.summary()[0].mean;
+            let mean = report.summary(&[waits("v", "s", waited), waits("v", "r", 9), waits("other", "s", 9)])[0].mean;
+            let in_vnf: u64 = all.iter().map(|[vnf, ..]| vnf).sum();
+            prop_assert!((mean.processor_ms - waited.min(in_vnf) as f64 / all.len() as f64).abs() < 1e-9);
             let parts = serde_json::to_value(mean).unwrap();
             let added: f64 = parts.as_object().unwrap().values().map(|ms| ms.as_f64().unwrap()).sum();
             prop_assert!((added - sum as f64 / all.len() as f64).abs() < 1e-9);
