@@ -220,10 +220,10 @@ pub(crate) struct Batch<M> {
     pub(crate) again: Again,
 }
 
-/// Makes the runs that the journal does not have yet, or has with another key, without results or without samples, `jobs` at a time, and adds
-/// each to the journal as soon as it is done. `file` is the name of the testbed file. `measure` makes the run of that index; it
-/// returns `None` if it was stopped. Calls `go_on` with the number of finished
-/// runs, at the beginning and after each run; `false` stops all.
+/// Makes the runs that the journal does not have yet, or has with another key, without results or without samples, `jobs` at a
+/// time, and adds each to the journal as soon as it is done. `file` is the name of the testbed file. `measure` makes the run of
+/// that index; it returns `None` if it was stopped. Calls `go_on` with the number of finished runs, at the beginning and after
+/// each run; `false` stops all.
 pub(crate) fn run<M: Serialize + DeserializeOwned + Send, E: From<BatchError> + Send>(
     journal: &Journal,
     jobs: NonZero<usize>,
