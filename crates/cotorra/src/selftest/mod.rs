@@ -73,7 +73,7 @@ pub struct SelftestArgs {
     #[arg(long)]
     pub headless: bool,
     /// Be this host of the scene `mesh`, whose hosts are the names
-    #[arg(long, value_name = "HOST", hide = true)]
+    #[arg(long, value_name = "HOST", hide = true, requires = "names")]
     pub peer: Option<String>,
 }
 
