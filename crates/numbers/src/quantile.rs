@@ -88,6 +88,8 @@ mod tests {
     fn quantiles_interpolate_between_ranks() {
         let q = Quantiles::of((1..=5).map(f64::from).collect()).unwrap();
         assert_eq!((q.p50, q.p95, q.max), (3.0, 4.8, 5.0));
+        assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), Some(2.5));
     }
 
     #[test]

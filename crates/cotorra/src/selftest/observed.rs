@@ -7,6 +7,7 @@ use std::{
 
 use cotorra_graph::{Event, LinkContext};
 use cotorra_measurements::{History, Kind, PageRequest};
+use cotorra_numbers::median;
 use cotorra_testbed::Recorded;
 use serde::Deserialize;
 
@@ -118,13 +119,6 @@ impl Observed {
     }
 }
 
-/// Returns the median of values.
-pub fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let (low, high) = (values.get(values.len().checked_sub(1)? / 2)?, values.get(values.len() / 2)?);
-    Some(f64::midpoint(*low, *high))
-}
-
 /// Reads the samples of `service_time.csv`.
 fn samples(csv: &str) -> io::Result<Vec<Sample>> {
     let wrong = || io::Error::new(io::ErrorKind::InvalidData, "service_time.csv has no service times");
@@ -173,12 +167,5 @@ mod tests {
         assert_eq!(samples(csv).unwrap(), expected);
         assert!(samples("emitted_ns\n1\n").is_err());
         assert!(samples("").is_err());
-    }
-
-    #[test]
-    fn a_median_is_between_the_two_in_the_middle() {
-        assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));
-        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), Some(2.5));
-        assert_eq!(median(Vec::new()), None);
     }
 }

@@ -3,6 +3,7 @@
 use std::{iter, path::Path};
 
 use cotorra_graph::{Direction, LinkContext};
+use cotorra_numbers::median;
 
 use super::{
     check::Check,
@@ -176,7 +177,7 @@ pub fn scenes(program: &Path) -> Vec<Scene> {
             check: |run| {
                 let waits = waits(run);
                 let wrong = waits.iter().map(|(measured, expected)| (measured - expected).abs()).collect();
-                vec![Check::time("off by a median of, ms", run, 0.0, super::observed::median(wrong))]
+                vec![Check::time("off by a median of, ms", run, 0.0, median(wrong))]
             },
             ..Scene::DEFAULT
         },
