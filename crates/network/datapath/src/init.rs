@@ -28,8 +28,9 @@ pub(crate) struct Init {
     pub(crate) lifeline: RawFd,
     /// Descriptor of another process (pidfd) that the program ends with; -1 if there is none.
     pub(crate) other: RawFd,
-    /// Whether the program stays in the session and process group of the parent, to use its terminal.
-    pub(crate) has_terminal: bool,
+    /// The signals that the program begins with as blocked if it keeps this process's terminal; `None` gives it a session of its
+    /// own, and what the calling thread blocks.
+    pub(crate) with_terminal: Option<libc::sigset_t>,
     /// The program's limit of open files. A program that uses select(2) must not get descriptors above 1024.
     pub(crate) open_files: Option<libc::rlimit>,
     /// Whether the program's process number inside is that of its init outside.
@@ -83,10 +84,11 @@ impl Init {
             0 => {
                 // SAFETY: async-signal-safe, with live arguments.
                 unsafe {
-                    if !self.has_terminal {
+                    if self.with_terminal.is_none() {
                         check(libc::setsid())?;
                     }
-                    libc::sigprocmask(libc::SIG_SETMASK, &before, std::ptr::null_mut());
+                    let blocked = self.with_terminal.as_ref().unwrap_or(&before);
+                    libc::sigprocmask(libc::SIG_SETMASK, blocked, std::ptr::null_mut());
                     if let Some(limit) = &self.open_files {
                         libc::setrlimit(libc::RLIMIT_NOFILE, limit);
                     }
@@ -98,7 +100,7 @@ impl Init {
             }
             // SAFETY: we are the parent of that process and have no other thread.
             program => unsafe {
-                if self.has_terminal {
+                if self.with_terminal.is_some() {
                     // The program gets the terminal's signals itself.
                     libc::setpgid(0, 0);
                 }

@@ -234,14 +234,12 @@ impl Namespace {
                 cgroups,
                 lifeline: lifeline_end,
                 other: options.ends_with.map_or(-1, |process| process.as_raw_fd()),
-                has_terminal: blocked.is_some(),
+                with_terminal: blocked.map(sys::Signals::before),
                 open_files,
                 unique_number: options.unique_number,
                 restrictions,
             }
             .before_exec_of(command);
-            // The program inherits what this thread blocks.
-            blocked.map_or(Ok(()), sys::Signals::unblock_here)?;
             command.spawn()
         })?;
         Ok(Child { init, _lifeline: lifeline })

@@ -131,13 +131,10 @@ impl Signals {
         }
     }
 
-    /// Lets the calling thread, another one, receive those that were not blocked before.
-    pub(crate) fn unblock_here(&self) -> io::Result<()> {
-        // SAFETY: the set is live.
-        match unsafe { libc::pthread_sigmask(libc::SIG_SETMASK, &self.before, std::ptr::null_mut()) } {
-            0 => Ok(()),
-            error => Err(io::Error::from_raw_os_error(error)),
-        }
+    /// Returns what was blocked before. No thread may unblock the others while it starts a program: a signal to this process
+    /// would end it.
+    pub(crate) fn before(&self) -> libc::sigset_t {
+        self.before
     }
 
     /// Waits for the next one.
