@@ -1,7 +1,9 @@
 """A MEC application: watches stations over the WLAN Access Information Service alone (ETSI GS MEC 028, GET and POST under
 /wai/v2), and asks the testbed for a handover when a station hears another access point clearly better.
 
-    COTORRA_API=http://127.0.0.1:7700 python3 examples/wais_handover.py
+    COTORRA_TOKEN=… COTORRA_API=http://127.0.0.1:7700 python3 examples/wais_handover.py
+
+The token is that which the run was started with.
 
 Nothing of what it watches is cotorra's own API: it would watch any service of the standard. Only the handover is asked for
 there, because the standard has no word for it. A station's own radio is let scan, so that there is something to hear.

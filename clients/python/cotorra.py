@@ -63,23 +63,25 @@ class Client:
     """A testbed's API. What is not said is taken from the environment, as a testbed sets it for its plug-ins:
     COTORRA_API, COTORRA_PLUGIN (the name under which decisions are recorded) and COTORRA_TOKEN.
 
-    Whoever listens on a given address gets the token. Without an address, this finds your only run on this machine, and
-    talks to it over a socket on which nobody else can listen."""
+    Without a token, this talks to your run on this machine with that address, or to your only one, over a socket on which
+    nobody else can listen. With a token and an address, whoever listens there gets the token."""
 
     def __init__(
         self, api: Optional[str] = None, plugin: Optional[str] = None, token: Optional[str] = None
     ) -> None:
         handlers = [request.ProxyHandler({})]  # Past any proxy in the environment: a testbed is near.
         api = api or os.environ.get("COTORRA_API")
-        if not api:
-            run = _only_run()
+        token = token or os.environ.get("COTORRA_TOKEN")
+        # Without a token, a run of this user knows it by its socket only.
+        run = _only_run() if not api else None if token else _run_on(api)
+        if run:
             api = run.api
             handlers.append(_Local(run))
         self._api = (api if "://" in api else f"http://{api}").rstrip("/") + "/api/v1"
         self._headers = {"Content-Type": "application/json"}
         if plugin := plugin or os.environ.get("COTORRA_PLUGIN"):
             self._headers["X-Cotorra-Plugin"] = plugin
-        if token := token or os.environ.get("COTORRA_TOKEN"):
+        if token:
             self._headers["Authorization"] = f"Bearer {token}"
         self._http = request.build_opener(*handlers)
         self.missed = 0
@@ -343,7 +345,23 @@ class _Run(NamedTuple):
 
 
 def _only_run() -> _Run:
-    """This user's only run on this machine. A run holds a lock on its entry while it lives."""
+    """This user's only run on this machine."""
+    running = _runs()
+    if not running:
+        raise Ended("no testbed of yours runs on this machine: start one, or let COTORRA_API name its address")
+    if len(running) > 1:
+        raise CotorraError(f"several testbeds run: let COTORRA_API name one of {', '.join(run.api for run in running)}")
+    return running[0]
+
+
+def _run_on(api: str) -> Optional[_Run]:
+    """This user's run on this machine with an address; None if there is none."""
+    address = api.rpartition("://")[2].rstrip("/").replace("localhost:", "127.0.0.1:")
+    return next((run for run in _runs() if run.api == address), None)
+
+
+def _runs() -> list[_Run]:
+    """This user's runs on this machine. A run holds a lock on its entry while it lives."""
     user = os.geteuid()
     bases = [Path(named)] if (named := os.environ.get("XDG_RUNTIME_DIR")) else []
     folders = {base / "cotorra" for base in [*bases, Path(f"/run/user/{user}")]}
@@ -357,11 +375,7 @@ def _only_run() -> _Run:
         for entry in sorted(folder.inside.glob("*.json")) if folder.is_own else []:
             if api := _api(entry):
                 running.append(_Run(api, folder, entry.with_suffix(".sock")))
-    if not running:
-        raise Ended("no testbed of yours runs on this machine: start one, or let COTORRA_API name its address")
-    if len(running) > 1:
-        raise CotorraError(f"several testbeds run: let COTORRA_API name one of {', '.join(run.api for run in running)}")
-    return running[0]
+    return running
 
 
 def _api(entry: Path) -> Optional[str]:

@@ -4,10 +4,20 @@ use std::net::SocketAddr;
 #[cfg(feature = "agents")]
 use std::path::PathBuf;
 
-#[cfg(feature = "agents")]
 use clap::Args;
 #[cfg(feature = "agents")]
 use cotorra_testbed::AgentOptions;
+
+/// Who may use the API and the dashboard.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct AccessArgs {
+    /// Let every user and every program of this machine use the API and the dashboard
+    ///
+    /// They can then steer the run, read its history, and start programs in its nodes. By default only you can: over the
+    /// run's socket, with COTORRA_TOKEN if you set it, and in browsers that `cotorra open` or --open signed in.
+    #[arg(long)]
+    pub no_token: bool,
+}
 
 /// Agents of real machines.
 #[cfg(feature = "agents")]

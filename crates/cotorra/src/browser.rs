@@ -1,24 +1,26 @@
-//! Opens the dashboard in the user's browser.
+//! Opens pages in the user's browser.
 
 use std::{
     env, fs,
-    io::Write,
+    io::{self, Write},
     process::{Child, Command, Stdio},
 };
 
-/// The program that opens an address in the user's browser.
+use cotorra_plugin::client::SignIn;
+
+/// The program that opens a file in the user's browser.
 const OPENER: &str = "xdg-open";
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum Error {
     #[error("--open needs {OPENER}, which is not installed")]
-    #[diagnostic(help("install the package xdg-utils, or open the address that is printed"))]
+    #[diagnostic(help("install the package xdg-utils, or use `cotorra open --print`"))]
     Missing,
     #[error("cannot start {OPENER}: {0}")]
     Start(std::io::Error),
 }
 
-/// A process that waits for the address to open.
+/// A process that waits for the page to open.
 ///
 /// It starts before the run does, because a run may enter a user namespace, in which browsers do not work.
 pub struct Opener(Option<Child>);
@@ -35,7 +37,7 @@ impl Opener {
         if !env::split_paths(&path).any(is_there) {
             return Err(Error::Missing);
         }
-        let script = format!("read -r address && exec {OPENER} \"$address\"");
+        let script = format!("read -r page && exec {OPENER} \"$page\"");
         let child = Command::new("sh")
             .args(["-c", &script])
             .stdin(Stdio::piped())
@@ -46,10 +48,11 @@ impl Opener {
         Ok(Self(Some(child)))
     }
 
-    /// Opens an address. Nobody waits for the browser.
-    pub fn open(self, address: &str) {
+    /// Opens a page by its file: an address would be an argument of the browser, which other users can see. Nobody waits
+    /// for the browser.
+    pub fn open(self, prepare: impl FnOnce() -> io::Result<SignIn>) {
         let Some(stdin) = self.0.and_then(|child| child.stdin) else { return };
-        if let Err(error) = writeln!(&stdin, "{address}") {
+        if let Err(error) = prepare().and_then(|page| writeln!(&stdin, "{}", page.file.display())) {
             tracing::warn!("the browser was not opened: {error}");
         }
     }

@@ -22,6 +22,7 @@ use crate::{
     margin::MarginArgs,
     netem::Netem,
     new::New,
+    open::OpenArgs,
     ps::PsArgs,
     replay::ReplayArgs,
     reproduce::ReproduceArgs,
@@ -56,6 +57,7 @@ Examples:
   cotorra experiment okpi                          repeat the published comparison
   cotorra history series latest service            plot the service time of the last run
   cotorra reproduce runs/corridor-20260101-120000  run it again from its folder, and compare
+  cotorra open                                     open the dashboard of a run
   cotorra view --open                              see the last run in a browser
   cotorra exec robot -- ping cloud                 run a program inside a node of a run
   cotorra link set lan-cloud --delay 40ms          change a link of a run
@@ -138,6 +140,7 @@ Examples:
     Selftest(SelftestArgs),
     Clean(CleanArgs),
     Exec(ExecArgs),
+    Open(OpenArgs),
     Ps(PsArgs),
     Stop(StopArgs),
     /// Show, change and test links of the running testbed

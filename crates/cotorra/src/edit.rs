@@ -1,10 +1,8 @@
 //! `cotorra edit`: a testbed file in an editor page, checked as it is typed.
 
 use std::{
-    fmt, fs,
-    io::{self, Write},
+    fmt, io,
     net::{Ipv4Addr, SocketAddr},
-    os::unix::fs::{MetadataExt, chown},
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -17,6 +15,7 @@ use miette::{IntoDiagnostic, MietteHandler, MietteHandlerOpts, ReportHandler};
 use crate::{
     arguments::parse_address,
     browser::Opener,
+    replaced::replace,
     signals,
     testbed_file::{self, FileError},
     words::count,
@@ -34,7 +33,8 @@ const WIDTH: usize = 90;
 /// The page completes keys and values, shows every mistake in its place while you type, and draws the map and the topology of
 /// a valid file. The file changes only when you save.
 ///
-/// The page's address ends with a secret, so that nobody else on this machine can change the file. Ctrl-C ends the editor.
+/// The editor names a file that only you can read, which leads your browser to the page and signs it in, once. Nobody else on
+/// this machine can change the testbed file. Ctrl-C ends the editor.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -60,7 +60,10 @@ pub fn edit(args: &EditArgs) -> miette::Result<ExitCode> {
             address.ip()
         );
     }
-    let file = EditedFile { path: args.file.clone() };
+    // Resolved once: whoever can write to the folder could later lead the name to another file.
+    let path = args.file.canonicalize();
+    let path = path.map_err(|reason| FileError::Unreadable { path: args.file.clone(), reason })?;
+    let file = EditedFile { name: args.file.clone(), path };
     let text = file.read().map_err(|reason| FileError::Unreadable { path: args.file.clone(), reason })?;
     if text.len() > LONGEST {
         miette::bail!("{} is longer than {} KiB: use another editor", args.file.display(), LONGEST >> 10);
@@ -69,20 +72,24 @@ pub fn edit(args: &EditArgs) -> miette::Result<ExitCode> {
     let interrupts = signals::listen()?;
     let schema = cotorra_testbed_file::schema();
     let editor = Editor::start(address, args.address.is_none(), file, text, schema).into_diagnostic()?;
-    note!("Editor of {} on {}; Ctrl-C ends it", args.file.display(), editor.url());
-    opener.open(&editor.url());
+    let page = editor.page().into_diagnostic()?;
+    note!("Editor of {}: open {} in a browser; Ctrl-C ends it", args.file.display(), page.file.display());
+    opener.open(|| Ok(page));
     // Fails only if the sender is gone, and then nobody can end the editor in order.
     let _ = interrupts.recv();
     Ok(ExitCode::SUCCESS)
 }
 
 struct EditedFile {
+    /// As the user wrote it.
+    name: PathBuf,
+    /// Without symbolic links.
     path: PathBuf,
 }
 
 impl Edited for EditedFile {
     fn name(&self) -> String {
-        self.path.display().to_string()
+        self.name.display().to_string()
     }
 
     fn read(&self) -> io::Result<String> {
@@ -90,11 +97,11 @@ impl Edited for EditedFile {
     }
 
     fn save(&self, text: &str) -> io::Result<()> {
-        replace(&self.path, text)
+        replace(&self.path, text.as_bytes())
     }
 
     fn check(&self, text: &str) -> Checked {
-        let base = self.path.parent().unwrap_or(Path::new(""));
+        let base = self.name.parent().unwrap_or(Path::new(""));
         match cotorra_testbed_file::parse(&self.name(), text, base) {
             Ok(testbed) => match cotorra_testbed::rehearse(&testbed) {
                 Ok(_) => {
@@ -110,20 +117,6 @@ impl Edited for EditedFile {
             Err(found) => wrong(found),
         }
     }
-}
-
-/// Replaces a file as a whole, with its permissions and its owner. A link stays a link.
-fn replace(path: &Path, text: &str) -> io::Result<()> {
-    let path = path.canonicalize()?;
-    let before = fs::metadata(&path)?;
-    let folder = path.parent().ok_or(io::ErrorKind::InvalidInput)?;
-    let mut draft = tempfile::Builder::new().prefix(".cotorra-edit-").tempfile_in(folder)?;
-    draft.write_all(text.as_bytes())?;
-    draft.as_file().set_permissions(before.permissions())?;
-    chown(draft.path(), Some(before.uid()), Some(before.gid()))?;
-    draft.as_file().sync_all()?;
-    draft.persist(&path)?;
-    Ok(())
 }
 
 /// Returns mistakes with their places in UTF-16, and as `cotorra check` shows them.
@@ -161,13 +154,11 @@ impl fmt::Display for Shown<'_> {
 
 #[cfg(test)]
 mod tests {
-    use std::os::unix::fs::{PermissionsExt, symlink};
-
     use super::*;
 
     #[test]
     fn mistakes_have_their_places_in_utf_16_and_the_text_of_check() {
-        let file = EditedFile { path: PathBuf::from("x.yaml") };
+        let file = EditedFile { name: PathBuf::from("x.yaml"), path: PathBuf::new() };
         let checked = file.check("name: \"😀\" # ä\nnodes:\n  lan: { kind: swich }\n");
         let [mistake, ..] = &checked.mistakes[..] else { panic!("{checked:?}") };
         assert!(checked.testbed.is_none() && checked.overview.contains("mistake"));
@@ -179,19 +170,5 @@ mod tests {
             "{}",
             mistake.shown
         );
-    }
-
-    #[test]
-    fn a_saved_file_keeps_its_permissions_and_its_link() {
-        let folder = tempfile::tempdir().unwrap();
-        let (file, link) = (folder.path().join("a.yaml"), folder.path().join("b.yaml"));
-        fs::write(&file, "old").unwrap();
-        fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).unwrap();
-        symlink("a.yaml", &link).unwrap();
-        EditedFile { path: link.clone() }.save("new").unwrap();
-        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
-        assert_eq!(fs::read_to_string(&file).unwrap(), "new");
-        assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o640);
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "no draft is left");
     }
 }

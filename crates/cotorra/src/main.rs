@@ -35,10 +35,12 @@ mod logs;
 mod margin;
 mod netem;
 mod new;
+mod open;
 mod origin;
 mod progress;
 mod ps;
 mod quantity;
+mod replaced;
 mod replay;
 mod reproduce;
 mod run;
@@ -120,6 +122,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Doctor => doctor::doctor()?,
         Command::Clean(args) => clean::clean(&args)?,
         Command::Exec(args) => return Ok(exec::exec(&args)?),
+        Command::Open(args) => open::open(&args)?,
         Command::Ps(args) => ps::ps(&args)?,
         Command::Stop(args) => stop::stop(&args)?,
         Command::Link { link } => link::link(&link)?,

@@ -5,27 +5,39 @@ use cotorra_plugin::runs::{RunEntry, Runs};
 use miette::{IntoDiagnostic, miette};
 use serde_json::json;
 
-use crate::{output, table::Table};
+use crate::{output, running::WhichRun, table::Table};
 
 /// List your runs and replays on this machine
 ///
 /// Each line has a run's testbed, the address of its API, its process and its folder. All of these but the process choose
 /// a run for --run. Runs in virtual time are listed only if they serve an API.
 #[derive(Debug, Args)]
-#[command(after_long_help = "\
-Examples:
+#[command(after_long_help = r#"Examples:
   cotorra ps
   cotorra ps --json
-  cotorra link show --run corridor       one of the runs by its name")]
+  cotorra link show --run corridor       one of the runs by its name
+  curl --unix-socket "$(cotorra ps --socket)" http://localhost/api/v1/robots"#)]
 pub struct PsArgs {
     /// Write JSON
     #[arg(long)]
     pub json: bool,
+    /// Print only the path of the run's socket, on which whoever can open it is the run's user
+    #[arg(long, conflicts_with = "json")]
+    pub socket: bool,
+    #[command(flatten)]
+    pub run: WhichRun,
 }
 
 /// Lists the runs. Fails after that if an entry cannot be read or trusted.
 pub fn ps(args: &PsArgs) -> miette::Result<()> {
-    let (running, refused) = Runs::of_user().running();
+    let runs = Runs::of_user();
+    if args.socket {
+        return output::print(&format!("{}\n", args.run.entry(&runs)?.socket().display()));
+    }
+    let (mut running, refused) = runs.running();
+    if let Some(wanted) = args.run.named() {
+        running.retain(|run| run.is(wanted));
+    }
     output::print(&if args.json { json(&running)? } else { table(&running) })?;
     refused.map_or(Ok(()), |error| Err(miette!("{error}")))
 }

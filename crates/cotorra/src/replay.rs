@@ -13,7 +13,7 @@ use indicatif::ProgressBar;
 use miette::IntoDiagnostic;
 
 use crate::{
-    arguments::parse_address,
+    arguments::{AccessArgs, parse_address},
     browser::Opener,
     exit::Status,
     history::{HistoryPlace, Source, Span},
@@ -66,6 +66,8 @@ pub struct ReplayArgs {
     /// Address of the HTTP API and the dashboard, as with `cotorra run`
     #[arg(long, value_name = "ADDR:PORT", value_parser = parse_address)]
     pub api: Option<SocketAddr>,
+    #[command(flatten)]
+    pub access: AccessArgs,
     /// Serve the replay to Foxglove, too, as with `cotorra run`
     #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE, value_parser = parse_address)]
     pub foxglove: Option<SocketAddr>,
@@ -97,7 +99,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let options = ReplayOptions {
         api: args.api,
         known: Some((Runs::of_user(), format!("replay of {}", args.run))),
-        tokens: run::tokens()?,
+        tokens: run::tokens(args.access)?,
         folder: source.folder.clone(),
         speed: Some(args.speed),
         followers: match args.speed {
@@ -112,9 +114,8 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let interrupts = signals::listen()?;
     let replay = Replay::new(testbed, source.history, source.run.id, options).into_diagnostic()?;
     note!("API on http://{}, replay of {}", replay.api_address(), args.run);
-    let dashboard = format!("http://{}/", replay.api_address());
-    note!("Dashboard on {dashboard}");
-    opener.open(&dashboard);
+    note!("Dashboard on http://{}/", replay.api_address());
+    opener.open(|| replay.dashboard().page(""));
     if let Some(foxglove) = replay.foxglove_address() {
         note!("Foxglove on ws://{foxglove}");
     }

@@ -46,7 +46,9 @@ pub enum Error {
     #[diagnostic(help("it may have ended just now; start one with `cotorra run`"))]
     Silent { api: String, reason: String },
     #[error("the testbed on {api} rejects the token")]
-    #[diagnostic(help("set {TOKEN_VARIABLE} to the token that the run was started with"))]
+    #[diagnostic(help(
+        "set {TOKEN_VARIABLE} to the token that the run was started with, or unset it if there was none"
+    ))]
     Token { api: String },
     #[error("{0}")]
     Failed(ClientError),

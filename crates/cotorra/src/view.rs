@@ -14,7 +14,7 @@ use cotorra_testbed::replay::{Replay, ReplayError, ReplayOptions};
 use miette::IntoDiagnostic;
 
 use crate::{
-    arguments::parse_address,
+    arguments::{AccessArgs, parse_address},
     browser::Opener,
     history::{HistoryPlace, Source},
     run, signals,
@@ -46,6 +46,8 @@ pub struct ViewArgs {
     /// Address of the HTTP API and the dashboard, as with `cotorra run`
     #[arg(long, value_name = "ADDR:PORT", value_parser = parse_address)]
     pub api: Option<SocketAddr>,
+    #[command(flatten)]
+    pub access: AccessArgs,
     /// Folder that relative paths in the testbed file start from, such as that of its map; default: the run's folder, or
     /// testbeds if RUN is a number
     #[arg(long, value_name = "DIR")]
@@ -74,7 +76,7 @@ pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
     let options = ReplayOptions {
         api: args.api,
         known: Some((Runs::of_user(), format!("view of {}", args.run))),
-        tokens: run::tokens()?,
+        tokens: run::tokens(args.access)?,
         folder: source.folder.clone(),
         speed: None,
         followers: 0,
@@ -85,9 +87,8 @@ pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
     };
     let replay = Replay::new(testbed, source.history, source.run.id, options).into_diagnostic()?;
     let query = compared.as_ref().map(|(_, run)| format!("?compare={run}")).unwrap_or_default();
-    let address = format!("http://{}/{query}", replay.api_address());
-    note!("Dashboard on {address}, view of {}; Ctrl-C ends it", args.run);
-    opener.open(&address);
+    note!("Dashboard on http://{}/{query}, view of {}; Ctrl-C ends it", replay.api_address(), args.run);
+    opener.open(|| replay.dashboard().page(&query));
     replay.play(|_| interrupts.try_recv().is_err()).into_diagnostic()?;
     Ok(ExitCode::SUCCESS)
 }

@@ -93,15 +93,18 @@ function change({ delay_ms, loss_percent, rate_mbps, jitter_ms, delay_scale, dro
 const round = (value) => Number(value.toPrecision(12));
 
 /**
- * Returns a call as a command for a shell. The token stays in the shell's environment.
+ * Returns a call as a command for a shell of the run's user, over the run's socket. A token of the shell's environment goes
+ * through a pipe, because every user of a machine can see arguments.
  * @param {Call} of
  * @param {string} address
  */
 export function curl({ path, body }, address) {
     const quoted = (/** @type {string} */ text) => (/^[\w:/.-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
+    const { protocol, host } = new URL(address);
     return [
-        `curl ${quoted(address + path)}`,
-        '-H "Authorization: Bearer $COTORRA_TOKEN"',
+        `printf 'header = "Authorization: Bearer %s"' "$COTORRA_TOKEN" | curl -K -`,
+        `--unix-socket "$(cotorra ps --socket --run ${quoted(host)})"`,
+        quoted(`${protocol}//localhost${path}`),
         "-H 'Content-Type: application/json'",
         `-d ${quoted(JSON.stringify(body, null, 2))}`,
     ].join(" \\\n  ");

@@ -33,6 +33,20 @@ export class Api {
         sessionStorage.setItem(TOKEN_KEY, token);
     }
 
+    /** Signs in with the code behind the `#` of the address, if there is one. The code works once. */
+    async redeem() {
+        const code = location.hash.slice(1);
+        if (!code) return;
+        history.replaceState(null, "", location.pathname + location.search);
+        const call = { method: "POST", path: `${ROOT}sign-in`, body: { code } };
+        try {
+            this.signIn((await this.send(call)).token);
+        } catch (error) {
+            // This tab may have used the code already.
+            if (!(error instanceof Unauthorized)) throw error;
+        }
+    }
+
     /**
      * Gets what is at a path.
      * @template T

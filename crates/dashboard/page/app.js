@@ -362,13 +362,13 @@ async function visible() {
 async function signIn() {
     const dialog = /** @type {HTMLDialogElement} */ (byId("sign-in"));
     const field = /** @type {HTMLInputElement} */ (byId("token"));
-    connection("waiting", "Needs a token");
+    connection("waiting", "Not signed in");
     dialog.showModal();
     await new Promise((resolve) => dialog.addEventListener("close", resolve, { once: true }));
     const token = field.value;
     field.value = "";
     if (token) api.signIn(token);
-    setText(byId("sign-in-error"), "This token opens nothing here.");
+    setText(byId("sign-in-error"), "This token opens nothing here, or was used up.");
 }
 
 /** Connects again and again. */
@@ -460,4 +460,5 @@ function prepare() {
 }
 
 prepare();
+await api.redeem();
 await run();

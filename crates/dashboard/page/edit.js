@@ -340,11 +340,8 @@ addEventListener("beforeunload", (event) => {
 });
 dark.addEventListener("change", changed);
 
-if (location.hash.length > 1) {
-    api.signIn(location.hash.slice(1));
-    history.replaceState(null, "", "/");
-}
 try {
+    await api.redeem();
     await load();
 } catch (error) {
     tell(reason(error));

@@ -53,10 +53,12 @@ test("an empty field leaves a condition as it is", () => {
 test("curl and Python make the same call, whatever names contain", () => {
     const names = { radio_unit: "it's \"R$1\" \\ `x` ü😀\n" };
     const of = call({ action: "attach", robot: "r", ...names });
-    const command = curl(of, ADDRESS).replace(/^curl/, "printf '%s\\n'");
-    const shell = spawnSync("sh", ["-c", command], { encoding: "utf8", env: { COTORRA_TOKEN: "of the environment" } });
-    const [url, , header, , type, , ...body] = shell.stdout.split("\n");
-    assert.deepEqual([url, header, type], [`${ADDRESS}/api/v1/instructions`, "Authorization: Bearer of the environment", "Content-Type: application/json"]);
+    const programs = `curl() { cat; echo; printf '%s\\n' "$@"; }; cotorra() { echo "socket of $*"; };`;
+    const shell = spawnSync("sh", ["-c", programs + curl(of, ADDRESS)], { encoding: "utf8", env: { COTORRA_TOKEN: "of the environment" } });
+    const [header, , , , socket, url, , type, , ...body] = shell.stdout.split("\n");
+    assert.equal(header, 'header = "Authorization: Bearer of the environment"');
+    assert.equal(socket, `socket of ps --socket --run ${new URL(ADDRESS).host}`);
+    assert.deepEqual([url, type], ["http://localhost/api/v1/instructions", "Content-Type: application/json"]);
     assert.deepEqual(JSON.parse(body.join("\n")), of.body);
 
     const program = `

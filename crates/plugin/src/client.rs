@@ -198,6 +198,16 @@ struct TestbedBody {
     seed: u64,
 }
 
+/// A page of the dashboard that a code signs in, once.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SignIn {
+    /// A file that only the run's user can read, and that leads a browser to the page. It is removed once the page is
+    /// signed in.
+    pub file: PathBuf,
+    /// The page's address with the code.
+    pub address: String,
+}
+
 /// Access to a node from this machine.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 pub struct NodeAccess {
@@ -216,18 +226,24 @@ struct Failure {
 
 impl Client {
     /// The client of the API that `COTORRA_API` names, with the token in `COTORRA_TOKEN` if one is set, under the
-    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts. Without `COTORRA_API`, the client of
-    /// this user's only run on this machine, as [`Client::of`] gives it.
+    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts. Without a token, the client of this
+    /// user's run on this machine with that address, as [`Client::of`] gives it, and without `COTORRA_API` that of the only
+    /// one.
     ///
     /// # Errors
     /// [`ClientError`] if one of them is missing or cannot be used. Whether somebody answers shows later.
     pub fn from_env() -> Result<Self, ClientError> {
         let variable = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
+        let token = variable("COTORRA_TOKEN");
         let mut client = match variable("COTORRA_API") {
-            Some(api) => Self::new(&api)?,
+            // Without a token, a run of this user knows it by its socket only.
+            Some(api) => match Runs::of_user().find(Some(&api)) {
+                Ok(run) if token.is_none() => Self::of(&run)?,
+                _ => Self::new(&api)?,
+            },
             None => Self::of(&Runs::of_user().find(None)?)?,
         };
-        client.token = variable("COTORRA_TOKEN");
+        client.token = token;
         client.plugin = variable("COTORRA_PLUGIN").as_deref().map(PluginId::new).transpose()?;
         Ok(client)
     }
@@ -294,6 +310,17 @@ impl Client {
             border: None,
             containers: Default::default(),
         })
+    }
+
+    /// Prepares a page of the dashboard for a browser of the run's user.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError`], with status 401 or 403 for callers other than the operator.
+    pub fn sign_in(&self) -> Result<SignIn, ClientError> {
+        let url = self.url("sign-in/pages");
+        let request = self.identify(self.agent.post(&url)).config().timeout_global(Some(PATIENCE)).build();
+        read(&url, self.answer(&url, request.send_empty())?)
     }
 
     /// Returns how a node is reached.

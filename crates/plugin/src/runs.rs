@@ -186,8 +186,13 @@ impl RunEntry {
         UnixStream::connect(self.folder.file(&self.stem, SOCKET))
     }
 
+    /// Returns the path of its socket, as it was when the run was found.
+    pub fn socket(&self) -> PathBuf {
+        self.folder.path.join(format!("{}.{SOCKET}", self.stem))
+    }
+
     /// Whether a text means it: its testbed's name, its folder or that folder's name, or the address or URL of its API.
-    fn is(&self, wanted: &str) -> bool {
+    pub fn is(&self, wanted: &str) -> bool {
         let folder = Path::new(&self.what);
         let is_folder = folder.is_absolute()
             && (folder.file_name().is_some_and(|name| name == wanted)

@@ -22,6 +22,7 @@ use super::{
     tell_faults,
 };
 use crate::{
+    arguments::AccessArgs,
     exit::Status,
     output,
     run::{self, Stage},
@@ -112,7 +113,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             until: Some(args.until.unwrap_or_else(|| longest(&plan.loaded.testbed))),
             folder: Place::At(folder.join(&name)),
             runs: Some(known.clone()),
-            tokens: run::tokens()?,
+            tokens: run::tokens(AccessArgs::default())?,
             save_power: args.power.save_power,
             ..Options::default()
         };

@@ -28,6 +28,7 @@ use super::{
     tell_faults,
 };
 use crate::{
+    arguments::AccessArgs,
     exit::Status,
     output,
     run::{self, Stage},
@@ -208,7 +209,7 @@ fn walk(
         until: plan.until,
         folder: Place::At(folder.join(&name)),
         runs: Some(known.clone()),
-        tokens: run::tokens()?,
+        tokens: run::tokens(AccessArgs::default())?,
         save_power: args.save_power,
         #[cfg(feature = "agents")]
         agents: args.agents.options(),

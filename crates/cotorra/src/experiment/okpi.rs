@@ -19,6 +19,7 @@ use super::{
     folder::{begin, sound, withdraw},
 };
 use crate::{
+    arguments::AccessArgs,
     exit::Status,
     history, output,
     run::{self, Stage},
@@ -162,7 +163,7 @@ impl Conduct<'_> {
             until: args.until,
             folder: Place::At(self.folder.join(folder)),
             runs: Some(self.known.clone()),
-            tokens: run::tokens()?,
+            tokens: run::tokens(AccessArgs::default())?,
             save_power: args.power.save_power,
             history: self.history.cloned(),
             ..Options::default()

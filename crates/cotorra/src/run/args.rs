@@ -10,7 +10,7 @@ use cotorra_testbed_file::Setting;
 #[cfg(feature = "agents")]
 use crate::arguments::AgentArgs;
 use crate::{
-    arguments::{parse_address, parse_seed},
+    arguments::{AccessArgs, parse_address, parse_seed},
     duration::parse_duration,
     figures::FigureArgs,
     history::{HISTORY_VARIABLE, Place},
@@ -100,10 +100,13 @@ pub struct RunArgs {
     pub open: bool,
     /// Address of the HTTP API and the dashboard
     ///
-    /// The default is 127.0.0.1:7700, or another port if that is taken. An address that others can reach needs a token of
-    /// 16 characters or more in COTORRA_TOKEN. Tools of the same user, such as `cotorra exec`, find the run by themselves.
+    /// The default is 127.0.0.1:7700, or another port if that is taken. Your tools, such as `cotorra exec`, find the run by
+    /// themselves, and `cotorra open` opens its dashboard. An address that others can reach needs a token of 16 characters or
+    /// more in COTORRA_TOKEN.
     #[arg(long, value_name = "ADDR:PORT", value_parser = parse_address)]
     pub api: Option<SocketAddr>,
+    #[command(flatten)]
+    pub access: AccessArgs,
     /// Let the WLAN Access Information Service send notifications to a network, as in 10.1.0.0/16
     ///
     /// This adds to the networks that the testbed file names, and to loopback for the operator's own service. Can be given

@@ -20,12 +20,14 @@ use cotorra_netem::{Confirmed, HoldError};
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{
-    CannotGoOn, Finished, FolderError, Manifest, Options, Origin, Place, PreviousRun, RealLinkError, Run,
-    RunError, Speed, Time, Token, Tokens, TokensError, Watched, interface_plans, simulate_watched,
+    CannotGoOn, Dashboard, Finished, FolderError, Manifest, Operator, Options, Origin, Place, PreviousRun,
+    RealLinkError, Run, RunError, Speed, Time, Token, Tokens, TokensError, Watched, interface_plans,
+    simulate_watched,
 };
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
+    arguments::AccessArgs,
     browser::Opener,
     check,
     exit::Status,
@@ -63,6 +65,9 @@ pub enum Error {
     #[error("{TOKEN_VARIABLE} is too short to be a secret")]
     #[diagnostic(help("use 16 characters or more: {TOKEN_VARIABLE}=$(openssl rand -hex 16)"))]
     Token,
+    #[error("--no-token and {TOKEN_VARIABLE} contradict each other")]
+    #[diagnostic(help("leave one of them out"))]
+    TokenAndNone,
     #[error("{DOMAIN_TOKENS_VARIABLE} is not a list of domains and their tokens")]
     #[diagnostic(help("write it like {DOMAIN_TOKENS_VARIABLE}=\"domain-1=<token> domain-2=<token>\""))]
     DomainTokens,
@@ -109,7 +114,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         folder: Place::In(args.out.clone()),
         api: args.api,
         runs: Some(Runs::of_user()),
-        tokens: tokens()?,
+        tokens: tokens(args.access)?,
         save_power: args.save_power,
         wais_callbacks: args.wais_callbacks.clone(),
         interfaces: Confirmed { replace: args.replace, interfaces: args.allow_interface.clone() },
@@ -144,7 +149,8 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
             Some(speed) => stage.simulate_and_show(&loaded, options, speed, opener)?,
         }
     } else {
-        stage.emulate_and_show(&loaded, &args.file, options, |address| opener.open(address))?
+        stage
+            .emulate_and_show(&loaded, &args.file, options, |dashboard| opener.open(|| dashboard.page("")))?
     };
     for format in args.figure.further() {
         finished.write_figure(format).map_err(|error| Error::from(RunError::from(error)))?;
@@ -201,13 +207,13 @@ impl Stage {
         self.emulate_and_show(loaded, file, options, |_| {})
     }
 
-    /// Does the same as [`Self::emulate`]. `show` receives the dashboard's address once the run is up.
+    /// Does the same as [`Self::emulate`]. `show` receives the dashboard once the run is up.
     fn emulate_and_show(
         &self,
         loaded: &Loaded,
         file: &Path,
         mut options: Options,
-        show: impl FnOnce(&str),
+        show: impl FnOnce(&Dashboard),
     ) -> miette::Result<Finished> {
         options.origin = origin::of_run(&options, Time::Real);
         let until = options.until;
@@ -222,7 +228,7 @@ impl Stage {
             folder: &folder,
             wifi: run.wifi(),
         };
-        show(&format!("http://{}/", run.api_address()));
+        show(run.dashboard());
         let mut view = View::new(&loaded.testbed, until, &places, &self.terminal);
         watch(&run, &mut view, &self.interrupts);
         let finished = run.finish().map_err(Error::from);
@@ -250,10 +256,9 @@ impl Stage {
     ) -> miette::Result<Finished> {
         let mut opener = Some(opener);
         self.show_virtual_time(options, "", |options, spinner, go_on| {
-            let mut served = |address| {
-                let address = format!("http://{address}/");
-                spinner.suspend(|| note!("Dashboard on {address}"));
-                opener.take().into_iter().for_each(|opener| opener.open(&address));
+            let mut served = |dashboard: &Dashboard| {
+                spinner.suspend(|| note!("Dashboard on http://{}/", dashboard.address()));
+                opener.take().into_iter().for_each(|opener| opener.open(|| dashboard.page("")));
             };
             let watched = Watched { speed, served: &mut served };
             simulate_watched(loaded.testbed.clone(), &loaded.text, options, watched, go_on)
@@ -301,8 +306,20 @@ fn complete(finished: &Finished) -> Result<(), Error> {
 }
 
 /// Reads and checks the tokens of the operator and of domains from the environment.
-pub fn tokens() -> Result<Tokens, Error> {
-    let operator = token_text().map(|text| Token::new(text).ok_or(Error::Token)).transpose()?;
+pub fn tokens(access: AccessArgs) -> Result<Tokens, Error> {
+    let token = token_text().map(|text| Token::new(text).ok_or(Error::Token)).transpose()?;
+    let operator = match (token, access.no_token) {
+        (Some(_), true) => return Err(Error::TokenAndNone),
+        (Some(token), false) => Operator::Token(token),
+        (None, true) => {
+            note!(
+                "--no-token: any user and any program of this machine can now steer this run, read its history, and start \
+                 programs in its nodes"
+            );
+            Operator::Everyone
+        }
+        (None, false) => Operator::User,
+    };
     let of_domains = env::var(DOMAIN_TOKENS_VARIABLE).unwrap_or_default();
     let of_domain = |text: &str| {
         let (domain, token) = text.split_once('=').ok_or(Error::DomainTokens)?;

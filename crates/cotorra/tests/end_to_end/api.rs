@@ -1,8 +1,15 @@
 //! The HTTP API of a live run.
 
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    os::unix::{fs::MetadataExt as _, process::CommandExt as _},
+    process::Command,
+};
+
 use serde_json::json;
 
-use crate::harness::{Run, corridor, cotorra};
+use crate::harness::{Run, corridor, cotorra, output, project_file, stderr, stdout};
 
 const INSTRUCTIONS: &str = "/api/v1/instructions";
 
@@ -43,6 +50,38 @@ fn the_api_serves_the_state_and_rejects_invalid_requests() {
     let slower = json!({ "instruction": { "instruction": "condition", "link": "R1-cloud", "change": { "delay_ms": 50.0 } } });
     let (status, body) = run.post(INSTRUCTIONS, &slower.to_string());
     assert_eq!((status, &body["done"]), (200, &json!(true)), "{body}");
+}
+
+#[test]
+fn by_default_a_run_is_its_users_alone() {
+    let run = Run::start_private(&corridor(), &["--until", "5min"]);
+    // Whoever reaches the port: another user, or a page in a browser.
+    let add = json!({ "vnf": { "id": "spy", "command": ["cat", "/etc/shadow"] } }).to_string();
+    assert_eq!(run.post("/api/v1/vnfs", &add).0, 401);
+    for path in ["/api/v1/testbed", "/wai/v2/queries/ap/ap_information", "/fog05/node"] {
+        assert_eq!(run.ask(path, None).0, 401, "{path}");
+    }
+    // The user's tools and clients find it, with its address and without.
+    let links = output(["link", "show", "--run", run.address()]);
+    assert!(stdout(&links).contains("lan-cloud"), "{}", stderr(&links));
+    let socket = stdout(&output(["ps", "--socket", "--run", run.address()]));
+    let script = "from cotorra import Client; print(len(Client().links()))";
+    let mut python = Command::new("python3");
+    python.args(["-c", script]).env("PYTHONPATH", project_file("clients/python"));
+    let counted = python.env("COTORRA_API", &run.api).env_remove("COTORRA_TOKEN").output().unwrap();
+    assert!(counted.status.success() && stdout(&counted) != "0\n", "{}", stderr(&counted));
+    // Nobody else opens the socket.
+    let ask = |uid: Option<u32>| {
+        let mut python = Command::new("python3");
+        let connect = "import socket, sys; socket.socket(socket.AF_UNIX).connect(sys.argv[1])";
+        python.args(["-c", connect, socket.trim()]);
+        uid.into_iter().for_each(|uid| _ = python.uid(uid));
+        stderr(&python.output().unwrap())
+    };
+    assert_eq!(ask(None), "");
+    if std::fs::metadata("/proc/self").unwrap().uid() == 0 {
+        assert!(ask(Some(65_534)).contains("PermissionError"), "{}", ask(Some(65_534)));
+    }
 }
 
 #[test]

@@ -17,7 +17,7 @@ use std::{
 use cotorra_testing::{axe, browser::Browser};
 use tempfile::TempDir;
 
-use crate::harness::{Run, corridor, corridor_ending_in, cotorra, output, stderr, wait_until};
+use crate::harness::{Run, corridor, corridor_ending_in, cotorra, output, stderr, stdout, wait_until};
 
 /// Text of all entries of the timeline.
 const TIMELINE: &str = "document.getElementById('timeline').innerText";
@@ -34,7 +34,10 @@ const LEFT: &str = "\u{e012}";
 /// A `cotorra replay` or `cotorra view`, killed on drop.
 struct Shown {
     child: Child,
+    /// The address of the page.
     dashboard: String,
+    /// The same with a code that signs the page in.
+    signed_in: String,
 }
 
 impl Shown {
@@ -49,7 +52,11 @@ impl Shown {
         });
         let dashboard = address.expect("the address of the dashboard is printed");
         thread::spawn(move || lines.for_each(drop));
-        Self { child, dashboard }
+        let api = dashboard.split('?').next().unwrap();
+        let printed = stdout(&output(["open", "--print", "--run", api]));
+        let code = printed.trim().strip_prefix(api).unwrap_or_default();
+        let signed_in = format!("{dashboard}{code}");
+        Self { child, dashboard, signed_in }
     }
 }
 
@@ -73,8 +80,9 @@ fn recorded(out: &TempDir) -> PathBuf {
 /// Fails if the browser complained, or asked another server than this one.
 pub fn assert_clean(browser: &Browser, address: &str) {
     assert_eq!(browser.complaints(), Vec::<String>::new());
-    let others =
-        |url: &String| !(url.starts_with(address) || url.starts_with("blob:") || url.starts_with("data:"));
+    // A page is signed in from a file.
+    let own = [address, "blob:", "data:", "file:"];
+    let others = |url: &String| !own.iter().any(|own| url.starts_with(own));
     let others: Vec<_> = browser.requests().into_iter().filter(others).collect();
     assert_eq!(others, Vec::<String>::new());
 }
@@ -155,7 +163,7 @@ fn a_replay_is_shown_as_it_plays() {
     let folder = recorded(&out);
     let Some(browser) = Browser::start(1440, 900) else { return };
     let shown = Shown::start(&["replay", folder.to_str().unwrap(), "--speed", "10x"], |_| {});
-    browser.open(&shown.dashboard);
+    browser.open(&shown.signed_in);
     browser.wait_for(&format!("{TIMELINE}.includes('robot: R1 → R3')"));
     browser.wait_for(&format!("{CHART}.includes('R3')"));
     browser.wait_for(&format!("{MAP}.includes(', R3')"));
@@ -168,7 +176,7 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
     let folder = recorded(&out);
     let Some(browser) = Browser::start(1440, 900) else { return };
     let shown = Shown::start(&["view", folder.to_str().unwrap()], |_| {});
-    browser.open(&shown.dashboard);
+    browser.open(&shown.signed_in);
     browser.wait_for(&format!("{TIMELINE}.includes('robot: R3 → R2')"));
     browser.wait_for(&format!("{MAP}.includes(', R2')"));
     assert_eq!(
@@ -242,7 +250,7 @@ fn two_runs_are_compared_on_one_time_axis() {
     let Some(browser) = Browser::start(1440, 900) else { return };
     let shown =
         Shown::start(&["view", folder.to_str().unwrap(), "--compare", other.to_str().unwrap()], |_| {});
-    browser.open(&shown.dashboard);
+    browser.open(&shown.signed_in);
     browser.wait_for("document.body.dataset.ready !== undefined");
     browser.evaluate("document.querySelector('[data-span=all]').click();");
     browser.wait_for(&format!("{CHART}.includes('0:00 to 1:40')"));
@@ -306,7 +314,7 @@ fn pages_of_other_sites_can_neither_read_nor_steer() {
     let out = tempfile::tempdir().unwrap();
     let folder = recorded(&out);
     let Some(browser) = Browser::start(800, 600) else { return };
-    let shown = Shown::start(&["view", folder.to_str().unwrap()], |_| {});
+    let shown = Shown::start(&["view", folder.to_str().unwrap(), "--no-token"], |_| {});
     let address = shown.dashboard.strip_prefix("http://").unwrap().trim_end_matches('/').to_owned();
 
     let page = ask(&address, &format!("GET / HTTP/1.1\r\nHost: {address}"));
@@ -368,7 +376,7 @@ fn the_browser_is_opened_on_request() {
     let programs = tempfile::tempdir().unwrap();
     let opened = programs.path().join("opened");
     let opener = programs.path().join("xdg-open");
-    fs::write(&opener, format!("#!/bin/sh\necho \"$1\" >{0}.new && mv {0}.new {0}\n", opened.display()))
+    fs::write(&opener, format!("#!/bin/sh\necho \"$@\" >{0}.new && mv {0}.new {0}\n", opened.display()))
         .unwrap();
     fs::set_permissions(&opener, fs::Permissions::from_mode(0o755)).unwrap();
     let path = |folder: &Path| format!("{}:/usr/bin:/bin", folder.display());
@@ -376,7 +384,18 @@ fn the_browser_is_opened_on_request() {
         command.env("PATH", path(programs.path()));
     });
     wait_until(|| opened.exists());
-    assert_eq!(fs::read_to_string(opened).unwrap().trim(), shown.dashboard);
+    // What other users can see of the browser's arguments is only where the file is.
+    let arguments = fs::read_to_string(opened).unwrap();
+    let file = Path::new(arguments.trim());
+    assert_eq!(fs::metadata(file).unwrap().permissions().mode() & 0o777, 0o600);
+    let text = fs::read_to_string(file).unwrap();
+    let (_, code) = text.split_once(&format!("url={}#", shown.dashboard)).unwrap();
+    assert!(!arguments.contains(code.split('"').next().unwrap()), "{arguments}");
+    let Some(browser) = Browser::start(1440, 900) else { return };
+    browser.open(&format!("file://{}", file.display()));
+    browser.wait_for(&format!("{TIMELINE}.includes('robot: R3 → R2')"));
+    assert!(!file.exists(), "the code was used up");
+    drop(browser);
     fs::remove_file(opener).unwrap();
     let mut without = cotorra(["view", folder.to_str().unwrap(), "--open"]);
     let without = without.env("PATH", programs.path()).output().unwrap();

@@ -4,6 +4,7 @@
 use std::{
     fs,
     io::{BufRead, BufReader},
+    os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
     process::{Child, Stdio},
     thread,
@@ -26,7 +27,11 @@ const CHOICES: &str = "document.getElementById('choices').innerText";
 /// A `cotorra edit`, killed on drop.
 struct Editor {
     child: Child,
-    url: String,
+    /// The file that signs a page in.
+    page: PathBuf,
+    /// The page's address, and a code that works once.
+    address: String,
+    code: String,
 }
 
 impl Editor {
@@ -35,13 +40,17 @@ impl Editor {
         let mut child = command.arg(file).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
         let line = lines.find(|line| line.starts_with("Editor of ")).expect("the address is printed");
-        let url = line.split(" on ").nth(1).unwrap().split(';').next().unwrap().to_owned();
+        let page = line.split(": open ").nth(1).unwrap().split(" in a browser").next().unwrap();
         thread::spawn(move || lines.for_each(drop));
-        Self { child, url }
+        let text = fs::read_to_string(page).unwrap();
+        let url = text.split("url=").nth(1).unwrap().split('"').next().unwrap();
+        let (address, code) = url.split_once('#').unwrap();
+        assert!(!line.contains(code), "the code is in no output: {line}");
+        Self { child, page: page.into(), address: address.to_owned(), code: code.to_owned() }
     }
 
-    fn address(&self) -> &str {
-        self.url.split('#').next().unwrap()
+    fn open(&self, browser: &Browser) {
+        browser.open(&format!("file://{}", self.page.display()));
     }
 }
 
@@ -70,9 +79,10 @@ fn a_file_is_completed_checked_drawn_and_saved_on_request() {
     let before = fs::read_to_string(&file).unwrap();
     let Some(browser) = Browser::start(1440, 900) else { return };
     let editor = Editor::start(&file);
-    browser.open(&editor.url);
+    editor.open(&browser);
     browser.wait_for("document.body.dataset.ready !== undefined");
-    assert_eq!(browser.evaluate("return location.hash;"), "", "the secret is not left in the address");
+    assert_eq!(browser.evaluate("return location.hash;"), "", "the code is not left in the address");
+    assert!(!editor.page.exists(), "the code was used up");
     browser.wait_for(&format!("{OVERVIEW}.includes('6 radio units')"));
     browser.wait_for(
         "document.querySelector('#topology canvas').getAttribute('aria-label').includes('cloud: navigation')",
@@ -124,7 +134,7 @@ fn a_file_is_completed_checked_drawn_and_saved_on_request() {
 
     assert_fits(&browser);
     assert_accessible(&browser);
-    assert_clean(&browser, editor.address());
+    assert_clean(&browser, &editor.address);
 }
 
 #[test]
@@ -133,7 +143,7 @@ fn a_change_by_another_program_is_not_overwritten_unasked() {
     let file = file(&folder);
     let Some(browser) = Browser::start(1440, 900) else { return };
     let editor = Editor::start(&file);
-    browser.open(&editor.url);
+    editor.open(&browser);
     browser.wait_for("document.body.dataset.ready !== undefined");
     let other = fs::read_to_string(&file).unwrap() + "\n# by another\n";
     fs::write(&file, &other).unwrap();
@@ -153,9 +163,17 @@ fn nobody_edits_without_the_secret() {
     let folder = tempfile::tempdir().unwrap();
     let file = file(&folder);
     let editor = Editor::start(&file);
-    let (address, token) = editor.url.split_once("/#").unwrap();
-    let url = format!("{address}/api/v1/editor");
-    let bearer = format!("Bearer {token}");
+    let url = format!("{}api/v1/editor", editor.address);
+    let redeem = || {
+        let body = serde_json::json!({ "code": editor.code }).to_string();
+        let request = agent().post(format!("{}api/v1/sign-in", editor.address));
+        let mut answer = request.header("Content-Type", "application/json").send(body).unwrap();
+        let body: serde_json::Value = answer.body_mut().read_json().unwrap();
+        body["token"].as_str().map(str::to_owned)
+    };
+    assert_eq!(fs::metadata(&editor.page).unwrap().mode() & 0o777, 0o600);
+    let bearer = format!("Bearer {}", redeem().unwrap());
+    assert_eq!(redeem(), None, "the code works once");
     let status = |token: &str, origin: Option<&str>| {
         let mut request = agent().get(&url).header("Authorization", token);
         if let Some(origin) = origin {
@@ -165,6 +183,7 @@ fn nobody_edits_without_the_secret() {
     };
     assert_eq!(status(&bearer, None), 200);
     assert_eq!(status("Bearer another-token-of-somebody", None), 401);
+    assert_eq!(status(&format!("Bearer {}", editor.code), None), 401);
     assert_eq!(status(&bearer, Some("http://example.org")), 403);
     // Far away, the editor is not served at all.
     let refused = output([Path::new("edit"), Path::new("--address"), Path::new("0.0.0.0:0"), &file]);

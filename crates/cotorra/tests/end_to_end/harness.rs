@@ -8,7 +8,7 @@ use std::{
     cell::RefCell,
     collections::BTreeSet,
     env,
-    ffi::OsStr,
+    ffi::{OsStr, OsString},
     fs::{self, File},
     io::{BufRead, BufReader, Read},
     os::unix::{fs::MetadataExt, process::CommandExt},
@@ -30,6 +30,14 @@ pub fn cotorra<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Comma
     command.args(arguments).env_remove("COTORRA_TOKEN").env_remove("COTORRA_LOG").env("NO_COLOR", "1");
     command.env_remove("COTORRA_API").env_remove("COTORRA_HISTORY").env_remove("COTORRA_HISTORY_PASSWORD");
     command
+}
+
+/// Returns a search path for programs with this program first, for scripts that call it.
+pub fn path_with_cotorra() -> OsString {
+    let program = PathBuf::from(cotorra([""; 0]).get_program());
+    let own = program.parent().unwrap().to_owned();
+    let path = env::var_os("PATH").unwrap_or_default();
+    env::join_paths([own].into_iter().chain(env::split_paths(&path))).unwrap()
 }
 
 /// Runs the program to its end, and returns its output.
@@ -62,6 +70,15 @@ fn alone() -> Alone {
     Alone { _lock: lock }
 }
 
+/// Who may use the API of a run.
+#[derive(Clone, Copy, PartialEq)]
+enum Access {
+    /// Every program of this machine, if the run has no token.
+    Open,
+    /// The run's user.
+    OfUser,
+}
+
 /// A running `cotorra run`, killed on drop.
 pub struct Run {
     child: Child,
@@ -84,7 +101,12 @@ impl Run {
 
     /// Does the same as [`Self::start`] after `change` to the command.
     pub fn start_with(testbed: &Path, arguments: &[&str], change: impl FnOnce(&mut Command)) -> Self {
-        Self::launch(testbed, arguments, change, Some(alone()))
+        Self::launch(testbed, arguments, change, Access::Open, Some(alone()))
+    }
+
+    /// Starts `cotorra run` as a user does: its API is this user's alone.
+    pub fn start_private(testbed: &Path, arguments: &[&str]) -> Self {
+        Self::launch(testbed, arguments, |_| {}, Access::OfUser, Some(alone()))
     }
 
     /// Starts `cotorra run` beside this run.
@@ -99,19 +121,24 @@ impl Run {
         arguments: &[&str],
         change: impl FnOnce(&mut Command),
     ) -> Self {
-        Self::launch(testbed, arguments, change, None)
+        Self::launch(testbed, arguments, change, Access::Open, None)
     }
 
     fn launch(
         testbed: &Path,
         arguments: &[&str],
         change: impl FnOnce(&mut Command),
+        access: Access,
         alone: Option<Alone>,
     ) -> Self {
         let out = TempDir::new().unwrap();
         let mut command = cotorra(["run", "--headless", "--api", "127.0.0.1:0", "--out"]);
         command.arg(out.path()).arg(testbed).args(arguments);
         change(&mut command);
+        let has_token = command.get_envs().any(|(name, token)| name == "COTORRA_TOKEN" && token.is_some());
+        if access == Access::Open && !has_token {
+            command.arg("--no-token");
+        }
         // In its own process group, as a shell starts it, so that Ctrl-C can be sent to the whole group.
         let mut child =
             command.process_group(0).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

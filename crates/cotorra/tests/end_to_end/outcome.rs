@@ -209,7 +209,7 @@ fn an_experiment_with_a_void_run_has_the_status_of_void_figures() {
 fn a_replay_that_its_plugin_leaves_has_the_status_of_void_figures() {
     let out = TempDir::new().unwrap();
     let (_, folder) = simulate(&corridor(), out.path(), &["--until", "3s"]);
-    let mut replay = cotorra(["replay", "--speed", "max", "--api", "127.0.0.1:0"]);
+    let mut replay = cotorra(["replay", "--speed", "max", "--no-token", "--api", "127.0.0.1:0"]);
     let mut replay = replay.arg(&folder).stderr(Stdio::piped()).spawn().unwrap();
     let mut said = BufReader::new(replay.stderr.take().unwrap()).lines().map_while(Result::ok);
     let address =

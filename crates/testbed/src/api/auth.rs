@@ -1,6 +1,6 @@
-//! Access control of the API. On loopback everyone is admitted, elsewhere only callers with a token. Without a token, web
-//! pages from other origins are rejected. The operator's token opens everything, a domain's token what belongs to its own
-//! nodes.
+//! Access control of the API. The operator is the run's user by default: whoever uses the run's own socket, and pages that
+//! were signed in from there. It can be whoever shows a token instead, or everyone who reaches the API. A domain's token
+//! opens what belongs to its own nodes.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -20,7 +20,7 @@ use axum::{
 };
 use cotorra_graph::{DomainId, PluginId};
 
-use super::{connections::Whose, serve::Place, types::Failure};
+use super::{connections::Whose, serve::Place, sign_in::SignIns, types::Failure};
 use crate::domain::{DomainView, Domains};
 
 /// A caller's secret.
@@ -60,46 +60,56 @@ impl std::fmt::Debug for Token {
     }
 }
 
-/// The tokens of a testbed's callers. The operator sees and changes everything. Each domain's orchestrator sees and changes
-/// its own nodes.
+/// Who is the operator, who sees and changes everything.
+#[derive(Debug, Clone, Default)]
+pub enum Operator {
+    /// The run's user, by the run's socket, which nobody else can open, and pages that this user signed in.
+    #[default]
+    User,
+    /// Whoever shows this token, and pages that were signed in with it.
+    Token(Token),
+    /// Every program that reaches the API, which then serves loopback only.
+    Everyone,
+}
+
+/// The callers of a testbed's API: the operator, and each domain's orchestrator, which sees and changes its own nodes.
 #[derive(Debug, Clone, Default)]
 pub struct Tokens {
-    operator: Option<Token>,
+    operator: Operator,
     domains: BTreeMap<DomainId, Token>,
 }
 
 /// Error of tokens that would not separate domains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TokensError {
-    /// The operator has no token, so every caller without one would be the operator.
-    #[error(
-        "domains have tokens, and the operator has none: callers without a token would be the operator; give it one, too"
-    )]
-    NoOperator,
+    /// Every caller without a token would be the operator.
+    #[error("domains have tokens, and callers without one would be the operator")]
+    Everyone,
     /// Two callers have the same secret.
     #[error("two of the tokens are the same: each domain and the operator need their own")]
     Shared,
 }
 
 impl Tokens {
-    /// Creates the tokens of the operator and of domains. Without any, everyone on loopback is the operator.
+    /// Returns the operator, and the tokens of domains.
     ///
     /// # Errors
     /// [`TokensError`].
-    pub fn new(operator: Option<Token>, domains: BTreeMap<DomainId, Token>) -> Result<Self, TokensError> {
-        if operator.is_none() && !domains.is_empty() {
-            return Err(TokensError::NoOperator);
+    pub fn new(operator: Operator, domains: BTreeMap<DomainId, Token>) -> Result<Self, TokensError> {
+        if matches!(operator, Operator::Everyone) && !domains.is_empty() {
+            return Err(TokensError::Everyone);
         }
-        let all: Vec<_> = operator.iter().chain(domains.values()).map(|token| &token.0).collect();
+        let own = if let Operator::Token(token) = &operator { Some(token) } else { None };
+        let all: Vec<_> = own.into_iter().chain(domains.values()).map(|token| &token.0).collect();
         if all.iter().enumerate().any(|(i, token)| all[..i].contains(token)) {
             return Err(TokensError::Shared);
         }
         Ok(Self { operator, domains })
     }
 
-    /// Whether callers need a token.
-    pub(super) fn are_needed(&self) -> bool {
-        self.operator.is_some()
+    /// Whether callers on other machines can show that they are the operator.
+    pub(super) fn work_from_afar(&self) -> bool {
+        matches!(self.operator, Operator::Token(_))
     }
 
     /// Returns the domains with a token.
@@ -223,15 +233,21 @@ pub(super) struct Gate {
     tokens: Arc<Tokens>,
     plugins: PluginTokens,
     domains: Arc<Domains>,
+    pages: Arc<SignIns>,
 }
 
 impl Gate {
-    pub(super) fn new(tokens: Tokens, plugins: PluginTokens, domains: Arc<Domains>) -> Self {
-        Self { tokens: Arc::new(tokens), plugins, domains }
+    pub(super) fn new(
+        tokens: Tokens,
+        plugins: PluginTokens,
+        domains: Arc<Domains>,
+        pages: Arc<SignIns>,
+    ) -> Self {
+        Self { tokens: Arc::new(tokens), plugins, domains, pages }
     }
 
-    /// Identifies the caller by a request's headers, or rejects it.
-    fn caller(&self, headers: &HeaderMap) -> Result<Caller, Failure> {
+    /// Identifies the caller by a request's headers and by whether it came `over_socket` of the run's user, or rejects it.
+    fn caller(&self, headers: &HeaderMap, over_socket: bool) -> Result<Caller, Failure> {
         let shown = shown(headers);
         if let Some(plugin) = shown.and_then(|shown| find(&self.plugins.0, shown)) {
             return Ok(Caller {
@@ -239,14 +255,17 @@ impl Gate {
                 plugin: Some(plugin.clone()),
             });
         }
-        let Some(operator) = &self.tokens.operator else {
-            return if foreign(headers) { Err(Failure::forbidden()) } else { Ok(Caller::default()) };
+        let is_operator = match (&self.tokens.operator, shown) {
+            (Operator::Everyone, _) if foreign(headers) => return Err(Failure::forbidden()),
+            (Operator::Everyone, _) => true,
+            (Operator::User, None) => over_socket,
+            (Operator::Token(token), Some(shown)) if token.is(shown) => true,
+            (_, shown) => shown.is_some_and(|shown| self.pages.admit(shown)),
         };
-        let shown = shown.ok_or_else(Failure::unauthorized)?;
-        let of_domain = find(&self.tokens.domains, shown);
-        if operator.is(shown) {
+        if is_operator {
             return Ok(Caller::default());
         }
+        let of_domain = shown.and_then(|shown| find(&self.tokens.domains, shown));
         let view = of_domain.and_then(|domain| self.domains.view(domain));
         view.map(|view| Caller { view: Some(Arc::clone(view)), plugin: None })
             .ok_or_else(Failure::unauthorized)
@@ -261,9 +280,10 @@ fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     headers.get(name).and_then(|value| value.to_str().ok())
 }
 
-/// Returns the token that a request shows.
+/// Returns the token that a request shows. An empty one is none, as that of an empty variable.
 pub(super) fn shown(headers: &HeaderMap) -> Option<&str> {
-    text(headers, &AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "))
+    let shown = text(headers, &AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
+    shown.filter(|shown| !shown.is_empty())
 }
 
 /// Whether a page from elsewhere in a user's browser makes a request.
@@ -288,7 +308,7 @@ async fn admit(
     mut request: Request,
     check: impl FnOnce(&Caller) -> Result<(), Failure>,
 ) -> Result<Request, Failure> {
-    let caller = gate.caller(request.headers())?;
+    let caller = gate.caller(request.headers(), place.is_of_user())?;
     check(&caller)?;
     request = place.let_in(caller.whose(), request).await?;
     request.extensions_mut().insert(caller);
@@ -356,10 +376,14 @@ mod tests {
         let token = |digit: &str| Token::new(digit.repeat(16)).unwrap();
         let domain = |name: &str| DomainId::new(name).unwrap();
         let one = BTreeMap::from([(domain("one"), token("1"))]);
-        assert_eq!(Tokens::new(None, one.clone()).unwrap_err(), TokensError::NoOperator);
-        assert_eq!(Tokens::new(Some(token("1")), one.clone()).unwrap_err(), TokensError::Shared);
-        assert!(Tokens::new(Some(token("0")), one).unwrap().are_needed());
-        assert!(!Tokens::default().are_needed());
+        assert_eq!(Tokens::new(Operator::Everyone, one.clone()).unwrap_err(), TokensError::Everyone);
+        let same = Tokens::new(Operator::Token(token("1")), one.clone());
+        assert_eq!(same.unwrap_err(), TokensError::Shared);
+        for operator in [Operator::User, Operator::Token(token("0"))] {
+            Tokens::new(operator, one.clone()).unwrap();
+        }
+        let two = BTreeMap::from([(domain("one"), token("1")), (domain("two"), token("1"))]);
+        assert_eq!(Tokens::new(Operator::User, two).unwrap_err(), TokensError::Shared);
     }
 
     #[test]

@@ -11,18 +11,20 @@ use axum::{
     routing::{get, post},
 };
 use cotorra_graph::Testbed;
+use cotorra_plugin::client::SignIn;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
 use super::{
-    ApiError, Listener, Tokens,
-    auth::{Token, foreign, shown},
+    ApiError, Dashboard, Listener, Tokens,
+    auth::{foreign, shown},
     connections::{Limits, Whose},
     context::Answer,
     map::{self, MapBody},
-    page, serve,
-    serve::{Patience, Place},
+    page,
+    serve::{self, Patience, Place},
+    sign_in::{self, SignIns},
     types::{Failure, TestbedBody},
 };
 
@@ -73,8 +75,7 @@ pub struct Mistake {
 
 /// An editor of one file, served until it is dropped.
 pub struct Editor {
-    address: SocketAddr,
-    token: Token,
+    dashboard: Dashboard,
     /// Ends the thread that serves when it is dropped.
     _stop: oneshot::Sender<Infallible>,
 }
@@ -82,7 +83,7 @@ pub struct Editor {
 struct Shared {
     edited: Box<dyn Edited>,
     schema: serde_json::Value,
-    token: Token,
+    pages: Arc<SignIns>,
     known: Mutex<Known>,
     /// The last valid testbed, whose map is served.
     valid: Mutex<Option<Arc<Testbed>>>,
@@ -107,8 +108,8 @@ impl Known {
 impl Editor {
     /// Serves the editor. `schema` is that of testbed files.
     ///
-    /// Its address is a loopback one, and each request needs a new token: other users of this machine could otherwise change
-    /// the file, and with it what its user will run.
+    /// Its address is a loopback one, and only pages that this user signed in are served: other users of this machine could
+    /// otherwise change the file, and with it what its user will run.
     ///
     /// # Errors
     /// [`ApiError`] if it cannot be served.
@@ -120,13 +121,13 @@ impl Editor {
         schema: serde_json::Value,
     ) -> Result<Self, ApiError> {
         let listener = Listener::bind(address, moved, &Tokens::default())?;
-        let address = listener.address();
-        let token = Token::random().map_err(ApiError::Start)?;
+        let pages = Arc::<SignIns>::default();
+        let dashboard = Dashboard::new(listener.address(), Arc::clone(&pages));
         listener.tcp.set_nonblocking(true).map_err(ApiError::Start)?;
         let shared = Arc::new(Shared {
             edited: Box::new(edited),
             schema,
-            token: token.clone(),
+            pages: Arc::clone(&pages),
             known: Mutex::new(Known { text, version: 1 }),
             valid: Mutex::default(),
         });
@@ -135,6 +136,7 @@ impl Editor {
             .route("/api/v1/editor/check", post(check))
             .route("/api/v1/map/image", get(map_image))
             .layer(middleware::from_fn_with_state(Arc::clone(&shared), admit))
+            .merge(sign_in::router(pages))
             .merge(page::routes(cotorra_dashboard::editor()))
             .fallback(|| async { Failure::not_found("no such path") })
             .with_state(shared)
@@ -154,12 +156,15 @@ impl Editor {
         };
         let thread = std::thread::Builder::new().name("editor".to_owned());
         thread.spawn(move || runtime.block_on(serving)).map_err(ApiError::Start)?;
-        Ok(Self { address, token, _stop: stop })
+        Ok(Self { dashboard, _stop: stop })
     }
 
-    /// Returns the page's address. The token is behind `#`, which browsers send nowhere.
-    pub fn url(&self) -> String {
-        format!("http://{}/#{}", self.address, self.token.secret())
+    /// Prepares a page for the user's browser.
+    ///
+    /// # Errors
+    /// The system's, if the page's file cannot be written.
+    pub fn page(&self) -> io::Result<SignIn> {
+        self.dashboard.page("")
     }
 }
 
@@ -172,9 +177,8 @@ async fn admit(
     if foreign(request.headers()) {
         return Err(Failure::new(StatusCode::FORBIDDEN, "pages of other sites may not edit"));
     }
-    if !shown(request.headers()).is_some_and(|shown| shared.token.is(shown)) {
-        let reason =
-            "this page needs the whole address that `cotorra edit` printed, with what is behind the #";
+    if !shown(request.headers()).is_some_and(|shown| shared.pages.admit(shown)) {
+        let reason = "this page is not signed in: open the file that `cotorra edit` named, once";
         return Err(Failure::new(StatusCode::UNAUTHORIZED, reason));
     }
     Ok(next.run(place.let_in(Whose::Operator, request).await?).await)

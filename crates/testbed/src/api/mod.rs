@@ -17,6 +17,7 @@ mod page;
 mod routes;
 mod sensors;
 mod serve;
+mod sign_in;
 mod stream;
 mod types;
 mod wais;
@@ -35,7 +36,7 @@ use cotorra_mec::Delivery;
 use cotorra_plugin::runs::{Announced, Runs, RunsError};
 use tokio::sync::oneshot;
 
-use self::{auth::Gate, connections::Limits, context::BLOCKING_THREADS, serve::Patience};
+use self::{auth::Gate, connections::Limits, context::BLOCKING_THREADS, serve::Patience, sign_in::SignIns};
 use crate::domain::Domains;
 
 /// Returns the OpenAPI document of application life cycle management.
@@ -44,11 +45,12 @@ pub fn app_lcm_openapi() -> String {
 }
 
 pub(crate) use auth::PluginTokens;
-pub use auth::{Token, Tokens, TokensError};
+pub use auth::{Operator, Token, Tokens, TokensError};
 pub(crate) use context::{Context, Lockstep, WaisOptions};
 #[cfg(feature = "openapi")]
 pub use document::openapi;
 pub use editor::{Checked, Edited, Editor, Mistake};
+pub use sign_in::Dashboard;
 
 #[cfg(test)]
 mod tests;
@@ -140,7 +142,7 @@ pub fn openapi() -> String {
 
 /// A served API; ends when it is dropped.
 pub(crate) struct Server {
-    address: SocketAddr,
+    dashboard: Dashboard,
     plugins: PluginTokens,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
@@ -163,7 +165,7 @@ pub(crate) struct Listener {
 impl Listener {
     /// Reserves an address, or the next free port if it may be `moved`.
     pub(crate) fn bind(address: SocketAddr, moved: bool, tokens: &Tokens) -> Result<Self, ApiError> {
-        if !address.ip().is_loopback() && !tokens.are_needed() {
+        if !address.ip().is_loopback() && !tokens.work_from_afar() {
             return Err(ApiError::TokenMissing(address));
         }
         let any_port = SocketAddr::new(address.ip(), 0);
@@ -213,8 +215,9 @@ impl Server {
         }
         let programs = crate::plugins::programs(&context.testbed).filter(|id| context.hosted.contains(*id));
         let plugins = PluginTokens::new(programs).map_err(ApiError::Start)?;
-        let gate = Gate::new(tokens, plugins.clone(), domains);
-        let address = listener.address();
+        let pages = Arc::new(SignIns::default());
+        let gate = Gate::new(tokens, plugins.clone(), domains, Arc::clone(&pages));
+        let dashboard = Dashboard::new(listener.address(), Arc::clone(&pages));
         listener.tcp.set_nonblocking(true).map_err(ApiError::Start)?;
         socket2::SockRef::from(&listener.tcp).listen(BACKLOG).map_err(ApiError::Start)?;
         let mut announced = listener.announced;
@@ -236,7 +239,9 @@ impl Server {
         let app = paths()
             .into_iter()
             .fold(Router::new(), |router, (path, methods)| router.route(path, methods))
+            .merge(sign_in::pages(dashboard.clone()))
             .layer(middleware::from_fn_with_state(gate, auth::check))
+            .merge(sign_in::router(pages))
             .route(
                 "/openapi.json",
                 get(move || async move { ([("content-type", "application/json")], document) }),
@@ -274,11 +279,18 @@ impl Server {
                 });
             })
             .map_err(ApiError::Start)?;
-        Ok(Self { address, plugins, stop: Some(stop), thread: Some(thread), announced, _delivery: delivery })
+        Ok(Self {
+            dashboard,
+            plugins,
+            stop: Some(stop),
+            thread: Some(thread),
+            announced,
+            _delivery: delivery,
+        })
     }
 
-    pub(crate) fn address(&self) -> SocketAddr {
-        self.address
+    pub(crate) fn dashboard(&self) -> &Dashboard {
+        &self.dashboard
     }
 
     /// Returns the tokens of the run's own programs.

@@ -78,6 +78,8 @@ impl Default for Patience {
 /// A listener of any kind.
 pub(super) trait Accept {
     type Stream: AsyncRead + AsyncWrite + Unpin + Send + 'static;
+    /// Whether only the run's user can connect.
+    const IS_OF_USER: bool;
 
     /// Accepts the next connection. Returns the address whose connections share places with it, too.
     async fn accept(&self) -> io::Result<(Self::Stream, IpAddr)>;
@@ -85,6 +87,7 @@ pub(super) trait Accept {
 
 impl Accept for TcpListener {
     type Stream = TcpStream;
+    const IS_OF_USER: bool = false;
 
     async fn accept(&self) -> io::Result<(TcpStream, IpAddr)> {
         let (stream, from) = self.accept().await?;
@@ -96,6 +99,7 @@ impl Accept for TcpListener {
 
 impl Accept for UnixListener {
     type Stream = UnixStream;
+    const IS_OF_USER: bool = true;
 
     async fn accept(&self) -> io::Result<(UnixStream, IpAddr)> {
         let (stream, _) = self.accept().await?;
@@ -104,7 +108,7 @@ impl Accept for UnixListener {
 }
 
 /// Serves until it is dropped.
-pub(super) async fn serve(listener: impl Accept, app: Router, limits: Limits, patience: Patience) {
+pub(super) async fn serve<L: Accept>(listener: L, app: Router, limits: Limits, patience: Patience) {
     let connections = Arc::new(Mutex::new(Connections::new(limits)));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(patience.head).max_buf_size(BUFFER);
@@ -124,7 +128,8 @@ pub(super) async fn serve(listener: impl Accept, app: Router, limits: Limits, pa
         };
         let (close, closed) = oneshot::channel();
         let number = connections.lock().arrive(from, close);
-        let place = Arc::new(Place { connections: Arc::clone(&connections), number, patience });
+        let connections = Arc::clone(&connections);
+        let place = Arc::new(Place { connections, number, patience, is_of_user: L::IS_OF_USER });
         let app = app.clone();
         let stream = Impatient { stream, wait: None, place: Arc::clone(&place) };
         let service = service_fn(move |mut request: Request<hyper::body::Incoming>| {
@@ -160,12 +165,23 @@ pub(super) struct Place {
     connections: Arc<Mutex<Connections<Close>>>,
     number: u64,
     patience: Patience,
+    is_of_user: bool,
 }
 
 impl Place {
+    /// Whether the connection came over the socket that only the run's user can open.
+    pub(super) fn is_of_user(&self) -> bool {
+        self.is_of_user
+    }
+
     /// Admits a request, and reads its body.
     pub(super) async fn let_in(&self, whose: Whose, request: Request) -> Result<Request, Failure> {
         self.connections.lock().let_in(self.number, whose)?;
+        self.read(request).await
+    }
+
+    /// Reads the body of a request.
+    pub(super) async fn read(&self, request: Request) -> Result<Request, Failure> {
         let (head, body) = request.into_parts();
         let body = timeout(self.patience.body, read(body)).await.map_err(|_| {
             let patience = self.patience.body.as_secs_f64();

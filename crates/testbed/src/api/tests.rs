@@ -54,10 +54,21 @@ fn serve(replay: bool) -> Served {
 }
 
 fn serve_within(replay: bool, limits: Limits, patience: Patience) -> Served {
-    serve_found_in(None, replay, limits, patience)
+    serve_to(Operator::Everyone, None, replay, limits, patience)
 }
 
-fn serve_found_in(found_in: Option<&Runs>, replay: bool, limits: Limits, patience: Patience) -> Served {
+/// Serves the API as a run does by default.
+fn serve_to_user(runs: &Runs, strangers: usize, callers: usize) -> Served {
+    serve_to(Operator::User, Some(runs), false, Limits { strangers, callers }, Patience::default())
+}
+
+fn serve_to(
+    operator: Operator,
+    found_in: Option<&Runs>,
+    replay: bool,
+    limits: Limits,
+    patience: Patience,
+) -> Served {
     let text = "
 name: served
 wireless: { lab: {} }
@@ -109,10 +120,11 @@ links: [{ ends: [left, ap] }]
         logs: None,
         wiretap: Some(Arc::new(move |name, reader| Ok(tapped.lock().tap(name, reader)?))),
     };
-    let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
+    let tokens = Tokens::new(operator, BTreeMap::new()).unwrap();
+    let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
     let listener = listener.announced(found_in, "served", "/runs/served");
     Served {
-        server: Server::start_within(listener, context, Tokens::default(), limits, patience).unwrap(),
+        server: Server::start_within(listener, context, tokens, limits, patience).unwrap(),
         history,
         events,
         runs,
@@ -139,7 +151,7 @@ fn answer(stream: TcpStream) -> (u16, BufReader<TcpStream>) {
 impl Served {
     /// Sends a request, and reads the answer's head.
     fn open(&self, path: &str) -> (u16, BufReader<TcpStream>) {
-        let mut stream = TcpStream::connect(self.server.address()).unwrap();
+        let mut stream = TcpStream::connect(self.server.dashboard().address()).unwrap();
         write!(stream, "GET /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
             .unwrap();
         answer(stream)
@@ -236,7 +248,7 @@ fn large_data_is_served_unchanged_and_lost_data_is_gone() {
         ("5", "image/png", "png", 5),
         ("latest", "image/png", "png", 5),
     ] {
-        let mut stream = TcpStream::connect(served.server.address()).unwrap();
+        let mut stream = TcpStream::connect(served.server.dashboard().address()).unwrap();
         let path = path(reading);
         write!(stream, "GET /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
             .unwrap();
@@ -446,7 +458,8 @@ plugins:
         let token = |text: &str| Token::new(text).unwrap();
         let of = |name: &str, text: &str| (name.parse().unwrap(), token(text));
         let tokens =
-            Tokens::new(Some(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)])).unwrap();
+            Tokens::new(Operator::Token(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)]))
+                .unwrap();
         let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
         let listener = listener.announced(found_in, "served", "/runs/served");
         let server = Server::start(listener, context, tokens).unwrap();
@@ -454,7 +467,7 @@ plugins:
     }
 
     fn ask(&self, token: &str, head: &str, body: &str) -> (u16, BufReader<TcpStream>) {
-        let mut stream = TcpStream::connect(self.server.address()).unwrap();
+        let mut stream = TcpStream::connect(self.server.dashboard().address()).unwrap();
         let length = body.len();
         write!(
             stream,
@@ -734,7 +747,7 @@ const FEW: Limits = Limits { strangers: 16, callers: 8 };
 
 /// Opens a connection that sends this text and no more.
 fn say(server: &Server, text: &str) -> TcpStream {
-    let mut stream = TcpStream::connect(server.address()).unwrap();
+    let mut stream = TcpStream::connect(server.dashboard().address()).unwrap();
     stream.write_all(text.as_bytes()).unwrap();
     stream
 }
@@ -854,10 +867,9 @@ fn the_document_has_every_path() {
 fn tools_of_the_user_find_a_run_where_nobody_else_can_listen() {
     let folder = tempfile::tempdir().unwrap();
     let runs = Runs::in_folder(folder.path().join("cotorra"));
-    let served =
-        serve_found_in(Some(&runs), false, Limits { strangers: 64, callers: 64 }, Patience::default());
-    let run = runs.find(Some(&served.server.address().to_string())).unwrap();
-    assert_eq!((run.api, &*run.what), (served.server.address(), "/runs/served"));
+    let served = serve_to_user(&runs, 64, 64);
+    let run = runs.find(Some(&served.server.dashboard().address().to_string())).unwrap();
+    assert_eq!((run.api, &*run.what), (served.server.dashboard().address(), "/runs/served"));
     let client = cotorra_plugin::client::Client::of(&run).unwrap();
     assert_eq!(client.testbed().unwrap().name, "served");
     assert_eq!(client.service_times(&Default::default()).unwrap().items.len(), 20);
@@ -865,6 +877,47 @@ fn tools_of_the_user_find_a_run_where_nobody_else_can_listen() {
     assert!(refused.to_string().contains("there is no node `nobody`"), "{refused}");
     drop(served);
     assert!(runs.find(None).is_err());
+}
+
+#[test]
+fn by_default_only_the_user_is_the_operator() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = Runs::in_folder(folder.path().join("cotorra"));
+    let served = serve_to_user(&runs, 64, 64);
+    let port = |method: &str, path: &str, token: &str, body: &str| {
+        let mut stream = TcpStream::connect(served.server.dashboard().address()).unwrap();
+        let length = body.len();
+        write!(
+            stream,
+            "{method} {path} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {token}\r\nContent-Type: \
+             application/json\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n{body}"
+        )
+        .unwrap();
+        let (status, mut answer) = answer(stream);
+        let mut text = String::new();
+        answer.read_to_string(&mut text).unwrap();
+        (status, serde_json::from_str::<Value>(&text).unwrap_or_default())
+    };
+    // Another user of this machine, on the port.
+    let add = r#"{"vnf": {"id": "spy", "command": ["cat", "/etc/shadow"]}}"#;
+    for token in ["", "0123456789abcdef0123456789abcdef"] {
+        assert_eq!(port("POST", "/api/v1/vnfs", token, add).0, 401, "{token}");
+        assert_eq!(port("GET", "/api/v1/testbed", token, "").0, 401, "{token}");
+        assert_eq!(port("POST", "/api/v1/sign-in/pages", token, "").0, 401, "{token}");
+    }
+    assert_eq!(port("GET", "/wai/v2/queries/ap/ap_information", "", "").0, 401);
+    assert_eq!(port("GET", "/fog05/node", "", "").0, 401);
+    // The user signs a page in, without that anybody types anything.
+    let client = cotorra_plugin::client::Client::of(&runs.find(None).unwrap()).unwrap();
+    let page = client.sign_in().unwrap();
+    let code = page.address.split_once('#').unwrap().1;
+    assert!(std::fs::read_to_string(&page.file).unwrap().contains(code));
+    let redeem = || port("POST", "/api/v1/sign-in", "", &json!({ "code": code }).to_string());
+    let (status, body) = redeem();
+    let token = body["token"].as_str().unwrap();
+    assert_eq!((status, port("GET", "/api/v1/testbed", token, "").0), (200, 200));
+    assert_eq!(port("GET", "/api/v1/testbed", code, "").0, 401, "the code is no token");
+    assert_eq!(redeem().0, 401, "the code works once");
 }
 
 #[test]
@@ -883,12 +936,12 @@ fn the_users_socket_needs_the_token_too() {
 fn strangers_on_the_port_take_no_place_from_the_users_tools() {
     let folder = tempfile::tempdir().unwrap();
     let runs = Runs::in_folder(folder.path().join("cotorra"));
-    let limits = Limits { strangers: 16, callers: 16 };
-    let served = serve_found_in(Some(&runs), false, limits, Patience::default());
+    let served = serve_to_user(&runs, 16, 16);
     // Both connected first, and send nothing yet.
-    let mut early = TcpStream::connect(served.server.address()).unwrap();
+    let mut early = TcpStream::connect(served.server.dashboard().address()).unwrap();
     let mut tool = runs.find(None).unwrap().connect().unwrap();
-    let flood: Vec<_> = (0..64).map(|_| TcpStream::connect(served.server.address()).unwrap()).collect();
+    let flood: Vec<_> =
+        (0..64).map(|_| TcpStream::connect(served.server.dashboard().address()).unwrap()).collect();
     // Closed: the flood was accepted before anything else was sent.
     let mut end = Vec::new();
     let _ = early.read_to_end(&mut end);

@@ -223,15 +223,13 @@ impl Failure {
     pub(super) fn unauthorized() -> Self {
         Self::new(
             StatusCode::UNAUTHORIZED,
-            "this API needs the token that its run has in COTORRA_TOKEN: `Authorization: Bearer …`",
+            "this API is its user's: use the run's socket, as `cotorra` and the clients do, sign a page in with `cotorra open`, \
+             or show the token that the run has in COTORRA_TOKEN: `Authorization: Bearer …`",
         )
     }
 
     pub(super) fn forbidden() -> Self {
-        Self::new(
-            StatusCode::FORBIDDEN,
-            "pages of other sites may not use this API; run it with a token to allow that",
-        )
+        Self::new(StatusCode::FORBIDDEN, "pages of other sites may not use this API")
     }
 
     /// The object belongs to another domain than the caller's.

@@ -4,7 +4,6 @@
 
 use std::{
     collections::BTreeMap,
-    net::SocketAddr,
     path::Path,
     sync::{Arc, mpsc},
     time::Duration,
@@ -20,7 +19,7 @@ use super::{
     process::Process,
 };
 use crate::{
-    api::{self, ApiError, Listener, Server, Tokens},
+    api::{self, ApiError, Dashboard, Listener, Server, Tokens},
     clock::Clock,
     live::Live,
     message::Message,
@@ -113,9 +112,9 @@ impl ExternalPlugins {
         Ok(())
     }
 
-    /// Returns the API's address.
-    pub(crate) fn api_address(&self) -> SocketAddr {
-        self.server.address()
+    /// Returns the dashboard, whose address is the API's.
+    pub(crate) fn dashboard(&self) -> &Dashboard {
+        self.server.dashboard()
     }
 
     /// Publishes an event to programs and to other readers of the API's stream.

@@ -40,7 +40,7 @@ impl Process {
             command
                 .args(arguments)
                 .current_dir(folder)
-                .env("COTORRA_API", format!("http://{}", api.address()))
+                .env("COTORRA_API", format!("http://{}", api.dashboard().address()))
                 .env("COTORRA_PLUGIN", spec.id.as_str())
                 // Replaces the operator's token.
                 .env("COTORRA_TOKEN", api.plugins().of(&spec.id).map_or("", Token::secret))

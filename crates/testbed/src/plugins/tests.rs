@@ -22,6 +22,7 @@ use tokio::sync::broadcast;
 
 use super::{host::PluginHost, lockstep::Guarded, running::RunningPlugins};
 use crate::{
+    api::{Operator, Tokens},
     clock::{Clock, wall_clock},
     core::Core,
     core_loop::{CoreLoop, EventSinks},
@@ -234,7 +235,7 @@ fn replay(run: &[Stamped], followers: usize, hangs: Arc<AtomicBool>) -> Replay {
     let options = ReplayOptions {
         api: Some(([127, 0, 0, 1], 0).into()),
         known: None,
-        tokens: Default::default(),
+        tokens: Tokens::new(Operator::Everyone, BTreeMap::new()).unwrap(),
         folder: None,
         speed: Some(Speed::Max),
         followers,

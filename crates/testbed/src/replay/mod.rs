@@ -20,7 +20,7 @@ use cotorra_plugin::runs::Runs;
 use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
 
 use crate::{
-    api::{self, ApiError, Listener, Lockstep as Waiting, Tokens},
+    api::{self, ApiError, Dashboard, Listener, Lockstep as Waiting, Tokens},
     clock::{Clock, wall_clock},
     domain::Domains,
     keeping::Keeper,
@@ -288,7 +288,12 @@ impl Replay {
 
     /// Returns the API's address.
     pub fn api_address(&self) -> SocketAddr {
-        self.programs.api_address()
+        self.dashboard().address()
+    }
+
+    /// Returns the dashboard.
+    pub fn dashboard(&self) -> &Dashboard {
+        self.programs.dashboard()
     }
 
     /// Returns the address for Foxglove, if it is served.

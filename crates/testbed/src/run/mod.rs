@@ -35,7 +35,7 @@ use self::{
     services::ServicesUp,
 };
 use crate::{
-    api::Server,
+    api::{Dashboard, Server},
     core_loop::{CoreLoop, EventSinks, receive},
     error::{RunError, system},
     finished::Finished,
@@ -197,7 +197,12 @@ impl Run {
 
     /// Returns the API's address.
     pub fn api_address(&self) -> SocketAddr {
-        self.server.address()
+        self.dashboard().address()
+    }
+
+    /// Returns the dashboard.
+    pub fn dashboard(&self) -> &Dashboard {
+        self.server.dashboard()
     }
 
     /// Returns the address for Foxglove, if it is served.

@@ -15,7 +15,7 @@ use cotorra_robot_middleware::{SensedData, SensedScan};
 
 use super::{Altered, Output, Simulation, Stretch, emulated};
 use crate::{
-    api::{self, Listener, Lockstep},
+    api::{self, Dashboard, Listener, Lockstep},
     capture::CaptureFile,
     clock::{Clock, wall_clock},
     error::{RunError, system},
@@ -63,8 +63,8 @@ pub fn simulate(
 pub struct Watched<'a> {
     /// Speed at first.
     pub speed: Speed,
-    /// Receives the API's address before the first step.
-    pub served: &'a mut dyn FnMut(SocketAddr),
+    /// Receives the dashboard before the first step.
+    pub served: &'a mut dyn FnMut(&Dashboard),
 }
 
 /// Runs a testbed as [`simulate`] does, but at a speed that can be changed, and with the API, by default on 127.0.0.1:7700 or
@@ -182,7 +182,7 @@ pub(super) fn simulate_with(
             external.insert(ExternalPlugins::serve(listener, options.tokens.clone(), wall, context)?);
         programs.start(&testbed, &folder.logs(), recorded.simulation.host())?;
         if let Some(watched) = watched {
-            (watched.served)(programs.api_address());
+            (watched.served)(programs.dashboard());
         }
     }
     let end = loop {

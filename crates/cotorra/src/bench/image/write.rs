@@ -1,8 +1,7 @@
 //! Writes measured times into a testbed file.
 
 use std::{
-    fs, io,
-    os::unix::fs::{MetadataExt as _, chown},
+    io,
     path::{Path, PathBuf},
 };
 
@@ -11,7 +10,7 @@ use cotorra_testbed_file::{VnfKeysError, set_vnf_keys};
 use miette::Diagnostic;
 
 use super::times::{Times, in_ms};
-use crate::testbed_file::FileError;
+use crate::{replaced::replace, testbed_file::FileError};
 
 /// Keys of a VNF, each with its value.
 type Keys = Vec<(&'static str, String)>;
@@ -29,8 +28,6 @@ enum Error {
     Keys { file: PathBuf, vnf: VnfId, source: VnfKeysError },
     #[error("cannot write {}: {source}", file.display())]
     Write { file: PathBuf, source: io::Error },
-    #[error(transparent)]
-    Folder(#[from] cotorra_testbed::FolderError),
 }
 
 impl Target {
@@ -69,13 +66,8 @@ impl Target {
         keys.extend(processing.map(|times| ("processing_delay", in_ms(times.median))));
         let text = self.changed(&keys)?;
         let fail = |source| Error::Write { file: self.file.clone(), source };
-        let before = fs::metadata(&self.file).map_err(fail)?;
-        let (folder, name) = (self.file.parent(), self.file.file_name());
-        let name = name.unwrap_or_default().to_string_lossy();
-        cotorra_testbed::write_file(folder.unwrap_or(Path::new("/")), &name, text).map_err(Error::from)?;
         // It stays its owner's, also if root measured.
-        let _ = chown(&self.file, Some(before.uid()), Some(before.gid()));
-        let _ = fs::set_permissions(&self.file, before.permissions());
+        replace(&self.file, text.as_bytes()).map_err(fail)?;
         let keys: Vec<_> = keys.iter().map(|(key, value)| format!("{key}: {value}")).collect();
         Ok(format!("VNF `{}` in {}: {}", self.vnf, self.file.display(), keys.join(", ")))
     }
@@ -83,7 +75,7 @@ impl Target {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
+    use std::{fs, time::Duration};
 
     use super::*;
 

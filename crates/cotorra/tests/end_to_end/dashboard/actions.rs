@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::{ENTER, TIMELINE, assert_accessible, assert_fits};
 use crate::{
-    harness::{Run, project_file, wait_until},
+    harness::{Run, path_with_cotorra, project_file, wait_until},
     netem_links::has_namespaces,
 };
 
@@ -303,8 +303,10 @@ fn every_action_is_done_from_the_page() {
     let curl = panel.call(0);
     assert!(curl.contains("$COTORRA_TOKEN"), "{curl}");
     if Command::new("curl").arg("--version").output().is_ok() {
-        let done = Command::new("sh").args(["-c", &curl]).env("COTORRA_TOKEN", OPERATOR).output().unwrap();
-        assert_eq!(String::from_utf8_lossy(&done.stdout), r#"{"done":true}"#, "{curl}");
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &curl]).env("COTORRA_TOKEN", OPERATOR).env("PATH", path_with_cotorra());
+        let done = shell.output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&done.stdout), r#"{"done":true}"#, "{curl}\n{done:?}");
         wait_for_attachment(&run, "far");
     }
     let shown = browser.evaluate("return document.documentElement.outerHTML;").to_string();

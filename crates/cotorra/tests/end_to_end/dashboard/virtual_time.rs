@@ -11,7 +11,7 @@ use crate::harness::wait_until;
 /// Starts 100 s of the corridor in virtual time, at a speed.
 fn watched(speed: &str, out: &tempfile::TempDir) -> Shown {
     let (file, out) = (corridor(), out.path().to_str().unwrap().to_owned());
-    let run = ["run", file.to_str().unwrap(), "--simulate", "--headless", "--until", "100s"];
+    let run = ["run", file.to_str().unwrap(), "--simulate", "--headless", "--no-token", "--until", "100s"];
     Shown::start(&[&run[..], &["--speed", speed, "--out", &out]].concat(), |_| {})
 }
 
@@ -27,7 +27,7 @@ fn virtual_time_is_watched_stopped_and_stepped_and_gives_the_same_results() {
     let (out, others) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let Some(browser) = Browser::start(1440, 900) else { return };
     let mut shown = watched("1x", &out);
-    browser.open(&shown.dashboard);
+    browser.open(&shown.signed_in);
     browser.wait_for(&format!("{STATE} === 'live' && {MAP}.startsWith('Map: robot at')"));
     let button = |name: &str| {
         browser.wait_for(&format!(
@@ -68,16 +68,16 @@ fn the_time_of_a_replay_is_stopped_and_that_of_a_view_stands_still() {
     let out = tempfile::tempdir().unwrap();
     let folder = recorded(&out);
     let Some(browser) = Browser::start(1440, 900) else { return };
-    let replay = Shown::start(&["replay", folder.to_str().unwrap(), "--from", "40s"], |_| {});
-    browser.open(&replay.dashboard);
+    let replay = Shown::start(&["replay", folder.to_str().unwrap(), "--no-token", "--from", "40s"], |_| {});
+    browser.open(&replay.signed_in);
     browser.wait_for("document.querySelector('#time-control button')?.offsetParent");
     browser.evaluate("document.querySelector('#time-control button').click();");
     browser.wait_for("document.querySelector('#time-control button').textContent === 'Go on'");
     assert_eq!(clock(&replay)["paused"], true);
     assert_clean(&browser, &replay.dashboard);
     drop(replay);
-    let view = Shown::start(&["view", folder.to_str().unwrap()], |_| {});
-    browser.open(&view.dashboard);
+    let view = Shown::start(&["view", folder.to_str().unwrap(), "--no-token"], |_| {});
+    browser.open(&view.signed_in);
     browser.wait_for("document.body.dataset.ready !== undefined");
     assert_eq!(browser.evaluate("return document.getElementById('time-control').hidden;"), true);
     assert_eq!(clock(&view)["controllable"], false);
