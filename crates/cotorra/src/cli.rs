@@ -11,6 +11,7 @@ use crate::{
     capture::CaptureArgs,
     check::CheckArgs,
     clean::CleanArgs,
+    doctor::DoctorArgs,
     edit::EditArgs,
     exec::ExecArgs,
     experiment::Experiment,
@@ -132,11 +133,7 @@ Examples:
         #[arg(long, conflicts_with = "wais")]
         app_lcm: bool,
     },
-    /// Check what this machine can do, and how to add the rest
-    ///
-    /// Tries everything, and leaves nothing behind. Each missing capability is shown with the reason and a remedy; most
-    /// runs do not need it.
-    Doctor,
+    Doctor(DoctorArgs),
     Selftest(SelftestArgs),
     Clean(CleanArgs),
     Exec(ExecArgs),

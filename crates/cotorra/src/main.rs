@@ -10,6 +10,7 @@ mod output;
 
 #[cfg(feature = "agents")]
 mod agent;
+mod approval;
 mod arguments;
 mod bench;
 mod browser;
@@ -119,7 +120,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
             ));
         }
         Command::Fdu { fdu } => fdu::fdu(&fdu)?,
-        Command::Doctor => doctor::doctor()?,
+        Command::Doctor(args) => doctor::doctor(&args)?,
         Command::Clean(args) => clean::clean(&args)?,
         Command::Exec(args) => return Ok(exec::exec(&args)?),
         Command::Open(args) => open::open(&args)?,

@@ -11,8 +11,13 @@ use cotorra_experiments::repeat::{Compared, Outcome, RepeatError, Service, compa
 use cotorra_testbed::{FolderError, Manifest, ManifestError, Repeat, Time};
 
 use crate::{
-    exit::Status, history::HISTORY_VARIABLE, origin, output, signals, table::Table,
-    temporary::TemporaryFolder, words::count,
+    approval::{TRUST_VARIABLE, TrustArgs},
+    exit::Status,
+    history::HISTORY_VARIABLE,
+    origin, output, signals,
+    table::Table,
+    temporary::TemporaryFolder,
+    words::count,
 };
 
 /// Outcomes of runs whose results are complete.
@@ -32,7 +37,7 @@ const LISTED: usize = 10;
 /// service by a two-sample Kolmogorov-Smirnov test and by a test of equal shares within the target. Neither counts a
 /// difference below the lateness of packets, which the runs themselves report.
 ///
-/// The programs of the folder run: only reproduce folders that you trust.
+/// The programs of the folder run as you. If you did not approve the same ones before, it asks.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -60,6 +65,8 @@ pub struct ReproduceArgs {
     /// Only check the folder, and print what would run
     #[arg(long)]
     pub dry_run: bool,
+    #[command(flatten)]
+    pub trust: TrustArgs,
 }
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -113,6 +120,9 @@ pub fn reproduce(args: &ReproduceArgs) -> miette::Result<ExitCode> {
     let interrupts = signals::listen()?;
     let mut command = process::Command::new(env::current_exe().map_err(Error::Start)?);
     command.args(words).arg("--out").arg(kept.join("repeat")).current_dir(from.path());
+    if args.trust.trust {
+        command.env(TRUST_VARIABLE, "1");
+    }
     // The repeat keeps its own history.
     command.env_remove(HISTORY_VARIABLE).stdout(Stdio::null());
     let status = command.status().map_err(Error::Start)?;

@@ -2,8 +2,9 @@
 
 use std::{
     collections::HashMap,
-    fs::{self, File},
+    fs::{self, DirBuilder, File},
     io::{self, BufRead, BufReader, Write},
+    os::unix::fs::DirBuilderExt as _,
     path::{Path, PathBuf},
 };
 
@@ -81,7 +82,7 @@ impl Journal {
     /// [`FolderError`] if that fails, or another process has opened it.
     pub fn open(path: &Path) -> Result<Self, FolderError> {
         let fail = |path: &Path, source| FolderError::new(path, source);
-        fs::create_dir_all(path).map_err(|e| fail(path, e))?;
+        DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(|e| fail(path, e))?;
         let path = path.canonicalize().map_err(|e| fail(path, e))?;
         let journal = path.join(JOURNAL);
         let file = File::options().read(true).append(true).create(true).open(&journal);

@@ -15,6 +15,7 @@ use super::bundled::{CORRIDOR, CORRIDOR_WIFI, FEDERATION};
 #[cfg(feature = "agents")]
 use crate::arguments::AgentArgs;
 use crate::{
+    approval::TrustArgs,
     arguments::parse_seed,
     duration::parse_duration,
     figures::FigureArgs,
@@ -49,6 +50,8 @@ pub struct WalkArgs {
     /// Only list what would be run
     #[arg(long)]
     pub dry_run: bool,
+    #[command(flatten)]
+    pub trust: TrustArgs,
     /// Log more on standard error; give it twice for even more
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,

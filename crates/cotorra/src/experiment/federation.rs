@@ -22,6 +22,7 @@ use super::{
     tell_faults,
 };
 use crate::{
+    approval,
     arguments::AccessArgs,
     exit::Status,
     output,
@@ -88,6 +89,9 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     }
     let (on, periods) = ledger(args)?;
     let planned = plan(args, &on, &periods)?;
+    for plan in &planned {
+        approval::demand(&plan.loaded, &args.testbed, args.walks.trust)?;
+    }
     // Before the stage is set, because the user namespace that it may enter has another user.
     let known = Runs::of_user();
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;

@@ -28,6 +28,7 @@ use super::{
     tell_faults,
 };
 use crate::{
+    approval,
     arguments::AccessArgs,
     exit::Status,
     output,
@@ -83,6 +84,9 @@ pub fn handover(args: &HandoverArgs) -> miette::Result<ExitCode> {
     }
     if let Some(missing) = &missing {
         note!("{missing}");
+    }
+    for plan in &planned {
+        approval::demand(&plan.loaded, &args.testbed, args.walks.trust)?;
     }
     // Before the stage is set, because the user namespace that it may enter has another user.
     let known = Runs::of_user();

@@ -19,6 +19,7 @@ use super::{
     folder::{begin, sound, withdraw},
 };
 use crate::{
+    approval,
     arguments::AccessArgs,
     exit::Status,
     history, output,
@@ -57,6 +58,9 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     if args.walks.dry_run {
         output::print(&plan(args, how, &variants[0].1))?;
         return Ok(ExitCode::SUCCESS);
+    }
+    for (_, loaded) in &variants {
+        approval::demand(loaded, &args.testbed, args.walks.trust)?;
     }
     // Before the stage is set, because the user namespace that it may enter has another user.
     let known = Runs::of_user();

@@ -11,6 +11,7 @@ use cotorra_graph::Probability;
 use cotorra_testbed_file::Setting;
 
 use crate::{
+    approval::TrustArgs,
     arguments::parse_seed,
     duration::parse_duration,
     quantity::{parse_share, parse_time},
@@ -103,6 +104,8 @@ pub struct MarginArgs {
     /// Only list what would be tried, and the number of runs
     #[arg(long)]
     pub dry_run: bool,
+    #[command(flatten)]
+    pub trust: TrustArgs,
 }
 
 /// A decision, or all of a run.

@@ -16,7 +16,7 @@ use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError,
 
 pub use self::args::MarginArgs;
 use self::args::WhichDecision;
-use crate::{SOURCES, exit::Status, origin, output, progress::Progress, signals, testbed_file};
+use crate::{SOURCES, approval, exit::Status, origin, output, progress::Progress, signals, testbed_file};
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
@@ -72,6 +72,9 @@ pub fn is_void(error: &miette::Report) -> bool {
 /// Searches for margins, or examines decisions.
 pub fn margin(args: &MarginArgs) -> miette::Result<ExitCode> {
     let loaded = testbed_file::load(&args.file, &args.settings)?;
+    if !args.dry_run {
+        approval::demand(&loaded, &args.file, args.trust)?;
+    }
     let seed = args.seed.unwrap_or(loaded.testbed.seed);
     let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).unwrap_or(NonZero::<usize>::MIN);
     if let Some(which) = args.decision {

@@ -10,6 +10,7 @@ use cotorra_testbed_file::Setting;
 #[cfg(feature = "agents")]
 use crate::arguments::AgentArgs;
 use crate::{
+    approval::TrustArgs,
     arguments::{AccessArgs, parse_address, parse_seed},
     duration::parse_duration,
     figures::FigureArgs,
@@ -107,6 +108,8 @@ pub struct RunArgs {
     pub api: Option<SocketAddr>,
     #[command(flatten)]
     pub access: AccessArgs,
+    #[command(flatten)]
+    pub trust: TrustArgs,
     /// Let the WLAN Access Information Service send notifications to a network, as in 10.1.0.0/16
     ///
     /// This adds to the networks that the testbed file names, and to loopback for the operator's own service. Can be given

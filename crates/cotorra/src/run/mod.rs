@@ -27,6 +27,7 @@ use cotorra_testbed::{
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
+    approval,
     arguments::AccessArgs,
     browser::Opener,
     check,
@@ -138,6 +139,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         output::print(&plan::describe(&loaded.testbed, &args, history.as_ref(), &interfaces))?;
         return Ok(ExitCode::SUCCESS);
     }
+    approval::demand(&loaded, &args.file, args.trust)?;
     check::start_hints(&loaded.testbed).iter().for_each(|hint| note!("{hint}"));
     let opener = Opener::prepare(args.open)?;
     let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;

@@ -20,6 +20,7 @@ use console::style;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{
+    approval::TRUST_VARIABLE,
     exit::Status,
     output,
     progress::Progress,
@@ -226,6 +227,8 @@ impl Program {
             "--out",
         ]);
         command.arg(folder.join("runs")).arg(&file).env_remove(crate::history::HISTORY_VARIABLE);
+        // The scenes are this program's own.
+        command.env(TRUST_VARIABLE, "1");
         if world == World::Virtual {
             command.arg("--simulate");
         }

@@ -11,7 +11,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use cotorra_experiments::sweep::{Axis, Shard};
 
 use super::{job_file::Scheduler, merge::MergeArgs};
-use crate::{duration::parse_duration, figures::FigureArgs};
+use crate::{approval::TrustArgs, duration::parse_duration, figures::FigureArgs};
 
 /// Run a testbed in virtual time for all combinations of some settings, each with many seeds
 ///
@@ -74,6 +74,8 @@ pub struct SweepArgs {
     /// Discard the runs that the folder has
     #[arg(long)]
     pub fresh: bool,
+    #[command(flatten)]
+    pub trust: TrustArgs,
     /// End with exit status 4 if a service of any run kept its target less often than the testbed file demands
     #[arg(long, conflicts_with_all = ["dry_run"])]
     pub require_pass: bool,

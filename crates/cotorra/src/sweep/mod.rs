@@ -21,7 +21,7 @@ use job_file::{Job, Scheduler};
 use trial::Trial;
 
 use crate::{
-    SOURCES,
+    SOURCES, approval,
     exit::Status,
     origin, output,
     progress::Progress,
@@ -81,11 +81,12 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
         Some(out) => out.clone(),
         None => sweep.default_folder(Path::new("sweeps")).map_err(report)?,
     };
+    if args.dry_run {
+        output::print(&plan(&sweep, args, &place)?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    approval::demand(&loaded, args.file(), args.trust)?;
     match args {
-        SweepArgs { dry_run: true, .. } => {
-            output::print(&plan(&sweep, args, &place)?)?;
-            Ok(ExitCode::SUCCESS)
-        }
         SweepArgs { emit: Some(scheduler), .. } => emit(&sweep, args, &place, *scheduler),
         SweepArgs { shard: Some(_), figure, .. } if figure.further().next().is_some() => {
             Err(Error::Figure.into())

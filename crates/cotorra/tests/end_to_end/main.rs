@@ -5,6 +5,7 @@ mod agent_enrolment;
 #[cfg(feature = "agents")]
 mod agents;
 mod api;
+mod approval;
 #[cfg(feature = "containers")]
 mod bench_image;
 mod calibrate;

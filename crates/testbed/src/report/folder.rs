@@ -1,7 +1,9 @@
 //! Folders of results: where they are made, and how files are written there.
 
 use std::{
-    fs, io,
+    fs::{self, DirBuilder},
+    io,
+    os::unix::fs::DirBuilderExt as _,
     path::{Path, PathBuf},
 };
 
@@ -46,7 +48,8 @@ impl Default for Place {
 }
 
 impl Place {
-    /// Creates the folder and its parents. Returns its absolute path.
+    /// Creates the folder and its parents. Returns its absolute path. Only this user can look into the folder: it has copies of
+    /// what the testbed file names, and what programs said.
     ///
     /// # Errors
     /// [`FolderError`] if that fails, or [`Place::At`] exists.
@@ -70,7 +73,7 @@ impl Place {
         }
         let mut taken = None;
         for path in names {
-            match fs::create_dir(&path) {
+            match DirBuilder::new().mode(0o700).create(&path) {
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
                     taken = Some(fail(&path)(error));
                 }
@@ -94,7 +97,16 @@ pub fn write_file(folder: &Path, name: &str, content: impl AsRef<[u8]>) -> Resul
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt as _;
+
     use super::*;
+
+    #[test]
+    fn others_cannot_look_into_a_results_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let made = Place::In(folder.path().join("runs")).create("x").unwrap();
+        assert_eq!(fs::metadata(made).unwrap().permissions().mode() & 0o777, 0o700);
+    }
 
     #[test]
     fn a_file_in_place_of_a_folder_is_named() {
