@@ -332,6 +332,12 @@ pub fn end_with_us(command: &mut Command) {
     unsafe { command.pre_exec(watch) };
 }
 
+/// Kills a process group that a child leads, which has not been waited for.
+pub(crate) fn kill_group(leader: u32) -> io::Result<()> {
+    // SAFETY: takes no pointer.
+    check(unsafe { libc::kill(-(leader as pid_t), libc::SIGKILL) }).map(drop)
+}
+
 /// Sends a signal to a child process that has not been waited for.
 pub(crate) fn send(child: u32, signal: c_int) -> io::Result<()> {
     // SAFETY: takes no pointer.

@@ -61,6 +61,8 @@ pub use listener::Listening;
 pub use namespace::Namespace;
 pub use presence::{Absence, PortWaits};
 pub use privilege::{Privilege, enter_user_namespace_if_needed, hide_memory};
-pub use process::{Child, HostsFile, SpawnOptions, open_process, raise_open_files};
+pub use process::{
+    Child, HostsFile, SpawnOptions, kill_group, open_process, raise_open_files, spawn_outside,
+};
 pub use punctual::{BusyPoll, be_punctual, be_timely};
 pub use stamped_socket::StampedSocket;

@@ -144,7 +144,8 @@ impl Namespace {
     /// # Errors
     /// [`Error::Spawn`] if there is no such program, or a control group or the kernel rejects it.
     pub fn spawn(&self, command: Command, options: SpawnOptions<'_>) -> Result<Child, Error> {
-        self.start(command, &options, None)
+        let program = command.get_program().to_string_lossy().into_owned();
+        Self::start(Some(self), command, &options, None).map_err(|source| Error::Spawn { program, source })
     }
 
     /// Runs a program inside in the place of this process, and returns its exit status; see [`Child::wait`]. It uses this
@@ -156,7 +157,9 @@ impl Namespace {
     pub fn run_program(&self, command: Command, options: SpawnOptions<'_>) -> Result<ExitStatus, Error> {
         let terminal = sys::Terminal::of_foreground();
         let signals = sys::Signals::block().action("block signals")?;
-        let mut child = self.start(command, &options, Some(&signals))?;
+        let program = command.get_program().to_string_lossy().into_owned();
+        let mut child = Self::start(Some(self), command, &options, Some(&signals))
+            .map_err(|source| Error::Spawn { program, source })?;
         let status = loop {
             if let Some(status) = child.try_wait().action("wait for a program")? {
                 break status;
@@ -173,20 +176,10 @@ impl Namespace {
         Ok(status)
     }
 
-    /// Starts a program. With blocked signals, it has this process's terminal.
+    /// Starts a program, in a network namespace if there is one. With blocked signals, it has this process's terminal.
     fn start(
-        &self,
+        place: Option<&Self>,
         mut command: Command,
-        options: &SpawnOptions<'_>,
-        blocked: Option<&sys::Signals>,
-    ) -> Result<Child, Error> {
-        let program = command.get_program().to_string_lossy().into_owned();
-        self.try_start(&mut command, options, blocked).map_err(|source| Error::Spawn { program, source })
-    }
-
-    fn try_start(
-        &self,
-        command: &mut Command,
         options: &SpawnOptions<'_>,
         blocked: Option<&sys::Signals>,
     ) -> io::Result<Child> {
@@ -207,7 +200,7 @@ impl Namespace {
         let lifeline_end = hold.as_fd().as_raw_fd();
         // A thread cannot undo an unshare, so use a throw-away one. Nothing depends on its lifetime.
         let init = on_a_thread(|| {
-            self.enter()?;
+            place.map_or(Ok(()), Self::enter)?;
             sys::unshare(libc::CLONE_NEWPID)?;
             if let Some(name) = options.hostname {
                 sys::unshare(libc::CLONE_NEWUTS)?;
@@ -226,7 +219,7 @@ impl Namespace {
                     Some(confinement.build(program.as_deref(), !cgroups.is_empty())?)
                 }
                 None => {
-                    show_own_interfaces()?;
+                    place.map_or(Ok(()), |_| show_own_interfaces())?;
                     None
                 }
             };
@@ -239,11 +232,26 @@ impl Namespace {
                 unique_number: options.unique_number,
                 restrictions,
             }
-            .before_exec_of(command);
+            .before_exec_of(&mut command);
             command.spawn()
         })?;
         Ok(Child { init, _lifeline: lifeline })
     }
+}
+
+/// Starts a program in this process's own network namespace. It is otherwise as [`Namespace::spawn`] starts it: what it starts
+/// ends with it.
+///
+/// # Errors
+/// What the system says: `PermissionDenied` also where it allows this user no process namespaces.
+pub fn spawn_outside(command: Command) -> io::Result<Child> {
+    Namespace::start(None, command, &SpawnOptions::default(), None)
+}
+
+/// Kills the process group that a child leads.
+pub fn kill_group(child: &process::Child) {
+    // It fails if nobody is left in it.
+    let _ = init::kill_group(child.id());
 }
 
 /// Lets `/sys` show the interfaces of the calling thread's network namespace, in a mount namespace of its own. Where the kernel
