@@ -6,16 +6,16 @@
 //! and exec are in [`crate::init`].
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     env,
     fs::{self, File},
+    hash::{DefaultHasher, Hash, Hasher},
     io,
     os::{
         fd::{AsFd, OwnedFd},
-        unix::fs::{MetadataExt, symlink},
+        unix::fs::{MetadataExt, lchown, symlink},
     },
     path::{Path, PathBuf},
-    sync::OnceLock,
 };
 
 use cotorra_graph::LinuxCapability;
@@ -32,15 +32,27 @@ const DEVICES: &str = "/dev";
 const DEVICE_NAMES: &[&str] = &["null", "zero", "full", "random", "urandom"];
 /// In-memory folders private to the program.
 const IN_MEMORY: &[&str] = &["/tmp", "/dev/shm"];
+/// Most files and folders that are shown one by one.
+const MOST_SHOWN: usize = 4096;
+/// Users of programs that root starts: from this number on, which no account of a person or a service has.
+const FIRST_USER: u32 = 1_000_000_000;
+const USERS: u64 = 1 << 28;
+/// Rights of users other than a file's owner and group.
+const OTHERS_READ: u32 = 0o4;
+const OTHERS_RUN: u32 = 0o1;
 
-/// Confinement of a program. Paths are absolute.
+/// Confinement of a program. Paths are absolute and contain no symbolic links, except for those in `readable`.
+///
+/// A program that root starts runs as an unprivileged user, who can read only what all users may, whatever its path and
+/// whenever it was made.
 #[derive(Debug, Clone)]
 pub struct Confinement {
     /// The program's own folder, which exists. It can write only here and to memory.
     pub home: PathBuf,
     /// Files and folders that it can read beside the system's.
     pub readable: Vec<PathBuf>,
-    /// Files and folders that appear empty, although a readable folder contains them.
+    /// Files and folders that are missing, although a readable folder contains them. A folder that contains one is shown
+    /// by what else is in it at the start, so that nothing comes into sight by a rename.
     pub hidden: Vec<PathBuf>,
     /// Capabilities over its network namespace and its own threads.
     pub capabilities: Vec<LinuxCapability>,
@@ -62,26 +74,29 @@ pub(crate) struct Restrictions {
     pub(crate) capabilities: u64,
     /// Processes and bytes of memory; `None` if a control group limits them.
     pub(crate) limits: Option<[u64; 2]>,
+    /// The number of the user and group that it becomes; `None` if it stays who it is.
+    pub(crate) user: Option<u32>,
 }
 
 impl Confinement {
     /// Moves the calling thread into the program's root folder. The thread must have a mount namespace of its own.
     pub(crate) fn build(&self, program: Option<&Path>, is_limited: bool) -> io::Result<Restrictions> {
+        let user = privilege::is_root().then(|| user_of(&self.home));
+        if let Some(user) = user {
+            lchown(&self.home, Some(user), Some(user)).map_err(about(&self.home))?;
+        }
         // Open the sources first, so that they do not include the mounts made below.
         let home = Tree::open(&self.home, Attributes::NO_SUID | Attributes::NO_DEV)?;
         let system = Path::new("/").read_dir()?.flatten().map(|entry| entry.path());
         let system = system.filter(|path| SYSTEM.iter().any(|name| path == Path::new(name)));
         let (links, folders): (Vec<_>, Vec<_>) = system.partition(|path| path.is_symlink());
-        let only_read = Attributes::READ_ONLY | Attributes::NO_SUID | Attributes::NO_DEV;
-        let show = |path: &PathBuf| Tree::open(&path.canonicalize().map_err(about(path))?, only_read);
-        let folders = folders.iter().map(show).collect::<io::Result<Vec<_>>>()?;
-        let more = self.readable.iter().map(|path| path.to_owned()).chain(program.map(Path::to_owned));
-        let more = more.map(|path| show(&path)).collect::<io::Result<Vec<_>>>()?;
+        let view = self.view(folders, program, user.is_some())?;
         let use_device =
             |name| Tree::open(&Path::new(DEVICES).join(name), Attributes::NO_SUID | Attributes::NO_EXEC);
         let devices = DEVICE_NAMES.iter().map(use_device).collect::<io::Result<Vec<_>>>()?;
-        let covered = own_of_root();
 
+        // The program must get through the folders that are made here.
+        let umask = sys::set_umask(0o022);
         sys::mount_tmpfs(&self.home, "size=1m,mode=755").map_err(about(&self.home))?;
         // From here on, relative paths are inside the new root.
         env::set_current_dir(&self.home)?;
@@ -101,27 +116,51 @@ impl Confinement {
             let target = fs::read_link(link)?;
             symlink(inside(&target), inside(link))?;
         }
-        for tree in folders.iter().chain(&devices).chain(&more) {
-            tree.attach_if_new()?;
+        for device in &devices {
+            device.attach()?;
         }
-        let mut covers = Vec::new();
-        // A folder comes before what is in it, which is no longer there then.
-        for path in covered.iter().chain(&self.hidden).collect::<BTreeSet<_>>() {
-            covers.extend(cover(inside(path))?);
+        // A folder comes before what is in it.
+        for (path, part) in &view {
+            part.attach_if_new(path)?;
         }
         home.attach()?;
-        for read_only in covers.iter().map(PathBuf::as_path).chain([Path::new(".")]) {
-            sys::set_mount_attributes(None, read_only, Attributes::READ_ONLY)?;
-        }
+        sys::set_mount_attributes(None, Path::new("."), Attributes::READ_ONLY)?;
         let outside = File::open("/")?.into();
         sys::pivot_root_here()?;
+        sys::set_umask(umask);
         Ok(Restrictions {
             outside,
             access: self.access()?,
             filter: seccomp::filter(),
             capabilities: self.capabilities.iter().fold(0, |all, one| all | 1 << number(*one)),
             limits: (!is_limited).then_some([self.processes, self.memory_bytes]),
+            user,
         })
+    }
+
+    /// Opens everything that the program is shown beside its own folder and the devices.
+    fn view(
+        &self,
+        system: Vec<PathBuf>,
+        program: Option<&Path>,
+        is_another_user: bool,
+    ) -> io::Result<BTreeMap<PathBuf, Part>> {
+        let real = |path: &Path| path.canonicalize().map_err(about(path));
+        let named = self.readable.iter().map(|path| real(path)).collect::<io::Result<BTreeSet<_>>>()?;
+        let mut view = View { hidden: &self.hidden, named, is_another_user, parts: BTreeMap::new() };
+        for path in view.named.iter().filter(|path| !path.is_dir()) {
+            view.check(path, OTHERS_READ, "read it", "o+r")?;
+        }
+        let named: Vec<_> = view.named.iter().cloned().collect();
+        for path in system.iter().chain(&named) {
+            view.add(path).map_err(about(path))?;
+        }
+        if let Some(program) = program {
+            let program = real(program)?;
+            view.check(&program, OTHERS_RUN, "run it", "o+rx")?;
+            view.add(&program).map_err(about(&program))?;
+        }
+        Ok(view.parts)
     }
 
     /// Returns the same restrictions as Landlock rules, which hold even if a mount can be circumvented.
@@ -138,6 +177,116 @@ impl Confinement {
     }
 }
 
+/// Returns the user of a program that root starts, by its own folder. It is the same at each start, because files remain
+/// there.
+fn user_of(home: &Path) -> u32 {
+    let mut hash = DefaultHasher::new();
+    home.hash(&mut hash);
+    FIRST_USER + (hash.finish() % USERS) as u32
+}
+
+/// What a program is shown of the outside. A folder is shown as a whole, with what is made in it later, unless it
+/// contains something hidden, or is a named one that other users may not enter. It is then shown by what is in it now.
+struct View<'a> {
+    hidden: &'a [PathBuf],
+    named: BTreeSet<PathBuf>,
+    /// Whether the program runs as another user, who needs the rights of others.
+    is_another_user: bool,
+    parts: BTreeMap<PathBuf, Part>,
+}
+
+impl View<'_> {
+    /// Adds a file or folder at a path whose folders contain no symbolic links.
+    fn add(&mut self, path: &Path) -> io::Result<()> {
+        if self.hidden.iter().any(|hidden| path.starts_with(hidden)) {
+            return Ok(());
+        }
+        let its = fs::symlink_metadata(path)?;
+        let is_named = self.named.contains(path);
+        let is_closed = self.is_closed(&its);
+        let is_beneath = |other: &PathBuf| other != path && other.starts_with(path);
+        let is_apart =
+            |other: &PathBuf| is_beneath(other) && fs::metadata(other).is_ok_and(|its| self.is_closed(&its));
+        let in_parts = its.is_dir()
+            && (is_named && is_closed
+                || self.hidden.iter().any(is_beneath)
+                || self.named.iter().any(is_apart));
+        let part = match (its.is_symlink(), in_parts) {
+            (true, _) => Part::Link(fs::read_link(path)?),
+            (_, false) => {
+                let only_read = Attributes::READ_ONLY | Attributes::NO_SUID | Attributes::NO_DEV;
+                Part::Tree(Tree::open(path, only_read)?)
+            }
+            // Its contents must not become open by being shown one by one.
+            (_, true) if is_closed && !is_named => return Ok(()),
+            (_, true) => Part::Folder,
+        };
+        if self.parts.len() >= MOST_SHOWN {
+            return Err(io::Error::other(format!(
+                "it holds more than {MOST_SHOWN} files and folders: put those that the program needs into a folder of \
+                 their own"
+            )));
+        }
+        self.parts.insert(path.to_owned(), part);
+        if in_parts {
+            for entry in fs::read_dir(path)? {
+                match self.add(&entry?.path()) {
+                    // It was removed meanwhile.
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                    done => done?,
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the program's user may not enter or list a folder.
+    fn is_closed(&self, its: &fs::Metadata) -> bool {
+        let needed = OTHERS_READ | OTHERS_RUN;
+        self.is_another_user && its.is_dir() && its.mode() & needed != needed
+    }
+
+    /// Checks that the program's user has a right to a file.
+    fn check(&self, path: &Path, right: u32, what: &str, mode: &str) -> io::Result<()> {
+        let its = fs::metadata(path).map_err(about(path))?;
+        if self.is_another_user && its.mode() & right == 0 {
+            return Err(io::Error::new(
+                io::ErrorKind::PermissionDenied,
+                format!(
+                    "other users may not {what}, and what root confines runs as another user: `chmod {mode} {}`",
+                    path.display()
+                ),
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// A part of what a program is shown.
+enum Part {
+    /// A file or folder as a whole.
+    Tree(Tree),
+    /// A folder whose contents are other parts.
+    Folder,
+    /// A symbolic link to this.
+    Link(PathBuf),
+}
+
+impl Part {
+    /// Puts it at its path in the new root, unless another part already provides that path.
+    fn attach_if_new(&self, path: &Path) -> io::Result<()> {
+        let to = inside(path);
+        if fs::symlink_metadata(to).is_ok() {
+            return Ok(());
+        }
+        match self {
+            Self::Tree(tree) => tree.attach(),
+            Self::Folder => fs::create_dir_all(to).map_err(about(path)),
+            Self::Link(target) => symlink(target, to).map_err(about(path)),
+        }
+    }
+}
+
 /// A detached copy of an outside file or folder with everything mounted below, to be attached in the new root.
 struct Tree {
     mount: OwnedFd,
@@ -148,18 +297,10 @@ struct Tree {
 impl Tree {
     /// Opens a path that contains no symbolic links.
     fn open(path: &Path, attributes: Attributes) -> io::Result<Self> {
-        let open = || {
-            let is_folder = fs::symlink_metadata(path)?.is_dir();
-            let mount = sys::open_tree(path)?;
-            sys::set_mount_attributes(Some(mount.as_fd()), Path::new(""), attributes)?;
-            Ok(Self { mount, path: path.to_owned(), is_folder })
-        };
-        open().map_err(about(path))
-    }
-
-    /// Attaches the copy at its old path, unless another copy already provides that path.
-    fn attach_if_new(&self) -> io::Result<()> {
-        if fs::symlink_metadata(inside(&self.path)).is_ok() { Ok(()) } else { self.attach() }
+        let is_folder = fs::symlink_metadata(path)?.is_dir();
+        let mount = sys::open_tree(path)?;
+        sys::set_mount_attributes(Some(mount.as_fd()), Path::new(""), attributes)?;
+        Ok(Self { mount, path: path.to_owned(), is_folder })
     }
 
     fn attach(&self) -> io::Result<()> {
@@ -187,47 +328,6 @@ fn inside(path: &Path) -> &Path {
 fn about(path: &Path) -> impl FnOnce(io::Error) -> io::Error {
     let path = path.to_owned();
     move |error| io::Error::new(error.kind(), format!("cannot show it {}: {error}", path.display()))
-}
-
-/// Hides a file or folder, if it exists. Returns the path of a mount that must become read-only.
-fn cover(path: &Path) -> io::Result<Option<PathBuf>> {
-    match fs::symlink_metadata(path) {
-        Ok(found) if found.is_dir() => {
-            sys::mount_tmpfs(path, "size=1m,mode=755")?;
-            Ok(Some(path.to_owned()))
-        }
-        Ok(found) if found.is_file() => {
-            let nothing = Tree::open(Path::new("/dev/null"), Attributes::READ_ONLY | Attributes::NO_DEV)?;
-            sys::move_mount(nothing.mount.as_fd(), path)?;
-            Ok(None)
-        }
-        _ => Ok(None),
-    }
-}
-
-/// Lists the files in `/etc` that not everyone may read, as found when the first program was confined. A program
-/// running as root could read them even without capabilities.
-fn own_of_root() -> &'static [PathBuf] {
-    static FOUND: OnceLock<Vec<PathBuf>> = OnceLock::new();
-    FOUND.get_or_init(|| {
-        let mut found = Vec::new();
-        if privilege::is_root() {
-            collect_own_of_root(Path::new("/etc"), &mut found);
-        }
-        found
-    })
-}
-
-fn collect_own_of_root(folder: &Path, found: &mut Vec<PathBuf>) {
-    const EVERYONE: u32 = 0o4;
-    for path in folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()) {
-        match fs::symlink_metadata(&path) {
-            Ok(its) if its.is_symlink() => {}
-            Ok(its) if its.mode() & EVERYONE == 0 => found.push(path),
-            Ok(its) if its.is_dir() => collect_own_of_root(&path, found),
-            _ => {}
-        }
-    }
 }
 
 /// Returns the number of a capability (capabilities(7)).

@@ -215,6 +215,9 @@ unsafe fn restrict(restrictions: &Restrictions) -> io::Result<()> {
                 done => done?,
             };
         }
+        if let Some(user) = restrictions.user {
+            become_user(user)?;
+        }
         let halves = [restrictions.capabilities as u32, (restrictions.capabilities >> 32) as u32];
         let sets = halves.map(|half| [half; 3]);
         let header = Header { version: VERSION_3, pid: 0 };
@@ -240,6 +243,28 @@ unsafe fn restrict(restrictions: &Restrictions) -> io::Result<()> {
         };
         let set = libc::SECCOMP_SET_MODE_FILTER;
         system_call(libc::syscall(libc::SYS_seccomp, set, 0, &raw const program))?;
+    }
+    Ok(())
+}
+
+/// Becomes another user and group, and keeps the right to capabilities. The C library's calls would look for threads that
+/// this process does not have.
+///
+/// # Safety
+/// To be called between fork and exec.
+unsafe fn become_user(user: u32) -> io::Result<()> {
+    // SAFETY: async-signal-safe system calls, with live arguments.
+    unsafe {
+        // Else the program could not open `/dev/stdout` and `/dev/stderr` by their names.
+        for fd in 0..3 {
+            let mut its: libc::stat = mem::zeroed();
+            if libc::fstat(fd, &mut its) == 0 && its.st_mode & libc::S_IFMT == libc::S_IFIFO {
+                libc::fchown(fd, user, user);
+            }
+        }
+        check(libc::prctl(libc::PR_SET_KEEPCAPS, 1 as c_ulong, 0 as c_ulong, 0 as c_ulong, 0 as c_ulong))?;
+        check(libc::syscall(libc::SYS_setresgid, user, user, user) as c_int)?;
+        check(libc::syscall(libc::SYS_setresuid, user, user, user) as c_int)?;
     }
     Ok(())
 }

@@ -52,6 +52,13 @@ pub(crate) fn effective_ids() -> (u32, u32) {
     unsafe { (libc::geteuid(), libc::getegid()) }
 }
 
+/// Sets the rights that new files do not get, for the threads that share the caller's root folder, and returns the former
+/// ones.
+pub(crate) fn set_umask(mode: u32) -> u32 {
+    // SAFETY: takes no pointer, and cannot fail.
+    unsafe { libc::umask(mode) }
+}
+
 /// `unshare` for the calling thread.
 pub(crate) fn unshare(flags: c_int) -> io::Result<()> {
     // SAFETY: takes no pointer.

@@ -6,10 +6,13 @@ mod ways;
 
 use std::{
     env, fs,
-    io::Read,
+    io::{BufRead, BufReader, Read, Write},
     os::{
         linux::net::SocketAddrExt,
-        unix::net::{SocketAddr, UnixListener},
+        unix::{
+            fs::{MetadataExt, PermissionsExt},
+            net::{SocketAddr, UnixListener},
+        },
     },
     path::{Path, PathBuf},
     process::{self, Child, Command, ExitCode, Stdio},
@@ -30,6 +33,10 @@ const TESTS: &[Test] = &[
         confined_programs_work_in_their_folder,
     ),
     ("a confined program has the capabilities granted to it", granted_capabilities_are_held),
+    ("hidden files stay hidden when they are replaced", replaced_files_stay_hidden),
+    ("files that only root may read stay closed, whatever their names", files_of_root_stay_closed),
+    ("what a program of root's makes belongs to another user", made_files_belong_to_another_user),
+    ("a closed file or program is rejected with advice", closed_files_are_rejected),
 ];
 
 fn main() -> ExitCode {
@@ -218,6 +225,118 @@ fn proc_is_there() -> u32 {
     let hidden = mounts.lines().filter(is_over).count() > 0;
     let is_ordinary = fs::read_to_string("/proc/self/uid_map").is_ok_and(|map| !map.contains("4294967295"));
     u32::from(!(hidden && is_ordinary))
+}
+
+/// Runs a script that begins with `read go`, and changes files before it goes on.
+fn output_after(script: &str, confinement: &Confinement, folder: &Path, change: impl FnOnce()) -> String {
+    let mut command = shell(&format!("echo begun; read go; {script}"));
+    command.current_dir(folder).stdin(Stdio::piped()).stdout(Stdio::piped());
+    let options = SpawnOptions { confinement: Some(confinement), ..SpawnOptions::default() };
+    let mut child = Namespace::new().unwrap().spawn(command, options).unwrap();
+    let (stdin, stdout, _) = child.pipes();
+    let mut stdout = BufReader::new(stdout.unwrap());
+    let mut begun = String::new();
+    stdout.read_line(&mut begun).unwrap();
+    assert_eq!(begun, "begun\n");
+    change();
+    stdin.unwrap().write_all(b"go\n").unwrap();
+    let mut output = String::new();
+    stdout.read_to_string(&mut output).unwrap();
+    output
+}
+
+fn replaced_files_stay_hidden() {
+    let place = Place::new();
+    let key = place.testbed().join("key");
+    fs::write(&key, "old key").unwrap();
+    let mut confinement = place.confinement(&[]);
+    confinement.hidden.push(key.clone());
+    let output = output_after("cat key new renamed; cat data", &confinement, &place.testbed(), || {
+        let new = place.testbed().join("new");
+        fs::write(&new, "new key").unwrap();
+        fs::rename(&key, place.testbed().join("renamed")).unwrap();
+        fs::rename(&new, &key).unwrap();
+    });
+    assert_eq!(output, "data");
+}
+
+fn is_root() -> bool {
+    fs::read_to_string("/proc/self/uid_map").is_ok_and(|map| map.contains("4294967295"))
+}
+
+fn close(path: &Path, mode: u32) {
+    fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
+}
+
+fn files_of_root_stay_closed() {
+    if !is_root() {
+        return println!("skipped: programs of an ordinary user have its rights to files");
+    }
+    let place = Place::new();
+    // A folder that is shown as a whole, and one that only root may enter, whose files are shown.
+    let [etc, closed] = ["etc", "closed"].map(|name| place.testbed().join(name));
+    for folder in [&etc, &closed] {
+        fs::create_dir_all(folder.join("inner")).unwrap();
+        fs::write(folder.join("shadow"), SECRET).unwrap();
+        close(&folder.join("shadow"), 0o600);
+        fs::write(folder.join("inner/secret"), SECRET).unwrap();
+        close(&folder.join("inner"), 0o700);
+        fs::write(folder.join("open"), "open").unwrap();
+    }
+    close(&closed, 0o700);
+    let mut confinement = place.confinement(&[]);
+    confinement.readable.push(closed);
+    let script = "cat etc/shadow etc/renamed etc/late etc/inner/secret closed/shadow closed/inner/secret; \
+                  cat etc/open closed/open";
+    let output = output_after(script, &confinement, &place.testbed(), || {
+        fs::rename(etc.join("shadow"), etc.join("renamed")).unwrap();
+        let late = etc.join("late");
+        fs::write(&late, "").unwrap();
+        close(&late, 0o600);
+        fs::write(&late, SECRET).unwrap();
+    });
+    assert_eq!(output, "openopen");
+}
+
+fn made_files_belong_to_another_user() {
+    if !is_root() {
+        return println!("skipped: programs of an ordinary user are that user");
+    }
+    let place = Place::new();
+    let script =
+        "cp /bin/sh ~/sh && chmod 4755 ~/sh && id -u && echo said >/dev/stdout; echo said >/dev/stderr";
+    let mut command = shell(script);
+    command.stderr(Stdio::null());
+    let output = output_of(&Namespace::new().unwrap(), command, Some(&place.confinement(&[])));
+    let (user, said) = output.split_once('\n').unwrap();
+    assert!(user.parse::<u32>().unwrap() >= 1_000_000_000, "{output}");
+    assert_eq!(said, "said\n");
+    let made = fs::metadata(place.home().join("sh")).unwrap();
+    assert_eq!(made.uid().to_string(), user, "its set-user-ID bit gives no rights of root");
+    // It can go on there when it starts again.
+    let again = shell("rm ~/sh && echo again");
+    assert_eq!(output_of(&Namespace::new().unwrap(), again, Some(&place.confinement(&[]))), "again\n");
+}
+
+fn closed_files_are_rejected() {
+    if !is_root() {
+        return println!("skipped: programs of an ordinary user have its rights to files");
+    }
+    let place = Place::new();
+    let namespace = Namespace::new().unwrap();
+    let key = place.testbed().join("closed");
+    fs::write(&key, "#!/bin/sh").unwrap();
+    close(&key, 0o700);
+    let rejected = |command: Command, confinement: &Confinement| {
+        let options = SpawnOptions { confinement: Some(confinement), ..SpawnOptions::default() };
+        namespace.spawn(command, options).unwrap_err().to_string()
+    };
+    let mut confinement = place.confinement(&[]);
+    let program = rejected(Command::new(&key), &confinement);
+    assert!(program.contains("chmod o+rx"), "{program}");
+    confinement.readable.push(key);
+    let file = rejected(shell("true"), &confinement);
+    assert!(file.contains("chmod o+r "), "{file}");
 }
 
 fn granted_capabilities_are_held() {
