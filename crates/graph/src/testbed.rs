@@ -55,6 +55,8 @@ pub struct Testbed {
     pub containers: Containers,
     /// Its border to the cores of other domains, if it has one.
     pub border: Option<Border>,
+    /// Hosts whose frames pass whatever sender they name.
+    pub without_port_security: Vec<NodeId>,
 }
 
 /// Emulator of links.

@@ -308,6 +308,7 @@ impl Client {
             probes,
             retention,
             border: None,
+            without_port_security: Vec::new(),
             containers: Default::default(),
         })
     }

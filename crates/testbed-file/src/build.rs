@@ -75,6 +75,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
     let wais = builder.wais(&record.wais);
     let script = script::script(&mut builder, links.as_deref());
     let border = builder.border();
+    let without_port_security = builder.without_port_security();
     let domains = builder.domains;
     let probes = probes(&record.probes, sink);
     let retention = retentions(&record.history.retention, sink);
@@ -91,6 +92,7 @@ pub(super) fn build(record: &TestbedRecord, base_dir: &Path, sink: &mut Sink) ->
         probes,
         retention,
         border: border?,
+        without_port_security: without_port_security?,
         containers: containers?,
         description: record.description.clone(),
         // Only a working folder that does not exist any more has no absolute path.

@@ -509,8 +509,11 @@ impl NodeRecord {
 }
 
 record! {
-    /// The engine of a node, and the image of a node that is a container as a whole.
+    /// What nodes that run programs have in common: port security, an engine, and an image if it is a container as a whole.
     WholeRecord {
+        /// Whether the emulated network drops frames of the node that name another sender (MAC, ARP, IPv4, IPv6). Without it,
+        /// the node can have further addresses, and can answer as others.
+        port_security: Spanned<bool> = true,
         /// Engine that runs container images on this node. Without it: the testbed's.
         engine: Option<Spanned<EngineKind>>,
         ..container: ContainerRecord,

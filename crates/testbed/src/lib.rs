@@ -78,7 +78,7 @@ pub use recorded::{Recorded, RecordedError};
 pub use reflectors::ReflectorError;
 pub use rehearse::{interface_plans, rehearse};
 pub use report::{
-    AwaySummary, DataTable, DecisionRecord, FEW_ROBOTS, Fidelity, FolderError, GatewaySummary,
+    AwaySummary, DataTable, DecisionRecord, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary,
     HandoverRecord, Kept, LatenessSummary, LocalizationSummary, LostSummary, MeanParts, PartSummary, Place,
     PlacementRecord, PluginSummary, Quantiles, RegionSummary, Report, RobotSummary, ServiceParts,
     ServiceSummary, Summary, Verdict, VnfWaits, WORST_ROBOTS, by_service, name_of_total, panels,

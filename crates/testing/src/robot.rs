@@ -61,6 +61,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
         probes: None,
         retention: Default::default(),
         border: None,
+        without_port_security: Vec::new(),
         containers: Default::default(),
     }
 }

@@ -66,6 +66,9 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     for notice in &summary.notices {
         text += &format!("  {} {notice}\n", style("!").yellow());
     }
+    for forged in &summary.forged_sources {
+        text += &format!("  {} {}\n", style("!").yellow(), forged.sentence());
+    }
     for fault in &summary.plugin_faults {
         text += &format!("  {} plug-in cut off: {fault}\n", style("!").red());
     }

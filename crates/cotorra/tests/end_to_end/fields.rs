@@ -5,7 +5,9 @@ use std::{
     fs,
 };
 
+use cotorra_fabric::{ForgedFrames, ForgedSources};
 use cotorra_graph::SensorKind;
+use cotorra_testbed::ForgedSummary;
 use serde_json::Value;
 
 use crate::harness::{corridor, cotorra, project_file, stderr, stdout};
@@ -251,6 +253,14 @@ fn every_figure_is_documented_with_its_unit() {
         let result = fs::read_to_string(searched.join(file).join(file)).unwrap();
         in_document(&serde_json::from_str(&result).unwrap(), used.entry("margins").or_default());
     }
+
+    let forged = ForgedSummary::from(ForgedSources {
+        node: "edge".parse().unwrap(),
+        allowed: false,
+        frames: ForgedFrames::default(),
+    });
+    let forged = serde_json::to_value(forged).unwrap();
+    in_document(&forged, used.entry("summary.json").or_default());
 
     let mut found = BTreeSet::new();
     for (place, names) in &used {

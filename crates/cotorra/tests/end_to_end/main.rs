@@ -49,6 +49,7 @@ mod new;
 mod one_robot;
 mod outcome;
 mod plugin;
+mod port_security;
 mod real_servers;
 mod recording;
 mod replicas;

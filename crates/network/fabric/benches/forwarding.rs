@@ -76,6 +76,7 @@ fn super_packet(mut buffer: Vec<u8>) -> Frame {
     buffer[12..15].copy_from_slice(&[0x08, 0x00, 0x45]);
     buffer[16..18].copy_from_slice(&(40 + PAYLOAD as u16).to_be_bytes());
     buffer[23] = 6;
+    buffer[26..30].copy_from_slice(&HostAddress::of(0).ipv4.octets());
     buffer[46] = 0x50;
     Frame::with_offload(
         buffer,

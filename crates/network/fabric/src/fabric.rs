@@ -5,6 +5,7 @@ mod elsewhere;
 mod lending;
 mod observers;
 mod paths;
+mod sources;
 mod taps;
 
 use std::{
@@ -30,6 +31,7 @@ use crate::{
     pipe::{Packet, Pipe, Purpose},
     pool::Pool,
     port::PortId,
+    port_security::{ForgedFrames, Identity},
     radio::{Arrival, Path, Radio},
     random::stream,
     routes::{Path as Pinned, Routes, Target, Vertex},
@@ -40,6 +42,7 @@ use crate::{
 };
 
 pub use elsewhere::Departure;
+pub use sources::ForgedSources;
 
 /// Frames that the fabric could not forward.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -115,6 +118,12 @@ struct Port {
     behind: Option<PortId>,
     /// Vertex at which frames to a robot leave for the core that it is with.
     border: Option<usize>,
+    /// Addresses of the host; `None` for what decides by itself which frames pass: gateways and real servers.
+    identity: Option<Identity>,
+    /// Whether frames from here with other sources are dropped.
+    is_secure: bool,
+    /// Frames with other sources, so far.
+    forged: ForgedFrames,
 }
 
 /// The next hop of a packet from a vertex.
@@ -176,15 +185,19 @@ impl Fabric {
                 pipes.push(Pipe::new(link, settings, rng("link"), rng("queue")));
             }
         }
-        let port = |node: &Node| Port {
+        let emulated = |place: usize, node: &Node| place < hosts && node.real_server().is_none();
+        let port = |(place, node): (usize, &Node)| Port {
             node: node.id.clone(),
             vertex: vertices[&node.id],
             is_robot: matches!(node.kind, NodeKind::Robot(_)),
             is_lent: false,
             behind: None,
             border: None,
+            identity: emulated(place, node).then(|| Identity::of(HostAddress::of(place))),
+            is_secure: true,
+            forged: ForgedFrames::default(),
         };
-        let ports: Vec<Port> = graph.ports().map(port).collect();
+        let ports: Vec<Port> = graph.ports().enumerate().map(port).collect();
         let mut port_of_vertex = vec![None; graph.nodes.len()];
         for (i, port) in ports.iter().enumerate() {
             port_of_vertex[port.vertex] = Some(PortId(i));
@@ -230,7 +243,8 @@ impl Fabric {
         self.ports.get(port.0).map(|p| &p.node)
     }
 
-    /// Sends a frame from a port. Call [`Self::poll`] after the last frame of a batch.
+    /// Sends a frame from a port. Call [`Self::poll`] after the last frame of a batch. A frame that does not name the host at
+    /// the port as its sender is dropped, and in [`Self::forged_sources`] only.
     pub fn push(&mut self, now: Timestamp, port: PortId, mut frame: Frame) {
         let now = self.advance(now);
         if port.0 >= self.ports.len() {
@@ -241,9 +255,15 @@ impl Fabric {
             self.drops.malformed += 1;
             return self.pool.put(frame.into_bytes());
         }
-        self.balance.sent += u64::from(frame.wire_packets());
         let Port { vertex, is_robot, is_lent, border, .. } = self.ports[port.0];
         let sender = if is_lent { self.sender(port, &frame) } else { port };
+        if !self.admits(port, sender, &frame) {
+            return self.pool.put(frame.into_bytes());
+        }
+        self.balance.sent += u64::from(frame.wire_packets());
+        if sender != port {
+            self.ports[sender.0].behind = Some(port);
+        }
         self.learn(sender, &frame);
         if self.observers.is_some() {
             self.observe_entry(now, sender, &mut frame);

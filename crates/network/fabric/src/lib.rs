@@ -7,7 +7,8 @@
 //!   hops. [`Fabric::lateness`] reports it.
 //! - **Forwarding.** Unicast frames take the path of least delay to the host that has the address, or one that they are
 //!   [pinned](Fabric::pin) to. Paths are worked out anew when delays or attachments change. Hosts have the addresses of
-//!   [`HostAddress`](cotorra_graph::HostAddress); the fabric learns other addresses from the frames that they send.
+//!   [`HostAddress`](cotorra_graph::HostAddress), and send from these only, unless they have no
+//!   [port security](Fabric::disable_port_security). The fabric learns other addresses from the frames that come from them.
 //!   Broadcast, multicast and frames to unknown addresses reach every other host once, along a spanning tree. Robots and
 //!   servers never forward.
 //! - **Wired links.** Each direction is a queue (drop tail, CoDel, FQ-CoDel, PIE or RED), a transmitter (fixed rate or
@@ -45,6 +46,7 @@ mod meter;
 mod pipe;
 mod pool;
 mod port;
+mod port_security;
 mod queue;
 mod radio;
 mod random;
@@ -57,12 +59,13 @@ mod transmitter;
 
 pub use balance::Balance;
 pub use error::{GraphError, NoPath};
-pub use fabric::{Departure, Drops, Fabric};
+pub use fabric::{Departure, Drops, Fabric, ForgedSources};
 pub use following::{Datagrams, Followed, FollowedReader, Progress, RoundTrip, Trip};
 pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;
 pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};
 pub use port::PortId;
+pub use port_security::ForgedFrames;
 pub use radio::{
     Antenna, Association, Category, ChannelWidth, PhyRate, RateTries, Receiver, Report, Transmission,
     sensitivity,

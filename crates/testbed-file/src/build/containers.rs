@@ -101,6 +101,25 @@ impl Builder<'_> {
         Some(Containers { engine: self.record.engine, engines, hosts: hosts.into_iter().flatten().collect() })
     }
 
+    /// The nodes without port security; `None` for a mistake.
+    pub(super) fn without_port_security(&mut self) -> Option<Vec<NodeId>> {
+        let nodes = &self.record.nodes.0;
+        let without: Option<Vec<_>> = each(nodes, |(id, node)| {
+            let Some(security) = node.whole().map(|whole| &whole.port_security) else { return Some(None) };
+            if !security.value && matches!(node, NodeRecord::Server(server) if server.interface.is_some()) {
+                self.sink
+                    .error(
+                        &security.span,
+                        format!("`{}` is a real server, whose port is a gateway's", id.value),
+                    )
+                    .help("leave out `port_security`: only frames from its `address` pass a gateway");
+                return None;
+            }
+            Some((!security.value).then(|| id.value.clone()))
+        });
+        Some(without?.into_iter().flatten().collect())
+    }
+
     /// The container that a node is as a whole, if it is one; `None` for a mistake.
     fn host_container(
         &mut self,

@@ -177,7 +177,7 @@ impl CaptureFile {
 #[cfg(test)]
 mod tests {
     use cotorra_fabric::{Fabric, Frame, PortId};
-    use cotorra_graph::Timestamp;
+    use cotorra_graph::{HostAddress, Timestamp};
 
     use super::*;
 
@@ -201,7 +201,9 @@ links: [{ ends: [left, right] }]
     /// Sends a broadcast.
     fn send(fabric: &Mutex<Fabric>, at_s: f64, length: usize) {
         let mut fabric = fabric.lock();
-        fabric.push(Timestamp::from_secs_f64(at_s), PortId(0), Frame::new(vec![0xff; length]));
+        let mut frame = vec![0xff; length];
+        frame[6..12].copy_from_slice(&HostAddress::of(0).mac);
+        fabric.push(Timestamp::from_secs_f64(at_s), PortId(0), Frame::new(frame));
         fabric.poll(Timestamp::from_secs_f64(at_s + 1.0), &mut |_, _| {});
     }
 

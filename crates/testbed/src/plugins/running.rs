@@ -335,6 +335,7 @@ mod tests {
             probes: None,
             retention: Default::default(),
             border: None,
+            without_port_security: Vec::new(),
             containers: Default::default(),
         })
     }

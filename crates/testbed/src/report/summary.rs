@@ -4,6 +4,7 @@ use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use cotorra_datapath::{Absence, GatewayTraffic};
 use cotorra_engine::InstanceWaits;
+use cotorra_fabric::ForgedSources;
 use cotorra_graph::{
     Event, Instruction, Lateness, Natural, NodeId, Nodes, PoseSource, Position, Probability, Requests,
     Service, ServiceId, ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
@@ -17,6 +18,7 @@ use super::{
     end::End,
     fidelity::{Fidelity, MeasuredFrames},
     folder::FolderError,
+    forged::ForgedSummary,
     gateways::GatewaySummary,
     instructed::{Instructed, PluginSummary},
     kept::{Kept, Verdict},
@@ -73,6 +75,8 @@ pub struct Summary {
     pub placements: Vec<PlacementRecord>,
     /// Gateways and real servers, in the file's order.
     pub gateways: Vec<GatewaySummary>,
+    /// Nodes that sent frames in the name of others.
+    pub forged_sources: Vec<ForgedSummary>,
     /// Verdict on the emulation.
     pub fidelity: Fidelity,
     /// Last source of the robots' poses; `None` without robots.
@@ -255,8 +259,12 @@ impl Summary {
     /// Returns the verdict as notices at the end of the run, for its history.
     pub(crate) fn last_words(&self, end: Timestamp) -> impl Iterator<Item = Stamped> {
         let stuck = self.no_progress.iter().map(|stand| format!("{}: {stand}", self.ended));
+        let forged = self.forged_sources.iter().map(ForgedSummary::sentence);
         let void = self.void.iter().map(|reason| format!("the figures are not valid: {reason}"));
-        stuck.chain(void).map(move |message| Stamped { at: end, event: Event::Notice { message } })
+        stuck
+            .chain(void)
+            .chain(forged)
+            .map(move |message| Stamped { at: end, event: Event::Notice { message } })
     }
 }
 
@@ -303,6 +311,7 @@ pub struct Report {
     instructed: Instructed,
     lateness: Lateness,
     gateways: Vec<GatewaySummary>,
+    forged: Vec<ForgedSummary>,
     absence: Option<Absence>,
     /// Waits of datagrams in robots' sockets.
     receptions: Lateness,
@@ -366,6 +375,7 @@ impl Report {
             instructed: Instructed::new(testbed),
             lateness: Lateness::default(),
             gateways: Vec::new(),
+            forged: Vec::new(),
             absence: None,
             receptions: Lateness::default(),
             vnf_waits: Vec::new(),
@@ -492,6 +502,11 @@ impl Report {
     /// Adds the traffic of gateways and real servers. It is in no event.
     pub(crate) fn passed(&mut self, gateways: Vec<GatewayTraffic>) {
         self.gateways = gateways.into_iter().map(GatewaySummary::from).collect();
+    }
+
+    /// Adds the frames of nodes that named other senders. They are in no event.
+    pub(crate) fn forged(&mut self, forged: Vec<ForgedSources>) {
+        self.forged = forged.into_iter().map(ForgedSummary::from).collect();
     }
 
     /// Adds the time in which the emulated network stood still. It is in no event.
@@ -636,8 +651,10 @@ impl Report {
             .with_receptions(self.receptions)
             .with_away(self.absence.map(|absence| AwaySummary::new(&absence, duration)), self.measured_frames)
             .with_vnf_waits(VnfWaits::of(&self.vnf_waits, &self.unwatched, duration))
-            .beside_targets(self.services.iter().map(|its| its.target_ms)),
+            .beside_targets(self.services.iter().map(|its| its.target_ms))
+            .with_forged(&self.forged),
             gateways: self.gateways.clone(),
+            forged_sources: self.forged.clone(),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             driving: self.driving.summary(),

@@ -241,6 +241,7 @@ impl Run {
             unrecorded.push(self.history_bound.what());
         }
         report.passed(self.datapath.gateways());
+        report.forged(self.datapath.handle().with(|fabric, _| fabric.forged_sources()).unwrap_or_default());
         report.received(self.receptions.lock().summary());
         report.stood_still(self.datapath.handle().port_waits().absence);
         let losses = Losses {

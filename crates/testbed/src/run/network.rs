@@ -46,6 +46,7 @@ impl NetworkUp {
             let _ = from_network.send(Message::Network(event));
         });
         let mut fabric = Fabric::new(&testbed.graph, *seed)?;
+        testbed.without_port_security.iter().for_each(|node| fabric.disable_port_security(node));
         let kernel = kernel_network(testbed, &fabric)?;
         if kernel.is_none()
             && let Some(probing) = testbed.probes

@@ -150,6 +150,7 @@ impl Simulation {
         let testbed = emulated(testbed);
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;
+        testbed.without_port_security.iter().for_each(|node| fabric.disable_port_security(node));
         if let Some(probing) = testbed.probes {
             fabric.probe_links(Timestamp::ZERO, probing);
         }

@@ -1,7 +1,7 @@
 //! Robots that are attached to a radio unit of another core. Their frames leave this fabric there, and those to them leave at
 //! the border: a host of the wired network. The other core carries both, and returns them at the other end.
 
-use cotorra_graph::{Dbm, Direction, HostAddress, LostCause, NodeId, Timestamp};
+use cotorra_graph::{Dbm, Direction, LostCause, NodeId, Timestamp};
 
 use super::Fabric;
 use crate::{frame::Frame, port::PortId, routes::Target, settings::FabricError};
@@ -80,7 +80,7 @@ impl Fabric {
         let Some((port, border)) = port else { return self.drop_unroutable(frame) };
         let is_of = |address: Option<[u8; 6]>| address.and_then(|own| self.owner(own)) == Some(port);
         match direction {
-            Direction::Forward if is_from(&frame, &HostAddress::of(port.0)) => {
+            Direction::Forward if self.is_from(&frame, port) => {
                 self.cross_border(now, port, border, frame);
             }
             Direction::Backward
@@ -139,24 +139,17 @@ impl Fabric {
         }
     }
 
+    /// Whether a frame names a host as its sender, by each address in it. Other protocols than IP and ARP name none.
+    fn is_from(&self, frame: &Frame, host: PortId) -> bool {
+        let is_named = matches!(frame.bytes().get(12..14), Some([0x08, 0x00 | 0x06] | [0x86, 0xdd]));
+        let identity = self.ports[host.0].identity;
+        is_named && identity.is_some_and(|host| host.forgery(frame.bytes()).is_none())
+    }
+
     /// Records that a robot is reached by radio again.
     pub(super) fn leave_border(&mut self, robot: &NodeId) {
         if let Some(port) = self.port(robot) {
             self.ports[port.0].border = None;
         }
     }
-}
-
-/// Whether a frame names a host as its sender, by each address in it.
-fn is_from(frame: &Frame, host: &HostAddress) -> bool {
-    let bytes = frame.bytes();
-    let has = |at: usize, address: &[u8]| bytes.get(at..at + address.len()) == Some(address);
-    let is_named = match bytes.get(12..14) {
-        Some([0x08, 0x00]) => has(26, &host.ipv4.octets()),
-        Some([0x08, 0x06]) => has(22, &host.mac) && has(28, &host.ipv4.octets()),
-        // Neighbours are found from link-local and unspecified addresses, too.
-        Some([0x86, 0xdd]) => has(22, &host.ipv6.octets()) || has(22, &[0xfe, 0x80]) || has(22, &[0; 16]),
-        _ => false,
-    };
-    is_named && has(6, &host.mac)
 }

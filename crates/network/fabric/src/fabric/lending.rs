@@ -101,15 +101,14 @@ impl Fabric {
     }
 
     /// Returns the sender of a frame that comes to the port of a node whose antenna is lent: the robot that has its source
-    /// address, which is behind this port now.
-    pub(super) fn sender(&mut self, port: PortId, frame: &Frame) -> PortId {
+    /// address, which is behind this port then.
+    pub(super) fn sender(&self, port: PortId, frame: &Frame) -> PortId {
         let robot = frame.source().and_then(|source| self.assigned(source)).filter(|owner| *owner != port);
         let Some(robot) = robot else { return port };
         let Port { is_robot, is_lent, .. } = self.ports[robot.0];
         if !is_robot || !is_lent || self.ports[port.0].is_robot {
             return port;
         }
-        self.ports[robot.0].behind = Some(port);
         robot
     }
 

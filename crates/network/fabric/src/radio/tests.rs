@@ -749,7 +749,7 @@ fn frames_follow_the_robot_through_the_fabric() {
     let (r, s) = (PortId(0), PortId(3));
     let frame = |from: PortId, to: PortId| {
         let [to, from] = [to, from].map(|port| HostAddress::of(port.0).mac);
-        Frame::new([&to[..], &from[..], &[8, 0], &[0; 100]].concat())
+        Frame::new([&to[..], &from[..], &[0x88, 0xb5], &[0; 100]].concat())
     };
     // Pushes a frame. Returns when and where it came out.
     let cross = |fabric: &mut Fabric, now, from, to| {

@@ -127,6 +127,9 @@ fn hops_then_order_decide_between_equal_delays() {
 #[test]
 fn addresses_are_learnt_from_frames_and_follow_their_host() {
     let mut fabric = ring().fabric(1);
+    for host in ["c", "d"] {
+        fabric.disable_port_security(&host.parse().unwrap());
+    }
     let container = [0x02, 0x42, 0xac, 0x11, 0, 2];
     let (a, c, d) = (PortId(0), PortId(2), PortId(3));
     let reached = |fabric: &mut cotorra_fabric::Fabric, now| {
@@ -147,6 +150,7 @@ fn addresses_are_learnt_from_frames_and_follow_their_host() {
 #[test]
 fn no_host_takes_another_hosts_address() {
     let mut fabric = ring().fabric(1);
+    fabric.disable_port_security(&"d".parse().unwrap());
     let (a, c, d) = (PortId(0), PortId(2), PortId(3));
     // d claims to be c.
     fabric.push(ms(0.0), d, frame(c, a, 1, 60));

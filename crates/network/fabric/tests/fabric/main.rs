@@ -11,6 +11,7 @@ mod lending;
 mod links;
 mod offloads;
 mod paths;
+mod port_security;
 mod queues;
 mod taps;
 mod walls;

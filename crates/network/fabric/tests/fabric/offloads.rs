@@ -388,6 +388,7 @@ proptest! {
             corruption: Probability::ONE, duplication: Probability::ONE, rate: rate(100.0), ..delay(1)
         };
         let mut fabric = pair(conditions, 1);
+        fabric.disable_port_security(&"a".parse().unwrap());
         fabric.push(ms(0.0), A, frame);
         let out = run(&mut fabric, ms(0.0), ms(1000.0));
         let drops = fabric.drops();

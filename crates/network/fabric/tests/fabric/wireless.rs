@@ -96,6 +96,8 @@ fn super_packets_are_cut_for_the_air() {
     let offload = Offload { checksum: Some(checksum), segmentation: Some(segmentation) };
     for (from, to) in [(B, P), (P, B)] {
         bytes[..6].copy_from_slice(&HostAddress::of(to.0).mac);
+        bytes[6..12].copy_from_slice(&HostAddress::of(from.0).mac);
+        bytes[26..30].copy_from_slice(&HostAddress::of(from.0).ipv4.octets());
         let mut fabric = floor().fabric(1);
         fabric.push(ms(0.0), from, Frame::with_offload(bytes.clone(), offload));
         let out = run(&mut fabric, ms(0.0), ms(100.0));

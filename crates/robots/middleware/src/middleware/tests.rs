@@ -74,6 +74,7 @@ fn testbed() -> Testbed {
         probes: None,
         retention: Default::default(),
         border: None,
+        without_port_security: Vec::new(),
         containers: Default::default(),
     }
 }
