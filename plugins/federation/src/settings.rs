@@ -44,6 +44,10 @@ pub struct Settings {
     /// domain. Defaults to two block periods, at least 2 s, or 30 s if the period is unknown.
     #[serde(deserialize_with = "optional_duration")]
     pub deploy_within: Option<Duration>,
+    /// Longest time from the confirmation of its vAP to the creator's acceptance. The creator may never accept, and then owes
+    /// nothing for it.
+    #[serde(deserialize_with = "duration")]
+    pub accepted_within: Duration,
     /// Number of bids that ends the collection early.
     pub enough: usize,
     /// Time after the announcement at which a negotiation is given up.
@@ -151,6 +155,7 @@ impl Default for Settings {
             collect: None,
             bond: None,
             deploy_within: None,
+            accepted_within: Duration::from_secs(120),
             enough: usize::MAX,
             patience: Duration::from_secs(60),
             attach_within: Duration::from_secs(5),
@@ -206,6 +211,12 @@ impl Settings {
         });
         // At most a day, or two block periods of a day.
         within.as_secs_f64().ceil() as u32
+    }
+
+    /// Returns the longest wait for a creator's acceptance, seconds.
+    pub(crate) fn accepted_within(&self) -> u32 {
+        // At most a day.
+        self.accepted_within.as_secs_f64().ceil() as u32
     }
 
     /// Returns the time for collecting bids.
@@ -277,7 +288,7 @@ mod tests {
     fn settings_of_a_testbed_file_are_read() {
         let settings = decode(json!({
             "ledger": { "kind": "anvil", "block_period": "500 ms" }, "price": 100, "edge": "-65 dBm",
-            "lead": "1 min", "behaviour": "lying",
+            "lead": "1 min", "behaviour": "lying", "accepted_within": "90 s",
         }))
         .unwrap();
         assert_eq!(
@@ -285,6 +296,7 @@ mod tests {
             LedgerChoice::Anvil { block_period: Duration::from_millis(500), program: None }
         );
         assert_eq!((settings.price, settings.edge), (Price::new(100), Dbm(-65.0)));
+        assert_eq!((settings.accepted_within(), Settings::default().accepted_within()), (90, 120));
         assert_eq!((settings.lead, settings.behaviour), (Duration::from_secs(60), Behaviour::Lying));
         let modelled = decode(json!({ "ledger": "modelled" })).unwrap().ledger;
         assert_eq!(modelled, Settings::default().ledger);

@@ -179,7 +179,12 @@ impl Operator {
                 && is_near
                 && *id == wanted
             {
-                let offer = Offer { price: self.price, endpoint: String::new(), deploys_within: 10 };
+                let offer = Offer {
+                    price: self.price,
+                    endpoint: String::new(),
+                    deploys_within: 10,
+                    accepted_within: 120,
+                };
                 self.service =
                     Provider::new(account, self.secret.clone(), event, offer).expect("the key is valid");
             }

@@ -22,6 +22,31 @@ pub struct Offer {
     /// The longest time from the choice to the confirmation on the chain, seconds. It does not bid for services due
     /// earlier, because being late costs the bond.
     pub deploys_within: u32,
+    /// The longest time from the confirmation to the creator's acceptance, seconds. A creator that never accepts owes nothing
+    /// for it, so it does not bid for services that may be accepted later.
+    pub accepted_within: u32,
+}
+
+impl Offer {
+    /// Returns the price of a service per second; `None` if it is beyond all prices. The whole use pays for the wait for the
+    /// acceptance, too, as far as the wait is longer than its free share.
+    fn price_of(&self, terms: &Terms) -> Option<Price> {
+        let wait = terms.accept_within.saturating_sub(terms.use_for / FREE_WAIT);
+        if wait == 0 {
+            return Some(self.price);
+        }
+        let paid = u128::from(terms.use_for) + u128::from(wait);
+        Price::new((self.price.get() * paid).div_ceil(terms.use_for.max(1).into()))
+    }
+
+    /// Whether no duration of a service is longer than it may be, whoever chose them.
+    fn allows(&self, terms: &Terms) -> bool {
+        let Terms { open_for, deploy_within, accept_within, use_for, bond: _ } = *terms;
+        open_for <= LONGEST_BOUND
+            && deploy_within <= LONGEST_DEPLOYMENT
+            && accept_within <= self.accepted_within
+            && (1..=LONGEST_USE).contains(&use_for)
+    }
 }
 
 /// A step of the negotiation. A step that the chain retracted is reported again when reached again.
@@ -66,8 +91,14 @@ enum Goal {
     End,
 }
 
-/// Longest time for which a bond is committed, seconds. A creator may never choose.
+/// Longest time for which a bid stands, seconds. A creator may never choose.
 const LONGEST_BOUND: u32 = 3600;
+/// Longest time to deploy, seconds, for which an isolated winner keeps what it deployed.
+const LONGEST_DEPLOYMENT: u32 = 86_400;
+/// Longest use, seconds, for which a provider that the ledger leaves in the dark keeps what it deployed.
+const LONGEST_USE: u32 = 86_400;
+/// Share of the use for which the creator may wait with its acceptance at no extra price: one in so many.
+const FREE_WAIT: u32 = 4;
 
 /// Time beyond the chain's deadlines for which a provider waits, by its own clock, for a silent ledger.
 const GRACE: Duration = Duration::from_secs(60);
@@ -93,8 +124,8 @@ pub struct Provider {
 
 impl Provider {
     /// Bids for an announced service. Returns `None` if the event is no announcement, the announcement is the
-    /// operator's own, or it is not worth its bond. That is so if the time to deploy is too short, the bond is held
-    /// too long, or it exceeds the earnings of the whole use.
+    /// operator's own, one of its durations is too long, or it is not worth its bond. That is so if the time to deploy is
+    /// too short, or the bond exceeds the earnings of the whole use.
     ///
     /// # Errors
     /// [`SealError`] if the bid cannot be sealed to the announced key.
@@ -107,16 +138,15 @@ impl Provider {
         let Event::ServiceAnnounced { id, creator, key, terms, deadline, .. } = announced else {
             return Ok(None);
         };
+        let Some(price) = offer.price_of(terms).filter(|_| offer.allows(terms)) else { return Ok(None) };
         let bond = terms.bond();
-        let is_fair = terms.deploy_within >= offer.deploys_within
-            && terms.open_for <= LONGEST_BOUND
-            && bond <= offer.price.times(terms.use_for);
+        let is_fair = terms.deploy_within >= offer.deploys_within && bond <= price.times(terms.use_for);
         if *creator == account || (bond > Wei(0) && !is_fair) {
             return Ok(None);
         }
         let salt = secret.bid_salt(*id);
-        let sealed = secret.seal(*key, *id, account, &Bid::new(offer.price, salt, offer.endpoint))?;
-        let commitment = Commitment::to(*id, account, offer.price, salt);
+        let sealed = secret.seal(*key, *id, account, &Bid::new(price, salt, offer.endpoint))?;
+        let commitment = Commitment::to(*id, account, price, salt);
         let mut log = ServiceLog::new(*id);
         log.events.push(announced.clone());
         Ok(Some(Self {

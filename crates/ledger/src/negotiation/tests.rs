@@ -10,7 +10,7 @@ use super::*;
 use crate::{
     ChainTime, Commitment, ContractError, Deployment, ModelledChain, ModelledLedger, Price, PublicKey,
     Requirements, Salt, State, Terms, Wei,
-    seal::{Attachment, Secret},
+    seal::{Attachment, Bid, Secret},
 };
 
 const PERIOD: Duration = Duration::from_secs(5);
@@ -370,6 +370,7 @@ impl Domain {
                     price: Price::new(self.price).unwrap(),
                     endpoint: "http://there".to_owned(),
                     deploys_within: 20,
+                    accepted_within: 30,
                 };
                 self.bids.extend(Provider::new(own, secret(own.0[0]), event, offer).unwrap());
             }
@@ -579,7 +580,12 @@ fn providers_risk_no_bond_on_late_or_unprofitable_services() {
         terms,
         deadline: ChainTime(300),
     };
-    let offer = Offer { price: Price::new(5).unwrap(), endpoint: String::new(), deploys_within: 20 };
+    let offer = Offer {
+        price: Price::new(5).unwrap(),
+        endpoint: String::new(),
+        deploys_within: 20,
+        accepted_within: 30,
+    };
     let bids =
         |terms| Provider::new(account(1), secret(1), &announced(terms), offer.clone()).unwrap().is_some();
     assert!(bids(TERMS) && bids(Terms { deploy_within: 20, bond: 5 * 120, ..TERMS }));
@@ -588,6 +594,48 @@ fn providers_risk_no_bond_on_late_or_unprofitable_services() {
     assert!(bids(Terms { open_for: 3600, ..TERMS }));
     assert!(!bids(Terms { open_for: 3601, ..TERMS }), "the creator may never choose");
     assert!(bids(Terms { deploy_within: 19, bond: 0, ..TERMS }), "it risks nothing");
+}
+
+#[test]
+fn providers_bound_and_price_the_durations_that_creators_choose() {
+    let bid_at = |price, terms, accepted_within| {
+        let announced = Event::ServiceAnnounced {
+            id: ServiceId([1; 32]),
+            creator: account(0),
+            key: secret(0).public_key(Salt([1; 32])),
+            requirements: request().requirements,
+            terms,
+            deadline: ChainTime(300),
+        };
+        let offer = Offer { price, endpoint: String::new(), deploys_within: 20, accepted_within };
+        let mut provider = Provider::new(account(1), secret(1), &announced, offer).unwrap()?;
+        let mut ledger = Written(Vec::new());
+        provider.submit(Timestamp::ZERO, &mut ledger).unwrap();
+        let [Call::Bid { sealed, .. }] = &ledger.0[..] else { panic!("{:?}", ledger.0) };
+        let bid: Bid = secret(0).open(Salt([1; 32]), ServiceId([1; 32]), account(1), sealed).unwrap();
+        bid.price().map(Price::get)
+    };
+    let bid = |terms, accepted_within| bid_at(Price::new(5).unwrap(), terms, accepted_within);
+    let free = Terms { bond: 0, ..TERMS };
+    // With a bond and without one.
+    for terms in [TERMS, free] {
+        assert_eq!(bid(terms, 30), Some(5));
+        assert_eq!(bid(Terms { accept_within: 31, ..terms }, 30), None, "use for nothing");
+        assert_eq!(bid(Terms { accept_within: 3500, ..terms }, 120), None);
+        assert_eq!(bid(Terms { open_for: 3601, ..terms }, 30), None);
+        assert_eq!(bid(Terms { deploy_within: 86_401, ..terms }, 30), None);
+        assert_eq!(bid(Terms { use_for: 86_401, ..terms }, 30), None);
+        assert_eq!(bid(Terms { use_for: 0, ..terms }, 30), None);
+        assert_eq!(
+            bid(Terms { open_for: 3600, deploy_within: 86_400, use_for: 86_400, ..terms }, 30),
+            Some(5)
+        );
+    }
+    // A wait of a quarter of the use is in the price. The use pays for the rest.
+    assert_eq!(bid(Terms { accept_within: 150, ..free }, 150), Some(10));
+    assert_eq!(bid(Terms { accept_within: 31, ..free }, 150), Some(6), "rounded up");
+    assert_eq!(bid(Terms { accept_within: 150, use_for: 1, ..free }, 150), Some(755));
+    assert_eq!(bid_at(Price::MAX, Terms { accept_within: 150, ..free }, 150), None, "beyond all prices");
 }
 
 #[test]
@@ -893,7 +941,8 @@ proptest! {
             terms: TERMS,
             deadline: ChainTime(300),
         };
-        let offer = Offer { price: Price::MAX, endpoint: String::new(), deploys_within: 20 };
+        let offer =
+            Offer { price: Price::MAX, endpoint: String::new(), deploys_within: 20, accepted_within: 30 };
         let mut provider = Provider::new(account(1), secret(1), &announced, offer).unwrap().unwrap();
         let mut now = Timestamp::ZERO;
         for (notice, later) in notices {

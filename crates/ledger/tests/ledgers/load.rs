@@ -89,7 +89,7 @@ impl Side<Provider> {
                 && !self.services.contains_key(id)
             {
                 let (account, endpoint) = (self.operator.key.account(), "http://domain:7700".to_owned());
-                let offer = Offer { price, endpoint, deploys_within: 10 };
+                let offer = Offer { price, endpoint, deploys_within: 10, accepted_within: 7200 };
                 let secret = self.operator.secret();
                 if let Some(provider) = Provider::new(account, secret, event, offer).unwrap() {
                     self.services.insert(*id, (provider, Vec::new()));
@@ -218,7 +218,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
         notices.iter().map(|notice| if let Notice::Event(event) = notice { of(event) } else { 0 }).sum()
     };
     let deposit = |event: &Event| match event {
-        Event::ProviderChosen { price, .. } => price.times(600).0,
+        Event::ProviderChosen { price, .. } => price.times(28_800).0,
         Event::BidPlaced { .. } => request(policy, Account::default()).terms.bond().0,
         _ => 0,
     };

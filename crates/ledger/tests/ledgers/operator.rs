@@ -143,7 +143,7 @@ pub fn request(policy: Policy, account: Account) -> Request {
         width_mhz: 20,
         signal_dbm: -70,
     };
-    let terms = Terms { open_for: 3600, deploy_within: 7200, accept_within: 7200, use_for: 600, bond: 77 };
+    let terms = Terms { open_for: 3600, deploy_within: 7200, accept_within: 7200, use_for: 28_800, bond: 77 };
     Request { requirements, terms, policy, record: Record::new(account) }
 }
 
@@ -285,6 +285,7 @@ impl ProviderSide {
                     price: self.price,
                     endpoint: "http://domain-2:7700".to_owned(),
                     deploys_within: 1,
+                    accepted_within: 7200,
                 };
                 let account = self.operator.key.account();
                 self.negotiation = Provider::new(account, self.operator.secret(), event, offer).unwrap();

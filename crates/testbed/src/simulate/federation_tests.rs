@@ -404,9 +404,10 @@ fn a_restarted_core_with_its_notes_has_the_whole_timeline_and_no_step_twice() {
 
 #[test]
 fn a_provider_that_stops_serving_stops_its_robot() {
-    // The longest use ends while the robot is away.
-    let mut simulation =
-        Simulation::new(testbed(&["plugins.orchestrator-1.settings.use_for=20 s"]), 1).unwrap();
+    // The longest use ends while the robot is away. It is short beside the wait for the acceptance, which makes it dear.
+    let settings = ["use_for=20 s", "highest_price=1000"];
+    let settings = settings.map(|setting| format!("plugins.orchestrator-1.settings.{setting}"));
+    let mut simulation = Simulation::new(testbed(&settings.each_ref().map(String::as_str)), 1).unwrap();
     let outcome = Outcome::of(&mut simulation, 200.0);
     let detail = outcome.detail();
     assert!(outcome.faults.is_empty(), "{:?}", outcome.faults);

@@ -43,6 +43,15 @@ fn changed(at: usize, bytes: &[u8]) -> Departure {
     arrival
 }
 
+/// A neighbour advertisement of IPv6 of host `from`, for `target`.
+fn advertisement(from: PortId, target: PortId) -> Departure {
+    let [from, of] = [from, target].map(|port| HostAddress::of(port.0));
+    let header = [&[0x86, 0xdd, 0x60, 0, 0, 0, 0, 32, 58, 255][..], &from.ipv6.octets(), &of.ipv6.octets()];
+    let message = [&[136, 0, 0, 0, 0, 0, 0, 0][..], &of.ipv6.octets(), &[2, 1], &from.mac].concat();
+    let bytes = [&[0xff; 6][..], &from.mac, &header.concat(), &message].concat();
+    Departure { robot: "p".parse().unwrap(), direction: Direction::Forward, bytes }
+}
+
 #[test]
 fn frames_of_and_to_a_departed_robot_leave_at_its_radio_and_at_the_border() {
     let mut fabric = departed();
@@ -84,6 +93,7 @@ fn another_core_speaks_only_for_a_robot_that_is_with_it() {
         changed(26, &HostAddress::of(X.0).ipv4.octets()),
         changed(12, &[0x86, 0xdd]),
         changed(12, &[0x08, 0x06]),
+        advertisement(P, B),
         Departure { robot: "R1".parse().unwrap(), ..arrival(Direction::Forward, P, B) },
         Departure { robot: "nobody".parse().unwrap(), ..arrival(Direction::Forward, P, B) },
     ];
@@ -98,6 +108,8 @@ fn another_core_speaks_only_for_a_robot_that_is_with_it() {
     let mut fabric = departed();
     fabric.arrive(ms(0.0), changed(12, &arp));
     assert_eq!(run(&mut fabric, ms(0.0), ms(50.0)).len(), 1);
+    fabric.arrive(ms(50.0), advertisement(P, P));
+    assert!(!run(&mut fabric, ms(50.0), ms(100.0)).is_empty());
     let mut at_home = floor().fabric(1);
     at_home.arrive(ms(0.0), arrival(Direction::Forward, P, B));
     assert_eq!(run(&mut at_home, ms(0.0), ms(50.0)), []);
