@@ -7,7 +7,7 @@
 use std::{
     collections::BTreeMap,
     io,
-    net::SocketAddr,
+    net::{IpAddr, SocketAddr},
     path::PathBuf,
     sync::{
         Arc,
@@ -17,6 +17,7 @@ use std::{
     time::{Duration, Instant, SystemTime},
 };
 
+use cotorra_admission::{Place, Strangers};
 use cotorra_agent_protocol::{Report, RobotCommand, RobotReading, RobotTurn, Transmit};
 use cotorra_graph::AgentId;
 use mio::{Events, Interest, Poll, Token, Waker, net::TcpListener};
@@ -39,7 +40,7 @@ const LONGEST_CONTEXT: usize = 256 << 10;
 const LONGEST_HELLO: usize = 256;
 /// Connections of one agent: those of its process, and of earlier ones that are about to end.
 const MOST_CONNECTIONS: usize = 4;
-/// Connections that have not said whose they are.
+/// Connections that have not said whose they are. A new one replaces the oldest.
 const MOST_GREETING: usize = 256;
 
 const LISTENER: Token = Token(0);
@@ -126,6 +127,7 @@ impl Router {
             granted: granted.iter().map(|its| (its.common_name.clone(), its.agent.clone())).collect(),
             agents: Arc::clone(&agents),
             ends: BTreeMap::new(),
+            strangers: Strangers::new(MOST_GREETING),
             last: WAKER,
             files,
             receiver: Arc::clone(receiver),
@@ -175,8 +177,16 @@ impl Drop for Router {
 /// A connection at the router.
 enum End {
     /// Not known to be of an agent.
-    Greeting(Box<Connection>),
+    Greeting(Greeting),
     Agent(AgentEnd),
+}
+
+/// A connection that has not said whose it is.
+struct Greeting {
+    connection: Box<Connection>,
+    from: IpAddr,
+    /// Its number among the strangers.
+    number: u64,
 }
 
 /// A connection of an agent.
@@ -197,6 +207,8 @@ struct Service {
     granted: BTreeMap<String, AgentId>,
     agents: Arc<Agents>,
     ends: BTreeMap<Token, End>,
+    /// Those of the ends that greet.
+    strangers: Strangers<Token>,
     /// The token that was given last.
     last: Token,
     files: BTreeMap<String, PathBuf>,
@@ -248,7 +260,7 @@ impl Service {
         }
         for end in self.ends.values_mut() {
             match end {
-                End::Greeting(connection) => connection.close(),
+                End::Greeting(greeting) => greeting.connection.close(),
                 End::Agent(end) => end.connection.lock().close(),
             }
         }
@@ -262,14 +274,12 @@ impl Service {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
                 Err(error) => {
                     self.refusals.warn(error.to_string());
+                    // There may be no file left.
+                    let oldest = self.strangers.shed();
+                    self.replace(oldest);
                     return;
                 }
             };
-            let greeting = self.ends.values().filter(|end| matches!(end, End::Greeting(_))).count();
-            if greeting >= MOST_GREETING {
-                self.refusals.warn("too many connections do not say whose they are".to_owned());
-                continue;
-            }
             tracing::debug!("{address} connects");
             self.last.0 += 1;
             let interests = Interest::READABLE | Interest::WRITABLE;
@@ -278,10 +288,21 @@ impl Service {
             match begun.and_then(|()| Ok(ServerConnection::new(Arc::clone(&self.config))?)) {
                 Ok(tls) => {
                     let connection = Box::new(Connection::new(Instant::now(), socket, tls.into()));
-                    self.ends.insert(self.last, End::Greeting(connection));
+                    let Place { number, replaced } = self.strangers.arrive(address.ip(), self.last);
+                    let greeting = Greeting { connection, from: address.ip(), number };
+                    self.ends.insert(self.last, End::Greeting(greeting));
+                    self.replace(replaced);
                 }
                 Err(error) => self.refusals.warn(error.to_string()),
             }
+        }
+    }
+
+    /// Closes a connection that gave its place to another.
+    fn replace(&mut self, replaced: Option<Token>) {
+        if let Some(End::Greeting(mut greeting)) = replaced.and_then(|token| self.ends.remove(&token)) {
+            self.refusals.warn("too many connections do not say whose they are".to_owned());
+            greeting.connection.close();
         }
     }
 
@@ -289,7 +310,7 @@ impl Service {
     fn serve(&mut self, token: Token) -> bool {
         let now = Instant::now();
         let exchanged = match self.ends.get_mut(&token) {
-            Some(End::Greeting(connection)) => connection.exchange(now),
+            Some(End::Greeting(greeting)) => greeting.connection.exchange(now),
             Some(End::Agent(end)) => end.connection.lock().exchange(now),
             None => return false,
         };
@@ -311,14 +332,16 @@ impl Service {
     fn take_all(&mut self, token: Token) -> Result<(), String> {
         loop {
             let frame = match self.ends.get_mut(&token) {
-                Some(End::Greeting(connection)) => connection.poll(LONGEST_HELLO),
+                Some(End::Greeting(greeting)) => greeting.connection.poll(LONGEST_HELLO),
                 Some(End::Agent(end)) => end.connection.lock().poll(frame::LONGEST),
                 None => return Ok(()),
             };
             let Some(frame) = frame.map_err(|error| error.to_string())? else { return Ok(()) };
             match self.ends.remove(&token) {
-                Some(End::Greeting(connection)) => {
+                Some(End::Greeting(Greeting { connection, from, number })) => {
+                    self.strangers.leave(number);
                     if let Some(end) = self.greet(*connection, &frame) {
+                        self.strangers.know(from);
                         self.ends.insert(token, End::Agent(end));
                     }
                 }
@@ -417,7 +440,8 @@ impl Service {
     /// Forgets a connection, which is closed.
     fn close(&mut self, token: Token, reason: &Closed) {
         match self.ends.remove(&token) {
-            Some(End::Greeting(mut connection)) => {
+            Some(End::Greeting(Greeting { mut connection, number, .. })) => {
+                self.strangers.leave(number);
                 match reason {
                     Closed::Tls(error) => self.refusals.warn(error.to_string()),
                     reason => tracing::debug!("a connection ended before it said whose it is: {reason}"),
@@ -445,7 +469,7 @@ impl Service {
         let mut closed = Vec::new();
         for (token, end) in &mut self.ends {
             let advanced = match end {
-                End::Greeting(connection) => connection.advance(now),
+                End::Greeting(greeting) => greeting.connection.advance(now),
                 End::Agent(end) if end.expires <= today => Err(Closed::Expired),
                 End::Agent(end) => end.connection.lock().advance(now),
             };

@@ -442,7 +442,14 @@ fn silent_connections_do_not_keep_agents_out() {
     let lab = Lab::new();
     let bundle = lab.enrol("edge1");
     let (router, _arrived) = lab.router(BTreeMap::new());
-    let _silent: Vec<_> = (0..300).map(|_| TcpStream::connect(lab.address).unwrap()).collect();
+    let mut silent: Vec<_> = (0..500).map(|_| TcpStream::connect(lab.address).unwrap()).collect();
+    // One more is heard at once, while the others wait. It takes the place of the oldest, which is closed.
+    let mut stream = speak(&bundle, b"cotorra-agent/1");
+    stream.conn.complete_io(&mut stream.sock).unwrap();
+    silent[0].set_read_timeout(Some(PATIENCE)).unwrap();
+    if let Err(error) = silent[0].read_to_end(&mut Vec::new()) {
+        assert_eq!(error.kind(), std::io::ErrorKind::ConnectionReset, "it is open");
+    }
     let (_dialer, received) = dial(&bundle, "edge1");
     wait_for_core(&router, "edge1", &received);
 }

@@ -1,14 +1,11 @@
 //! Admission of the API's connections, decided without a socket or a clock.
 //!
-//! A connection is a stranger's until a request on it is admitted. Strangers have few places, and a new one takes the place
-//! of the oldest. A client that opens many connections and sends nothing only pushes out its own, and cannot keep others
-//! from being served. Admitted callers have separate places. Only idle connections among them give up their place.
+//! A connection is a stranger's until a request on it is admitted. [`Strangers`] have few places. Admitted callers have
+//! separate places. Only idle connections among them give up their place.
 
-use std::{
-    collections::BTreeMap,
-    net::{IpAddr, Ipv6Addr},
-};
+use std::{collections::BTreeMap, net::IpAddr};
 
+use cotorra_admission::Strangers;
 use cotorra_graph::{DomainId, PluginId};
 
 /// Maximum numbers of connections.
@@ -32,10 +29,6 @@ impl Limits {
     /// none.
     pub(super) fn of_user(self) -> Self {
         Self { strangers: self.strangers / 4, callers: self.callers / 4 }
-    }
-
-    fn of_address(self) -> usize {
-        self.strangers / 2
     }
 
     fn of_another(self) -> usize {
@@ -64,16 +57,10 @@ pub(super) struct Full {
 #[derive(Debug)]
 pub(super) struct Connections<H> {
     limits: Limits,
+    /// Grows with each connection that becomes idle.
     last: u64,
-    /// By number, i.e. the oldest first.
-    strangers: BTreeMap<u64, Stranger<H>>,
+    strangers: Strangers<H>,
     callers: BTreeMap<u64, Caller<H>>,
-}
-
-#[derive(Debug)]
-struct Stranger<H> {
-    from: IpAddr,
-    handle: H,
 }
 
 #[derive(Debug)]
@@ -95,28 +82,12 @@ enum Doing {
 
 impl<H> Connections<H> {
     pub(super) fn new(limits: Limits) -> Self {
-        Self { limits, last: 0, strangers: BTreeMap::new(), callers: BTreeMap::new() }
-    }
-
-    fn next(&mut self) -> u64 {
-        self.last += 1;
-        self.last
+        Self { limits, last: 0, strangers: Strangers::new(limits.strangers), callers: BTreeMap::new() }
     }
 
     /// Adds a new connection, and returns its number.
     pub(super) fn arrive(&mut self, from: IpAddr, handle: H) -> u64 {
-        let from = network(from);
-        let neighbours = self.strangers.iter().filter(|(_, stranger)| stranger.from == from);
-        let mut neighbours = neighbours.map(|(number, _)| *number);
-        let oldest_neighbour = neighbours.next();
-        if 1 + neighbours.count() >= self.limits.of_address() && oldest_neighbour.is_some() {
-            oldest_neighbour.and_then(|number| self.strangers.remove(&number));
-        } else if self.strangers.len() >= self.limits.strangers {
-            self.strangers.pop_first();
-        }
-        let number = self.next();
-        self.strangers.insert(number, Stranger { from, handle });
-        number
+        self.strangers.arrive(from, handle).number
     }
 
     /// Admits a request on a connection.
@@ -130,7 +101,7 @@ impl<H> Connections<H> {
         }
         self.make_room(number, callers, |other| (other.whose == Whose::Operator) == is_operator)
             .map_err(|()| Full { limit: callers, what })?;
-        if let Some(Stranger { handle, .. }) = self.strangers.remove(&number) {
+        if let Some(handle) = self.strangers.leave(number) {
             let caller = Caller { whose, doing: Doing::Answer, _handle: handle };
             self.callers.insert(number, caller);
         } else if let Some(caller) = self.callers.get_mut(&number) {
@@ -170,13 +141,14 @@ impl<H> Connections<H> {
 
     /// Marks a connection as idle.
     pub(super) fn rest(&mut self, number: u64) {
-        let since = self.next();
+        self.last += 1;
+        let since = self.last;
         self.callers.entry(number).and_modify(|caller| caller.doing = Doing::Nothing { since });
     }
 
     /// Removes a closed connection.
     pub(super) fn leave(&mut self, number: u64) {
-        self.strangers.remove(&number);
+        self.strangers.leave(number);
         self.callers.remove(&number);
     }
 
@@ -187,17 +159,7 @@ impl<H> Connections<H> {
 
     /// Closes a stranger's connection, because the process has no file left.
     pub(super) fn shed(&mut self) {
-        self.strangers.pop_first();
-    }
-}
-
-/// Returns what counts as one address: for IPv6 the network, in which a machine can choose any address.
-fn network(address: IpAddr) -> IpAddr {
-    match address.to_canonical() {
-        IpAddr::V6(v6) if !v6.is_loopback() => {
-            IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() & !u128::from(u64::MAX)))
-        }
-        other => other,
+        self.strangers.shed();
     }
 }
 
@@ -248,14 +210,6 @@ mod tests {
         assert!(open(&flood[..996]).iter().all(|open| !open));
         let flood: Vec<_> = (0..1000).map(|i| rig.arrive(&format!("10.1.{}.{}", i / 256, i % 256))).collect();
         assert_eq!(open(&flood).iter().filter(|open| **open).count(), LIMITS.strangers);
-    }
-
-    #[test]
-    fn addresses_of_one_ipv6_network_count_as_one() {
-        let mut rig = Rig::new();
-        let flood: Vec<_> = (0..100).map(|i| rig.arrive(&format!("2001:db8::{i:x}"))).collect();
-        assert_eq!(open(&flood).iter().filter(|open| **open).count(), LIMITS.strangers / 2);
-        assert_eq!(network("::ffff:10.0.0.1".parse().unwrap()), IpAddr::from([10, 0, 0, 1]));
     }
 
     #[test]
