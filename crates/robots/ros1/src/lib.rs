@@ -2,12 +2,14 @@
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
+mod buffers;
 mod config;
 mod http;
 mod master;
 mod master_server;
 mod names;
 mod node;
+mod notices;
 mod queue;
 mod registry;
 mod slave;
@@ -34,7 +36,8 @@ pub use xmlrpc::{Fault, Value, XmlRpcError};
 pub fn parse_anything(bytes: &[u8]) {
     let _ = (xmlrpc::Call::from_xml(bytes).map(slave::Request::read), xmlrpc::answer_from_xml(bytes));
     let mut registry = registry::Registry::new(String::new());
-    let _ = xmlrpc::Call::from_xml(bytes).map(|call| registry.answer(&call, &mut Vec::new()));
+    let _ = xmlrpc::Call::from_xml(bytes)
+        .map(|call| registry.answer(std::net::Ipv4Addr::LOCALHOST.into(), &call, &mut Vec::new()));
     let _ = (http::parse_request(bytes, 1 << 20), http::parse_response(bytes, true, 1 << 20));
     let _ = tcpros::Header::from_bytes(bytes);
     let _ = (messages::LaserScan::decode_ros1(bytes), messages::TFMessage::decode_ros1(bytes));

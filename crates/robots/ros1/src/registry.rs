@@ -3,46 +3,97 @@
 //!
 //! Source: ROS wiki, "ROS/Master_API" and "ROS/Parameter Server API".
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{collections::BTreeMap, net::IpAddr};
 
 use crate::{
     slave::done,
     xmlrpc::{Call, Fault, Value},
 };
 
-/// A call that the master owes a node.
-#[derive(Debug, Clone, PartialEq)]
+/// A call that the master owes a node. What it says is decided when it is made, so that many changes need one call only.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Notice {
+    /// The address that registered the node for it.
+    pub owner: IpAddr,
     /// The node's address.
     pub node: String,
-    pub method: &'static str,
-    pub arguments: Vec<Value>,
+    pub about: About,
 }
 
-/// Nodes registered for each name.
-type Entries = BTreeMap<String, BTreeSet<String>>;
+/// Subject of a notice.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum About {
+    /// Publishers of a topic.
+    Publishers(String),
+    /// A parameter.
+    Parameter(String),
+    /// Another node took its name.
+    Shutdown(String),
+}
+
+/// Nodes registered for each name, with the addresses that registered them.
+type Entries = BTreeMap<String, BTreeMap<String, IpAddr>>;
+
+/// Longest name of a node, topic, type, service or parameter, and longest address, bytes.
+const LONGEST_NAME: usize = 512;
+/// Most registrations of publishers, subscribers, services and watched parameters.
+const MOST_REGISTRATIONS: usize = 8192;
+/// Most of these by one address.
+const MOST_OF_ADDRESS: usize = 2048;
+/// Most bytes that parameters take, with their names and structures.
+const MOST_PARAMETER_BYTES: usize = 4 << 20;
+/// Most of these that one address has set.
+const MOST_PARAMETER_BYTES_OF_ADDRESS: usize = 2 << 20;
+/// Bytes of a value in addition to its text.
+const OVERHEAD: usize = 64;
 
 /// The state of a master.
 #[derive(Debug)]
 pub(crate) struct Registry {
     /// The master's address.
     uri: String,
-    /// Addresses of nodes, by name.
-    nodes: BTreeMap<String, String>,
+    /// Addresses of nodes, and who registered them there, by name.
+    nodes: BTreeMap<String, (String, IpAddr)>,
     publishers: Entries,
     subscribers: Entries,
     watchers: Entries,
-    /// Nodes and addresses of services.
-    services: BTreeMap<String, (String, String)>,
+    /// Nodes and addresses of services, and who registered them.
+    services: BTreeMap<String, (String, String, IpAddr)>,
+    /// Number of registrations by each address.
+    registered: BTreeMap<IpAddr, usize>,
+    /// Types of topics that are registered.
     types: BTreeMap<String, String>,
     params: Value,
+    /// Bytes that the parameters take.
+    param_bytes: usize,
+    /// The address that set each parameter or namespace, and the bytes that it took.
+    authors: BTreeMap<String, (IpAddr, usize)>,
 }
 
 /// Caller name of a master.
 const MASTER: &str = "/master";
 
 fn unknown(what: &str, name: &str) -> Value {
-    Value::Array(vec![(-1).into(), format!("unknown {what} {name}").into(), 0.into()])
+    refused(&format!("unknown {what} {name}"))
+}
+
+/// Returns the answer to a call that is rejected.
+fn refused(reason: &str) -> Value {
+    Value::Array(vec![(-1).into(), reason.into(), 0.into()])
+}
+
+/// Returns the bytes that a value takes.
+fn size(value: &Value) -> usize {
+    OVERHEAD
+        + match value {
+            Value::Bool(_) | Value::Int(_) | Value::Double(_) => 0,
+            Value::String(text) | Value::DateTime(text) => text.len(),
+            Value::Bytes(bytes) => bytes.len(),
+            Value::Array(values) => values.iter().map(size).sum(),
+            Value::Struct(members) => {
+                members.iter().map(|(name, value)| OVERHEAD + name.len() + size(value)).sum()
+            }
+        }
 }
 
 fn path(name: &str) -> impl Iterator<Item = &str> {
@@ -93,24 +144,44 @@ fn leaves(value: &Value, name: &str, names: &mut Vec<String>) {
 }
 
 fn lists(entries: &Entries) -> Value {
-    let entry = |(name, nodes): (&String, &BTreeSet<String>)| {
-        let nodes = nodes.iter().map(String::as_str).collect::<Vec<_>>();
+    let entry = |(name, nodes): (&String, &BTreeMap<String, IpAddr>)| {
+        let nodes = nodes.keys().map(String::as_str).collect::<Vec<_>>();
         Value::Array(vec![name.as_str().into(), nodes.into()])
     };
     Value::Array(entries.iter().map(entry).collect())
 }
 
-fn add(entries: &mut Entries, name: &str, node: &str) {
-    entries.entry(name.to_owned()).or_default().insert(node.to_owned());
+/// Adds a registration, unless it is there.
+fn add(entries: &mut Entries, registered: &mut BTreeMap<IpAddr, usize>, by: IpAddr, name: &str, node: &str) {
+    let nodes = entries.entry(name.to_owned()).or_default();
+    if !nodes.contains_key(node) {
+        nodes.insert(node.to_owned(), by);
+        *registered.entry(by).or_default() += 1;
+    }
 }
 
-fn remove(entries: &mut Entries, name: &str, node: &str) -> bool {
+/// Takes a registration off the number of its address.
+fn forget(registered: &mut BTreeMap<IpAddr, usize>, by: IpAddr) {
+    if let Some(count) = registered.get_mut(&by) {
+        *count -= 1;
+        if *count == 0 {
+            registered.remove(&by);
+        }
+    }
+}
+
+fn remove(entries: &mut Entries, registered: &mut BTreeMap<IpAddr, usize>, name: &str, node: &str) -> bool {
     let Some(nodes) = entries.get_mut(name) else { return false };
     let removed = nodes.remove(node);
     if nodes.is_empty() {
         entries.remove(name);
     }
-    removed
+    removed.inspect(|by| forget(registered, *by)).is_some()
+}
+
+/// Whether a canonical name is that of a parameter, or of one in it.
+fn within(inner: &str, outer: &str) -> bool {
+    inner.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
 impl Registry {
@@ -123,67 +194,115 @@ impl Registry {
             subscribers: Entries::new(),
             watchers: Entries::new(),
             services: BTreeMap::new(),
+            registered: BTreeMap::new(),
             types: BTreeMap::new(),
+            param_bytes: size(&empty()),
             params: empty(),
+            authors: BTreeMap::new(),
         }
     }
 
-    /// Carries out a call. Appends the notices to other nodes to `notices`.
+    /// Returns the method and the arguments of a notice as they are now.
+    pub fn call_of(&self, notice: &Notice) -> (&'static str, Vec<Value>) {
+        match &notice.about {
+            About::Publishers(topic) => {
+                let publishers = self.addresses(&self.publishers, topic);
+                ("publisherUpdate", vec![MASTER.into(), topic.as_str().into(), publishers])
+            }
+            About::Parameter(name) => {
+                let value = find(&self.params, name).cloned().unwrap_or_else(empty);
+                ("paramUpdate", vec![MASTER.into(), format!("{name}/").into(), value])
+            }
+            About::Shutdown(node) => {
+                ("shutdown", vec![MASTER.into(), format!("another node took the name {node}").into()])
+            }
+        }
+    }
+
+    /// Carries out a call of an address. Appends the notices to other nodes to `notices`.
     ///
     /// # Errors
     /// The fault to return, if masters have no such method or it has other arguments.
-    pub fn answer(&mut self, call: &Call, notices: &mut Vec<Notice>) -> Result<Value, Fault> {
+    pub fn answer(&mut self, by: IpAddr, call: &Call, notices: &mut Vec<Notice>) -> Result<Value, Fault> {
         let texts: Option<Vec<&str>> = call.arguments.iter().map(Value::as_str).collect();
         let caller = call.arguments.first().and_then(Value::as_str).unwrap_or_default();
+        if call.arguments.iter().take(4).filter_map(Value::as_str).any(|text| text.len() > LONGEST_NAME)
+            && call.method != "setParam"
+        {
+            return Ok(refused(&format!("names and addresses have {LONGEST_NAME} bytes at most")));
+        }
+        if call.method.starts_with("register") || call.method == "subscribeParam" {
+            let of_address = self.registered.get(&by).copied().unwrap_or_default();
+            if of_address >= MOST_OF_ADDRESS {
+                let reason =
+                    format!("{by} has {MOST_OF_ADDRESS} registrations, which is the most: unregister some");
+                return Ok(refused(&reason));
+            }
+            if self.registered.values().sum::<usize>() >= MOST_REGISTRATIONS {
+                return Ok(refused(&format!(
+                    "this master has {MOST_REGISTRATIONS} registrations, which is the most"
+                )));
+            }
+        }
         let answer = match (call.method.as_str(), texts.as_deref(), call.arguments.as_slice()) {
             ("registerPublisher", Some([node, topic, kind, api]), _) => {
-                self.meet(node, api, notices);
-                add(&mut self.publishers, topic, node);
+                self.meet(by, node, api, notices);
+                add(&mut self.publishers, &mut self.registered, by, topic, node);
                 self.learn_type(topic, kind);
                 self.tell_publishers(topic, notices);
                 done(self.addresses(&self.subscribers, topic))
             }
             ("unregisterPublisher", Some([node, topic, api]), _) => {
-                let known = self.is_at(node, api) && remove(&mut self.publishers, topic, node);
+                let known =
+                    self.is_at(node, api) && remove(&mut self.publishers, &mut self.registered, topic, node);
                 if known {
                     self.tell_publishers(topic, notices);
                 }
+                self.forget_type(topic);
                 self.part(node);
                 done(i32::from(known))
             }
             ("registerSubscriber", Some([node, topic, kind, api]), _) => {
-                self.meet(node, api, notices);
-                add(&mut self.subscribers, topic, node);
+                self.meet(by, node, api, notices);
+                add(&mut self.subscribers, &mut self.registered, by, topic, node);
                 self.learn_type(topic, kind);
                 done(self.addresses(&self.publishers, topic))
             }
             ("unregisterSubscriber", Some([node, topic, api]), _) => {
-                let known = self.is_at(node, api) && remove(&mut self.subscribers, topic, node);
+                let known =
+                    self.is_at(node, api) && remove(&mut self.subscribers, &mut self.registered, topic, node);
+                self.forget_type(topic);
                 self.part(node);
                 done(i32::from(known))
             }
             ("registerService", Some([node, name, service, api]), _) => {
-                self.meet(node, api, notices);
-                self.services.insert((*name).to_owned(), ((*node).to_owned(), (*service).to_owned()));
+                self.meet(by, node, api, notices);
+                let server = ((*node).to_owned(), (*service).to_owned(), by);
+                *self.registered.entry(by).or_default() += 1;
+                if let Some((.., before)) = self.services.insert((*name).to_owned(), server) {
+                    forget(&mut self.registered, before);
+                }
                 done(1)
             }
             ("unregisterService", Some([node, name, service]), _) => {
-                let known = self.services.get(*name).is_some_and(|(_, at)| at == service);
-                if known {
-                    self.services.remove(*name);
+                let known = self.services.get(*name).is_some_and(|(_, at, _)| at == service);
+                if let Some((.., by)) = known.then(|| self.services.remove(*name)).flatten() {
+                    forget(&mut self.registered, by);
                 }
                 self.part(node);
                 done(i32::from(known))
             }
             ("lookupNode", Some([_, name]), _) => {
-                self.nodes.get(*name).map_or_else(|| unknown("node", name), |api| done(api.as_str()))
+                self.nodes.get(*name).map_or_else(|| unknown("node", name), |(api, _)| done(api.as_str()))
             }
-            ("lookupService", Some([_, name]), _) => {
-                self.services.get(*name).map_or_else(|| unknown("service", name), |(_, at)| done(at.as_str()))
-            }
+            ("lookupService", Some([_, name]), _) => self
+                .services
+                .get(*name)
+                .map_or_else(|| unknown("service", name), |(_, at, _)| done(at.as_str())),
             ("getSystemState", ..) => {
+                let services = self.services.iter();
                 let services =
-                    self.services.iter().map(|(name, (node, _))| (name.clone(), [node.clone()].into()));
+                    services.map(|(name, (node, _, by))| (name.clone(), [(node.clone(), *by)].into()));
                 let state = [lists(&self.publishers), lists(&self.subscribers), lists(&services.collect())];
                 done(Value::from(state.to_vec()))
             }
@@ -198,9 +317,13 @@ impl Registry {
             ("getUri", ..) => done(self.uri.as_str()),
             ("getPid", ..) => done(i32::try_from(std::process::id()).unwrap_or_default()),
             ("setParam", _, [_, Value::String(name), value]) => {
-                self.set_param(name, value.clone());
-                self.tell_watchers(name, caller, notices);
-                done(0)
+                match self.set_param(by, name, value.clone()) {
+                    Ok(()) => {
+                        self.tell_watchers(name, caller, notices);
+                        done(0)
+                    }
+                    Err(reason) => refused(&reason),
+                }
             }
             ("getParam", Some([_, name]), _) => find(&self.params, name)
                 .map_or_else(|| unknown("parameter", name), |value| done(value.clone())),
@@ -209,11 +332,7 @@ impl Registry {
                 if find(&self.params, name).is_none() {
                     unknown("parameter", name)
                 } else {
-                    self.set_param(name, empty());
-                    let parts: Vec<_> = path(name).collect();
-                    if let Some((last, above)) = parts.split_last() {
-                        namespace(&mut self.params, above).remove(*last);
-                    }
+                    self.remove_param(name);
                     self.tell_watchers(name, caller, notices);
                     done(0)
                 }
@@ -228,12 +347,13 @@ impl Registry {
                 done(names)
             }
             ("subscribeParam", Some([node, api, name]), _) => {
-                self.meet(node, api, notices);
-                add(&mut self.watchers, &canonical(name), node);
+                self.meet(by, node, api, notices);
+                add(&mut self.watchers, &mut self.registered, by, &canonical(name), node);
                 done(find(&self.params, name).cloned().unwrap_or_else(empty))
             }
             ("unsubscribeParam", Some([node, api, name]), _) => {
-                let known = self.is_at(node, api) && remove(&mut self.watchers, &canonical(name), node);
+                let known = self.is_at(node, api)
+                    && remove(&mut self.watchers, &mut self.registered, &canonical(name), node);
                 self.part(node);
                 done(i32::from(known))
             }
@@ -248,40 +368,44 @@ impl Registry {
     }
 
     /// Notes the address of a node. A node of the same name at another address is told to shut down.
-    fn meet(&mut self, node: &str, api: &str, notices: &mut Vec<Notice>) {
-        let before = self.nodes.insert(node.to_owned(), api.to_owned());
-        let Some(before) = before.filter(|before| before != api) else { return };
-        let reason = format!("another node took the name {node}");
-        notices.push(Notice {
-            node: before,
-            method: "shutdown",
-            arguments: vec![MASTER.into(), reason.into()],
-        });
-        let topics: Vec<_> = self
-            .publishers
-            .iter()
-            .filter(|(_, nodes)| nodes.contains(node))
-            .map(|(t, _)| t.clone())
-            .collect();
+    fn meet(&mut self, by: IpAddr, node: &str, api: &str, notices: &mut Vec<Notice>) {
+        if self.is_at(node, api) {
+            return;
+        }
+        let Some((before, owner)) = self.nodes.insert(node.to_owned(), (api.to_owned(), by)) else { return };
+        notices.push(Notice { owner, node: before, about: About::Shutdown(node.to_owned()) });
+        let of_node = self.publishers.iter().filter(|(_, nodes)| nodes.contains_key(node));
+        let topics: Vec<_> = of_node.map(|(topic, _)| topic.clone()).collect();
+        let registered = &mut self.registered;
         for entries in [&mut self.publishers, &mut self.subscribers, &mut self.watchers] {
             entries.retain(|_, nodes| {
-                nodes.remove(node);
+                if let Some(by) = nodes.remove(node) {
+                    forget(registered, by);
+                }
                 !nodes.is_empty()
             });
         }
-        self.services.retain(|_, (server, _)| server != node);
+        self.services.retain(|_, (server, _, by)| {
+            let stays = server != node;
+            if !stays {
+                forget(registered, *by);
+            }
+            stays
+        });
+        let (publishers, subscribers) = (&self.publishers, &self.subscribers);
+        self.types.retain(|topic, _| publishers.contains_key(topic) || subscribers.contains_key(topic));
         topics.iter().for_each(|topic| self.tell_publishers(topic, notices));
     }
 
     fn is_at(&self, node: &str, api: &str) -> bool {
-        self.nodes.get(node).is_some_and(|known| known == api)
+        self.nodes.get(node).is_some_and(|(known, _)| known == api)
     }
 
     /// Removes a node without registrations.
     fn part(&mut self, node: &str) {
         let mut entries = [&self.publishers, &self.subscribers, &self.watchers].into_iter();
-        let registered = entries.any(|entries| entries.values().any(|nodes| nodes.contains(node)))
-            || self.services.values().any(|(server, _)| server == node);
+        let registered = entries.any(|entries| entries.values().any(|nodes| nodes.contains_key(node)))
+            || self.services.values().any(|(server, ..)| server == node);
         if !registered {
             self.nodes.remove(node);
         }
@@ -295,27 +419,73 @@ impl Registry {
         }
     }
 
+    /// Forgets the type of a topic without publishers and subscribers.
+    fn forget_type(&mut self, topic: &str) {
+        if !self.publishers.contains_key(topic) && !self.subscribers.contains_key(topic) {
+            self.types.remove(topic);
+        }
+    }
+
     fn topic_types(&self, chosen: impl Fn(&str) -> bool) -> Value {
         let chosen = self.types.iter().filter(|(topic, _)| chosen(topic));
         chosen.map(|(topic, kind)| [topic.as_str(), kind]).collect::<Vec<_>>().into()
     }
 
     fn addresses(&self, entries: &Entries, name: &str) -> Value {
-        let nodes = entries.get(name).into_iter().flatten();
-        nodes.filter_map(|node| self.nodes.get(node)).map(String::as_str).collect::<Vec<_>>().into()
+        let nodes = entries.get(name).into_iter().flat_map(BTreeMap::keys);
+        nodes.filter_map(|node| self.nodes.get(node)).map(|(api, _)| api.as_str()).collect::<Vec<_>>().into()
     }
 
     fn tell_publishers(&self, topic: &str, notices: &mut Vec<Notice>) {
-        let publishers = self.addresses(&self.publishers, topic);
         let subscribers = self.subscribers.get(topic).into_iter().flatten();
-        notices.extend(subscribers.filter_map(|node| self.nodes.get(node)).map(|node| Notice {
-            node: node.clone(),
-            method: "publisherUpdate",
-            arguments: vec![MASTER.into(), topic.into(), publishers.clone()],
+        notices.extend(subscribers.filter_map(|(node, owner)| {
+            let (node, _) = self.nodes.get(node)?;
+            Some(Notice { owner: *owner, node: node.clone(), about: About::Publishers(topic.to_owned()) })
         }));
     }
 
-    fn set_param(&mut self, name: &str, value: Value) {
+    /// Sets a parameter in the name of an address.
+    ///
+    /// # Errors
+    /// The reason for which there is no room.
+    fn set_param(&mut self, by: IpAddr, name: &str, value: Value) -> Result<(), String> {
+        if name.len() > LONGEST_NAME {
+            return Err(format!("names have {LONGEST_NAME} bytes at most"));
+        }
+        let name = canonical(name);
+        let bytes = size(&value) + name.len() + path(&name).count() * 2 * OVERHEAD;
+        let others =
+            self.authors.iter().filter(|(other, (author, _))| *author == by && !within(other, &name));
+        if others.map(|(_, (_, bytes))| bytes).sum::<usize>() + bytes > MOST_PARAMETER_BYTES_OF_ADDRESS {
+            return Err(format!(
+                "the parameters of {by} would take more than {MOST_PARAMETER_BYTES_OF_ADDRESS} bytes: delete some"
+            ));
+        }
+        let before = find(&self.params, &name).map_or(0, size);
+        if self.param_bytes.saturating_sub(before) + bytes > MOST_PARAMETER_BYTES {
+            return Err(format!(
+                "all parameters would take more than {MOST_PARAMETER_BYTES} bytes: delete some"
+            ));
+        }
+        self.authors.retain(|other, _| !within(other, &name));
+        self.authors.insert(name.clone(), (by, bytes));
+        self.put_param(&name, value);
+        self.param_bytes = size(&self.params);
+        Ok(())
+    }
+
+    fn remove_param(&mut self, name: &str) {
+        let name = canonical(name);
+        self.put_param(&name, empty());
+        let parts: Vec<_> = path(&name).collect();
+        if let Some((last, above)) = parts.split_last() {
+            namespace(&mut self.params, above).remove(*last);
+        }
+        self.authors.retain(|other, _| !within(other, &name));
+        self.param_bytes = size(&self.params);
+    }
+
+    fn put_param(&mut self, name: &str, value: Value) {
         let parts: Vec<_> = path(name).collect();
         match parts.split_last() {
             Some((last, above)) => {
@@ -329,9 +499,6 @@ impl Registry {
     fn tell_watchers(&self, changed: &str, caller: &str, notices: &mut Vec<Notice>) {
         let changed = canonical(changed);
         for (watched, nodes) in &self.watchers {
-            let within = |inner: &str, outer: &str| {
-                inner.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
-            };
             let name = if within(&changed, watched) {
                 &changed
             } else if within(watched, &changed) {
@@ -339,12 +506,10 @@ impl Registry {
             } else {
                 continue;
             };
-            let value = find(&self.params, name).cloned().unwrap_or_else(empty);
-            let others = nodes.iter().filter(|node| *node != caller).filter_map(|node| self.nodes.get(node));
-            notices.extend(others.map(|node| Notice {
-                node: node.clone(),
-                method: "paramUpdate",
-                arguments: vec![MASTER.into(), format!("{name}/").into(), value.clone()],
+            let others = nodes.iter().filter(|(node, _)| *node != caller);
+            notices.extend(others.filter_map(|(node, owner)| {
+                let (node, _) = self.nodes.get(node)?;
+                Some(Notice { owner: *owner, node: node.clone(), about: About::Parameter(name.clone()) })
             }));
         }
     }
@@ -365,18 +530,145 @@ impl Registry {
 
 #[cfg(test)]
 mod tests {
+    use std::net::Ipv4Addr;
+
     use super::*;
 
-    fn call(registry: &mut Registry, method: &str, arguments: &[&str]) -> (Value, Vec<Notice>) {
+    const US: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 77, 0, 1));
+    const THEM: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 77, 0, 2));
+
+    /// A call that a node gets.
+    type Told = (String, &'static str, Vec<Value>);
+
+    fn call_by(
+        registry: &mut Registry,
+        by: IpAddr,
+        method: &str,
+        arguments: Vec<Value>,
+    ) -> (Value, Vec<Told>) {
         let mut notices = Vec::new();
-        let arguments = arguments.iter().map(|argument| Value::from(*argument)).collect();
-        let answer = registry.answer(&Call::new(method, arguments), &mut notices).unwrap();
-        (answer.as_array().unwrap()[2].clone(), notices)
+        let answer = registry.answer(by, &Call::new(method, arguments), &mut notices).unwrap();
+        let told = notices.into_iter().map(|notice| {
+            let (method, arguments) = registry.call_of(&notice);
+            (notice.node, method, arguments)
+        });
+        (answer, told.collect())
     }
 
-    fn update(node: &str, publishers: &[&str]) -> Notice {
+    fn call(registry: &mut Registry, method: &str, arguments: &[&str]) -> (Value, Vec<Told>) {
+        let arguments = arguments.iter().map(|argument| Value::from(*argument)).collect();
+        let (answer, told) = call_by(registry, US, method, arguments);
+        (answer.as_array().unwrap()[2].clone(), told)
+    }
+
+    /// Returns the reason for which a call is rejected; `None` if it is not.
+    fn refusal(registry: &mut Registry, by: IpAddr, method: &str, arguments: &[&str]) -> Option<String> {
+        let arguments = arguments.iter().map(|argument| Value::from(*argument)).collect();
+        let (answer, _) = call_by(registry, by, method, arguments);
+        let [code, reason, _] = answer.as_array().unwrap() else { panic!("{answer:?}") };
+        (code.as_int() != Some(1)).then(|| reason.as_str().unwrap().to_owned())
+    }
+
+    fn update(node: &str, publishers: &[&str]) -> Told {
         let arguments = vec![MASTER.into(), "/scan".into(), publishers.to_vec().into()];
-        Notice { node: node.to_owned(), method: "publisherUpdate", arguments }
+        (node.to_owned(), "publisherUpdate", arguments)
+    }
+
+    #[test]
+    fn an_address_fills_a_share_of_the_registrations_only() {
+        let registry = &mut Registry::new("http://m:1/".to_owned());
+        let register = |registry: &mut Registry, by, topic: usize| {
+            let topic = format!("/t{topic}");
+            refusal(registry, by, "registerPublisher", &["/p", &topic, "a/B", "http://p:1/"])
+        };
+        for topic in 0..MOST_OF_ADDRESS {
+            assert_eq!(register(registry, THEM, topic), None, "{topic}");
+        }
+        let reason = register(registry, THEM, MOST_OF_ADDRESS).unwrap();
+        assert!(reason.starts_with("10.77.0.2 has 2048 registrations"), "{reason}");
+        for (method, arguments) in [
+            ("registerSubscriber", ["/s", "/t", "*", "http://s:1/"].as_slice()),
+            ("registerService", &["/s", "/a", "rosrpc://s:1", "http://s:1/"]),
+            ("subscribeParam", &["/s", "http://s:1/", "/a"]),
+        ] {
+            assert!(refusal(registry, THEM, method, arguments).is_some(), "{method}");
+            assert_eq!(refusal(registry, US, method, arguments), None, "{method}");
+        }
+        assert_eq!(registry.registered, BTreeMap::from([(US, 3), (THEM, MOST_OF_ADDRESS)]));
+        // All that is unregistered makes room again, and leaves nothing.
+        call(registry, "unregisterSubscriber", &["/s", "/t", "http://s:1/"]);
+        call(registry, "unregisterService", &["/s", "/a", "rosrpc://s:1"]);
+        call(registry, "unsubscribeParam", &["/s", "http://s:1/", "/a"]);
+        for topic in 0..MOST_OF_ADDRESS {
+            let topic = format!("/t{topic}");
+            refusal(registry, THEM, "unregisterPublisher", &["/p", &topic, "http://p:1/"]);
+        }
+        assert!(registry.registered.is_empty() && registry.types.is_empty() && registry.nodes.is_empty());
+        let taken = refusal(registry, US, "registerPublisher", &["/p", "/t", "a/B", "http://p:2/"]);
+        assert_eq!((taken, registry.registered.clone()), (None, BTreeMap::from([(US, 1)])));
+        call(registry, "registerPublisher", &["/p", "/t", "a/B", "http://p:3/"]);
+        assert_eq!(registry.registered, BTreeMap::from([(US, 1)]), "the second replaces the first");
+    }
+
+    #[test]
+    fn all_addresses_together_have_so_many_registrations() {
+        let registry = &mut Registry::new("http://m:1/".to_owned());
+        for address in 0..5 {
+            let by = IpAddr::from([10, 77, 1, address]);
+            for topic in 0..MOST_OF_ADDRESS {
+                let topic = format!("/t{topic}");
+                let node = format!("/n{address}");
+                refusal(registry, by, "registerSubscriber", &[&node, &topic, "*", "http://p:1/"]);
+            }
+        }
+        assert_eq!(registry.registered.values().sum::<usize>(), MOST_REGISTRATIONS);
+    }
+
+    #[test]
+    fn an_address_fills_a_share_of_the_parameters_only() {
+        let registry = &mut Registry::new("http://m:1/".to_owned());
+        let set = |registry: &mut Registry, by, name: &str, bytes: usize| {
+            refusal(registry, by, "setParam", &["/x", name, &"a".repeat(bytes)])
+        };
+        let half = MOST_PARAMETER_BYTES_OF_ADDRESS / 2;
+        assert_eq!(set(registry, THEM, "/a/b", half), None);
+        assert_eq!(set(registry, THEM, "/a/b", half), None, "it replaces the first");
+        let reason = set(registry, THEM, "/a/c", half).unwrap();
+        assert!(reason.starts_with("the parameters of 10.77.0.2 would take more than 2097152"), "{reason}");
+        assert_eq!(set(registry, US, "/a/c", half), None);
+        let many: BTreeMap<String, Value> = (0..20_000).map(|i| (format!("p{i}"), true.into())).collect();
+        let arguments = vec!["/x".into(), "/many".into(), Value::Struct(many)];
+        let (answer, _) = call_by(registry, US, "setParam", arguments);
+        assert_eq!(answer.as_array().unwrap()[0], (-1).into(), "small values take room, too");
+        for by in 3..9 {
+            set(registry, IpAddr::from([10, 77, 0, by]), &format!("/n{by}"), half - 10_000);
+        }
+        assert!(
+            registry.param_bytes <= MOST_PARAMETER_BYTES && size(&registry.params) == registry.param_bytes
+        );
+        let reason = set(registry, IpAddr::from([10, 77, 0, 9]), "/last", half).unwrap();
+        assert!(reason.starts_with("all parameters would take more"), "{reason}");
+        call(registry, "deleteParam", &["/x", "/a"]);
+        assert_eq!(set(registry, THEM, "/a/c", half), None, "what is deleted makes room");
+        call(registry, "deleteParam", &["/x", "/"]);
+        assert_eq!((registry.param_bytes, registry.authors.len()), (OVERHEAD, 0));
+    }
+
+    #[test]
+    fn long_names_are_rejected() {
+        let registry = &mut Registry::new("http://m:1/".to_owned());
+        let long = format!("/{}", "a".repeat(LONGEST_NAME));
+        for (method, arguments) in [
+            ("registerPublisher", ["/p", &long, "a/B", "http://p:1/"].as_slice()),
+            ("registerPublisher", &["/p", "/t", &long, "http://p:1/"]),
+            ("registerService", &["/p", "/s", "rosrpc://s:1", &long]),
+            ("subscribeParam", &[&long, "http://p:1/", "/a"]),
+            ("setParam", &["/p", &long, "1"]),
+        ] {
+            let reason = refusal(registry, US, method, arguments).unwrap();
+            assert!(reason.contains("512 bytes at most"), "{reason}");
+        }
+        assert_eq!(refusal(registry, US, "setParam", &["/p", "/text", &long]), None, "a value may be long");
     }
 
     #[test]
@@ -399,7 +691,7 @@ mod tests {
         let registry = &mut Registry::new("http://m:1/".to_owned());
         call(registry, "registerPublisher", &["/p", "/scan", "a/B", "http://p:1/"]);
         let (_, notices) = call(registry, "registerPublisher", &["/p", "/odom", "a/B", "http://p:2/"]);
-        assert_eq!((notices[0].node.as_str(), notices[0].method), ("http://p:1/", "shutdown"));
+        assert_eq!((notices[0].0.as_str(), notices[0].1), ("http://p:1/", "shutdown"));
         // The first unregisters when it ends, which changes nothing.
         assert_eq!(call(registry, "unregisterPublisher", &["/p", "/odom", "http://p:1/"]).0, 0.into());
         assert_eq!(call(registry, "lookupNode", &["/x", "/p"]).0, "http://p:2/".into());
@@ -415,7 +707,7 @@ mod tests {
         assert_eq!(call(registry, "subscribeParam", &["/w", "http://w:1/", "/a"]).0, empty());
         let (_, notices) = call(registry, "setParam", &["/x", "/a/b/c", "1"]);
         let arguments = vec![MASTER.into(), "/a/b/c/".into(), "1".into()];
-        assert_eq!(notices, [Notice { node: "http://w:1/".to_owned(), method: "paramUpdate", arguments }]);
+        assert_eq!(notices, [("http://w:1/".to_owned(), "paramUpdate", arguments)]);
         assert!(call(registry, "setParam", &["/w", "/a/b/d", "2"]).1.is_empty());
         assert_eq!(call(registry, "getParam", &["/x", "a/b/c"]).0, "1".into());
         assert_eq!(call(registry, "getParamNames", &["/x"]).0, vec!["/a/b/c", "/a/b/d"].into());
@@ -431,7 +723,7 @@ mod tests {
         for (method, arguments) in
             [("explode", vec![]), ("setParam", vec!["/x".into()]), ("lookupNode", vec![1.into()])]
         {
-            assert!(registry.answer(&Call::new(method, arguments), &mut Vec::new()).is_err());
+            assert!(registry.answer(US, &Call::new(method, arguments), &mut Vec::new()).is_err());
         }
     }
 }

@@ -10,8 +10,10 @@ use roxmltree::{Document, Node, ParsingOptions};
 
 /// Deepest nesting of values.
 const MAX_DEPTH: usize = 32;
-/// Most elements. An element takes many times the memory of its text.
+/// Most elements of an answer. An element takes many times the memory of its text.
 const MAX_NODES: u32 = 4_000_000;
+/// Most elements of a call, which anyone can send.
+const MAX_NODES_OF_CALL: u32 = 200_000;
 
 /// A value of XML-RPC, in calls and parameters.
 #[derive(Debug, Clone, PartialEq)]
@@ -198,7 +200,7 @@ impl Call {
     /// # Errors
     /// [`XmlRpcError`] if it is not a call.
     pub fn from_xml(xml: &[u8]) -> Result<Self, XmlRpcError> {
-        with_root(xml, |root| {
+        with_root(xml, MAX_NODES_OF_CALL, |root| {
             if !root.has_tag_name("methodCall") {
                 return Err(XmlRpcError::Shape("a call is a `methodCall`"));
             }
@@ -240,7 +242,7 @@ pub fn answer_to_xml(answer: &Result<Value, Fault>) -> String {
 /// # Errors
 /// [`XmlRpcError`] if it is not an answer.
 pub fn answer_from_xml(xml: &[u8]) -> Result<Result<Value, Fault>, XmlRpcError> {
-    with_root(xml, |root| {
+    with_root(xml, MAX_NODES, |root| {
         if !root.has_tag_name("methodResponse") {
             return Err(XmlRpcError::Shape("an answer is a `methodResponse`"));
         }
@@ -262,10 +264,11 @@ const NO_VALUE: XmlRpcError = XmlRpcError::Shape("a `param`, `member` or `fault`
 
 fn with_root<T>(
     xml: &[u8],
+    most: u32,
     read: impl FnOnce(Node<'_, '_>) -> Result<T, XmlRpcError>,
 ) -> Result<T, XmlRpcError> {
     let text = std::str::from_utf8(xml).map_err(|error| XmlRpcError::Xml(error.to_string()))?;
-    let options = ParsingOptions { allow_dtd: false, nodes_limit: MAX_NODES, ..ParsingOptions::default() };
+    let options = ParsingOptions { allow_dtd: false, nodes_limit: most, ..ParsingOptions::default() };
     let document = Document::parse_with_options(text.trim_start(), options)
         .map_err(|error| XmlRpcError::Xml(error.to_string()))?;
     read(document.root_element())
