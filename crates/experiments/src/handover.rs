@@ -12,7 +12,12 @@ mod places;
 #[cfg(test)]
 mod tests;
 
-use std::{collections::BTreeSet, fs, io, path::Path};
+use std::{
+    collections::BTreeSet,
+    fs,
+    io::{self, Read as _},
+    path::Path,
+};
 
 use cotorra_figure::Format;
 use cotorra_graph::{NodeId, NodeKind, Testbed};
@@ -189,6 +194,9 @@ struct Stored {
     walks: Vec<Walked>,
 }
 
+/// Largest stored comparison, bytes.
+const MAX_STORED: u64 = 64 << 20;
+
 /// Reads the walks of an earlier comparison from its folder.
 ///
 /// # Errors
@@ -196,7 +204,8 @@ struct Stored {
 pub fn read(folder: &Path) -> Result<Vec<Walked>, FolderError> {
     let path = folder.join(FILES[2]);
     let fail = |error| FolderError::new(&path, error);
-    let text = fs::read_to_string(&path).map_err(fail)?;
+    let mut text = String::new();
+    fs::File::open(&path).map_err(fail)?.take(MAX_STORED).read_to_string(&mut text).map_err(fail)?;
     let stored: Stored = serde_json::from_str(&text).map_err(|error| fail(io::Error::other(error)))?;
     Ok(stored.walks)
 }

@@ -134,10 +134,21 @@ fn build(
         sink.error(&record.free_thresh.span, "the free threshold is above the occupied one")
             .help("write a smaller share, usually 0.196");
     }
+    let Mode::Trinary = record.mode;
+    let cell = |brightness: f64| {
+        let occupancy = if record.negate.0 { brightness } else { 1.0 - brightness };
+        if occupancy > occupied {
+            Cell::Occupied
+        } else if occupancy < free {
+            Cell::Free
+        } else {
+            Cell::Unknown
+        }
+    };
     let picture = read_image(&record.image.value)
         .map_err(|error| format!("`{}` cannot be read: {error}", record.image.value))
         .and_then(|bytes| {
-            Picture::parse(&bytes).map_err(|error| format!("`{}`: {error}", record.image.value))
+            Picture::parse(&bytes, cell).map_err(|error| format!("`{}`: {error}", record.image.value))
         });
     let picture = match picture {
         Ok(picture) => picture,
@@ -150,29 +161,16 @@ fn build(
     if !sink.is_empty() {
         return None;
     }
-    let Mode::Trinary = record.mode;
-    let cell = |value: u16| {
-        let brightness = f64::from(value) / f64::from(picture.max);
-        let occupancy = if record.negate.0 { brightness } else { 1.0 - brightness };
-        if occupancy > occupied {
-            Cell::Occupied
-        } else if occupancy < free {
-            Cell::Free
-        } else {
-            Cell::Unknown
-        }
-    };
     // A picture begins with its uppermost row, a grid with its lowest.
-    let cells = picture.values.chunks(picture.width).rev().flatten().map(|&v| cell(v)).collect();
+    let cells = picture.cells.chunks(picture.width).rev().flatten().copied().collect();
     OccupancyGrid::new(picture.width, picture.height, resolution, origin?, cells)
 }
 
-/// A greyscale picture, row by row from the top.
+/// The cells of a greyscale picture, row by row from the top.
 struct Picture {
     width: usize,
     height: usize,
-    max: u16,
-    values: Vec<u16>,
+    cells: Vec<Cell>,
 }
 
 /// Error of a PGM picture.
@@ -192,14 +190,15 @@ enum InvalidPicture {
     Value { place: usize, value: usize, max: u16 },
 }
 
-/// 3.2 km in square, at 0.05 m a cell: 64 Mi cells.
-const MAX_CELLS: usize = 64 << 20;
+/// 290 m in square, at 0.05 m a cell.
+const MAX_CELLS: usize = 32 << 20;
 /// Bytes of a picture: as text, a cell of 8 bits takes four at most.
 const MAX_PICTURE: usize = 4 * MAX_CELLS + 1024;
 
 impl Picture {
-    /// Reads a PGM picture: P2 (text) or P5 (binary, of 8 or 16 bits).
-    fn parse(bytes: &[u8]) -> Result<Self, InvalidPicture> {
+    /// Reads a PGM picture: P2 (text) or P5 (binary, of 8 or 16 bits). `cell` reads a pixel by its share of white. Nothing else
+    /// is kept of a pixel.
+    fn parse(bytes: &[u8], cell: impl Fn(f64) -> Cell) -> Result<Self, InvalidPicture> {
         let binary = match bytes.get(..2) {
             Some(b"P5") => true,
             Some(b"P2") => false,
@@ -211,27 +210,29 @@ impl Picture {
         let wanted = width.checked_mul(height).filter(|n| (1..=MAX_CELLS).contains(n));
         let wanted = wanted.ok_or(InvalidPicture::Size(width, height))?;
         let max = u16::try_from(max).ok().filter(|&m| m > 0).ok_or(InvalidPicture::Max(max))?;
-        let values: Vec<usize> = if !binary {
-            std::iter::from_fn(|| number(&mut rest)).take(wanted).collect()
+        let value = |(place, value)| match u16::try_from(value) {
+            Ok(value) if value <= max => Ok(cell(f64::from(value) / f64::from(max))),
+            _ => Err(InvalidPicture::Value { place, value, max }),
+        };
+        let cells: Vec<Cell> = if !binary {
+            let values = std::iter::from_fn(|| number(&mut rest)).take(wanted);
+            values.enumerate().map(value).collect::<Result<_, _>>()?
         } else {
             // One whitespace character ends the header.
             let raster = rest.get(1..).unwrap_or_default();
             let two_bytes = |pair: &[u8]| usize::from(u16::from_be_bytes([pair[0], pair[1]]));
             if max < 256 {
-                raster.iter().take(wanted).map(|&byte| byte.into()).collect()
+                let values = raster.iter().take(wanted).map(|&byte| byte.into());
+                values.enumerate().map(value).collect::<Result<_, _>>()?
             } else {
-                raster.chunks_exact(2).take(wanted).map(two_bytes).collect()
+                let values = raster.chunks_exact(2).take(wanted).map(two_bytes);
+                values.enumerate().map(value).collect::<Result<_, _>>()?
             }
         };
-        if values.len() < wanted {
-            return Err(InvalidPicture::Short { found: values.len(), wanted });
+        if cells.len() < wanted {
+            return Err(InvalidPicture::Short { found: cells.len(), wanted });
         }
-        let value = |(place, value)| match u16::try_from(value) {
-            Ok(value) if value <= max => Ok(value),
-            _ => Err(InvalidPicture::Value { place, value, max }),
-        };
-        let values = values.into_iter().enumerate().map(value).collect::<Result<_, _>>()?;
-        Ok(Self { width, height, max, values })
+        Ok(Self { width, height, cells })
     }
 }
 
@@ -299,7 +300,7 @@ mod tests {
         assert_eq!(wrong(b"P2 2 2 9\n1 2 3 10"), "`x.pgm`: pixel 3 is `10`, but the maximum is 9");
         assert_eq!(
             wrong(b"P5 99999 99999 255\n"),
-            "`x.pgm`: it has 99999 × 99999 pixels, but a map has 1 to 67108864 cells"
+            "`x.pgm`: it has 99999 × 99999 pixels, but a map has 1 to 33554432 cells"
         );
     }
 

@@ -12,7 +12,7 @@ use cotorra_testbed_file::map_server;
 use super::png::{self, PngError};
 
 /// Bytes of the largest file of a picture.
-const MAX_FILE: u64 = 256 << 20;
+const MAX_FILE: u64 = 128 << 20;
 /// Sides of a pixel that a floor plan can have, metres.
 const PIXELS: std::ops::RangeInclusive<f64> = 0.001..=0.5;
 /// Side of a cell, at most, unless the picture is coarser or very large; metres.

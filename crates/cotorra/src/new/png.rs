@@ -5,9 +5,9 @@ use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
 /// First bytes of every PNG picture.
 pub const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// Pixels of the largest picture.
-const MAX_PIXELS: usize = 64 << 20;
+const MAX_PIXELS: usize = 32 << 20;
 /// Raw bytes of the largest picture.
-const MAX_RAW: usize = 256 << 20;
+const MAX_RAW: usize = 128 << 20;
 
 /// Error of a PNG picture.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]

@@ -3,7 +3,9 @@
 mod two_samples;
 
 use std::{
-    fs, io,
+    collections::BTreeMap,
+    fs::{self, File},
+    io::{self, BufRead as _, BufReader, Read as _},
     path::{Path, PathBuf},
 };
 
@@ -177,8 +179,9 @@ fn distributions(one: &Run, other: &Run) -> Result<Outcome, RepeatError> {
 struct Run {
     services: Vec<Served>,
     fidelity: Fidelity,
+    /// Service times by robot and service, ms; infinite without an answer.
     #[serde(skip)]
-    samples: Vec<Line>,
+    samples: BTreeMap<(String, String), Vec<f64>>,
 }
 
 #[derive(Deserialize)]
@@ -199,36 +202,59 @@ struct Lateness {
     p99: f64,
 }
 
-/// A line of the samples. Without an answer, the time is infinite.
-struct Line {
-    robot: String,
-    service: String,
-    took_ms: f64,
-}
+/// Largest summary, bytes.
+const MAX_SUMMARY: u64 = 64 << 20;
+/// Largest file of samples, bytes. Of a line, only the time is kept.
+const MAX_SAMPLES: u64 = 1 << 30;
+/// Longest line of samples, bytes.
+const LONGEST_LINE: u64 = 4096;
 
 impl Run {
     fn read(folder: &Path) -> Result<Self, RepeatError> {
-        let read = |name: &str| {
-            let path = folder.join(name);
-            fs::read_to_string(&path).map_err(|source| RepeatError::Unreadable { path, source })
-        };
         let wrong = |name: &str, source| RepeatError::Unreadable { path: folder.join(name), source };
-        let run: Self = serde_json::from_str(&read(SUMMARY)?).map_err(|e| wrong(SUMMARY, e.into()))?;
-        let line = |text: &str| {
-            let mut cells = text.split(',').skip(1);
-            let (robot, service, took) = (cells.next()?, cells.next()?, cells.nth(1)?);
-            let took_ms = if took.is_empty() { f64::INFINITY } else { took.parse().ok()? };
-            Some(Line { robot: robot.to_owned(), service: service.to_owned(), took_ms })
+        let open = |name: &str, most: u64| {
+            let path = folder.join(name);
+            // Asked before it is opened, which waits for a pipe's other end.
+            let metadata = fs::metadata(&path).map_err(|source| wrong(name, source))?;
+            if !metadata.is_file() || metadata.len() > most {
+                let reason = format!("it is not a regular file of at most {most} bytes");
+                return Err(wrong(name, io::Error::other(reason)));
+            }
+            let file = File::open(&path).map_err(|source| wrong(name, source))?;
+            Ok(BufReader::new(file.take(most)))
         };
-        let samples: Option<_> = read(SAMPLES)?.lines().skip(1).map(line).collect();
-        let not_one = || wrong(SAMPLES, io::Error::other("a line is not a sample"));
-        Ok(Self { samples: samples.ok_or_else(not_one)?, ..run })
+        let mut run: Self = serde_json::from_reader(open(SUMMARY, MAX_SUMMARY)?)
+            .map_err(|error| wrong(SUMMARY, error.into()))?;
+        let services = run.services.iter().map(|its| ((its.robot.clone(), its.service.clone()), Vec::new()));
+        run.samples = services.collect();
+        let (mut samples, mut line, mut is_head) = (open(SAMPLES, MAX_SAMPLES)?, String::new(), true);
+        loop {
+            line.clear();
+            let read = samples.by_ref().take(LONGEST_LINE).read_line(&mut line);
+            if read.map_err(|source| wrong(SAMPLES, source))? == 0 {
+                return Ok(run);
+            }
+            if !std::mem::replace(&mut is_head, false) {
+                let not_one = || wrong(SAMPLES, io::Error::other("a line is not a sample"));
+                run.add(line.trim_end()).ok_or_else(not_one)?;
+            }
+        }
+    }
+
+    /// Adds a line of the samples, if it is of a service of the summary. Returns `None` if it is no sample.
+    fn add(&mut self, line: &str) -> Option<()> {
+        let mut cells = line.split(',').skip(1);
+        let (robot, service, took) = (cells.next()?, cells.next()?, cells.nth(1)?);
+        let took_ms = if took.is_empty() { f64::INFINITY } else { took.parse().ok()? };
+        if let Some(samples) = self.samples.get_mut(&(robot.to_owned(), service.to_owned())) {
+            samples.push(took_ms);
+        }
+        Some(())
     }
 
     /// Returns the times of a service.
     fn samples_ms(&self, robot: &str, service: &str) -> Vec<f64> {
-        let its = self.samples.iter().filter(|line| line.robot == robot && line.service == service);
-        its.map(|line| line.took_ms).collect()
+        self.samples.get(&(robot.to_owned(), service.to_owned())).cloned().unwrap_or_default()
     }
 }
 

@@ -141,7 +141,7 @@ impl<'a> Fields<'a> {
 
     /// Reports the keys that nothing asked for.
     pub fn finish(self, sink: &mut Sink) {
-        for entry in self.entries.into_iter().flatten() {
+        for entry in self.entries.into_iter().flatten().take(Sink::AT_MOST) {
             let error = sink.error(&entry.key_span, format!("unknown key `{}`", shorten(&entry.key)));
             error.help(match nearest(&entry.key, self.asked.iter().copied()) {
                 Some(near) => format!("did you mean `{near}`?"),
@@ -162,8 +162,14 @@ fn example(schema: &Json) -> String {
     if schema["type"] == "array" { "[…]" } else { "…" }.to_owned()
 }
 
+/// Bytes of the longest word that is compared with what may be meant. No key or name is longer.
+const LONGEST_TYPO: usize = 256;
+
 /// The candidate that was probably meant.
 pub(crate) fn nearest<'a>(word: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    if word.len() > LONGEST_TYPO {
+        return None;
+    }
     let word = word.to_lowercase();
     candidates
         .map(|c| (strsim::damerau_levenshtein(&word, &c.to_lowercase()), c))

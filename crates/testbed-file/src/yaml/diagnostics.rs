@@ -78,20 +78,30 @@ pub(crate) struct Sink {
     found: Vec<Diagnostic>,
     /// What is valid, but to be checked before results are trusted.
     warnings: Vec<Diagnostic>,
+    /// The last of those that were too many to keep.
+    excess: Option<Diagnostic>,
 }
 
 impl Sink {
     /// Nobody reads more at once; the rest shows when these are mended.
-    const AT_MOST: usize = 100;
+    pub const AT_MOST: usize = 100;
+    /// Mistakes, and warnings, that are kept until they are sorted. A file can have millions.
+    const KEPT: usize = 10_000;
 
     /// Something is wrong there. What would be right follows: see [`Diagnostic::help`].
     pub fn error(&mut self, span: &Span, message: impl Into<String>) -> &mut Diagnostic {
-        self.found.push_mut(Diagnostic::new(span, message.into()))
+        let error = Diagnostic::new(span, message.into());
+        if self.found.len() < Self::KEPT { self.found.push_mut(error) } else { self.excess.insert(error) }
     }
 
     /// Something there is valid, but may not be meant.
     pub fn warning(&mut self, span: &Span, message: impl Into<String>) -> &mut Diagnostic {
-        self.warnings.push_mut(Diagnostic::new(span, message.into()))
+        let warning = Diagnostic::new(span, message.into());
+        if self.warnings.len() < Self::KEPT {
+            self.warnings.push_mut(warning)
+        } else {
+            self.excess.insert(warning)
+        }
     }
 
     /// Whether nothing is wrong so far.
@@ -145,5 +155,25 @@ impl Diagnostic {
     pub(crate) fn help(&mut self, help: impl Into<String>) -> &mut Self {
         self.help = Some(help.into());
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_many_mistakes_keeps_few() {
+        let mut sink = Sink::default();
+        for at in 0..3 * Sink::KEPT {
+            sink.error(&(at..at), format!("mistake {at}")).help("mend it");
+            sink.warning(&(at..at), format!("warning {at}")).help("mend it");
+        }
+        assert_eq!((sink.found.len(), sink.warnings.len()), (Sink::KEPT, Sink::KEPT));
+        let shown = sink.finish("x.yaml", &" ".repeat(3 * Sink::KEPT));
+        assert_eq!(
+            (shown.list[0].message.as_str(), shown.list[0].help.as_deref()),
+            ("mistake 0", Some("mend it"))
+        );
     }
 }

@@ -129,11 +129,12 @@ impl Node {
         Self { span: 0..0, value }
     }
 
+    /// Returns the number of values in it. A long text counts as several.
     fn size(&self) -> usize {
         1 + match &self.value {
-            Value::Scalar { .. } => 0,
+            Value::Scalar { text, .. } => text.len() / SHORT,
             Value::Sequence(items) => items.iter().map(Self::size).sum(),
-            Value::Mapping(entries) => entries.iter().map(|e| e.value.size()).sum(),
+            Value::Mapping(entries) => entries.iter().map(|e| 1 + e.key.len() / SHORT + e.value.size()).sum(),
         }
     }
 }
@@ -151,8 +152,12 @@ pub(crate) fn shorten(text: &str) -> String {
 const MAX_SCALAR: usize = 64 << 10;
 /// Collections in collections.
 const MAX_DEPTH: usize = 64;
-/// Values that all aliases of a file expand to.
+/// Keys and values. A testbed of as many hosts and links as there may be has 1.4 million.
+const MAX_VALUES: usize = 2 << 20;
+/// Values that are kept for aliases, and that aliases expand to.
 const MAX_ALIASED: usize = 100_000;
+/// Bytes of a text for which it counts as one more value.
+const SHORT: usize = 64;
 
 /// Reads one YAML document. `None` if it is no YAML, which the sink then knows; duplicate keys it knows as well.
 pub(crate) fn parse(text: &str, sink: &mut Sink) -> Option<Node> {
@@ -163,7 +168,7 @@ pub(crate) fn parse(text: &str, sink: &mut Sink) -> Option<Node> {
     }
     let places = Places::of(text);
     let mut builder =
-        Builder { text, sink, open: Vec::new(), anchors: HashMap::new(), aliased: 0, root: None };
+        Builder { text, sink, open: Vec::new(), anchors: HashMap::new(), values: 0, aliased: 0, root: None };
     for event in Parser::new_from_str(text) {
         match event {
             Ok((event, span)) => {
@@ -214,6 +219,7 @@ struct Builder<'a> {
     sink: &'a mut Sink,
     open: Vec<Open>,
     anchors: HashMap<usize, Node>,
+    values: usize,
     aliased: usize,
     root: Option<Node>,
 }
@@ -231,6 +237,16 @@ struct Open {
 
 impl Builder<'_> {
     fn event(&mut self, event: Event<'_>, span: Span) -> Option<()> {
+        self.values += usize::from(matches!(
+            event,
+            Event::Scalar(..) | Event::SequenceStart(..) | Event::MappingStart(..)
+        ));
+        if self.values > MAX_VALUES {
+            self.sink
+                .error(&span, format!("the file has more than {MAX_VALUES} keys and values"))
+                .help("split it, or keep large data in files of its own");
+            return None;
+        }
         match event {
             Event::Scalar(text, style, anchor, tag) => {
                 self.refuse_tag(tag.is_some(), &span);
@@ -299,18 +315,26 @@ impl Builder<'_> {
                 .help("write the value out, or refer to one that is complete");
             return None;
         };
+        self.expand(&node, &span)?;
+        self.complete(node, 0)
+    }
+
+    /// Counts a value that an anchor keeps, or that an alias expands to.
+    fn expand(&mut self, node: &Node, span: &Span) -> Option<()> {
         self.aliased += node.size();
         if self.aliased > MAX_ALIASED {
             self.sink
-                .error(&span, format!("the aliases expand to more than {MAX_ALIASED} values"))
-                .help("use fewer aliases of aliases");
+                .error(span, format!("anchors and aliases expand to more than {MAX_ALIASED} values"))
+                .help("use fewer aliases of aliases, and no anchors around large parts");
             return None;
         }
-        self.complete(node, 0)
+        Some(())
     }
 
     fn complete(&mut self, mut node: Node, anchor: usize) -> Option<()> {
         if anchor != 0 {
+            let span = node.span.clone();
+            self.expand(&node, &span)?;
             self.anchors.insert(anchor, node.clone());
         }
         let Some(open) = self.open.last_mut() else {
@@ -361,6 +385,35 @@ mod tests {
     fn entries(node: &Node) -> &[Entry] {
         let Value::Mapping(entries) = &node.value else { panic!("a mapping") };
         entries
+    }
+
+    /// Returns what is wrong with a text.
+    fn mistake(text: &str) -> String {
+        let mut sink = Sink::default();
+        assert_eq!(parse(text, &mut sink), None);
+        sink.finish("x.yaml", text).list[0].message.clone()
+    }
+
+    #[test]
+    fn files_of_too_many_values_are_rejected() {
+        let list = |values: usize| format!("[{}]", "a,".repeat(values));
+        // With the list itself.
+        assert!(mistake(&list(MAX_VALUES)).contains("more than 2097152 keys and values"));
+        let keys: String = (0..=MAX_VALUES / 2).map(|i| format!("{i}:\n")).collect();
+        assert!(mistake(&keys).contains("more than 2097152 keys and values"));
+    }
+
+    #[test]
+    fn anchors_keep_no_more_than_aliases_expand_to() {
+        let nested = |part: &str| {
+            let anchors: String = (0..60).map(|i| format!("&a{i} [")).collect();
+            format!("{anchors}{part}{}", "]".repeat(60))
+        };
+        assert_eq!(tree(&nested("a")).size(), 61);
+        assert!(mistake(&nested(&"a,".repeat(2000))).starts_with("anchors and aliases expand to more"));
+        // Few values that are long.
+        let long = format!("{},", "a".repeat(MAX_SCALAR)).repeat(2);
+        assert!(mistake(&nested(&long)).starts_with("anchors and aliases expand to more"));
     }
 
     #[test]
