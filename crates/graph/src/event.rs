@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::{
     access::AccessPoint,
@@ -155,10 +155,10 @@ pub struct Decision {
     pub refused: Option<String>,
 }
 
-/// Instruction that a plug-in can give.
+/// Instruction that a plug-in can give. Its texts and lists are bounded, each and all together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[serde(rename_all = "snake_case", tag = "instruction", deny_unknown_fields)]
+#[serde(remote = "Self", rename_all = "snake_case", tag = "instruction", deny_unknown_fields)]
 pub enum Instruction {
     /// Move a robot at this velocity, until another comes or its command timeout ends it.
     Move {
@@ -309,6 +309,20 @@ pub enum Instruction {
         /// Its duration and rate.
         test: ThroughputTest,
     },
+}
+
+impl Serialize for Instruction {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        Self::serialize(self, serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Instruction {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let read = Self::deserialize(deserializer)?;
+        read.measure().map_err(de::Error::custom)?;
+        Ok(read)
+    }
 }
 
 impl Instruction {

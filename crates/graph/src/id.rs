@@ -13,6 +13,8 @@ pub struct InvalidId {
     others: &'static str,
 }
 
+/// Characters of a rejected text that its error shows.
+const SHOWN: usize = 160;
 /// A name fits a file name and a DNS label.
 const LONGEST: usize = 63;
 /// A link's fits the names of its two ends and what joins them.
@@ -32,7 +34,7 @@ fn check(name: &str, longest: usize, others: &'static str) -> Result<(), Invalid
     let starts_well = name.chars().next().is_some_and(|c| c.is_ascii_alphanumeric());
     let all_well = name.chars().all(|c| c.is_ascii_alphanumeric() || others.contains(c));
     let well = starts_well && all_well && name.len() <= longest;
-    if well { Ok(()) } else { Err(InvalidId { name: name.to_owned(), longest, others }) }
+    if well { Ok(()) } else { Err(InvalidId { name: name.chars().take(SHOWN).collect(), longest, others }) }
 }
 
 macro_rules! id {

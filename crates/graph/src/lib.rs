@@ -6,6 +6,7 @@
 mod access;
 mod active;
 mod border;
+mod bounds;
 mod conditions;
 mod container;
 mod contention;
@@ -44,6 +45,7 @@ mod wifi_software;
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
 pub use border::Border;
+pub use bounds::TooLong;
 pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace, TraceName};
 pub use container::{Containers, EngineKind, Image, ListenPort, Pull, Transport, Volume};
 pub use contention::{Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl};

@@ -5,7 +5,7 @@ use std::{
     collections::BTreeMap,
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicIsize, AtomicU64, Ordering},
+        atomic::{AtomicBool, AtomicIsize, AtomicU64, AtomicUsize, Ordering},
         mpsc::{Receiver, SyncSender, TrySendError, sync_channel},
     },
     thread::{self, JoinHandle, Thread},
@@ -25,6 +25,9 @@ use crate::{
 
 /// Capacity of the queue, events of about 400 bytes each: 13 MB.
 const QUEUE: usize = 32_768;
+
+/// The most bytes of events that are not written yet, with their texts and lists.
+const QUEUE_BYTES: usize = 64 << 20;
 
 /// Queue length at which the writer is woken early. Below it, recording makes no system call.
 const WAKE_AT: isize = QUEUE as isize / 4;
@@ -148,6 +151,8 @@ pub(crate) struct Queue {
 struct Shared {
     /// Events in the queue. Below zero for a moment if an event is taken before it was counted.
     waiting: AtomicIsize,
+    /// Bytes of all events that are not written yet.
+    bytes: AtomicUsize,
     closing: AtomicBool,
     flush: Mutex<Flush>,
     flushed: Condvar,
@@ -190,6 +195,11 @@ impl Queue {
 
     /// Adds an entry. Returns whether there was room.
     fn push(&self, entry: Entry) -> bool {
+        let bytes = entry.stamped.event.bytes();
+        if self.shared.bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > QUEUE_BYTES {
+            self.shared.bytes.fetch_sub(bytes, Ordering::Relaxed);
+            return false;
+        }
         match self.sender.try_send(entry) {
             Ok(()) => {
                 if self.shared.waiting.fetch_add(1, Ordering::Relaxed) + 1 == WAKE_AT {
@@ -197,7 +207,10 @@ impl Queue {
                 }
                 true
             }
-            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => false,
+            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {
+                self.shared.bytes.fetch_sub(bytes, Ordering::Relaxed);
+                false
+            }
         }
     }
 
@@ -286,6 +299,8 @@ impl Writer {
                 tally.written.fetch_add(entries.len() as u64, Ordering::Relaxed);
             }
         }
+        let bytes = self.batch.iter().map(|entry| entry.stamped.event.bytes()).sum();
+        self.shared.bytes.fetch_sub(bytes, Ordering::Relaxed);
         self.batch.clear();
         Ok(())
     }

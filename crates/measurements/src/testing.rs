@@ -455,7 +455,7 @@ fn instance_path() -> impl Strategy<Value = InstancePath> {
 }
 
 fn access_point() -> impl Strategy<Value = AccessPoint> {
-    (".{0,9}", any::<u16>()).prop_map(|(ssid, mobility_domain)| AccessPoint {
+    (".{0,8}", any::<u16>()).prop_map(|(ssid, mobility_domain)| AccessPoint {
         ssid,
         mobility_domain,
         key: None,

@@ -16,11 +16,11 @@ use cotorra_measurements::Recorder;
 use cotorra_network_control::Network;
 use cotorra_recording::Tap;
 use parking_lot::Mutex;
-use tokio::sync::broadcast;
 
 use crate::{
     clock::Clock,
     core::Core,
+    event_stream::EventStream,
     history_bound::HistoryBound,
     images::ImageSender,
     keeping::Keeper,
@@ -38,7 +38,7 @@ pub(crate) struct EventSinks {
     pub(crate) live: Live,
     pub(crate) recorder: Recorder,
     pub(crate) report: Report,
-    pub(crate) stream: broadcast::Sender<Arc<Stamped>>,
+    pub(crate) stream: EventStream,
     pub(crate) plugins: RunningPlugins,
     pub(crate) tap: Option<Tap>,
     pub(crate) keeper: Option<Keeper>,
@@ -50,8 +50,7 @@ impl EventSinks {
         self.report.absorb(&event);
         let event = Arc::new(event);
         self.plugins.publish(&event);
-        // Fails without subscribers.
-        let _ = self.stream.send(Arc::clone(&event));
+        self.stream.send(Arc::clone(&event));
         if let Some(tap) = &self.tap {
             tap.event(Arc::clone(&event));
         }

@@ -18,6 +18,7 @@ mod core_loop;
 mod cpus;
 mod domain;
 mod error;
+mod event_stream;
 pub mod faults;
 mod finished;
 mod follower;

@@ -242,6 +242,21 @@ fn events_that_no_history_can_hold_become_a_gap() {
 }
 
 #[test]
+fn events_that_wait_are_bounded_in_bytes() {
+    let (store, history, run) = Moody::history(Mood::Stuck);
+    let recorder = history.recorder(run).unwrap();
+    let message = "x".repeat(1 << 20);
+    (0..200).for_each(|n| recorder.record(notice(n, &message)));
+    let waiting = recorder.queue.shared.bytes.load(Ordering::Relaxed);
+    assert!(waiting <= QUEUE_BYTES && waiting > QUEUE_BYTES - (2 << 20), "{waiting}");
+    store.set(Mood::Well);
+    recorder.flush().unwrap();
+    let (kept, dropped) = (all(&history, run).len() as u64, recorder.stats().dropped);
+    assert_eq!((kept + dropped, kept), (200, 63));
+    assert_eq!(recorder.queue.shared.bytes.load(Ordering::Relaxed), 0);
+}
+
+#[test]
 fn threads_and_runs_do_not_mix() {
     let (_, history, first) = Moody::history(Mood::Well);
     let second = history.begin_run(&run_info("second")).unwrap();

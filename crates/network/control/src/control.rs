@@ -16,9 +16,6 @@ use crate::{
     vim::{Managed, Vim},
 };
 
-/// Longest name in a note, characters.
-const LONGEST_NAME: usize = 128;
-
 /// The Network Control block.
 pub struct NetworkControl<N, E> {
     network: N,
@@ -411,11 +408,12 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 Ok(Vec::new())
             }
             Instruction::Note { process, step, .. } => {
-                let fits = |name: &str| (1..=LONGEST_NAME).contains(&name.chars().count());
+                let longest = Instruction::LONGEST_NAME;
+                let fits = |name: &str| (1..=longest).contains(&name.chars().count());
                 if fits(&process) && fits(&step) {
                     Ok(Vec::new())
                 } else {
-                    Err(InstructionError(format!("what a note names has 1 to {LONGEST_NAME} characters")))
+                    Err(InstructionError(format!("what a note names has 1 to {longest} characters")))
                 }
             }
             Instruction::Move { .. }

@@ -26,7 +26,8 @@ use cotorra_graph::{
 use cotorra_lifecycle::{Applications, LifecycleError, Output, Recipient, Seen, fog05::is_node};
 use cotorra_mec::{Allowed, CallbackError, Dispatch, Notifier, Outcome, QueryError, Task, deliver};
 use parking_lot::{Mutex, MutexGuard};
-use tokio::sync::{Notify, broadcast::error::RecvError};
+use tokio::sync::Notify;
+use tokio_stream::StreamExt as _;
 
 use super::{
     auth::{Caller, Gate},
@@ -36,7 +37,7 @@ use super::{
 };
 pub(super) use mec::openapi;
 
-use crate::live::Snapshot;
+use crate::{event_stream::Received, live::Snapshot};
 
 /// Returns the paths of both interfaces, and the tasks that follow the testbed and send notifications.
 pub(super) fn serve(context: &Context, gate: Gate) -> (Router, [Task; 2]) {
@@ -293,8 +294,8 @@ fn follow(served: Served) -> Task {
     let mut events = served.context.events.subscribe();
     Box::pin(async move {
         loop {
-            let (vnf, seen) = match events.recv().await {
-                Ok(stamped) => match &stamped.event {
+            let (vnf, seen) = match events.next().await {
+                Some(Received::Event(stamped)) => match &stamped.event {
                     Event::Vnf(event) => (event.vnf.clone(), seen_after(event)),
                     Event::Decision(Decision {
                         instruction: Instruction::RemoveVnf { vnf },
@@ -303,12 +304,12 @@ fn follow(served: Served) -> Task {
                     }) => (vnf.clone(), Seen::Gone),
                     _ => continue,
                 },
-                Err(RecvError::Lagged(_)) => {
+                Some(Received::Missed(_)) => {
                     drop(served.all());
                     continue;
                 }
                 // The run has ended.
-                Err(RecvError::Closed) => std::future::pending().await,
+                None => std::future::pending().await,
             };
             served.all.lock().observe(&vnf, seen, served.context.now());
             served.wake.notify_one();

@@ -10,11 +10,11 @@ use axum::Json;
 use cotorra_graph::{Event, IpNetwork, NodeId, PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{History, PacedRecorder, RunId};
 use cotorra_mec::{Allowed, Epoch};
-use tokio::sync::broadcast;
 
 use super::types::Failure;
 use crate::{
-    capture::Wiretap, clock::Clock, keeping::Keeper, live::Live, message::Message, report::Fidelity,
+    capture::Wiretap, clock::Clock, event_stream::EventStream, keeping::Keeper, live::Live, message::Message,
+    report::Fidelity,
 };
 
 /// Threads for queries of the history.
@@ -30,7 +30,7 @@ pub(crate) struct Context {
     pub(crate) live: Live,
     pub(crate) history: Arc<History>,
     pub(crate) run: RunId,
-    pub(crate) events: broadcast::Sender<Arc<Stamped>>,
+    pub(crate) events: EventStream,
     pub(crate) core: mpsc::Sender<Message>,
     pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
     /// The plug-ins of this run, in process or started by it. Nobody else can use their names.

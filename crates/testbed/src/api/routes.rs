@@ -222,7 +222,7 @@ pub(super) async fn add_vnf(
     headers: HeaderMap,
     Body(AddVnfBody { vnf, reason }): Body<AddVnfBody>,
 ) -> Answer<Done> {
-    let instruction = Instruction::AddVnf { vnf: Box::new(vnf) };
+    let instruction = Instruction::AddVnf { vnf };
     give(&context, &caller, &headers, InstructionBody { instruction, reason }).await
 }
 

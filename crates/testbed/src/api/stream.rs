@@ -11,10 +11,7 @@ use axum::{
 use cotorra_graph::{PluginId, SensorId, Stamped, Timestamp};
 use cotorra_measurements::Kind;
 use serde::Deserialize;
-use tokio_stream::{
-    Stream, StreamExt,
-    wrappers::{BroadcastStream, UnboundedReceiverStream, errors::BroadcastStreamRecvError},
-};
+use tokio_stream::{Stream, StreamExt, wrappers::UnboundedReceiverStream};
 
 use super::{
     auth::Caller,
@@ -23,6 +20,7 @@ use super::{
     types::{Done, Failure, Path, Query},
 };
 use crate::{
+    event_stream::Received,
     follower::{EventFilter, Follower, PluginMessage},
     message::Message,
 };
@@ -39,7 +37,7 @@ pub(super) struct Which {
     sensors: Option<String>,
 }
 
-/// Streams events as they happen. A reader that is more than 4096 events behind loses the oldest, and slows nobody down. An
+/// Streams events as they happen. A reader that is more than 4096 events or 16 MiB behind loses the oldest, and slows nobody down. An
 /// event named `missed` has the number of lost events, of all kinds, as its data.
 ///
 /// In virtual time, a plug-in that the testbed started, identified by its token, loses no events. Its stream has an event
@@ -71,12 +69,10 @@ pub(super) async fn events(
                 context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
                 Box::pin(UnboundedReceiverStream::new(messages).map(|message| Ok(encode_message(&message))))
             }
-            None => Box::pin(BroadcastStream::new(context.events.subscribe()).filter_map(move |received| {
-                match received {
-                    Ok(event) => filter.apply(&event).map(|event| Ok(encode(&event))),
-                    Err(BroadcastStreamRecvError::Lagged(missed)) => {
-                        Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
-                    }
+            None => Box::pin(context.events.subscribe().filter_map(move |received| match received {
+                Received::Event(event) => filter.apply(&event).map(|event| Ok(encode(&event))),
+                Received::Missed(missed) => {
+                    Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
                 }
             })),
         };

@@ -1,6 +1,7 @@
 //! The API over a socket, as a caller uses it: its answers equal the history's, and slow readers harm nobody.
 
 mod applications;
+mod bounds;
 mod machines;
 
 use std::{
@@ -18,16 +19,15 @@ use cotorra_graph::{
 use cotorra_measurements::{CurveRequest, History, RunId, RunInfo};
 use cotorra_robot_middleware::{Content, SensedData};
 use serde_json::{Value, json};
-use tokio::sync::broadcast;
 
 use super::*;
-use crate::{keeping::Keeper, live::Live, message::Message};
+use crate::{event_stream::EventStream, keeping::Keeper, live::Live, message::Message};
 
 /// A served history without a running testbed.
 struct Served {
     server: Server,
     history: Arc<History>,
-    events: broadcast::Sender<Arc<Stamped>>,
+    events: EventStream,
     runs: [RunId; 2],
     live: Live,
     keeper: Keeper,
@@ -96,7 +96,7 @@ links: [{ ends: [left, ap] }]
         recorder.record(Stamped { at: Timestamp::from_nanos(u64::MAX), ..notice(0) });
         recorder.flush().unwrap();
     }
-    let (events, _) = broadcast::channel(4096);
+    let events = EventStream::default();
     let live = Live::default();
     let folder = tempfile::tempdir().unwrap();
     let keeper = Keeper::of_folder(folder.path(), cotorra_recording::Pace::Live);
@@ -311,10 +311,10 @@ fn a_stalled_reader_loses_the_oldest_learns_the_number_and_slows_nobody() {
     let mut all = served.events.subscribe();
     for at in 0..EVENTS {
         // Does not wait for readers: if it waited for the stalled one, this would never end.
-        served.events.send(Arc::new(notice(at))).unwrap();
+        served.events.send(Arc::new(notice(at)));
         if at % 1000 == 999 {
             // Meanwhile other readers receive every event, and requests are answered.
-            (0..1000).for_each(|_| drop(all.try_recv().expect("a reader in time misses nothing")));
+            (0..1000).for_each(|_| drop(all.waiting().expect("a reader in time misses nothing")));
         }
     }
     assert_eq!(served.answer("measurements/runs").as_array().unwrap().len(), 2);
@@ -371,7 +371,7 @@ fn sensors_show_their_last_reading_and_are_followed_by_name() {
     ];
     for event in &all {
         served.live.absorb(event);
-        served.events.send(Arc::new(event.clone())).unwrap();
+        served.events.send(Arc::new(event.clone()));
     }
     let mut next = || loop {
         let mut line = String::new();
@@ -389,7 +389,7 @@ fn sensors_show_their_last_reading_and_are_followed_by_name() {
 /// A testbed of two domains with a token each; the first has a robot.
 struct Domains {
     server: Server,
-    events: broadcast::Sender<Arc<Stamped>>,
+    events: EventStream,
     core: mpsc::Receiver<Message>,
     live: Live,
     logs: tempfile::TempDir,
@@ -434,7 +434,7 @@ plugins:
         recorder.flush().unwrap();
         let (live, logs) = (Live::default(), tempfile::tempdir().unwrap());
         live.absorb(&machines::machine("left", 1));
-        let (events, _) = broadcast::channel(16);
+        let events = EventStream::default();
         let (core, inbox) = mpsc::channel();
         let testbed = Arc::new(testbed);
         let context = Context {
@@ -729,7 +729,7 @@ fn a_domains_stream_has_no_events_of_others() {
     assert_eq!(status, 200);
     let lateness = || Stamped { at: Timestamp::from_nanos(9), event: Event::Lateness(Default::default()) };
     for event in [sample(1), notice(2), lateness()] {
-        served.events.send(Arc::new(event)).unwrap();
+        served.events.send(Arc::new(event));
     }
     let first = |stream: &mut BufReader<TcpStream>| {
         let mut line = String::new();
@@ -831,9 +831,9 @@ fn a_reader_that_takes_nothing_is_cut_off() {
     assert_eq!(status, 200);
     // The kernel's buffers fill up at some time; then the reader has a millisecond.
     for at in 0.. {
-        served.events.send(Arc::new(notice(at))).unwrap();
+        served.events.send(Arc::new(notice(at)));
         // The one that is left follows applications.
-        if served.events.receiver_count() == 1 {
+        if served.events.readers() == 1 {
             break;
         }
     }
@@ -853,7 +853,7 @@ fn streams_leave_places_for_requests() {
     assert!(idle.iter().all(|(status, _)| *status == 200));
     assert_eq!(served.answer("robots"), json!([]));
     // One more receiver follows applications.
-    assert_eq!(served.events.receiver_count(), 4 + 1, "no stream was closed for them");
+    assert_eq!(served.events.readers(), 4 + 1, "no stream was closed for them");
 }
 
 #[test]

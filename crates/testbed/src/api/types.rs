@@ -14,7 +14,10 @@ use cotorra_graph::{
 };
 use cotorra_measurements::{Gap, Run, RunId, RunInfo};
 use cotorra_mec::Problem;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de};
+
+/// The most bytes of the reason in an answer.
+const LONGEST_FAILURE: usize = 4096;
 
 /// A testbed.
 #[derive(Debug, Serialize)]
@@ -157,9 +160,30 @@ impl From<Gap> for GapBody {
 #[serde(deny_unknown_fields)]
 pub(super) struct InstructionBody {
     pub(super) instruction: Instruction,
-    /// Recorded with the decision.
-    #[serde(default)]
+    /// Recorded with the decision; 1024 bytes at most.
+    #[serde(default, deserialize_with = "reason")]
     pub(super) reason: Option<String>,
+}
+
+/// Reads a reason of bounded length.
+fn reason<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<String>, D::Error> {
+    let reason = Option::<String>::deserialize(deserializer)?;
+    let (bytes, longest) = (reason.as_ref().map_or(0, String::len), Instruction::LONGEST_REASON);
+    if bytes > longest {
+        return Err(de::Error::custom(format!("its reason has {bytes} bytes, more than {longest}")));
+    }
+    Ok(reason)
+}
+
+/// Reads a VNF within the bounds of [`Instruction::measure`].
+fn added_vnf<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Box<Vnf>, D::Error> {
+    let vnf = Box::<Vnf>::deserialize(deserializer)?;
+    let instruction = Instruction::AddVnf { vnf };
+    instruction.measure().map_err(de::Error::custom)?;
+    match instruction {
+        Instruction::AddVnf { vnf } => Ok(vnf),
+        _ => unreachable!("it was just made"),
+    }
 }
 
 /// A VNF to add.
@@ -169,9 +193,10 @@ pub(super) struct InstructionBody {
 pub(super) struct AddVnfBody {
     /// A command or an image. It has the rights of a confined command: `rights` other than the usual ones, and `volumes`
     /// and `devices` of its image, are refused. Its variables have values: `NAME=VALUE`.
-    pub(super) vnf: Vnf,
-    /// Recorded with the decision.
-    #[serde(default)]
+    #[serde(deserialize_with = "added_vnf")]
+    pub(super) vnf: Box<Vnf>,
+    /// Recorded with the decision; 1024 bytes at most.
+    #[serde(default, deserialize_with = "reason")]
     pub(super) reason: Option<String>,
 }
 
@@ -213,7 +238,13 @@ pub(super) struct FailureBody {
 
 impl Failure {
     pub(super) fn new(status: StatusCode, reason: impl Into<String>) -> Self {
-        Self { status, key: "error", reason: reason.into() }
+        // An error may quote the request.
+        let mut reason = reason.into();
+        if reason.len() > LONGEST_FAILURE {
+            reason.truncate(reason.floor_char_boundary(LONGEST_FAILURE));
+            reason.push('…');
+        }
+        Self { status, key: "error", reason }
     }
 
     pub(super) fn bad_request(reason: impl Into<String>) -> Self {

@@ -11,7 +11,6 @@ use std::{
 
 use cotorra_graph::{Instruction, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
 use cotorra_network_control::InstructionError;
-use tokio::sync::broadcast;
 
 use super::{
     error::PluginError,
@@ -21,6 +20,7 @@ use super::{
 use crate::{
     api::{self, ApiError, Dashboard, Listener, Server, Tokens},
     clock::Clock,
+    event_stream::EventStream,
     live::Live,
     message::Message,
     time_control::TimeControl,
@@ -30,8 +30,6 @@ use crate::{
 const LOOK: Duration = Duration::from_millis(20);
 /// Longest wait for messages until the caller is asked whether to go on.
 const PAUSE: Duration = Duration::from_millis(50);
-/// Events that wait for a reader that time does not wait for. A reader that is further behind misses the oldest.
-const STREAM: usize = 4096;
 
 /// A simulation or replay in which programs take part.
 pub(crate) trait Stage {
@@ -76,7 +74,7 @@ pub(crate) struct ExternalPlugins {
     processes: BTreeMap<PluginId, Process>,
     inbox: mpsc::Receiver<Message>,
     live: Live,
-    stream: broadcast::Sender<Arc<Stamped>>,
+    stream: EventStream,
     wall: Clock,
 }
 
@@ -85,10 +83,10 @@ impl ExternalPlugins {
         listener: Listener,
         tokens: Tokens,
         wall: Clock,
-        context: impl FnOnce(broadcast::Sender<Arc<Stamped>>, mpsc::Sender<Message>) -> api::Context,
+        context: impl FnOnce(EventStream, mpsc::Sender<Message>) -> api::Context,
     ) -> Result<Self, ApiError> {
         let (core, inbox) = mpsc::channel();
-        let (stream, _) = broadcast::channel(STREAM);
+        let stream = EventStream::default();
         let context = context(stream.clone(), core);
         let live = context.live.clone();
         let server = Server::start(listener, context, tokens)?;
@@ -121,8 +119,7 @@ impl ExternalPlugins {
     pub(crate) fn publish(&self, event: &Arc<Stamped>, host: &mut PluginHost) {
         self.live.absorb(event);
         host.publish(event);
-        // There may be no reader.
-        let _ = self.stream.send(Arc::clone(event));
+        self.stream.send(Arc::clone(event));
     }
 
     /// Lets the programs handle all events up to now and give their instructions. Returns false to stop.

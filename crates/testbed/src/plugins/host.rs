@@ -21,8 +21,10 @@ use crate::follower::{Follower, PluginMessage};
 const VNFS_PER_SECOND: f64 = 10.0;
 /// VNFs that a plug-in may add at once.
 const VNFS_AT_ONCE: f64 = 64.0;
-/// Maximum length of an instruction's reason, bytes.
-const MAX_REASON: usize = 1024;
+/// Bytes of texts and lists that each instruction a second may have on average.
+const BYTES_PER_INSTRUCTION: f64 = 64.0;
+/// Bytes of texts and lists that a plug-in may give at once.
+const BYTES_AT_ONCE: f64 = 1024.0 * 1024.0;
 
 /// Reason for which a plug-in is cut off.
 #[derive(Debug, thiserror::Error)]
@@ -55,6 +57,10 @@ enum NotTriedError {
     Fault(Fault),
     #[error("no more than {0} instructions a second are taken")]
     TooMany(InstructionLimit),
+    #[error(
+        "its texts and lists are too much: no more than {BYTES_AT_ONCE} bytes at once, and {0} a second, are taken"
+    )]
+    TooManyBytes(f64),
     #[error("no more than {VNFS_AT_ONCE} VNFs at once, and {VNFS_PER_SECOND} a second, are added")]
     TooManyVnfs,
 }
@@ -82,13 +88,15 @@ struct Budget {
 }
 
 impl Budget {
-    /// Takes one, of so many a second and at most so many at once.
-    fn take(&mut self, now: Timestamp, per_second: f64, at_once: f64) -> bool {
+    /// Takes an amount, of so much a second and at most so much at once.
+    fn take(&mut self, now: Timestamp, amount: f64, per_second: f64, at_once: f64) -> bool {
         let earned = now.since(self.at).as_secs_f64() * per_second;
         self.at = self.at.max(now);
         self.left = (self.left + earned).min(at_once);
-        let allowed = self.left >= 1.0;
-        self.left -= f64::from(u8::from(allowed));
+        let allowed = self.left >= amount;
+        if allowed {
+            self.left -= amount;
+        }
         allowed
     }
 }
@@ -147,6 +155,8 @@ pub(crate) struct PluginHost {
     others: Option<Budget>,
     /// VNFs that each caller with a budget may add, and all others together.
     additions: BTreeMap<Option<PluginId>, Budget>,
+    /// Bytes of texts and lists that each caller with a budget may give, and all others together.
+    bytes: BTreeMap<Option<PluginId>, Budget>,
     movers: BTreeMap<NodeId, PluginId>,
     /// In the order in which they are sent events.
     programs: Vec<Program>,
@@ -166,6 +176,7 @@ impl PluginHost {
             domains: BTreeSet::new(),
             others: None,
             additions: BTreeMap::new(),
+            bytes: BTreeMap::new(),
             movers: BTreeMap::new(),
             programs: Vec::new(),
             marks: 0,
@@ -220,11 +231,16 @@ impl PluginHost {
             }
             return Err(refused);
         }
+        let bytes = instruction.measure().map_err(|error| InstructionError(error.to_string()))?;
+        let of_reason = reason.as_ref().map_or(0, String::len);
+        if of_reason > Instruction::LONGEST_REASON {
+            let longest = Instruction::LONGEST_REASON;
+            return Err(InstructionError(format!("its reason has {of_reason} bytes, more than {longest}")));
+        }
+        self.admit_bytes(now, &plugin, bytes + of_reason)
+            .map_err(|error| InstructionError(error.to_string()))?;
         if matches!(instruction, Instruction::AddVnf { .. }) && !self.admit_vnf(now, &plugin) {
             return Err(InstructionError(NotTriedError::TooManyVnfs.to_string()));
-        }
-        if let Some(bytes) = reason.as_ref().map(String::len).filter(|bytes| *bytes > MAX_REASON) {
-            return Err(InstructionError(format!("its reason has {bytes} bytes, more than {MAX_REASON}")));
         }
         let moved = match &instruction {
             Instruction::Move { robot, .. } if self.movers.get(robot) != Some(&plugin) => {
@@ -278,18 +294,38 @@ impl PluginHost {
 
     /// Whether a plug-in may add a VNF now.
     fn admit_vnf(&mut self, now: Timestamp, plugin: &PluginId) -> bool {
-        let has_own = self.members.contains(plugin) || self.domains.contains(plugin);
-        let whose = has_own.then(|| plugin.clone());
+        let whose = self.whose(plugin);
         let budget = self.additions.entry(whose).or_insert(Budget { left: VNFS_AT_ONCE, at: now });
-        budget.take(now, VNFS_PER_SECOND, VNFS_AT_ONCE)
+        budget.take(now, 1.0, VNFS_PER_SECOND, VNFS_AT_ONCE)
+    }
+
+    /// Returns the owner of a budget; `None` for all callers without one of their own.
+    fn whose(&self, plugin: &PluginId) -> Option<PluginId> {
+        let has_own = self.members.contains(plugin) || self.domains.contains(plugin);
+        has_own.then(|| plugin.clone())
+    }
+
+    /// Returns the instructions that a plug-in may give in a second.
+    fn limit(&self, plugin: &PluginId) -> InstructionLimit {
+        let is_plugin = self.members.contains(plugin);
+        self.limits.get(plugin).copied().filter(|_| is_plugin).unwrap_or_default()
+    }
+
+    /// Whether a plug-in may give an instruction with so many bytes now. They stay in memory until all readers of events have
+    /// them, and in the history.
+    fn admit_bytes(&mut self, now: Timestamp, plugin: &PluginId, bytes: usize) -> Result<(), NotTriedError> {
+        let (whose, per_second) =
+            (self.whose(plugin), f64::from(self.limit(plugin).get()) * BYTES_PER_INSTRUCTION);
+        let budget = self.bytes.entry(whose).or_insert(Budget { left: BYTES_AT_ONCE, at: now });
+        let is_admitted = budget.take(now, bytes as f64, per_second, BYTES_AT_ONCE);
+        if is_admitted { Ok(()) } else { Err(NotTriedError::TooManyBytes(per_second)) }
     }
 
     fn admit(&mut self, now: Timestamp, plugin: &PluginId) -> Result<(), NotTriedError> {
         if self.is_cut_off(plugin) {
             return Err(NotTriedError::CutOff);
         }
-        let is_plugin = self.members.contains(plugin);
-        let limit = self.limits.get(plugin).copied().filter(|_| is_plugin).unwrap_or_default();
+        let (is_plugin, limit) = (self.members.contains(plugin), self.limit(plugin));
         let per_second = f64::from(limit.get());
         let full = || Budget { left: per_second, at: now };
         let budget = if is_plugin || self.domains.contains(plugin) {
@@ -297,7 +333,7 @@ impl PluginHost {
         } else {
             self.others.get_or_insert_with(full)
         };
-        if budget.take(now, per_second, per_second) {
+        if budget.take(now, 1.0, per_second, per_second) {
             return Ok(());
         }
         // A caller of the API that is no plug-in may come back later.
@@ -493,6 +529,37 @@ mod tests {
     }
 
     #[test]
+    fn a_callers_texts_and_lists_are_bounded_in_bytes() {
+        let domain: DomainId = "one".parse().unwrap();
+        let mut host =
+            PluginHost::new([], Duration::from_secs(1)).with_domains(std::slice::from_ref(&domain));
+        let link = |n: usize| format!("{n:03}{}", "l".repeat(120)).parse().unwrap();
+        let (from, to) = ("a".parse().unwrap(), "b".parse().unwrap());
+        let longest = Instruction::Map { from, to, links: (0..Instruction::MOST_LINKS).map(link).collect() };
+        let (bytes, seconds) = (longest.measure().unwrap(), 60);
+        let mut testbed = Obedient::default();
+        for second in 0..seconds {
+            for _ in 0..1000 {
+                let now = Timestamp::from_secs_f64(f64::from(second));
+                let _ = host.instruct(now, "one".parse().unwrap(), longest.clone(), None, &mut testbed);
+            }
+        }
+        let most = BYTES_AT_ONCE + f64::from(seconds) * 1000.0 * BYTES_PER_INSTRUCTION;
+        let given = testbed.done * bytes;
+        assert!(given as f64 <= most && given as f64 > 0.9 * most, "{given} of {most} bytes");
+        // Another caller has its own share, and one beyond a bound is rejected at once.
+        let now = Timestamp::from_secs_f64(f64::from(seconds - 1));
+        let mut give = |instruction, reason| {
+            host.instruct(now, "api".parse().unwrap(), instruction, reason, &mut testbed)
+        };
+        give(longest.clone(), None).unwrap();
+        let Instruction::Map { from, to, mut links } = longest else { unreachable!() };
+        links.push(link(0));
+        let refused = give(Instruction::Map { from, to, links }, None).unwrap_err();
+        assert_eq!(refused.0, "its `links` has 257 items: at most 256 are taken");
+    }
+
+    #[test]
     fn an_overlong_reason_is_rejected_with_its_instruction() {
         let plugin: PluginId = "plugin".parse().unwrap();
         let mut host = PluginHost::new([plugin.clone()], Duration::from_secs(1));
@@ -501,8 +568,8 @@ mod tests {
             let reason = Some("x".repeat(bytes));
             host.instruct(Timestamp::ZERO, plugin.clone(), move_robot(), reason, testbed)
         };
-        assert_eq!(ask(MAX_REASON, &mut testbed), Ok(()));
-        let refused = ask(MAX_REASON + 1, &mut testbed).unwrap_err();
+        assert_eq!(ask(Instruction::LONGEST_REASON, &mut testbed), Ok(()));
+        let refused = ask(Instruction::LONGEST_REASON + 1, &mut testbed).unwrap_err();
         assert_eq!(refused.0, "its reason has 1025 bytes, more than 1024");
         assert_eq!((testbed.done, testbed.faults.len()), (1, 0));
     }

@@ -18,7 +18,6 @@ use cotorra_measurements::{History, RunInfo};
 use cotorra_network_control::{Network, NetworkGone};
 use cotorra_plugin::{Actions, Plugin, client::Client};
 use cotorra_robot_middleware::Nonces;
-use tokio::sync::broadcast;
 
 use super::{host::PluginHost, lockstep::Guarded, running::RunningPlugins};
 use crate::{
@@ -26,6 +25,7 @@ use crate::{
     clock::{Clock, wall_clock},
     core::Core,
     core_loop::{CoreLoop, EventSinks},
+    event_stream::EventStream,
     live::Live,
     message::Message,
     replay::{Played, Replay, ReplayEnd, ReplayOptions},
@@ -161,7 +161,8 @@ impl Misdeed {
         core.start(now());
         let history = History::in_memory().unwrap();
         let run = history.begin_run(&info()).unwrap();
-        let (stream, mut events) = broadcast::channel(100_000);
+        let stream = EventStream::default();
+        let mut events = stream.subscribe();
         let sinks = EventSinks {
             live: Live::default(),
             recorder: history.recorder(run).unwrap(),
@@ -177,7 +178,7 @@ impl Misdeed {
         let core = thread::spawn(move || core.run());
         let (mut recorded, mut is_cut_off) = (Vec::new(), false);
         loop {
-            let event = Stamped::clone(&events.blocking_recv().unwrap());
+            let event = Stamped::clone(&events.wait());
             is_cut_off |= matches!(event.event, Event::PluginFault { .. });
             let stands =
                 matches!(&event.event, Event::Robot(context) if context.sensors.velocity.linear == 0.0);

@@ -2,13 +2,11 @@
 
 use std::sync::Arc;
 
-use cotorra_graph::Stamped;
-use tokio::sync::broadcast;
-
 use super::{network::NetworkUp, prepared::Prepared};
 use crate::{
     api::{self, Listener, Server},
     error::RunError,
+    event_stream::EventStream,
     keeping::Keeping,
     live::Live,
     plugins::running::{PreparedPlugins, RunningPlugins},
@@ -16,15 +14,12 @@ use crate::{
     run_info::epoch,
 };
 
-/// Events that wait for a reader of the API's stream. A reader that is further behind misses the oldest.
-const STREAM: usize = 4096;
-
 /// The API's server and the plug-ins of a run. Fields are dropped in order: the latest made first.
 pub(super) struct ServicesUp {
     pub(super) plugins: RunningPlugins,
     pub(super) server: Server,
     /// Events to readers of the API's stream.
-    pub(super) stream: broadcast::Sender<Arc<Stamped>>,
+    pub(super) stream: EventStream,
     pub(super) live: Live,
 }
 
@@ -38,7 +33,7 @@ impl ServicesUp {
     ) -> Result<Self, RunError> {
         let Prepared { testbed, options, folder, .. } = prepared;
         let live = Live::default();
-        let (stream, _) = broadcast::channel(STREAM);
+        let stream = EventStream::default();
         let namespaces = testbed
             .graph
             .hosts()

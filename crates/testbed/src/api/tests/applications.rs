@@ -69,7 +69,7 @@ impl Applications {
         };
         let event = Stamped { at: Timestamp::ZERO, event: Event::Vnf(event) };
         self.served.live.absorb(&event);
-        let _ = self.served.events.send(Arc::new(event));
+        self.served.events.send(Arc::new(event));
     }
 
     /// The VNF of an instance.
