@@ -14,12 +14,18 @@ use crate::{
     subscriptions::Subscriptions,
 };
 
-/// The most descriptors in the catalog.
+/// The most descriptors of the operator in the catalog.
 const MOST_DESCRIPTORS: usize = 256;
-/// The most instances, in all stages.
+/// The most instances of the operator, in all stages.
 const MOST_INSTANCES: usize = 256;
-/// The most occurrences of operations that are kept. The oldest are dropped.
+/// The most occurrences of the operator's operations that are kept. The oldest are dropped.
 const MOST_OCCURRENCES: usize = 1024;
+
+/// Returns how many objects an owner may have, where the operator may have `most`. Each domain has a share of its own, so that
+/// nobody takes the place of another.
+pub(crate) const fn share(owner: Option<&DomainId>, most: usize) -> usize {
+    if owner.is_some() { most / 4 } else { most }
+}
 
 /// Reason for which a request is rejected. Nothing has changed then.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -154,8 +160,12 @@ impl Applications {
         viewer: Option<&DomainId>,
         descriptor: Descriptor,
     ) -> Result<String, LifecycleError> {
-        if self.catalog.len() >= MOST_DESCRIPTORS {
-            return conflict(format!("the catalog has {MOST_DESCRIPTORS} descriptors already: remove one"));
+        let (own, most) = (
+            self.catalog.values().filter(|known| known.owner.as_ref() == viewer).count(),
+            share(viewer, MOST_DESCRIPTORS),
+        );
+        if own >= most {
+            return conflict(format!("the catalog has {most} of your descriptors already: remove one"));
         }
         let id = match &descriptor.uuid {
             Some(id) if self.catalog.contains_key(id) => {
@@ -222,8 +232,12 @@ impl Applications {
             self.network(viewer, network)?;
         }
         let descriptor = descriptor.to_owned();
-        if self.instances.len() >= MOST_INSTANCES {
-            return conflict(format!("there are {MOST_INSTANCES} instances already: remove one"));
+        let (own, most) = (
+            self.instances.values().filter(|one| one.owner.as_ref() == viewer).count(),
+            share(viewer, MOST_INSTANCES),
+        );
+        if own >= most {
+            return conflict(format!("there are {most} of your instances already: remove one"));
         }
         let (id, owner) = (self.make_id(), viewer.cloned());
         let stage = Stage::Defined;
@@ -485,10 +499,12 @@ impl Applications {
     pub(crate) fn record(&mut self, id: &str, operation: Operation, now: Timestamp) -> u64 {
         self.made += 1;
         let owner = self.instances.get(id).and_then(|instance| instance.owner.clone());
-        self.occurrences.insert(self.made, (owner, Occurrence::new(id, operation, self.epoch.at(now))));
-        if self.occurrences.len() > MOST_OCCURRENCES {
-            self.occurrences.pop_first();
+        let of_owner = self.occurrences.iter().filter(|(_, (of, _))| *of == owner).map(|(number, _)| *number);
+        let (mut oldest, own) = (of_owner.clone(), of_owner.count());
+        if let Some(oldest) = oldest.next().filter(|_| own >= share(owner.as_ref(), MOST_OCCURRENCES)) {
+            self.occurrences.remove(&oldest);
         }
+        self.occurrences.insert(self.made, (owner, Occurrence::new(id, operation, self.epoch.at(now))));
         self.tell_operation(self.made, now);
         self.made
     }

@@ -8,11 +8,11 @@ use serde_json::{Value, json};
 
 use crate::{
     Applications, DescriptorError, LONGEST_DESCRIPTOR, LifecycleError,
-    applications::{conflict, sees},
+    applications::{conflict, sees, share},
     descriptor::{check_name, check_uuid, says_nothing, shown},
 };
 
-/// The most virtual networks.
+/// The most virtual networks of the operator.
 const MOST_NETWORKS: usize = 256;
 /// Network of all IPv6 addresses of hosts.
 const IPV6_NETWORK: &str = "fd77::/64";
@@ -156,12 +156,13 @@ impl Applications {
         viewer: Option<&DomainId>,
         descriptor: NetworkDescriptor,
     ) -> Result<&Network, LifecycleError> {
-        let (uuid, is_full) = (descriptor.uuid.clone(), self.networks.len() >= MOST_NETWORKS);
+        let own = self.networks.values().filter(|network| network.owner.as_ref() == viewer).count();
+        let (uuid, most) = (descriptor.uuid.clone(), share(viewer, MOST_NETWORKS));
         match self.networks.get(&uuid) {
             Some(known) if sees(viewer, known.owner.as_ref()) && known.descriptor == descriptor => {}
             Some(_) => return conflict(format!("there is another network `{uuid}` already")),
-            None if is_full => {
-                return conflict(format!("there are {MOST_NETWORKS} networks already: remove one"));
+            None if own >= most => {
+                return conflict(format!("there are {most} of your networks already: remove one"));
             }
             None => {}
         }

@@ -9,14 +9,12 @@ use serde_json::{Value, json};
 
 use crate::{
     Application, Descriptor, LifecycleError,
-    applications::sees,
+    applications::{sees, share},
     mec::{Occurrence, Operation, OperationState, PROVIDER, State, VERSION, read},
 };
 
-/// The most subscriptions.
+/// The most subscriptions of the operator.
 const MOST: usize = 256;
-/// The most subscriptions of a caller.
-const MOST_OF_CALLER: usize = 64;
 /// Longest request for a subscription, bytes.
 const LONGEST: usize = 16 * 1024;
 
@@ -309,10 +307,9 @@ impl Subscriptions {
     ) -> Result<(String, Value), LifecycleError> {
         self.admit(viewer, now)?;
         let own = self.held.values().filter(|held| held.owner.as_ref() == viewer).count();
-        if own >= MOST_OF_CALLER || self.held.len() >= MOST {
-            let reason =
-                format!("there are {own} of the caller's subscriptions, and {} in all", self.held.len());
-            return Err(LifecycleError::Full(format!("{reason}: delete some first")));
+        if own >= share(viewer, MOST) {
+            let reason = format!("there are {own} of your subscriptions: delete some first");
+            return Err(LifecycleError::Full(reason));
         }
         self.numbers += 1;
         let document = subscription.document(self.numbers, base);

@@ -33,6 +33,7 @@ use super::{
     auth::{Caller, Gate},
     context::Context,
     routes::give,
+    turns::TURNS,
     types::{Failure, InstructionBody},
 };
 pub(super) use mec::openapi;
@@ -234,7 +235,9 @@ impl Served {
         }
         let no_program = || Rejected::conflict("no program runs in virtual time, so that there is no output");
         let log = self.log(&output.vnf).ok_or_else(no_program)?;
+        let turn = TURNS.take(asked.caller.whose()).await;
         let read = tokio::task::spawn_blocking(move || tail(&log, &output)).await;
+        drop(turn);
         let read = read.map_err(|_| Failure::ended())?;
         read.map_err(|error| Rejected::conflict(format!("the output of the instance `{id}`: {error}")))
     }

@@ -17,7 +17,7 @@ use crate::{
     report::Fidelity,
 };
 
-/// Threads for queries of the history.
+/// Threads that read files and the history; [`super::turns`] shares them out.
 pub(super) const BLOCKING_THREADS: usize = 16;
 
 /// A handler's body, or a failure.

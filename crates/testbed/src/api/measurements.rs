@@ -2,7 +2,12 @@
 
 use std::{borrow::Cow, ops::Bound, sync::Arc};
 
-use axum::{Extension, Json, extract::State};
+use axum::{
+    Extension, Json,
+    extract::State,
+    http::header::CONTENT_TYPE,
+    response::{IntoResponse, Response},
+};
 use cotorra_graph::{
     Direction, Handover, LinkContext, LinkId, MachineContext, NodeId, RobotContext, ServiceTime, Stamped,
     Testbed, Timestamp,
@@ -11,15 +16,16 @@ use cotorra_measurements::{
     Cursor, Curve, CurveRequest, Difference, Figure, GraphState, History, Page, PageRequest, Retained, RunId,
     Sample, difference::Targets,
 };
-use serde::Deserialize;
-use tokio::sync::Semaphore;
+use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "openapi")]
 use super::types::FailureBody;
 use super::{
     auth::Caller,
-    context::{Answer, BLOCKING_THREADS, Context},
+    connections::Whose,
+    context::Context,
     stream::parse_kinds,
+    turns::TURNS,
     types::{Failure, GapBody, Path, Query, RunBody},
 };
 use crate::report::Fidelity;
@@ -67,15 +73,19 @@ fn span(from: Timestamp, until: Option<Timestamp>, present: Timestamp) -> Span {
     (Bound::Included(from), until.map_or(Bound::Included(present), Bound::Excluded))
 }
 
-/// Concurrent queries of the history. Others wait, and are dropped with their caller's connection.
-static QUESTIONS: Semaphore = Semaphore::const_new(BLOCKING_THREADS);
+/// An answer from the history as JSON, or a failure.
+type Written = Result<Response, Failure>;
 
-/// Queries the history on another thread, about this run or another. Passes on the time up to which the run is known.
-async fn ask<T: Send + 'static>(
+/// Queries the history on another thread, about this run or another. Passes on the time up to which the run is known. The
+/// answer is written there, too: a long one must not keep others from being served. Requests that wait for their turn are
+/// dropped with their caller's connection.
+async fn ask<T: Serialize + 'static>(
     context: Context,
+    whose: Whose,
     other: Option<RunId>,
     question: impl FnOnce(&History, RunId, Timestamp) -> cotorra_measurements::Result<T> + Send + 'static,
-) -> Answer<T> {
+) -> Written {
+    let turn = TURNS.take(whose).await;
     let ask = move || {
         if let Some(recorder) = context.lockstep.as_ref().and_then(|lockstep| lockstep.recorder.as_ref()) {
             recorder.flush()?;
@@ -83,16 +93,13 @@ async fn ask<T: Send + 'static>(
         let run = other.unwrap_or(context.run);
         let is_played = context.replay && run == context.run;
         let present = if is_played { context.live.read(|now| now.at) } else { Timestamp::MAX };
-        question(&context.history, run, present)
-    };
-    let permit = QUESTIONS.acquire().await.expect("never closed");
-    let ask = move || {
-        let answer = ask();
-        drop(permit);
-        answer
+        let answer = question(&context.history, run, present)?;
+        let answer = serde_json::to_vec(&answer).expect("an answer is valid JSON");
+        drop(turn);
+        Ok(answer)
     };
     match tokio::task::spawn_blocking(ask).await {
-        Ok(Ok(answer)) => Ok(Json(answer)),
+        Ok(Ok(answer)) => Ok(([(CONTENT_TYPE, "application/json")], answer).into_response()),
         Ok(Err(error @ cotorra_measurements::Error::NoSuchRun(_))) => {
             Err(Failure::not_found(error.to_string()))
         }
@@ -115,13 +122,13 @@ pub(super) async fn robot_history(
     Extension(caller): Extension<Caller>,
     Path(id): Path<NodeId>,
     Query(part): Query<Part>,
-) -> Answer<Page<Sample<RobotContext>>> {
+) -> Written {
     this_run(&caller, part.run)?;
     caller.sees(&id, |view| view.owns(&id))?;
     if part.run.is_none() && !context.testbed.graph.robots().any(|(node, _)| node.id == id) {
         return Err(Failure::not_found(format!("there is no robot `{id}`")));
     }
-    ask(context, part.run, move |history, run, present| {
+    ask(context, caller.whose(), part.run, move |history, run, present| {
         let mut page = history.robot_series(run, &id, part.until(present), part.page())?;
         if let Some(view) = &caller.view {
             let seen =
@@ -142,7 +149,7 @@ pub(super) async fn link_history(
     Extension(caller): Extension<Caller>,
     Path(id): Path<LinkId>,
     Query(part): Query<Part>,
-) -> Answer<Page<Sample<LinkContext>>> {
+) -> Written {
     this_run(&caller, part.run)?;
     caller.sees(&id, |view| view.sees_link(&id))?;
     let known = part.run.is_some()
@@ -152,7 +159,7 @@ pub(super) async fn link_history(
         return Err(Failure::not_found(format!("there is no link `{id}`")));
     }
     let direction = part.direction.unwrap_or(Direction::Forward);
-    ask(context, part.run, move |history, run, present| {
+    ask(context, caller.whose(), part.run, move |history, run, present| {
         history.link_series(run, &id, direction, part.until(present), part.page())
     })
     .await
@@ -167,13 +174,13 @@ pub(super) async fn machine_history(
     Extension(caller): Extension<Caller>,
     Path(id): Path<NodeId>,
     Query(part): Query<Part>,
-) -> Answer<Page<Sample<MachineContext>>> {
+) -> Written {
     this_run(&caller, part.run)?;
     caller.sees(&id, |view| view.owns(&id))?;
     if part.run.is_none() && context.testbed.graph.node(&id).is_none() {
         return Err(Failure::not_found(format!("there is no node `{id}`")));
     }
-    ask(context, part.run, move |history, run, present| {
+    ask(context, caller.whose(), part.run, move |history, run, present| {
         history.machine_series(run, &id, part.until(present), part.page())
     })
     .await
@@ -187,9 +194,9 @@ pub(super) async fn service_times(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(part): Query<Part>,
-) -> Answer<Page<Sample<ServiceTime>>> {
+) -> Written {
     this_run(&caller, part.run)?;
-    ask(context, part.run, move |history, run, present| {
+    ask(context, caller.whose(), part.run, move |history, run, present| {
         let mut page = history.service_times(run, part.until(present), part.page())?;
         page.items.retain(|sample| caller.keeps(|view| view.owns(&sample.value.robot)));
         if let Some(view) = caller.view() {
@@ -209,9 +216,9 @@ pub(super) async fn retained(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(of): Query<OfRun>,
-) -> Answer<Vec<Retained>> {
+) -> Written {
     caller.operator()?;
-    ask(context, of.run, |history, run, _| history.retained(run)).await
+    ask(context, caller.whose(), of.run, |history, run, _| history.retained(run)).await
 }
 
 /// Returns whether the emulation of a recorded run did what its testbed file demands. It is null if the run is not over, was
@@ -244,9 +251,9 @@ pub(super) async fn handovers(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(part): Query<Part>,
-) -> Answer<Page<Sample<Handover>>> {
+) -> Written {
     caller.operator()?;
-    ask(context, part.run, move |history, run, present| {
+    ask(context, caller.whose(), part.run, move |history, run, present| {
         history.handovers(run, part.until(present), part.page())
     })
     .await
@@ -261,10 +268,10 @@ pub(super) async fn event_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(part): Query<Part>,
-) -> Answer<Page<Stamped>> {
+) -> Written {
     this_run(&caller, part.run)?;
     let kinds = part.kinds.as_deref().map(parse_kinds).transpose()?.unwrap_or_default();
-    ask(context, part.run, move |history, run, present| {
+    ask(context, caller.whose(), part.run, move |history, run, present| {
         let mut page = history.events(run, &kinds, part.until(present), part.page())?;
         if let Some(view) = &caller.view {
             page.items =
@@ -283,9 +290,9 @@ pub(super) async fn gaps(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(part): Query<Part>,
-) -> Answer<Page<GapBody>> {
+) -> Written {
     caller.operator()?;
-    ask(context, part.run, move |history, run, present| {
+    ask(context, caller.whose(), part.run, move |history, run, present| {
         let Page { items, next } = history.gaps(run, part.until(present), part.page())?;
         Ok(Page { items: items.into_iter().map(GapBody::from).collect(), next })
     })
@@ -329,7 +336,7 @@ pub(super) async fn series(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(which): Query<Which>,
-) -> Answer<Curve> {
+) -> Written {
     this_run(&caller, which.run)?;
     caller.sees(&which.figure, |view| view.sees_figure(&which.figure))?;
     let mut request = CurveRequest::default();
@@ -341,7 +348,7 @@ pub(super) async fn series(
             Failure::bad_request("quantiles are shares from 0 to 1 with commas between, as in 0.5,0.99")
         })?;
     }
-    ask(context, which.run, move |history, run, present| {
+    ask(context, caller.whose(), which.run, move |history, run, present| {
         history.curve(run, &which.figure, span(which.from_ns, which.until_ns, present), &request)
     })
     .await
@@ -368,12 +375,12 @@ pub(super) async fn runs(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(which): Query<Runs>,
-) -> Answer<Vec<RunBody>> {
+) -> Written {
     caller.operator()?;
     let limit = which.limit.unwrap_or(PageRequest::default().limit);
-    ask(context, None, move |history, this, _| {
+    ask(context, caller.whose(), None, move |history, this, _| {
         let runs = history.runs(which.after, limit)?;
-        Ok(runs.into_iter().map(|run| RunBody::new(run, this)).collect())
+        Ok(runs.into_iter().map(|run| RunBody::new(run, this)).collect::<Vec<_>>())
     })
     .await
 }
@@ -400,14 +407,14 @@ pub(super) async fn difference(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(Pair { a, b }): Query<Pair>,
-) -> Answer<Difference> {
+) -> Written {
     caller.operator()?;
     let b = b.unwrap_or(context.run);
     if context.replay && [a, b].contains(&context.run) {
         return Err(Failure::refused("this is a replay: how its run ends is not told before it does"));
     }
     let (own, own_run) = (Arc::clone(&context.testbed), context.run);
-    ask(context, Some(b), move |history, b, _| {
+    ask(context, caller.whose(), Some(b), move |history, b, _| {
         let targets = |run: RunId| {
             if run == own_run {
                 return Ok(targets(&own));
@@ -448,11 +455,11 @@ pub(super) async fn state(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(at): Query<At>,
-) -> Answer<GraphState> {
+) -> Written {
     this_run(&caller, at.run)?;
     let now = if at.run.is_some() { Timestamp::MAX } else { context.live.read(|now| now.at) };
     let when = at.at_ns.unwrap_or(now);
-    ask(context, at.run, move |history, run, present| {
+    ask(context, caller.whose(), at.run, move |history, run, present| {
         let state = history.state_at(run, when.min(present))?;
         Ok(match caller.view() {
             Some(view) => view.state(state),

@@ -19,6 +19,7 @@ mod sensors;
 mod serve;
 mod sign_in;
 mod stream;
+mod turns;
 mod types;
 mod wais;
 

@@ -27,6 +27,7 @@ use super::{
     auth::Caller,
     connections::Whose,
     context::{Answer, Context},
+    turns::TURNS,
     types::{Failure, Path},
 };
 
@@ -35,7 +36,7 @@ use super::{
 const GIVEN: usize = 4;
 
 /// The callers' turns. Nobody takes those of another.
-static TURNS: Mutex<BTreeMap<Whose, Arc<Semaphore>>> = Mutex::new(BTreeMap::new());
+static READINGS: Mutex<BTreeMap<Whose, Arc<Semaphore>>> = Mutex::new(BTreeMap::new());
 
 /// A sensor and its last reading.
 #[derive(Debug, Serialize)]
@@ -145,9 +146,12 @@ pub(super) async fn large_data(
         (Which::Number(number), Some(last)) if number <= last => WantedData::Number(number),
         _ => return Err(Failure::not_found(format!("sensor `{name}` has no such reading yet"))),
     };
-    let turns = TURNS.lock().entry(caller.whose()).or_insert_with(|| Arc::new(Semaphore::new(GIVEN))).clone();
-    let turn = turns.acquire_owned().await.expect("never closed");
+    let given =
+        READINGS.lock().entry(caller.whose()).or_insert_with(|| Arc::new(Semaphore::new(GIVEN))).clone();
+    let turn = given.acquire_owned().await.expect("never closed");
+    let on_thread = TURNS.take(caller.whose()).await;
     let read = tokio::task::spawn_blocking(move || keeper.read(&id, &name, wanted)).await;
+    drop(on_thread);
     let broken = |error: &dyn std::fmt::Display| Failure::unavailable(format!("it cannot be read: {error}"));
     let stored = read.map_err(|error| broken(&error))?.map_err(|error| broken(&error))?;
     let gone = || Failure::new(StatusCode::GONE, "the reading is not kept any more");

@@ -10,9 +10,9 @@ use std::{
 };
 
 use cotorra_graph::{
-    DomainId, Instruction, InstructionLimit, NodeId, PluginId, PluginSpec, Stamped, Timestamp,
+    DomainId, Instruction, InstructionLimit, NodeId, PluginId, PluginSpec, Stamped, Timestamp, VnfId,
 };
-use cotorra_network_control::InstructionError;
+use cotorra_network_control::{InstructionError, vim::MOST_ADDED};
 use cotorra_plugin::Actions;
 
 use crate::follower::{Follower, PluginMessage};
@@ -21,6 +21,11 @@ use crate::follower::{Follower, PluginMessage};
 const VNFS_PER_SECOND: f64 = 10.0;
 /// VNFs that a plug-in may add at once.
 const VNFS_AT_ONCE: f64 = 64.0;
+/// VNFs that all plug-ins and domains may have added together at a time, each an equal share. The rest of what can be added is
+/// the operator's.
+const VNFS_OF_OTHERS: usize = MOST_ADDED / 4 * 3;
+/// Time for which a removed VNF still counts, in seconds: its instances may still stop.
+const STOPS_WITHIN_S: f64 = 10.0;
 /// Bytes of texts and lists that each instruction a second may have on average.
 const BYTES_PER_INSTRUCTION: f64 = 64.0;
 /// Bytes of texts and lists that a plug-in may give at once.
@@ -63,6 +68,8 @@ enum NotTriedError {
     TooManyBytes(f64),
     #[error("no more than {VNFS_AT_ONCE} VNFs at once, and {VNFS_PER_SECOND} a second, are added")]
     TooManyVnfs,
+    #[error("the most VNFs that this caller may have added at a time are {0}: remove one")]
+    NoVnfLeft(usize),
 }
 
 /// The object of plug-ins' instructions: a testbed, or a recorded run, which rejects them all.
@@ -99,6 +106,14 @@ impl Budget {
         }
         allowed
     }
+}
+
+/// A VNF that was added.
+struct Added {
+    whose: PluginId,
+    vnf: VnfId,
+    /// Time of its removal.
+    removed: Option<Timestamp>,
 }
 
 /// A plug-in that follows the API's events, and that time waits for.
@@ -149,12 +164,15 @@ pub(crate) struct PluginHost {
     /// Limits of plug-ins in the testbed file. All other callers have the default.
     limits: BTreeMap<PluginId, InstructionLimit>,
     budgets: BTreeMap<PluginId, Budget>,
-    /// Callers of the API on behalf of a domain. Beside the members, they have a budget each.
-    domains: BTreeSet<PluginId>,
+    /// The name of each domain, and plug-ins that are bound to it, with the domain's name. Callers of the API under these names
+    /// have the domain's budget, if they are no members.
+    domains: BTreeMap<PluginId, PluginId>,
     /// Budget that all other callers of the API share, so that another name is no new budget.
     others: Option<Budget>,
     /// VNFs that each caller with a budget may add, and all others together.
     additions: BTreeMap<Option<PluginId>, Budget>,
+    /// VNFs that callers with a budget have added, and when they removed them.
+    added: Vec<Added>,
     /// Bytes of texts and lists that each caller with a budget may give, and all others together.
     bytes: BTreeMap<Option<PluginId>, Budget>,
     movers: BTreeMap<NodeId, PluginId>,
@@ -173,9 +191,10 @@ impl PluginHost {
             cut: BTreeSet::new(),
             limits: BTreeMap::new(),
             budgets: BTreeMap::new(),
-            domains: BTreeSet::new(),
+            domains: BTreeMap::new(),
             others: None,
             additions: BTreeMap::new(),
+            added: Vec::new(),
             bytes: BTreeMap::new(),
             movers: BTreeMap::new(),
             programs: Vec::new(),
@@ -187,12 +206,18 @@ impl PluginHost {
     /// Limits these plug-ins as the testbed file says.
     pub(crate) fn with_limits(mut self, plugins: &[PluginSpec]) -> Self {
         self.limits = plugins.iter().map(|spec| (spec.id.clone(), spec.instructions_per_second)).collect();
+        let bound = |spec: &PluginSpec| {
+            let domain = PluginId::new(spec.domain.as_ref()?.as_str()).ok()?;
+            Some((spec.id.clone(), domain))
+        };
+        self.domains.extend(plugins.iter().filter_map(bound));
         self
     }
 
     /// Gives callers on behalf of these domains a budget each.
     pub(crate) fn with_domains(mut self, domains: &[DomainId]) -> Self {
-        self.domains = domains.iter().filter_map(|domain| PluginId::new(domain.as_str()).ok()).collect();
+        let names = domains.iter().filter_map(|domain| PluginId::new(domain.as_str()).ok());
+        self.domains.extend(names.map(|name| (name.clone(), name)));
         self
     }
 
@@ -239,8 +264,8 @@ impl PluginHost {
         }
         self.admit_bytes(now, &plugin, bytes + of_reason)
             .map_err(|error| InstructionError(error.to_string()))?;
-        if matches!(instruction, Instruction::AddVnf { .. }) && !self.admit_vnf(now, &plugin) {
-            return Err(InstructionError(NotTriedError::TooManyVnfs.to_string()));
+        if matches!(instruction, Instruction::AddVnf { .. }) {
+            self.admit_vnf(now, &plugin).map_err(|error| InstructionError(error.to_string()))?;
         }
         let moved = match &instruction {
             Instruction::Move { robot, .. } if self.movers.get(robot) != Some(&plugin) => {
@@ -248,7 +273,22 @@ impl PluginHost {
             }
             _ => None,
         };
+        let whose = self.whose(&plugin);
+        let vnf = match &instruction {
+            Instruction::AddVnf { vnf } => Some((vnf.id.clone(), true)),
+            Instruction::RemoveVnf { vnf } => Some((vnf.clone(), false)),
+            _ => None,
+        };
         controlled.instruct(now, plugin, instruction, reason)?;
+        match (vnf, whose) {
+            (Some((vnf, true)), Some(whose)) => self.added.push(Added { whose, vnf, removed: None }),
+            (Some((vnf, false)), _) => {
+                let of_vnf =
+                    self.added.iter_mut().filter(|added| added.vnf == vnf && added.removed.is_none());
+                of_vnf.for_each(|added| added.removed = Some(now));
+            }
+            _ => {}
+        }
         self.movers.extend(moved);
         Ok(())
     }
@@ -293,16 +333,32 @@ impl PluginHost {
     }
 
     /// Whether a plug-in may add a VNF now.
-    fn admit_vnf(&mut self, now: Timestamp, plugin: &PluginId) -> bool {
+    fn admit_vnf(&mut self, now: Timestamp, plugin: &PluginId) -> Result<(), NotTriedError> {
         let whose = self.whose(plugin);
+        self.added.retain(|added| {
+            added.removed.is_none_or(|removed| now.since(removed).as_secs_f64() < STOPS_WITHIN_S)
+        });
+        if let Some(whose) = &whose {
+            let share = self.vnf_share();
+            if self.added.iter().filter(|added| added.whose == *whose).count() >= share {
+                return Err(NotTriedError::NoVnfLeft(share));
+            }
+        }
         let budget = self.additions.entry(whose).or_insert(Budget { left: VNFS_AT_ONCE, at: now });
-        budget.take(now, 1.0, VNFS_PER_SECOND, VNFS_AT_ONCE)
+        let is_admitted = budget.take(now, 1.0, VNFS_PER_SECOND, VNFS_AT_ONCE);
+        if is_admitted { Ok(()) } else { Err(NotTriedError::TooManyVnfs) }
+    }
+
+    /// Returns how many VNFs each plug-in and each domain may have added at a time.
+    fn vnf_share(&self) -> usize {
+        let domains: BTreeSet<_> =
+            self.domains.values().filter(|domain| !self.members.contains(*domain)).collect();
+        (VNFS_OF_OTHERS / (self.members.len() + domains.len()).max(1)).max(1)
     }
 
     /// Returns the owner of a budget; `None` for all callers without one of their own.
     fn whose(&self, plugin: &PluginId) -> Option<PluginId> {
-        let has_own = self.members.contains(plugin) || self.domains.contains(plugin);
-        has_own.then(|| plugin.clone())
+        if self.members.contains(plugin) { Some(plugin.clone()) } else { self.domains.get(plugin).cloned() }
     }
 
     /// Returns the instructions that a plug-in may give in a second.
@@ -328,10 +384,9 @@ impl PluginHost {
         let (is_plugin, limit) = (self.members.contains(plugin), self.limit(plugin));
         let per_second = f64::from(limit.get());
         let full = || Budget { left: per_second, at: now };
-        let budget = if is_plugin || self.domains.contains(plugin) {
-            self.budgets.entry(plugin.clone()).or_insert_with(full)
-        } else {
-            self.others.get_or_insert_with(full)
+        let budget = match self.whose(plugin) {
+            Some(whose) => self.budgets.entry(whose).or_insert_with(full),
+            None => self.others.get_or_insert_with(full),
         };
         if budget.take(now, 1.0, per_second, per_second) {
             return Ok(());
@@ -631,6 +686,55 @@ mod tests {
         assert_eq!(add(1.0, &other), Ok(()), "each has its own");
         assert_eq!((0..200).filter(|_| add(1.5, &plugin).is_ok()).count(), 5);
         assert!(testbed.faults.is_empty(), "it is not cut off");
+    }
+
+    #[test]
+    fn domains_and_plugins_leave_vnfs_to_the_operator() {
+        let name = |text: &str| text.parse::<PluginId>().unwrap();
+        let domains: [DomainId; 2] = ["one", "two"].map(|name| name.parse().unwrap());
+        let mut host = PluginHost::new([name("member")], Duration::from_secs(1)).with_domains(&domains);
+        let mut testbed = Obedient::default();
+        let vnf = serde_json::json!({
+            "id": "v", "program": { "command": ["serve"] }, "cpus": 1.0, "memory_bytes": 1, "node": "edge"
+        });
+        let vnf = |number: usize| Vnf {
+            id: format!("v{number}").parse().unwrap(),
+            ..serde_json::from_value(vnf.clone()).unwrap()
+        };
+        let mut seconds = 0.0;
+        let mut give = |who: &str, instruction: Instruction, pause: f64| {
+            seconds += pause;
+            host.instruct(Timestamp::from_secs_f64(seconds), name(who), instruction, None, &mut testbed)
+        };
+        let add = |number| Instruction::AddVnf { vnf: Box::new(vnf(number)) };
+        let mut others = 0;
+        for (place, who) in ["one", "two", "member"].into_iter().enumerate() {
+            let added = (0..300).filter(|number| give(who, add(1000 * place + number), 0.2).is_ok()).count();
+            assert_eq!(added, VNFS_OF_OTHERS / 3, "{who}");
+            others += added;
+        }
+        assert!(others + 64 <= MOST_ADDED, "64 are the operator's");
+        assert_eq!((0..64).filter(|number| give("api", add(5000 + number), 0.2).is_ok()).count(), 64);
+        // A removed VNF may still stop for a while.
+        let remove = Instruction::RemoveVnf { vnf: vnf(0).id };
+        give("one", remove, 0.2).unwrap();
+        assert_eq!(
+            give("one", add(7000), 1.0).unwrap_err().0,
+            "the most VNFs that this caller may have added at a time are 64: remove one"
+        );
+        give("one", add(7000), STOPS_WITHIN_S).unwrap();
+    }
+
+    #[test]
+    fn plugins_of_a_domain_share_its_budget() {
+        let name = |text: &str| text.parse::<PluginId>().unwrap();
+        let mut host = PluginHost::new([], Duration::from_secs(1)).with_domains(&["one".parse().unwrap()]);
+        host.domains.insert(name("elsewhere"), name("one"));
+        let mut testbed = Obedient::default();
+        let now = Timestamp::from_secs_f64(1.0);
+        let mut ask = |who: &str| host.instruct(now, name(who), move_robot(), None, &mut testbed).is_ok();
+        assert_eq!((0..3000).filter(|n| ask(if n % 2 == 0 { "one" } else { "elsewhere" })).count(), 1000);
+        assert!(ask("api"), "the operator has its own");
     }
 
     #[test]

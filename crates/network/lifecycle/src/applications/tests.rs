@@ -151,6 +151,32 @@ fn catalog_and_instances_are_bounded() {
     assert!(all.define(None, &first, None, [None, None]).is_err());
 }
 
+#[test]
+fn no_domain_takes_the_places_of_another_or_of_the_operator() {
+    let [one, two]: [DomainId; 2] = ["one", "two"].map(|name| name.parse().unwrap());
+    let mut all = Applications::default();
+    for owner in [Some(&one), Some(&two), None] {
+        let most = |most| share(owner, most);
+        let onboarded: Vec<_> = (0..1000).map_while(|_| all.onboard(owner, descriptor("a")).ok()).collect();
+        assert_eq!(onboarded.len(), most(MOST_DESCRIPTORS), "{owner:?}");
+        let fdu = &onboarded[0];
+        let mut define = || Some(all.define(owner, fdu, None, [None, None]).ok()?.id.clone());
+        let defined: Vec<_> = (0..1000).map_while(|_| define()).collect();
+        assert_eq!(defined.len(), most(MOST_INSTANCES), "{owner:?}");
+        for _ in 0..3000 {
+            all.record(&defined[0], Operation::Operate, NOW);
+        }
+        let subscription = br#"{"subscriptionType":"AppInstanceStateChange","callbackUri":"http://lab:1/a"}"#;
+        let subscribe = |n: u32| {
+            let subscription = crate::Subscription::read(subscription).unwrap();
+            all.subscriptions.add(owner, BASE, subscription, Timestamp::from_secs_f64(f64::from(n))).is_ok()
+        };
+        assert_eq!((0..1000).map(subscribe).filter(|is_added| *is_added).count(), most(256), "{owner:?}");
+    }
+    let of = |owner| all.occurrences.values().filter(|(of, _)| of.as_ref() == owner).count();
+    assert_eq!([of(Some(&one)), of(Some(&two)), of(None)], [256, 256, 1024]);
+}
+
 /// The subscriber's service.
 const BASE: &str = "http://lab:7700/app_lcm/v1";
 

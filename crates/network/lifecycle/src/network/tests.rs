@@ -128,8 +128,10 @@ fn a_domain_has_networks_of_its_own_and_they_are_bounded() {
         let name = "net1".to_owned();
         all.add_network(Some(&two), NetworkDescriptor { uuid: number.to_string(), name }).map(drop)
     };
-    (1..MOST_NETWORKS).for_each(|number| more(number).unwrap());
-    let full = more(MOST_NETWORKS).unwrap_err().to_string();
-    assert_eq!(full, "there are 256 networks already: remove one");
+    (1..=64).for_each(|number| more(number).unwrap());
+    let full = more(65).unwrap_err().to_string();
+    assert_eq!(full, "there are 64 of your networks already: remove one");
     more(1).unwrap();
+    let of_operator = NetworkDescriptor { uuid: "mine".to_owned(), name: "net1".to_owned() };
+    all.add_network(None, of_operator).expect("the domain took none of the operator's places");
 }
