@@ -7,13 +7,13 @@ use std::path::Path;
 
 use clap::Args;
 use console::{Term, style};
-use cotorra_datapath::{Capability, CapabilityState, Privilege, enter_user_namespace_if_needed, probe};
+use cotorra_datapath::{
+    Capability, CapabilityState, Privilege, enter_user_namespace_if_needed, probe, probe_confinement,
+};
 use cotorra_testbed::wifi_programs;
 
 use crate::{output, table::wrap};
 
-/// Capabilities of [`probe`] that confine VNFs.
-const CONFINING: [&str; 3] = ["user namespaces", "process and mount namespaces", "control groups"];
 /// Longest line in columns, for easy reading.
 const WIDEST: usize = 100;
 
@@ -38,7 +38,7 @@ pub fn doctor(args: &DoctorArgs) -> miette::Result<()> {
         let mut capabilities = security::probe(Path::new("."));
         // Without namespaces, what needs them is shown as missing.
         let _ = enter_user_namespace_if_needed();
-        capabilities.extend(probe().into_iter().filter(|found| CONFINING.contains(&found.name)));
+        capabilities.extend(probe_confinement());
         let holds = capabilities.iter().filter(|found| found.state.is_available()).count();
         let text = list(&capabilities) + &format!("\n{holds} of {} hold here.\n", capabilities.len());
         return output::print(&text);

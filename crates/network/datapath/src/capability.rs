@@ -132,6 +132,57 @@ pub fn probe() -> Vec<Capability> {
     ]
 }
 
+/// Tests what confines programs of others. Call it after [`crate::enter_user_namespace_if_needed`], whose rights it uses.
+pub fn probe_confinement() -> Vec<Capability> {
+    let capability = |name, purpose, result, remedy| Capability {
+        name,
+        purpose,
+        state: CapabilityState::of(result, remedy),
+    };
+    vec![
+        capability(
+            "process and mount namespaces",
+            "VNFs see their node and named files only, and end with the run",
+            process_namespaces(),
+            "run as root, or allow user namespaces",
+        ),
+        capability(
+            "a user of its own",
+            "VNFs read what all users may, and nothing of the user who starts the run",
+            own_user(),
+            "run as root: an ordinary user cannot become another one; VNFs are then kept from your files by what they are shown",
+        ),
+        capability(
+            "Landlock",
+            "files stay closed to VNFs even if a mount can be circumvented",
+            landlock(),
+            "not needed: mounts close them; otherwise a kernel from 5.13 on with CONFIG_SECURITY_LANDLOCK, and `landlock` in lsm=",
+        ),
+        capability(
+            "control groups",
+            "limits on CPU, memory and processes of each VNF",
+            control_groups(),
+            "run as root, or in a delegated group: `systemd-run --user --scope -p Delegate=yes …`; else limits are those of \
+             single processes",
+        ),
+    ]
+}
+
+fn own_user() -> io::Result<String> {
+    if privilege::is_root() {
+        Ok("as root".into())
+    } else {
+        Err(io::Error::other("this is an ordinary user"))
+    }
+}
+
+fn landlock() -> io::Result<String> {
+    match sys::Access::new()? {
+        Some(_) => Ok(String::new()),
+        None => Err(io::Error::other("this kernel has no Landlock")),
+    }
+}
+
 /// Tests whether this kernel can simulate Wi-Fi radios. Unlike [`probe`], it starts no threads.
 pub fn simulated_radios() -> Capability {
     let remedy = "not needed for emulated radio; otherwise a kernel with the module, such as Debian's linux-image-amd64, and \

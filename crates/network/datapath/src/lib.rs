@@ -47,7 +47,7 @@ mod watch;
 pub mod wifi;
 
 pub use allowance::Allowance;
-pub use capability::{Capability, CapabilityState, probe, simulated_radios};
+pub use capability::{Capability, CapabilityState, probe, probe_confinement, simulated_radios};
 pub use clock::Clock;
 pub use confine::Confinement;
 pub use datapath::{Datapath, Options};

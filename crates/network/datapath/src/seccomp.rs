@@ -88,6 +88,26 @@ const DENIED: &[c_long] = &[
     libc::SYS_modify_ldt,
 ];
 
+/// Calls that give a file its mode, with the argument that has it.
+const MODES: &[(c_long, u32)] = &[
+    #[cfg(target_arch = "x86_64")]
+    (libc::SYS_open, 2),
+    (libc::SYS_openat, 3),
+    #[cfg(target_arch = "x86_64")]
+    (libc::SYS_creat, 1),
+    #[cfg(target_arch = "x86_64")]
+    (libc::SYS_chmod, 1),
+    (libc::SYS_fchmod, 1),
+    (libc::SYS_fchmodat, 2),
+    (libc::SYS_fchmodat2, 2),
+    #[cfg(target_arch = "x86_64")]
+    (libc::SYS_mknod, 1),
+    (libc::SYS_mknodat, 2),
+];
+
+/// Bits of a program that runs as its owner or its group, whoever starts it.
+const AS_OWNER: u32 = libc::S_ISUID | libc::S_ISGID;
+
 /// Types characters into a terminal as if from the keyboard.
 const TIOCSTI: u32 = 0x5412;
 const TIOCLINUX: u32 = 0x541c;
@@ -148,8 +168,19 @@ pub(crate) fn filter() -> Vec<sock_filter> {
     for call in DENIED {
         filter.extend(if_equal(*call as u32, DENY));
     }
-    // Its flags are in memory, which a filter cannot read.
-    filter.extend(if_equal(libc::SYS_clone3 as u32, MISSING));
+    // Their flags are in memory, which a filter cannot read.
+    for call in [libc::SYS_clone3, libc::SYS_openat2] {
+        filter.extend(if_equal(call as u32, MISSING));
+    }
+    for (call, mode) in MODES {
+        let block = vec![
+            load(argument(*mode)),
+            unless_skip(libc::BPF_JSET, AS_OWNER, 1),
+            answer(DENY),
+            answer(ALLOW),
+        ];
+        filter.extend(at_call(*call, block));
+    }
     let clone =
         vec![load(argument(0)), unless_skip(libc::BPF_JSET, NAMESPACES, 1), answer(DENY), answer(ALLOW)];
     filter.extend(at_call(libc::SYS_clone, clone));

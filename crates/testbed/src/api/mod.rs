@@ -178,6 +178,12 @@ impl Listener {
         if is_moved {
             tracing::warn!("{address} is taken: the API is on {}", listener.address());
         }
+        if !address.ip().is_loopback() {
+            tracing::warn!(
+                "the API on {address} has no TLS: whoever sees its packets sees the token; `ssh -L` from the other machine \
+                 keeps it on loopback"
+            );
+        }
         Ok(listener)
     }
 

@@ -148,6 +148,17 @@ pub const WAYS: &[(&str, Harm, Way)] = &[
     ("read what only root may", Harm::None, |_| {
         reads_what_only_root_may(Path::new("/etc")) || fs::read_dir("/root").is_ok()
     }),
+    ("make a program that runs as its owner", Harm::None, |facts| {
+        let file = facts.home.join("as-owner");
+        let at = path(&file);
+        let is_made = || fs::metadata(&file).is_ok_and(|file| file.permissions().mode() & 0o6000 != 0);
+        let made = fs::write(&file, "").is_ok()
+            && (fs::set_permissions(&file, fs::Permissions::from_mode(0o4755)).is_ok() || is_made());
+        let _ = fs::remove_file(&file);
+        // SAFETY: the string ends in a zero.
+        let opened = unsafe { libc::open(at.as_ptr(), libc::O_CREAT | libc::O_WRONLY, 0o6755) };
+        made || opened >= 0 && is_made()
+    }),
     ("find another's files in /tmp, /home or /root", Harm::None, |_| {
         ["/tmp", "/var/tmp", "/home", "/root", "/mnt", "/srv", "/run"].iter().any(|folder| {
             fs::read_dir(folder)
