@@ -391,6 +391,24 @@ impl<T: Decode> Decode for Option<T> {
     }
 }
 
+/// Bytes that the records of one list or table take at most. A record can take many times the bytes of its text.
+const MAX_RECORDS: usize = 256 << 20;
+
+/// Returns the number of records of a type that a list or table may have.
+pub(crate) fn most<T>() -> usize {
+    MAX_RECORDS / size_of::<T>().max(1)
+}
+
+/// Whether so many records may be read. Reports it otherwise.
+fn has_room<T>(node: &Node, count: usize, sink: &mut Sink) -> bool {
+    let most = most::<T>();
+    if count > most {
+        sink.error(&node.span, format!("there are {count} entries, and {most} are the most"))
+            .help("describe fewer of them");
+    }
+    count <= most
+}
+
 impl<T: Decode> Decode for Vec<T> {
     fn schema() -> Json {
         json!({ "type": "array", "items": T::schema() })
@@ -400,6 +418,9 @@ impl<T: Decode> Decode for Vec<T> {
             expected(node, "a list", "write `[one, another]`, or a line `- one` for each", sink);
             return None;
         };
+        if !has_room::<T>(node, items.len(), sink) {
+            return None;
+        }
         // All are read before any that failed ends it, so that each one's mistakes show.
         let read: Vec<_> = items.iter().map(|item| T::decode(item, sink)).collect();
         read.into_iter().collect()
@@ -462,6 +483,9 @@ impl<K: Name, V: Decode> Decode for Table<K, V> {
             );
             return None;
         };
+        if !has_room::<(Spanned<K>, V)>(node, entries.len(), sink) {
+            return None;
+        }
         let mut all = Some(Vec::with_capacity(entries.len()));
         for entry in entries {
             let key = K::read_or_report(&entry.key, &entry.key_span, sink)
@@ -737,5 +761,31 @@ impl Sink {
             None => there_are(&known),
         };
         self.error(span, format!("there is no {kind} `{name}`")).help(help);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{HostAddress, NodeId};
+
+    use super::*;
+    use crate::{
+        records::{LinkRecord, NodeRecord},
+        yaml::parse,
+    };
+
+    #[test]
+    fn as_many_hosts_and_links_as_a_testbed_may_have_are_read_and_no_end_of_records() {
+        assert!(
+            most::<LinkRecord>() > 100_000
+                && most::<(Spanned<NodeId>, NodeRecord)>() > HostAddress::MAX_HOSTS
+        );
+        let mut sink = Sink::default();
+        let text = format!("[{}]", "{},".repeat(most::<LinkRecord>() + 1));
+        let node = parse(&text, &mut sink).unwrap();
+        assert!(Vec::<LinkRecord>::decode(&node, &mut sink).is_none());
+        let mistakes = sink.finish("x.yaml", &text).list;
+        assert_eq!(mistakes.len(), 1, "none of them is read");
+        assert!(mistakes[0].message.ends_with("are the most"), "{}", mistakes[0].message);
     }
 }
