@@ -27,6 +27,10 @@ use crate::{
 const MAX_CALL: usize = 1 << 20;
 /// Most open connections. Each has a thread. A new one replaces the oldest.
 const MAX_CONNECTIONS: usize = 256;
+/// Most bytes of calls and answers under way.
+const MOST_HELD: usize = 32 << 20;
+/// Most of these with the callers at one address.
+const MOST_HELD_OF_ADDRESS: usize = 8 << 20;
 /// Threads that send notices.
 const SENDERS: usize = 8;
 /// Time after which an idle connection is closed.
@@ -51,7 +55,7 @@ struct State {
     /// Wakes those that send notices.
     waker: Condvar,
     connections: Mutex<Strangers<TcpStream>>,
-    held: Held,
+    held: Arc<Held>,
     stopped: AtomicBool,
 }
 
@@ -68,7 +72,7 @@ impl MasterServer {
             notices: Mutex::default(),
             waker: Condvar::new(),
             connections: Mutex::new(Strangers::new(MAX_CONNECTIONS)),
-            held: Held::default(),
+            held: Held::new(MOST_HELD, MOST_HELD_OF_ADDRESS),
             stopped: AtomicBool::new(false),
         });
         let mut server = Self { endpoint, state: Arc::clone(&state), thread: None };

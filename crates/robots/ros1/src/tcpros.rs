@@ -4,6 +4,8 @@
 
 use std::{collections::BTreeMap, io, ops::Range};
 
+use crate::buffers::Buffers;
+
 /// Longest connection header, bytes.
 pub const MAX_HEADER_LEN: usize = 1 << 20;
 /// Longest message, bytes. A map of 8,000 × 8,000 cells fits.
@@ -100,14 +102,16 @@ pub struct FrameReader {
     /// Received bytes that were not taken.
     filled: Range<usize>,
     limit: usize,
+    /// What the buffer counts as.
+    held: Buffers,
 }
 
 impl FrameReader {
     const ROOM: usize = 16 << 10;
 
     /// Starts at the beginning of a stream. Frames have `limit` bytes at most.
-    pub fn new(limit: usize) -> Self {
-        Self { buffer: Vec::new(), filled: 0..0, limit }
+    pub fn new(limit: usize, held: Buffers) -> Self {
+        Self { buffer: Vec::new(), filled: 0..0, limit, held }
     }
 
     /// Changes the limit for the next frames.
@@ -118,13 +122,14 @@ impl FrameReader {
     /// Reads from `source` once. Returns the number of bytes; zero at its end.
     ///
     /// # Errors
-    /// The error of `source`.
+    /// The error of `source`; `OutOfMemory` if its peer has no room for a longer buffer.
     pub fn read_from(&mut self, source: &mut impl io::Read) -> io::Result<usize> {
         if self.filled.is_empty() {
             self.filled = 0..0;
             // Frees the memory of a long message.
             if self.buffer.len() > 64 * Self::ROOM {
                 self.buffer = Vec::new();
+                self.held.hold(0);
             }
         }
         if self.filled.end == self.buffer.len() && self.filled.start > 0 {
@@ -133,6 +138,10 @@ impl FrameReader {
         }
         if self.filled.end == self.buffer.len() {
             let room = (2 * self.buffer.len()).max(Self::ROOM);
+            if !self.held.hold(room) {
+                let reason = "its messages under way take all room";
+                return Err(io::Error::new(io::ErrorKind::OutOfMemory, reason));
+            }
             self.buffer.resize(room, 0);
         }
         let read = source.read(&mut self.buffer[self.filled.end..])?;
@@ -162,9 +171,37 @@ impl FrameReader {
 
 #[cfg(test)]
 mod tests {
+    use std::net::Ipv4Addr;
+
     use proptest::prelude::*;
 
     use super::*;
+    use crate::buffers::Held;
+
+    fn held() -> Buffers {
+        Buffers::new(&Held::new(usize::MAX, usize::MAX), Ipv4Addr::LOCALHOST.into())
+    }
+
+    #[test]
+    fn a_message_takes_no_more_room_than_its_peer_has() {
+        let held = Held::new(usize::MAX, 100_000);
+        let mut readers = [0, 1].map(|last| {
+            let held = Buffers::new(&held, Ipv4Addr::new(10, 77, 0, last).into());
+            FrameReader::new(MAX_MESSAGE_LEN, held)
+        });
+        // A message of 64 MiB that never ends.
+        let [endless, other] = &mut readers;
+        let begin = (MAX_MESSAGE_LEN as u32).to_le_bytes();
+        endless.read_from(&mut &begin[..]).unwrap();
+        let error = loop {
+            if let Err(error) = endless.read_from(&mut io::repeat(7)) {
+                break error;
+            }
+        };
+        assert_eq!(error.kind(), io::ErrorKind::OutOfMemory);
+        other.read_from(&mut &[1, 0, 0, 0, 9][..]).unwrap();
+        assert_eq!(other.next_frame().unwrap(), Some(&[9][..]), "another peer");
+    }
 
     #[test]
     fn header_equals_that_of_the_specification() {
@@ -190,7 +227,7 @@ mod tests {
 
     #[test]
     fn long_frames_are_rejected_before_they_arrive() {
-        let mut frames = FrameReader::new(10);
+        let mut frames = FrameReader::new(10, held());
         frames.read_from(&mut [11, 0, 0, 0].as_slice()).unwrap();
         assert_eq!(frames.next_frame(), Err(TcprosError::LongFrame { length: 11, limit: 10 }));
     }
@@ -213,7 +250,7 @@ mod tests {
         ) {
             let bytes: Vec<u8> = messages.iter().flat_map(|m| frame(|buffer| buffer.extend_from_slice(m))).collect();
             let mut source = Pieces(&bytes, sizes.iter().cycle());
-            let mut frames = FrameReader::new(MAX_MESSAGE_LEN);
+            let mut frames = FrameReader::new(MAX_MESSAGE_LEN, held());
             let mut read = Vec::new();
             while frames.read_from(&mut source).unwrap() > 0 {
                 while let Some(message) = frames.next_frame().unwrap() {
@@ -226,7 +263,7 @@ mod tests {
         #[test]
         fn no_bytes_panic(bytes in any::<Vec<u8>>()) {
             let _ = Header::from_bytes(&bytes);
-            let mut frames = FrameReader::new(100);
+            let mut frames = FrameReader::new(100, held());
             frames.read_from(&mut bytes.as_slice()).unwrap();
             while let Ok(Some(_)) = frames.next_frame() {}
         }

@@ -20,6 +20,7 @@ use super::{
     subscription::Subscription,
 };
 use crate::{
+    buffers::{Buffers, Held},
     master::{self, RpcError},
     queue::SendQueue,
     tcpros::{FrameReader, Header, MAX_HEADER_LEN, MAX_MESSAGE_LEN},
@@ -39,6 +40,10 @@ const FIRST: usize = 3;
 
 /// Most open connections. Each takes a file descriptor and memory.
 const MAX_CONNECTIONS: usize = 1024;
+/// Most bytes of messages, requests and calls that have not arrived in full.
+const MOST_HELD: usize = 256 << 20;
+/// Most of these of the peers at one address. A message of any length fits.
+const MOST_HELD_OF_ADDRESS: usize = 160 << 20;
 /// Deadline for a connection to state its purpose.
 const HANDSHAKE: Duration = Duration::from_secs(10);
 /// Time after which an idle connection of the slave API is closed; the next call opens another.
@@ -74,6 +79,7 @@ pub(super) struct Engine {
     tcpros: TcpListener,
     commands: mpsc::Receiver<Command>,
     connections: HashMap<Token, Connection>,
+    held: Arc<Held>,
     next_token: usize,
     /// Connections with work left in the next turn.
     again: VecDeque<Token>,
@@ -104,6 +110,7 @@ impl Engine {
             tcpros,
             commands,
             connections: HashMap::new(),
+            held: Held::new(MOST_HELD, MOST_HELD_OF_ADDRESS),
             next_token: FIRST,
             again: VecDeque::new(),
             links: HashMap::new(),
@@ -225,8 +232,8 @@ impl Engine {
     fn accept(&mut self, from: Token) {
         loop {
             let listener = if from == SLAVE { &self.slave } else { &self.tcpros };
-            let stream = match listener.accept() {
-                Ok((stream, _)) => stream,
+            let (stream, peer) = match listener.accept() {
+                Ok(accepted) => accepted,
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return,
                 Err(error) if error.kind() == ErrorKind::Interrupted => continue,
                 Err(error) => {
@@ -239,12 +246,13 @@ impl Engine {
                 tracing::warn!("a connection was rejected: {MAX_CONNECTIONS} are open");
                 continue;
             }
+            let held = Buffers::new(&self.held, peer.ip().to_canonical());
             let opened = self.open(stream, |stream| match from {
                 SLAVE => {
                     let output = SendQueue::new(1, None);
-                    Connection::Caller { stream, input: Vec::new(), output, last: false, active: false }
+                    Connection::Caller { stream, input: Vec::new(), held, output, last: false, active: false }
                 }
-                _ => Connection::New { stream, frames: FrameReader::new(MAX_HEADER_LEN) },
+                _ => Connection::New { stream, frames: FrameReader::new(MAX_HEADER_LEN, held) },
             });
             if let Err(error) = opened {
                 tracing::debug!("a connection was lost at once: {error}");
@@ -271,8 +279,8 @@ impl Engine {
         // Out of the map, so that the handler can use the other connections.
         let Some(connection) = self.connections.remove(&token) else { return };
         let next = match connection {
-            Connection::Caller { stream, input, output, last, active } => {
-                self.answer(shared, stream, input, output, last, active)
+            Connection::Caller { stream, input, held, output, last, active } => {
+                self.answer(shared, stream, (input, held), output, last, active)
             }
             Connection::New { stream, frames } => introduce(shared, stream, frames),
             Connection::Publisher { stream, frames, subscription, publisher, flow } => {
@@ -395,7 +403,9 @@ impl Engine {
         let called = publisher.clone();
         let opened = stream.and_then(|stream| {
             stream.set_nonblocking(true).map_err(|error| error.to_string())?;
-            let frames = FrameReader::new(MAX_HEADER_LEN);
+            let peer = stream.peer_addr().map_err(|error| error.to_string())?;
+            let held = Buffers::new(&self.held, peer.ip().to_canonical());
+            let frames = FrameReader::new(MAX_HEADER_LEN, held);
             let connection = |stream| Connection::Publisher {
                 stream,
                 frames,

@@ -13,6 +13,7 @@ use super::{
     connection::{Connection, Next},
 };
 use crate::{
+    buffers::Buffers,
     http,
     node::{
         shared::{Errand, Shared},
@@ -33,7 +34,7 @@ impl Engine {
         &mut self,
         shared: &Arc<Shared>,
         stream: TcpStream,
-        mut input: Vec<u8>,
+        (mut input, mut held): (Vec<u8>, Buffers),
         mut output: SendQueue,
         mut last: bool,
         mut active: bool,
@@ -55,14 +56,16 @@ impl Engine {
                     let response = http::response(&xmlrpc::answer_to_xml(&answer), request.keep_alive);
                     (last, active) = (!request.keep_alive, true);
                     let len = request.len;
-                    input.drain(..len);
+                    input = input.split_off(len);
+                    held.hold(input.len());
                     output.push(Arc::new(response));
                 }
                 Ok(None) => {
                     let mut piece = [0; 4096];
                     match (&stream).read(&mut piece) {
                         Ok(0) => break true,
-                        Ok(read) => input.extend_from_slice(&piece[..read]),
+                        Ok(read) if held.hold(input.len() + read) => input.extend_from_slice(&piece[..read]),
+                        Ok(_) => break true,
                         Err(error) if error.kind() == ErrorKind::WouldBlock => break false,
                         Err(error) if error.kind() == ErrorKind::Interrupted => {}
                         Err(_) => break true,
@@ -75,7 +78,7 @@ impl Engine {
                 }
             }
         };
-        let connection = Connection::Caller { stream, input, output, last, active };
+        let connection = Connection::Caller { stream, input, held, output, last, active };
         if over { Next::End(connection) } else { Next::Wait(connection) }
     }
 

@@ -11,6 +11,7 @@ use mio::{Token, net::TcpStream};
 use socket2::{SockRef, TcpKeepalive};
 
 use crate::{
+    buffers::Buffers,
     node::{
         offer::{self, Offer},
         publication::{Outgoing, Publication},
@@ -30,7 +31,7 @@ const UNSENT: u32 = 16 << 10;
 /// A connection, by purpose.
 pub(super) enum Connection {
     /// From a client of the slave API.
-    Caller { stream: TcpStream, input: Vec<u8>, output: SendQueue, last: bool, active: bool },
+    Caller { stream: TcpStream, input: Vec<u8>, held: Buffers, output: SendQueue, last: bool, active: bool },
     /// To TCPROS, before its connection header.
     New { stream: TcpStream, frames: FrameReader },
     /// To a subscriber.
