@@ -1,4 +1,5 @@
 //! A confined VNF with `net_raw` sends frames in the name of another node.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{fs, path::PathBuf};
 

@@ -126,13 +126,16 @@ fn honest() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Frames with forged sources, by the counter that they belong to.
-fn forged() -> Vec<(fn(&ForgedFrames) -> u64, Vec<u8>)> {
-    const ETHERNET: fn(&ForgedFrames) -> u64 = |frames| frames.ethernet;
-    const ARP: fn(&ForgedFrames) -> u64 = |frames| frames.arp;
-    const ND: fn(&ForgedFrames) -> u64 = |frames| frames.neighbour_discovery;
-    const V4: fn(&ForgedFrames) -> u64 = |frames| frames.ipv4;
-    const V6: fn(&ForgedFrames) -> u64 = |frames| frames.ipv6;
+/// Reads the counter that a frame belongs to.
+type Counter = fn(&ForgedFrames) -> u64;
+
+/// Frames with forged sources, and their counters.
+fn forged() -> Vec<(Counter, Vec<u8>)> {
+    const ETHERNET: Counter = |frames| frames.ethernet;
+    const ARP: Counter = |frames| frames.arp;
+    const ND: Counter = |frames| frames.neighbour_discovery;
+    const V4: Counter = |frames| frames.ipv4;
+    const V6: Counter = |frames| frames.ipv6;
     let (mac, v4, v6, local) = (own().mac, own().ipv4.octets(), own().ipv6.octets(), link_local(own()));
     let (its, its_v4, its_v6) = (other().mac, other().ipv4.octets(), other().ipv6.octets());
     let advertised = discovery(136, Some(its_v6), &[(2, mac)]);
