@@ -22,6 +22,16 @@ pub enum Error {
         /// File, or server and database.
         history: Arc<str>,
     },
+    /// The file holds more than a history, such as a view or a trigger.
+    #[error(
+        "{history}: {detail}; another program changed it, and it is not used: remove that from it, or name another file"
+    )]
+    Foreign {
+        /// File of the history.
+        history: Arc<str>,
+        /// What it holds.
+        detail: String,
+    },
     /// The history was written by a newer cotorra, or by one from before the first release, whose schema had versions
     /// of its own.
     #[error(

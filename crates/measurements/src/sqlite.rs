@@ -1,6 +1,7 @@
 //! Histories in SQLite. A write-ahead log lets readers go on while one connection writes; `synchronous = FULL` has
 //! SQLite call fsync at every commit, so that a committed batch survives both kill -9 and a loss of power.
 
+mod guard;
 mod session;
 #[cfg(test)]
 mod tests;
@@ -12,7 +13,11 @@ use cotorra_graph::{Event, Stamped, Timestamp};
 use parking_lot::Mutex;
 use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 
-use self::{session::SqliteSession, write::Writer};
+use self::{
+    guard::{guard, stranger},
+    session::SqliteSession,
+    write::Writer,
+};
 use crate::{
     error::{Error, Result},
     figure::Figure,
@@ -66,10 +71,12 @@ impl Sqlite {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
             | OpenFlags::SQLITE_OPEN_CREATE
             | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        check_file(&path, &name)?;
         let mut connection = Connection::open_with_flags(&path, flags)
             .map_err(|e| Error::Open { history: name.clone(), cause: Arc::new(e) })?;
+        let steps = guard(&mut connection, None).map_err(|e| engine_error(&name, e))?;
         prepare(&mut connection, &name, MIGRATIONS)?;
-        let writer = Writer::new(SqliteSession::new(connection, &name));
+        let writer = Writer::new(SqliteSession::new(connection, &name, steps));
         Ok(Self { path, name, writer: Mutex::new(writer), readers: Mutex::default() })
     }
 
@@ -87,7 +94,8 @@ impl Sqlite {
             let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
                 | OpenFlags::SQLITE_OPEN_URI
                 | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-            let Ok(connection) = Connection::open_with_flags(&place, flags) else { continue };
+            let Ok(mut connection) = Connection::open_with_flags(&place, flags) else { continue };
+            let Ok(steps) = guard(&mut connection, None) else { continue };
             let Ok(found) = is_history(&connection) else { continue };
             if found? < MIGRATIONS.len() {
                 return Err(Error::OlderSchema { history: name });
@@ -96,7 +104,7 @@ impl Sqlite {
             if log && *place != *path {
                 tracing::warn!(history = %name, "events that only the log has are missing: the log cannot be read on this medium");
             }
-            let writer = Writer::new(SqliteSession::new(connection, &name));
+            let writer = Writer::new(SqliteSession::new(connection, &name, steps));
             return Ok(Self {
                 path: place.into(),
                 name,
@@ -120,6 +128,12 @@ impl Sqlite {
         }
         Ok(answer)
     }
+}
+
+/// Rejects a path at which there is something other than a file, such as a pipe, which nobody may ever write to.
+fn check_file(path: &Path, history: &Arc<str>) -> Result<()> {
+    let is_other = std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir());
+    if is_other { Err(Error::NotAHistory { history: history.clone() }) } else { Ok(()) }
 }
 
 fn with_ending(path: &Path, ending: &str) -> std::path::PathBuf {
@@ -196,7 +210,10 @@ fn version(connection: &Connection, history: &Arc<str>, migrations: &[&str]) -> 
         (APPLICATION_ID, found) if found > known => {
             Err(Error::UnknownSchema { history: history.clone(), found, known })
         }
-        (APPLICATION_ID, found) => Ok(found as usize),
+        (APPLICATION_ID, found) => match stranger(connection, &migrations[..found as usize])? {
+            Some(detail) => Err(Error::Foreign { history: history.clone(), detail }),
+            None => Ok(found as usize),
+        },
         _ => Err(Error::NotAHistory { history: history.clone() }),
     })
 }
@@ -210,6 +227,17 @@ fn engine_error(history: &Arc<str>, error: rusqlite::Error) -> Error {
         Some(ErrorCode::DiskFull) => Error::Full { history },
         Some(ErrorCode::ReadOnly) => Error::ReadOnly { history },
         Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => Error::Busy { history },
+        Some(ErrorCode::TooBig) => Error::Corrupt {
+            history,
+            detail: format!("a value has more than {} MiB", guard::VALUE_BYTES >> 20),
+        },
+        Some(ErrorCode::OutOfMemory) => {
+            Error::Corrupt { history, detail: "a query takes more memory than there is for it".to_owned() }
+        }
+        Some(ErrorCode::OperationInterrupted) => Error::Corrupt {
+            history,
+            detail: "a query takes more steps than any of a history does".to_owned(),
+        },
         Some(ErrorCode::DatabaseCorrupt) => Error::Corrupt { history, detail: error.to_string() },
         Some(ErrorCode::NotADatabase) => Error::NotAHistory { history },
         _ => Error::Engine { history, cause: Arc::new(error) },

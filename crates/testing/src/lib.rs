@@ -20,6 +20,8 @@ pub mod ros2;
 pub mod slurm;
 pub mod turtlebot;
 
+mod mutations;
+
 use std::{
     env,
     path::{Path, PathBuf},
@@ -27,6 +29,8 @@ use std::{
 };
 
 use cotorra_graph::Testbed;
+
+pub use mutations::mutations;
 
 /// Returns the path of a file of the project, which need not exist.
 ///

@@ -9,9 +9,12 @@ use rusqlite::{
     types::{ToSqlOutput, ValueRef},
 };
 
-use super::{BUSY, Fallible, engine_error};
+use super::{
+    BUSY, Fallible, engine_error,
+    guard::{ANSWER_BYTES, Steps, guard},
+};
 use crate::{
-    error::Result,
+    error::{Error, Result},
     kind::Kind,
     run::RunId,
     sql::{Cell, Dialect, Row, Session},
@@ -21,26 +24,29 @@ use crate::{
 pub(super) struct SqliteSession {
     pub connection: Connection,
     history: Arc<str>,
+    steps: Steps,
 }
 
 impl SqliteSession {
-    pub fn new(connection: Connection, history: &Arc<str>) -> Self {
+    pub fn new(connection: Connection, history: &Arc<str>, steps: Steps) -> Self {
         connection.set_prepared_statement_cache_capacity(64);
-        Self { connection, history: history.clone() }
+        Self { connection, history: history.clone(), steps }
     }
 
     /// Opens a connection that reads.
     pub fn open(path: &Path, history: &Arc<str>) -> Result<Self> {
         let flags =
             OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let open = || -> Fallible<Connection> {
-            let connection = Connection::open_with_flags(path, flags)?;
+        let open = || -> Fallible<(Connection, Steps)> {
+            let mut connection = Connection::open_with_flags(path, flags)?;
+            let steps = guard(&mut connection, None)?;
             connection.busy_timeout(BUSY)?;
             // Plans that hold for all parameters: otherwise a new LIMIT has SQLite prepare the statement again.
             connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true)?;
-            Ok(connection)
+            Ok((connection, steps))
         };
-        Ok(Self::new(open().map_err(|e| engine_error(history, e))?, history))
+        let (connection, steps) = open().map_err(|e| engine_error(history, e))?;
+        Ok(Self::new(connection, history, steps))
     }
 
     pub fn engine<T>(&self, result: Fallible<T>) -> Result<T> {
@@ -87,11 +93,14 @@ impl Session for SqliteSession {
     }
 
     fn run(&self, sql: &str) -> Result<()> {
+        self.steps.begin();
         self.engine(self.connection.execute_batch(sql))
     }
 
     fn rows(&self, sql: &str, parameters: &[Cell]) -> Result<Vec<Row>> {
-        let ask = || {
+        self.steps.begin();
+        let mut bytes = 0;
+        let mut ask = || {
             let mut statement = self.connection.prepare_cached(sql)?;
             let width = statement.column_count();
             let mut rows = statement.query(params_from_iter(parameters))?;
@@ -99,16 +108,29 @@ impl Session for SqliteSession {
             while let Some(row) = rows.next()? {
                 let mut cells = Vec::with_capacity(width);
                 for column in 0..width {
-                    cells.push(cell(row.get_ref(column)?)?);
+                    let value = row.get_ref(column)?;
+                    if let ValueRef::Text(long) | ValueRef::Blob(long) = value {
+                        bytes += long.len();
+                    }
+                    cells.push(cell(value)?);
+                }
+                if bytes > ANSWER_BYTES {
+                    break;
                 }
                 found.push(cells);
             }
             Ok(found)
         };
-        self.engine(ask())
+        let found = self.engine(ask())?;
+        if bytes > ANSWER_BYTES {
+            let detail = format!("an answer has more than {} MiB", ANSWER_BYTES >> 20);
+            return Err(Error::Corrupt { history: self.history.clone(), detail });
+        }
+        Ok(found)
     }
 
     fn figures(&self, sql: &str, parameters: &[i64], each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+        self.steps.begin();
         let mut ask = || {
             let mut statement = self.connection.prepare_cached(sql)?;
             let mut rows = statement.query(params_from_iter(parameters))?;
@@ -125,16 +147,19 @@ impl Session for SqliteSession {
     }
 
     fn execute(&self, sql: &str, parameters: &[Cell]) -> Result<u64> {
+        self.steps.begin();
         let execute = || self.connection.prepare_cached(sql)?.execute(params_from_iter(parameters));
         self.engine(execute()).map(|changed| changed as u64)
     }
 
     fn insert(&self, sql: &str, parameters: &[Cell]) -> Result<i64> {
+        self.steps.begin();
         let insert = || self.connection.prepare_cached(sql)?.insert(params_from_iter(parameters));
         self.engine(insert())
     }
 
     fn last_stretches(&self, run: RunId, kind: Kind, stretch: i64) -> Result<Vec<([i64; 2], i64)>> {
+        self.steps.begin();
         let ask = || {
             // From series to series by the index, behind the last stretch that there can be: SQLite begins at the
             // bound itself, and would otherwise step through all stretches of the series before.

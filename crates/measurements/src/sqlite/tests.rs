@@ -1,5 +1,7 @@
 //! Tests of failures in SQLite, and of what is special to it.
 
+mod hostile;
+
 use std::{fs, path::PathBuf};
 
 use cotorra_graph::{
@@ -169,7 +171,11 @@ fn histories_on_read_only_media_can_be_read() {
         let store = Sqlite {
             path: place.into(),
             name: "kept".into(),
-            writer: Mutex::new(Writer::new(SqliteSession::new(connection, &"kept".into()))),
+            writer: Mutex::new(Writer::new(SqliteSession::new(
+                connection,
+                &"kept".into(),
+                guard::Steps::default(),
+            ))),
             readers: Mutex::default(),
         };
         let history = History::of(Arc::new(store)).unwrap();
