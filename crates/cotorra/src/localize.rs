@@ -194,7 +194,7 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
             output::print(&summary)?;
         }
         None => {
-            output::print(&table)?;
+            output::print_exact(&table)?;
             output::write_note(format_args!("{summary}"));
         }
     }

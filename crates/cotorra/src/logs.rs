@@ -12,6 +12,8 @@ use indicatif::MultiProgress;
 use parking_lot::Mutex;
 use tracing_subscriber::{Layer, filter::Targets, fmt, layer::SubscriberExt, util::SubscriberInitExt};
 
+use crate::output;
+
 /// The environment variable that filters both logs: a level, and levels of targets, as in `info,cotorra_fabric=trace`.
 const VARIABLE: &str = "COTORRA_LOG";
 
@@ -73,7 +75,9 @@ struct Terminal(MultiProgress);
 
 impl Write for Terminal {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.suspend(|| io::stderr().write_all(bytes))?;
+        let text = String::from_utf8_lossy(bytes);
+        let shown = output::escaped(&text, console::colors_enabled_stderr());
+        self.0.suspend(|| io::stderr().write_all(shown.as_bytes()))?;
         Ok(bytes.len())
     }
 
@@ -114,10 +118,14 @@ impl LogFile {
 
 impl Write for LogFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        // People read it on a terminal, too.
+        let text = String::from_utf8_lossy(bytes);
+        let shown = output::escaped(&text, false);
         match &mut *self.0.lock() {
-            Destination::Memory(text) => text.write(bytes),
-            Destination::File(file) => file.write(bytes),
+            Destination::Memory(text) => text.write_all(shown.as_bytes())?,
+            Destination::File(file) => file.write_all(shown.as_bytes())?,
         }
+        Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -128,6 +136,15 @@ impl Write for LogFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_controls_a_terminal_is_escaped_in_the_log() {
+        let mut log = LogFile::default();
+        let text = "the VNF said \u{1b}]0;title\u{7}\n";
+        assert_eq!(log.write(text.as_bytes()).unwrap(), text.len());
+        let Destination::Memory(kept) = &*log.0.lock() else { panic!("no file is open") };
+        assert_eq!(std::str::from_utf8(kept).unwrap(), "the VNF said \\u{1b}]0;title\\u{7}\n");
+    }
 
     #[test]
     fn warnings_of_libraries_are_shown_only_if_verbose() {

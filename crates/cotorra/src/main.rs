@@ -106,10 +106,10 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Selftest(args) => return selftest::selftest(&args),
         Command::Calibrate(args) => calibrate::calibrate(&args)?,
         Command::New { new } => new::new(&new)?,
-        Command::Schema => output::print(&format!("{:#}\n", cotorra_testbed_file::schema()))?,
-        Command::OpenApi { app_lcm: true, .. } => output::print(&cotorra_testbed::app_lcm_openapi())?,
-        Command::OpenApi { wais: false, .. } => output::print(&cotorra_testbed::openapi())?,
-        Command::OpenApi { wais: true, .. } => output::print(&cotorra_testbed::wais_openapi())?,
+        Command::Schema => output::print_exact(&format!("{:#}\n", cotorra_testbed_file::schema()))?,
+        Command::OpenApi { app_lcm: true, .. } => output::print_exact(&cotorra_testbed::app_lcm_openapi())?,
+        Command::OpenApi { wais: false, .. } => output::print_exact(&cotorra_testbed::openapi())?,
+        Command::OpenApi { wais: true, .. } => output::print_exact(&cotorra_testbed::wais_openapi())?,
         #[cfg(feature = "agents")]
         Command::Agent { agent } => agent::agent(&agent)?,
         #[cfg(not(feature = "agents"))]
@@ -134,7 +134,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "cotorra", &mut script);
-            output::print(&String::from_utf8_lossy(&script))?;
+            output::print_exact(&String::from_utf8_lossy(&script))?;
         }
         Command::Vnf { vnf } => {
             let served = match vnf {

@@ -32,13 +32,13 @@ pub struct PsArgs {
 pub fn ps(args: &PsArgs) -> miette::Result<()> {
     let runs = Runs::of_user();
     if args.socket {
-        return output::print(&format!("{}\n", args.run.entry(&runs)?.socket().display()));
+        return output::print_exact(&format!("{}\n", args.run.entry(&runs)?.socket().display()));
     }
     let (mut running, refused) = runs.running();
     if let Some(wanted) = args.run.named() {
         running.retain(|run| run.is(wanted));
     }
-    output::print(&if args.json { json(&running)? } else { table(&running) })?;
+    output::print_either(args.json, &if args.json { json(&running)? } else { table(&running) })?;
     refused.map_or(Ok(()), |error| Err(miette!("{error}")))
 }
 

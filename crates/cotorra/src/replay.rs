@@ -130,7 +130,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
             Played::Refused(event) | Played::CutOff(event) => {
                 cut_off += usize::from(matches!(played, Played::CutOff(_)));
                 let json = serde_json::to_string(event).expect("an event holds only what JSON can");
-                printed = bar.suspend(|| output::print(&(json + "\n")));
+                printed = bar.suspend(|| output::print_exact(&(json + "\n")));
             }
         }
         printed.is_ok() && interrupts.try_recv().is_err()

@@ -146,7 +146,7 @@ fn send(args: &SendArgs) -> miette::Result<()> {
         let mut file = fs::File::create_new(path).into_diagnostic().wrap_err_with(unwritten)?;
         file.write_all(text.as_bytes()).into_diagnostic().wrap_err_with(unwritten)?;
     }
-    output::print(&if args.json { json(&measured) } else { text(address, &measured) })
+    output::print_either(args.json, &if args.json { json(&measured) } else { text(address, &measured) })
 }
 
 fn resolve(reflector: &str) -> miette::Result<SocketAddr> {

@@ -112,9 +112,6 @@ fn list(args: &ListArgs) -> miette::Result<()> {
     let (authority, now) = (open(&args.authority)?, Utc::now());
     let agents = authority.agents().map_err(explained)?;
     let granted = authority.granted(now).map_err(explained)?;
-    output::print(&if args.json {
-        show::json(&agents, &granted)
-    } else {
-        show::table(&agents, &granted, now)
-    })
+    let text = if args.json { show::json(&agents, &granted) } else { show::table(&agents, &granted, now) };
+    output::print_either(args.json, &text)
 }

@@ -41,7 +41,7 @@ pub fn diff(args: &DiffArgs) -> miette::Result<()> {
         a.history.difference_with(a.run.id, &b.history, b.run.id, targets).map_err(Error::from)?;
     if args.json {
         let json = serde_json::to_string_pretty(&difference).expect("a difference holds only what JSON can");
-        return output::print(&(json + "\n"));
+        return output::print_exact(&(json + "\n"));
     }
     let keep = services.each_ref().map(|services| {
         services.iter().filter_map(|service| Some((service.id.clone(), service.kpis.kept?.get()))).collect()

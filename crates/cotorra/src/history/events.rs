@@ -33,7 +33,7 @@ pub fn events(args: &EventsArgs) -> miette::Result<()> {
         };
         writeln!(text, "{line}").expect("writing into a string cannot fail");
     }
-    output::print(&text)?;
+    output::print_either(args.json, &text)?;
     // On standard error, so that a program that reads standard output reads only events.
     if page.items.is_empty() {
         note!("no events in that time");

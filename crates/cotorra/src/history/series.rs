@@ -64,7 +64,7 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
         return output::print(&format!("{}\n", out.display()));
     }
     if args.csv {
-        return output::print(&csv(&curve));
+        return output::print_exact(&csv(&curve));
     }
     // A plot has at most one point for each column of dots.
     let drawn = CurveRequest { points: points.min(plot::points(columns)), ..request.clone() };

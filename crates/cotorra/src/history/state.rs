@@ -25,7 +25,7 @@ pub fn state(args: &StateArgs) -> miette::Result<()> {
     let state = source.history.state_at(source.run.id, at).map_err(Error::from)?;
     if args.json {
         let json = serde_json::to_string_pretty(&state).expect("a state holds only what JSON can");
-        return output::print(&(json + "\n"));
+        return output::print_exact(&(json + "\n"));
     }
     let retained = source.history.retained(source.run.id).map_err(Error::from)?;
     output::print(&(describe(&state) + &rolled_up(&retained, at)))

@@ -79,11 +79,12 @@ impl Connection {
 
 fn show(args: &ShowArgs) -> miette::Result<()> {
     let links = Connection::open(&args.api)?.links(args.link.as_ref())?;
-    output::print(&if args.json {
+    let text = if args.json {
         serde_json::to_string_pretty(&links).into_diagnostic()? + "\n"
     } else {
         show::table(&links)
-    })
+    };
+    output::print_either(args.json, &text)
 }
 
 fn set(args: &SetArgs) -> miette::Result<()> {

@@ -132,7 +132,7 @@ fn show(args: &ShowArgs) -> miette::Result<()> {
         }
     };
     if args.json {
-        return output::print(&format!("{:#}\n", show::json(&devices)));
+        return output::print_exact(&format!("{:#}\n", show::json(&devices)));
     }
     output::print(&show::table(&devices))
 }

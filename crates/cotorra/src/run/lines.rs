@@ -5,7 +5,7 @@ use std::iter::repeat;
 use console::{Term, measure_text_width};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
-use crate::table::wrap;
+use crate::{output, table::wrap};
 
 /// Resolution of the progress bar.
 const STEPS: u64 = 10_000;
@@ -47,6 +47,7 @@ impl Lines {
         // The label comes first, so that all lines are aligned.
         let style = ProgressStyle::with_template("{prefix:.bold}  {msg}").expect("a template that is right");
         let shown = self.terminal.add(ProgressBar::new_spinner().with_style(style));
+        let label = output::escaped(label, false);
         shown.set_prefix(format!("{label:width$}", width = self.label));
         self.lines.push(Line { text: String::new(), shown, rows: 1 });
         let number = self.lines.len() - 1;
@@ -57,6 +58,7 @@ impl Lines {
     /// Changes the text of a line.
     pub fn set(&mut self, number: usize, text: String) {
         let line = &mut self.lines[number];
+        let text = output::escaped(&text, console::colors_enabled_stderr()).into_owned();
         let wrapped = wrapped(&text, self.label + GAP, self.width);
         line.rows = rows(&wrapped, self.label + GAP, self.width);
         line.text = text;
@@ -66,7 +68,7 @@ impl Lines {
     /// Changes the bar: the progress from 0 to 1, and in words.
     pub fn progress(&self, share: f64, text: String) {
         self.bar.set_position((share * STEPS as f64) as u64);
-        self.bar.set_message(text);
+        self.bar.set_message(output::escaped(&text, console::colors_enabled_stderr()).into_owned());
     }
 
     /// Fits the lines to the terminal if its width has changed, and leaves nothing of those before.

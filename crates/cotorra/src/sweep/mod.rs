@@ -230,7 +230,7 @@ fn emit(sweep: &Sweep, args: &SweepArgs, place: &Path, scheduler: Scheduler) -> 
         shards,
         jobs,
     };
-    output::print(&job.file(scheduler).map_err(Error::from)?)?;
+    output::print_exact(&job.file(scheduler).map_err(Error::from)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -68,6 +68,7 @@ mod shards;
 mod stamp;
 mod steer;
 mod sweep;
+mod terminal;
 mod time_parts;
 mod turtlebot;
 #[cfg(feature = "ethereum")]
