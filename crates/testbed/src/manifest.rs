@@ -12,7 +12,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use crate::report::{FolderError, write_file};
+use crate::report::{FolderError, read_file, write_file};
 
 /// Files at the top of a folder of results that differ from run to run, or that reading may change.
 const UNSTABLE: [&str; 7] = [
@@ -26,6 +26,8 @@ const UNSTABLE: [&str; 7] = [
 ];
 /// Folders in a folder of results with files of their own.
 const BELOW: [&str; 2] = ["samples", "sensors"];
+/// Maximum bytes of a manifest.
+const LONGEST: u64 = 16 << 20;
 /// Maximum bytes of a file outside of the folder whose digest is taken.
 const MAX_OUTSIDE: u64 = 64 << 20;
 
@@ -273,7 +275,7 @@ impl Manifest {
     /// [`ManifestError::None`], [`ManifestError::Unreadable`] or [`ManifestError::NotInside`].
     pub fn read(folder: &Path) -> Result<Self, ManifestError> {
         let path = folder.join(Self::NAME);
-        let text = match fs::read(&path) {
+        let text = match read_file(&path, LONGEST) {
             Ok(text) => text,
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 return Err(ManifestError::None(folder.to_owned()));
@@ -441,5 +443,22 @@ mod tests {
             manifest.write(folder.path()).unwrap();
             assert!(matches!(Manifest::read(folder.path()), Err(ManifestError::NotInside(_))), "{name}");
         }
+    }
+
+    #[test]
+    fn no_manifest_of_somebody_else_makes_its_reader_panic_or_hang() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(Manifest::NAME);
+        begun(folder.path(), &Inputs::default()).write(folder.path()).unwrap();
+        let text = fs::read(&path).unwrap();
+        for bytes in cotorra_testing::mutations(&text).take(500) {
+            fs::write(&path, bytes).unwrap();
+            let _ = Manifest::read(folder.path());
+        }
+        fs::write(&path, vec![b' '; 17 << 20]).unwrap();
+        assert!(Manifest::read(folder.path()).unwrap_err().to_string().contains("more than"));
+        fs::remove_file(&path).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        assert!(Manifest::read(folder.path()).unwrap_err().to_string().contains("not a file"));
     }
 }

@@ -125,14 +125,18 @@ pub(crate) fn files(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files_in(folder)?.into_iter().filter(|path| !is_result(path)).collect())
 }
 
-/// Returns the files in a folder and below it, by their sorted paths from there.
+/// Returns the files in a folder and below it but those that runs reserve for their summaries, by their sorted paths from there.
 fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(next) = folders.pop() {
         for entry in fs::read_dir(&next)? {
             let path = entry?.path();
-            if path.is_dir() { folders.push(path) } else { found.push(path) }
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.file_name().is_none_or(|name| name != RunFolder::RESERVED) {
+                found.push(path);
+            }
         }
     }
     let of_folder = |path: PathBuf| path.strip_prefix(folder).map(Path::to_owned).unwrap_or(path);

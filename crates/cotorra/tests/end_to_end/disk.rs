@@ -66,15 +66,13 @@ fn a_run_on_a_full_disk_ends_with_its_summary_and_says_what_is_not_recorded() {
     assert_eq!(status.code(), Some(1), "{printed}{said}");
     let lines: Vec<_> = printed.lines().collect();
     assert!(lines[0].starts_with("full: ") && lines[0].ends_with("it was stopped"), "{printed}");
-    for what in [
-        "readings of sensors with large data are not kept: ",
-        "events are not in the history: ",
-        "the report is not complete: ",
-        "the history does not say that the run ended: ",
-    ] {
+    for what in ["readings of sensors with large data are not kept: ", "events are not in the history: "] {
         let told =
             |text: &str| text.lines().any(|line| line.contains("not recorded: ") && line.contains(what));
         assert!(told(&printed) && told(&said), "{what}\n{printed}\n{said}");
     }
-    assert!(printed.contains("fidelity") && !printed.contains("summary.json  "), "{printed}");
+    assert!(printed.contains("fidelity"), "{printed}");
+    // It is listed because it is there, whole: its place was reserved.
+    let is_listed = |line: &str| line.trim_start().starts_with("summary.json ");
+    assert!(printed.lines().any(is_listed), "{printed}");
 }

@@ -1,8 +1,8 @@
 //! Folders of results: where they are made, and how files are written there.
 
 use std::{
-    fs::{self, DirBuilder},
-    io,
+    fs::{self, DirBuilder, File},
+    io::{self, Read as _},
     os::unix::fs::DirBuilderExt as _,
     path::{Path, PathBuf},
 };
@@ -82,6 +82,20 @@ impl Place {
         }
         Err(taken.expect("at least one name was tried"))
     }
+}
+
+/// Reads a file of bounded length. A folder may be of somebody else: a pipe in it, which nobody writes to, is not waited for.
+///
+/// # Errors
+/// Those of the system; `InvalidData` if it is no file, or longer than `most` bytes.
+pub(crate) fn read_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let invalid = |reason: String| io::Error::new(io::ErrorKind::InvalidData, reason);
+    if !fs::metadata(path)?.is_file() {
+        return Err(invalid("it is not a file".to_owned()));
+    }
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most { Err(invalid(format!("it has more than {most} bytes"))) } else { Ok(bytes) }
 }
 
 /// Writes a file completely or not at all: a reader never sees half of one.

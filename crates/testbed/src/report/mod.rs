@@ -27,6 +27,7 @@ pub(crate) use end::End;
 pub use fidelity::{Fidelity, LatenessSummary};
 pub use figure::panels;
 pub use fleet::{FEW_ROBOTS, WORST_ROBOTS, robots_by_name};
+pub(crate) use folder::read_file;
 pub use folder::{FolderError, Place, write_file};
 pub use forged::ForgedSummary;
 pub use gateways::GatewaySummary;

@@ -18,6 +18,8 @@ use crate::manifest::Manifest;
 
 /// Name of the file with a run's [`Summary`].
 pub(super) const SUMMARY: &str = "summary.json";
+/// Bytes of the disk that are reserved for it at the run's start. A run that fills the disk still leaves its summary.
+const SUMMARY_ROOM: usize = 256 << 10;
 
 /// A run's folder.
 #[derive(Debug, Clone)]
@@ -27,7 +29,8 @@ pub struct RunFolder {
 
 impl RunFolder {
     /// Names in the folder that the run itself uses.
-    pub const NAMES: [&str; 18] = [
+    pub const NAMES: [&str; 19] = [
+        Self::RESERVED,
         "history.json",
         "history.sqlite",
         "history.sqlite-journal",
@@ -47,6 +50,8 @@ impl RunFolder {
         SUMMARY,
         "vnfs",
     ];
+    /// Name of the summary until it is written.
+    pub(crate) const RESERVED: &str = ".summary.json.part";
     /// Name of the testbed file in the folder.
     pub const TESTBED: &str = "testbed.yaml";
 
@@ -59,7 +64,22 @@ impl RunFolder {
         let logs = path.join("logs");
         fs::create_dir(&logs).map_err(|source| FolderError::new(&logs, source))?;
         write_file(&path, Self::TESTBED, testbed_text)?;
+        let reserved = path.join(Self::RESERVED);
+        fs::write(&reserved, vec![0; SUMMARY_ROOM]).map_err(|source| FolderError::new(&reserved, source))?;
         Ok(Self { path })
+    }
+
+    /// Writes the summary into the room that is reserved for it. The file has its name only once it is whole.
+    fn write_summary(&self, json: &str) -> Result<(), FolderError> {
+        let reserved = self.path.join(Self::RESERVED);
+        let write = || {
+            let mut file = File::options().create(true).write(true).truncate(false).open(&reserved)?;
+            file.write_all(json.as_bytes())?;
+            file.set_len(json.len() as u64)?;
+            file.sync_data()?;
+            fs::rename(&reserved, self.path.join(SUMMARY))
+        };
+        write().map_err(|source| FolderError::new(&self.path.join(SUMMARY), source))
     }
 
     /// Returns the absolute path.
@@ -88,7 +108,7 @@ impl RunFolder {
     /// [`FolderError`].
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
         let json = serde_json::to_string_pretty(summary).expect("a summary is valid JSON");
-        write_file(&self.path, SUMMARY, &(json + "\n"))?;
+        self.write_summary(&(json + "\n"))?;
         write_file(&self.path, "services.csv", services::exact(&summary.services).to_csv())?;
         write_file(&self.path, "services.tex", summary.by_service().to_latex())?;
         let path = self.path.join("service_time.csv");

@@ -2,8 +2,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs::File,
-    io::{self, Read as _},
+    io,
     path::Path,
     time::Duration,
 };
@@ -14,7 +13,7 @@ use cotorra_graph::{
 };
 use serde::Deserialize;
 
-use super::{end::End, fidelity::Fidelity, run_folder::SUMMARY, summary::Summary};
+use super::{end::End, fidelity::Fidelity, folder::read_file, run_folder::SUMMARY, summary::Summary};
 
 /// Duration of a run after which each service has a sample.
 const DUE: Duration = Duration::from_secs(10);
@@ -38,8 +37,8 @@ impl Fidelity {
             #[serde(default)]
             void: Vec<String>,
         }
-        let file = File::open(folder.join(SUMMARY))?.take(LONGEST_SUMMARY);
-        let Judged { fidelity, void } = serde_json::from_reader(io::BufReader::new(file))?;
+        let text = read_file(&folder.join(SUMMARY), LONGEST_SUMMARY)?;
+        let Judged { fidelity, void } = serde_json::from_slice(&text)?;
         Ok(if void.is_empty() {
             fidelity
         } else {
@@ -442,5 +441,23 @@ plugins:
         assert!(write(&of(&well())).valid);
         let void = write(&of(&[well(), vec![fault("deciding")]].concat()));
         assert!(!void.valid && void.reason.contains("deciding was cut off"), "{void:?}");
+    }
+
+    #[test]
+    fn no_summary_of_somebody_else_makes_its_reader_panic_or_hang() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(SUMMARY);
+        let summary = summary(Report::new(&testbed(), 1), 20, End::Until, &well());
+        let text = serde_json::to_vec(&summary).unwrap();
+        for bytes in cotorra_testing::mutations(&text).take(500) {
+            std::fs::write(&path, bytes).unwrap();
+            let _ = Fidelity::of_folder(folder.path());
+        }
+        std::fs::write(&path, "[".repeat(100_000)).unwrap();
+        assert!(Fidelity::of_folder(folder.path()).is_err());
+        std::fs::remove_file(&path).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let error = Fidelity::of_folder(folder.path()).unwrap_err();
+        assert_eq!(error.to_string(), "it is not a file");
     }
 }

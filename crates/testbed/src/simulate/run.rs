@@ -256,8 +256,10 @@ pub(super) fn simulate_with(
     let losses = Losses { history_dropped: recorder.dropped(), ..Losses::default() };
     let summary = report.summary(simulation.now(), end.as_str(), losses);
     summary.last_words(simulation.now()).for_each(|notice| recorder.record(notice));
-    recorder.flush()?;
+    // The summary is written whatever becomes of the history: the disk may be full.
+    let flushed = recorder.flush();
     folder.write_report(&report, &summary)?;
+    flushed?;
     history.end_run(run, simulation.now())?;
     let folder = folder.path().to_owned();
     let forked = simulation.forked().cloned();
