@@ -18,7 +18,7 @@ use cotorra_graph::{PluginProgram, Program, Rights, Testbed};
 use cotorra_testbed_file::dependencies;
 use sha2::{Digest, Sha256};
 
-use crate::{testbed_file::Loaded, words::escaped};
+use crate::{output, testbed_file::Loaded};
 
 /// The environment variable by which scripts trust all testbed files that they use.
 pub const TRUST_VARIABLE: &str = "COTORRA_TRUST";
@@ -124,6 +124,11 @@ impl Wishes {
     }
 }
 
+/// Returns a text as one line, without what controls a terminal.
+fn escaped(text: &str) -> String {
+    output::escaped(text, false).replace('\n', "\\n")
+}
+
 /// Returns the wishes of a program for variables of the user's environment.
 fn variables(env: &[String], whose: &str) -> Vec<String> {
     let named = env.iter().filter(|variable| !variable.contains('='));
@@ -199,7 +204,7 @@ pub fn demand(loaded: &Loaded, file: &Path, trust: TrustArgs) -> Result<(), NotA
         }
         return Ok(());
     }
-    Err(NotApproved { file: escaped(&name).into_owned(), wishes })
+    Err(NotApproved { file: name, wishes })
 }
 
 /// Asks whether the user trusts a file.

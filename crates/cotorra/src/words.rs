@@ -1,6 +1,6 @@
 //! Formatting of values for tables and messages.
 
-use std::{borrow::Cow, time::Duration};
+use std::time::Duration;
 
 use cotorra_experiments::LOGS;
 use cotorra_graph::{Conditions, LinkId, Loss, Probed, QueueLimit, Rate, TraceName};
@@ -130,17 +130,6 @@ pub fn conditions(conditions: &Conditions) -> String {
 /// Lists the links of a path.
 pub fn over(links: &[LinkId]) -> String {
     links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(", ")
-}
-
-/// Escapes what a terminal would obey instead of showing it: control characters, and those that turn the direction of text.
-pub fn escaped(text: &str) -> Cow<'_, str> {
-    let is_obeyed =
-        |c: char| c.is_control() || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-    if !text.contains(is_obeyed) {
-        return text.into();
-    }
-    let shown = |c: char| if is_obeyed(c) { c.escape_default().to_string() } else { c.to_string() };
-    text.chars().map(shown).collect::<String>().into()
 }
 
 #[cfg(test)]

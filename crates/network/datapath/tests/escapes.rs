@@ -303,8 +303,7 @@ fn made_files_belong_to_another_user() {
         return println!("skipped: programs of an ordinary user are that user");
     }
     let place = Place::new();
-    let script =
-        "cp /bin/sh ~/sh; chmod 4755 ~/sh; id -u && echo said >/dev/stdout; echo said >/dev/stderr";
+    let script = "cp /bin/sh ~/sh; chmod 4755 ~/sh; id -u && echo said >/dev/stdout; echo said >/dev/stderr";
     let mut command = shell(script);
     command.stderr(Stdio::null());
     let output = output_of(&Namespace::new().unwrap(), command, Some(&place.confinement(&[])));
