@@ -120,11 +120,19 @@ impl Confinement {
             device.attach()?;
         }
         // A folder comes before what is in it.
+        let mut made = vec![Path::new(".")];
         for (path, part) in &view {
-            part.attach_if_new(path)?;
+            let is_made = |path: &Path| matches!(view.get(path), Some(Part::Folder));
+            if part.attach_if_new(path)? && is_made(path) && !path.parent().is_some_and(is_made) {
+                // Else it could be written in the program's own `/tmp`.
+                sys::mount_tmpfs(inside(path), "size=1m,mode=755").map_err(about(path))?;
+                made.push(inside(path));
+            }
         }
         home.attach()?;
-        sys::set_mount_attributes(None, Path::new("."), Attributes::READ_ONLY)?;
+        for folder in made {
+            sys::set_mount_attributes(None, folder, Attributes::READ_ONLY).map_err(about(folder))?;
+        }
         let outside = File::open("/")?.into();
         sys::pivot_root_here()?;
         sys::set_umask(umask);
@@ -273,17 +281,18 @@ enum Part {
 }
 
 impl Part {
-    /// Puts it at its path in the new root, unless another part already provides that path.
-    fn attach_if_new(&self, path: &Path) -> io::Result<()> {
+    /// Puts it at its path in the new root, unless another part already provides that path. Returns whether it did.
+    fn attach_if_new(&self, path: &Path) -> io::Result<bool> {
         let to = inside(path);
         if fs::symlink_metadata(to).is_ok() {
-            return Ok(());
+            return Ok(false);
         }
         match self {
             Self::Tree(tree) => tree.attach(),
             Self::Folder => fs::create_dir_all(to).map_err(about(path)),
             Self::Link(target) => symlink(target, to).map_err(about(path)),
         }
+        .map(|()| true)
     }
 }
 
