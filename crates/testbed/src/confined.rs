@@ -2,6 +2,7 @@
 //! plug-ins' settings, which may hold keys.
 
 use std::{
+    collections::BTreeSet,
     env, fs, io,
     os::unix::fs::{DirBuilderExt, MetadataExt},
     path::{Path, PathBuf},
@@ -9,7 +10,7 @@ use std::{
 
 use cotorra_datapath::Confinement;
 use cotorra_engine::replica_name;
-use cotorra_graph::{Granted, Program, Rights, Testbed, Vnf};
+use cotorra_graph::{Granted, Program, Rights, Testbed, Vnf, VnfId};
 use cotorra_measurements::Location;
 
 use crate::{
@@ -23,8 +24,10 @@ const PROCESSES: u64 = 1024;
 /// The common confinement of a run's VNFs.
 #[derive(Debug)]
 pub(crate) struct Confined {
-    /// The testbed file's folder, which all VNFs can read.
+    /// The testbed file's folder, which all VNFs of the testbed file can read.
     folder: PathBuf,
+    /// The VNFs of the testbed file. Others were added over the API, perhaps by a domain, and the folder is not theirs.
+    of_file: BTreeSet<VnfId>,
     /// Folder of the VNFs' home folders.
     homes: PathBuf,
     hidden: Vec<PathBuf>,
@@ -63,27 +66,28 @@ impl Confined {
             plugin.settings.values().for_each(|value| named_files(value, &folder, &mut hidden));
         }
         let hidden = hidden.iter().filter_map(|path| real(path)).collect();
-        Ok(Self { folder, homes: run.path().join("vnfs"), hidden, unfit })
+        let of_file = testbed.vnfs().map(|vnf| vnf.id.clone()).collect();
+        Ok(Self { folder, of_file, homes: run.path().join("vnfs"), hidden, unfit })
     }
 
-    /// Returns the working folder of commands.
-    pub(crate) fn folder(&self) -> &Path {
-        &self.folder
+    /// Returns the working folder of a VNF's command; `None` if that is its own.
+    pub(crate) fn folder(&self, vnf: &Vnf) -> Option<&Path> {
+        self.of_file.contains(&vnf.id).then_some(&*self.folder)
     }
 
     /// Returns the confinement of a VNF's instance, if it is confined. Each replica has its own home folder.
     pub(crate) fn of(&self, vnf: &Vnf, replica: u32) -> io::Result<Option<Confinement>> {
         let Some(Granted { capabilities, readable }) = granted(vnf) else { return Ok(None) };
-        if let Some(reason) = &self.unfit {
+        let shown = self.folder(vnf);
+        if let Some(reason) = self.unfit.as_ref().filter(|_| shown.is_some()) {
             return Err(io::Error::other(reason.clone()));
         }
         let home = self.homes.join(replica_name(&vnf.id, replica));
-        // Closed to others: what a VNF of root creates there belongs to root, whatever its mode.
         fs::DirBuilder::new().recursive(true).mode(0o700).create(&home)?;
-        let shown = std::iter::once(self.folder.clone());
+        let readable = readable.iter().map(|path| self.folder.join(path));
         Ok(Some(Confinement {
-            home,
-            readable: shown.chain(readable.iter().map(|path| self.folder.join(path))).collect(),
+            home: home.canonicalize()?,
+            readable: shown.map(Path::to_owned).into_iter().chain(readable).collect(),
             hidden: self.hidden.clone(),
             capabilities: capabilities.clone(),
             processes: PROCESSES,

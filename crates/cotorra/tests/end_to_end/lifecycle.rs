@@ -70,12 +70,20 @@ fn an_added_vnf_runs_until_it_is_removed_and_is_confined() {
             "program": program, "env": ["MINE=1"] } })
         .to_string()
     };
-    let print = json!({ "command": ["sh", "-c", "env; echo done; exec sleep 4321"] });
+    let script = format!(
+        "env; pwd; cat {}; ls {}; echo done; exec sleep 4321",
+        file.display(),
+        folder.path().display()
+    );
+    let print = json!({ "command": ["sh", "-c", script] });
     let (status, answer) = run.post("/api/v1/vnfs", &body(print.clone()));
     assert_eq!(status, 200, "{answer}");
-    let log = || fs::read_to_string(run.folder.join("logs/extra.log")).unwrap_or_default();
+    let log = || fs::read_to_string(run.folder.join("logs/vnfs/extra.log")).unwrap_or_default();
     wait_until(|| log().contains("\ndone\n"));
     assert!(log().contains("MINE=1") && !log().contains("secret-of-the-machine"), "{}", log());
+    // The testbed file may be another domain's: it starts in its own folder, and sees no other.
+    assert!(log().contains("\n/") && log().contains("/vnfs/extra\n"), "{}", log());
+    assert!(!log().contains("kind: robot") && !log().contains("lifecycle.yaml\n"), "{}", log());
     wait_until(|| run.get("/api/v1/vnfs")[0]["last"]["state"] == "started");
     assert_eq!(with_word(&run, "4321"), 1);
     let (status, answer) = run.post("/api/v1/vnfs", &body(print));
@@ -111,7 +119,7 @@ fn a_script_of_fog05_deploys_an_fdu_after_changing_one_import() {
     let mut script = Script::start(&run, "fog05_deploy.py", [&*descriptor, Path::new("cloud")]);
     assert_eq!((&*script.after("memory"), &*script.after("onboarded")), ("8000.0", "helloworld"));
     let vnf = script.after("status RUN");
-    let log = run.folder.join(format!("logs/{vnf}.log"));
+    let log = run.folder.join(format!("logs/vnfs/{vnf}.log"));
     wait_until(|| fs::read_to_string(&log).is_ok_and(|log| log.contains("Hello World! 3")));
     assert_eq!(with_word(&run, "4322"), 1);
     script.press_enter();
@@ -188,7 +196,8 @@ fn a_script_of_fog05_connects_two_fdus_by_a_network_after_changing_one_import() 
     assert_eq!(script.after("network"), "net1 10.77.0.0/16");
     let running = script.after("running");
     let (server, client) = running.split_once(' ').unwrap();
-    let log = |vnf: &str| fs::read_to_string(run.folder.join(format!("logs/{vnf}.log"))).unwrap_or_default();
+    let log =
+        |vnf: &str| fs::read_to_string(run.folder.join(format!("logs/vnfs/{vnf}.log"))).unwrap_or_default();
     wait_until(|| log(client).contains("you are"));
     // It has the interface of its node, and reaches the other FDU over the emulated network.
     let cloud = run.get("/api/v1/network/nodes/cloud");

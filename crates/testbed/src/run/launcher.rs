@@ -58,7 +58,9 @@ impl Launcher for NodeLauncher {
     ) -> io::Result<Box<dyn Process>> {
         command.envs(self.testbed.graph.ros1_environment(node));
         if matches!(vnf.program, Program::Command(_)) {
-            command.current_dir(self.confined.folder());
+            if let Some(folder) = self.confined.folder(vnf) {
+                command.current_dir(folder);
+            }
             // A VNF that receives images listens there.
             command
                 .envs(wire::port(&self.testbed, &vnf.id).map(|port| (cotorra_vnfs::PORT, port.to_string())));
