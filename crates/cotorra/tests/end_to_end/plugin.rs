@@ -90,7 +90,7 @@ fn ctrl_c_ends_virtual_time_that_waits_for_a_program() {
     // Virtual time waits once the plug-in's log exists.
     let started = || {
         let runs = fs::read_dir(&folder).into_iter().flatten().flatten();
-        runs.map(|run| run.path().join("logs/plugin-mine.log")).any(|log| log.exists())
+        runs.map(|run| run.path().join("logs/plugins/mine.log")).any(|log| log.exists())
     };
     wait_until(started);
     assert!(Command::new("kill").args(["-s", "INT", &child.id().to_string()]).status().unwrap().success());
@@ -153,7 +153,7 @@ fn the_python_client_asks_follows_and_instructs() {
     command.env("PYTHONPATH", project_file("clients/python")).env("PYTHONDONTWRITEBYTECODE", "1");
     let done = command.arg(&folder).arg(&testbed).output().unwrap();
     let run = fs::read_dir(&folder).unwrap().next().unwrap().unwrap().path();
-    let said = fs::read_to_string(run.join("logs/plugin-mine.log")).unwrap();
+    let said = fs::read_to_string(run.join("logs/plugins/mine.log")).unwrap();
     assert!(done.status.success(), "{}", stderr(&done));
     assert!(said.contains("Refused") && said.contains("`mood:robot` is not a figure"), "{said}");
     let summary: Value =
@@ -169,4 +169,40 @@ fn the_python_client_asks_follows_and_instructs() {
     let decisions = String::from_utf8(decisions.stdout).unwrap();
     assert!(decisions.contains("mine: scan with robot: to hear the others"), "{decisions}");
     assert!(decisions.contains("; refused: "), "{decisions}");
+}
+
+/// Returns the number of processes with this word on their command line.
+fn with_word(word: &str) -> usize {
+    let has_word = |pid: &fs::DirEntry| {
+        let words = fs::read(pid.path().join("cmdline")).unwrap_or_default();
+        words.split(|byte| *byte == 0).any(|its| its == word.as_bytes())
+    };
+    fs::read_dir("/proc").unwrap().flatten().filter(has_word).count()
+}
+
+#[test]
+fn children_of_a_plug_in_end_with_the_run_however_it_ends() {
+    for (mode, signal, words) in [
+        (None, "KILL", ["4500.1", "4600.1"]),
+        (None, "INT", ["4500.2", "4600.2"]),
+        (Some("--simulate"), "KILL", ["4500.3", "4600.3"]),
+        (Some("--simulate"), "INT", ["4500.4", "4600.4"]),
+    ] {
+        let out = TempDir::new().unwrap();
+        let testbed = corridor_with("examples/strongest_signal.py", out.path());
+        let text = fs::read_to_string(&testbed).unwrap();
+        let (before, _) = text.split_once("command:").unwrap();
+        // One child leaves the session and is an orphan, and the program itself stays.
+        let [child, own] = words;
+        let script = format!("(setsid sleep {child} &); exec sleep {own}");
+        fs::write(&testbed, format!("{before}command: [sh, -c, '{script}']\n")).unwrap();
+        let mut command = cotorra(["run", "--headless", "--api", "127.0.0.1:0"].into_iter().chain(mode));
+        command.arg("--out").arg(out.path().join("runs"));
+        let mut core = command.arg(&testbed).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        wait_until(|| words.iter().all(|word| with_word(word) == 1));
+        let number = core.id().to_string();
+        assert!(Command::new("kill").args(["-s", signal, &number]).status().unwrap().success());
+        core.wait().unwrap();
+        wait_until(|| words.iter().all(|word| with_word(word) == 0));
+    }
 }

@@ -12,7 +12,7 @@ use std::{
         fd::{AsRawFd, RawFd},
         unix::process::CommandExt,
     },
-    process::{self, Command},
+    process::Command,
     ptr,
 };
 
@@ -35,6 +35,9 @@ pub(crate) struct Init {
     pub(crate) open_files: Option<libc::rlimit>,
     /// Whether the program's process number inside is that of its init outside.
     pub(crate) unique_number: bool,
+    /// Maps of the user and the group of a user namespace in which this process makes the process namespace, because it has
+    /// no right to make one outside.
+    pub(crate) user_maps: Option<[String; 2]>,
     /// Confinement of the program. The spawning thread is already in its root folder.
     pub(crate) restrictions: Option<Restrictions>,
 }
@@ -66,6 +69,17 @@ impl Init {
             libc::sigprocmask(libc::SIG_SETMASK, &signals, &mut before);
             (signals, before)
         };
+        if let Some(maps) = &self.user_maps {
+            // SAFETY: as for this function. A process that unshares its process namespace stays outside: it waits for
+            // the first one inside.
+            unsafe {
+                enter_user_namespace(maps)?;
+                match fork(None)? {
+                    0 => check(libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL as c_ulong))?,
+                    inside => attend(inside, [self.lifeline, -1], &signals),
+                };
+            }
+        }
         match &self.restrictions {
             // SAFETY: as for this function.
             Some(restrictions) => unsafe { close(restrictions)? },
@@ -108,6 +122,25 @@ impl Init {
             },
         }
     }
+}
+
+/// Enters a user namespace that maps the user and the group to themselves, and makes its children's process namespace.
+///
+/// # Safety
+/// To be called between fork and exec.
+unsafe fn enter_user_namespace([user, group]: &[String; 2]) -> io::Result<()> {
+    let files =
+        [(c"/proc/self/setgroups", "deny"), (c"/proc/self/uid_map", user), (c"/proc/self/gid_map", group)];
+    // SAFETY: async-signal-safe system calls, with paths that end in a zero and texts that are live and as long as stated.
+    unsafe {
+        check(libc::unshare(libc::CLONE_NEWUSER | libc::CLONE_NEWPID))?;
+        for (path, text) in files {
+            let file = check(libc::open(path.as_ptr(), libc::O_WRONLY | libc::O_CLOEXEC))?;
+            check(libc::write(file, text.as_ptr().cast(), text.len()) as c_int)?;
+            check(libc::close(file))?;
+        }
+    }
+    Ok(())
 }
 
 /// Returns the number of this process outside of its process namespace, as long as it sees the old `/proc`.
@@ -298,6 +331,7 @@ unsafe fn attend(program: pid_t, [lifeline, other]: [RawFd; 2], signals: &libc::
                 [LIFELINE, SIGNALS, other].map(|fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 });
             libc::poll(wait.as_mut_ptr(), wait.len() as libc::nfds_t, -1);
             if wait[0].revents != 0 || wait[2].revents != 0 {
+                end_group(program);
                 libc::_exit(128 + libc::SIGKILL);
             }
             let mut signal: libc::signalfd_siginfo = mem::zeroed();
@@ -331,6 +365,9 @@ unsafe fn reap(program: pid_t) {
             if ended <= 0 {
                 return;
             }
+            if ended == program {
+                end_group(program);
+            }
             if ended == program && libc::WIFSIGNALED(status) {
                 libc::_exit(128 + libc::WTERMSIG(status));
             }
@@ -341,26 +378,13 @@ unsafe fn reap(program: pid_t) {
     }
 }
 
-/// Makes the kernel kill a program when this process dies for any reason. The thread that starts the program must
-/// live until then, because the kernel watches that thread.
-pub fn end_with_us(command: &mut Command) {
-    let ours = process::id();
-    let watch = move || {
-        // SAFETY: async-signal-safe calls without pointers.
-        unsafe {
-            check(libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL as c_ulong))?;
-            // Fails if this process died before.
-            if libc::getppid() as u32 == ours { Ok(()) } else { Err(io::ErrorKind::BrokenPipe.into()) }
-        }
-    };
-    // SAFETY: the closure keeps to async-signal-safe calls, and allocates nothing.
-    unsafe { command.pre_exec(watch) };
-}
-
-/// Kills a process group that a child leads, which has not been waited for.
-pub(crate) fn kill_group(leader: u32) -> io::Result<()> {
-    // SAFETY: takes no pointer.
-    check(unsafe { libc::kill(-(leader as pid_t), libc::SIGKILL) }).map(drop)
+/// Kills what the program started in its own process group. Without a process namespace, nothing else ends it.
+///
+/// # Safety
+/// To be called between fork and exec.
+unsafe fn end_group(program: pid_t) {
+    // SAFETY: async-signal-safe, and takes no pointer. It fails if the program has no group, or nothing is left of it.
+    unsafe { libc::kill(-program, libc::SIGKILL) };
 }
 
 /// Sends a signal to a child process that has not been waited for.

@@ -55,14 +55,11 @@ pub use engine::{DepartureSink, EventSink, Handle};
 pub use error::Error;
 pub use gateway::{GatewayTraffic, check_gateways, error::GatewayError, gate::Passed};
 pub use hosts::PortKind;
-pub use init::end_with_us;
 pub use kernel_network::{KernelNetwork, KernelNetworkError, Observed};
 pub use listener::Listening;
 pub use namespace::Namespace;
 pub use presence::{Absence, PortWaits};
 pub use privilege::{Privilege, enter_user_namespace_if_needed, hide_memory};
-pub use process::{
-    Child, HostsFile, SpawnOptions, kill_group, open_process, raise_open_files, spawn_outside,
-};
+pub use process::{Child, HostsFile, SpawnOptions, open_process, raise_open_files, spawn_outside};
 pub use punctual::{BusyPoll, be_punctual, be_timely};
 pub use stamped_socket::StampedSocket;

@@ -68,7 +68,9 @@ pub struct Child {
     init: process::Child,
     /// The init ends with everything in its namespace when this end of the pipe closes. The kernel closes it if this
     /// process is killed.
-    _lifeline: PipeWriter,
+    lifeline: Option<PipeWriter>,
+    /// Whether killing the init kills everything that the program started.
+    has_namespace: bool,
 }
 
 impl Child {
@@ -110,7 +112,11 @@ impl Child {
     /// # Errors
     /// As [`process::Child::kill`].
     pub fn kill(&mut self) -> io::Result<()> {
-        self.init.kill()?;
+        // Without a namespace, the init itself must kill the program.
+        self.lifeline = None;
+        if self.has_namespace {
+            self.init.kill()?;
+        }
         self.init.wait().map(drop)
     }
 
@@ -137,6 +143,42 @@ fn as_a_shell(status: ExitStatus) -> ExitStatus {
     }
 }
 
+/// Starts a program outside of nodes, in a process namespace and a session of its own. It ends as other programs do, with
+/// everything that it started. Where an ordinary user may make no namespaces, only its process group ends with it.
+///
+/// # Errors
+/// [`Error::Spawn`] if there is no such program.
+pub fn spawn_outside(mut command: Command) -> Result<Child, Error> {
+    let program = command.get_program().to_string_lossy().into_owned();
+    let mut start = || {
+        let (hold, lifeline) = io::pipe()?;
+        let open_files = sys::raise_open_files();
+        let mut has_namespace = true;
+        let init = on_a_thread(|| {
+            let mut user_maps = None;
+            if sys::unshare(libc::CLONE_NEWPID).is_err() {
+                has_namespace = sys::try_unshare(libc::CLONE_NEWUSER | libc::CLONE_NEWPID).is_ok();
+                let (user, group) = sys::effective_ids();
+                user_maps = has_namespace.then(|| [user, group].map(|id| format!("{id} {id} 1")));
+            }
+            Init {
+                cgroups: Vec::new(),
+                lifeline: hold.as_raw_fd(),
+                other: -1,
+                with_terminal: None,
+                open_files,
+                unique_number: false,
+                user_maps,
+                restrictions: None,
+            }
+            .before_exec_of(&mut command);
+            command.spawn()
+        })?;
+        Ok(Child { init, lifeline: Some(lifeline), has_namespace })
+    };
+    start().map_err(|source| Error::Spawn { program, source })
+}
+
 impl Namespace {
     /// Starts a program inside, in process and mount namespaces and a session of its own. `/proc` shows its own
     /// processes, where the kernel allows that, and `/sys` its own interfaces, or none.
@@ -144,8 +186,7 @@ impl Namespace {
     /// # Errors
     /// [`Error::Spawn`] if there is no such program, or a control group or the kernel rejects it.
     pub fn spawn(&self, command: Command, options: SpawnOptions<'_>) -> Result<Child, Error> {
-        let program = command.get_program().to_string_lossy().into_owned();
-        Self::start(Some(self), command, &options, None).map_err(|source| Error::Spawn { program, source })
+        self.start(command, &options, None)
     }
 
     /// Runs a program inside in the place of this process, and returns its exit status; see [`Child::wait`]. It uses this
@@ -157,9 +198,7 @@ impl Namespace {
     pub fn run_program(&self, command: Command, options: SpawnOptions<'_>) -> Result<ExitStatus, Error> {
         let terminal = sys::Terminal::of_foreground();
         let signals = sys::Signals::block().action("block signals")?;
-        let program = command.get_program().to_string_lossy().into_owned();
-        let mut child = Self::start(Some(self), command, &options, Some(&signals))
-            .map_err(|source| Error::Spawn { program, source })?;
+        let mut child = self.start(command, &options, Some(&signals))?;
         let status = loop {
             if let Some(status) = child.try_wait().action("wait for a program")? {
                 break status;
@@ -176,10 +215,20 @@ impl Namespace {
         Ok(status)
     }
 
-    /// Starts a program, in a network namespace if there is one. With blocked signals, it has this process's terminal.
+    /// Starts a program. With blocked signals, it has this process's terminal.
     fn start(
-        place: Option<&Self>,
+        &self,
         mut command: Command,
+        options: &SpawnOptions<'_>,
+        blocked: Option<&sys::Signals>,
+    ) -> Result<Child, Error> {
+        let program = command.get_program().to_string_lossy().into_owned();
+        self.try_start(&mut command, options, blocked).map_err(|source| Error::Spawn { program, source })
+    }
+
+    fn try_start(
+        &self,
+        command: &mut Command,
         options: &SpawnOptions<'_>,
         blocked: Option<&sys::Signals>,
     ) -> io::Result<Child> {
@@ -200,7 +249,7 @@ impl Namespace {
         let lifeline_end = hold.as_fd().as_raw_fd();
         // A thread cannot undo an unshare, so use a throw-away one. Nothing depends on its lifetime.
         let init = on_a_thread(|| {
-            place.map_or(Ok(()), Self::enter)?;
+            self.enter()?;
             sys::unshare(libc::CLONE_NEWPID)?;
             if let Some(name) = options.hostname {
                 sys::unshare(libc::CLONE_NEWUTS)?;
@@ -219,7 +268,7 @@ impl Namespace {
                     Some(confinement.build(program.as_deref(), !cgroups.is_empty())?)
                 }
                 None => {
-                    place.map_or(Ok(()), |_| show_own_interfaces())?;
+                    show_own_interfaces()?;
                     None
                 }
             };
@@ -230,28 +279,14 @@ impl Namespace {
                 with_terminal: blocked.map(sys::Signals::before),
                 open_files,
                 unique_number: options.unique_number,
+                user_maps: None,
                 restrictions,
             }
-            .before_exec_of(&mut command);
+            .before_exec_of(command);
             command.spawn()
         })?;
-        Ok(Child { init, _lifeline: lifeline })
+        Ok(Child { init, lifeline: Some(lifeline), has_namespace: true })
     }
-}
-
-/// Starts a program in this process's own network namespace. It is otherwise as [`Namespace::spawn`] starts it: what it starts
-/// ends with it.
-///
-/// # Errors
-/// What the system says: `PermissionDenied` also where it allows this user no process namespaces.
-pub fn spawn_outside(command: Command) -> io::Result<Child> {
-    Namespace::start(None, command, &SpawnOptions::default(), None)
-}
-
-/// Kills the process group that a child leads.
-pub fn kill_group(child: &process::Child) {
-    // It fails if nobody is left in it.
-    let _ = init::kill_group(child.id());
 }
 
 /// Lets `/sys` show the interfaces of the calling thread's network namespace, in a mount namespace of its own. Where the kernel
