@@ -7,7 +7,7 @@ mod session;
 mod tests;
 mod write;
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::{fs::OpenOptions, os::unix::fs::OpenOptionsExt as _, path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{Event, Stamped, Timestamp};
 use parking_lot::Mutex;
@@ -71,6 +71,8 @@ impl Sqlite {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
             | OpenFlags::SQLITE_OPEN_CREATE
             | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        // Readable for its user only, as are its journals: SQLite gives them the same mode. It reports what fails here.
+        let _ = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&path);
         check_file(&path, &name)?;
         let mut connection = Connection::open_with_flags(&path, flags)
             .map_err(|e| Error::Open { history: name.clone(), cause: Arc::new(e) })?;

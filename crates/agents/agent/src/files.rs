@@ -12,6 +12,8 @@ use cotorra_agent_protocol::{Run, Shipped};
 pub(crate) const TESTBED: &str = "testbed.yaml";
 /// Folder of the logs of VNFs in a run's folder.
 pub(crate) const LOGS: &str = "logs";
+/// Folder of the VNFs' logs.
+pub(crate) const VNF_LOGS: &str = "logs/vnfs";
 /// Most that the files of a run take on the disk, bytes.
 const MOST: u64 = 256 << 20;
 

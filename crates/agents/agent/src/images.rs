@@ -6,13 +6,13 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_containers::{Address, ContainerEngine, Network, Settings, Surroundings};
+use cotorra_containers::{Address, ContainerEngine, GuardSettings, Network, Settings, Surroundings};
 use cotorra_engine::{Engine, EngineEvent, InstanceId};
 use cotorra_graph::{Granted, Image, ListenPort, NodeId, Rights, Transport, Vnf};
 
 use crate::{
     environments::Environments,
-    files::{LOGS, TESTBED},
+    files::{LOGS, TESTBED, VNF_LOGS},
     launcher::SELF,
     options::{ImageEngine, Options},
     works::Wake,
@@ -73,8 +73,11 @@ impl Images {
             kind: kind.into(),
             address: Address::find(kind.into()).map_err(|error| error.to_string())?,
             folder: self.folder.clone(),
-            logs: self.folder.join(LOGS),
-            guard: Some([SELF, GUARD].map(str::to_owned).to_vec()),
+            logs: self.folder.join(VNF_LOGS),
+            guard: Some(GuardSettings {
+                command: [SELF, GUARD].map(str::to_owned).to_vec(),
+                log: self.folder.join(LOGS).join("containers.log"),
+            }),
         };
         let machine = Machine {
             folder: self.folder.clone(),

@@ -8,7 +8,7 @@ use cotorra_engine::{Cgroups, Engine, EngineEvent, InstanceId, ProcessEngine};
 #[cfg(feature = "containers")]
 use crate::images::Images;
 use crate::{
-    environments::Environments, error::at, files::LOGS, launcher::MachineLauncher, options::Options,
+    environments::Environments, error::at, files::VNF_LOGS, launcher::MachineLauncher, options::Options,
 };
 
 /// Wakes the agent's loop.
@@ -31,7 +31,7 @@ pub(crate) type Failures = Vec<(InstanceId, String)>;
 impl Works {
     /// Makes ready to run VNFs in a run's folder, whose files [`Self::complete`] reports.
     pub(crate) fn new(run: Run, options: &Options, folder: PathBuf, wake: Wake) -> Self {
-        let logs = folder.join(LOGS);
+        let logs = folder.join(VNF_LOGS);
         if let Err(error) = fs::create_dir_all(&logs).map_err(at("create", &logs)) {
             tracing::error!("{error}");
         }

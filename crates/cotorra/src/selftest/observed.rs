@@ -94,7 +94,7 @@ impl Observed {
 
     /// Returns what a VNF printed.
     pub fn log(&self, vnf: &str) -> Option<String> {
-        fs::read_to_string(self.folder.join("logs").join(format!("{vnf}.log"))).ok()
+        fs::read_to_string(self.folder.join("logs/vnfs").join(format!("{vnf}.log"))).ok()
     }
 
     /// Returns the service times of answered samples, ms.

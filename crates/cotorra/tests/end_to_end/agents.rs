@@ -128,7 +128,7 @@ fn vnfs_on_real_servers_run_at_their_agents_and_move_between_them() {
         event '"event":"machine"' 6
         kill -INT $run; ends
         echo $(count cloud "$NAVIGATION") $(count fog "$TICKING")
-        cat state_fog/runs/*/logs/ticking.log | tail -1
+        cat state_fog/runs/*/logs/vnfs/ticking.log | tail -1
         $COTORRA history state $(ls -d runs/*) | sed -n '/^Machines/,$p' | grep -o 'cloud\|edge\|fog'"#,
     );
     assert_eq!(lines(&done), ["1 0 1", "1", "0 0", "fog", "cloud", "edge", "fog"]);

@@ -7,7 +7,7 @@ use crate::harness::{Run, project_file, wait_until};
 
 /// Returns the images that the detector logged: number, size, bytes, checksum and mean brightness.
 fn received(run: &Run) -> Vec<(u64, String, u64, u32, f64)> {
-    let log = fs::read_to_string(run.folder.join("logs/detector.log")).unwrap_or_default();
+    let log = fs::read_to_string(run.folder.join("logs/vnfs/detector.log")).unwrap_or_default();
     // The last line may be incomplete.
     let whole = log.rfind('\n').map_or("", |end| &log[..end]);
     let lines = whole.lines().filter_map(|line| {

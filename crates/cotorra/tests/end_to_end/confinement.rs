@@ -41,8 +41,13 @@ services:
 fn external_programs_get_no_secrets_of_the_run() {
     let place = TempDir::new().unwrap();
     let print = "command: [sh, -c, 'env; echo done; sleep 1000'], env: [NAMED]";
-    let file =
-        with_vnfs(&[("other", print)], &format!("plugins:\n  - {{ id: mine, {print} }}\n"), place.path());
+    // A VNF with the name of another log writes its own.
+    let names = ["other", "cotorra", "plugin-mine"];
+    let file = with_vnfs(
+        &names.map(|name| (name, print)),
+        &format!("plugins:\n  - {{ id: mine, {print} }}\n"),
+        place.path(),
+    );
     let secrets = [
         ("COTORRA_DOMAIN_TOKENS", "local=tokens-of-sixteen-characters"),
         ("COTORRA_LEDGER_PASSWORD", "secret"),
@@ -54,7 +59,10 @@ fn external_programs_get_no_secrets_of_the_run() {
         command.env("NAMED", "by the file").env("ROS_DOMAIN_ID", "7").env("TZ", "UTC");
     });
     let log = |name: &str| fs::read_to_string(run.folder.join("logs").join(name)).unwrap_or_default();
-    for (name, token) in [("other.log", false), ("plugin-mine.log", true)] {
+    let vnfs = names.map(|name| (format!("vnfs/{name}.log"), false));
+    for (name, token) in
+        vnfs.iter().map(|(name, token)| (&**name, *token)).chain([("plugins/mine.log", true)])
+    {
         wait_until(|| log(name).contains("\ndone\n"));
         let told = log(name);
         for (secret, _) in secrets {
@@ -66,6 +74,7 @@ fn external_programs_get_no_secrets_of_the_run() {
             assert!(told.contains(usual), "{name} lacks {usual}:\n{told}");
         }
     }
+    assert!(!log("cotorra.log").contains("PATH="), "{}", log("cotorra.log"));
 }
 
 /// Tries to escape, and prints the result of each attempt. Waits for the file with the API's address.
@@ -81,9 +90,9 @@ what='find the socket of the run' tried sh -c 'find "$PWD" -name "*.sock" | grep
 what='enter the network of the host' tried nsenter --net=/proc/1/ns/net true
 what='kill all that it sees' tried sh -c 'kill -0 1'
 echo kept >"$HOME/kept" && cat "$HOME/kept"
-while [ ! -e api ]; do sleep 0.05; done
+while [ ! -e told/api ]; do sleep 0.05; done
 what='use the API with its token' tried python3 -c 'import sys, urllib.request as u
-u.build_opener(u.ProxyHandler({})).open(u.Request(sys.argv[1], headers={"Authorization": "Bearer " + sys.argv[2]}))' $(cat api)
+u.build_opener(u.ProxyHandler({})).open(u.Request(sys.argv[1], headers={"Authorization": "Bearer " + sys.argv[2]}))' $(cat told/api)
 what='take 1 GB of memory' tried python3 -c 'bytearray(b"x" * (1 << 30))'
 what='start 3000 processes' tried sh -c 'for i in $(seq 3000); do sleep 1000 & done'
 echo done
@@ -95,6 +104,9 @@ fn external_vnfs_are_confined_unless_trusted() {
     const TOKEN: &str = "operator-of-sixteen-characters";
     let place = TempDir::new().unwrap();
     fs::write(place.path().join("spy.sh"), SPY).unwrap();
+    // The testbed file's folder also has the runs, so that only what is there at the start is shown of it.
+    let told = place.path().join("told");
+    fs::create_dir(&told).unwrap();
     let spy = "command: [sh, spy.sh], memory: 512 MB";
     let trusted = "command: [sh, -c, 'touch trusted; grep ^CapBnd /proc/self/status; echo done; sleep 1000'], trusted: true";
     let ping = "command: [sh, -c, 'ping -c 1 -W 60 cloud; echo done; sleep 1000']";
@@ -108,12 +120,12 @@ fn external_vnfs_are_confined_unless_trusted() {
     });
     assert_eq!(fs::read_dir(runtime.join("cotorra")).unwrap().count(), 2, "its entry and its socket");
     let address = format!("{}/api/v1/robots {TOKEN}", run.api);
-    fs::write(place.path().join("part"), address).unwrap();
-    fs::rename(place.path().join("part"), place.path().join("api")).unwrap();
+    fs::write(told.join("part"), address).unwrap();
+    fs::rename(told.join("part"), told.join("api")).unwrap();
     assert_eq!(run.ask("/api/v1/robots", Some(TOKEN)).0, 200);
 
     let log =
-        |name: &str| fs::read_to_string(run.folder.join(format!("logs/{name}.log"))).unwrap_or_default();
+        |name: &str| fs::read_to_string(run.folder.join(format!("logs/vnfs/{name}.log"))).unwrap_or_default();
     let done = |name: &str| log(name).lines().any(|line| line == "done");
     wait_until(|| vnfs.iter().all(|(name, _)| done(name)));
     let told = log("spy");
@@ -124,7 +136,10 @@ fn external_vnfs_are_confined_unless_trusted() {
         forged.iter().chain([&place.path().join("forged")]).filter(|path| path.exists()).cloned().collect();
     assert_eq!(forged, Vec::<PathBuf>::new());
     assert_eq!(fs::read_to_string(run.folder.join("vnfs/spy/kept")).unwrap(), "kept\n");
-    assert_eq!(fs::metadata(run.folder.join("vnfs")).unwrap().mode() & 0o777, 0o700);
+    for closed in ["vnfs", "logs"] {
+        assert_eq!(fs::metadata(run.folder.join(closed)).unwrap().mode() & 0o777, 0o700, "{closed}");
+    }
+    assert_eq!(fs::metadata(run.folder.join("history.sqlite")).unwrap().mode() & 0o777, 0o600);
 
     assert!(place.path().join("trusted").exists(), "{}", log("trusted"));
     assert!(!log("trusted").contains("CapBnd:\t0000000000000000"), "{}", log("trusted"));

@@ -73,7 +73,7 @@ services:
 }
 
 fn log(run: &Run, vnf: &str) -> String {
-    fs::read_to_string(run.folder.join("logs").join(format!("{vnf}.log"))).unwrap_or_default()
+    fs::read_to_string(run.folder.join("logs/vnfs").join(format!("{vnf}.log"))).unwrap_or_default()
 }
 
 /// Starts a run whose records of containers are beside its testbed file.

@@ -16,7 +16,7 @@ const DELAYS_MS: f64 = 2.0 * (1.0 + 4.0);
 
 /// Returns the client's own measurements by request, ms.
 fn measured_by_client(run: &Run, name: &str) -> BTreeMap<u64, f64> {
-    let log = fs::read_to_string(run.folder.join("logs/client.log")).unwrap_or_default();
+    let log = fs::read_to_string(run.folder.join("logs/vnfs/client.log")).unwrap_or_default();
     // The last line may be incomplete.
     let whole = log.rfind('\n').map_or("", |end| &log[..end]);
     let lines = whole.lines().filter_map(|line| {

@@ -65,7 +65,7 @@ fn an_image_runs_at_the_agent_of_a_real_server() {
             sleep 0.2
         done
         $COTORRA exec near --run 127.0.0.1:7799 -- busybox wget -qO- http://edge:8080/page
-        sed 1d state/runs/*/logs/web.log
+        sed 1d state/runs/*/logs/vnfs/web.log
         podman ps -q | wc -l
         kill -INT $run; wait $run || true
         kill -INT $agent; wait $agent

@@ -247,7 +247,7 @@ fn a_program_that_fails_ends_a_search_with_its_log() {
         let folders = [folder.join("logs"), folder.join("run-as-it-was")];
         let folders = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten();
         let logs: Vec<_> =
-            folders.filter_map(|at| fs::read_to_string(at.path().join("plugin-mine.log")).ok()).collect();
+            folders.filter_map(|at| fs::read_to_string(at.path().join("plugins/mine.log")).ok()).collect();
         assert_eq!(logs, ["no such luck\n"]);
     }
 }

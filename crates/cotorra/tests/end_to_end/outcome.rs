@@ -76,8 +76,8 @@ fn a_plugin_that_fails_at_its_first_import_voids_the_run() {
         "{said}"
     );
     let summary = summary(&folder);
-    assert!(summary["void"][0].as_str().unwrap().contains("logs/plugin-mine.log"), "{summary}");
-    let log = fs::read_to_string(folder.join("logs/plugin-mine.log")).unwrap();
+    assert!(summary["void"][0].as_str().unwrap().contains("logs/plugins/mine.log"), "{summary}");
+    let log = fs::read_to_string(folder.join("logs/plugins/mine.log")).unwrap();
     assert!(log.contains("about to begin") && log.contains("no_such_module"), "{log}");
     assert!(fs::read_to_string(folder.join("service_time.svg")).unwrap().contains("NOT VALID"));
     let events = output([
@@ -119,7 +119,7 @@ fn an_optional_plugin_that_ends_is_reported_and_what_a_killed_one_printed_is_kep
     assert_eq!(done.status.code(), Some(0), "{said}\n{}", stderr(&done));
     assert!(said.contains("optional plug-in mine was cut off: its program ended: signal: 9"), "{said}");
     assert_eq!(summary(&folder)["void"], serde_json::json!([]));
-    let log = fs::read_to_string(folder.join("logs/plugin-mine.log")).unwrap();
+    let log = fs::read_to_string(folder.join("logs/plugins/mine.log")).unwrap();
     assert_eq!(log, "last words\n");
 }
 
@@ -137,7 +137,7 @@ fn a_plugin_whose_program_ends_voids_a_run_with_real_packets() {
     let (_, printed, _) = run.wait();
     let summary = summary(&run.folder);
     let void = summary["void"].as_array().unwrap();
-    let reason = "plug-in mine was cut off: its program ended: exit status: 0 (logs/plugin-mine.log)";
+    let reason = "plug-in mine was cut off: its program ended: exit status: 0 (logs/plugins/mine.log)";
     assert!(void.iter().any(|its| its == reason), "{summary}");
     assert!(printed.contains("NOT VALID: plug-in mine"), "{printed}");
 }

@@ -54,7 +54,7 @@ fn the_robot_goes_on_when_one_of_two_brains_is_killed() {
     wait_for_answers(&mut events, "fog");
     // It is restarted, and is asked again.
     wait_for_answers(&mut events, "edge");
-    for log in ["navigation.log", "navigation@1.log"] {
+    for log in ["vnfs/navigation.log", "vnfs/navigation@1.log"] {
         assert!(run.folder.join("logs").join(log).exists(), "{log}");
     }
     // Instances are placed by the API, too.

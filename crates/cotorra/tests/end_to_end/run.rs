@@ -66,7 +66,7 @@ fn the_corridor_is_walked_and_measured() {
     assert!(fs::read_to_string(run.folder.join("service_time.svg")).unwrap().contains("<svg"));
     let as_run = fs::read_to_string(run.folder.join("testbed.yaml")).unwrap();
     assert_eq!(as_run, fs::read_to_string(corridor()).unwrap() + "# set: seed=7\n");
-    for log in ["cotorra.log", "navigation.log", "localization.log"] {
+    for log in ["cotorra.log", "vnfs/navigation.log", "vnfs/localization.log"] {
         assert!(run.folder.join("logs").join(log).exists(), "{log}");
     }
 }
@@ -160,7 +160,7 @@ fn localization_moves_to_another_server_while_the_robot_walks() {
     servers.dedup();
     assert_eq!(servers, ["edge", "fog"]);
     assert!(printed.contains("off by a median of"), "{printed}");
-    let log = fs::read_to_string(run.folder.join("logs/localization.log")).unwrap();
+    let log = fs::read_to_string(run.folder.join("logs/vnfs/localization.log")).unwrap();
     assert_eq!(log.matches("localizing `robot`").count(), 2, "{log}");
 }
 

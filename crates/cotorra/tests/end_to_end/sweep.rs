@@ -184,7 +184,7 @@ fn a_plug_in_that_fails_at_its_first_import_makes_its_cell_void() {
     }
     assert_eq!(column(&out.join("runs.csv"), "service_time_p50_ms")[0], "");
     let logs: Vec<_> = fs::read_dir(out.join("logs")).unwrap().flatten().collect();
-    let log = fs::read_to_string(logs[0].path().join("plugin-mine.log")).unwrap();
+    let log = fs::read_to_string(logs[0].path().join("plugins/mine.log")).unwrap();
     assert!(log.contains("starting") && log.contains("No module named 'no_such_module'"), "{log}");
 
     // With the module that it lacked, it is made again.

@@ -89,7 +89,7 @@ fn a_program_of_a_plugin_starts_in_the_folder_of_the_testbed_file() {
     let testbed = bed.join("testbed.yaml");
     fs::write(&testbed, text + "\nplugins: [{ id: told, command: [sh, told.sh], optional: true }]\n")
         .unwrap();
-    let of = |run: &Path| fs::read_to_string(run.join("logs/plugin-told.log")).unwrap();
+    let of = |run: &Path| fs::read_to_string(run.join("logs/plugins/told.log")).unwrap();
 
     let run = simulate(&testbed, &place.path().join("runs"), &[]);
     assert_eq!(of(&run), format!("{}\n", bed.canonicalize().unwrap().display()));

@@ -245,7 +245,7 @@ fn a_search_without_its_plug_in_finds_nothing() {
     let error = margin.run(&journal, JOBS, |_, _| true).unwrap_err().to_string();
     assert!(error.contains("plug-in mine: ") && error.contains("its log is in "), "{error}");
     let logs: Vec<_> = fs::read_dir(journal.path().join("logs")).unwrap().flatten().collect();
-    let log = fs::read_to_string(logs[0].path().join("plugin-mine.log")).unwrap();
+    let log = fs::read_to_string(logs[0].path().join("plugins/mine.log")).unwrap();
     assert_eq!((logs.len(), log.as_str()), (1, "I am gone\n"));
 }
 

@@ -256,7 +256,7 @@ fn a_run_without_its_plug_in_is_void_in_every_table_and_made_again() {
         }
     }
     let logs: Vec<_> = fs::read_dir(folder.path().join("logs")).unwrap().flatten().collect();
-    let log = fs::read_to_string(logs[0].path().join("plugin-gone.log")).unwrap();
+    let log = fs::read_to_string(logs[0].path().join("plugins/gone.log")).unwrap();
     assert_eq!((logs.len(), log.as_str()), (1, "Gone.\n"));
     assert!(!folder.path().join("run-0").exists() && !folder.path().join("run-1").exists());
 

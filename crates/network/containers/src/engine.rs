@@ -22,11 +22,12 @@ use tokio::{
 use crate::{
     address::Address,
     daemon::{ANSWER, Daemon, DaemonError},
-    guard::Guard,
+    guard::{Guard, GuardSettings},
     holder::Holders,
     instance::Instance,
     leftovers::{self, Marker},
     ready,
+    registries::Registries,
     spec::{Network, RUN, Spec},
 };
 
@@ -69,9 +70,8 @@ pub struct Settings {
     pub folder: PathBuf,
     /// Folder of the logs: `<vnf>.log`, or `<vnf>@<replica>.log` for replicas from 1.
     pub logs: PathBuf,
-    /// Command of the program that calls [`guard`](crate::guard()), to which the guard's arguments are added. Without one, a
-    /// killed process leaves its containers, and podman must be served at a socket.
-    pub guard: Option<Vec<String>>,
+    /// The guard of the containers. Without one, a killed process leaves them, and podman must be served at a socket.
+    pub guard: Option<GuardSettings>,
 }
 
 /// Runs VNFs in containers.
@@ -127,7 +127,7 @@ impl ContainerEngine {
     pub fn new(settings: Settings, surroundings: Arc<dyn Surroundings>) -> io::Result<Self> {
         let marker = Marker::create(settings.kind, &settings.address)?;
         let label = format!("{RUN}={}", marker.run());
-        let guard = settings.guard.as_ref().map(|command| Guard::start(command, &marker, &settings.logs));
+        let guard = settings.guard.as_ref().map(|guard| Guard::start(guard, &marker));
         let guard = guard.transpose()?;
         let (commands, inbox) = mpsc::unbounded_channel();
         let (report, events) = events::channel();
@@ -143,6 +143,7 @@ impl ContainerEngine {
                 report,
                 daemon,
                 holders,
+                registries: Registries::from_environment(),
                 is_last,
             });
             if LocalSet::new().block_on(&runtime, Rc::clone(&tasks).serve(inbox)) {
@@ -250,6 +251,7 @@ struct Tasks {
     /// The engine, once it answered.
     daemon: Mutex<Option<Daemon>>,
     holders: Holders,
+    registries: Registries,
     /// Whether the run ends.
     is_last: Cell<bool>,
 }
@@ -350,7 +352,8 @@ impl Tasks {
             Spec { vnf: &vnf, replica, node: &node, network, hostname, environment, files, folder, run };
         let container = spec.container()?;
         let name = format!("cotorra-{run}-{}", instance.0);
-        Ok((daemon, Instance { name, container, pull, ports, memory_bytes: vnf.memory_bytes, log }))
+        let (memory_bytes, registries) = (vnf.memory_bytes, self.registries.clone());
+        Ok((daemon, Instance { name, container, pull, ports, memory_bytes, log, registries }))
     }
 
     /// Returns the engine, to which this connects first if necessary.

@@ -21,16 +21,25 @@ use crate::{
 /// Interval of checks whether podman's service still runs.
 const CHECK_INTERVAL: Duration = Duration::from_millis(200);
 
+/// Settings of a guard.
+#[derive(Debug)]
+pub struct GuardSettings {
+    /// Command of the program that calls [`guard`](crate::guard()), to which the guard's arguments are added.
+    pub command: Vec<String>,
+    /// File of its output, outside of the folder of VNFs' logs.
+    pub log: PathBuf,
+}
+
 /// A guard that runs. Dropping it ends it, once nothing of the run is left.
 #[derive(Debug)]
 pub(crate) struct Guard(Child);
 
 impl Guard {
     /// Starts the guard of this process.
-    pub(crate) fn start(command: &[String], marker: &Marker, logs: &Path) -> io::Result<Self> {
+    pub(crate) fn start(GuardSettings { command, log }: &GuardSettings, marker: &Marker) -> io::Result<Self> {
         let (program, arguments) =
             command.split_first().ok_or_else(|| io::Error::other("the guard has no command"))?;
-        let log = OpenOptions::new().create(true).append(true).open(logs.join("containers.log"))?;
+        let log = OpenOptions::new().create(true).append(true).open(log)?;
         let guard = Command::new(program)
             .args(arguments)
             .arg(marker.path())

@@ -24,6 +24,7 @@ use tokio::{
 use crate::{
     daemon::{Daemon, DaemonError, Retries, State},
     ready,
+    registries::Registries,
 };
 
 /// Time from SIGTERM until a container is killed, as for processes.
@@ -42,6 +43,8 @@ pub(crate) struct Instance {
     pub(crate) ports: Vec<ListenPort>,
     pub(crate) memory_bytes: u64,
     pub(crate) log: File,
+    /// Where its image may be pulled from.
+    pub(crate) registries: Registries,
 }
 
 /// Reports what became of an instance.
@@ -93,6 +96,7 @@ impl Instance {
                 Err(_) => {}
             }
         }
+        self.registries.check(&reference).map_err(|why| format!("there is no image `{reference}`: {why}"))?;
         // Only a pull takes long. The other requests are not cancelled, because the engine would carry them out all the same.
         tokio::select! {
             biased;

@@ -14,12 +14,13 @@ mod holder;
 mod instance;
 mod leftovers;
 mod ready;
+mod registries;
 mod spec;
 mod trial;
 
 pub use address::{Address, NoEngine};
 pub use engine::{ContainerEngine, Settings, Surroundings};
-pub use guard::guard;
+pub use guard::{GuardSettings, guard};
 pub use leftovers::{Cleaned, clean, leftovers};
 pub use spec::Network;
 pub use trial::{TrialError, try_out};

@@ -134,13 +134,14 @@ fn files(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
             logs.check(vnf.id.as_str().to_ascii_lowercase(), "VNF", vnf.id.as_str(), place, sink);
         }
     }
+    let mut of_plugins = Alike::new(HELP);
     for entry in &record.plugins {
         // What is bundled has no log of its own.
         let Either::Long(PluginRecord { id: Some(id), command: Some(_), .. }) = &entry.value else {
             continue;
         };
-        let file = format!("plugin-{}", id.value).to_ascii_lowercase();
-        logs.check(file, "plug-in", id.value.as_str(), &id.span, sink);
+        let file = id.value.as_str().to_ascii_lowercase();
+        of_plugins.check(file, "plug-in", id.value.as_str(), &id.span, sink);
     }
     for (_, node) in &record.nodes.0 {
         let NodeRecord::Robot(robot) = node else { continue };

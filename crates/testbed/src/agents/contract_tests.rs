@@ -118,8 +118,9 @@ impl Lab {
     /// Returns the paths of a log of the current run, on each machine.
     fn logs(&self, name: &str) -> [PathBuf; 2] {
         let run = self.run.load(Ordering::Relaxed).to_string();
-        SERVERS
-            .map(|server| self.path(server).join("runs").join(&run).join("logs").join(format!("{name}.log")))
+        SERVERS.map(|server| {
+            self.path(server).join("runs").join(&run).join("logs/vnfs").join(format!("{name}.log"))
+        })
     }
 }
 

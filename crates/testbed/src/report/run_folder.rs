@@ -3,6 +3,7 @@
 use std::{
     fs::{self, File},
     io::{self, BufWriter, Write as _},
+    os::unix::fs::DirBuilderExt as _,
     path::{Path, PathBuf},
 };
 
@@ -55,6 +56,9 @@ impl RunFolder {
     /// Name of the testbed file in the folder.
     pub const TESTBED: &str = "testbed.yaml";
 
+    /// Name of the folder of the VNFs' logs among the logs. A VNF with the name of another log has its own there.
+    const VNFS: &str = "vnfs";
+
     /// Creates the folder and its `logs/`, and writes the testbed file there.
     ///
     /// # Errors
@@ -62,7 +66,10 @@ impl RunFolder {
     pub fn create(place: &Place, name: &str, testbed_text: &str) -> Result<Self, FolderError> {
         let path = place.create(name)?;
         let logs = path.join("logs");
-        fs::create_dir(&logs).map_err(|source| FolderError::new(&logs, source))?;
+        // What programs print may hold secrets.
+        fs::DirBuilder::new().mode(0o700).create(&logs).map_err(|source| FolderError::new(&logs, source))?;
+        let of_vnfs = logs.join(Self::VNFS);
+        fs::create_dir(&of_vnfs).map_err(|source| FolderError::new(&of_vnfs, source))?;
         write_file(&path, Self::TESTBED, testbed_text)?;
         let reserved = path.join(Self::RESERVED);
         fs::write(&reserved, vec![0; SUMMARY_ROOM]).map_err(|source| FolderError::new(&reserved, source))?;
@@ -97,9 +104,14 @@ impl RunFolder {
         self.path.join("history.sqlite")
     }
 
-    /// Returns the path of the VNFs' and plug-ins' logs.
+    /// Returns the folder of all logs.
     pub fn logs(&self) -> PathBuf {
         self.path.join("logs")
+    }
+
+    /// Returns the folder of the VNFs' logs.
+    pub fn vnf_logs(&self) -> PathBuf {
+        self.logs().join(Self::VNFS)
     }
 
     /// Writes `summary.json`, `services.csv`, `services.tex`, `service_time.csv` and `service_time.svg`.

@@ -165,7 +165,7 @@ impl Doubts {
         match event {
             Event::PluginFault { plugin, reason } => {
                 let known = self.plugins.get(plugin);
-                let log = known.filter(|its| its.is_program).map(|_| format!(" (logs/plugin-{plugin}.log)"));
+                let log = known.filter(|its| its.is_program).map(|_| format!(" (logs/plugins/{plugin}.log)"));
                 let log = log.unwrap_or_default();
                 if known.is_some_and(|its| its.is_optional) {
                     return Some(format!("optional plug-in {plugin} was cut off: {reason}{log}"));
@@ -352,7 +352,7 @@ plugins:
         let cut_off =
             summary(Report::new(&testbed(), 1), 20, End::Until, &[well(), vec![fault("deciding")]].concat());
         let reason =
-            "plug-in deciding was cut off: its program ended: exit status: 1 (logs/plugin-deciding.log)";
+            "plug-in deciding was cut off: its program ended: exit status: 1 (logs/plugins/deciding.log)";
         assert_eq!((cut_off.void, cut_off.plugin_faults.len()), (vec![reason.to_owned()], 1));
         let optional =
             summary(Report::new(&testbed(), 1), 20, End::Until, &[well(), vec![fault("logging")]].concat());

@@ -7,7 +7,9 @@ use std::{
     sync::{Arc, mpsc::Sender},
 };
 
-use cotorra_containers::{Address, ContainerEngine, Network, NoEngine, Settings, Surroundings};
+use cotorra_containers::{
+    Address, ContainerEngine, GuardSettings, Network, NoEngine, Settings, Surroundings,
+};
 use cotorra_datapath::{Datapath, HostsFile};
 use cotorra_engine::{Engine, EngineEvent, InstanceId};
 use cotorra_graph::{EngineKind, ListenPort, NodeId, Testbed, Transport, Vnf, VnfId};
@@ -46,7 +48,7 @@ pub(crate) struct Containers {
     testbed: Arc<Testbed>,
     addresses: Addresses,
     nodes: Arc<Nodes>,
-    logs: PathBuf,
+    folder: RunFolder,
     engines: BTreeMap<EngineKind, ContainerEngine>,
 }
 
@@ -77,7 +79,7 @@ impl Containers {
             messages: messages.clone(),
         };
         let (testbed, nodes) = (Arc::clone(testbed), Arc::new(nodes));
-        Ok(Self { testbed, addresses, nodes, logs: folder.logs(), engines: BTreeMap::new() })
+        Ok(Self { testbed, addresses, nodes, folder: folder.clone(), engines: BTreeMap::new() })
     }
 
     /// Returns the engine of a node.
@@ -94,8 +96,8 @@ impl Containers {
                     kind,
                     address,
                     folder: self.testbed.folder.clone(),
-                    logs: self.logs.clone(),
-                    guard: Some(guard()),
+                    logs: self.folder.vnf_logs(),
+                    guard: Some(guard(&self.folder)),
                 };
                 let nodes: Arc<dyn Surroundings> = Arc::<Nodes>::clone(&self.nodes);
                 let engine = ContainerEngine::new(settings, nodes);
@@ -105,9 +107,12 @@ impl Containers {
     }
 }
 
-/// The command of a guard: this program, even if its file was replaced on the disk since.
-fn guard() -> Vec<String> {
-    ["/proc/self/exe", "guard"].map(str::to_owned).to_vec()
+/// Returns the settings of a guard: this program, even if its file was replaced on the disk since.
+fn guard(folder: &RunFolder) -> GuardSettings {
+    GuardSettings {
+        command: ["/proc/self/exe", "guard"].map(str::to_owned).to_vec(),
+        log: folder.logs().join("containers.log"),
+    }
 }
 
 impl Engine for Containers {

@@ -7,8 +7,8 @@ use std::{collections::BTreeMap, net::UdpSocket, sync::Arc};
 use cotorra_datapath::Datapath;
 #[cfg(any(feature = "agents", feature = "containers"))]
 use cotorra_engine::Engine;
-use cotorra_engine::{Cgroups, ProcessEngine};
-use cotorra_graph::{Node, NodeId, Testbed};
+use cotorra_engine::{CgroupError, Cgroups, ProcessEngine};
+use cotorra_graph::{Node, NodeId, Program, Testbed, Vnf};
 #[cfg(feature = "agents")]
 use cotorra_network_control::Network as _;
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
@@ -61,8 +61,8 @@ impl NodesUp {
             confined,
             network.messages.clone(),
         );
-        let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
-        let local = ProcessEngine::new(Arc::new(launcher), prepared.folder.logs(), cgroups);
+        let cgroups = Cgroups::new().inspect_err(|error| warn_of_limits(testbed, error)).ok();
+        let local = ProcessEngine::new(Arc::new(launcher), prepared.folder.vnf_logs(), cgroups);
         #[cfg(feature = "containers")]
         let containers = {
             let addresses = prepared.engines.clone();
@@ -127,4 +127,17 @@ fn open_sockets<'a>(
         namespace.udp_socket((address.ipv4, 0)).map_err(system(format!("open the socket of `{id}`")))
     };
     robots.into_iter().map(|robot| Ok((robot.clone(), open(robot)?))).collect()
+}
+
+/// Says what limits VNFs without control groups, if there are any that these would limit.
+fn warn_of_limits(testbed: &Testbed, error: &CgroupError) {
+    let is_command = |vnf: &Vnf| matches!(vnf.program, Program::Command(_)) && vnf.image.is_none();
+    if testbed.vnfs().any(is_command) {
+        tracing::warn!(
+            "VNFs have no limit of CPUs, and `memory` limits the private data of each of their processes only, not shared \
+             memory: {error}. As root, control groups limit both"
+        );
+    } else {
+        tracing::info!("VNFs run without limits: {error}");
+    }
 }

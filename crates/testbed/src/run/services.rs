@@ -57,7 +57,7 @@ impl ServicesUp {
                 epoch: epoch(&prepared.info),
                 callbacks: options.wais_callbacks.clone(),
             },
-            logs: Some(folder.logs()),
+            logs: Some(folder.vnf_logs()),
             wiretap: Some(wiretap(testbed, &network.datapath)),
         };
         let listener =

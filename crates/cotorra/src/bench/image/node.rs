@@ -11,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_containers::{Address, ContainerEngine, Network, Settings, Surroundings};
+use cotorra_containers::{Address, ContainerEngine, GuardSettings, Network, Settings, Surroundings};
 use cotorra_datapath::Namespace;
 use cotorra_engine::{Engine as _, EngineEvent, InstanceId, Outcome};
 use cotorra_graph::{EngineKind, NodeId, Vnf};
@@ -88,7 +88,10 @@ impl Node {
             address,
             folder: folder.to_owned(),
             logs: folder.to_owned(),
-            guard: Some(["/proc/self/exe", "guard"].map(str::to_owned).to_vec()),
+            guard: Some(GuardSettings {
+                command: ["/proc/self/exe", "guard"].map(str::to_owned).to_vec(),
+                log: folder.join("containers.log"),
+            }),
         };
         let surroundings: Arc<dyn Surroundings> = Arc::<Around>::clone(&around);
         let engine = ContainerEngine::new(settings, surroundings)?;

@@ -2,7 +2,7 @@
 
 use std::{net::TcpListener, time::Duration};
 
-use cotorra_graph::{Image, Transport};
+use cotorra_graph::{Image, Pull, Transport};
 use tempfile::TempDir;
 use tokio::{
     sync::Notify,
@@ -53,7 +53,9 @@ impl Lab {
         let here = Arc::new(Here::default());
         let surroundings: Arc<dyn Surroundings> = Arc::<Here>::clone(&here);
         let (daemon, holders, is_last) = (Mutex::default(), Holders::default(), Cell::new(false));
-        let tasks = Rc::new(Tasks { settings, surroundings, marker, report, daemon, holders, is_last });
+        let registries = Registries::default();
+        let tasks = Tasks { settings, surroundings, marker, report, daemon, holders, registries, is_last };
+        let tasks = Rc::new(tasks);
         let (commands, inbox) = mpsc::unbounded_channel();
         Self { commands, serving: spawn_local(tasks.serve(inbox)), events, here, hangs, folder }
     }
@@ -80,6 +82,9 @@ impl Lab {
 fn answer(request: &str) -> Answer {
     let running = format!(r#"{{"State":{{"Running":true,"Pid":{}}}}}"#, process::id());
     version(request).unwrap_or_else(|| match request {
+        _ if request.contains("/images/create") => {
+            at_once("500 Internal Server Error", r#"{"message":"it was pulled"}"#)
+        }
         _ if request.contains("/create") => at_once("201 Created", r#"{"Id":"1","Warnings":[]}"#),
         _ if request.contains("/start") => at_once("204 No Content", ""),
         _ if request.contains("/json") => at_once("200 OK", &running),
@@ -141,6 +146,20 @@ async fn an_image_does_not_start_while_another_program_has_its_port() {
         sleep(Duration::from_secs(1)).await;
         let _container = TcpListener::bind(("127.0.0.1", port.port)).unwrap();
         assert_eq!(lab.next().await, (2, Outcome::Ready));
+    };
+    LocalSet::new().run_until(test).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_image_of_another_registry_is_never_pulled() {
+    let test = async {
+        let lab = Lab::new();
+        let image =
+            Image { reference: "127.0.0.1:5000/x".to_owned(), pull: Pull::Always, ..Image::default() };
+        lab.start(1, Vnf { image: Some(Box::new(image)), ..vnf() });
+        let (_, outcome) = lab.next().await;
+        let Outcome::Failed(why) = outcome else { panic!("{outcome:?}") };
+        assert!(why.contains("start cotorra with COTORRA_REGISTRIES=127.0.0.1:5000"), "{why}");
     };
     LocalSet::new().run_until(test).await;
 }

@@ -192,11 +192,13 @@ impl<E: Engine> Vim<E> {
         if self.added().count() + self.removed.len() >= MOST_ADDED {
             return Err(VimError::TooMany);
         }
-        if self.removed.iter().any(|group| group.vnf.id == *id) {
+        if self.removed.iter().any(|group| group.vnf.id.as_str().eq_ignore_ascii_case(id.as_str())) {
             return Err(VimError::StillStopping(id.clone()));
         }
         let is_access_point = self.graph.radio_units().any(|(node, _)| AccessPoint::vnf(&node.id) == *id);
-        if self.index(id).is_some() || is_access_point {
+        // Their logs have their names, which not every file system tells apart by case.
+        let is_alike = |group: &Group| group.vnf.id.as_str().eq_ignore_ascii_case(id.as_str());
+        if self.groups.iter().any(is_alike) || is_access_point {
             return Err(VimError::Taken(id.clone()));
         }
         for node in vnf.node.all() {

@@ -38,7 +38,7 @@ pub enum VimError {
     /// A VNF that cannot be added.
     #[error("VNF `{vnf}` cannot be added: {reason}")]
     NotAddable { vnf: VnfId, reason: AddedVnfError },
-    /// A name in use.
+    /// A name in use, also if its case differs.
     #[error("there is a VNF `{0}` already")]
     Taken(VnfId),
     /// The name of a removed VNF whose last instance has not stopped.

@@ -149,6 +149,7 @@ fn impossible_additions_and_removals_are_rejected_and_change_nothing() {
     let before = running(&vim);
     for (vnf, reason) in [
         (vnf("fixed", "b"), "there is a VNF `fixed` already"),
+        (vnf("Fixed", "b"), "there is a VNF `Fixed` already"),
         (vnf("new", "nowhere"), "there is no node `nowhere`"),
         (vnf("old", "b"), "VNF `old` was removed, and its last instances still stop: try again in a second"),
         (Vnf { cpus: 3.0, ..vnf("new", "b,a") }, "VNF `new` needs 3 CPUs of `a`, which has 2 left"),
