@@ -4,7 +4,7 @@ use std::fs;
 
 use rusqlite::{Connection, OpenFlags};
 
-use crate::harness::{Run, are_held, corridor, corridor_ending_in, output, stdout, wait_until};
+use crate::harness::{Run, are_held, corridor, output, stdout, wait_until};
 
 /// Starts a run, and waits until its history has service times.
 fn run_for_a_while() -> Run {
@@ -35,34 +35,6 @@ fn ctrl_c_and_sigterm_end_a_run_in_order() {
         assert_nothing_is_left(&run, &namespaces);
         assert_eq!(run.control_groups(), Vec::<std::path::PathBuf>::new());
     }
-}
-
-/// Whether a process of this machine has these words in its command line.
-fn lives(words: &str) -> bool {
-    let processes = fs::read_dir("/proc").unwrap().flatten();
-    let lines = processes.filter_map(|process| fs::read(process.path().join("cmdline")).ok());
-    lines.map(|line| String::from_utf8_lossy(&line).replace('\0', " ")).any(|line| line.contains(words))
-}
-
-#[test]
-fn what_a_plug_in_started_ends_with_every_end_of_the_run() {
-    let folder = tempfile::tempdir().unwrap();
-    // One process in the plug-in's group, and one that left it.
-    let sleep = format!("sleep 86{}", std::process::id());
-    let script = format!("{sleep} & setsid {sleep} & wait");
-    let plugins = format!("plugins:\n  - {{ id: mine, command: [sh, -c, '{script}'] }}\n");
-    let file = corridor_ending_in(&plugins, folder.path());
-    for how in ["INT", "KILL", "until"] {
-        let until = if how == "until" { "2s" } else { "5min" };
-        let mut run = Run::start(&file, &["--until", until]);
-        wait_until(|| lives(&sleep));
-        if how != "until" {
-            run.signal(how);
-        }
-        run.wait();
-        wait_until(|| !lives(&format!("{sleep} ")));
-    }
-    assert!(output(["clean"]).status.success());
 }
 
 #[test]

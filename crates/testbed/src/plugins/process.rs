@@ -15,15 +15,10 @@ use cotorra_graph::PluginSpec;
 use super::{error::PluginError, host::Fault, programs::program};
 use crate::api::{Server, Token};
 
-/// The signal of Ctrl-C.
-const INTERRUPT: i32 = 2;
-
 /// The running program of a plug-in. It is killed, with everything that it started, when this is dropped, or when this
-/// process is killed.
+/// process is killed. It has a session of its own: Ctrl-C of a terminal reaches the run alone.
 pub(super) struct Process {
     child: Child,
-    /// Whether it was seen to have ended by Ctrl-C.
-    is_interrupted: bool,
 }
 
 impl Process {
@@ -57,20 +52,16 @@ impl Process {
                 other => io::Error::other(other),
             })
         };
-        start().map(|child| Self { child, is_interrupted: false }).map_err(|source| PluginError::Start {
+        start().map(|child| Self { child }).map_err(|source| PluginError::Start {
             plugin: spec.id.clone(),
             program: program.clone(),
             source,
         })
     }
 
-    /// Returns the fault if the process does not run any more. Ctrl-C in a terminal also ends the run: it is a fault only if the
-    /// run still goes on at the next call.
+    /// Returns the fault if the process does not run any more.
     pub(super) fn fault(&mut self) -> Option<Fault> {
         match self.child.try_wait().map(|status| status.map(by_signal)) {
-            Ok(Some(status)) if status.signal() == Some(INTERRUPT) => {
-                std::mem::replace(&mut self.is_interrupted, true).then_some(Fault::Ended(status))
-            }
             Ok(status) => status.map(Fault::Ended),
             Err(error) => Some(Fault::Lost(error)),
         }
