@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use cotorra_calibrate::{ChannelSurvey, Counters, MeasuredChannel, fit_interference};
 use cotorra_fabric::{Fabric, Frame};
-use cotorra_graph::{Testbed, Timestamp};
+use cotorra_graph::{HostAddress, Testbed, Timestamp};
 
 fn testbed(interference: &str) -> Testbed {
     let text = format!(
@@ -29,7 +29,9 @@ fn survey(testbed: &Testbed, seconds: u64) -> ChannelSurvey {
     let port = fabric.port(&robot).unwrap();
     let mut bytes = vec![0; 60];
     bytes[..6].fill(0xff);
-    bytes[6..14].copy_from_slice(&[2, 0, 0, 0, 0, 1, 0x88, 0xb5]);
+    let host = testbed.graph.hosts().position(|host| host.id == robot).unwrap();
+    bytes[6..12].copy_from_slice(&HostAddress::of(host).mac);
+    bytes[12..14].copy_from_slice(&[0x88, 0xb5]);
     let mut now = Timestamp::from_nanos(500_000_000);
     fabric.push(now, port, Frame::new(bytes));
     let mut sum = Counters { transmit: Some(0.0), own_receive: Some(0.0), ..Counters::default() };

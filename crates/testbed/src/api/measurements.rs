@@ -8,14 +8,14 @@ use axum::{
     http::header::CONTENT_TYPE,
     response::{IntoResponse, Response},
 };
-use cotorra_graph::{
-    Direction, Handover, LinkContext, LinkId, MachineContext, NodeId, RobotContext, ServiceTime, Stamped,
-    Testbed, Timestamp,
-};
+use cotorra_graph::{Direction, LinkId, NodeId, RobotContext, Testbed, Timestamp};
+#[cfg(feature = "openapi")]
+use cotorra_graph::{Handover, LinkContext, MachineContext, ServiceTime, Stamped};
 use cotorra_measurements::{
-    Cursor, Curve, CurveRequest, Difference, Figure, GraphState, History, Page, PageRequest, Retained, RunId,
-    Sample, difference::Targets,
+    Cursor, CurveRequest, Figure, History, Page, PageRequest, RunId, Sample, difference::Targets,
 };
+#[cfg(feature = "openapi")]
+use cotorra_measurements::{Curve, Difference, GraphState, Retained};
 use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "openapi")]
