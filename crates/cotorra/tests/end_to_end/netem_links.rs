@@ -45,7 +45,7 @@ pub fn on_a_wire(testbed: &str, lines: &str) -> Output {
         far() { nsenter --net=/proc/$far/ns/net \"$@\"; }
         plain() { tr -s '\\n│ ' ' '; }
         start() { : >run.txt
-            $COTORRA run $FILE --headless --api $api --until 600s \"$@\" >>run.txt 2>&1 & run=$!
+            $COTORRA run $FILE --headless --no-token --api $api --until 600s \"$@\" >>run.txt 2>&1 & run=$!
             until grep -q '^API on' run.txt; do kill -0 $run || { cat run.txt; exit 1; }; sleep 0.1; done; }
         ends() { wait $run || true; run=; }
         rtt() { ping -q -c 3 -i 0.2 $1 | sed -n 's,.*mdev = \\([0-9.]*\\)/.*,\\1,p'; }

@@ -91,7 +91,7 @@ walks:";
     fs::write(&file, text.replace("links:\n", "links:\n  - { ends: [R1, edge], delay: 1 ms }\n")).unwrap();
     let mut run = Run::start(&file, &["--until", "5min"]);
     let log =
-        |name: &str| fs::read_to_string(run.folder.join(format!("logs/{name}.log"))).unwrap_or_default();
+        |name: &str| fs::read_to_string(run.folder.join(format!("logs/vnfs/{name}.log"))).unwrap_or_default();
     wait_until(|| log("forger").contains("done"));
     run.wait_for_service();
     let heard = log("listener");
