@@ -1,10 +1,12 @@
 //! Limits VNFs in CPU, memory and processes by cgroups, version 2 or 1, if this process may create them.
 //!
 //! A run's groups are named `cotorra-<pid>/<instance>`, so that the leftovers of a killed run can be found: their process
-//! no longer exists.
+//! no longer exists. They are at the root of the hierarchy, which root may change, or in a group that systemd delegated to
+//! the run's user.
 
 use std::{
     fs, io,
+    iter::successors,
     os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
     thread,
@@ -15,6 +17,10 @@ use crate::engine::InstanceId;
 
 const ROOT: &str = "/sys/fs/cgroup";
 const PREFIX: &str = "cotorra-";
+/// The file of version 2 that passes controllers on to the groups in a group.
+const SUBTREE_CONTROL: &str = "cgroup.subtree_control";
+/// Name of the group of cotorra itself among those of a run in a delegated group.
+const CORE: &str = "core";
 const CPU_PERIOD_US: f64 = 100_000.0;
 /// Most time of a run's real-time threads per second, µs. The kernel has 950,000 for all groups together, and other runs
 /// need their share.
@@ -54,8 +60,7 @@ enum Hierarchy {
 
 impl Hierarchy {
     fn find(root: &Path) -> Option<Self> {
-        let controllers = fs::read_to_string(root.join("cgroup.subtree_control")).unwrap_or_default();
-        if ["cpu", "memory"].iter().all(|c| controllers.split_whitespace().any(|has| has == *c)) {
+        if has_controllers(&root.join(SUBTREE_CONTROL)) {
             return Some(Self::V2(root.to_owned()));
         }
         let (cpu, memory) = (root.join("cpu"), root.join("memory"));
@@ -82,12 +87,45 @@ pub struct Cgroups {
 }
 
 impl Cgroups {
-    /// Creates this process's groups.
+    /// Creates this process's groups: at the root, or else in the group of this process, if that was delegated to its user.
     ///
     /// # Errors
     /// [`CgroupError`] if there are no controllers, or this user may not create groups.
     pub fn new() -> Result<Self, CgroupError> {
-        Self::under(Path::new(ROOT))
+        let root = Path::new(ROOT);
+        Self::under(root).or_else(|error| match own_group(root) {
+            Some(own) if own != root => Self::delegated(&own)?.ok_or(error),
+            _ => Err(error),
+        })
+    }
+
+    /// Creates the groups in a group of version 2 that holds this process, as systemd delegates one with `Delegate=yes`.
+    /// `None` if it is not this user's.
+    ///
+    /// Groups that pass controllers on hold no processes, so this process and those that it has started move into a group
+    /// beside those of its VNFs. systemd removes all with its own.
+    fn delegated(own: &Path) -> Result<Option<Self>, CgroupError> {
+        let core = own.join(format!("{PREFIX}{}", std::process::id())).join(CORE);
+        if !has_controllers(&own.join("cgroup.controllers")) || fs::create_dir_all(&core).is_err() {
+            return Ok(None);
+        }
+        let move_to = |group: &Path| {
+            let procs = group.join("cgroup.procs");
+            let join = |pid: u32| fs::write(&procs, pid.to_string());
+            own_processes()
+                .into_iter()
+                .try_for_each(join)
+                .map_err(at("move cotorra into the group of", &procs))
+        };
+        let control = own.join(SUBTREE_CONTROL);
+        let pass_on = || fs::write(&control, "+cpu +memory").map_err(at("pass controllers on in", &control));
+        if let Err(error) = move_to(&core).and_then(|()| pass_on()) {
+            let _ = move_to(own);
+            let _ = core.parent().map(remove_group);
+            return Err(error);
+        }
+        let _ = fs::write(&control, "+pids");
+        Self::under(own).map(Some)
     }
 
     fn under(root: &Path) -> Result<Self, CgroupError> {
@@ -98,7 +136,7 @@ impl Cgroups {
         for path in groups.paths() {
             fs::create_dir_all(&path).map_err(at("make the cgroup", &path))?;
             if matches!(groups.hierarchy, Hierarchy::V2(_)) {
-                let control = path.join("cgroup.subtree_control");
+                let control = path.join(SUBTREE_CONTROL);
                 fs::write(&control, "+cpu +memory").map_err(at("pass controllers on in", &control))?;
                 if let Err(error) = fs::write(&control, "+pids") {
                     tracing::info!("VNFs may have any number of processes: {}: {error}", control.display());
@@ -204,6 +242,31 @@ impl Cgroups {
         };
         groups.filter(is_left).map(|group| group.path()).collect()
     }
+}
+
+/// Whether a file of version 2 lists the controllers that limits need.
+fn has_controllers(list: &Path) -> bool {
+    let list = fs::read_to_string(list).unwrap_or_default();
+    ["cpu", "memory"].iter().all(|needed| list.split_whitespace().any(|has| has == *needed))
+}
+
+/// Returns this process's group of version 2.
+fn own_group(root: &Path) -> Option<PathBuf> {
+    let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
+    groups.lines().find_map(|line| line.strip_prefix("0::/")).map(|path| root.join(path))
+}
+
+/// Returns this process, and all that descend from it.
+fn own_processes() -> Vec<u32> {
+    let parent = |pid: u32| -> Option<u32> {
+        let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+        stat.rsplit(')').next()?.split_whitespace().nth(1)?.parse().ok()
+    };
+    let own = std::process::id();
+    let all = fs::read_dir("/proc").into_iter().flatten().flatten();
+    let all = all.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    let descends = |pid: &u32| successors(Some(*pid), |pid| parent(*pid)).any(|pid| pid == own);
+    all.filter(descends).collect()
 }
 
 /// Allows real-time threads in a group. Version 1 forbids them by default if the kernel counts their time. If the kernel

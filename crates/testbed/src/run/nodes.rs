@@ -135,7 +135,8 @@ fn warn_of_limits(testbed: &Testbed, error: &CgroupError) {
     if testbed.vnfs().any(is_command) {
         tracing::warn!(
             "VNFs have no limit of CPUs, and `memory` limits the private data of each of their processes only, not shared \
-             memory: {error}. As root, control groups limit both"
+             memory: {error}. Control groups limit both, as root or with `systemd-run --user --scope \
+             --property=Delegate=yes cotorra run …`"
         );
     } else {
         tracing::info!("VNFs run without limits: {error}");
