@@ -33,9 +33,20 @@ struct Script {
 
 impl Script {
     fn start<'a>(run: &Run, name: &str, arguments: impl IntoIterator<Item = &'a Path>) -> Self {
+        Self::start_with(run, name, arguments, |_| {})
+    }
+
+    /// Does the same as [`Self::start`] after `change` to the command.
+    fn start_with<'a>(
+        run: &Run,
+        name: &str,
+        arguments: impl IntoIterator<Item = &'a Path>,
+        change: impl FnOnce(&mut Command),
+    ) -> Self {
         let mut python = Command::new("python3");
         python.arg(project_file(&format!("crates/cotorra/tests/end_to_end/{name}"))).args(arguments);
         python.env("PYTHONPATH", project_file("clients/python")).env("COTORRA_API", &run.api);
+        change(&mut python);
         let mut python = python.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let lines = BufReader::new(python.stdout.take().unwrap()).lines();
         Self { python, lines }
@@ -132,6 +143,55 @@ fn a_script_of_fog05_deploys_an_fdu_after_changing_one_import() {
     assert_eq!(script.after("left"), "[]");
     script.end();
     wait_until(|| with_word(&run, "4322") == 0);
+}
+
+#[test]
+fn a_domains_vnf_sees_no_file_of_the_testbed() {
+    const TOKEN: &str = "token-of-the-other-domain";
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("domains.yaml");
+    let nodes = "
+name: domains
+domains: [ours, theirs]
+nodes:
+  mine: { kind: server, domain: ours, tier: edge, cpus: 4, memory: 8 GB }
+  edge: { kind: server, domain: theirs, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [mine, edge], delay: 1 ms }
+";
+    fs::write(&file, nodes).unwrap();
+    fs::write(folder.path().join("plan-of-ours.txt"), "secret of ours").unwrap();
+    let run = Run::start_with(&file, &["--until", "5min"], |command| {
+        command.env("COTORRA_TOKEN", "token-of-the-operator");
+        command.env("COTORRA_DOMAIN_TOKENS", format!("theirs={TOKEN}"));
+    });
+    let place = folder.path().display();
+    let script = format!(
+        "pwd; for file in {place} {place}/* ./* ../*; do echo found $file; cat $file; done; echo done; exec sleep 4324"
+    );
+    let fdu = json!({
+        "id": "curious_fdu", "name": "curious",
+        "computation_requirements": { "cpu_arch": "x86_64", "cpu_min_freq": 0, "cpu_min_count": 1,
+            "ram_size_mb": 64.0, "storage_size_gb": 1.0 },
+        "command": { "binary": "sh", "args": ["-c", script] },
+        "hypervisor": "BARE", "migration_kind": "COLD",
+        "storage": [], "depends_on": [], "interfaces": [], "io_ports": [], "connection_points": [],
+    });
+    let outside = TempDir::new().unwrap();
+    let descriptor = outside.path().join("fdu.json");
+    fs::write(&descriptor, fdu.to_string()).unwrap();
+    let arguments = [&*descriptor, Path::new("edge")];
+    let mut script = Script::start_with(&run, "fog05_deploy.py", arguments, |python| {
+        python.env("COTORRA_TOKEN", TOKEN);
+    });
+    script.after("memory");
+    script.after("onboarded");
+    let vnf = script.after("status RUN");
+    let log = || fs::read_to_string(run.folder.join(format!("logs/vnfs/{vnf}.log"))).unwrap_or_default();
+    wait_until(|| log().contains("\ndone\n"));
+    assert!(log().contains(&format!("/vnfs/{vnf}\n")), "{}", log());
+    assert!(!log().contains("plan-of-ours.txt") && !log().contains("domains.yaml"), "{}", log());
+    assert!(!log().contains("secret of ours") && !log().contains("kind: server"), "{}", log());
 }
 
 /// Says to each client which address it has.
