@@ -359,23 +359,6 @@ pub fn are_held(namespaces: &BTreeSet<u64>) -> bool {
     })
 }
 
-/// Returns a run with its summary and standard output.
-///
-/// Repeats the run up to twice if its own verdict is that the machine was too busy for valid figures: a test of figures
-/// needs a machine that can produce them.
-pub fn valid_report(run: impl Fn() -> Run) -> (Run, Value, String) {
-    let mut attempts = 3;
-    loop {
-        let mut run = run();
-        let (summary, printed) = run.report();
-        attempts -= 1;
-        if summary["fidelity"]["valid"] == true || attempts == 0 {
-            return (run, summary, printed);
-        }
-        eprintln!("not valid, {attempts} attempts left: {}", summary["fidelity"]["reason"]);
-    }
-}
-
 /// Waits until a condition holds that depends on the kernel or another process.
 #[allow(clippy::disallowed_methods, reason = "other processes run on the wall clock")]
 pub fn wait_until(mut done: impl FnMut() -> bool) {

@@ -10,15 +10,15 @@ use std::{
 
 use serde_json::Value;
 
-use crate::harness::{Run, corridor, cotorra, project_file, stderr, stdout, valid_report, wait_until};
+use crate::harness::{Run, corridor, cotorra, project_file, stderr, stdout, wait_until};
 
 /// Round trip between the robot at R1 and the cloud: twice 1 ms over the air and 4.5 ms over the wire (corridor.yaml).
 const THEORY_MS: f64 = 11.0;
 
 #[test]
 fn the_corridor_is_walked_and_measured() {
-    let (run, summary, printed) =
-        valid_report(|| Run::start(&corridor(), &["--until", "20s", "--seed", "7"]));
+    let mut run = Run::start(&corridor(), &["--until", "20s", "--seed", "7"]);
+    let (summary, printed) = run.report();
     assert_eq!(summary["seed"], 7);
     assert_eq!(summary["service_time_target_ms"], 15.0);
     assert_eq!(summary["pose_source"], "localization");
@@ -138,14 +138,12 @@ fn frames_that_wait_in_the_port_of_a_stopped_run_are_late() {
 
 #[test]
 fn localization_moves_to_another_server_while_the_robot_walks() {
-    let (run, summary, printed) = valid_report(|| {
-        let run = Run::start(&corridor(), &["--until", "30s", "--seed", "7"]);
-        run.wait_for_service();
-        let place = r#"{ "instruction": { "instruction": "place", "vnf": "localization", "node": "fog" } }"#;
-        let (status, body) = run.post("/api/v1/instructions", place);
-        assert_eq!(status, 200, "{body}");
-        run
-    });
+    let mut run = Run::start(&corridor(), &["--until", "30s", "--seed", "7"]);
+    run.wait_for_service();
+    let place = r#"{ "instruction": { "instruction": "place", "vnf": "localization", "node": "fog" } }"#;
+    let (status, body) = run.post("/api/v1/instructions", place);
+    assert_eq!(status, 200, "{body}");
+    let (summary, printed) = run.report();
     let placed = summary["placements"].as_array().unwrap();
     let served: Vec<_> = placed.iter().filter(|p| p["vnf"] == "localization").map(|p| &p["node"]).collect();
     assert_eq!(served, ["edge", "fog"]);
