@@ -85,9 +85,9 @@ fn changed<T: Serialize>(resource: &Resource<T>) -> Response {
 }
 
 /// Access points and their state.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
+#[utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "access points", body = Vec<ApInfo>), (status = 304, description = "as known already"), RequestProblems)))]
+    responses((status = 200, description = "access points", body = Vec<ApInfo>), (status = 304, description = "as known already"), RequestProblems))]
 pub(super) async fn ap_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -97,9 +97,9 @@ pub(super) async fn ap_information(
 }
 
 /// Associated stations and their state.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
+#[utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "stations", body = Vec<StaInfo>), (status = 304, description = "as known already"), RequestProblems)))]
+    responses((status = 200, description = "stations", body = Vec<StaInfo>), (status = 304, description = "as known already"), RequestProblems))]
 pub(super) async fn sta_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -116,9 +116,9 @@ const SUBSCRIPTION_TYPES: [(&str, &str); 3] = [
 ];
 
 /// Links to subscriptions.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
+#[utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
     params(("subscription_type" = Option<String>, Query, pattern = "^(assoc_sta|sta_data_rate|measure_report)$")),
-    responses((status = 200, description = "links to subscriptions", body = SubscriptionLinkList), RequestProblems)))]
+    responses((status = 200, description = "links to subscriptions", body = SubscriptionLinkList), RequestProblems))]
 pub(super) async fn subscriptions(
     State(service): State<Service>,
     Base(base): Base,
@@ -139,10 +139,10 @@ pub(super) async fn subscriptions(
 }
 
 /// Subscribe to notifications.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
+#[utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
     request_body = Subscription,
     responses((status = 201, description = "the subscription", body = Subscription, headers(("Location" = String), ("ETag" = String))),
-        RequestProblems, ChangeProblems)))]
+        RequestProblems, ChangeProblems))]
 pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let subscription = Subscription::read(&body)?;
     service.check_callback(&subscription).await?;
@@ -153,10 +153,10 @@ pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, 
 }
 
 /// A subscription.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+#[utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), RequestProblems)))]
+        (status = 304, description = "as known already"), RequestProblems))]
 pub(super) async fn subscription(
     State(service): State<Service>,
     Base(base): Base,
@@ -167,10 +167,10 @@ pub(super) async fn subscription(
 }
 
 /// Replace a subscription by another of its type.
-#[cfg_attr(feature = "openapi", utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+#[utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     request_body = Subscription,
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), RequestProblems, ChangeProblems)))]
+    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), RequestProblems, ChangeProblems))]
 pub(super) async fn resubscribe(
     State(service): State<Service>,
     Base(base): Base,
@@ -189,9 +189,9 @@ pub(super) async fn resubscribe(
 }
 
 /// End a subscription.
-#[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+#[utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), RequestProblems, ChangeProblems)))]
+    responses((status = 204, description = "it has ended"), RequestProblems, ChangeProblems))]
 pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unsubscribe(now, &id, if_match(&headers)))?;
@@ -200,8 +200,8 @@ pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, head
 }
 
 /// Links to measurement configurations.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements", tag = "measurements",
-    responses((status = 200, description = "links to measurement configurations", body = MeasurementConfigLinkList), RequestProblems)))]
+#[utoipa::path(get, path = "/measurements", tag = "measurements",
+    responses((status = 200, description = "links to measurement configurations", body = MeasurementConfigLinkList), RequestProblems))]
 pub(super) async fn measurements(
     State(service): State<Service>,
     Base(base): Base,
@@ -215,10 +215,10 @@ pub(super) async fn measurements(
 }
 
 /// Configure a measurement. Its reports are included in station information from then on.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/measurements", tag = "measurements",
+#[utoipa::path(post, path = "/measurements", tag = "measurements",
     request_body = MeasurementConfig,
     responses((status = 201, description = "the configuration", body = MeasurementConfig, headers(("Location" = String), ("ETag" = String))),
-        RequestProblems, ChangeProblems)))]
+        RequestProblems, ChangeProblems))]
 pub(super) async fn configure(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let config = MeasurementConfig::read(&body)?;
     let now = service.now();
@@ -226,10 +226,10 @@ pub(super) async fn configure(State(service): State<Service>, Base(base): Base, 
 }
 
 /// A measurement configuration.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), RequestProblems)))]
+        (status = 304, description = "as known already"), RequestProblems))]
 pub(super) async fn measurement(
     State(service): State<Service>,
     Base(base): Base,
@@ -240,10 +240,10 @@ pub(super) async fn measurement(
 }
 
 /// Replace a measurement configuration.
-#[cfg_attr(feature = "openapi", utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
     request_body = MeasurementConfig,
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), RequestProblems, ChangeProblems)))]
+    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), RequestProblems, ChangeProblems))]
 pub(super) async fn reconfigure(
     State(service): State<Service>,
     Base(base): Base,
@@ -259,9 +259,9 @@ pub(super) async fn reconfigure(
 }
 
 /// End a measurement.
-#[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), RequestProblems, ChangeProblems)))]
+    responses((status = 204, description = "it has ended"), RequestProblems, ChangeProblems))]
 pub(super) async fn unconfigure(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unconfigure(now, &id, if_match(&headers)))?;
