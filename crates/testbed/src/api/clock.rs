@@ -7,8 +7,6 @@ use cotorra_graph::Timestamp;
 use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     auth::Caller,
     context::{Answer, Context},
@@ -109,7 +107,7 @@ pub(super) async fn clock(State(context): State<Context>) -> Answer<ClockBody> {
 /// at which the run does something depends on that.
 #[utoipa::path(post, path = "/api/v1/clock", tag = "clock",
     request_body = ClockChangeBody,
-    responses((status = 200, body = ClockBody), (status = 409, description = "real time passes by itself", body = FailureBody)))]
+    responses((status = 200, body = ClockBody), (status = 409, description = "real time passes by itself", body = super::types::FailureBody)))]
 pub(super) async fn control(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

@@ -9,17 +9,11 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use cotorra_graph::{Direction, LinkId, NodeId, RobotContext, Testbed, Timestamp};
-#[cfg(feature = "openapi")]
-use cotorra_graph::{Handover, LinkContext, MachineContext, ServiceTime, Stamped};
 use cotorra_measurements::{
     Cursor, CurveRequest, Figure, History, Page, PageRequest, RunId, Sample, difference::Targets,
 };
-#[cfg(feature = "openapi")]
-use cotorra_measurements::{Curve, Difference, GraphState, Retained};
 use serde::{Deserialize, Serialize};
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     auth::Caller,
     connections::Whose,
@@ -142,7 +136,7 @@ pub(super) async fn robot_history(
 /// Returns d, λ and conditions of one direction of a link over time.
 #[utoipa::path(get, path = "/api/v1/measurements/links/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<LinkContext>>)))]
+    responses((status = 200, body = Page<Sample<cotorra_graph::LinkContext>>)))]
 pub(super) async fn link_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -167,7 +161,7 @@ pub(super) async fn link_history(
 /// Returns the context of a node's machine over time.
 #[utoipa::path(get, path = "/api/v1/measurements/machines/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<MachineContext>>)))]
+    responses((status = 200, body = Page<Sample<cotorra_graph::MachineContext>>)))]
 pub(super) async fn machine_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -188,7 +182,7 @@ pub(super) async fn machine_history(
 /// Returns service times.
 #[utoipa::path(get, path = "/api/v1/measurements/service-times", tag = "measurements",
     params(Part),
-    responses((status = 200, body = Page<Sample<ServiceTime>>)))]
+    responses((status = 200, body = Page<Sample<cotorra_graph::ServiceTime>>)))]
 pub(super) async fn service_times(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -210,7 +204,7 @@ pub(super) async fn service_times(
 /// are computed from all original samples. Kinds that are fully recorded are left out.
 #[utoipa::path(get, path = "/api/v1/measurements/retained", tag = "measurements",
     params(OfRun),
-    responses((status = 200, body = Vec<Retained>)))]
+    responses((status = 200, body = Vec<cotorra_measurements::Retained>)))]
 pub(super) async fn retained(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -244,7 +238,7 @@ pub(super) struct OfRun {
 /// Returns handovers.
 #[utoipa::path(get, path = "/api/v1/measurements/handovers", tag = "measurements",
     params(Part),
-    responses((status = 200, body = Page<Sample<Handover>>)))]
+    responses((status = 200, body = Page<Sample<cotorra_graph::Handover>>)))]
 pub(super) async fn handovers(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -261,7 +255,7 @@ pub(super) async fn handovers(
 /// domains are left out.
 #[utoipa::path(get, path = "/api/v1/measurements/events", tag = "measurements",
     params(Part),
-    responses((status = 200, body = Page<Stamped>)))]
+    responses((status = 200, body = Page<cotorra_graph::Stamped>)))]
 pub(super) async fn event_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -328,7 +322,7 @@ pub(super) struct Which {
 /// its samples, and whether events were lost. With a domain's token: figures of its own robots, links and nodes.
 #[utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements",
     params(Which),
-    responses((status = 200, body = Curve)))]
+    responses((status = 200, body = cotorra_measurements::Curve)))]
 pub(super) async fn series(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -397,7 +391,7 @@ pub(super) struct Pair {
 /// Compares two runs of this run's history.
 #[utoipa::path(get, path = "/api/v1/measurements/difference", tag = "measurements",
     params(Pair),
-    responses((status = 200, body = Difference), (status = 409, description = "refused, for the reason in the body", body = FailureBody)))]
+    responses((status = 200, body = cotorra_measurements::Difference), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn difference(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -444,7 +438,7 @@ pub(super) struct At {
 /// Returns the whole graph at a time, with the last known state of every object. With a domain's token: its part of it.
 #[utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements",
     params(At),
-    responses((status = 200, body = GraphState)))]
+    responses((status = 200, body = cotorra_measurements::GraphState)))]
 pub(super) async fn state(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

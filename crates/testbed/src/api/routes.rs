@@ -6,8 +6,6 @@ use cotorra_graph::{
     VirtualLinkMapping, VnfId,
 };
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     auth::Caller,
     context::{Answer, Context},
@@ -121,7 +119,7 @@ pub(super) async fn links(
 /// afterwards. The result is in the link's `tested` a second after the last packet.
 #[utoipa::path(post, path = "/api/v1/network/links/{id}/throughput-test", tag = "network",
     params(("id" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)), request_body = ThroughputTestBody,
-    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody)))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn test_throughput(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -215,7 +213,7 @@ pub(super) async fn vnfs(
 #[utoipa::path(post, path = "/api/v1/vnfs", tag = "instructions",
     request_body = AddVnfBody,
     params(("X-Cotorra-Plugin" = Option<String>, Header)),
-    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody)))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn add_vnf(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -229,7 +227,7 @@ pub(super) async fn add_vnf(
 /// Removes a VNF that was added. Its instances stop once packets in flight to them have arrived.
 #[utoipa::path(delete, path = "/api/v1/vnfs/{vnf}", tag = "instructions",
     params(("vnf" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)),
-    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody)))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn remove_vnf(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -248,7 +246,7 @@ pub(super) async fn remove_vnf(
 #[utoipa::path(post, path = "/api/v1/instructions", tag = "instructions",
     request_body = InstructionBody,
     params(("X-Cotorra-Plugin" = Option<String>, Header)),
-    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody)))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn instruct(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

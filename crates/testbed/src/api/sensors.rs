@@ -21,8 +21,6 @@ use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     auth::Caller,
     connections::Whose,
@@ -105,10 +103,9 @@ impl TryFrom<String> for Which {
 }
 
 /// A body of raw bytes.
-#[cfg(feature = "openapi")]
 #[derive(utoipa::ToSchema)]
 #[schema(value_type = String, format = Binary)]
-#[expect(dead_code, reason = "it describes the body")]
+#[allow(dead_code, reason = "used by the OpenAPI document")]
 struct LargeBytes(Vec<u8>);
 
 /// Returns the bytes of a reading with large data, such as an image.
@@ -126,7 +123,7 @@ struct LargeBytes(Vec<u8>);
             ("X-Cotorra-Width" = u32, description = "columns of an image, rays of a scan"),
             ("X-Cotorra-Height" = u32, description = "rows of an image; 1 of a scan"),
             ("X-Cotorra-Measured-Ns" = u64, description = "when it was measured"))),
-        (status = 410, description = "there was such a reading, which is not kept any more", body = FailureBody)))]
+        (status = 410, description = "there was such a reading, which is not kept any more", body = super::types::FailureBody)))]
 pub(super) async fn large_data(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

@@ -216,8 +216,8 @@ pub(super) struct Failure {
 }
 
 /// The body of a failure: `error` for an invalid request, `refused` for one that the testbed rejects.
-#[cfg(feature = "openapi")]
 #[derive(Debug, Serialize, utoipa::ToSchema)]
+#[allow(dead_code, reason = "used by the OpenAPI document")]
 pub(super) struct FailureBody {
     /// The mistake in the request.
     error: Option<String>,
