@@ -99,9 +99,9 @@ impl History {
     pub fn connect(location: &Location) -> Result<Self> {
         match location {
             Location::File(path) => Self::open(path),
-            #[cfg(feature = "mariadb")]
+            #[cfg(feature = "databases")]
             Location::Server(server) => Self::of(Arc::new(crate::server::Remote::open(server)?)),
-            #[cfg(not(feature = "mariadb"))]
+            #[cfg(not(feature = "databases"))]
             server @ Location::Server(_) => Err(server.unsupported()),
         }
     }

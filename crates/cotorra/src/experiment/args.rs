@@ -111,7 +111,7 @@ pub struct OkpiArgs {
     ///
     /// Several runs can share one history. A server is named as mysql://USER@HOST:PORT/DATABASE. Set its password in the
     /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built
-    /// with `--features mariadb`.
+    /// with `--features databases`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     #[command(flatten)]

@@ -75,7 +75,7 @@ pub struct RunArgs {
     ///
     /// Several runs can share one history. A server is named as mysql://USER@HOST:PORT/DATABASE. Set its password in the
     /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built
-    /// with `--features mariadb`.
+    /// with `--features databases`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// End the run in order when its history has grown by this, as in 2GB; a history on a server has no such limit
