@@ -1,11 +1,8 @@
 //! Arguments that several subcommands have, and parsing of seeds and addresses, with errors that say what to write.
 
-use std::net::SocketAddr;
-#[cfg(feature = "agents")]
-use std::path::PathBuf;
+use std::{net::SocketAddr, path::PathBuf};
 
 use clap::Args;
-#[cfg(feature = "agents")]
 use cotorra_testbed::AgentOptions;
 
 /// Who may use the API and the dashboard.
@@ -20,7 +17,6 @@ pub struct AccessArgs {
 }
 
 /// Agents of real machines.
-#[cfg(feature = "agents")]
 #[derive(Debug, Args)]
 pub struct AgentArgs {
     /// Address at which agents of real machines connect
@@ -31,7 +27,6 @@ pub struct AgentArgs {
     pub authority: Option<PathBuf>,
 }
 
-#[cfg(feature = "agents")]
 impl AgentArgs {
     /// Returns the options of a run.
     pub fn options(&self) -> AgentOptions {

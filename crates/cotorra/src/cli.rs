@@ -3,9 +3,8 @@
 use clap::{Parser, Subcommand};
 use clap_complete::Shell;
 
-#[cfg(feature = "agents")]
-use crate::agent::Agent;
 use crate::{
+    agent::Agent,
     bench::{BenchArgs, Probe},
     calibrate::CalibrateArgs,
     capture::CaptureArgs,
@@ -150,17 +149,9 @@ Examples:
     ///
     /// An authority in a folder of yours makes them: ~/.config/cotorra/agents by default. Whoever reads that folder can enrol
     /// agents.
-    #[cfg(feature = "agents")]
     Agent {
         #[command(subcommand)]
         agent: Agent,
-    },
-    /// Make, renew and revoke the credentials of agents on real machines (needs a build with `--features agents`)
-    #[cfg(not(feature = "agents"))]
-    #[command(disable_help_flag = true)]
-    Agent {
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
-        _arguments: Vec<std::ffi::OsString>,
     },
     /// Measure a path of any network by STAMP (RFC 8762), or reflect the packets of such a measurement
     Stamp {

@@ -8,7 +8,6 @@
 #[macro_use]
 mod output;
 
-#[cfg(feature = "agents")]
 mod agent;
 mod approval;
 mod arguments;
@@ -110,15 +109,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::OpenApi { app_lcm: true, .. } => output::print_exact(&cotorra_testbed::app_lcm_openapi())?,
         Command::OpenApi { wais: false, .. } => output::print_exact(&cotorra_testbed::openapi())?,
         Command::OpenApi { wais: true, .. } => output::print_exact(&cotorra_testbed::wais_openapi())?,
-        #[cfg(feature = "agents")]
         Command::Agent { agent } => agent::agent(&agent)?,
-        #[cfg(not(feature = "agents"))]
-        Command::Agent { .. } => {
-            return Err(miette::miette!(
-                help = "build it with `--features agents`",
-                "this cotorra was built without agents"
-            ));
-        }
         Command::Fdu { fdu } => fdu::fdu(&fdu)?,
         Command::Doctor(args) => doctor::doctor(&args)?,
         Command::Clean(args) => clean::clean(&args)?,
@@ -143,15 +134,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
             };
             match served.into_diagnostic()? {}
         }
-        #[cfg(feature = "containers")]
         Command::Guard { record } => cotorra_testbed::guard_containers(&record).into_diagnostic()?,
-        #[cfg(not(feature = "containers"))]
-        Command::Guard { .. } => {
-            return Err(miette::miette!(
-                help = "build it with `--features containers`",
-                "this cotorra was built without containers"
-            ));
-        }
         Command::Probe { probe } => bench::probe(&probe)?,
     }
     Ok(ExitCode::SUCCESS)

@@ -43,7 +43,6 @@ pub fn of_run(options: &Options, time: Time) -> Origin {
     words.extend(options.wais_callbacks.iter().map(|network| format!("--wais-callbacks={network}")));
     words.extend(flag(options.interfaces.replace, "--replace"));
     words.extend(options.interfaces.interfaces.iter().map(|name| format!("--allow-interface={name}")));
-    #[cfg(feature = "agents")]
     if time == Time::Real {
         words.push(format!("--agents={}", options.agents.listen));
         let authority = options.agents.authority.as_ref().and_then(|path| std::path::absolute(path).ok());

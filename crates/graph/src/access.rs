@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::id::{NodeId, VnfId};
 
 /// The VNF that makes a radio unit an access point: it serves its network while a(R) = {vAP}.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AccessPoint {
     /// The network's name.
@@ -19,11 +18,11 @@ pub struct AccessPoint {
     /// Key that admits its holder, whatever the holder's domain. Without one, robots of the radio unit's own domain may
     /// attach. Recorded decisions leave it out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    #[schema(value_type = Option<String>)]
     pub key: Option<FtKey>,
     /// Address of the core that it is on, if that is not the robot's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    #[schema(value_type = Option<String>)]
     pub core: Option<SocketAddr>,
 }
 

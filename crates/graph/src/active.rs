@@ -34,38 +34,36 @@ impl Default for Probing {
 }
 
 /// Result of probes of one direction of a link, each figure with its age.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Probed {
     /// Mean delay; `None` if no probe came back.
     #[serde(rename = "delay_ms", default, with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub delay: Option<Duration>,
     /// Mean difference of the delays of two probes in a row (RFC 3393; RFC 5481, section 4.1).
     #[serde(rename = "jitter_ms", default, with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub jitter: Option<Duration>,
     /// Age of both: how long before this was told the latest probe came back.
     #[serde(rename = "delay_age_ms", default, with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub delay_age: Option<Duration>,
     /// Share of the probes that this direction lost, from 0 to 1; `None` if none came to it.
     pub loss: Option<f64>,
     /// Age of the loss: how long before this was told the latest probe was sent of which it is known.
     #[serde(rename = "loss_age_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub loss_age: Duration,
 }
 
 /// A test of what a direction of a link carries: packets of 1500 bytes at a rate, for a while. It is bounded: 10 s at
 /// most, 1 Gbit/s at most, one at a time, and then four times as long none.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ThroughputTest {
     /// Time for which packets are sent, 10 ms to 10 s.
     #[serde(rename = "duration_ms", default = "ThroughputTest::second", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub duration: Duration,
     /// Rate at which packets are sent, bit/s. By default a tenth above the link's configured rate, and 1 Gbit/s at
     /// most.
@@ -96,8 +94,7 @@ impl Default for ThroughputTest {
 }
 
 /// Result of the last throughput test of one direction of a link.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Tested {
     /// λ: the rate at which its packets came out, beside whatever else crossed meanwhile, bit/s.
     pub throughput_bps: f64,
@@ -105,6 +102,6 @@ pub struct Tested {
     pub offered_bps: f64,
     /// Time since the test ended.
     #[serde(rename = "age_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub age: Duration,
 }

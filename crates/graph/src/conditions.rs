@@ -12,12 +12,11 @@ use crate::{
 };
 
 /// Conditions of one direction of a link.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Conditions {
     /// Time from the last bit sent to the last bit received, without queueing and serialisation.
     #[serde(rename = "delay_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub delay: Duration,
     /// Random part of the delay; keeps order.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -62,8 +61,7 @@ impl Conditions {
 }
 
 /// Packets that vanish on a link.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Loss {
     /// None do.
@@ -87,8 +85,7 @@ pub enum Loss {
 }
 
 /// Serialisation rate of a link.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Rate {
     /// Takes no time.
@@ -104,7 +101,7 @@ pub enum Rate {
     Trace {
         /// The delivery opportunities, milliseconds from the start.
         #[serde(rename = "trace_ms")]
-        #[cfg_attr(feature = "openapi", schema(value_type = Vec<u64>))]
+        #[schema(value_type = Vec<u64>)]
         trace: Arc<Trace>,
     },
     /// Rate of a trace's opportunities, which are known where the link is emulated. As a change of conditions, it names the
@@ -141,8 +138,7 @@ impl Rate {
 }
 
 /// What is known of a trace without its opportunities.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct TraceName {
     /// Name of its file; `None` for one that is in no file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -280,8 +276,7 @@ impl From<Trace> for Vec<u64> {
 }
 
 /// Scaling of a link by emulation: delay ψ·d, throughput λ/δ.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Scale {
     /// ψ: the delay is multiplied by it; 0 or more, 1 = untouched.
     pub delay_scale: f64,
@@ -296,8 +291,7 @@ impl Default for Scale {
 }
 
 /// A wished change of a link's conditions while it runs; what is `None` stays as it is.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ConditionChange {
     /// Absolute delay, milliseconds.

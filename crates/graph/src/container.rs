@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::{id::NodeId, service::Vnf, units::millis};
 
 /// An image whose containers run a VNF.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Image {
     /// Its reference, such as `ros:jazzy` or `docker.io/library/ros@sha256:…`.
     pub reference: String,
@@ -20,7 +19,7 @@ pub struct Image {
     pub volumes: Vec<Volume>,
     /// Devices of the machine that a container may use, such as `/dev/ttyUSB0`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+    #[schema(value_type = Vec<String>)]
     pub devices: Vec<PathBuf>,
     /// Ports at which it serves. An instance is ready once it listens at all of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -30,17 +29,16 @@ pub struct Image {
     pub init: bool,
     /// Time from its start until it serves, in virtual time.
     #[serde(rename = "start_ms", with = "millis", default)]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub start: Duration,
     /// Time from a request to its answer, in virtual time.
     #[serde(rename = "processing_ms", with = "millis", default)]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub processing: Duration,
 }
 
 /// When an engine pulls an image.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Pull {
     /// If the engine does not have it.
@@ -53,14 +51,13 @@ pub enum Pull {
 }
 
 /// A file or folder of the machine that a container sees.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Volume {
     /// Its path on the machine, from the testbed file's folder.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub source: PathBuf,
     /// Its absolute path in the container.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub target: PathBuf,
     /// Whether the container may write there.
     #[serde(default)]
@@ -68,8 +65,7 @@ pub struct Volume {
 }
 
 /// A port at which a container serves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ListenPort {
     /// Its number, above 0.
     pub port: u16,
@@ -88,8 +84,7 @@ impl std::fmt::Display for ListenPort {
 }
 
 /// A transport protocol.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Transport {
     /// TCP.
@@ -99,8 +94,9 @@ pub enum Transport {
 }
 
 /// The engine that runs images on a node.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum EngineKind {
     /// None: the node runs programs of this machine only.

@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::units::{Dbm, Position, Probability, millis};
 
 /// Contention for the channel by EDCA (IEEE 802.11-2020, 10.23.2), with its collisions, hidden nodes and capture.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Edca {
     /// Whether frames for one receiver are sent together as A-MPDU, and acknowledged together. 802.11n and ac can.
     pub aggregation: bool,
@@ -20,20 +19,18 @@ pub struct Edca {
 }
 
 /// Sleep between beacons (IEEE 802.11-2020, 11.2.3), as Linux's stations do it by default.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PowerSave {
     /// Time without frames after which a station sleeps.
     #[serde(rename = "idle_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub idle: Duration,
     /// Beacons from one to the next after which a radio unit sends group frames, if any of its stations sleeps.
     pub dtim_period: u8,
 }
 
 /// How stations choose their rates.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RateControl {
     /// By the present signal: the rate with the highest expected goodput.
@@ -43,8 +40,7 @@ pub enum RateControl {
 }
 
 /// Something else that sends on a channel.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Interferer {
     /// Its name, which decides its random numbers.
     pub name: String,
@@ -64,8 +60,7 @@ pub struct Interferer {
 }
 
 /// What an interferer sends.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum InterfererKind {
     /// Another Wi-Fi network, which contends as best effort. Its frames come at random (Poisson).
@@ -74,32 +69,31 @@ pub enum InterfererKind {
         load: Probability,
         /// Time of one frame with its acknowledgement.
         #[serde(rename = "airtime_ms", with = "millis")]
-        #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+        #[schema(value_type = f64)]
         airtime: Duration,
     },
     /// A device that sends in a fixed cycle without listening, such as a microwave oven.
     Device {
         /// Time for which it sends.
         #[serde(rename = "on_ms", with = "millis")]
-        #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+        #[schema(value_type = f64)]
         on: Duration,
         /// Time until it sends again.
         #[serde(rename = "off_ms", with = "millis")]
-        #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+        #[schema(value_type = f64)]
         off: Duration,
     },
 }
 
 /// Times for which an interferer is there and away, each exponentially distributed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Presence {
     /// Mean time for which it is there.
     #[serde(rename = "present_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub on: Duration,
     /// Mean time for which it is away.
     #[serde(rename = "absent_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub off: Duration,
 }

@@ -16,8 +16,7 @@ use crate::{
 };
 
 /// A robot's position and orientation with their covariance; σ_p(r).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Pose {
     /// Metres.
     pub x: f64,
@@ -58,8 +57,7 @@ impl Pose {
 }
 
 /// Source of a pose.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseSource {
     /// The simulator knows it exactly.
@@ -71,8 +69,7 @@ pub enum PoseSource {
 }
 
 /// Velocity of a robot: along its heading, upwards, and about the vertical axis.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Velocity {
     /// Forward, m/s.
     pub linear: f64,
@@ -105,8 +102,7 @@ impl Velocity {
 }
 
 /// σ(r): what a robot senses.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SensorData {
     /// Best estimate of its pose.
     pub pose: Pose,
@@ -121,8 +117,7 @@ pub struct SensorData {
 }
 
 /// φ(r,R) and what the robot knows of that radio unit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Attachment {
     /// R.
     pub radio_unit: NodeId,
@@ -138,7 +133,7 @@ pub struct Attachment {
         skip_serializing_if = "Option::is_none",
         with = "millis::option"
     )]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub age: Option<Duration>,
 }
 
@@ -151,8 +146,7 @@ impl Attachment {
 }
 
 /// κ(r): (φ(r,R_1)…φ(r,R_N), σ(r)).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RobotContext {
     /// r.
     pub robot: NodeId,
@@ -176,8 +170,7 @@ pub struct RobotContext {
 }
 
 /// Packets that came to a robot as answers and that it did not follow, counted since the run began.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AnswersRejected {
     /// r.
     pub robot: NodeId,
@@ -204,8 +197,9 @@ impl AnswersRejected {
 }
 
 /// Fault of a robot. Simulated ones have none.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum RobotFault {
     /// No message has ever arrived.
@@ -280,8 +274,7 @@ impl RobotContext {
 }
 
 /// ι(R): what a radio unit knows.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RadioContext {
     /// R.
     pub radio_unit: NodeId,
@@ -295,8 +288,7 @@ pub struct RadioContext {
 }
 
 /// A radio unit's view of one station.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct StationContext {
     /// The robot.
     pub robot: NodeId,
@@ -314,8 +306,7 @@ pub struct StationContext {
 
 /// Retries and airtime of a station since it joined. Each figure is `None` if the driver does not report it, and for radios that no
 /// agent drives.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct StationCounts {
     /// Retransmissions to it.
     #[serde(default)]
@@ -325,17 +316,16 @@ pub struct StationCounts {
     pub transmissions_failed: Option<u32>,
     /// Airtime of frames sent to it.
     #[serde(rename = "transmit_airtime_ms", default, with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub transmit_airtime: Option<Duration>,
     /// Airtime of frames received from it.
     #[serde(rename = "receive_airtime_ms", default, with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub receive_airtime: Option<Duration>,
 }
 
 /// d, λ and the effective conditions of one direction of a link, with what it did since the run began.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LinkContext {
     /// The link.
     pub link: LinkId,
@@ -343,7 +333,7 @@ pub struct LinkContext {
     pub direction: Direction,
     /// d: mean time that packets took over the last second, queueing included; `None` if none crossed.
     #[serde(rename = "delay_ms", with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub delay: Option<Duration>,
     /// λ: what crossed over the last second, bit/s.
     pub throughput_bps: f64,
@@ -389,8 +379,7 @@ impl LinkContext {
 }
 
 /// Counters of one direction of a link, in packets as they are on the wire.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LinkCounters {
     /// Packets delivered.
     pub packets: u64,
@@ -407,8 +396,7 @@ pub struct LinkCounters {
 }
 
 /// a(n): where a VNF runs. Its instances are known by their nodes.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Placement {
     /// The VNF.
     pub vnf: VnfId,
@@ -417,8 +405,7 @@ pub struct Placement {
 }
 
 /// a(n1,n2): the hardware links that carry one direction of a virtual link.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct VirtualLinkMapping {
     /// VNF at which packets start.
     pub from: VnfId,
@@ -436,8 +423,7 @@ pub struct VirtualLinkMapping {
 }
 
 /// The hardware links between two instances.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct InstancePath {
     /// Node of the instance at which packets start.
     pub from: NodeId,
@@ -450,8 +436,7 @@ pub struct InstancePath {
 }
 
 /// Reason why packets take a path.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
     /// The path of least delay. No other is mapped.
@@ -480,8 +465,7 @@ impl PathKind {
 /// One measured service time: from the emission of a robot's position packet to the reception of the navigation
 /// packet that answers it, both read on the robot's clock. Of a service that localizes, from a scan to the pose; of one with a
 /// `flow`, from a request to its answer.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ServiceTime {
     /// The service.
     pub service: ServiceId,
@@ -494,7 +478,7 @@ pub struct ServiceTime {
     pub emitted: Timestamp,
     /// Service time; `None` if no answer came in time: within the robot's command timeout, or 3 s for a scan.
     #[serde(rename = "service_time_ms", with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub took: Option<Duration>,
     /// The radio unit that the robot was attached to when it was emitted.
     pub attachment: Option<NodeId>,
@@ -502,17 +486,16 @@ pub struct ServiceTime {
     pub server: NodeId,
     /// Parts of the service time; `None` without an answer, or if the fabric did not carry the packets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<TimeParts>))]
+    #[schema(value_type = Option<TimeParts>)]
     pub parts: Option<Box<TimeParts>>,
     /// Where its packets ended, of one without an answer; `None` if that is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<LostAt>))]
+    #[schema(value_type = Option<LostAt>)]
     pub lost_at: Option<Box<LostAt>>,
 }
 
 /// A finished change of attachment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Handover {
     /// The robot.
     pub robot: NodeId,
@@ -524,13 +507,12 @@ pub struct Handover {
     pub fast: bool,
     /// Time for which no frame could pass.
     #[serde(rename = "gap_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub gap: Duration,
 }
 
 /// Lateness of the emulator: actual against due delivery times.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Lateness {
     /// Frames delivered.
     pub frames: u64,

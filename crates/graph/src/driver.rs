@@ -11,8 +11,7 @@ use crate::{
 };
 
 /// Driver of a robot.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Driver {
     /// Simulated by cotorra.
@@ -46,11 +45,10 @@ impl Default for Driver {
 }
 
 /// Serial ports of a TurtleBot 2.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Kobuki {
     /// Device file of its Kobuki base.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub port: PathBuf,
     /// Its lidar, if it has one.
     pub lidar: Option<Rplidar>,
@@ -60,11 +58,10 @@ pub struct Kobuki {
 }
 
 /// Serial port of an RPLIDAR A2, and its pose on the robot.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Rplidar {
     /// Device file.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub port: PathBuf,
     /// Bits per second.
     pub baud: u32,
@@ -77,8 +74,7 @@ pub struct Rplidar {
 }
 
 /// ROS interface of a simulated robot.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Offer {
     /// As what, and where.
     pub ros: Ros,
@@ -88,8 +84,7 @@ pub struct Offer {
 }
 
 /// Address of a robot in ROS.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Ros {
     /// Address in ROS 1.
@@ -99,8 +94,7 @@ pub enum Ros {
 }
 
 /// Address of a robot in ROS 1.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Ros1 {
     /// Its master, and the network in which it is reached.
     pub master: RosMaster,
@@ -118,8 +112,7 @@ impl Ros1 {
 }
 
 /// Address of a robot in ROS 2.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Ros2 {
     /// Its middleware.
     pub rmw: Rmw,
@@ -139,8 +132,7 @@ impl Ros2 {
 }
 
 /// ROS 2 middleware (RMW) of a robot.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Rmw {
     /// DDS.
@@ -148,7 +140,7 @@ pub enum Rmw {
         /// Network in which the robot is reached.
         network: RosNetwork,
         /// The address of the one network interface to use; without one, all of them.
-        #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+        #[schema(value_type = Option<String>)]
         interface: Option<IpAddr>,
     },
     /// Zenoh, as `rmw_zenoh` has it, in the network of this machine.
@@ -169,8 +161,9 @@ impl Rmw {
 }
 
 /// Network in which a robot speaks ROS 2.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum RosNetwork {
     /// The network of this machine.
@@ -185,8 +178,7 @@ fn resolved(namespace: &str, topic: &str) -> String {
 }
 
 /// Address of a ROS 1 master.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "network")]
 pub enum RosMaster {
     /// Master in the network of this machine: at this address, or at that of `ROS_MASTER_URI`.
@@ -213,8 +205,7 @@ impl RosMaster {
 }
 
 /// Names of a robot's topics: global ones begin with `/`, others are in its namespace. The same for ROS 1 and 2.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RosTopics {
     /// `sensor_msgs/LaserScan`.
     pub scan: String,
@@ -229,14 +220,13 @@ pub struct RosTopics {
     /// `nav_msgs/OccupancyGrid`.
     pub map: String,
     /// Topics of declared sensors.
-    #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, SensorTopic>))]
+    #[schema(value_type = BTreeMap<String, SensorTopic>)]
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sensors: BTreeMap<SensorId, SensorTopic>,
 }
 
 /// The topic of a sensor.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SensorTopic {
     /// Its name.
     pub name: String,
@@ -245,8 +235,7 @@ pub struct SensorTopic {
 }
 
 /// Message type of a sensor's topic.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorMessage {
     /// `sensor_msgs/BatteryState`.

@@ -24,8 +24,7 @@ use crate::{
 };
 
 /// An event and when it happened.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Stamped {
     /// Nanoseconds since the run began.
     #[serde(rename = "at_ns")]
@@ -36,8 +35,7 @@ pub struct Stamped {
 }
 
 /// Anything that happens in a run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "event")]
 pub enum Event {
     /// κ(r), periodically.
@@ -110,8 +108,7 @@ pub enum Event {
 }
 
 /// Change of a VNF's process.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct VnfEvent {
     /// The VNF.
     pub vnf: VnfId,
@@ -125,8 +122,7 @@ pub struct VnfEvent {
 }
 
 /// State of a VNF's process.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum VnfState {
     /// The process runs.
@@ -140,8 +136,7 @@ pub enum VnfState {
 }
 
 /// An instruction of a plug-in, its reason and its outcome.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Decision {
     /// The plug-in.
     pub plugin: PluginId,
@@ -156,8 +151,7 @@ pub struct Decision {
 }
 
 /// Instruction that a plug-in can give. Its texts and lists are bounded, each and all together.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(remote = "Self", rename_all = "snake_case", tag = "instruction", deny_unknown_fields)]
 pub enum Instruction {
     /// Move a robot at this velocity, until another comes or its command timeout ends it.
@@ -297,7 +291,7 @@ pub enum Instruction {
             skip_serializing_if = "Option::is_none",
             with = "millis::option"
         )]
-        #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+        #[schema(value_type = Option<f64>)]
         ago: Option<Duration>,
     },
     /// Test the throughput of one direction of a wired link. The link's context has the result when the test is over.

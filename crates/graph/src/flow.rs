@@ -7,14 +7,13 @@ use serde::{Deserialize, Serialize};
 use crate::{id::NodeId, units::millis};
 
 /// A flow between a client on one node and a server on any other, measured at the client's port.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Flow {
     /// The client's node.
     pub from: NodeId,
     /// A request without an answer after so long is lost.
     #[serde(rename = "timeout_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub timeout: Duration,
     /// Protocol between the two.
     #[serde(flatten)]
@@ -22,8 +21,7 @@ pub struct Flow {
 }
 
 /// Protocol of a flow: it defines requests and answers.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "protocol")]
 pub enum FlowProtocol {
     /// A datagram to a port, and the datagram from there that answers it.
@@ -85,8 +83,7 @@ pub enum FlowProtocol {
 }
 
 /// Bytes of a datagram's payload, or of a message, that the answer repeats at the same place.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FlowId {
     /// Index of the first byte.
     pub offset: u8,

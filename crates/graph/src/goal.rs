@@ -5,8 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::{id::NodeId, units::Position};
 
 /// Change of a robot's goal.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct GoalEvent {
     /// The robot.
     pub robot: NodeId,
@@ -23,8 +22,7 @@ pub struct GoalEvent {
 }
 
 /// The life of a goal. It ends once: reached, replaced, canceled or failed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GoalState {
     /// The robot was given it.

@@ -23,8 +23,7 @@ use crate::{
 
 /// The hardware graph. Made by the crate `testbed-file`, which checks what this type takes for granted: names are
 /// unique, ends of links exist, every server can be reached from every other node.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct HardwareGraph {
     /// Administrative domains, in the file's order.
     pub domains: Vec<DomainId>,
@@ -114,8 +113,7 @@ impl HardwareGraph {
 }
 
 /// A node of G.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Node {
     /// Its name.
     pub id: NodeId,
@@ -156,8 +154,7 @@ impl Node {
 }
 
 /// Kind of a node.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum NodeKind {
     /// Moves, senses, and is attached to a radio unit.
@@ -175,8 +172,7 @@ pub enum NodeKind {
 }
 
 /// Capacity of a node for VNFs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Capacity {
     /// CPUs.
     pub cpus: f64,
@@ -185,8 +181,7 @@ pub struct Capacity {
 }
 
 /// A robot's hardware.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Robot {
     /// Capacity for VNFs.
     pub capacity: Capacity,
@@ -213,8 +208,7 @@ pub struct Robot {
 }
 
 /// Bases that the simulated robot knows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RobotModel {
     /// TurtleBot 2: Kobuki base with an RPLIDAR A2.
@@ -257,8 +251,7 @@ impl RobotModel {
 }
 
 /// Roaming policy: the component that decides when a robot changes its radio unit.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Roaming {
     /// The station decides by signal, with hysteresis and time-to-trigger (see [`WirelessNetwork`]).
@@ -273,19 +266,18 @@ pub enum Roaming {
 }
 
 /// Background scans of wpa_supplicant: the parameters of its module bgscan `simple`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct BackgroundScan {
     /// Signal of the own radio unit below which the short interval holds.
     #[serde(rename = "threshold_dbm")]
     pub threshold: Dbm,
     /// From scan to scan below the threshold; 1 s or more.
     #[serde(rename = "short_interval_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub short_interval: Duration,
     /// From scan to scan otherwise, and after many scans below the threshold; not below the short interval.
     #[serde(rename = "long_interval_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub long_interval: Duration,
 }
 
@@ -301,8 +293,7 @@ impl Default for BackgroundScan {
 }
 
 /// A radio unit's hardware.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RadioUnit {
     /// Capacity for VNFs.
     pub capacity: Capacity,
@@ -318,7 +309,7 @@ pub struct RadioUnit {
     pub serving: bool,
     /// Deployment time of a vAP, from the start to its first beacon.
     #[serde(rename = "deployment_ms", with = "millis", default)]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub deployment: Duration,
     /// The agent of a real access point, which reports its context as that of this node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -333,8 +324,7 @@ const fn yes() -> bool {
 }
 
 /// A server's hardware.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Server {
     /// Distance from the robots.
     pub tier: Tier,
@@ -350,8 +340,7 @@ pub struct Server {
 }
 
 /// Distance of a server from the robots.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Tier {
     /// On the premises.
@@ -363,8 +352,7 @@ pub enum Tier {
 }
 
 /// A wired link.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Link {
     /// Its name.
     pub id: LinkId,
@@ -382,7 +370,7 @@ pub struct Link {
     pub medium: BitRate,
     /// One-way delay of the medium itself, before emulation: see [`Medium`]. Zero where the whole link is emulated.
     #[serde(rename = "medium_delay_ms", with = "millis", default)]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub medium_delay: Duration,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
@@ -396,8 +384,9 @@ impl Link {
 }
 
 /// One of a link's two directions.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
     /// The direction from the first end to the second. On a wireless link, from the robot up to the radio unit.
@@ -407,15 +396,14 @@ pub enum Direction {
 }
 
 /// A wireless network: what radio units of one SSID and the robots that join it have in common.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WirelessNetwork {
     /// Physical layer.
     pub standard: WifiStandard,
     /// One-way delay of a frame on an idle channel, airtime included: what is measured on the air with small
     /// frames. Queueing behind others and retries come on top.
     #[serde(rename = "delay_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub delay: Duration,
     /// Highest rate of one station, whatever its signal. A frame's airtime is at least its bits over this rate.
     #[serde(rename = "rate_bps")]
@@ -432,7 +420,7 @@ pub struct WirelessNetwork {
     pub path_loss: PathLoss,
     /// Attenuation by the walls of the map. Without it, they take nothing away.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<crate::WallLoss>))]
+    #[schema(value_type = Option<crate::WallLoss>)]
     pub walls: Option<Walls>,
     /// Variation of the signal around the path loss.
     pub shadowing: Shadowing,
@@ -446,7 +434,7 @@ pub struct WirelessNetwork {
     pub hysteresis_db: f64,
     /// … for so long.
     #[serde(rename = "time_to_trigger_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub time_to_trigger: Duration,
     /// Durations of a handover's phases.
     pub handover: HandoverTimes,
@@ -464,8 +452,7 @@ pub struct WirelessNetwork {
 }
 
 /// Physical layers whose rates are modelled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WifiStandard {
     /// IEEE 802.11g: ERP-OFDM, 20 MHz at 2.4 GHz, 6 to 54 Mbit/s.
@@ -480,8 +467,7 @@ pub enum WifiStandard {
 }
 
 /// Path loss over distance d (metres).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "model")]
 pub enum PathLoss {
     /// Free space (ITU-R P.525): 20 log d + 20 log f - 27.55 dB, f in MHz.
@@ -501,8 +487,7 @@ pub enum PathLoss {
 }
 
 /// Log-normal shadowing, correlated in space: exp(-Δx / correlation distance) (Gudmundson 1991).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Shadowing {
     /// Standard deviation, dB; 0 switches it off.
     pub deviation_db: f64,
@@ -512,8 +497,7 @@ pub struct Shadowing {
 
 /// Small-scale fading by interference of paths, with a mean power of 1 and the spectrum of Clarke: Rayleigh, or Rician with
 /// a line of sight.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Fading {
     /// Power of the line of sight over that of all other paths together, dB. Without it there is no line of sight.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -524,27 +508,26 @@ pub struct Fading {
 }
 
 /// Durations of a handover's phases.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct HandoverTimes {
     /// Scanning all channels, off one's own.
     #[serde(rename = "scan_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub scan: Duration,
     /// Visits into which an attached station divides a scan. Without them, it is away for all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub visits: Option<ScanVisits>,
     /// Authentication.
     #[serde(rename = "authenticate_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub authenticate: Duration,
     /// Reassociation.
     #[serde(rename = "reassociate_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub reassociate: Duration,
     /// The key handshakes (802.1X, four-way) that fast transition leaves out.
     #[serde(rename = "handshake_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub handshake: Duration,
     /// Each phase varies by up to this share, uniformly; 0 to 1.
     pub variation: f64,
@@ -554,36 +537,33 @@ pub struct HandoverTimes {
 }
 
 /// Handovers as frames on the air: those of authentication, reassociation and, unless by fast transition, the key handshake.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Frames {
     /// Interval of the timers of Linux, at whose ticks a station reassociates: 1 / HZ.
     #[serde(rename = "tick_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub tick: Duration,
 }
 
 /// Visits of other channels, between which a station that scans is back on its own, as in Linux's software scan.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ScanVisits {
     /// Time on each channel; above 0.
     #[serde(rename = "dwell_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub dwell: Duration,
     /// The station visits further channels while it is away no longer than this and has no frame to send.
     #[serde(rename = "away_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub away: Duration,
     /// Time back on its channel.
     #[serde(rename = "back_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub back: Duration,
 }
 
 /// Treatment of frames for or from a station that is off its channel or between two radio units.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GapPolicy {
     /// The station's driver queues what it sends, and its radio unit buffers as for a station that sleeps; both
@@ -595,16 +575,15 @@ pub enum GapPolicy {
 }
 
 /// The addresses of a host, which follow from its place among the hosts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct HostAddress {
     /// Locally administered MAC address.
     pub mac: [u8; 6],
     /// IPv4 address, in 10.77.0.0/16.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub ipv4: Ipv4Addr,
     /// IPv6 address, in fd77::/64.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub ipv6: Ipv6Addr,
 }
 

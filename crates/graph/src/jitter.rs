@@ -11,12 +11,11 @@ use serde::{Deserialize, Serialize};
 use crate::units::millis;
 
 /// Random addition to a delay, with mean zero; a total below zero counts as zero.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Jitter {
     /// Half-width of a uniform, standard deviation of the other distributions.
     #[serde(rename = "deviation_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub deviation: Duration,
     /// Shape of the distribution.
     #[serde(default)]
@@ -85,9 +84,10 @@ pub struct InvalidCorrelation {
 /// distributions and correlation matrix, 1997): each packet has a normal score, scores are an autoregression of first order,
 /// and a jitter is the quantile of its distribution at the score's probability. The distribution of single jitters is exactly
 /// the one asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[cfg_attr(feature = "openapi", schema(value_type = f64))]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize, utoipa::ToSchema,
+)]
+#[schema(value_type = f64)]
 #[serde(try_from = "f64", into = "f64")]
 // In millionths, so that conditions stay small.
 pub struct Correlation(i32);
@@ -133,8 +133,7 @@ impl fmt::Display for Correlation {
 }
 
 /// Shape of a jitter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JitterDistribution {
     /// Every value within ± deviation is as likely.

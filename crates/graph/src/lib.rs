@@ -25,8 +25,6 @@ mod map;
 mod medium;
 mod natural;
 mod nodes;
-#[cfg(feature = "openapi")]
-pub mod openapi;
 mod propagation;
 mod queue;
 mod real;

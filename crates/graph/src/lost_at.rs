@@ -5,8 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::id::LinkId;
 
 /// The place at which the packets of a sample ended, and why it got no answer.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LostAt {
     /// The link; `None` if they ended on none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -18,8 +17,9 @@ pub struct LostAt {
 }
 
 /// The reason for which a sample got no answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum LostCause {
     /// The link lost it.

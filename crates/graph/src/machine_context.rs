@@ -10,8 +10,7 @@ use crate::{
 };
 
 /// What a real machine reports of itself. A part is `None` or empty if the machine does not offer it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct MachineContext {
     /// The machine.
     pub node: NodeId,
@@ -34,15 +33,14 @@ pub struct MachineContext {
 }
 
 /// Time at which a machine read its context, on the core's clock.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ReadingTime {
     /// The time.
     #[serde(rename = "measured_ns")]
     pub measured: Timestamp,
     /// Most that the time is wrong by, because the distance of two clocks is an estimate.
     #[serde(rename = "time_error_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub error: Duration,
 }
 
@@ -96,8 +94,7 @@ impl MachineContext {
 }
 
 /// The CPUs of a machine.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CpuContext {
     /// CPUs that are online.
     pub cpus: u32,
@@ -107,8 +104,7 @@ pub struct CpuContext {
 }
 
 /// Mean number of tasks that run or wait for a CPU or a disk.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LoadAverage {
     /// Over one minute.
     pub one_minute: f64,
@@ -119,8 +115,7 @@ pub struct LoadAverage {
 }
 
 /// The memory of a machine.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct MemoryContext {
     /// All of it.
     pub memory_bytes: u64,
@@ -129,8 +124,7 @@ pub struct MemoryContext {
 }
 
 /// A network interface of a machine.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct InterfaceContext {
     /// Name, such as `eth0`.
     pub name: String,
@@ -150,8 +144,7 @@ pub struct InterfaceContext {
 }
 
 /// One direction of an interface, counted since the interface exists.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct InterfaceTraffic {
     /// Packets.
     pub packets: u64,
@@ -166,8 +159,7 @@ pub struct InterfaceTraffic {
 }
 
 /// A Wi-Fi interface, the stations that it exchanges frames with, and the channels that it listened to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WifiContext {
     /// Name of the interface.
     pub interface: String,
@@ -186,8 +178,7 @@ pub struct WifiContext {
 }
 
 /// Role of a Wi-Fi interface.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WifiRole {
     /// Access point.
@@ -201,8 +192,7 @@ pub enum WifiRole {
 }
 
 /// A machine's view of a station in its BSS. Each figure is `None` if the driver does not report it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WifiStation {
     /// MAC address, such as `02:00:00:00:01:00`.
     pub mac: String,
@@ -221,21 +211,20 @@ pub struct WifiStation {
     pub transmissions_failed: Option<u32>,
     /// Airtime of frames sent to it.
     #[serde(rename = "transmit_airtime_ms", with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub transmit_airtime: Option<Duration>,
     /// Airtime of frames received from it.
     #[serde(rename = "receive_airtime_ms", with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub receive_airtime: Option<Duration>,
     /// Time since its last frame.
     #[serde(rename = "inactive_ms", with = "millis::option")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub inactive: Option<Duration>,
 }
 
 /// Survey of a channel.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WifiChannel {
     /// Centre frequency.
     pub frequency_mhz: u32,

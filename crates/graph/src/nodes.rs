@@ -8,15 +8,13 @@ use crate::id::NodeId;
 
 /// The nodes of a VNF's instances, in the order in which they are preferred: one, or several different ones. In JSON the
 /// one's name, or a list of names.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(try_from = "OneOrSeveral", into = "OneOrSeveral")]
-#[cfg_attr(feature = "openapi", schema(as = Nodes, value_type = OneOrSeveral))]
+#[schema(as = Nodes, value_type = OneOrSeveral)]
 pub struct Nodes(Vec<NodeId>);
 
 /// A node, or several.
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 enum OneOrSeveral {
     One(NodeId),

@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::units::{Probability, millis};
 
 /// Limit of a link's queue, without the packet in transmission.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum QueueLimit {
     /// Limit in packets, as they are on the wire.
@@ -25,8 +24,7 @@ impl Default for QueueLimit {
 }
 
 /// Discipline of a link's queue: which packets it drops or marks, and in which order it sends them.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum QueueDiscipline {
     /// First in, first out. Packets that find the queue full are dropped.
@@ -43,17 +41,16 @@ pub enum QueueDiscipline {
 }
 
 /// Parameters of CoDel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Codel {
     /// Acceptable time in the queue.
     #[serde(rename = "target_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 5.0))]
+    #[schema(value_type = f64, default = 5.0)]
     pub target: Duration,
     /// Time above the target before the first drop, about a round-trip time.
     #[serde(rename = "interval_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 100.0))]
+    #[schema(value_type = f64, default = 100.0)]
     pub interval: Duration,
     /// Whether ECN-capable packets are marked instead of dropped.
     pub ecn: bool,
@@ -67,17 +64,16 @@ impl Default for Codel {
 }
 
 /// Parameters of FQ-CoDel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FqCodel {
     /// Acceptable time in the queue.
     #[serde(rename = "target_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 5.0))]
+    #[schema(value_type = f64, default = 5.0)]
     pub target: Duration,
     /// Time above the target before the first drop, about a round-trip time.
     #[serde(rename = "interval_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 100.0))]
+    #[schema(value_type = f64, default = 100.0)]
     pub interval: Duration,
     /// Queues that flows are hashed to.
     pub flows: u32,
@@ -104,21 +100,20 @@ impl Default for FqCodel {
 }
 
 /// Parameters of PIE.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pie {
     /// Time in the queue that it aims at.
     #[serde(rename = "target_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 15.0))]
+    #[schema(value_type = f64, default = 15.0)]
     pub target: Duration,
     /// Time from one update of the drop probability to the next.
     #[serde(rename = "update_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 15.0))]
+    #[schema(value_type = f64, default = 15.0)]
     pub update: Duration,
     /// Length of a burst that passes without drops.
     #[serde(rename = "burst_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64, default = 150.0))]
+    #[schema(value_type = f64, default = 150.0)]
     pub burst: Duration,
     /// Whether ECN-capable packets are marked instead of dropped, while the drop probability is below 10 %.
     pub ecn: bool,
@@ -133,8 +128,7 @@ impl Default for Pie {
 }
 
 /// Parameters of RED.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Red {
     /// Thresholds of the average queue.
@@ -163,8 +157,7 @@ impl Default for Red {
 
 /// Thresholds of RED's average queue. Below `min` no packet is dropped, from `max` on the probability rises to 1 at twice
 /// `max`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum RedThresholds {
     /// Thresholds in packets.

@@ -15,8 +15,7 @@ use crate::{
 };
 
 /// The real machine that a server is.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RealServer {
     /// The agent that starts VNFs there.
     pub agent: AgentId,
@@ -25,13 +24,12 @@ pub struct RealServer {
     /// Network namespace of the interface: a name of `ip netns`, or an absolute path; `None` for this machine's.
     pub netns: Option<String>,
     /// Its address there.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub address: Ipv4Addr,
 }
 
 /// A Wi-Fi interface of a real machine: the radio of a robot, or of a radio unit.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RealRadio {
     /// The agent of the machine.
     pub agent: AgentId,
@@ -56,15 +54,14 @@ pub struct RealPort<'a> {
 }
 
 /// A gateway: joins an interface to the emulated network. Packets pass between the hosts and the real machines behind it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Gateway {
     /// The interface, as `ip link` names it.
     pub interface: String,
     /// Network namespace of the interface: a name of `ip netns`, or an absolute path; `None` for this machine's.
     pub netns: Option<String>,
     /// Addresses of the real machines behind it, by name. No other machine passes.
-    #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, String>))]
+    #[schema(value_type = BTreeMap<String, String>)]
     pub machines: BTreeMap<NodeId, Ipv4Addr>,
 }
 
@@ -75,8 +72,7 @@ impl Gateway {
 
 /// A real machine: this one, that of an agent, or one that is reached through an interface of such a machine. Only the link
 /// to it is emulated: on that interface, for the packets that whatever programs send there.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Machine {
     /// Interface and address by which it is reached; `None` for this machine, or one via whose agent others are reached.
     pub reached: Option<Reached>,
@@ -86,8 +82,7 @@ pub struct Machine {
 }
 
 /// Interface and address of another real machine.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Reached {
     /// The agent on whose machine the interface is; `None` for this machine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -95,7 +90,7 @@ pub struct Reached {
     /// Through this interface, as `ip link` names it.
     pub interface: String,
     /// Addresses of the machine; `None` for everything behind the interface that no other machine has.
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    #[schema(value_type = Option<String>)]
     pub address: Option<IpNetwork>,
     /// Whether a reflector of STAMP (RFC 8762) is at its address, by which a run measures the delay of the medium before
     /// it begins, and then what the link does. An agent measures only the latter.

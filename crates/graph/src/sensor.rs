@@ -11,15 +11,14 @@ use crate::{
 };
 
 /// A component of σ(r): a sensor that is read at a rate of its own.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Sensor {
     /// Its name.
     #[serde(rename = "sensor")]
     pub id: SensorId,
     /// Time from one reading to the next.
     #[serde(rename = "interval_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub interval: Duration,
     /// Measured quantity.
     #[serde(flatten)]
@@ -27,8 +26,7 @@ pub struct Sensor {
 }
 
 /// Measured quantity of a sensor.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum SensorKind {
     /// Pose and velocity by the wheels, or by what takes their place.
@@ -63,8 +61,7 @@ pub enum SensorKind {
 }
 
 /// A camera, which looks ahead.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Camera {
     /// Columns of an image.
     pub width: u16,
@@ -83,8 +80,7 @@ pub struct Camera {
 }
 
 /// Encoding of large data.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DataFormat {
     /// A turn of a lidar: a `sensor_msgs/LaserScan` of ROS 2 in CDR.
@@ -174,8 +170,7 @@ impl SensorKind {
 }
 
 /// Reading of a sensor: numbers, or a reference to large data.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SensorReading {
     /// The robot.
     pub robot: NodeId,
@@ -185,7 +180,7 @@ pub struct SensorReading {
     #[serde(rename = "measured_ns")]
     pub measured: Timestamp,
     /// Finite numbers, by the names of [`SensorKind::components`].
-    #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, f64>))]
+    #[schema(value_type = BTreeMap<String, f64>)]
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub values: BTreeMap<ComponentId, f64>,
     /// Large data, which is kept apart.
@@ -194,8 +189,7 @@ pub struct SensorReading {
 }
 
 /// Large data that a sensor measured, but for its bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LargeData {
     /// The number of the sensor's reading, from 0.
     pub sequence: u64,

@@ -14,8 +14,7 @@ use crate::{
 };
 
 /// A service that robots use.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Service {
     /// Its name.
     pub id: ServiceId,
@@ -49,8 +48,7 @@ impl Service {
 }
 
 /// Destination of requests to a VNF that has several instances.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Requests {
     /// Sent to the first that serves.
@@ -69,8 +67,7 @@ impl Requests {
 }
 
 /// A virtual network function.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Vnf {
     /// Its name, unique in the testbed.
     pub id: VnfId,
@@ -101,8 +98,7 @@ pub struct Vnf {
 }
 
 /// Rights of a VNF's command on the machine that runs the testbed.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Rights {
     /// Confined to the node, with these rights besides.
@@ -112,15 +108,14 @@ pub enum Rights {
 }
 
 /// Rights of a confined VNF beyond its own node and folder.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Granted {
     /// Capabilities over its node's network and its own threads.
     #[serde(default)]
     pub capabilities: Vec<LinuxCapability>,
     /// Files and folders that it may read beside programs, libraries and the testbed file's folder; from that folder.
     #[serde(default)]
-    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+    #[schema(value_type = Vec<String>)]
     pub readable: Vec<PathBuf>,
 }
 
@@ -137,8 +132,7 @@ impl Default for Rights {
 }
 
 /// A capability of Linux (capabilities(7)) that reaches no further than a node.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LinuxCapability {
     /// Ports below 1024.
@@ -156,8 +150,7 @@ pub enum LinuxCapability {
 }
 
 /// Program of a VNF.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Program {
     /// The robot's own driver: position packets out, navigation packets in. Runs in the Robot Middleware.
@@ -181,8 +174,7 @@ impl Program {
 }
 
 /// A link between two VNFs of a service.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct VirtualLink {
     /// VNF at one end.
     pub from: VnfId,
@@ -194,18 +186,17 @@ pub struct VirtualLink {
 }
 
 /// KPIs that a service must keep.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Kpis {
     /// Target of the service time: from the emission of a position packet to the reception of the navigation
     /// packet that answers it. Of a service that localizes, from a scan to the pose; of one with a `flow`, from its requests
     /// to their answers.
     #[serde(rename = "service_time_target_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub service_time: Duration,
     /// Share of samples that must be within the target; `None` if any share will do.
     #[serde(rename = "keep", default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    #[schema(value_type = Option<f64>)]
     pub kept: Option<Probability>,
     /// Probability that all nodes and links in use work; 0 to 1.
     pub reliability: Option<f64>,

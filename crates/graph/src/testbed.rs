@@ -138,8 +138,7 @@ impl Retention {
 }
 
 /// Walk of a robot.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Walk {
     /// The robot.
     pub robot: NodeId,
@@ -153,13 +152,12 @@ pub struct Walk {
     pub speed_limit: f64,
     /// Interval of the robot's position packets.
     #[serde(rename = "position_interval_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub position_interval: Duration,
 }
 
 /// A plug-in that runs with the testbed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PluginSpec {
     /// Name in this testbed.
     pub id: PluginId,
@@ -183,9 +181,8 @@ pub struct PluginSpec {
 }
 
 /// Number of instructions that a plug-in may give in a second, also all at once: from 1 to 100000, 1000 by default.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[cfg_attr(feature = "openapi", schema(value_type = u32, minimum = 1, maximum = 100_000))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(value_type = u32, minimum = 1, maximum = 100_000)]
 #[serde(try_from = "u32", into = "u32")]
 pub struct InstructionLimit(u32);
 
@@ -234,8 +231,7 @@ impl TryFrom<u32> for InstructionLimit {
 }
 
 /// Program of a plug-in.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PluginProgram {
     /// One of the bundled, by name, in process.

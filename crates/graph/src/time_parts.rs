@@ -7,32 +7,30 @@ use serde::{Deserialize, Serialize};
 use crate::{hardware::Direction, id::LinkId, units::millis};
 
 /// The parts of one service time. They add up to it.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct TimeParts {
     /// Time in the sender's host, until the packet that the VNF needed last entered the network.
     #[serde(rename = "sender_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub sender: Duration,
     /// Time in the VNF and its host, until the packet that the sender needed last entered the network.
     #[serde(rename = "vnf_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub vnf: Duration,
     /// Time in the receiver's host, which is the sender's.
     #[serde(rename = "receiver_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub receiver: Duration,
     /// Time that no stamp covers, such as the emulator's lateness.
     #[serde(rename = "unknown_time_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub unknown: Duration,
     /// Links in the order of the way: to the VNF, then back.
     pub links: Vec<LinkTime>,
 }
 
 /// The time that a packet spent on one link.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LinkTime {
     /// The link.
     pub link: LinkId,
@@ -42,15 +40,15 @@ pub struct LinkTime {
     pub back: bool,
     /// Time in the queue, or until the channel was free.
     #[serde(rename = "queueing_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub queueing: Duration,
     /// Airtime of all attempts but the first.
     #[serde(rename = "retries_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub retries: Duration,
     /// Time on the air or on the wire: transmission and delay.
     #[serde(rename = "crossing_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub crossing: Duration,
 }
 

@@ -5,8 +5,20 @@ use std::{fmt, time::Duration};
 use serde::{Deserialize, Serialize};
 
 /// A point in time: nanoseconds since the run began. Real and virtual time share it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Default,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+)]
 #[serde(transparent)]
 pub struct Timestamp(u64);
 
@@ -63,9 +75,10 @@ impl fmt::Display for Timestamp {
 }
 
 /// A bit rate in bit/s; never zero.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[cfg_attr(feature = "openapi", schema(value_type = u64))]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
+#[schema(value_type = u64)]
 #[serde(try_from = "u64", into = "u64")]
 pub struct BitRate(std::num::NonZeroU64);
 
@@ -125,9 +138,8 @@ impl fmt::Display for BitRate {
 }
 
 /// A probability or a share, in 0..=1; never NaN.
-#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[cfg_attr(feature = "openapi", schema(value_type = f64))]
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(value_type = f64)]
 #[serde(try_from = "f64", into = "f64")]
 pub struct Probability(f64);
 
@@ -162,8 +174,7 @@ impl TryFrom<f64> for Probability {
 }
 
 /// Power in dBm (decibels over one milliwatt).
-#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(transparent)]
 pub struct Dbm(pub f64);
 
@@ -192,8 +203,7 @@ pub(crate) fn is_zero(value: &f64) -> bool {
 }
 
 /// A place, in metres, in the map's frame.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Position {
     /// Metres to the east of the map's origin.
     pub x: f64,

@@ -12,8 +12,7 @@ use crate::{
 
 /// Loss of signal by walls: the sum of equal losses in the multi-wall model (COST 231, final report, 4.7.2), whose other terms
 /// are the path loss and a constant, which is zero here.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WallLoss {
     /// Loss of each wall that the straight line between two antennas crosses, dB.
     #[serde(rename = "wall_loss_db")]

@@ -5,8 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 /// Real software in place of the modelled stations: wpa_supplicant at each robot, and hostapd at each radio unit.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WifiSoftware {
     /// The radios that it drives.
     pub radios: RadioKind,
@@ -19,8 +18,7 @@ pub struct WifiSoftware {
 }
 
 /// RadioKind of real Wi-Fi software.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RadioKind {
     /// RadioKind of mac80211_hwsim in the nodes. The air between them is the model's.
@@ -30,8 +28,7 @@ pub enum RadioKind {
 }
 
 /// How stations prove who they are, and how frames are protected. The passphrase is neither serialized nor printed.
-#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "method")]
 pub enum Security {
     /// Everybody may join, and nothing is encrypted.
@@ -73,8 +70,7 @@ impl fmt::Debug for Security {
 }
 
 /// Protection of management frames (802.11w). Without it, anybody can disconnect a station by a forged frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Protection {
     /// No station has it.

@@ -36,11 +36,10 @@ impl Default for CurveRequest {
 }
 
 /// A figure over time.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Curve {
     /// Figure that the curve shows.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub figure: Figure,
     /// Unit of the figure; empty for a bare number.
     pub unit: String,
@@ -51,8 +50,7 @@ pub struct Curve {
 }
 
 /// The samples of a stretch of time.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Point {
     /// Start, nanoseconds since the run began.
     #[serde(rename = "from_ns")]
@@ -68,8 +66,7 @@ pub struct Point {
 }
 
 /// A summary of samples.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Values {
     /// Number of samples.
     pub count: u64,

@@ -18,11 +18,10 @@ use crate::{
 };
 
 /// Two runs side by side. Each entry is in both runs, or in one of them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Difference {
     /// Both runs.
-    #[cfg_attr(feature = "openapi", schema(value_type = Vec<Object>))]
+    #[schema(value_type = Vec<Object>)]
     pub runs: [Run; 2],
     /// Service times, by service and robot.
     pub services: Vec<Entry<ServiceOf, Services>>,
@@ -43,8 +42,7 @@ pub struct Difference {
 }
 
 /// An item in two runs.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Entry<K, V> {
     /// The compared item.
     pub of: K,
@@ -55,8 +53,7 @@ pub struct Entry<K, V> {
 macro_rules! keys {
     ($($(#[$doc:meta])* $name:ident { $($field:ident: $type:ty,)* })*) => {$(
         $(#[$doc])*
-        #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-        #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+        #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
         #[allow(missing_docs, reason = "the fields name what they are")]
         pub struct $name { $(pub $field: $type,)* }
     )*};
@@ -83,8 +80,7 @@ keys! {
 pub type Targets = BTreeMap<ServiceId, Duration>;
 
 /// Service times.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Services {
     /// Position packets, scans and requests, those without an answer in time included.
     #[serde(default)]
@@ -99,8 +95,7 @@ pub struct Services {
 }
 
 /// A direction of a link.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Links {
     /// d, ms, with quantiles 0.5, 0.95 and 0.99.
     pub delay_ms: Option<Values>,
@@ -113,8 +108,7 @@ pub struct Links {
 }
 
 /// Handovers.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Handovers {
     /// Number of handovers.
     pub count: u64,
@@ -125,8 +119,7 @@ pub struct Handovers {
 }
 
 /// A VNF on a node.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Placements {
     /// Number of times that it was placed there.
     pub count: u64,
@@ -138,8 +131,7 @@ pub struct Placements {
 }
 
 /// Decisions.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Decisions {
     /// Number of decisions.
     pub count: u64,
@@ -151,8 +143,7 @@ pub struct Decisions {
 }
 
 /// The life cycle of a VNF.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Vnfs {
     /// Number of starts.
     pub started: u64,
@@ -163,8 +154,7 @@ pub struct Vnfs {
 }
 
 /// Reasons to doubt a run's figures.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Doubts {
     /// Lost events; at least these if the run has no end.
     pub lost_events: u64,

@@ -90,7 +90,7 @@ pub enum Error {
     },
     /// This build lacks support for servers.
     #[error(
-        "{history}: this cotorra was built without MySQL and MariaDB: build it with `--features mariadb`, or name a file"
+        "{history}: this cotorra was built without MySQL and MariaDB: build it with `--features databases`, or name a file"
     )]
     WithoutServers {
         /// Server and database.

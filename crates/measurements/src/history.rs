@@ -45,8 +45,7 @@ pub struct History {
 }
 
 /// A value and its time.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Sample<T> {
     /// Nanoseconds since the run began.
     #[serde(rename = "at_ns")]
@@ -57,8 +56,7 @@ pub struct Sample<T> {
 }
 
 /// State of the whole graph at a time: the last value of everything.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct GraphState {
     /// Time of the state, nanoseconds since the run began.
     #[serde(rename = "at_ns")]
@@ -101,9 +99,9 @@ impl History {
     pub fn connect(location: &Location) -> Result<Self> {
         match location {
             Location::File(path) => Self::open(path),
-            #[cfg(feature = "mariadb")]
+            #[cfg(feature = "databases")]
             Location::Server(server) => Self::of(Arc::new(crate::server::Remote::open(server)?)),
-            #[cfg(not(feature = "mariadb"))]
+            #[cfg(not(feature = "databases"))]
             server @ Location::Server(_) => Err(server.unsupported()),
         }
     }

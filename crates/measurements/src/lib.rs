@@ -23,7 +23,7 @@ mod retention;
 mod rolled;
 mod run;
 mod schema;
-#[cfg(feature = "mariadb")]
+#[cfg(feature = "databases")]
 mod server;
 mod silence;
 mod sql;

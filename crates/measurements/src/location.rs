@@ -80,13 +80,13 @@ impl Location {
         }
     }
 
-    /// Rejects a server if this cotorra was built without the feature `mariadb`.
+    /// Rejects a server if this cotorra was built without the feature `databases`.
     ///
     /// # Errors
     /// [`Error::WithoutServers`].
     pub fn check(&self) -> Result<(), Error> {
         match self {
-            Self::Server(_) if cfg!(not(feature = "mariadb")) => Err(self.unsupported()),
+            Self::Server(_) if cfg!(not(feature = "databases")) => Err(self.unsupported()),
             _ => Ok(()),
         }
     }
@@ -204,13 +204,13 @@ impl fmt::Debug for Server {
 mod tests {
     use super::*;
 
-    #[cfg(not(feature = "mariadb"))]
+    #[cfg(not(feature = "databases"))]
     #[test]
     fn without_the_feature_the_error_names_it() {
         let location: Location = "mysql://ana:secret@db/cotorra".parse().unwrap();
         for refused in [location.check().err(), crate::History::connect(&location).err()] {
             let shown = refused.unwrap().to_string();
-            assert!(shown.contains("`--features mariadb`") && !shown.contains("secret"), "{shown}");
+            assert!(shown.contains("`--features databases`") && !shown.contains("secret"), "{shown}");
         }
         Location::from(Path::new("runs/all.sqlite")).check().unwrap();
     }

@@ -56,13 +56,12 @@ impl From<Cursor> for String {
 }
 
 /// Part of an answer. With a `next` there is more.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Page<T> {
     /// In the order of time; at the same time, in the order of recording.
     pub items: Vec<T>,
     /// Cursor of the next page; `None` on the last one.
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    #[schema(value_type = Option<String>)]
     pub next: Option<Cursor>,
 }
 

@@ -11,18 +11,17 @@ use crate::{
 };
 
 /// Progress of rolling up samples of a kind.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Retained {
     /// Kind of the samples.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub kind: Kind,
     /// Samples before this time are rolled up, nanoseconds since the run began.
     #[serde(rename = "rolled_up_to_ns")]
     pub rolled_up_to: Timestamp,
     /// Time from point to point.
     #[serde(rename = "step_ms", with = "millis")]
-    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    #[schema(value_type = f64)]
     pub step: Duration,
     /// Samples and points before this time are removed, nanoseconds since the run began.
     #[serde(rename = "dropped_to_ns")]

@@ -19,7 +19,7 @@ pub(crate) const MIGRATIONS: &[&str] = &[
 pub(crate) const STRETCH: i64 = 5_000_000_000;
 
 /// Replacements for a server, in the order in which they are made.
-#[cfg(feature = "mariadb")]
+#[cfg(feature = "databases")]
 const REPLACEMENTS: &[(&str, &str)] = &[
     // A migration that was killed half-way goes on where it was: a server commits each statement by itself.
     ("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"),
@@ -35,7 +35,7 @@ const REPLACEMENTS: &[(&str, &str)] = &[
 ];
 
 /// Returns a migration as single statements for MySQL and MariaDB, in a session with `ANSI_QUOTES`.
-#[cfg(feature = "mariadb")]
+#[cfg(feature = "databases")]
 pub(crate) fn for_server(migration: &str) -> Vec<String> {
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let without_comments = migration.lines().map(|line| words(line.split("--").next().unwrap_or_default()));
@@ -54,7 +54,7 @@ pub(crate) fn for_server(migration: &str) -> Vec<String> {
     statements.map(translate).collect()
 }
 
-#[cfg(all(test, feature = "mariadb"))]
+#[cfg(all(test, feature = "databases"))]
 mod tests {
     use super::*;
 

@@ -11,7 +11,7 @@ mod write;
 
 #[cfg(test)]
 pub(crate) use self::read::Select;
-#[cfg(feature = "mariadb")]
+#[cfg(feature = "databases")]
 pub(crate) use self::session::{column_list, quoted};
 pub(crate) use self::{
     read::Reader,

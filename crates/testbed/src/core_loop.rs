@@ -174,7 +174,6 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
                 self.sinks.plugins.returned(at, &plugin, outcome, &mut self.core);
             }
             Message::Network(event) => self.core.observe(event),
-            #[cfg(feature = "agents")]
             Message::Machine { context, .. } => self.core.observe(context),
             Message::Border(tunnel) => self.core.hear(now, tunnel),
             Message::Follow(_)

@@ -80,7 +80,6 @@ pub enum RunError {
     )]
     VirtualWifi(String),
     /// This machine has no engine for a container.
-    #[cfg(feature = "containers")]
     #[error("VNF `{vnf}` starts in a container on `{node}`, and {source}")]
     NoEngine {
         /// The VNF.
@@ -90,26 +89,9 @@ pub enum RunError {
         /// What is missing.
         source: cotorra_containers::NoEngine,
     },
-    /// This build has no containers.
-    #[cfg(not(feature = "containers"))]
-    #[error(
-        "VNF `{0}` has an image, and this cotorra has no containers: build it with `--features containers`, or simulate it"
-    )]
-    NoContainers(cotorra_graph::VnfId),
     /// Agents of real servers.
-    #[cfg(feature = "agents")]
     #[error(transparent)]
     Agents(#[from] crate::agents::AgentsError),
-    /// This build has no agents.
-    #[cfg(not(feature = "agents"))]
-    #[error(
-        "`{node}` is at agent `{agent}`, and this cotorra has no agents: build it with `--features agents`, or simulate it"
-    )]
-    NoAgents {
-        /// The server, robot or machine.
-        node: NodeId,
-        agent: cotorra_graph::AgentId,
-    },
     /// The core's thread panicked, which is a bug.
     #[error("the run's core panicked; please report this as a bug, with the run's folder")]
     Panicked,

@@ -20,7 +20,7 @@ pub struct Leftovers {
 /// Returns the leftovers that [`clean`] would remove.
 pub fn leftovers() -> Leftovers {
     let interfaces = cotorra_netem::leftovers().into_iter().map(|interface| interface.name).collect();
-    let containers = containers::leftovers();
+    let containers = cotorra_containers::leftovers();
     Leftovers { control_groups: Cgroups::leftovers(), interfaces, containers, kept: Vec::new() }
 }
 
@@ -35,32 +35,8 @@ pub fn clean() -> Leftovers {
             Err(error) => cleaned.kept.push(format!("{} cannot be put back: {error}", interface.name)),
         }
     }
-    containers::clean(&mut cleaned);
+    let containers = cotorra_containers::clean();
+    cleaned.containers.extend(containers.runs.into_iter().map(|(run, _)| run));
+    cleaned.kept.extend(containers.kept);
     cleaned
-}
-
-#[cfg(feature = "containers")]
-mod containers {
-    use super::Leftovers;
-
-    pub(super) fn leftovers() -> Vec<String> {
-        cotorra_containers::leftovers()
-    }
-
-    pub(super) fn clean(cleaned: &mut Leftovers) {
-        let cotorra_containers::Cleaned { runs, kept } = cotorra_containers::clean();
-        cleaned.containers.extend(runs.into_iter().map(|(run, _)| run));
-        cleaned.kept.extend(kept);
-    }
-}
-
-#[cfg(not(feature = "containers"))]
-mod containers {
-    use super::Leftovers;
-
-    pub(super) fn leftovers() -> Vec<String> {
-        Vec::new()
-    }
-
-    pub(super) fn clean(_: &mut Leftovers) {}
 }

@@ -5,7 +5,6 @@
 //! runs are in `cotorra-experiments`.
 #![forbid(unsafe_code)]
 
-#[cfg(feature = "agents")]
 mod agents;
 mod answerers;
 mod api;
@@ -53,14 +52,12 @@ mod trips;
 mod whole;
 mod wifi;
 
-#[cfg(feature = "agents")]
 pub use agents::{AgentOptions, AgentsError};
 pub use api::{
     ApiError, Checked, Dashboard, Edited, Editor, Mistake, Operator, Token, Tokens, TokensError,
     app_lcm_openapi, openapi,
 };
 pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
-#[cfg(feature = "containers")]
 pub use cotorra_containers::guard as guard_containers;
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use cpus::missing_cpus;

@@ -11,8 +11,7 @@ use parking_lot::RwLock;
 use serde::Serialize;
 
 /// The last of every embedding.
-#[derive(Debug, Clone, Default, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Default, Serialize, utoipa::ToSchema)]
 pub struct Snapshot {
     /// Time of the last event.
     #[serde(rename = "at_ns")]

@@ -46,7 +46,6 @@ pub(crate) enum Message {
     /// An event of the emulated network.
     Network(Stamped),
     /// An agent reported the context of its machine.
-    #[cfg(feature = "agents")]
     Machine {
         context: Stamped,
         /// Held by each message of the agent that waits, to bound their number.

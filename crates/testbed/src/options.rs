@@ -47,6 +47,5 @@ pub struct Options {
     /// Notes of the run that this one continues, in real time.
     pub after: Option<PreviousRun>,
     /// Where agents of real servers connect.
-    #[cfg(feature = "agents")]
     pub agents: crate::agents::AgentOptions,
 }

@@ -122,7 +122,6 @@ impl RealNetwork {
     }
 
     /// Changes links over interfaces of agents' machines by these from now on.
-    #[cfg(feature = "agents")]
     pub(crate) fn set_agents(&mut self, agents: Box<dyn AgentLinks>) {
         self.agents = Some(agents);
     }
@@ -133,7 +132,6 @@ impl RealNetwork {
     }
 
     /// Takes φ and ι of real radios from there from now on.
-    #[cfg(feature = "agents")]
     pub(crate) fn set_radio_figures(&mut self, figures: Arc<dyn RadioFigures>) {
         self.figures = Some(figures);
     }

@@ -119,7 +119,6 @@ pub fn put_all(files: &[CarriedFile], folder: &Path) -> Result<(), RunError> {
 
 /// Returns the files of a new run's folder, before the run writes its results there: the testbed file, and what it names. Their
 /// paths start at the folder.
-#[cfg(any(feature = "agents", feature = "containers"))]
 pub(crate) fn files(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let is_result = |path: &PathBuf| RunFolder::NAMES.iter().any(|name| path.starts_with(name));
     Ok(files_in(folder)?.into_iter().filter(|path| !is_result(path)).collect())

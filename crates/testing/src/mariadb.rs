@@ -44,8 +44,8 @@ impl MariaDb {
 
     /// Starts a server for one test.
     pub fn start() -> Option<Self> {
-        if cfg!(not(feature = "mariadb")) {
-            eprintln!("skipped: built without the feature `mariadb`");
+        if cfg!(not(feature = "databases")) {
+            eprintln!("skipped: built without the feature `databases`");
             return None;
         }
         let program = program("mariadbd");

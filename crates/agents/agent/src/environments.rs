@@ -24,7 +24,6 @@ impl Environments {
     }
 
     /// Returns a variable of a VNF's instances, which is the same for all.
-    #[cfg(feature = "containers")]
     pub(crate) fn shared(&self, vnf: &VnfId, name: &str) -> Option<String> {
         let all = self.0.lock();
         let (_, environment) = all.range((vnf.clone(), 0)..).next().filter(|((id, _), _)| id == vnf)?;

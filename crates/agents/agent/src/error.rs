@@ -40,7 +40,6 @@ pub(crate) enum AgentError {
     #[error("cannot leave the robot at rest: {0}")]
     Guard(io::Error),
     /// Containers are left.
-    #[cfg(feature = "containers")]
     #[error("cannot remove the containers of an agent that is gone: {0}")]
     GuardContainers(io::Error),
     #[error("cannot listen to Ctrl-C: {0}")]

@@ -6,7 +6,6 @@ mod error;
 mod files;
 mod guard;
 mod holder;
-#[cfg(feature = "containers")]
 mod images;
 mod journal;
 mod launcher;
@@ -76,7 +75,6 @@ Examples:
     #[command(hide = true)]
     Guard,
     /// Remove the containers of an agent that is gone; started by the agent
-    #[cfg(feature = "containers")]
     #[command(hide = true)]
     GuardContainers { record: std::path::PathBuf },
 }
@@ -98,7 +96,6 @@ struct RunArgs {
     ///
     /// A container is in the network of this machine, without capabilities. Devices, capabilities, and volumes other than files of
     /// the run need `--allow-trusted`, too.
-    #[cfg(feature = "containers")]
     #[arg(long, value_name = "ENGINE")]
     images: Option<options::ImageEngine>,
     /// Give an interface conditions even if it is the loopback one or carries the default route; can be repeated
@@ -137,13 +134,9 @@ fn main() -> ExitCode {
 fn dispatch(command: Command) -> Result<ExitCode, AgentError> {
     match command {
         Command::Run(args) => {
-            #[cfg(feature = "containers")]
-            let images = args.images;
-            #[cfg(not(feature = "containers"))]
-            let images = None;
             let confirmed = Confirmed { replace: args.replace, interfaces: args.allow_interface };
             let wifi = args.wifi.into_iter().collect();
-            let RunArgs { credentials, state, vnf_user, allow_trusted, .. } = args;
+            let RunArgs { credentials, state, vnf_user, allow_trusted, images, .. } = args;
             let options = Options::new(credentials, state, vnf_user, allow_trusted, images, confirmed)?;
             Service::start(Options { wifi, ..options })?.run();
         }
@@ -158,7 +151,6 @@ fn dispatch(command: Command) -> Result<ExitCode, AgentError> {
         Command::Vnf { vnf: BundledVnf::Localization } => match cotorra_vnfs::localization()? {},
         Command::Hold { user, words } => return holder::hold(user, &words).map_err(AgentError::Hold),
         Command::Guard => guard::guard().map_err(AgentError::Guard)?,
-        #[cfg(feature = "containers")]
         Command::GuardContainers { record } => images::guard(&record).map_err(AgentError::GuardContainers)?,
     }
     Ok(ExitCode::SUCCESS)

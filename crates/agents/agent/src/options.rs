@@ -38,7 +38,6 @@ pub(crate) enum ImageEngine {
     Docker,
 }
 
-#[cfg(feature = "containers")]
 impl From<ImageEngine> for cotorra_graph::EngineKind {
     fn from(engine: ImageEngine) -> Self {
         match engine {
@@ -60,7 +59,6 @@ pub(crate) struct Options {
     /// Whether commands can have the agent's own rights.
     pub(crate) allow_trusted: bool,
     /// What runs images; `None` if the machine's owner does not permit any.
-    #[cfg_attr(not(feature = "containers"), expect(dead_code, reason = "only containers need it"))]
     pub(crate) images: Option<ImageEngine>,
     /// What the core may do to interfaces.
     pub(crate) confirmed: Confirmed,

@@ -16,11 +16,9 @@ use cotorra_enrolment::{Bundle, CORE_COMMON_NAME};
 use cotorra_graph::{NodeId, Timestamp};
 use cotorra_host::Host;
 
-#[cfg(feature = "containers")]
-use crate::images;
 use crate::{
     error::AgentError,
-    files,
+    files, images,
     journal::Journal,
     links::Links,
     options::{self, Options},
@@ -71,7 +69,6 @@ impl Service {
     /// Locks and loads the state, and begins to connect.
     pub(crate) fn start(options: Options) -> Result<Self, AgentError> {
         let journal = Journal::open(&options.state)?;
-        #[cfg(feature = "containers")]
         if options.images.is_some() {
             images::clean();
         }

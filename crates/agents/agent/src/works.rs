@@ -5,10 +5,9 @@ use std::{fs, path::PathBuf, sync::Arc};
 use cotorra_agent_protocol::{Run, WantedInstance};
 use cotorra_engine::{Cgroups, Engine, EngineEvent, InstanceId, ProcessEngine};
 
-#[cfg(feature = "containers")]
-use crate::images::Images;
 use crate::{
-    environments::Environments, error::at, files::VNF_LOGS, launcher::MachineLauncher, options::Options,
+    environments::Environments, error::at, files::VNF_LOGS, images::Images, launcher::MachineLauncher,
+    options::Options,
 };
 
 /// Wakes the agent's loop.
@@ -19,7 +18,6 @@ pub(crate) struct Works {
     run: Run,
     environments: Arc<Environments>,
     processes: ProcessEngine<MachineLauncher>,
-    #[cfg(feature = "containers")]
     images: Images,
     /// Instances that wait for the run's files; `None` once the files are there.
     waiting: Option<Vec<(InstanceId, Box<WantedInstance>)>>,
@@ -36,19 +34,11 @@ impl Works {
             tracing::error!("{error}");
         }
         let environments = Arc::<Environments>::default();
-        #[cfg(feature = "containers")]
         let images = Images::new(options, folder.clone(), Arc::clone(&environments), Arc::clone(&wake));
         let launcher = MachineLauncher::new(options, folder, Arc::clone(&environments), wake);
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
         let processes = ProcessEngine::new(Arc::new(launcher), logs, cgroups);
-        Self {
-            run,
-            environments,
-            processes,
-            #[cfg(feature = "containers")]
-            images,
-            waiting: Some(Vec::new()),
-        }
+        Self { run, environments, processes, images, waiting: Some(Vec::new()) }
     }
 
     pub(crate) fn run(&self) -> Run {
@@ -70,10 +60,7 @@ impl Works {
         if vnf.image.is_none() {
             return self.processes.start(id, &vnf, replica, &node);
         }
-        #[cfg(feature = "containers")]
-        return self.images.start(id, &vnf, replica, &node);
-        #[cfg(not(feature = "containers"))]
-        Err("the agent has no containers: build it with `--features containers`".to_owned())
+        self.images.start(id, &vnf, replica, &node)
     }
 
     /// Starts what waited for the files, if they are there.
@@ -94,28 +81,20 @@ impl Works {
             waiting.retain(|(waiting, _)| *waiting != id);
         }
         self.processes.stop(id);
-        #[cfg(feature = "containers")]
         self.images.stop(id);
     }
 
     /// Returns the number of stopped instances that have not ended yet.
     pub(crate) fn stopping(&self) -> usize {
-        let stopping = self.processes.stopping();
-        #[cfg(feature = "containers")]
-        let stopping = stopping + self.images.stopping();
-        stopping
+        self.processes.stopping() + self.images.stopping()
     }
 
     pub(crate) fn poll(&mut self) -> Option<EngineEvent> {
-        let event = self.processes.poll();
-        #[cfg(feature = "containers")]
-        let event = event.or_else(|| self.images.poll());
-        event
+        self.processes.poll().or_else(|| self.images.poll())
     }
 
     pub(crate) fn shut_down(&mut self) {
         self.processes.shut_down();
-        #[cfg(feature = "containers")]
         self.images.shut_down();
     }
 }
@@ -196,7 +175,6 @@ pub(crate) mod tests {
         let image = Image { reference: "ros:jazzy".to_owned(), ..Image::default() };
         let vnf = Vnf { image: Some(Box::new(image)), ..vnf("planner", "plan") };
         let rejected = works.start(InstanceId(1), wanted(vnf)).unwrap_err();
-        let remedy = if cfg!(feature = "containers") { "--images podman" } else { "--features containers" };
-        assert!(rejected.contains(remedy), "{rejected}");
+        assert!(rejected.contains("--images podman"), "{rejected}");
     }
 }

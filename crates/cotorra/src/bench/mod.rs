@@ -1,7 +1,6 @@
 //! `cotorra bench`: measures the performance of the emulated network on this machine, beside installed peers.
 
 mod figures;
-#[cfg(feature = "containers")]
 mod image;
 mod load;
 mod netem;
@@ -46,15 +45,7 @@ pub struct BenchArgs {
 /// Subjects of measurements beside the emulated network.
 #[derive(Debug, Subcommand)]
 pub enum BenchOf {
-    #[cfg(feature = "containers")]
     Image(image::ImageArgs),
-    /// Measure how long an image takes to start and to answer (needs a build with `--features containers`)
-    #[cfg(not(feature = "containers"))]
-    #[command(disable_help_flag = true)]
-    Image {
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
-        _arguments: Vec<std::ffi::OsString>,
-    },
 }
 
 #[derive(Debug, thiserror::Error, Diagnostic)]
@@ -74,13 +65,7 @@ fn names() -> String {
 /// Runs the benchmarks and prints the table.
 pub fn bench(args: &BenchArgs) -> miette::Result<ExitCode> {
     match &args.of {
-        #[cfg(feature = "containers")]
         Some(BenchOf::Image(args)) => image::image(args),
-        #[cfg(not(feature = "containers"))]
-        Some(BenchOf::Image { .. }) => Err(miette::miette!(
-            help = "build it with `--features containers`",
-            "this cotorra was built without containers"
-        )),
         None => emulation(args).map(ExitCode::from),
     }
 }

@@ -94,10 +94,7 @@ fn list(capabilities: &[Capability]) -> String {
     text
 }
 
-const ENGINE: &str = "container engine";
-
 /// Tries out the engines of this machine: each starts a container.
-#[cfg(feature = "containers")]
 fn container_engines() -> Vec<Capability> {
     use cotorra_containers::{Address, TrialError, try_out};
     use cotorra_graph::EngineKind;
@@ -127,15 +124,5 @@ fn container_engines() -> Vec<Capability> {
         reason: "podman is not installed, and Docker does not run".to_owned(),
         remedy: "not needed: VNFs run as processes; for images, install podman, or start Docker",
     };
-    vec![Capability { name: ENGINE, purpose: "VNFs from images", state }]
-}
-
-/// Says that this program has no containers.
-#[cfg(not(feature = "containers"))]
-fn container_engines() -> Vec<Capability> {
-    let state = CapabilityState::Missing {
-        reason: "this cotorra was built without containers".to_owned(),
-        remedy: "not needed: VNFs run as processes; for images, build with `--features containers`",
-    };
-    vec![Capability { name: ENGINE, purpose: "VNFs from images", state }]
+    vec![Capability { name: "container engine", purpose: "VNFs from images", state }]
 }

@@ -5,25 +5,20 @@ use std::{path::PathBuf, time::Duration};
 use clap::{Args, Subcommand};
 use cotorra_experiments::{
     federation::Account,
-    handover::{HARDWARE, KINDS, Kind},
+    handover::{KINDS, Kind},
     okpi::Contender,
 };
 use cotorra_graph::DomainId;
 use cotorra_testbed_file::Setting;
 
 use super::bundled::{CORRIDOR, CORRIDOR_WIFI, FEDERATION};
-#[cfg(feature = "agents")]
-use crate::arguments::AgentArgs;
 use crate::{
     approval::TrustArgs,
-    arguments::parse_seed,
+    arguments::{AgentArgs, parse_seed},
     duration::parse_duration,
     figures::FigureArgs,
     history::{HISTORY_VARIABLE, Place},
 };
-
-/// Whether this build reaches agents.
-pub const HAS_AGENTS: bool = cfg!(feature = "agents");
 
 /// Published experiments.
 #[derive(Debug, Subcommand)]
@@ -116,7 +111,7 @@ pub struct OkpiArgs {
     ///
     /// Several runs can share one history. A server is named as mysql://USER@HOST:PORT/DATABASE. Set its password in the
     /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built
-    /// with `--features mariadb`.
+    /// with `--features databases`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     #[command(flatten)]
@@ -247,7 +242,6 @@ pub struct HandoverArgs {
     /// By default, a run keeps up to four cores awake, which would stop the virtual time of scripts/uml.
     #[arg(long)]
     pub save_power: bool,
-    #[cfg(feature = "agents")]
     #[command(flatten)]
     pub agents: AgentArgs,
     #[command(flatten)]
@@ -256,14 +250,7 @@ pub struct HandoverArgs {
 
 fn parse_kind(text: &str) -> Result<Kind, String> {
     let names = || KINDS.map(|kind| kind.name).join(", ");
-    let kind = KINDS
-        .into_iter()
-        .find(|kind| kind.name == text)
-        .ok_or_else(|| format!("write one of {}", names()))?;
-    if kind == HARDWARE && !HAS_AGENTS {
-        return Err("this cotorra has no agents: build it with `--features agents`".to_owned());
-    }
-    Ok(kind)
+    KINDS.into_iter().find(|kind| kind.name == text).ok_or_else(|| format!("write one of {}", names()))
 }
 
 /// An existing Ethereum network.

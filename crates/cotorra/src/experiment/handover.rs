@@ -23,7 +23,7 @@ use cotorra_testbed::{
 use cotorra_testbed_file::Setting;
 
 use super::{
-    args::{HAS_AGENTS, HandoverArgs},
+    args::HandoverArgs,
     folder::{begin, sound, withdraw},
     tell_faults,
 };
@@ -155,7 +155,7 @@ fn kinds(args: &HandoverArgs) -> (Vec<Kind>, Option<String>) {
     });
     // Most files name no agents, which is nothing to talk about.
     let has_hardware = || load(args, &load_as_model(args)?.testbed, HARDWARE, Walk::Sent);
-    if !HAS_AGENTS || has_hardware().is_err() {
+    if has_hardware().is_err() {
         kinds.retain(|kind| *kind != HARDWARE);
     }
     (kinds, missing)
@@ -215,7 +215,6 @@ fn walk(
         runs: Some(known.clone()),
         tokens: run::tokens(AccessArgs::default())?,
         save_power: args.save_power,
-        #[cfg(feature = "agents")]
         agents: args.agents.options(),
         ..Options::default()
     };
@@ -271,7 +270,7 @@ fn describe_plan(args: &HandoverArgs, planned: &[Planned], missing: Option<&str>
     text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
 }
 
-#[cfg(all(test, feature = "agents"))]
+#[cfg(test)]
 mod tests {
     use clap::Parser;
 

@@ -158,7 +158,7 @@ pub struct HistoryPlace {
     /// History in which runs have numbers: a SQLite file, or mysql://USER@HOST:PORT/DATABASE
     ///
     /// Set the password of a server in the environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A
-    /// server needs a cotorra that was built with `--features mariadb`.
+    /// server needs a cotorra that was built with `--features databases`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// Folder with the folders of runs

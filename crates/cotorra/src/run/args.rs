@@ -7,11 +7,9 @@ use cotorra_graph::IpNetwork;
 use cotorra_testbed::{CapturePlan, HistoryLimit, Speed};
 use cotorra_testbed_file::Setting;
 
-#[cfg(feature = "agents")]
-use crate::arguments::AgentArgs;
 use crate::{
     approval::TrustArgs,
-    arguments::{AccessArgs, parse_address, parse_seed},
+    arguments::{AccessArgs, AgentArgs, parse_address, parse_seed},
     duration::parse_duration,
     figures::FigureArgs,
     history::{HISTORY_VARIABLE, Place},
@@ -77,7 +75,7 @@ pub struct RunArgs {
     ///
     /// Several runs can share one history. A server is named as mysql://USER@HOST:PORT/DATABASE. Set its password in the
     /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built
-    /// with `--features mariadb`.
+    /// with `--features databases`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// End the run in order when its history has grown by this, as in 2GB; a history on a server has no such limit
@@ -164,7 +162,6 @@ pub struct RunArgs {
     /// traffic as it is. Can be given several times.
     #[arg(long, value_name = "NAME")]
     pub allow_interface: Vec<String>,
-    #[cfg(feature = "agents")]
     #[command(flatten)]
     pub agents: AgentArgs,
     /// Only list what would be started, and what would be changed on interfaces of this machine

@@ -124,7 +124,6 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         recording: recording(&args),
         captures: args.captures.clone(),
         after: None,
-        #[cfg(feature = "agents")]
         agents: args.agents.options(),
     };
     loaded.warn();

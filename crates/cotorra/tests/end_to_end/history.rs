@@ -364,7 +364,7 @@ fn an_exported_run_is_imported_with_the_same_answers() {
         stdout(&printed)
     };
     let formats = [("csv", "1"), ("parquet", "2"), ("arrow", "3")];
-    let (built, others) = formats.split_at(if cfg!(feature = "arrow") { 3 } else { 1 });
+    let (built, others) = formats.split_at(if cfg!(feature = "databases") { 3 } else { 1 });
     for (format, number) in built {
         let printed = runs.answer(&["export", okpi, "--format", format, "--out", format]);
         assert!(printed.contains(" events in "), "{printed}");
@@ -378,7 +378,7 @@ fn an_exported_run_is_imported_with_the_same_answers() {
     }
     for (format, _) in others {
         let errors = runs.refusal(&["export", okpi, "--format", format, "--out", format]);
-        assert!(errors.contains("--features arrow"), "{errors}");
+        assert!(errors.contains("--features databases"), "{errors}");
     }
     let csv = fs::read_to_string(runs.place.path().join("csv/handover.csv")).unwrap();
     assert!(csv.starts_with("n,at_ns,robot,from_radio_unit,to_radio_unit,fast,gap_ms\n"), "{csv}");

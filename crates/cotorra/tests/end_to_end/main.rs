@@ -1,12 +1,9 @@
 //! End-to-end tests of the real program: its output, its files, and that it leaves nothing behind.
 
-#[cfg(feature = "agents")]
 mod agent_enrolment;
-#[cfg(feature = "agents")]
 mod agents;
 mod api;
 mod approval;
-#[cfg(feature = "containers")]
 mod bench_image;
 mod calibrate;
 mod camera;
@@ -16,7 +13,6 @@ mod chain;
 mod clients;
 mod command_line;
 mod confinement;
-#[cfg(feature = "containers")]
 mod containers;
 mod coverage;
 mod dashboard;
@@ -32,7 +28,6 @@ mod going_on;
 mod harness;
 mod history;
 mod history_server;
-#[cfg(all(feature = "agents", feature = "containers"))]
 mod images_at_agent;
 mod interruption;
 mod kill_cycles;
@@ -42,7 +37,6 @@ mod localize;
 mod map;
 mod margin;
 mod netem;
-#[cfg(feature = "agents")]
 mod netem_at_agents;
 mod netem_links;
 mod new;
@@ -54,7 +48,6 @@ mod real_servers;
 mod recording;
 mod replicas;
 mod reproduce;
-#[cfg(feature = "agents")]
 mod robot_at_agent;
 mod robots;
 mod ros1;

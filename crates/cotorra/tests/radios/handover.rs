@@ -10,7 +10,6 @@ use crate::{
 };
 
 /// [`FLOOR`] with machines for its radios, but without `C`.
-#[cfg(feature = "agents")]
 const AT_AGENTS: &str = "\
 name: agents
 wireless:
@@ -86,7 +85,6 @@ fn gaps_of_the_model_are_beside_those_of_real_software() {
 }
 
 /// With `COTORRA_FULL` alone: other tests have each kind for itself.
-#[cfg(feature = "agents")]
 #[test]
 fn one_file_is_walked_on_all_three_kinds() {
     use crate::machines::{AUTHORITY, CORE, Machines};

@@ -11,13 +11,11 @@
 mod air;
 mod attacks;
 mod handover;
-#[cfg(feature = "agents")]
 mod hardware;
 #[allow(dead_code, reason = "the end-to-end tests use the rest")]
 #[path = "../end_to_end/harness.rs"]
 mod harness;
 mod killed;
-#[cfg(feature = "agents")]
 mod machines;
 mod packets;
 mod repeats;

@@ -19,7 +19,7 @@ const REAL: u8 = 2;
 const TEXT: u8 = 3;
 
 /// Appends an entry.
-#[cfg_attr(not(any(test, feature = "mariadb")), expect(dead_code, reason = "used by spools only"))]
+#[cfg_attr(not(any(test, feature = "databases")), expect(dead_code, reason = "used by spools only"))]
 pub(crate) fn write(entry: &Entry, bytes: &mut Vec<u8>) {
     let (mut row, mut children) = (Fields::default(), Fields::default());
     encode(&entry.stamped, &mut row, &mut children);

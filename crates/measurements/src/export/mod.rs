@@ -1,7 +1,7 @@
 //! Exports a run to a folder of tables for other programs, and imports it again. Both read the run once, in the order of
 //! time, in memory that does not grow with it.
 
-#[cfg(feature = "arrow")]
+#[cfg(feature = "databases")]
 mod arrow;
 mod csv;
 mod read;
@@ -32,9 +32,9 @@ const VERSION: u32 = 6;
 pub enum Format {
     /// Comma-separated values (RFC 4180). A missing value is an empty field.
     Csv,
-    /// Apache Parquet. Needs the feature `arrow`.
+    /// Apache Parquet. Needs the feature `databases`.
     Parquet,
-    /// Apache Arrow's IPC file format, also known as Feather 2. Needs the feature `arrow`.
+    /// Apache Arrow's IPC file format, also known as Feather 2. Needs the feature `databases`.
     Arrow,
 }
 
@@ -100,7 +100,7 @@ pub enum ExportError {
         problem: String,
     },
     /// This build lacks the format.
-    #[error("this cotorra was built without {0}: build it with `--features arrow`, or use csv")]
+    #[error("this cotorra was built without {0}: build it with `--features databases`, or use csv")]
     NotBuilt(Format),
     /// The caller stopped it.
     #[error("stopped after {0} events")]
@@ -259,11 +259,11 @@ fn create(format: Format, folder: &Path, table: &table::Shape) -> Result<Box<dyn
     let path = folder.join(format!("{}.{format}", table.name));
     match format {
         Format::Csv => Ok(Box::new(csv::Writer::create(&path, table)?)),
-        #[cfg(feature = "arrow")]
+        #[cfg(feature = "databases")]
         Format::Parquet => Ok(Box::new(arrow::Writer::parquet(&path, table)?)),
-        #[cfg(feature = "arrow")]
+        #[cfg(feature = "databases")]
         Format::Arrow => Ok(Box::new(arrow::Writer::ipc(&path, table)?)),
-        #[cfg(not(feature = "arrow"))]
+        #[cfg(not(feature = "databases"))]
         other => Err(ExportError::NotBuilt(other)),
     }
 }
@@ -276,11 +276,11 @@ fn open(format: Format, folder: &Path, table: &table::Shape) -> Result<table::Ro
     }
     let rows: Box<dyn Iterator<Item = Result<Vec<table::Cell>>>> = match format {
         Format::Csv => Box::new(csv::Reader::open(&path, table)?),
-        #[cfg(feature = "arrow")]
+        #[cfg(feature = "databases")]
         Format::Parquet => Box::new(arrow::parquet(&path, table)?),
-        #[cfg(feature = "arrow")]
+        #[cfg(feature = "databases")]
         Format::Arrow => Box::new(arrow::ipc(&path, table)?),
-        #[cfg(not(feature = "arrow"))]
+        #[cfg(not(feature = "databases"))]
         other => return Err(ExportError::NotBuilt(other)),
     };
     let (shape, file) = (table.clone(), path.clone());

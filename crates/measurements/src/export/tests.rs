@@ -10,7 +10,7 @@ use crate::{
 use table::{Cell, Shape, Type};
 
 fn formats() -> impl Iterator<Item = Format> {
-    Format::ALL.into_iter().filter(|format| cfg!(feature = "arrow") || *format == Format::Csv)
+    Format::ALL.into_iter().filter(|format| cfg!(feature = "databases") || *format == Format::Csv)
 }
 
 #[test]

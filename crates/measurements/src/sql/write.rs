@@ -28,7 +28,7 @@ pub(crate) enum Target {
 
 impl Target {
     /// Number of tables.
-    #[cfg(feature = "mariadb")]
+    #[cfg(feature = "databases")]
     pub const COUNT: usize = 1 + 2 * Kind::ALL.len();
 
     /// Returns all tables, each in the place that [`Self::place`] says.
@@ -141,7 +141,7 @@ impl Known {
     }
 
     /// Forgets which stretches were noted, because a transaction was rolled back.
-    #[cfg(feature = "mariadb")]
+    #[cfg(feature = "databases")]
     pub fn forget_stretches(&mut self) {
         self.of_series.iter_mut().for_each(|series| (series.presence, series.chunk) = (None, None));
     }

@@ -1,7 +1,7 @@
 //! Checks that every engine answers as an ordered list would.
 
 use cotorra_graph::{Decision, Event, Instruction};
-#[cfg(feature = "mariadb")]
+#[cfg(feature = "databases")]
 use cotorra_testing::mariadb::MariaDb;
 use proptest::{collection::vec, prelude::*};
 
@@ -16,27 +16,27 @@ use crate::{
     sqlite::Sqlite,
     testing::{figure, run_info, stamped, time},
 };
-#[cfg(feature = "mariadb")]
+#[cfg(feature = "databases")]
 use crate::{location::Location, server::Remote};
 
 /// All engines, shared by the cases of a test.
 struct Engines {
     folder: tempfile::TempDir,
     /// Shared by all cases, because creating a server's tables takes long.
-    #[cfg(feature = "mariadb")]
+    #[cfg(feature = "databases")]
     remote: Option<(Arc<Remote>, Arc<MariaDb>)>,
 }
 
 impl Engines {
     fn new() -> Self {
-        #[cfg(feature = "mariadb")]
+        #[cfg(feature = "databases")]
         let remote = MariaDb::shared().map(|server| {
             let Location::Server(place) = server.fresh().parse().unwrap() else { panic!("it is a server") };
             (Arc::new(Remote::open(&place).unwrap()), server)
         });
         Self {
             folder: tempfile::tempdir().unwrap(),
-            #[cfg(feature = "mariadb")]
+            #[cfg(feature = "databases")]
             remote,
         }
     }
@@ -48,9 +48,9 @@ impl Engines {
             let _ = std::fs::remove_file(path.with_file_name(name));
         }
         let local: [Arc<dyn Store>; 2] = [Arc::<Memory>::default(), Arc::new(Sqlite::open(&path).unwrap())];
-        #[cfg(feature = "mariadb")]
+        #[cfg(feature = "databases")]
         let remote = self.remote.iter().map(|(remote, _)| remote.clone() as Arc<dyn Store>);
-        #[cfg(not(feature = "mariadb"))]
+        #[cfg(not(feature = "databases"))]
         let remote = [];
         let prepared = local.into_iter().chain(remote).map(|store| {
             let run = store.begin_run(&run_info("asked")).unwrap();
@@ -62,7 +62,7 @@ impl Engines {
 
     /// Opens the history of an engine other than memory a second time.
     fn again(&self, store: &Arc<dyn Store>) -> Box<dyn Store> {
-        #[cfg(feature = "mariadb")]
+        #[cfg(feature = "databases")]
         if let Some((remote, _)) = &self.remote
             && Arc::ptr_eq(store, &(remote.clone() as Arc<dyn Store>))
         {

@@ -5,24 +5,20 @@
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures time, and waits")]
 
 use std::{
+    io::{Read as _, Write as _},
+    os::unix::net::UnixStream,
+    path::PathBuf,
     sync::{Arc, mpsc},
+    thread,
     time::{Duration, Instant},
 };
 
-use bollard::{
-    API_DEFAULT_VERSION, Docker,
-    models::{ContainerCreateBody, HostConfig, ResourcesUlimits},
-    query_parameters::{
-        CreateContainerOptionsBuilder, KillContainerOptionsBuilder, RemoveContainerOptionsBuilder,
-        WaitContainerOptionsBuilder,
-    },
-};
 use cotorra_containers::{Address, ContainerEngine, Network, Settings, Surroundings};
 use cotorra_datapath::Namespace;
 use cotorra_engine::{Engine as _, InstanceId, Outcome};
 use cotorra_graph::{EngineKind, Image, NodeId, Program, Rights, Vnf};
 use cotorra_testing::containers::{BUSYBOX, Containers};
-use futures_util::StreamExt as _;
+use serde_json::json;
 
 const PAIRS: usize = 30;
 const MANY: usize = 50;
@@ -47,54 +43,49 @@ impl Surroundings for Nodes {
 }
 
 /// The engine alone.
-struct Bare {
-    runtime: tokio::runtime::Runtime,
-    docker: Docker,
-}
+struct Bare(PathBuf);
 
 impl Bare {
-    fn connect(engine: &Containers) -> Self {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        let socket = engine.socket();
-        let docker = runtime.block_on(async {
-            let docker =
-                Docker::connect_with_unix(socket.to_str().unwrap(), 120, API_DEFAULT_VERSION).unwrap();
-            docker.negotiate_version().await.unwrap()
+    /// Sends a request, and waits for the end of its answer.
+    fn ask(&self, request: &str, content: &str) {
+        let mut stream = UnixStream::connect(&self.0).unwrap();
+        let length = content.len();
+        let head = "Host: localhost\r\nConnection: close\r\nContent-Type: application/json";
+        write!(stream, "{request} HTTP/1.1\r\n{head}\r\nContent-Length: {length}\r\n\r\n{content}").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 2"), "{request}: {answer}");
+    }
+
+    fn start(&self, name: &str) {
+        let limit = |name: &str| json!({ "Name": name, "Soft": 1024, "Hard": 1024 });
+        let container = json!({
+            "Image": BUSYBOX,
+            "Cmd": SCRIPT,
+            "HostConfig": {
+                "NetworkMode": "none",
+                "NanoCpus": 1_000_000_000,
+                "Memory": 64 << 20,
+                "MemorySwap": 64 << 20,
+                "PidsLimit": 512,
+                "CapDrop": ["ALL"],
+                "SecurityOpt": ["no-new-privileges"],
+                "Ulimits": [limit("nofile"), limit("nproc")],
+            },
         });
-        Self { runtime, docker }
+        self.ask(&format!("POST /containers/create?name={name}"), &container.to_string());
+        self.ask(&format!("POST /containers/{name}/start"), "");
     }
 
-    async fn start(&self, name: &str) {
-        let limit =
-            |name: &str| ResourcesUlimits { name: Some(name.to_owned()), soft: Some(1024), hard: Some(1024) };
-        let body = ContainerCreateBody {
-            image: Some(BUSYBOX.to_owned()),
-            cmd: Some(SCRIPT.map(str::to_owned).to_vec()),
-            host_config: Some(HostConfig {
-                network_mode: Some("none".to_owned()),
-                nano_cpus: Some(1_000_000_000),
-                memory: Some(64 << 20),
-                memory_swap: Some(64 << 20),
-                pids_limit: Some(512),
-                cap_drop: Some(vec!["ALL".to_owned()]),
-                security_opt: Some(vec!["no-new-privileges".to_owned()]),
-                ulimits: Some(vec![limit("nofile"), limit("nproc")]),
-                ..HostConfig::default()
-            }),
-            ..ContainerCreateBody::default()
-        };
-        let options = CreateContainerOptionsBuilder::default().name(name).build();
-        self.docker.create_container(Some(options), body).await.unwrap();
-        self.docker.start_container(name, None).await.unwrap();
+    fn stop(&self, name: &str) {
+        self.ask(&format!("POST /containers/{name}/kill?signal=SIGTERM"), "");
+        self.ask(&format!("POST /containers/{name}/wait?condition=not-running"), "");
+        self.ask(&format!("DELETE /containers/{name}?force=true"), "");
     }
 
-    async fn stop(&self, name: &str) {
-        let signal = KillContainerOptionsBuilder::default().signal("SIGTERM").build();
-        let wait = WaitContainerOptionsBuilder::default().condition("not-running").build();
-        self.docker.kill_container(name, Some(signal)).await.unwrap();
-        let _ = self.docker.wait_container(name, Some(wait)).next().await;
-        let force = RemoveContainerOptionsBuilder::default().force(true).build();
-        self.docker.remove_container(name, Some(force)).await.unwrap();
+    /// Does this with all containers at once.
+    fn with_all(&self, names: &[String], each: impl Fn(&Self, &str) + Sync) {
+        thread::scope(|all| names.iter().for_each(|name| drop(all.spawn(|| each(self, name)))));
     }
 }
 
@@ -188,7 +179,7 @@ fn print(what: &str, mut pairs: [Vec<Duration>; 2]) {
 
 fn measure(kind: EngineKind) {
     let Some(containers) = Containers::start(kind) else { return };
-    let bare = Bare::connect(&containers);
+    let bare = Bare(containers.socket());
     let folder = tempfile::tempdir().unwrap();
     let (wake, woken) = mpsc::channel();
     let namespaces = (0..MANY).map(|place| (node(place), Namespace::new().unwrap())).collect();
@@ -209,8 +200,8 @@ fn measure(kind: EngineKind) {
     println!("{} first start and stop: {:.0} ms", kind.name(), first.as_secs_f64() * 1e3);
     let (mut starts, mut stops) = ([const { Vec::new() }; 2], [const { Vec::new() }; 2]);
     for _ in 0..PAIRS {
-        starts[0].push(time(|| bare.runtime.block_on(bare.start("bare"))));
-        stops[0].push(time(|| bare.runtime.block_on(bare.stop("bare"))));
+        starts[0].push(time(|| bare.start("bare")));
+        stops[0].push(time(|| bare.stop("bare")));
         let mut ids = Vec::new();
         starts[1].push(time(|| ids = ours.start(1)));
         stops[1].push(time(|| ours.stop(ids)));
@@ -223,11 +214,9 @@ fn measure(kind: EngineKind) {
         settle();
         // Each is first as often as the other: ABBA.
         if [0, 3].contains(&(round % 4)) {
-            let all = || futures_util::future::join_all(names.iter().map(|name| bare.start(name)));
-            up[0].push(time(|| drop(bare.runtime.block_on(all()))));
+            up[0].push(time(|| bare.with_all(&names, Bare::start)));
             settle();
-            let all = || futures_util::future::join_all(names.iter().map(|name| bare.stop(name)));
-            down[0].push(time(|| drop(bare.runtime.block_on(all()))));
+            down[0].push(time(|| bare.with_all(&names, Bare::stop)));
         } else {
             let mut ids = Vec::new();
             up[1].push(time(|| ids = ours.start(MANY)));

@@ -6,11 +6,11 @@
 
 use std::{cell::RefCell, collections::BTreeMap, fs, os::unix::fs::MetadataExt as _, path::Path, rc::Rc};
 
-use bollard::models::{ContainerCreateBody, HostConfig, Mount, MountType};
 use cotorra_graph::NodeId;
 use tokio::sync::Mutex;
 
 use crate::{
+    container::{Container, HostConfig, Mount},
     daemon::{Daemon, DaemonError, Retries},
     spec::labels,
 };
@@ -162,30 +162,23 @@ fn rejected(message: String) -> DaemonError {
     DaemonError::Rejected { status: 500, message }
 }
 
-fn container(node: &NodeId, namespace: &Path, run: &str) -> ContainerCreateBody {
-    let mount = Mount {
-        typ: Some(MountType::BIND),
-        source: Some(namespace.to_string_lossy().into_owned()),
-        target: Some("/ns".to_owned()),
-        read_only: Some(true),
-        ..Mount::default()
-    };
-    let config = HostConfig {
+fn container(node: &NodeId, namespace: &Path, run: &str) -> Container {
+    let host_config = HostConfig {
         // It leaves this network at once. A network of its own would take Docker as long as all the rest.
-        network_mode: Some("host".to_owned()),
-        mounts: Some(vec![mount]),
-        cap_drop: Some(vec!["ALL".to_owned()]),
+        network_mode: "host".to_owned(),
+        mounts: vec![Mount::bind(namespace, Path::new("/ns"), true)],
+        cap_drop: vec!["ALL".to_owned()],
         // To enter the namespace. Nothing of others runs in it.
-        cap_add: Some(vec!["SYS_ADMIN".to_owned()]),
-        ..HostConfig::default()
+        cap_add: vec!["SYS_ADMIN".to_owned()],
+        limits: None,
     };
-    ContainerCreateBody {
-        image: Some(REFERENCE.to_owned()),
+    Container {
+        image: REFERENCE.to_owned(),
         entrypoint: Some(vec![format!("/{PROGRAM}")]),
         hostname: Some(node.to_string()),
-        labels: Some(labels(run, "", node)),
-        host_config: Some(config),
-        ..ContainerCreateBody::default()
+        labels: labels(run, "", node),
+        host_config,
+        ..Container::default()
     }
 }
 

@@ -7,10 +7,8 @@ use std::{
     time::Duration,
 };
 
-use bollard::models::ContainerCreateBody;
 use cotorra_engine::Outcome;
 use cotorra_graph::{ListenPort, Pull};
-use futures_util::TryStreamExt as _;
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
     fd::OwnedFd,
@@ -22,6 +20,7 @@ use tokio::{
 };
 
 use crate::{
+    container::Container,
     daemon::{Daemon, DaemonError, Retries, State},
     ready,
     registries::Registries,
@@ -38,7 +37,7 @@ const LAST_ATTEMPTS: u32 = 5;
 pub(crate) struct Instance {
     /// Name of its container.
     pub(crate) name: String,
-    pub(crate) container: ContainerCreateBody,
+    pub(crate) container: Container,
     pub(crate) pull: Pull,
     pub(crate) ports: Vec<ListenPort>,
     pub(crate) memory_bytes: u64,
@@ -79,7 +78,7 @@ impl Instance {
     /// Creates and starts the container. Returns false if it is stopped before.
     async fn start(&mut self, daemon: &Daemon, stop: &mut oneshot::Receiver<()>) -> Result<bool, String> {
         let cannot = |error: DaemonError| format!("cannot start its container: {error}");
-        let reference = self.container.image.clone().unwrap_or_default();
+        let reference = self.container.image.clone();
         let container = std::mem::take(&mut self.container);
         if self.pull != Pull::Always {
             // The engine says whether it has the image. That saves a request.
@@ -265,9 +264,9 @@ impl Output<'_> {
 
     async fn copy(&mut self, follow: bool) -> Result<(), DaemonError> {
         let mut skipped = self.copied;
-        let mut output = std::pin::pin!(self.daemon.output(self.name, follow));
+        let mut output = self.daemon.output(self.name, follow);
         loop {
-            let next = output.try_next();
+            let next = output.next();
             let Some(part) = (if follow { next.await? } else { self.daemon.answer(next).await? }) else {
                 return Ok(());
             };

@@ -7,10 +7,12 @@
 #![warn(missing_docs)]
 
 mod address;
+mod container;
 mod daemon;
 mod engine;
 mod guard;
 mod holder;
+mod http;
 mod instance;
 mod leftovers;
 mod ready;

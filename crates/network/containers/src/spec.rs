@@ -1,16 +1,15 @@
 //! Turns VNFs into containers, as the engines' interface describes them.
 
 use std::{
-    collections::HashMap,
+    collections::BTreeMap,
     path::{Path, PathBuf},
 };
 
-use bollard::models::{
-    ContainerCreateBody, DeviceMapping, HostConfig, HostConfigLogConfig, Mount, MountType, ResourcesUlimits,
-};
 use cotorra_engine::{Variable, replica_name};
 use cotorra_graph::{Granted, LinuxCapability, NodeId, Program, Rights, Vnf};
 use rustix::process::{Resource, getrlimit};
+
+use crate::container::{Container, Device, HostConfig, Limits, LogConfig, Mount, Ulimit};
 
 /// Label of all containers of cotorra, with the name of their run.
 pub(crate) const RUN: &str = "cotorra.run";
@@ -57,57 +56,52 @@ impl Spec<'_> {
     ///
     /// # Errors
     /// The reason for which there can be none, for people.
-    pub(crate) fn container(self) -> Result<ContainerCreateBody, String> {
+    pub(crate) fn container(self) -> Result<Container, String> {
         let image = self.vnf.image.as_deref().ok_or("it has no image")?;
         let words = match &self.vnf.program {
             Program::Command(words) | Program::Host(words) if !words.is_empty() => Some(words.clone()),
             _ => None,
         };
-        let bind = |source: &Path, target: &Path, read_only: bool| Mount {
-            typ: Some(MountType::BIND),
-            source: Some(source.to_string_lossy().into_owned()),
-            target: Some(target.to_string_lossy().into_owned()),
-            read_only: Some(read_only),
-            ..Mount::default()
-        };
         let volumes =
-            image.volumes.iter().map(|v| bind(&self.folder.join(&v.source), &v.target, !v.writable));
-        let files = self.files.iter().map(|(source, target)| bind(source, target, true));
+            image.volumes.iter().map(|v| Mount::bind(&self.folder.join(&v.source), &v.target, !v.writable));
+        let files = self.files.iter().map(|(source, target)| Mount::bind(source, target, true));
         let devices = image.devices.iter().map(|device| {
-            let path = Some(device.to_string_lossy().into_owned());
-            let (path_on_host, path_in_container) = (path.clone(), path);
-            DeviceMapping { path_on_host, path_in_container, cgroup_permissions: Some("rw".to_owned()) }
+            let path = device.to_string_lossy().into_owned();
+            Device { path_on_host: path.clone(), path_in_container: path, cgroup_permissions: "rw" }
         });
-        let config = HostConfig {
-            network_mode: Some(self.network),
-            nano_cpus: Some(((self.vnf.cpus * 1e9) as i64).max(LEAST_CPU_NS)),
-            memory: i64::try_from(self.vnf.memory_bytes).ok(),
-            memory_swap: i64::try_from(self.vnf.memory_bytes).ok(),
-            pids_limit: Some(PROCESSES),
+        let memory = i64::try_from(self.vnf.memory_bytes).ok();
+        let limits = Limits {
+            nano_cpus: ((self.vnf.cpus * 1e9) as i64).max(LEAST_CPU_NS),
+            memory,
+            memory_swap: memory,
+            pids_limit: PROCESSES,
             init: image.init.then_some(true),
-            mounts: Some(volumes.chain(files).collect()),
-            devices: Some(devices.collect()),
-            cap_drop: Some(vec!["ALL".to_owned()]),
-            cap_add: Some(capabilities(&self.vnf.rights)),
-            security_opt: Some(vec!["no-new-privileges".to_owned()]),
-            ulimits: Some(limits()),
-            log_config: Some(HostConfigLogConfig { typ: Some("json-file".to_owned()), config: None }),
-            ..HostConfig::default()
+            devices: devices.collect(),
+            security_opt: vec!["no-new-privileges".to_owned()],
+            ulimits: ulimits(),
+            log_config: LogConfig { r#type: "json-file" },
         };
-        Ok(ContainerCreateBody {
-            image: Some(image.reference.clone()),
+        let host_config = HostConfig {
+            network_mode: self.network,
+            mounts: volumes.chain(files).collect(),
+            cap_drop: vec!["ALL".to_owned()],
+            cap_add: capabilities(&self.vnf.rights),
+            limits: Some(limits),
+        };
+        Ok(Container {
+            image: image.reference.clone(),
             cmd: words,
-            env: Some(environment(self.vnf, self.replica, self.node, self.environment)),
+            entrypoint: None,
+            env: environment(self.vnf, self.replica, self.node, self.environment),
             hostname: self.hostname,
-            labels: Some(labels(self.run, &replica_name(&self.vnf.id, self.replica), self.node)),
-            host_config: Some(config),
-            ..ContainerCreateBody::default()
+            labels: labels(self.run, &replica_name(&self.vnf.id, self.replica), self.node),
+            host_config,
         })
     }
 }
 
 /// Returns the labels of a container of a run.
-pub(crate) fn labels(run: &str, vnf: &str, node: &NodeId) -> HashMap<String, String> {
+pub(crate) fn labels(run: &str, vnf: &str, node: &NodeId) -> BTreeMap<String, String> {
     let labels = [(RUN, run), ("cotorra.vnf", vnf), ("cotorra.node", node.as_str())];
     labels.map(|(name, value)| (name.to_owned(), value.to_owned())).into()
 }
@@ -141,12 +135,11 @@ fn capabilities(rights: &Rights) -> Vec<String> {
 
 /// Returns limits that are no higher than the engine's own. The defaults of engines may exceed them, and no container starts
 /// where the engine has no right to raise a limit.
-fn limits() -> Vec<ResourcesUlimits> {
-    let of = |name: &str, resource, most: u64| {
+fn ulimits() -> Vec<Ulimit> {
+    let of = |name, resource, most: u64| {
         let limit = getrlimit(resource);
-        let value = |limit: Option<u64>| i64::try_from(limit.unwrap_or(most).min(most)).ok();
-        let (soft, hard) = (value(limit.current), value(limit.maximum));
-        ResourcesUlimits { name: Some(name.to_owned()), soft, hard }
+        let value = |limit: Option<u64>| limit.unwrap_or(most).min(most);
+        Ulimit { name, soft: value(limit.current), hard: value(limit.maximum) }
     };
     vec![of("nofile", Resource::Nofile, MOST_FILES), of("nproc", Resource::Nproc, MOST_PROCESSES)]
 }
@@ -154,6 +147,7 @@ fn limits() -> Vec<ResourcesUlimits> {
 #[cfg(test)]
 pub(crate) mod tests {
     use cotorra_graph::{Image, Volume};
+    use serde_json::json;
 
     use super::*;
 
@@ -184,7 +178,7 @@ pub(crate) mod tests {
         }
     }
 
-    fn container(vnf: &Vnf) -> ContainerCreateBody {
+    fn container(vnf: &Vnf) -> Container {
         let spec = Spec {
             vnf,
             replica: 1,
@@ -201,31 +195,29 @@ pub(crate) mod tests {
 
     #[test]
     fn a_container_has_no_rights_but_those_granted() {
-        let config = container(&vnf()).host_config.unwrap();
-        assert_eq!(config.cap_drop.unwrap(), ["ALL"]);
-        assert_eq!(config.cap_add.unwrap(), ["NET_RAW"]);
-        assert_eq!(config.security_opt.unwrap(), ["no-new-privileges"]);
-        assert_eq!((config.privileged, config.pid_mode, config.ipc_mode), (None, None, None));
-        assert_eq!(config.network_mode.unwrap(), "ns:/proc/1/fd/2");
+        let config = serde_json::to_value(container(&vnf())).unwrap()["HostConfig"].take();
+        assert_eq!(config["CapDrop"], json!(["ALL"]));
+        assert_eq!(config["CapAdd"], json!(["NET_RAW"]));
+        assert_eq!(config["SecurityOpt"], json!(["no-new-privileges"]));
+        assert_eq!(["Privileged", "PidMode", "IpcMode"].map(|key| config.get(key)), [None; 3]);
+        assert_eq!(config["NetworkMode"], "ns:/proc/1/fd/2");
     }
 
     #[test]
     fn limits_are_those_of_the_vnf() {
-        let config = container(&vnf()).host_config.unwrap();
-        assert_eq!(config.nano_cpus, Some(500_000_000));
-        assert_eq!((config.memory, config.memory_swap), (Some(64 << 20), Some(64 << 20)));
-        assert_eq!(config.pids_limit, Some(PROCESSES));
-        let config = container(&Vnf { cpus: 0.0, ..vnf() }).host_config.unwrap();
-        assert_eq!(config.nano_cpus, Some(LEAST_CPU_NS), "engines take 0 for no limit");
+        let config = serde_json::to_value(container(&vnf())).unwrap()["HostConfig"].take();
+        assert_eq!(config["NanoCpus"], 500_000_000);
+        assert_eq!([&config["Memory"], &config["MemorySwap"]], [64 << 20, 64 << 20]);
+        assert_eq!(config["PidsLimit"], PROCESSES);
+        let limits = container(&Vnf { cpus: 0.0, ..vnf() }).host_config.limits.unwrap();
+        assert_eq!(limits.nano_cpus, LEAST_CPU_NS, "engines take 0 for no limit");
     }
 
     #[test]
     fn volumes_start_from_the_testbed_files_folder_and_are_read_only() {
-        let mounts = container(&vnf()).host_config.unwrap().mounts.unwrap();
-        let mounts: Vec<_> = mounts
-            .into_iter()
-            .map(|mount| (mount.source.unwrap(), mount.target.unwrap(), mount.read_only.unwrap()))
-            .collect();
+        let mounts = container(&vnf()).host_config.mounts;
+        let mounts: Vec<_> =
+            mounts.into_iter().map(|mount| (mount.source, mount.target, mount.read_only)).collect();
         let expected = [
             ("/testbeds/maps", "/maps", true),
             ("/srv/out", "/out", false),
@@ -236,7 +228,7 @@ pub(crate) mod tests {
 
     #[test]
     fn variables_are_those_named_and_cotorras() {
-        let env = container(&vnf()).env.unwrap();
+        let env = container(&vnf()).env;
         assert_eq!(
             env,
             [

@@ -9,12 +9,11 @@ use serde::Serialize;
 use crate::{callback::CallbackError, limiter::TooOften, query::QueryError};
 
 /// A problem (RFC 9457).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 pub struct ProblemDetails {
     /// `about:blank`: the status describes the kind of problem.
     #[serde(rename = "type")]
-    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
+    #[schema(format = "uri")]
     kind: &'static str,
     /// Name of the status.
     title: &'static str,

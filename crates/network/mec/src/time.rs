@@ -4,14 +4,13 @@ use cotorra_graph::Timestamp;
 use serde::{Deserialize, Serialize};
 
 /// Time since 1970-01-01 UTC.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct TimeStamp {
     /// Whole seconds.
     pub seconds: u32,
     /// Nanoseconds of the second.
-    #[cfg_attr(feature = "openapi", schema(maximum = 999_999_999))]
+    #[schema(maximum = 999_999_999)]
     pub nano_seconds: u32,
 }
 

@@ -25,8 +25,7 @@ const MEASUREMENT: Duration = Duration::from_secs(1);
 const TIME_UNIT: Duration = Duration::from_micros(1024);
 
 /// A notification to a consumer.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(tag = "notificationType")]
 pub enum Notification {
     /// Stations associated with an access point (6.4.2).
@@ -62,15 +61,15 @@ pub enum Notification {
         time_stamp: TimeStamp,
         /// Beacons that stations hear.
         #[serde(skip_serializing_if = "Vec::is_empty")]
-        #[cfg_attr(feature = "openapi", schema(required = false))]
+        #[schema(required = false)]
         beacon_report: Vec<BeaconReport>,
         /// Access points that they could roam to.
         #[serde(skip_serializing_if = "Vec::is_empty")]
-        #[cfg_attr(feature = "openapi", schema(required = false))]
+        #[schema(required = false)]
         neighbor_report: Vec<NeighborReport>,
         /// Loads of channels.
         #[serde(skip_serializing_if = "Vec::is_empty")]
-        #[cfg_attr(feature = "openapi", schema(required = false))]
+        #[schema(required = false)]
         channel_load: Vec<ChannelLoad>,
     },
     /// Tests that notifications arrive (6.4.6).

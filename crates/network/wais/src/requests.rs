@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::types::{ApIdentity, LinkType, Mac, SelfLink, StaIdentity, TimeStamp};
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(tag = "subscriptionType")]
 pub enum Subscription {
     /// Stations associated with an access point.
@@ -20,51 +19,48 @@ pub enum Subscription {
 }
 
 /// Target and end of a subscription.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct Notifying {
     /// URI for notifications: `http://host:port/path`, on a network that the operator allows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(format = "uri", nullable = false))]
+    #[schema(format = "uri", nullable = false)]
     pub callback_reference: Option<String>,
     /// Request a `TestNotification` first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub request_test_notification: Option<bool>,
     /// Request a WebSocket instead of a callback; takes precedence over one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub websock_notif_config: Option<WebsockNotifConfig>,
     /// Set by the service.
     #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub links: Option<SelfLink>,
     /// End of the subscription, at most a day ahead. Without it, the subscription ends with the run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub expiry_deadline: Option<TimeStamp>,
 }
 
 /// A WebSocket for notifications (6.5.42).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct WebsockNotifConfig {
     /// URI to connect to; set by the service.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(format = "uri", nullable = false))]
+    #[schema(format = "uri", nullable = false)]
     pub websocket_uri: Option<String>,
     /// Whether to provide a WebSocket.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub request_websocket_uri: Option<bool>,
 }
 
 /// Subscription to the stations associated with an access point (6.3.2): periodically, at a threshold, or
 /// periodically beyond it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct AssocStaSubscription {
     /// Target and end.
@@ -73,61 +69,58 @@ pub struct AssocStaSubscription {
     pub ap_id: ApIdentity,
     /// Seconds between notifications. Either this or `notificationEvent` is needed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 255, nullable = false))]
+    #[schema(minimum = 1, maximum = 255, nullable = false)]
     pub notification_period: Option<u8>,
     /// Threshold.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub notification_event: Option<AssocStaEvent>,
 }
 
 /// A threshold on the number of stations (6.3.2).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AssocStaEvent {
     /// 1: at the threshold or more; 2: at the threshold or fewer.
-    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 2))]
+    #[schema(minimum = 1, maximum = 2)]
     pub trigger: u8,
     /// Number of stations.
-    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
+    #[schema(maximum = 255)]
     pub threshold: u8,
 }
 
 /// Subscription to rates of stations (6.3.3).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct StaDataRateSubscription {
     /// Target and end.
     #[serde(flatten)]
     pub notifying: Notifying,
-    #[cfg_attr(feature = "openapi", schema(min_items = 1))]
+    #[schema(min_items = 1)]
     pub sta_id: Vec<StaIdentity>,
     /// Seconds between notifications. Either this or `notificationEvent` is needed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 255, nullable = false))]
+    #[schema(minimum = 1, maximum = 255, nullable = false)]
     pub notification_period: Option<u8>,
     /// Threshold.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub notification_event: Option<StaDataRateEvent>,
 }
 
 /// Thresholds on rates (6.3.3).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct StaDataRateEvent {
     /// 1 and 2: downlink at its threshold or more, or less; 3 and 4: uplink; 5 and 6: both; 7 and 8: either.
-    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 8))]
+    #[schema(minimum = 1, maximum = 8)]
     pub trigger: u8,
     /// Downlink threshold, kbit/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub downlink_rate_threshold: Option<u32>,
     /// Uplink threshold, kbit/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub uplink_rate_threshold: Option<u32>,
 }
 
@@ -149,162 +142,153 @@ impl StaDataRateEvent {
 }
 
 /// Subscription to reports of a measurement (6.3.5).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementReportSubscription {
     /// Target and end.
     #[serde(flatten)]
     pub notifying: Notifying,
-    #[cfg_attr(feature = "openapi", schema(min_items = 1))]
+    #[schema(min_items = 1)]
     pub sta_id: Vec<StaIdentity>,
     /// Consumer's name for the measurement.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub measurement_id: Arc<str>,
     /// The measurement.
     pub measurement_info: MeasurementInfo,
 }
 
 /// A measurement whose reports are included in station information (6.2.4).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementConfig {
     /// Set by the service.
     #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub links: Option<SelfLink>,
     /// Consumer's name for the measurement, unique among configurations.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub measurement_id: Arc<str>,
-    #[cfg_attr(feature = "openapi", schema(min_items = 1))]
+    #[schema(min_items = 1)]
     pub sta_id: Vec<StaIdentity>,
     /// The measurement.
     pub measurement_info: MeasurementInfo,
 }
 
 /// A measurement (6.5.41): exactly one of the four.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementInfo {
     /// Units of 1024 µs between a subscription's reports, if that is more than a second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(maximum = 65535, nullable = false))]
+    #[schema(maximum = 65535, nullable = false)]
     pub measurement_duration: Option<u16>,
     /// Accepted without effect: measurements put nothing on the air that would have to be spread.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(maximum = 65535, nullable = false))]
+    #[schema(maximum = 65535, nullable = false)]
     pub random_interval: Option<u16>,
     /// Load of a channel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub channel_load_conf: Option<ChannelLoadConfig>,
     /// Beacons that stations hear.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub beacon_request_conf: Option<BeaconRequestConfig>,
     /// Counters of a station. This service has none and rejects it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub sta_statistics_conf: Option<StaStatisticsConfig>,
     /// Access points that stations could roam to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub neighbor_report_conf: Option<NeighborReportConfig>,
 }
 
 /// Load of a channel (6.5.24).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ChannelLoadConfig {
     /// Global operating class (IEEE 802.11-2016, Table E-4).
-    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
+    #[schema(maximum = 255)]
     pub operating_class: u8,
-    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
+    #[schema(maximum = 255)]
     pub channel: u8,
     /// 0 or absent: always; 1: at the threshold or more; 2: at the threshold or less.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(maximum = 2, nullable = false))]
+    #[schema(maximum = 2, nullable = false)]
     pub reporting_condition: Option<u8>,
     /// Load; 255 is busy all the time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(maximum = 255, nullable = false))]
+    #[schema(maximum = 255, nullable = false)]
     pub threshold: Option<u8>,
 }
 
 /// Beacons that stations hear (6.5.25).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct BeaconRequestConfig {
     /// Global operating class (IEEE 802.11-2016, Table E-4).
-    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
+    #[schema(maximum = 255)]
     pub operating_class: u8,
     /// A channel of that class; 0 or 255: all of them.
-    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
+    #[schema(maximum = 255)]
     pub channel_id: u8,
     /// 0: passive, 1: active, 2: beacon table. In each mode the report has what the station heard last: this service
     /// takes no radio off its channel.
-    #[cfg_attr(feature = "openapi", schema(maximum = 2))]
+    #[schema(maximum = 2)]
     pub measurement_mode: u8,
     /// Restrict to this access point.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub bssid: Option<Mac>,
     /// Restrict to this network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub ssid: Option<String>,
     /// Condition for reporting a beacon.
     pub beacon_reporting_conf: BeaconReportingConfig,
 }
 
 /// Condition for reporting a beacon (6.5.28).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct BeaconReportingConfig {
     /// 0: all; 1 and 2: RCPI above or below the threshold; 3 and 4: RSNI; 5 to 8: the same relative to the serving
     /// access point's with an offset; 9 and 10: RCPI or RSNI between the serving access point's and that with the
     /// offset.
-    #[cfg_attr(feature = "openapi", schema(maximum = 10))]
+    #[schema(maximum = 10)]
     pub reporting_condition: u8,
     /// The threshold, or the offset: an 8-bit two's complement number in units of 0.5 dB.
-    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
+    #[schema(maximum = 255)]
     pub threshold: u8,
 }
 
 /// Counters of a station (6.5.26), which this service does not have.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct StaStatisticsConfig {
     /// Group of counters.
-    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
+    #[schema(maximum = 255)]
     pub group_identity: u8,
     /// Whether reports are triggered.
     pub triggered_report: bool,
 }
 
 /// Access points that stations could roam to (6.5.32).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct NeighborReportConfig {
     /// Network; by default the station's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub ssid: Option<String>,
     /// Restrict to this access point; ignored without `ssid`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    #[schema(nullable = false)]
     pub bssid: Option<Mac>,
 }
 
 /// Links to subscriptions (6.3.4).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 pub struct SubscriptionLinkList {
     /// Link to this list.
     #[serde(rename = "_links")]
@@ -314,18 +298,16 @@ pub struct SubscriptionLinkList {
 }
 
 /// A link to a subscription (6.3.4).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct SubscriptionLink {
-    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
+    #[schema(format = "uri")]
     pub href: String,
     pub subscription_type: &'static str,
 }
 
 /// Links to measurement configurations (6.2.5).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementConfigLinkList {
     /// Link to this list.
@@ -336,20 +318,18 @@ pub struct MeasurementConfigLinkList {
 }
 
 /// A link to a measurement configuration (6.2.5).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementConfigLink {
-    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
+    #[schema(format = "uri")]
     pub href: String,
     /// Consumer's name for the measurement.
-    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    #[schema(value_type = String)]
     pub measurement_id: Arc<str>,
 }
 
 /// Link from an expiry or test notification to its subscription (6.4.4, 6.4.6).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 pub struct ToSubscription {
     pub subscription: LinkType,
 }

@@ -7,10 +7,11 @@ pub use cotorra_mec::{Epoch, TimeStamp};
 use serde::{Deserialize, Serialize};
 
 /// A MAC address, written in lower case with colons.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[cfg_attr(feature = "openapi", schema(value_type = String, pattern = "^([0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}$",
-    examples("02:77:00:00:00:01")))]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
+#[schema(value_type = String, pattern = "^([0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}$",
+    examples("02:77:00:00:00:01"))]
 #[serde(try_from = "String", into = "String")]
 pub struct Mac(pub [u8; 6]);
 
@@ -57,16 +58,14 @@ impl fmt::Display for Mac {
 }
 
 /// A link to a resource (6.5.23).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LinkType {
-    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
+    #[schema(format = "uri")]
     pub href: String,
 }
 
 /// The link to the resource itself.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SelfLink {
     #[serde(rename = "self")]
     pub itself: LinkType,
@@ -79,46 +78,43 @@ impl SelfLink {
 }
 
 /// An access point's identity (6.5.3).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ApIdentity {
     /// MAC address.
     pub bssid: Mac,
     /// Networks that it serves.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+    #[schema(value_type = Vec<String>)]
     pub ssid: Arc<[String]>,
     /// IP addresses.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+    #[schema(value_type = Vec<String>)]
     pub ip_address: Arc<[String]>,
 }
 
 /// A station's identity (6.5.11).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct StaIdentity {
     /// MAC address.
     pub mac_id: Mac,
     /// Network that it joins.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+    #[schema(value_type = Vec<String>)]
     pub ssid: Arc<[String]>,
     /// IP addresses.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
-    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+    #[schema(value_type = Vec<String>)]
     pub ip_address: Arc<[String]>,
 }
 
 /// An access point and its state (6.2.2).
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ApInfo {
     /// Time of the survey; omitted with `fields`.
-    #[cfg_attr(feature = "openapi", schema(required = false))]
+    #[schema(required = false)]
     pub time_stamp: TimeStamp,
     pub ap_id: ApIdentity,
     pub channel: u32,
@@ -134,8 +130,7 @@ pub struct ApInfo {
 }
 
 /// The BSS Load element (6.5.7; IEEE 802.11-2016, 9.4.2.28).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct BssLoad {
     /// Number of associated stations.
@@ -147,8 +142,7 @@ pub struct BssLoad {
 }
 
 /// The wired link behind an access point (6.5.6; Hotspot 2.0).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct WanMetrics {
     /// 1: the link is up; 5: it is also equally fast in both directions.
@@ -166,16 +160,14 @@ pub struct WanMetrics {
 }
 
 /// Location of an access point (6.5.9).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 pub struct ApLocation {
     /// Location on Earth.
     pub geolocation: GeoLocation,
 }
 
 /// A place on Earth (6.5.19; RFC 6225): fixed point with 25 bits of fraction, two's complement in 34 bits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct GeoLocation {
     /// 0: unknown.
@@ -200,18 +192,17 @@ pub struct GeoLocation {
 }
 
 /// A station and its state (6.2.3).
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct StaInfo {
     /// Time of the survey; omitted with `fields`.
-    #[cfg_attr(feature = "openapi", schema(required = false))]
+    #[schema(required = false)]
     pub time_stamp: TimeStamp,
     pub sta_id: StaIdentity,
     /// Channel of its access point.
     pub channel: u32,
     /// Its access point; omitted with `fields`.
-    #[cfg_attr(feature = "openapi", schema(required = false))]
+    #[schema(required = false)]
     pub ap_associated: ApIdentity,
     /// Signal received by its access point.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -220,30 +211,28 @@ pub struct StaInfo {
     pub sta_data_rate: Option<StaDataRate>,
     /// Beacons that it hears, for measurement configurations that request them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "openapi", schema(required = false))]
+    #[schema(required = false)]
     pub beacon_report: Vec<BeaconReport>,
     /// Access points that it could roam to, for measurement configurations that request them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "openapi", schema(required = false))]
+    #[schema(required = false)]
     pub neighbor_report: Vec<NeighborReport>,
     /// Loads of channels, for measurement configurations that request them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "openapi", schema(required = false))]
+    #[schema(required = false)]
     pub channel_load: Vec<ChannelLoad>,
 }
 
 /// Received signal (6.5.21).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 pub struct Rssi {
     /// Encoded as RCPI (IEEE 802.11-2016, 9.4.2.38): 2·(P + 110), P in dBm.
-    #[cfg_attr(feature = "openapi", schema(maximum = 220))]
+    #[schema(maximum = 220)]
     pub rssi: u8,
 }
 
 /// Rates of a station (6.5.22).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct StaDataRate {
     /// The station; omitted where the enclosing object names it.
@@ -256,8 +245,7 @@ pub struct StaDataRate {
 }
 
 /// An access point that a station hears (6.5.27).
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct BeaconReport {
     /// The station; omitted where the enclosing object names it.
@@ -275,15 +263,14 @@ pub struct BeaconReport {
     /// The network.
     pub ssid: String,
     /// Received power: 2·(P + 110), P in dBm.
-    #[cfg_attr(feature = "openapi", schema(maximum = 220))]
+    #[schema(maximum = 220)]
     pub rcpi: u8,
     /// Signal over the noise floor: 2·(SNR + 10), SNR in dB (IEEE 802.11-2016, 9.4.2.41).
     pub rsni: u8,
 }
 
 /// A received frame (6.5.29).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ReportedBeaconFrameInfo {
     /// `dot11PHYType`: 4 OFDM, 6 ERP, 7 HT, 9 VHT.
@@ -293,8 +280,7 @@ pub struct ReportedBeaconFrameInfo {
 }
 
 /// An access point that a station could roam to (6.5.10).
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct NeighborReport {
     /// The station; omitted where the enclosing object names it.
@@ -314,8 +300,7 @@ pub struct NeighborReport {
 }
 
 /// Capabilities of a neighbor (6.5.30).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct BssidInfo {
     /// 2: unknown; 3: reachable.
@@ -335,8 +320,7 @@ pub struct BssidInfo {
 }
 
 /// Options of an access point (6.5.31).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct BssCapabilities {
     /// Not emulated.
@@ -356,8 +340,7 @@ pub struct BssCapabilities {
 }
 
 /// Load of a channel (6.5.39).
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ChannelLoad {
     /// The station; omitted where the enclosing object names it.

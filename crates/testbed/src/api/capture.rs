@@ -18,10 +18,9 @@ use super::{
 use crate::capture::{Capture, Filter, PCAPNG, WHOLE, WiretapError};
 
 /// The packets of a capture.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct Which {
     /// A filter such as `udp and host edge`, a subset of pcap-filter(7); all packets by default.
     filter: Option<String>,
@@ -32,10 +31,10 @@ pub(super) struct Which {
 /// Streams the packets that cross a link, or the links of a node, as a pcapng file without an end. Each packet has a comment
 /// with the times at which it entered the link, was due, and was delivered. Packets for which the reader is too slow are
 /// missed, and counted in the next packet. This needs the operator's token.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/captures/{id}", tag = "network",
+#[utoipa::path(get, path = "/api/v1/network/captures/{id}", tag = "network",
     params(("id" = String, Path, description = "a link or a node"), Which),
     responses((status = 200, body = String, content_type = "application/x-pcapng"),
-        (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody))))]
+        (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn capture(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

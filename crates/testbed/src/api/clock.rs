@@ -7,8 +7,6 @@ use cotorra_graph::Timestamp;
 use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     auth::Caller,
     context::{Answer, Context},
@@ -23,8 +21,7 @@ use crate::{
 const LONGEST_STEP_MS: f64 = 86_400_000.0;
 
 /// How the run's time passes.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct ClockBody {
     /// Time of the run.
     #[serde(rename = "at_ns")]
@@ -48,24 +45,21 @@ impl From<TimeState> for ClockBody {
 }
 
 /// Seconds of the run per second, or `max`: as fast as possible.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub(super) enum SpeedBody {
     Times(f64),
     Max(AsFastAsPossible),
 }
 
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum AsFastAsPossible {
     Max,
 }
 
 /// A change of how time passes. What is left out stays as it is.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ClockChangeBody {
     /// Stops time, or lets it pass again.
@@ -99,8 +93,8 @@ impl ClockChangeBody {
 }
 
 /// Returns how the run's time passes.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/clock", tag = "clock",
-    responses((status = 200, body = ClockBody))))]
+#[utoipa::path(get, path = "/api/v1/clock", tag = "clock",
+    responses((status = 200, body = ClockBody)))]
 pub(super) async fn clock(State(context): State<Context>) -> Answer<ClockBody> {
     if context.paced {
         return change(&context, TimeChange::default()).await;
@@ -111,9 +105,9 @@ pub(super) async fn clock(State(context): State<Context>) -> Answer<ClockBody> {
 
 /// Stops time, lets it pass again, takes it on by a step, or changes its speed. In virtual time, nothing but the real time
 /// at which the run does something depends on that.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/clock", tag = "clock",
+#[utoipa::path(post, path = "/api/v1/clock", tag = "clock",
     request_body = ClockChangeBody,
-    responses((status = 200, body = ClockBody), (status = 409, description = "real time passes by itself", body = FailureBody))))]
+    responses((status = 200, body = ClockBody), (status = 409, description = "real time passes by itself", body = super::types::FailureBody)))]
 pub(super) async fn control(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

@@ -16,10 +16,9 @@ const STEP_DB: f64 = 10.0;
 const STRONGEST: Dbm = Dbm(-40.0);
 
 /// The floor on which coverage is asked for.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct Floor {
     /// Its height, metres; 0 by default.
     #[serde(default)]
@@ -27,8 +26,7 @@ pub(super) struct Floor {
 }
 
 /// Mean signal around a radio unit: by path loss alone, without walls, shadowing and fading.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct CoverageBody {
     radio_unit: NodeId,
     /// The strongest signal first. The last is the weakest that the network's standard can use.
@@ -36,8 +34,7 @@ pub(super) struct CoverageBody {
 }
 
 /// A circle around a radio unit, inside which its mean signal is stronger.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct CircleBody {
     #[serde(rename = "signal_dbm")]
     signal: Dbm,
@@ -47,8 +44,8 @@ pub(super) struct CircleBody {
 
 /// Returns the mean signal around each radio unit as circles on a floor. It is by path loss alone: walls, shadowing and
 /// fading are left out. Radio units without a position are left out, too.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/coverage", tag = "network",
-    params(Floor), responses((status = 200, body = Vec<CoverageBody>))))]
+#[utoipa::path(get, path = "/api/v1/network/coverage", tag = "network",
+    params(Floor), responses((status = 200, body = Vec<CoverageBody>)))]
 pub(super) async fn coverage(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

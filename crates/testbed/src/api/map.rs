@@ -18,8 +18,7 @@ use super::{
 };
 
 /// The size and the place of a map.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct MapBody {
     /// Cells in a row.
     width: usize,
@@ -43,16 +42,16 @@ impl From<&OccupancyGrid> for MapBody {
 }
 
 /// Returns the size and the place of the map.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/map", tag = "robots",
-    responses((status = 200, body = MapBody))))]
+#[utoipa::path(get, path = "/api/v1/map", tag = "robots",
+    responses((status = 200, body = MapBody)))]
 pub(super) async fn map(State(context): State<Context>) -> Answer<MapBody> {
     Ok(Json(grid(&context.testbed)?.into()))
 }
 
 /// Returns the map as a picture: PGM, with a byte for each cell, the uppermost row first. 0 is occupied, 254 free and 205
 /// unknown, as ROS's map_server writes it.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/map/image", tag = "robots",
-    responses((status = 200, body = String, content_type = "image/x-portable-graymap"))))]
+#[utoipa::path(get, path = "/api/v1/map/image", tag = "robots",
+    responses((status = 200, body = String, content_type = "image/x-portable-graymap")))]
 pub(super) async fn image(State(context): State<Context>) -> Result<Response, Failure> {
     picture(context.testbed)
 }

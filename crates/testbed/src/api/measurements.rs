@@ -9,17 +9,11 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use cotorra_graph::{Direction, LinkId, NodeId, RobotContext, Testbed, Timestamp};
-#[cfg(feature = "openapi")]
-use cotorra_graph::{Handover, LinkContext, MachineContext, ServiceTime, Stamped};
 use cotorra_measurements::{
     Cursor, CurveRequest, Figure, History, Page, PageRequest, RunId, Sample, difference::Targets,
 };
-#[cfg(feature = "openapi")]
-use cotorra_measurements::{Curve, Difference, GraphState, Retained};
 use serde::{Deserialize, Serialize};
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     auth::Caller,
     connections::Whose,
@@ -31,10 +25,9 @@ use super::{
 use crate::report::Fidelity;
 
 /// A part of the history.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct Part {
     /// Beginning, nanoseconds since the run began.
     #[serde(default)]
@@ -44,14 +37,14 @@ pub(super) struct Part {
     /// Maximum number of items; 1000 by default, 10000 at most.
     limit: Option<usize>,
     /// The `next` of the previous page.
-    #[cfg_attr(feature = "openapi", param(value_type = Option<String>))]
+    #[param(value_type = Option<String>)]
     after: Option<Cursor>,
     /// Direction of a link, `forward` by default; for links only.
     direction: Option<Direction>,
     /// Kinds of events, separated by commas, all by default; for events only.
     kinds: Option<String>,
     /// The number of another run of the same history, in place of this one.
-    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
+    #[param(value_type = Option<i64>)]
     run: Option<RunId>,
 }
 
@@ -114,9 +107,9 @@ fn this_run(caller: &Caller, run: Option<RunId>) -> Result<(), Failure> {
 }
 
 /// Returns κ of a robot over time.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/robots/{id}", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/robots/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<RobotContext>>))))]
+    responses((status = 200, body = Page<Sample<RobotContext>>)))]
 pub(super) async fn robot_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -141,9 +134,9 @@ pub(super) async fn robot_history(
 }
 
 /// Returns d, λ and conditions of one direction of a link over time.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/links/{id}", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/links/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<LinkContext>>))))]
+    responses((status = 200, body = Page<Sample<cotorra_graph::LinkContext>>)))]
 pub(super) async fn link_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -166,9 +159,9 @@ pub(super) async fn link_history(
 }
 
 /// Returns the context of a node's machine over time.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/machines/{id}", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/machines/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<MachineContext>>))))]
+    responses((status = 200, body = Page<Sample<cotorra_graph::MachineContext>>)))]
 pub(super) async fn machine_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -187,9 +180,9 @@ pub(super) async fn machine_history(
 }
 
 /// Returns service times.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/service-times", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/service-times", tag = "measurements",
     params(Part),
-    responses((status = 200, body = Page<Sample<ServiceTime>>))))]
+    responses((status = 200, body = Page<Sample<cotorra_graph::ServiceTime>>)))]
 pub(super) async fn service_times(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -209,9 +202,9 @@ pub(super) async fn service_times(
 
 /// Returns up to when samples of a run were rolled up, by kind. Before that time there is one sample per step, and figures
 /// are computed from all original samples. Kinds that are fully recorded are left out.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/retained", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/retained", tag = "measurements",
     params(OfRun),
-    responses((status = 200, body = Vec<Retained>))))]
+    responses((status = 200, body = Vec<cotorra_measurements::Retained>)))]
 pub(super) async fn retained(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -223,8 +216,8 @@ pub(super) async fn retained(
 
 /// Returns whether the emulation of a recorded run did what its testbed file demands. It is null if the run is not over, was
 /// killed, or the token is a domain's.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/verdict", tag = "measurements",
-    responses((status = 200, body = Option<Fidelity>))))]
+#[utoipa::path(get, path = "/api/v1/measurements/verdict", tag = "measurements",
+    responses((status = 200, body = Option<Fidelity>)))]
 pub(super) async fn verdict(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -233,20 +226,19 @@ pub(super) async fn verdict(
 }
 
 /// A run.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct OfRun {
     /// The number of another run of the same history, in place of this one.
-    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
+    #[param(value_type = Option<i64>)]
     run: Option<RunId>,
 }
 
 /// Returns handovers.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/handovers", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/handovers", tag = "measurements",
     params(Part),
-    responses((status = 200, body = Page<Sample<Handover>>))))]
+    responses((status = 200, body = Page<Sample<cotorra_graph::Handover>>)))]
 pub(super) async fn handovers(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -261,9 +253,9 @@ pub(super) async fn handovers(
 
 /// Returns events of any kind, in order. With a domain's token a page may have fewer events than its limit: events of other
 /// domains are left out.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/events", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/events", tag = "measurements",
     params(Part),
-    responses((status = 200, body = Page<Stamped>))))]
+    responses((status = 200, body = Page<cotorra_graph::Stamped>)))]
 pub(super) async fn event_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -283,9 +275,9 @@ pub(super) async fn event_history(
 }
 
 /// Returns the gaps where events were lost. What a run without an end lost after its last event is unknown.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/gaps", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/gaps", tag = "measurements",
     params(Part),
-    responses((status = 200, body = Page<GapBody>))))]
+    responses((status = 200, body = Page<GapBody>)))]
 pub(super) async fn gaps(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -300,10 +292,9 @@ pub(super) async fn gaps(
 }
 
 /// A figure, and its resolution.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct Which {
     /// The figure and its object: `delay:LINK:DIRECTION`, `throughput:…`, `queue:…`, `delay_scale:…` or `drop_scale:…`
     /// (forward without a direction); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…`,
@@ -311,7 +302,7 @@ pub(super) struct Which {
     /// `service_time:SERVICE:ROBOT` or `handover_gap:ROBOT` (of all without an object); `time_part:LINK:SERVICE:ROBOT`
     /// (also of `sender`, `vnf`, `receiver` or `unknown`); `sensor:ROBOT:SENSOR:COMPONENT`; `cpu:NODE`,
     /// `load_average:…` or `available_memory:…` of a machine; `lateness_p50`, `lateness_p99` or `lateness_max`.
-    #[cfg_attr(feature = "openapi", param(value_type = String))]
+    #[param(value_type = String)]
     figure: Figure,
     /// Beginning, nanoseconds since the run began.
     #[serde(default)]
@@ -323,15 +314,15 @@ pub(super) struct Which {
     /// Quantiles of each point, as shares from 0 to 1 separated by commas; 0.5 by default.
     quantiles: Option<String>,
     /// The number of another run of the same history, in place of this one.
-    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
+    #[param(value_type = Option<i64>)]
     run: Option<RunId>,
 }
 
 /// Returns a figure over time in a bounded number of points. Each has count, minimum, maximum, mean, last and quantiles of
 /// its samples, and whether events were lost. With a domain's token: figures of its own robots, links and nodes.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements",
     params(Which),
-    responses((status = 200, body = Curve))))]
+    responses((status = 200, body = cotorra_measurements::Curve)))]
 pub(super) async fn series(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -355,22 +346,21 @@ pub(super) async fn series(
 }
 
 /// A page of runs.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct Runs {
     /// Only runs after this one.
-    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
+    #[param(value_type = Option<i64>)]
     after: Option<RunId>,
     /// Maximum number of runs; 1000 by default, 10000 at most.
     limit: Option<usize>,
 }
 
 /// Returns the runs in this run's history, the oldest first.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/runs", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/runs", tag = "measurements",
     params(Runs),
-    responses((status = 200, body = Vec<RunBody>))))]
+    responses((status = 200, body = Vec<RunBody>)))]
 pub(super) async fn runs(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -386,23 +376,22 @@ pub(super) async fn runs(
 }
 
 /// Two runs to compare.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct Pair {
     /// The number of the first run.
-    #[cfg_attr(feature = "openapi", param(value_type = i64))]
+    #[param(value_type = i64)]
     a: RunId,
     /// The number of the second run; this run by default.
-    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
+    #[param(value_type = Option<i64>)]
     b: Option<RunId>,
 }
 
 /// Compares two runs of this run's history.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/difference", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/difference", tag = "measurements",
     params(Pair),
-    responses((status = 200, body = Difference), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
+    responses((status = 200, body = cotorra_measurements::Difference), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn difference(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -435,22 +424,21 @@ fn targets(testbed: &Testbed) -> Targets {
 }
 
 /// A time.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct At {
     /// Nanoseconds since the run began. The default is now, and for another run its end.
     at_ns: Option<Timestamp>,
     /// The number of another run of the same history, in place of this one.
-    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
+    #[param(value_type = Option<i64>)]
     run: Option<RunId>,
 }
 
 /// Returns the whole graph at a time, with the last known state of every object. With a domain's token: its part of it.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements",
+#[utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements",
     params(At),
-    responses((status = 200, body = GraphState))))]
+    responses((status = 200, body = cotorra_measurements::GraphState)))]
 pub(super) async fn state(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

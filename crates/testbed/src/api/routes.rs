@@ -6,8 +6,6 @@ use cotorra_graph::{
     VirtualLinkMapping, VnfId,
 };
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     auth::Caller,
     context::{Answer, Context},
@@ -19,8 +17,8 @@ use super::{
 use crate::message::Message;
 
 /// Returns the testbed: graph, services, walks and plug-ins.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/testbed", tag = "network",
-    responses((status = 200, body = TestbedBody))))]
+#[utoipa::path(get, path = "/api/v1/testbed", tag = "network",
+    responses((status = 200, body = TestbedBody)))]
 pub(super) async fn testbed(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -30,9 +28,9 @@ pub(super) async fn testbed(
 }
 
 /// Returns a node, its addresses and its namespace.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/nodes/{id}", tag = "network",
+#[utoipa::path(get, path = "/api/v1/network/nodes/{id}", tag = "network",
     params(("id" = String, Path)),
-    responses((status = 200, body = NodeBody))))]
+    responses((status = 200, body = NodeBody)))]
 pub(super) async fn node(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -47,9 +45,9 @@ pub(super) async fn node(
 
 /// Returns the context of a node's machine: its CPUs, memory, network interfaces and Wi-Fi. Counters count since an
 /// interface exists, and shares and throughputs are those since the machine's last reading.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/nodes/{id}/machine", tag = "network",
+#[utoipa::path(get, path = "/api/v1/network/nodes/{id}/machine", tag = "network",
     params(("id" = String, Path)),
-    responses((status = 200, body = MachineBody))))]
+    responses((status = 200, body = MachineBody)))]
 pub(super) async fn machine(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -68,8 +66,8 @@ pub(super) async fn machine(
 }
 
 /// Returns κ of every robot.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots", tag = "robots",
-    responses((status = 200, body = Vec<RobotContext>))))]
+#[utoipa::path(get, path = "/api/v1/robots", tag = "robots",
+    responses((status = 200, body = Vec<RobotContext>)))]
 pub(super) async fn robots(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -82,9 +80,9 @@ pub(super) async fn robots(
 }
 
 /// Returns κ of a robot.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}", tag = "robots",
+#[utoipa::path(get, path = "/api/v1/robots/{id}", tag = "robots",
     params(("id" = String, Path)),
-    responses((status = 200, body = RobotContext))))]
+    responses((status = 200, body = RobotContext)))]
 pub(super) async fn robot(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -102,8 +100,8 @@ pub(super) async fn robot(
 }
 
 /// Returns d, λ and conditions of every link, in both directions.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/links", tag = "network",
-    responses((status = 200, body = Vec<LinkBody>))))]
+#[utoipa::path(get, path = "/api/v1/network/links", tag = "network",
+    responses((status = 200, body = Vec<LinkBody>)))]
 pub(super) async fn links(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -119,9 +117,9 @@ pub(super) async fn links(
 ///
 /// A test is bounded: 10 s and 1 Gbit/s at most, one test of a direction at a time, and a pause of four times its duration
 /// afterwards. The result is in the link's `tested` a second after the last packet.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/network/links/{id}/throughput-test", tag = "network",
+#[utoipa::path(post, path = "/api/v1/network/links/{id}/throughput-test", tag = "network",
     params(("id" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)), request_body = ThroughputTestBody,
-    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn test_throughput(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -141,8 +139,8 @@ pub(super) async fn test_throughput(
 }
 
 /// Returns ι of every radio unit.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/radio-units", tag = "network",
-    responses((status = 200, body = Vec<RadioContext>))))]
+#[utoipa::path(get, path = "/api/v1/network/radio-units", tag = "network",
+    responses((status = 200, body = Vec<RadioContext>)))]
 pub(super) async fn radio_units(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -152,8 +150,8 @@ pub(super) async fn radio_units(
 }
 
 /// Returns a(n): the node of every VNF.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/placements", tag = "network",
-    responses((status = 200, body = Vec<Placement>))))]
+#[utoipa::path(get, path = "/api/v1/network/placements", tag = "network",
+    responses((status = 200, body = Vec<Placement>)))]
 pub(super) async fn placements(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -166,8 +164,8 @@ pub(super) async fn placements(
 }
 
 /// Returns a(n1,n2): the links that carry each direction of every virtual link, and the reason for them.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/virtual-links", tag = "network",
-    responses((status = 200, body = Vec<VirtualLinkMapping>))))]
+#[utoipa::path(get, path = "/api/v1/network/virtual-links", tag = "network",
+    responses((status = 200, body = Vec<VirtualLinkMapping>)))]
 pub(super) async fn virtual_links(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -191,8 +189,8 @@ pub(super) fn plugin(
 }
 
 /// Returns the VNFs that were added during the run, and their states.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/vnfs", tag = "network",
-    responses((status = 200, body = Vec<AddedVnfBody>))))]
+#[utoipa::path(get, path = "/api/v1/vnfs", tag = "network",
+    responses((status = 200, body = Vec<AddedVnfBody>)))]
 pub(super) async fn vnfs(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -212,10 +210,10 @@ pub(super) async fn vnfs(
 ///
 /// It is a command or an image with the rights of a confined command, and ends with the run. `GET /api/v1/vnfs` has its
 /// state.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/vnfs", tag = "instructions",
+#[utoipa::path(post, path = "/api/v1/vnfs", tag = "instructions",
     request_body = AddVnfBody,
     params(("X-Cotorra-Plugin" = Option<String>, Header)),
-    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn add_vnf(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -227,9 +225,9 @@ pub(super) async fn add_vnf(
 }
 
 /// Removes a VNF that was added. Its instances stop once packets in flight to them have arrived.
-#[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/api/v1/vnfs/{vnf}", tag = "instructions",
+#[utoipa::path(delete, path = "/api/v1/vnfs/{vnf}", tag = "instructions",
     params(("vnf" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)),
-    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn remove_vnf(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -245,10 +243,10 @@ pub(super) async fn remove_vnf(
 ///
 /// The decision is recorded under the caller's name. A plug-in that the run started is identified by its token. Other
 /// callers choose a name with the header `X-Cotorra-Plugin`, but not one of the run's plug-ins.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/instructions", tag = "instructions",
+#[utoipa::path(post, path = "/api/v1/instructions", tag = "instructions",
     request_body = InstructionBody,
     params(("X-Cotorra-Plugin" = Option<String>, Header)),
-    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = super::types::FailureBody)))]
 pub(super) async fn instruct(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

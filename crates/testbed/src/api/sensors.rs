@@ -21,8 +21,6 @@ use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     auth::Caller,
     connections::Whose,
@@ -39,8 +37,7 @@ const GIVEN: usize = 4;
 static READINGS: Mutex<BTreeMap<Whose, Arc<Semaphore>>> = Mutex::new(BTreeMap::new());
 
 /// A sensor and its last reading.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct SensorBody {
     /// The declaration in the testbed file.
     declared: Sensor,
@@ -51,8 +48,7 @@ pub(super) struct SensorBody {
 }
 
 /// One number of a reading.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct ComponentBody {
     component: ComponentId,
     /// The unit; empty for a share.
@@ -60,9 +56,9 @@ pub(super) struct ComponentBody {
 }
 
 /// Returns the sensors of a robot beside those in its context, each with its last reading.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}/sensors", tag = "robots",
+#[utoipa::path(get, path = "/api/v1/robots/{id}/sensors", tag = "robots",
     params(("id" = String, Path)),
-    responses((status = 200, body = Vec<SensorBody>))))]
+    responses((status = 200, body = Vec<SensorBody>)))]
 pub(super) async fn sensors(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -107,16 +103,15 @@ impl TryFrom<String> for Which {
 }
 
 /// A body of raw bytes.
-#[cfg(feature = "openapi")]
 #[derive(utoipa::ToSchema)]
 #[schema(value_type = String, format = Binary)]
-#[expect(dead_code, reason = "it describes the body")]
+#[allow(dead_code, reason = "used by the OpenAPI document")]
 struct LargeBytes(Vec<u8>);
 
 /// Returns the bytes of a reading with large data, such as an image.
 ///
 /// Readings are numbered from 0. A run keeps the last ones, as many as the sensor's `keep` has room for.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}/sensors/{name}/{reading}", tag = "robots",
+#[utoipa::path(get, path = "/api/v1/robots/{id}/sensors/{name}/{reading}", tag = "robots",
     params(("id" = String, Path), ("name" = String, Path),
         ("reading" = String, Path, description = "the number of a reading, or `latest` for the last that is kept")),
     responses(
@@ -128,7 +123,7 @@ struct LargeBytes(Vec<u8>);
             ("X-Cotorra-Width" = u32, description = "columns of an image, rays of a scan"),
             ("X-Cotorra-Height" = u32, description = "rows of an image; 1 of a scan"),
             ("X-Cotorra-Measured-Ns" = u64, description = "when it was measured"))),
-        (status = 410, description = "there was such a reading, which is not kept any more", body = FailureBody))))]
+        (status = 410, description = "there was such a reading, which is not kept any more", body = super::types::FailureBody)))]
 pub(super) async fn large_data(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

@@ -26,10 +26,9 @@ use crate::{
 };
 
 /// A selection of events.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct Which {
     /// Kinds of events, separated by commas; all by default.
     kinds: Option<String>,
@@ -43,10 +42,10 @@ pub(super) struct Which {
 /// In virtual time, a plug-in that the testbed started, identified by its token, loses no events. Its stream has an event
 /// named `mark` at once, and then after the events of each moment. The mark's `id` is a number, and its data the time in
 /// nanoseconds. Time stands still until the plug-in has posted that number to `/api/v1/marks/{number}`.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/events", tag = "events",
+#[utoipa::path(get, path = "/api/v1/events", tag = "events",
     params(Which, ("X-Cotorra-Plugin" = Option<String>, Header)),
     responses((status = 200, body = String, content_type = "text/event-stream",
-        description = "each `data:` is a Stamped event"))))]
+        description = "each `data:` is a Stamped event")))]
 pub(super) async fn events(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -80,10 +79,9 @@ pub(super) async fn events(
 }
 
 /// The next wake-up of a plug-in.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
+#[into_params(parameter_in = Query)]
 pub(super) struct Wake {
     /// Time of the next mark at the latest, nanoseconds since the run began, even without events.
     wake_at_ns: Option<u64>,
@@ -91,9 +89,9 @@ pub(super) struct Wake {
 
 /// Returns a mark: the plug-in has handled all events before it, and has given its instructions. Virtual time goes on. In
 /// real time, which waits for nobody, this does nothing.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events",
+#[utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events",
     params(("number" = u64, Path), ("X-Cotorra-Plugin" = Option<String>, Header), Wake),
-    responses((status = 200, body = Done))))]
+    responses((status = 200, body = Done)))]
 pub(super) async fn done(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

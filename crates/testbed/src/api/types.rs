@@ -20,8 +20,7 @@ use serde::{Deserialize, Deserializer, Serialize, de};
 const LONGEST_FAILURE: usize = 4096;
 
 /// A testbed.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct TestbedBody {
     name: String,
     description: String,
@@ -51,21 +50,19 @@ impl TestbedBody {
 }
 
 /// A node and its addresses.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct NodeBody {
     #[serde(flatten)]
     pub(super) node: Node,
     /// Addresses of an emulated host. Those of real servers and machines are in the node.
     pub(super) address: Option<HostAddress>,
     /// Network namespace of an emulated host, for `nsenter --net=`.
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    #[schema(value_type = Option<String>)]
     pub(super) namespace: Option<PathBuf>,
 }
 
 /// One direction of a link, and the age of this context. Ages of active measurements count up to the context's time.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct LinkBody {
     #[serde(flatten)]
     context: LinkContext,
@@ -80,8 +77,7 @@ impl LinkBody {
 }
 
 /// The context of a node's machine, and its age.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct MachineBody {
     #[serde(flatten)]
     context: MachineContext,
@@ -96,8 +92,7 @@ impl MachineBody {
 }
 
 /// A test of a link's throughput.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ThroughputTestBody {
     pub(super) direction: Direction,
@@ -110,10 +105,9 @@ pub(super) struct ThroughputTestBody {
 }
 
 /// A run in a history.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct RunBody {
-    #[cfg_attr(feature = "openapi", schema(value_type = i64))]
+    #[schema(value_type = i64)]
     run: RunId,
     /// Name of the testbed.
     name: String,
@@ -135,8 +129,7 @@ impl RunBody {
 }
 
 /// Lost events: [`cotorra_measurements::Gap`] as the API shows it.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct GapBody {
     /// Time of the earliest lost event, nanoseconds since the run began.
     #[serde(rename = "from_ns")]
@@ -155,8 +148,7 @@ impl From<Gap> for GapBody {
 }
 
 /// An instruction and its reason.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct InstructionBody {
     pub(super) instruction: Instruction,
@@ -187,8 +179,7 @@ fn added_vnf<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Box<Vnf>, D::
 }
 
 /// A VNF to add.
-#[derive(Debug, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct AddVnfBody {
     /// A command or an image. It has the rights of a confined command: `rights` other than the usual ones, and `volumes`
@@ -201,8 +192,7 @@ pub(super) struct AddVnfBody {
 }
 
 /// A VNF that was added, and its state.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct AddedVnfBody {
     pub(super) vnf: Vnf,
     /// Present nodes of its instances.
@@ -212,8 +202,7 @@ pub(super) struct AddedVnfBody {
 }
 
 /// The instruction was applied, or its application has begun.
-#[derive(Debug, Serialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Done {
     pub(super) done: bool,
 }
@@ -227,8 +216,8 @@ pub(super) struct Failure {
 }
 
 /// The body of a failure: `error` for an invalid request, `refused` for one that the testbed rejects.
-#[cfg(feature = "openapi")]
 #[derive(Debug, Serialize, utoipa::ToSchema)]
+#[allow(dead_code, reason = "used by the OpenAPI document")]
 pub(super) struct FailureBody {
     /// The mistake in the request.
     error: Option<String>,

@@ -14,8 +14,7 @@ const VALID_SHARE: f64 = 0.01;
 const VALID_MS: f64 = 100.0;
 
 /// Time in which the emulated network stood still, of a millisecond or more at once.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AwaySummary {
     /// In total, ms.
     pub absence_ms: f64,

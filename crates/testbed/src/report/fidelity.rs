@@ -17,8 +17,7 @@ const UNNOTICED: f64 = 0.1;
 const VALID_PROBES: u64 = 100;
 
 /// Verdict on the emulation: whether it did what the testbed file demands.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Fidelity {
     /// Whether the figures can be trusted.
     pub valid: bool,
@@ -42,8 +41,7 @@ pub struct Fidelity {
 }
 
 /// Quantiles of the lateness, µs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LatenessSummary {
     /// Median.
     pub p50: f64,

@@ -12,8 +12,7 @@ use super::fidelity::{Fidelity, VALID_P99_US};
 const VALID_SHARE: f64 = 1e-3;
 
 /// For how long a VNF waited for a processor although it was ready to run. Waits for its own limit, `cpus`, do not count.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct VnfWaits {
     pub vnf: VnfId,
     /// All waits of all its instances, ms; `None` if they are unknown, as in containers.

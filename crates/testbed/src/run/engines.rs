@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use cotorra_engine::{Engine, EngineEvent, InstanceId, InstanceWaits, ProcessEngine};
 use cotorra_graph::{AgentId, HardwareGraph, NodeId, Testbed, Vnf};
 
-use super::launcher::NodeLauncher;
+use super::{containers::Containers, launcher::NodeLauncher};
 
 /// Returns the VNFs with an image that start on this machine, with their nodes. Agents of real servers have engines of their own.
 pub(super) fn images_here(testbed: &Testbed) -> impl Iterator<Item = (&Vnf, &NodeId)> {
@@ -19,8 +19,7 @@ pub(super) fn images_here(testbed: &Testbed) -> impl Iterator<Item = (&Vnf, &Nod
 /// The engines of a run.
 pub(super) struct Engines {
     local: ProcessEngine<NodeLauncher>,
-    /// Containers; `None` if this cotorra was built without.
-    containers: Option<Box<dyn Engine + Send>>,
+    containers: Containers,
     /// The engine of real servers; `None` if no agent can connect.
     agents: Option<Box<dyn Engine + Send>>,
     real_servers: BTreeMap<NodeId, AgentId>,
@@ -30,7 +29,7 @@ impl Engines {
     pub(super) fn new(
         graph: &HardwareGraph,
         local: ProcessEngine<NodeLauncher>,
-        containers: Option<Box<dyn Engine + Send>>,
+        containers: Containers,
         agents: Option<Box<dyn Engine + Send>>,
     ) -> Self {
         let real_servers = graph.real_servers().map(|(node, real)| (node.id.clone(), real.agent.clone()));
@@ -38,12 +37,9 @@ impl Engines {
     }
 
     fn all(&mut self) -> impl Iterator<Item = &mut dyn Engine> {
-        let local: &mut dyn Engine = &mut self.local;
-        let others = [&mut self.containers, &mut self.agents].into_iter().filter_map(|engine| {
-            let engine: &mut dyn Engine = &mut **engine.as_mut()?;
-            Some(engine)
-        });
-        std::iter::once(local).chain(others)
+        let here: [&mut dyn Engine; 2] = [&mut self.local, &mut self.containers];
+        let agents = self.agents.as_mut().map(|agents| -> &mut dyn Engine { &mut **agents });
+        here.into_iter().chain(agents)
     }
 }
 
@@ -52,12 +48,7 @@ impl Engine for Engines {
         match (self.real_servers.get(node), &mut self.agents) {
             (Some(_), Some(agents)) => agents.start(instance, vnf, replica, node),
             (Some(agent), None) => Err(format!("its agent `{agent}` cannot connect: no agent is enrolled")),
-            (None, _) if vnf.image.is_some() => {
-                let containers = self.containers.as_mut();
-                let containers = containers
-                    .ok_or("this cotorra has no containers: build it with `--features containers`")?;
-                containers.start(instance, vnf, replica, node)
-            }
+            (None, _) if vnf.image.is_some() => self.containers.start(instance, vnf, replica, node),
             (None, _) => self.local.start(instance, vnf, replica, node),
         }
     }

@@ -2,7 +2,6 @@
 //!
 //! [`Run::start`] goes through phases. Each has a type that holds what it made; dropping that undoes the phase.
 
-#[cfg(feature = "containers")]
 mod containers;
 mod engines;
 mod launcher;

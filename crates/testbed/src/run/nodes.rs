@@ -1,21 +1,16 @@
 //! The third phase of a run: robots are driven, and VNFs can be started.
 
-#[cfg(feature = "agents")]
-use std::io;
-use std::{collections::BTreeMap, net::UdpSocket, sync::Arc};
+use std::{collections::BTreeMap, io, net::UdpSocket, sync::Arc};
 
 use cotorra_datapath::Datapath;
-#[cfg(any(feature = "agents", feature = "containers"))]
-use cotorra_engine::Engine;
-use cotorra_engine::{CgroupError, Cgroups, ProcessEngine};
+use cotorra_engine::{CgroupError, Cgroups, Engine, ProcessEngine};
 use cotorra_graph::{Node, NodeId, Program, Testbed, Vnf};
-#[cfg(feature = "agents")]
 use cotorra_network_control::Network as _;
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
 
-#[cfg(feature = "containers")]
-use super::containers::Containers;
-use super::{engines::Engines, launcher::NodeLauncher, network::NetworkUp, prepared::Prepared};
+use super::{
+    containers::Containers, engines::Engines, launcher::NodeLauncher, network::NetworkUp, prepared::Prepared,
+};
 use crate::{
     border::{Border, Places, Tunnels},
     confined::Confined,
@@ -46,7 +41,6 @@ impl NodesUp {
     pub(super) fn start(
         prepared: &Prepared,
         network: &mut NetworkUp,
-        #[cfg_attr(not(feature = "agents"), expect(unused_mut, reason = "only agents change it"))]
         mut real_network: RealNetwork,
         script: Script,
         confined: Confined,
@@ -63,17 +57,9 @@ impl NodesUp {
         );
         let cgroups = Cgroups::new().inspect_err(|error| warn_of_limits(testbed, error)).ok();
         let local = ProcessEngine::new(Arc::new(launcher), prepared.folder.vnf_logs(), cgroups);
-        #[cfg(feature = "containers")]
-        let containers = {
-            let addresses = prepared.engines.clone();
-            let containers =
-                Containers::new(testbed, addresses, datapath, &prepared.folder, &network.messages);
-            let containers = containers.map_err(system("write the files of containers"))?;
-            Some(Box::new(containers) as Box<dyn Engine + Send>)
-        };
-        #[cfg(not(feature = "containers"))]
-        let containers = None;
-        #[cfg(feature = "agents")]
+        let addresses = prepared.engines.clone();
+        let containers = Containers::new(testbed, addresses, datapath, &prepared.folder, &network.messages);
+        let containers = containers.map_err(system("write the files of containers"))?;
         let (agents, at_agents, radios) = match prepared.agents(&network.now, &network.messages)? {
             Some(mut agents) => {
                 let radios = super::wifi::start_at_agents(testbed, network, &mut agents, &mut real_network)?;
@@ -86,8 +72,6 @@ impl NodesUp {
             }
             None => (None, AtAgents::new(), None),
         };
-        #[cfg(not(feature = "agents"))]
-        let (agents, at_agents, radios) = (None, AtAgents::new(), None);
         let engine = Engines::new(&testbed.graph, local, containers, agents);
         let now = Arc::clone(&network.now);
         let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), now, at_agents);

@@ -1,23 +1,25 @@
 //! The first phase of a run: everything that needs no network. It checks the testbed, makes plug-ins, reserves the API's
 //! address, and opens the folder, recording and history.
 
-#[cfg(feature = "agents")]
-use std::sync::mpsc::Sender;
-use std::{sync::Arc, thread};
+use std::{
+    sync::{Arc, mpsc::Sender},
+    thread,
+};
 
 use cotorra_graph::Testbed;
 use cotorra_measurements::{History, Recorder, RunId, RunInfo};
 use cotorra_recording::{Pace, Recording};
 
-#[cfg(feature = "agents")]
-use crate::{agents::AgentEngine, clock::Clock, message::Message};
 use crate::{
+    agents::AgentEngine,
     api::{self, Listener},
+    clock::Clock,
     confined::Confined,
     cpus::missing_cpus,
     error::{RunError, system},
     keeping::Keeping,
     manifest::Time,
+    message::Message,
     options::Options,
     plugins::running::PreparedPlugins,
     real_links::RealLinkError,
@@ -46,10 +48,8 @@ pub(super) struct Prepared {
     /// What real Wi-Fi software is to do, if there is any.
     pub(super) wifi: Option<Plan>,
     /// Engines of containers, by their kind.
-    #[cfg(feature = "containers")]
     pub(super) engines: super::containers::Addresses,
     /// With which the agents of the testbed are enrolled, if it has any.
-    #[cfg(feature = "agents")]
     authority: Option<cotorra_enrolment::Authority>,
 }
 
@@ -75,16 +75,8 @@ impl Prepared {
         }
         cotorra_datapath::wifi::check(&testbed.graph)?;
         measure_media(&mut testbed.graph).map_err(RealLinkError::from)?;
-        #[cfg(feature = "agents")]
         let authority = crate::agents::authority(&testbed, &options.agents)?;
-        #[cfg(not(feature = "agents"))]
-        check_agents(&testbed)?;
-        #[cfg(feature = "containers")]
         let engines = super::containers::find_engines(&testbed)?;
-        #[cfg(not(feature = "containers"))]
-        if let Some((vnf, _)) = super::engines::images_here(&testbed).next() {
-            return Err(RunError::NoContainers(vnf.id.clone()));
-        }
         let wifi = super::wifi::plan(&testbed)?;
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
@@ -119,16 +111,13 @@ impl Prepared {
             testbed,
             options,
             wifi,
-            #[cfg(feature = "containers")]
             engines,
-            #[cfg(feature = "agents")]
             authority,
         };
         Ok((prepared, Unstarted { confined, listener, plugins, script }))
     }
 
     /// Listens for the agents of the testbed; `None` without any.
-    #[cfg(feature = "agents")]
     pub(super) fn agents(
         &self,
         now: &Clock,
@@ -139,20 +128,4 @@ impl Prepared {
         let (testbed, options) = (&self.testbed, &self.options.agents);
         Ok(Some(AgentEngine::start(testbed, options, authority, run, &self.folder, now, messages)?))
     }
-}
-
-/// Checks that no VNF starts on a real server and no robot is at an agent, because this build reaches no agents. Warns of what
-/// other agents would do.
-#[cfg(not(feature = "agents"))]
-fn check_agents(testbed: &Testbed) -> Result<(), RunError> {
-    if let Some((node, agent)) = testbed.agents_at_start().next() {
-        return Err(RunError::NoAgents { node: node.id.clone(), agent: agent.clone() });
-    }
-    for (node, agent) in testbed.graph.agents() {
-        tracing::warn!(
-            "agent `{agent}` of `{}` cannot connect: this cotorra has no agents; build it with `--features agents`",
-            node.id
-        );
-    }
-    Ok(())
 }

@@ -9,19 +9,17 @@ use std::{
 use cotorra_datapath::{Datapath, SpawnOptions};
 use cotorra_engine::Process;
 use cotorra_fabric::{Association, Fabric, FabricError};
-#[cfg(feature = "agents")]
-use cotorra_graph::RadioKind;
-use cotorra_graph::{Event, Stamped, Testbed, Timestamp};
+use cotorra_graph::{Event, RadioKind, Stamped, Testbed, Timestamp};
 use cotorra_wifi::DomainKey;
 
 use super::{launcher::NodeProcess, network::NetworkUp, prepared::Prepared};
-#[cfg(feature = "agents")]
-use crate::{agents::AgentEngine, real_network::RealNetwork, wifi::Outlets};
 use crate::{
+    agents::AgentEngine,
     clock::Clock,
     error::RunError,
     message::Message,
-    wifi::{Change, Plan, Surroundings, Wifi, WifiError, check_programs},
+    real_network::RealNetwork,
+    wifi::{Change, Outlets, Plan, Surroundings, Wifi, WifiError, check_programs},
 };
 
 /// Returns what the Wi-Fi software of a testbed is to do; `None` if it needs none.
@@ -72,7 +70,6 @@ pub(super) fn start(prepared: &Prepared, network: &NetworkUp) -> Result<Option<W
 ///
 /// # Errors
 /// [`RunError::Wifi`]. All radios are their owners' again when the agents' engine ends.
-#[cfg(feature = "agents")]
 pub(super) fn start_at_agents(
     testbed: &Testbed,
     network: &NetworkUp,

@@ -4,9 +4,7 @@
 //! [`plan`] writes their configurations, and [`manager`] decides. [`programs`] has the processes and sockets of simulated radios;
 //! those of real radios are at agents.
 
-#[cfg(feature = "agents")]
 mod at_agents;
-#[cfg(feature = "agents")]
 mod figures;
 mod lifecycle;
 mod manager;
@@ -25,26 +23,19 @@ use std::{
 };
 
 use cotorra_datapath::{Capability, CapabilityState};
-#[cfg(feature = "agents")]
-use cotorra_graph::HardwareGraph;
-use cotorra_graph::{self as graph, NodeId};
-#[cfg(feature = "agents")]
-use cotorra_wifi::DomainKey;
-use cotorra_wifi::installed;
+use cotorra_graph::{self as graph, HardwareGraph, NodeId};
+use cotorra_wifi::{DomainKey, installed};
 use parking_lot::Mutex;
 
-#[cfg(feature = "agents")]
-pub(crate) use self::at_agents::{Message as AtAgentsMessage, News, Outlets, Place, Reading, Wish, Wishes};
 pub use self::plan::PlanError;
-use self::{manager::Manager, programs::Programs};
 pub(crate) use self::{
+    at_agents::{Message as AtAgentsMessage, News, Outlets, Place, Reading, Wish, Wishes},
     manager::{Change, Rejected},
     plan::Plan,
     programs::Surroundings,
 };
-use crate::clock::Clock;
-#[cfg(feature = "agents")]
-use crate::real_network::RadioFigures;
+use self::{manager::Manager, programs::Programs};
+use crate::{clock::Clock, real_network::RadioFigures};
 
 /// Beginning of the names of folders for Wi-Fi programs, in the folder for temporary files. The process's id follows, and a number.
 pub const WIFI_FOLDERS: &str = "cotorra-wifi-";
@@ -63,7 +54,6 @@ pub(crate) struct Wifi {
 }
 
 /// The programs of real radios, and what these report.
-#[cfg(feature = "agents")]
 pub(crate) type WithFigures = (Wifi, Arc<dyn RadioFigures>);
 
 /// Tells the thread that carries out actions something.
@@ -189,7 +179,6 @@ impl Wifi {
     ///
     /// # Errors
     /// [`WifiError`].
-    #[cfg(feature = "agents")]
     pub(crate) fn start_at_agents(
         graph: &HardwareGraph,
         key: &DomainKey,

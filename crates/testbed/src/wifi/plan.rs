@@ -34,10 +34,6 @@ pub(super) struct PlannedUnit {
     /// Whether it serves from the start.
     pub(super) serves: bool,
     /// Its greatest power, dBm.
-    #[cfg_attr(
-        not(feature = "agents"),
-        expect(dead_code, reason = "simulated radios have it from the graph")
-    )]
     pub(super) power_dbm: f64,
 }
 
@@ -51,10 +47,6 @@ pub(super) struct PlannedRobot {
     /// Whether it changes its radio unit only when it is told to.
     pub(super) is_instructed: bool,
     /// Its greatest power, dBm.
-    #[cfg_attr(
-        not(feature = "agents"),
-        expect(dead_code, reason = "simulated radios have it from the graph")
-    )]
     pub(super) power_dbm: f64,
 }
 
@@ -110,7 +102,6 @@ impl Plan {
     ///
     /// # Errors
     /// [`PlanError`].
-    #[cfg(feature = "agents")]
     pub(crate) fn of_hardware(
         graph: &HardwareGraph,
         addresses: &BTreeMap<NodeId, MacAddress>,

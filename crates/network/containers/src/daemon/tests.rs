@@ -82,7 +82,7 @@ async fn a_request_to_an_engine_that_hangs_fails_within_the_limit() {
         assert!(!daemon.is_silent());
         assert_eq!(error_of(daemon.has_image("a")).await, late);
         assert_eq!(error_of(daemon.import("a", "1", Vec::new())).await, late);
-        assert_eq!(error_of(daemon.create("a", ContainerCreateBody::default())).await, late);
+        assert_eq!(error_of(daemon.create("a", Container::default())).await, late);
         assert_eq!(error_of(daemon.start("a")).await, late);
         assert_eq!(error_of(daemon.state("a")).await, late);
         assert_eq!(error_of(daemon.signal("a", "SIGTERM")).await, late);

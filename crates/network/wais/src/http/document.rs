@@ -1,4 +1,4 @@
-//! The OpenAPI document, derived from the types and handlers.
+//! The OpenAPI document is derived from the types and handlers, and compared with the one that is checked in.
 
 use utoipa::OpenApi as _;
 
@@ -33,10 +33,9 @@ use super::routes;
 )]
 struct Document;
 
-/// Returns the OpenAPI document of the service.
-pub fn openapi() -> String {
-    let expected = "the document holds only what JSON can";
-    let mut document = serde_json::to_value(Document::openapi()).expect(expected);
-    cotorra_graph::openapi::simplify(&mut document);
-    serde_json::to_string_pretty(&document).expect(expected) + "\n"
+#[test]
+fn the_document_is_the_one_that_is_checked_in() {
+    let document = Document::openapi();
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../docs/wais.openapi.json");
+    utoipa::documents::compare(&document, file.as_ref());
 }

@@ -1,6 +1,6 @@
 //! HTTP resources and WebSockets around a [`Wais`], and the thread that delivers its notifications.
 
-#[cfg(feature = "openapi")]
+#[cfg(test)]
 mod document;
 mod extract;
 mod problem;
@@ -19,9 +19,6 @@ use cotorra_graph::Timestamp;
 use cotorra_mec::{Allowed, Dispatch, Notifier, Outcome, Problem};
 use parking_lot::Mutex;
 use tokio::sync::Notify;
-
-#[cfg(feature = "openapi")]
-pub use document::openapi;
 
 use self::websocket::Sockets;
 use crate::{
@@ -81,9 +78,7 @@ fn resources() -> [(&'static str, MethodRouter<Service>); 6] {
     ]
 }
 
-/// Returns the OpenAPI document of the service as it is checked in. The feature `openapi` derives it from the code,
-/// and the tests compare the two. A first build need not compile the derivation.
-#[cfg(not(feature = "openapi"))]
+/// Returns the OpenAPI document of the service, which is checked in. A test derives it from the types and handlers, and compares.
 pub fn openapi() -> String {
     include_str!("../../../../../docs/wais.openapi.json").to_owned()
 }

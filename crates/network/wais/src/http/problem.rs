@@ -1,9 +1,7 @@
 //! Errors of the service as problems.
 
 use axum::http::StatusCode;
-use cotorra_mec::Problem;
-#[cfg(feature = "openapi")]
-use cotorra_mec::ProblemDetails;
+use cotorra_mec::{Problem, ProblemDetails};
 
 use crate::{requests::InvalidRequest, wais::RequestError};
 
@@ -29,9 +27,8 @@ impl From<InvalidRequest> for Problem {
 }
 
 /// Problems of any request.
-#[cfg(feature = "openapi")]
 #[derive(utoipa::IntoResponses)]
-#[expect(dead_code, reason = "used by the OpenAPI document")]
+#[allow(dead_code, reason = "used by the OpenAPI document")]
 pub(crate) enum RequestProblems {
     /// The request is invalid; the details explain how.
     #[response(status = 400, content_type = "application/problem+json")]
@@ -54,9 +51,8 @@ pub(crate) enum RequestProblems {
 }
 
 /// Further problems of a change.
-#[cfg(feature = "openapi")]
 #[derive(utoipa::IntoResponses)]
-#[expect(dead_code, reason = "used by the OpenAPI document")]
+#[allow(dead_code, reason = "used by the OpenAPI document")]
 pub(crate) enum ChangeProblems {
     /// The resource was changed since the version in `If-Match`.
     #[response(status = 412, content_type = "application/problem+json")]

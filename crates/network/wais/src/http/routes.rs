@@ -8,8 +8,6 @@ use axum::{
 use cotorra_mec::{Parameters, Problem, Query};
 use serde::Serialize;
 
-#[cfg(feature = "openapi")]
-use super::problem::{ChangeProblems, RequestProblems};
 use super::{
     Service,
     extract::{Base, Id, Json, if_match, text},
@@ -20,19 +18,13 @@ use crate::{
     view::Kind,
     wais::Resource,
 };
-#[cfg(feature = "openapi")]
-use crate::{
-    requests::{MeasurementConfigLinkList, SubscriptionLinkList},
-    types::{ApInfo, StaInfo},
-};
 
 type Answer = Result<Response, Problem>;
 
 /// Filters and selectors of a query (ETSI GS MEC 009, 6.18 and 6.19).
-#[cfg(feature = "openapi")]
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
-#[expect(dead_code, reason = "used by the OpenAPI document")]
+#[allow(dead_code, reason = "used by the OpenAPI document")]
 struct Selecting {
     /// Expressions `(op,attribute/attribute,value)` separated by `;`, all of which must hold. `op` is one of eq, neq,
     /// gt, lt, gte, lte, in, nin, cont, ncont.
@@ -85,9 +77,9 @@ fn changed<T: Serialize>(resource: &Resource<T>) -> Response {
 }
 
 /// Access points and their state.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
+#[utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "access points", body = Vec<ApInfo>), (status = 304, description = "as known already"), RequestProblems)))]
+    responses((status = 200, description = "access points", body = Vec<crate::types::ApInfo>), (status = 304, description = "as known already"), super::problem::RequestProblems))]
 pub(super) async fn ap_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -97,9 +89,9 @@ pub(super) async fn ap_information(
 }
 
 /// Associated stations and their state.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
+#[utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "stations", body = Vec<StaInfo>), (status = 304, description = "as known already"), RequestProblems)))]
+    responses((status = 200, description = "stations", body = Vec<crate::types::StaInfo>), (status = 304, description = "as known already"), super::problem::RequestProblems))]
 pub(super) async fn sta_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -116,9 +108,9 @@ const SUBSCRIPTION_TYPES: [(&str, &str); 3] = [
 ];
 
 /// Links to subscriptions.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
+#[utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
     params(("subscription_type" = Option<String>, Query, pattern = "^(assoc_sta|sta_data_rate|measure_report)$")),
-    responses((status = 200, description = "links to subscriptions", body = SubscriptionLinkList), RequestProblems)))]
+    responses((status = 200, description = "links to subscriptions", body = crate::requests::SubscriptionLinkList), super::problem::RequestProblems))]
 pub(super) async fn subscriptions(
     State(service): State<Service>,
     Base(base): Base,
@@ -139,10 +131,10 @@ pub(super) async fn subscriptions(
 }
 
 /// Subscribe to notifications.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
+#[utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
     request_body = Subscription,
     responses((status = 201, description = "the subscription", body = Subscription, headers(("Location" = String), ("ETag" = String))),
-        RequestProblems, ChangeProblems)))]
+        super::problem::RequestProblems, super::problem::ChangeProblems))]
 pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let subscription = Subscription::read(&body)?;
     service.check_callback(&subscription).await?;
@@ -153,10 +145,10 @@ pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, 
 }
 
 /// A subscription.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+#[utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), RequestProblems)))]
+        (status = 304, description = "as known already"), super::problem::RequestProblems))]
 pub(super) async fn subscription(
     State(service): State<Service>,
     Base(base): Base,
@@ -167,10 +159,10 @@ pub(super) async fn subscription(
 }
 
 /// Replace a subscription by another of its type.
-#[cfg_attr(feature = "openapi", utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+#[utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     request_body = Subscription,
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), RequestProblems, ChangeProblems)))]
+    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), super::problem::RequestProblems, super::problem::ChangeProblems))]
 pub(super) async fn resubscribe(
     State(service): State<Service>,
     Base(base): Base,
@@ -189,9 +181,9 @@ pub(super) async fn resubscribe(
 }
 
 /// End a subscription.
-#[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+#[utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), RequestProblems, ChangeProblems)))]
+    responses((status = 204, description = "it has ended"), super::problem::RequestProblems, super::problem::ChangeProblems))]
 pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unsubscribe(now, &id, if_match(&headers)))?;
@@ -200,8 +192,8 @@ pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, head
 }
 
 /// Links to measurement configurations.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements", tag = "measurements",
-    responses((status = 200, description = "links to measurement configurations", body = MeasurementConfigLinkList), RequestProblems)))]
+#[utoipa::path(get, path = "/measurements", tag = "measurements",
+    responses((status = 200, description = "links to measurement configurations", body = crate::requests::MeasurementConfigLinkList), super::problem::RequestProblems))]
 pub(super) async fn measurements(
     State(service): State<Service>,
     Base(base): Base,
@@ -215,10 +207,10 @@ pub(super) async fn measurements(
 }
 
 /// Configure a measurement. Its reports are included in station information from then on.
-#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/measurements", tag = "measurements",
+#[utoipa::path(post, path = "/measurements", tag = "measurements",
     request_body = MeasurementConfig,
     responses((status = 201, description = "the configuration", body = MeasurementConfig, headers(("Location" = String), ("ETag" = String))),
-        RequestProblems, ChangeProblems)))]
+        super::problem::RequestProblems, super::problem::ChangeProblems))]
 pub(super) async fn configure(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let config = MeasurementConfig::read(&body)?;
     let now = service.now();
@@ -226,10 +218,10 @@ pub(super) async fn configure(State(service): State<Service>, Base(base): Base, 
 }
 
 /// A measurement configuration.
-#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), RequestProblems)))]
+        (status = 304, description = "as known already"), super::problem::RequestProblems))]
 pub(super) async fn measurement(
     State(service): State<Service>,
     Base(base): Base,
@@ -240,10 +232,10 @@ pub(super) async fn measurement(
 }
 
 /// Replace a measurement configuration.
-#[cfg_attr(feature = "openapi", utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
     request_body = MeasurementConfig,
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), RequestProblems, ChangeProblems)))]
+    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), super::problem::RequestProblems, super::problem::ChangeProblems))]
 pub(super) async fn reconfigure(
     State(service): State<Service>,
     Base(base): Base,
@@ -259,9 +251,9 @@ pub(super) async fn reconfigure(
 }
 
 /// End a measurement.
-#[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), RequestProblems, ChangeProblems)))]
+    responses((status = 204, description = "it has ended"), super::problem::RequestProblems, super::problem::ChangeProblems))]
 pub(super) async fn unconfigure(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unconfigure(now, &id, if_match(&headers)))?;

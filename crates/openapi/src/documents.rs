@@ -1,6 +1,30 @@
-//! OpenAPI documents that generators of clients understand.
+//! Derived OpenAPI documents, in a form that generators of clients understand.
+
+use std::{env, fs, path::Path};
 
 use serde_json::{Map, Value, json};
+use utoipa::openapi::OpenApi;
+
+/// Compares a derived document with the file in which it is checked in. With the environment variable `BLESS`, it writes that
+/// file anew.
+///
+/// # Panics
+/// If they differ, or the file cannot be read.
+pub fn compare(document: &OpenApi, file: &Path) {
+    let expected = "the document holds only what JSON can";
+    let mut document = serde_json::to_value(document).expect(expected);
+    simplify(&mut document);
+    let derived = serde_json::to_string_pretty(&document).expect(expected) + "\n";
+    if env::var_os("BLESS").is_some() {
+        fs::write(file, &derived).expect("the file can be written");
+    }
+    let checked_in = fs::read_to_string(file).expect("the file can be read");
+    assert!(
+        derived == checked_in,
+        "{} is not what the code says: write it anew by this test, with BLESS=1",
+        file.display()
+    );
+}
 
 /// Merges each `allOf` of a document into plain objects, and gives what one can choose from a schema each.
 ///
@@ -8,7 +32,7 @@ use serde_json::{Map, Value, json};
 /// An `allOf` with a choice among its parts becomes that choice, of merged objects; one that is written out twice is referred
 /// to. Of the schema `Event`, what has the tag
 /// `walk_finished` becomes `EventWalkFinished`.
-pub fn simplify(document: &mut Value) {
+fn simplify(document: &mut Value) {
     let schemas = document.pointer("/components/schemas").cloned().unwrap_or_default();
     merge(document, &schemas);
     let Some(schemas) = document.pointer_mut("/components/schemas").and_then(Value::as_object_mut) else {
