@@ -1,9 +1,7 @@
 //! The stationary bootstrap of a series whose values depend on those before (Politis and Romano 1994), with an automatic
 //! length of blocks (Politis and White 2004, as corrected by Patton, Politis and White 2009).
 
-use cotorra_numbers::{Blocks, resample};
-
-use crate::draws::Draws;
+use cotorra_numbers::{Blocks, Draws, resample};
 
 /// Returns the mean length of blocks for the stationary bootstrap of a series, 1 or more.
 ///
@@ -67,7 +65,7 @@ impl Resampler {
 
     /// Calls `each` with each index of a resample.
     pub fn resample(&self, draws: &mut Draws, each: impl FnMut(usize)) {
-        resample(self.n, Blocks::Stationary(self.length), draws.uniform(), each);
+        resample(self.n, Blocks::Stationary(self.length), draws, each);
     }
 }
 

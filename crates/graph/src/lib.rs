@@ -33,7 +33,6 @@ mod real;
 mod ros1_environment;
 mod routing;
 mod schedule;
-pub mod seed;
 mod sensor;
 mod service;
 mod testbed;

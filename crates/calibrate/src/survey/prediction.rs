@@ -1,6 +1,7 @@
 //! How well a fitted radio predicts the signals of another part of a survey, beside two baselines.
 
 use cotorra_graph::Testbed;
+use cotorra_numbers::Draws;
 use serde::Serialize;
 
 use super::{
@@ -11,7 +12,6 @@ use super::{
 };
 use crate::{
     bootstrap::{Resampler, block_length},
-    draws::Draws,
     error::CalibrateError,
     estimate::{Estimate, quantile},
     matched::RESAMPLES,

@@ -120,15 +120,14 @@ fn equal_shares(one: &Sample, other: &Sample, target_ms: f64, tolerance_ms: f64)
 
 #[cfg(test)]
 mod tests {
-    use rand::{Rng, SeedableRng};
-    use rand_xoshiro::Xoshiro256PlusPlus;
+    use cotorra_numbers::Draws;
 
     use super::*;
 
     /// Times around 10 ms, later by `shift_ms`.
     fn drawn(seed: u64, count: usize, shift_ms: f64) -> Sample {
-        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let mut share = || random.next_u64() as f64 / u64::MAX as f64;
+        let mut random = Draws::from_seed(seed);
+        let mut share = || random.bits() as f64 / u64::MAX as f64;
         let mut time = || (0..12).map(|_| share()).sum::<f64>() + 4.0 + shift_ms;
         Sample::new((0..count).map(|_| time()).collect())
     }

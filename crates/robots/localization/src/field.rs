@@ -4,6 +4,7 @@
 use std::f64::consts::PI;
 
 use cotorra_graph::{Cell, OccupancyGrid};
+use cotorra_numbers::Draws;
 
 use crate::{
     error::LocalizationError,
@@ -11,7 +12,6 @@ use crate::{
     geometry::Pose2,
     parameters::{Parameters, Weighing},
     place::{Place, Places},
-    random::Stream,
     scan::Beams,
 };
 
@@ -198,13 +198,13 @@ impl LikelihoodField {
     }
 
     /// Draws a pose uniformly from free space; `None` if there is none.
-    pub(crate) fn anywhere(&self, random: &mut Stream) -> Option<Place> {
+    pub(crate) fn anywhere(&self, random: &mut Draws) -> Option<Place> {
         let all = self.free.last()?.1;
-        let nth = random.below(all);
+        let nth = random.below(all as usize) as u64;
         let run = self.free.partition_point(|run| run.1 <= nth);
         let before = run.checked_sub(1).map_or(0, |before| self.free[before].1);
         let cell = self.free[run].0 + (nth - before) as usize;
-        let mut within = || random.uniform() as f32;
+        let mut within = || random.unit() as f32;
         Some(Place {
             column: (cell % self.size.0) as f32 + 1.0 + within(),
             row: (cell / self.size.0) as f32 + 1.0 + within(),
@@ -507,7 +507,7 @@ mod tests {
     fn anywhere_draws_free_cells_uniformly() {
         let walls = [true, false, false, true, false, true, true, false];
         let field = LikelihoodField::new(&grid(4, &walls), &Parameters::default());
-        let mut random = Stream::new(1);
+        let mut random = Draws::new(1, "localization");
         let mut counts = [0; 8];
         for _ in 0..4000 {
             let place = field.anywhere(&mut random).unwrap();
