@@ -11,6 +11,7 @@ mod conditions;
 mod container;
 mod contention;
 mod context;
+mod distance;
 mod driver;
 mod event;
 mod exposure;

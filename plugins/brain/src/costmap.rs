@@ -222,70 +222,12 @@ impl Crossings {
     }
 }
 
-/// The exact Euclidean distance from each cell to the nearest occupied one, less half a cell for its edge
-/// (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions", 2012).
+/// Returns the distance from each cell to the nearest occupied one, less half a cell for its edge, in metres.
 fn clearances(grid: &OccupancyGrid) -> Vec<f32> {
-    let (width, height) = (grid.width(), grid.height());
-    let mut squares: Vec<f64> = (0..width * height)
-        .map(|i| if grid.cell(i % width, i / width) == Cell::Occupied { 0.0 } else { FAR })
-        .collect();
-    let longest = width.max(height);
-    let mut envelope = Envelope::new(longest);
-    let mut line = Vec::with_capacity(longest);
-    for row in squares.chunks_exact_mut(width) {
-        line.clear();
-        line.extend_from_slice(row);
-        envelope.transform(&line, |i, square| row[i] = square);
-    }
-    for column in 0..width {
-        line.clear();
-        line.extend(squares.iter().skip(column).step_by(width));
-        envelope.transform(&line, |i, square| squares[i * width + column] = square);
-    }
-    let metres = |square: f64| ((square.sqrt() - 0.5).max(0.0) * grid.resolution()) as f32;
+    let squares = grid.squared_distances(|column, row| grid.cell(column, row) == Cell::Occupied);
+    let metres =
+        |square: f32| ((f64::from(square).min(FAR).sqrt() - 0.5).max(0.0) * grid.resolution()) as f32;
     squares.into_iter().map(metres).collect()
-}
-
-/// The lower envelope of parabolas, which gives the distance transform along one line.
-struct Envelope {
-    /// Feet of the envelope's parabolas.
-    feet: Vec<usize>,
-    /// Starts of the ranges in which each parabola is the lowest.
-    starts: Vec<f64>,
-}
-
-impl Envelope {
-    fn new(longest: usize) -> Self {
-        Self { feet: Vec::with_capacity(longest), starts: Vec::with_capacity(longest) }
-    }
-
-    fn transform(&mut self, line: &[f64], mut set: impl FnMut(usize, f64)) {
-        self.feet.clear();
-        self.starts.clear();
-        for (q, &height) in line.iter().enumerate() {
-            let mut start = f64::NEG_INFINITY;
-            while let (Some(&p), Some(&before)) = (self.feet.last(), self.starts.last()) {
-                let (pf, qf) = (p as f64, q as f64);
-                start = ((height + qf * qf) - (line[p] + pf * pf)) / (2.0 * (qf - pf));
-                if start > before {
-                    break;
-                }
-                self.feet.pop();
-                self.starts.pop();
-                start = f64::NEG_INFINITY;
-            }
-            self.feet.push(q);
-            self.starts.push(start);
-        }
-        let mut k = 0;
-        for q in 0..line.len() {
-            while self.starts.get(k + 1).is_some_and(|&start| start < q as f64) {
-                k += 1;
-            }
-            let foot = self.feet[k];
-            set(q, (q.abs_diff(foot)).pow(2) as f64 + line[foot]);
-        }
-    }
 }
 
 /// Numbers the sets of cells that are connected by their sides. Diagonal moves that cut no corner connect no more.
