@@ -10,7 +10,6 @@
 //! determine a value give a wide interval, a [`CalibrateError`] or a note.
 #![forbid(unsafe_code)]
 
-mod bootstrap;
 mod calibration;
 mod capture;
 mod compare;

@@ -15,6 +15,7 @@ mod gathered;
 mod interval;
 mod mean;
 mod quantile;
+mod resampler;
 pub mod seed;
 mod share;
 
@@ -26,5 +27,6 @@ pub use self::{
     interval::Interval,
     mean::{FEWEST, Mean, holm},
     quantile::{Quantiles, median, quantile, quantile_of_times},
+    resampler::{Resampler, block_length},
     share::{share_over_runs, wilson, wilson_at},
 };
