@@ -5,6 +5,7 @@
 
 mod access;
 mod active;
+mod axis;
 mod border;
 mod bounds;
 mod conditions;
@@ -44,6 +45,7 @@ mod wifi_software;
 
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
+pub use axis::Axis;
 pub use border::Border;
 pub use bounds::TooLong;
 pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace, TraceName};

@@ -1,7 +1,7 @@
 //! Costs of the map's cells for a robot of some size: cells that it cannot be in, distances to obstacles, and regions
 //! that it can reach. Computed once per map; planning and control look them up.
 
-use cotorra_graph::{Cell, OccupancyGrid, Position};
+use cotorra_graph::{Axis, Cell, OccupancyGrid, Position};
 
 /// Cost from which on the robot's centre cannot be in a cell: it would touch an obstacle.
 pub const BLOCKED: u8 = 253;
@@ -141,39 +141,37 @@ impl Costmap {
     }
 
     /// Returns the cost of driving straight from one place to another, in metres of free floor; `None` if the way is
-    /// blocked. Visits each cell on the way (Amanatides and Woo, "A Fast Voxel Traversal Algorithm", 1987).
+    /// blocked. Visits each cell on the way.
     pub fn straight_cost(&self, from: Position, to: Position) -> Option<f64> {
         let (start, goal) = (self.cell_at(from)?, self.cell_at(to)?);
         let place = |cell: usize| (cell % self.width, cell / self.width);
-        let ((column, row), (last_column, last_row)) = (place(start), place(goal));
-        let mut columns =
-            Crossings::new(from.x - self.origin.x, to.x - from.x, self.resolution, column, last_column);
-        let mut rows = Crossings::new(from.y - self.origin.y, to.y - from.y, self.resolution, row, last_row);
-        let along = |cell: usize| if last_column > column { cell + 1 } else { cell - 1 };
-        let across = |cell: usize| if last_row > row { cell + self.width } else { cell - self.width };
-        let (mut cell, mut done, mut cost) = (start, 0.0, 0.0);
+        let ((mut column, mut row), (last_column, last_row)) = (place(start), place(goal));
+        let mut columns = way(from.x - self.origin.x, to.x - from.x, self.resolution, [column, last_column]);
+        let mut rows = way(from.y - self.origin.y, to.y - from.y, self.resolution, [row, last_row]);
+        let cost_of = |column: usize, row: usize| self.costs[row * self.width + column];
+        let (mut done, mut cost) = (0.0, 0.0);
         loop {
-            if self.costs[cell] >= BLOCKED {
+            let cell_cost = cost_of(column, row);
+            if cell_cost >= BLOCKED {
                 return None;
             }
-            let weight = weight(self.costs[cell]);
-            let next = columns.next.min(rows.next);
-            if next == f64::INFINITY {
+            let weight = weight(cell_cost);
+            if columns.is_over() && rows.is_over() {
                 return Some((cost + weight * (1.0 - done)) * from.distance(to));
             }
+            let next = columns.next().min(rows.next()).min(1.0);
             cost += weight * (next - done);
             done = next;
             // Through a corner, the cells to both sides must be free, as for a diagonal move.
-            let corner = (columns.next - rows.next).abs() < 1e-9;
-            if corner && self.costs[along(cell)].max(self.costs[across(cell)]) >= BLOCKED {
+            let corner = (columns.next() - rows.next()).abs() < 1e-9;
+            let beside = || cost_of(columns.beyond(column), row).max(cost_of(column, rows.beyond(row)));
+            if corner && beside() >= BLOCKED {
                 return None;
             }
-            if columns.next <= rows.next {
-                cell = along(cell);
-                columns.cross();
+            if columns.next() <= rows.next() {
+                column = columns.step(column);
             } else {
-                cell = across(cell);
-                rows.cross();
+                row = rows.step(row);
             }
         }
     }
@@ -199,27 +197,10 @@ fn cost(clearance: f64, robot_radius: f64) -> u8 {
     }
 }
 
-/// Crossings of a line from one column (or row) of cells into the next, as shares of its length.
-struct Crossings {
-    next: f64,
-    step: f64,
-    left: usize,
-}
-
-impl Crossings {
-    fn new(start: f64, span: f64, resolution: f64, first: usize, last: usize) -> Self {
-        let left = first.abs_diff(last);
-        if left == 0 {
-            return Self { next: f64::INFINITY, step: 0.0, left };
-        }
-        let edge = if last > first { first + 1 } else { first } as f64 * resolution;
-        Self { next: ((edge - start) / span).clamp(0.0, 1.0), step: resolution / span.abs(), left }
-    }
-
-    fn cross(&mut self) {
-        self.left -= 1;
-        self.next = if self.left == 0 { f64::INFINITY } else { (self.next + self.step).min(1.0) };
-    }
+/// Returns a line's way along one axis from its first to its last column (or row), as shares of its length.
+fn way(start: f64, span: f64, resolution: f64, [first, last]: [usize; 2]) -> Axis {
+    let edge = if last > first { first + 1 } else { first } as f64 * resolution;
+    Axis::new(first, last, ((edge - start) / span).clamp(0.0, 1.0), resolution / span.abs())
 }
 
 /// Returns the distance from each cell to the nearest occupied one, less half a cell for its edge, in metres.
