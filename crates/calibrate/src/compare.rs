@@ -3,12 +3,10 @@
 use std::time::Duration;
 
 use cotorra_graph::{Correlation, JitterDistribution};
-use cotorra_numbers::Counted;
+use cotorra_numbers::{Counted, Draws, Resampler, block_length};
 use serde::Serialize;
 
 use crate::{
-    bootstrap::{Resampler, block_length},
-    draws::Draws,
     error::CalibrateError,
     estimate::{Estimate, quantile},
     jitter,

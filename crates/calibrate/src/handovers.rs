@@ -3,11 +3,10 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{HandoverTimes, Testbed};
+use cotorra_numbers::Draws;
 use serde::Serialize;
 
-use crate::{
-    draws::Draws, error::CalibrateError, estimate::Estimate, recorded::HandoverTime, survey::find_radio_unit,
-};
+use crate::{error::CalibrateError, estimate::Estimate, recorded::HandoverTime, survey::find_radio_unit};
 
 /// Fewest handovers of a fit.
 pub const LEAST_HANDOVERS: usize = 10;

@@ -3,12 +3,13 @@
 mod channel_survey;
 
 use cotorra_graph::{NodeKind, Testbed};
+use cotorra_numbers::{Draws, Resampler};
 use serde::Serialize;
 
 pub use self::channel_survey::{ChannelSurvey, Counters, MeasuredChannel, parse_channel_survey};
 use crate::{
-    bootstrap::Resampler, draws::Draws, error::CalibrateError, estimate::Estimate, matched::RESAMPLES,
-    settings::FittedSetting, survey::radio_unit, times::middle,
+    error::CalibrateError, estimate::Estimate, matched::RESAMPLES, settings::FittedSetting,
+    survey::radio_unit, times::middle,
 };
 
 /// Fewest differences of counters.

@@ -3,9 +3,8 @@
 use std::f64::consts::FRAC_1_SQRT_2;
 
 use cotorra_graph::{Correlation, JitterDistribution};
+use cotorra_numbers::Draws;
 use statrs::function::erf::{erfc, erfc_inv};
-
-use crate::draws::Draws;
 
 /// Quantiles that are matched: at 2.5, 7.5 … 97.5 %.
 pub(crate) const LEVELS: usize = 20;

@@ -10,12 +10,10 @@
 //! determine a value give a wide interval, a [`CalibrateError`] or a note.
 #![forbid(unsafe_code)]
 
-mod bootstrap;
 mod calibration;
 mod capture;
 mod compare;
 mod csv;
-mod draws;
 mod error;
 mod estimate;
 mod handovers;
@@ -40,7 +38,6 @@ pub use self::{
     capture::{MAX_CAPTURE, one_way_of_captures, round_trips_of_capture},
     compare::{Comparison, Figures, Prediction, Predictor, compare},
     csv::{CsvRow, MAX_LINES, csv_rows},
-    draws::Draws,
     error::CalibrateError,
     estimate::Estimate,
     handovers::{HandoverFit, LEAST_HANDOVERS, fit_handovers},

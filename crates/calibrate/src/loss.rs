@@ -1,9 +1,10 @@
 //! Losses and their bursts.
 
 use cotorra_graph::{Loss, Probability};
+use cotorra_numbers::Draws;
 use serde::Serialize;
 
-use crate::{draws::Draws, estimate::Estimate};
+use crate::estimate::Estimate;
 
 /// Draws of the posterior.
 const DRAWS: usize = 4000;

@@ -1,11 +1,9 @@
 //! A mean, a deviation and a distribution, matched to a series of times, with resamples.
 
 use cotorra_graph::JitterDistribution;
-use cotorra_numbers::Counted;
+use cotorra_numbers::{Counted, Draws, Resampler};
 
 use crate::{
-    bootstrap::Resampler,
-    draws::Draws,
     estimate::Estimate,
     jitter::{LEVELS, Located, levels, match_quantiles, standard_quantiles},
 };

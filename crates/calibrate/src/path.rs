@@ -1,10 +1,10 @@
 //! Delay, jitter, loss and duplication of a path, fitted to times of its packets: round trips, or one way.
 
 use cotorra_graph::{Correlation, JitterDistribution};
+use cotorra_numbers::Draws;
 use serde::Serialize;
 
 use crate::{
-    draws::Draws,
     error::CalibrateError,
     estimate::Estimate,
     jitter::{self, Located, normal_quantile, standard_quantile},

@@ -9,6 +9,7 @@ mod prediction;
 use std::collections::BTreeMap;
 
 use cotorra_graph::{Dbm, Node, OccupancyGrid, PathLoss, Position, RadioUnit, Testbed, WirelessNetwork};
+use cotorra_numbers::Draws;
 use serde::Serialize;
 
 pub use self::fading::{FadingFit, fit_fading};
@@ -22,7 +23,6 @@ use self::{
 };
 use crate::{
     csv::{self, Table},
-    draws::Draws,
     error::CalibrateError,
     estimate::Estimate,
 };

@@ -23,11 +23,11 @@ mod tests;
 use std::collections::BTreeMap;
 
 use cotorra_graph::{JitterDistribution, Link, LinkId, NodeId, Testbed, WirelessNetwork};
+use cotorra_numbers::Draws;
 use serde::Serialize;
 
 use self::{gaps::Late, regions::Visits, setting::Crossings};
 use crate::{
-    draws::Draws,
     estimate::Estimate,
     jitter,
     matched::Matched,

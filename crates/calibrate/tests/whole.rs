@@ -4,10 +4,11 @@
 use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use cotorra_calibrate::{
-    Calibration, ChannelSurvey, Draws, HandoverTime, LinkMeasurement, Measurements, Options, calibrated_text,
+    Calibration, ChannelSurvey, HandoverTime, LinkMeasurement, Measurements, Options, calibrated_text,
     markdown, parse_channel_survey, parse_round_trips, parse_survey,
 };
 use cotorra_graph::{InterfererKind, Jitter, JitterDistribution, Loss, PathLoss, Position, Rate, Testbed};
+use cotorra_numbers::Draws;
 
 /// A testbed whose values are all to be fitted. Its last line notes a setting.
 const TESTBED: &str = "# A laboratory.

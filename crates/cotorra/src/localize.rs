@@ -16,6 +16,7 @@ use cotorra_localization::{
     carmen::{Laser, Log, LogError, Message},
     trajectory::{Errors, LOST, Trajectory},
 };
+use cotorra_testbed::DataTable;
 use cotorra_testbed_file::map_server;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -167,14 +168,14 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
 
     let interrupts = signals::listen()?;
     let bar = progress(scans.len(), args.headless);
-    let mut table = String::from(HEAD);
+    let mut table = DataTable::new(HEADS);
     let mut found: Vec<Estimate> = Vec::with_capacity(scans.len());
     for scan in &scans {
         if interrupts.try_recv().is_ok() {
             break;
         }
         let estimate = localizer.observe(scan.robot, &scan.scan()).map_err(Error::from)?;
-        row(&mut table, scan.at, &estimate);
+        table.row(row(scan.at, &estimate));
         found.push(estimate);
         bar.inc(1);
     }
@@ -187,6 +188,7 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
         )
         .expect("writing into a string cannot fail");
     }
+    let table = table.to_csv();
     match &args.out {
         Some(path) => {
             let unwritable = |reason| Error::Unwritable { path: path.clone(), reason };
@@ -237,18 +239,29 @@ fn progress(scans: usize, headless: bool) -> ProgressBar {
     bar
 }
 
-const HEAD: &str = "time,x,y,heading,var_x,cov_xy,cov_xh,var_y,cov_yh,var_h,particles,updated\n";
+const HEADS: [&str; 12] = [
+    "time",
+    "x",
+    "y",
+    "heading",
+    "var_x",
+    "cov_xy",
+    "cov_xh",
+    "var_y",
+    "cov_yh",
+    "var_h",
+    "particles",
+    "updated",
+];
 
-fn row(table: &mut String, at: f64, estimate: &Estimate) {
+/// Returns the row of a scan, under [`HEADS`].
+fn row(at: f64, estimate: &Estimate) -> impl Iterator<Item = String> + use<> {
     let Estimate { pose, covariance: c, particles, updated } = estimate;
     let Pose2 { x, y, heading } = pose;
-    let (upper, used) = ([c[0], c[1], c[2], c[4], c[5], c[8]], u8::from(*updated));
-    write!(table, "{at},{x:.4},{y:.4},{heading:.5}").expect("writing into a string cannot fail");
-    upper
-        .iter()
-        .try_for_each(|entry| write!(table, ",{entry:.3e}"))
-        .expect("writing into a string cannot fail");
-    writeln!(table, ",{particles},{used}").expect("writing into a string cannot fail");
+    let pose = [at.to_string(), format!("{x:.4}"), format!("{y:.4}"), format!("{heading:.5}")];
+    let upper = [c[0], c[1], c[2], c[4], c[5], c[8]].map(|entry| format!("{entry:.3e}"));
+    let used = [particles.to_string(), u8::from(*updated).to_string()];
+    pose.into_iter().chain(upper).chain(used)
 }
 
 /// Summarises the result. Errors count from the first scan whose estimate is near the reference.

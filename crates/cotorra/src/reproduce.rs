@@ -324,9 +324,9 @@ mod tests {
         let head = "walk: 4 tests of 2 services; 0.10 ms are within the lateness of packets; each test at 0.0025\n\n";
         assert!(text.starts_with(head), "{text}");
         let rows: Vec<Vec<_>> = text.lines().map(|line| line.split_whitespace().collect()).collect();
-        assert_eq!(rows[3], ["navigation", "of", "robot", "run", "100", "14.90", "19.80", "51.00"]);
-        assert_eq!(rows[4], ["repeat", "100", "14.90", "19.80", "51.00", "1.00", "1.00"]);
-        assert_eq!(rows[6][..5], ["repeat", "100", "20.90", "25.80", "0.00"]);
+        assert_eq!(rows[3], ["navigation", "of", "robot", "run", "100", "14.95", "19.80", "51.00"]);
+        assert_eq!(rows[4], ["repeat", "100", "14.95", "19.80", "51.00", "1.00", "1.00"]);
+        assert_eq!(rows[6][..5], ["repeat", "100", "20.95", "25.80", "0.00"]);
         assert_eq!(rows[6].iter().filter(|cell| **cell == "*").count(), 2, "{text}");
         assert!(text.ends_with("\nthe figures of the repeat are NOT VALID\n"), "{text}");
     }

@@ -3,7 +3,6 @@
 //! `cotorra_stamp` implements the protocol.
 
 use std::{
-    fmt::Write as _,
     fs,
     io::{ErrorKind, Write as _},
     net::{SocketAddr, ToSocketAddrs, UdpSocket},
@@ -16,6 +15,7 @@ use clap::{Args, Subcommand};
 use cotorra_stamp::{
     Answer, Clock, Delays, ErrorEstimate, Measurement, PORT, Reflector, Sender, SessionConfig, receive,
 };
+use cotorra_testbed::DataTable;
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, WrapErr, miette};
 
@@ -212,19 +212,18 @@ fn csv(answers: impl Iterator<Item = Option<Answer>>, length: u16) -> String {
     const HEADERS: u32 = 8 + 20 + 14;
     let answers: Vec<_> = answers.collect();
     let are_one_way = answers.iter().flatten().all(|answer| answer.ways.is_some());
-    let columns = if are_one_way { "seq,rtt_ms,there_ms,back_ms" } else { "seq,rtt_ms" };
-    let mut text = format!("# frame_bytes: {}\n{columns}\n", u32::from(length) + HEADERS);
+    let columns = ["seq", "rtt_ms", "there_ms", "back_ms"];
+    let columns = if are_one_way { &columns[..] } else { &columns[..2] };
+    let mut table = DataTable::new(columns.iter().copied());
     let cell = |time: Option<Duration>| {
-        let ms = time.map(|time| format!("{:.6}", time.as_secs_f64() * 1e3));
-        format!(",{}", ms.unwrap_or_default())
+        time.map(|time| format!("{:.6}", time.as_secs_f64() * 1e3)).unwrap_or_default()
     };
     for (number, answer) in answers.iter().enumerate() {
-        let ways = answer.and_then(|answer| answer.ways).map_or([None; 2], |ways| ways.map(Some));
-        let ways = if are_one_way { ways.map(cell).concat() } else { String::new() };
-        let round_trip = cell(answer.map(|answer| answer.round_trip));
-        writeln!(text, "{number}{round_trip}{ways}").expect("writing into a string cannot fail");
+        let [there, back] = answer.and_then(|answer| answer.ways).map_or([None; 2], |ways| ways.map(Some));
+        let times = [answer.map(|answer| answer.round_trip), there, back].map(cell);
+        table.row([number.to_string()].into_iter().chain(times).take(columns.len()));
     }
-    text
+    format!("# frame_bytes: {}\n{}", u32::from(length) + HEADERS, table.to_csv())
 }
 
 fn json(measured: &Measurement) -> String {

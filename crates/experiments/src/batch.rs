@@ -13,7 +13,8 @@ use std::{
     },
 };
 
-use cotorra_graph::{Stamped, Testbed, seed};
+use cotorra_graph::{Stamped, Testbed};
+use cotorra_numbers::seed;
 use cotorra_testbed::{FolderError, RunError, Unrecorded, UnrecordedRun, panic_text, simulate_unrecorded};
 use serde::{Serialize, de::DeserializeOwned};
 

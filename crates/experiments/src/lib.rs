@@ -10,7 +10,7 @@
 #![forbid(unsafe_code)]
 
 mod batch;
-mod csv;
+mod cell;
 pub mod federation;
 pub mod handover;
 pub mod journal;

@@ -5,12 +5,14 @@
 
 mod access;
 mod active;
+mod axis;
 mod border;
 mod bounds;
 mod conditions;
 mod container;
 mod contention;
 mod context;
+mod distance;
 mod driver;
 mod event;
 mod exposure;
@@ -31,7 +33,6 @@ mod real;
 mod ros1_environment;
 mod routing;
 mod schedule;
-pub mod seed;
 mod sensor;
 mod service;
 mod testbed;
@@ -42,6 +43,7 @@ mod wifi_software;
 
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
+pub use axis::Axis;
 pub use border::Border;
 pub use bounds::TooLong;
 pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace, TraceName};

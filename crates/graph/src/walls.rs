@@ -6,6 +6,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
 use crate::{
+    axis::Axis,
     map::{Cell, OccupancyGrid},
     units::Position,
 };
@@ -62,8 +63,7 @@ impl OccupancyGrid {
     /// Neither unknown cells nor those off the map belong to walls. A wall that one of the places is in does not count: what
     /// is there hangs on the wall.
     ///
-    /// Visits each cell of the line once, in order (Amanatides and Woo, A fast voxel traversal algorithm for ray tracing,
-    /// Eurographics 1987), and at most as many as the map has rows and columns.
+    /// Visits each cell of the line once, in order, and at most as many as the map has rows and columns.
     pub fn walls_between(&self, a: Position, b: Position) -> usize {
         if ![a.x, a.y, b.x, b.y].iter().all(|at| at.is_finite()) {
             return 0;
@@ -78,11 +78,11 @@ impl OccupancyGrid {
         let on_map = |place| self.index(place).is_some();
         let mut within = is_wall(column, row);
         let (mut walls, mut counted) = if within && !on_map(a) { (1, true) } else { (0, false) };
-        while x.left > 0 || y.left > 0 {
+        while !(x.is_over() && y.is_over()) {
             let mut touched = false;
-            if x.next < y.next {
+            if x.next() < y.next() {
                 column = x.step(column);
-            } else if y.next < x.next {
+            } else if y.next() < x.next() {
                 row = y.step(row);
             } else {
                 // Through a corner to the cell across.
@@ -106,29 +106,6 @@ struct Line {
     /// Column and row of the first cell.
     from: [usize; 2],
     axes: [Axis; 2],
-}
-
-/// A line's way along one axis.
-struct Axis {
-    /// Cells left.
-    left: usize,
-    forwards: bool,
-    /// Share of the line up to the next edge of a cell, times the lengths along both axes; infinite in the last cell.
-    next: f64,
-    /// The same from edge to edge.
-    each: f64,
-}
-
-impl Axis {
-    /// Goes on to the next column or row, if one is left.
-    fn step(&mut self, at: usize) -> usize {
-        if self.left == 0 {
-            return at;
-        }
-        self.left -= 1;
-        self.next = if self.left == 0 { f64::INFINITY } else { self.next + self.each };
-        if self.forwards { at + 1 } else { at - 1 }
-    }
 }
 
 impl Line {
@@ -167,12 +144,10 @@ impl Line {
         };
         let (first, last) = (cell(enters), cell(leaves));
         let axis = |axis: usize| {
-            let (at, left, forwards) =
-                (first[axis], first[axis].abs_diff(last[axis]), first[axis] < last[axis]);
+            // Shares of the line times the lengths along both axes, so that corners are exact.
             let each = (to[1 - axis] - from[1 - axis]).abs();
-            let edge = (at + usize::from(forwards)) as f64;
-            let next = if left == 0 { f64::INFINITY } else { (edge - from[axis]).abs() * each };
-            Axis { left, forwards, next, each }
+            let edge = (first[axis] + usize::from(first[axis] < last[axis])) as f64;
+            Axis::new(first[axis], last[axis], (edge - from[axis]).abs() * each, each)
         };
         Some(Self { from: first, axes: [axis(0), axis(1)] })
     }

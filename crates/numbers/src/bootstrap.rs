@@ -72,7 +72,7 @@ mod tests {
 
     fn indices(n: usize, blocks: Blocks) -> Vec<usize> {
         let mut all = Vec::new();
-        resample(n, blocks, &mut Draws::new(1), |at| all.push(at));
+        resample(n, blocks, &mut Draws::from_seed(1), |at| all.push(at));
         all
     }
 
@@ -107,11 +107,11 @@ mod tests {
     #[test]
     fn intervals_hold_the_median_of_most_samples() {
         // 60 samples from 0 to 100: does the interval have the median, 50, in about 95 of 100 sets?
-        let mut draws = Draws::new(7);
+        let mut draws = Draws::from_seed(7);
         let count = (0..100)
             .filter(|set| {
                 let samples: Vec<_> = (0..60).map(|_| draws.unit() * 100.0).collect();
-                bootstrap(&samples, &mut Draws::new(*set), median).unwrap().holds(50.0)
+                bootstrap(&samples, &mut Draws::from_seed(*set), median).unwrap().holds(50.0)
             })
             .count();
         assert!((88..=100).contains(&count), "{count}");
@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn one_sample_has_an_interval_and_none_has_not() {
-        let interval = |samples: &[f64]| bootstrap(samples, &mut Draws::new(1), median);
+        let interval = |samples: &[f64]| bootstrap(samples, &mut Draws::from_seed(1), median);
         assert_eq!(interval(&[3.0]), Some(Interval { low: 3.0, high: 3.0 }));
         assert_eq!(interval(&[]), None);
     }

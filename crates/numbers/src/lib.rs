@@ -1,4 +1,4 @@
-//! Statistics of samples and of runs: quantiles, intervals, resampling and comparisons.
+//! Random streams, and statistics of samples and of runs: quantiles, intervals, resampling and comparisons.
 //!
 //! There is one definition of each figure. A quantile is that of type 7 of Hyndman and Fan, "Sample Quantiles in Statistical
 //! Packages" (The American Statistician 50(4), 1996): linear interpolation between closest ranks, as in NumPy, R and
@@ -15,6 +15,8 @@ mod gathered;
 mod interval;
 mod mean;
 mod quantile;
+mod resampler;
+pub mod seed;
 mod share;
 
 pub use self::{
@@ -25,5 +27,6 @@ pub use self::{
     interval::Interval,
     mean::{FEWEST, Mean, holm},
     quantile::{Quantiles, median, quantile, quantile_of_times},
+    resampler::{Resampler, block_length},
     share::{share_over_runs, wilson, wilson_at},
 };

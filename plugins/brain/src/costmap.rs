@@ -1,7 +1,7 @@
 //! Costs of the map's cells for a robot of some size: cells that it cannot be in, distances to obstacles, and regions
 //! that it can reach. Computed once per map; planning and control look them up.
 
-use cotorra_graph::{Cell, OccupancyGrid, Position};
+use cotorra_graph::{Axis, Cell, OccupancyGrid, Position};
 
 /// Cost from which on the robot's centre cannot be in a cell: it would touch an obstacle.
 pub const BLOCKED: u8 = 253;
@@ -141,39 +141,37 @@ impl Costmap {
     }
 
     /// Returns the cost of driving straight from one place to another, in metres of free floor; `None` if the way is
-    /// blocked. Visits each cell on the way (Amanatides and Woo, "A Fast Voxel Traversal Algorithm", 1987).
+    /// blocked. Visits each cell on the way.
     pub fn straight_cost(&self, from: Position, to: Position) -> Option<f64> {
         let (start, goal) = (self.cell_at(from)?, self.cell_at(to)?);
         let place = |cell: usize| (cell % self.width, cell / self.width);
-        let ((column, row), (last_column, last_row)) = (place(start), place(goal));
-        let mut columns =
-            Crossings::new(from.x - self.origin.x, to.x - from.x, self.resolution, column, last_column);
-        let mut rows = Crossings::new(from.y - self.origin.y, to.y - from.y, self.resolution, row, last_row);
-        let along = |cell: usize| if last_column > column { cell + 1 } else { cell - 1 };
-        let across = |cell: usize| if last_row > row { cell + self.width } else { cell - self.width };
-        let (mut cell, mut done, mut cost) = (start, 0.0, 0.0);
+        let ((mut column, mut row), (last_column, last_row)) = (place(start), place(goal));
+        let mut columns = way(from.x - self.origin.x, to.x - from.x, self.resolution, [column, last_column]);
+        let mut rows = way(from.y - self.origin.y, to.y - from.y, self.resolution, [row, last_row]);
+        let cost_of = |column: usize, row: usize| self.costs[row * self.width + column];
+        let (mut done, mut cost) = (0.0, 0.0);
         loop {
-            if self.costs[cell] >= BLOCKED {
+            let cell_cost = cost_of(column, row);
+            if cell_cost >= BLOCKED {
                 return None;
             }
-            let weight = weight(self.costs[cell]);
-            let next = columns.next.min(rows.next);
-            if next == f64::INFINITY {
+            let weight = weight(cell_cost);
+            if columns.is_over() && rows.is_over() {
                 return Some((cost + weight * (1.0 - done)) * from.distance(to));
             }
+            let next = columns.next().min(rows.next()).min(1.0);
             cost += weight * (next - done);
             done = next;
             // Through a corner, the cells to both sides must be free, as for a diagonal move.
-            let corner = (columns.next - rows.next).abs() < 1e-9;
-            if corner && self.costs[along(cell)].max(self.costs[across(cell)]) >= BLOCKED {
+            let corner = (columns.next() - rows.next()).abs() < 1e-9;
+            let beside = || cost_of(columns.beyond(column), row).max(cost_of(column, rows.beyond(row)));
+            if corner && beside() >= BLOCKED {
                 return None;
             }
-            if columns.next <= rows.next {
-                cell = along(cell);
-                columns.cross();
+            if columns.next() <= rows.next() {
+                column = columns.step(column);
             } else {
-                cell = across(cell);
-                rows.cross();
+                row = rows.step(row);
             }
         }
     }
@@ -199,93 +197,18 @@ fn cost(clearance: f64, robot_radius: f64) -> u8 {
     }
 }
 
-/// Crossings of a line from one column (or row) of cells into the next, as shares of its length.
-struct Crossings {
-    next: f64,
-    step: f64,
-    left: usize,
+/// Returns a line's way along one axis from its first to its last column (or row), as shares of its length.
+fn way(start: f64, span: f64, resolution: f64, [first, last]: [usize; 2]) -> Axis {
+    let edge = if last > first { first + 1 } else { first } as f64 * resolution;
+    Axis::new(first, last, ((edge - start) / span).clamp(0.0, 1.0), resolution / span.abs())
 }
 
-impl Crossings {
-    fn new(start: f64, span: f64, resolution: f64, first: usize, last: usize) -> Self {
-        let left = first.abs_diff(last);
-        if left == 0 {
-            return Self { next: f64::INFINITY, step: 0.0, left };
-        }
-        let edge = if last > first { first + 1 } else { first } as f64 * resolution;
-        Self { next: ((edge - start) / span).clamp(0.0, 1.0), step: resolution / span.abs(), left }
-    }
-
-    fn cross(&mut self) {
-        self.left -= 1;
-        self.next = if self.left == 0 { f64::INFINITY } else { (self.next + self.step).min(1.0) };
-    }
-}
-
-/// The exact Euclidean distance from each cell to the nearest occupied one, less half a cell for its edge
-/// (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions", 2012).
+/// Returns the distance from each cell to the nearest occupied one, less half a cell for its edge, in metres.
 fn clearances(grid: &OccupancyGrid) -> Vec<f32> {
-    let (width, height) = (grid.width(), grid.height());
-    let mut squares: Vec<f64> = (0..width * height)
-        .map(|i| if grid.cell(i % width, i / width) == Cell::Occupied { 0.0 } else { FAR })
-        .collect();
-    let longest = width.max(height);
-    let mut envelope = Envelope::new(longest);
-    let mut line = Vec::with_capacity(longest);
-    for row in squares.chunks_exact_mut(width) {
-        line.clear();
-        line.extend_from_slice(row);
-        envelope.transform(&line, |i, square| row[i] = square);
-    }
-    for column in 0..width {
-        line.clear();
-        line.extend(squares.iter().skip(column).step_by(width));
-        envelope.transform(&line, |i, square| squares[i * width + column] = square);
-    }
-    let metres = |square: f64| ((square.sqrt() - 0.5).max(0.0) * grid.resolution()) as f32;
+    let squares = grid.squared_distances(|column, row| grid.cell(column, row) == Cell::Occupied);
+    let metres =
+        |square: f32| ((f64::from(square).min(FAR).sqrt() - 0.5).max(0.0) * grid.resolution()) as f32;
     squares.into_iter().map(metres).collect()
-}
-
-/// The lower envelope of parabolas, which gives the distance transform along one line.
-struct Envelope {
-    /// Feet of the envelope's parabolas.
-    feet: Vec<usize>,
-    /// Starts of the ranges in which each parabola is the lowest.
-    starts: Vec<f64>,
-}
-
-impl Envelope {
-    fn new(longest: usize) -> Self {
-        Self { feet: Vec::with_capacity(longest), starts: Vec::with_capacity(longest) }
-    }
-
-    fn transform(&mut self, line: &[f64], mut set: impl FnMut(usize, f64)) {
-        self.feet.clear();
-        self.starts.clear();
-        for (q, &height) in line.iter().enumerate() {
-            let mut start = f64::NEG_INFINITY;
-            while let (Some(&p), Some(&before)) = (self.feet.last(), self.starts.last()) {
-                let (pf, qf) = (p as f64, q as f64);
-                start = ((height + qf * qf) - (line[p] + pf * pf)) / (2.0 * (qf - pf));
-                if start > before {
-                    break;
-                }
-                self.feet.pop();
-                self.starts.pop();
-                start = f64::NEG_INFINITY;
-            }
-            self.feet.push(q);
-            self.starts.push(start);
-        }
-        let mut k = 0;
-        for q in 0..line.len() {
-            while self.starts.get(k + 1).is_some_and(|&start| start < q as f64) {
-                k += 1;
-            }
-            let foot = self.feet[k];
-            set(q, (q.abs_diff(foot)).pow(2) as f64 + line[foot]);
-        }
-    }
 }
 
 /// Numbers the sets of cells that are connected by their sides. Diagonal moves that cut no corner connect no more.

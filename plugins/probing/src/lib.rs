@@ -9,12 +9,9 @@ mod settings;
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{
-    Attachment, Event, Instruction, NodeId, Roaming, RobotContext, Testbed, Timestamp, seed,
-};
+use cotorra_graph::{Attachment, Event, Instruction, NodeId, Roaming, RobotContext, Testbed, Timestamp};
+use cotorra_numbers::Draws;
 use cotorra_plugin::{Actions, Plugin, settings::InvalidSettings};
-use rand::{Rng, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::settings::Settings;
 
@@ -29,7 +26,7 @@ pub struct Probing {
 /// One robot's radio.
 #[derive(Debug)]
 struct Radio {
-    random: Xoshiro256PlusPlus,
+    random: Draws,
     next_scan: Timestamp,
     /// Whether it has scanned since its last context, so that the next one's signals are fresh.
     scanned: bool,
@@ -63,7 +60,7 @@ impl Probing {
 impl Plugin for Probing {
     fn start(&mut self, now: Timestamp, testbed: &Testbed, _actions: &mut Actions) {
         let radio = |id: &NodeId| {
-            let mut random = stream(self.seed, id.as_str());
+            let mut random = Draws::new(self.seed, id.as_str());
             let next_scan = now + draw(&mut random, &self.settings);
             (id.clone(), Radio { random, next_scan, scanned: false, leaves: None })
         };
@@ -85,7 +82,7 @@ impl Plugin for Probing {
                 }
                 let Some((radio_unit, reason)) = choose(context, &self.settings) else { return };
                 if self.settings.always {
-                    radio.leaves = Some((now + LONGEST_WAIT.mul_f64(share(&mut radio.random)), radio_unit));
+                    radio.leaves = Some((now + LONGEST_WAIT.mul_f64(radio.random.unit()), radio_unit));
                 } else {
                     let robot = context.robot.clone();
                     actions.instruct_because(Instruction::Attach { robot, radio_unit }, reason);
@@ -136,19 +133,9 @@ fn choose(context: &RobotContext, settings: &Settings) -> Option<(NodeId, String
 }
 
 /// A time from one scan to the next.
-fn draw(random: &mut Xoshiro256PlusPlus, settings: &Settings) -> Duration {
+fn draw(random: &mut Draws, settings: &Settings) -> Duration {
     let (shortest, longest) = (*settings.interval.start(), *settings.interval.end());
-    shortest + (longest - shortest).mul_f64(share(random))
-}
-
-/// A number from 0 to 1.
-fn share(random: &mut Xoshiro256PlusPlus) -> f64 {
-    (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
-}
-
-/// The robot's own stream of random numbers.
-fn stream(run_seed: u64, robot: &str) -> Xoshiro256PlusPlus {
-    Xoshiro256PlusPlus::seed_from_u64(seed::split(run_seed, robot))
+    shortest + (longest - shortest).mul_f64(random.unit())
 }
 
 #[cfg(test)]

@@ -30,8 +30,9 @@ pub(super) fn lower_slope(points: &mut [(f64, f64)]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use cotorra_numbers::Draws;
+
     use super::*;
-    use crate::Draws;
 
     #[test]
     fn the_drift_is_found_below_delays_that_only_add() {

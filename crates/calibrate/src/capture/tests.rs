@@ -1,9 +1,11 @@
+use cotorra_numbers::Draws;
+
 use super::{
     testing::{Frame, Tcp, big_endian_pcap, block, pcap, pcap_cut, pcapng, udp},
     *,
 };
 use crate::{
-    Calibration, Draws, Estimate, LinkCalibration, LinkMeasurement, Means, Measurements, OneWay, Options,
+    Calibration, Estimate, LinkCalibration, LinkMeasurement, Means, Measurements, OneWay, Options,
     calibrated_text, markdown,
 };
 

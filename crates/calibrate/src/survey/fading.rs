@@ -1,12 +1,11 @@
 //! Small-scale fading, fitted to signals of single frames at places near each other.
 
 use cotorra_graph::Testbed;
+use cotorra_numbers::{Draws, Resampler};
 use serde::Serialize;
 
 use super::{Reading, SurveyFit, likelihood::Sample, radio_unit, sample};
-use crate::{
-    bootstrap::Resampler, draws::Draws, error::CalibrateError, estimate::Estimate, matched::RESAMPLES,
-};
+use crate::{error::CalibrateError, estimate::Estimate, matched::RESAMPLES};
 
 /// Fewest pairs of readings.
 const LEAST_PAIRS: usize = 100;

@@ -1,10 +1,12 @@
 //! Prediction of signals by a fitted radio, and by the shadowing of readings nearby.
 
+use cotorra_numbers::Draws;
+
 use super::{
     likelihood::{COEFFICIENTS, Sample},
     posterior::Draw,
 };
-use crate::{draws::Draws, estimate::Estimate};
+use crate::estimate::Estimate;
 
 /// Readings that predict a signal nearby.
 const NEIGHBOURS: usize = 20;

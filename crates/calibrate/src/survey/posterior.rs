@@ -1,8 +1,8 @@
 //! Posterior distribution of path loss, walls and shadowing.
 
-use super::likelihood::{COEFFICIENTS, Correlation, Field, Solution, backward};
-use crate::draws::Draws;
+use cotorra_numbers::Draws;
 
+use super::likelihood::{COEFFICIENTS, Correlation, Field, Solution, backward};
 /// Noise as a share of the variance. The shares are equally likely before the survey.
 const NOISE: [f64; 9] = [0.001, 0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75, 0.95];
 /// Correlation distances for each factor of e. Their logarithm is uniform before the survey.

@@ -1,6 +1,7 @@
 //! How well a fitted radio predicts the signals of another part of a survey, beside two baselines.
 
 use cotorra_graph::Testbed;
+use cotorra_numbers::{Draws, Resampler, block_length};
 use serde::Serialize;
 
 use super::{
@@ -10,8 +11,6 @@ use super::{
     radio_unit, sample,
 };
 use crate::{
-    bootstrap::{Resampler, block_length},
-    draws::Draws,
     error::CalibrateError,
     estimate::{Estimate, quantile},
     matched::RESAMPLES,

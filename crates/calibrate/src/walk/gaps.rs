@@ -8,9 +8,10 @@
 //! Gouriéroux, Monfort and Renault, Journal of Applied Econometrics 8, 1993).
 
 use cotorra_graph::{GapPolicy, WirelessNetwork};
+use cotorra_numbers::{Draws, Resampler};
 
 use super::ScanFit;
-use crate::{bootstrap::Resampler, draws::Draws, estimate::Estimate, matched::RESAMPLES};
+use crate::{estimate::Estimate, matched::RESAMPLES};
 
 /// Spikes that are nearer to each other are of one scan, seconds.
 const ONE_SCAN_S: f64 = 1.0;

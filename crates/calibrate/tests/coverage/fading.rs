@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use cotorra_calibrate::{Draws, Reading, fit_fading, fit_survey};
+use cotorra_calibrate::{Reading, fit_fading, fit_survey};
 use cotorra_graph::{Dbm, PathLoss, Position};
+use cotorra_numbers::Draws;
 
 use crate::{Coverage, USUAL, between, sites};
 

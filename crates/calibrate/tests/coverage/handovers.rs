@@ -1,6 +1,7 @@
 //! Handovers whose phases vary uniformly.
 
-use cotorra_calibrate::{Draws, HandoverTime, fit_handovers};
+use cotorra_calibrate::{HandoverTime, fit_handovers};
+use cotorra_numbers::Draws;
 
 use crate::{Coverage, between, sites};
 

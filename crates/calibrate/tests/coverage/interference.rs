@@ -2,7 +2,8 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use cotorra_calibrate::{ChannelSurvey, Counters, Draws, MeasuredChannel, fit_interference};
+use cotorra_calibrate::{ChannelSurvey, Counters, MeasuredChannel, fit_interference};
+use cotorra_numbers::Draws;
 
 use crate::{Coverage, between, sites};
 

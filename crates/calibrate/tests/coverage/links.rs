@@ -2,9 +2,10 @@
 
 use std::{collections::BTreeSet, path::Path, time::Duration};
 
-use cotorra_calibrate::{Draws, PacketTimes, fit_path};
+use cotorra_calibrate::{PacketTimes, fit_path};
 use cotorra_fabric::{Fabric, Frame};
 use cotorra_graph::{HostAddress, Timestamp};
+use cotorra_numbers::Draws;
 
 use crate::{Coverage, between, sites};
 

@@ -14,7 +14,8 @@ mod survey;
 
 use std::{collections::BTreeMap, env};
 
-use cotorra_calibrate::{Draws, Estimate};
+use cotorra_calibrate::Estimate;
+use cotorra_numbers::Draws;
 
 /// Sites that are fitted each time.
 const USUAL: usize = 40;

@@ -2,7 +2,8 @@
 
 use std::array;
 
-use cotorra_calibrate::{Draws, Means, fit_path, one_way_of_captures};
+use cotorra_calibrate::{Means, fit_path, one_way_of_captures};
+use cotorra_numbers::Draws;
 
 use crate::{
     Coverage, between,

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use cotorra_calibrate::{Draws, PacketTimes, fit_path};
+use cotorra_calibrate::{PacketTimes, fit_path};
 use cotorra_graph::JitterDistribution;
+use cotorra_numbers::Draws;
 
 use crate::{Coverage, between, sites};
 

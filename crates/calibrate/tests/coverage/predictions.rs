@@ -2,8 +2,9 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_calibrate::{Draws, Predictor, compare, fit_path};
+use cotorra_calibrate::{Predictor, compare, fit_path};
 use cotorra_graph::JitterDistribution;
+use cotorra_numbers::Draws;
 
 use crate::{
     paths::{Truth, packet_times},

@@ -2,8 +2,9 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use cotorra_calibrate::{Draws, Reading, SignalPredictor, compare_survey, fit_survey, split_survey};
+use cotorra_calibrate::{Reading, SignalPredictor, compare_survey, fit_survey, split_survey};
 use cotorra_graph::{Cell, Dbm, OccupancyGrid, PathLoss, Position, Testbed};
+use cotorra_numbers::Draws;
 
 use crate::{Coverage, USUAL, between, sites};
 

@@ -1,10 +1,11 @@
 //! `cotorra history series`: plots a figure over time, or writes it as a table.
 
-use std::{fmt::Write as _, fs, io, path::PathBuf};
+use std::{fs, io, path::PathBuf};
 
 use cotorra_figure::Format;
 use cotorra_graph::Timestamp;
 use cotorra_measurements::{Curve, CurveRequest, Figure, InvalidFigure, Values};
+use cotorra_testbed::DataTable;
 
 use super::{
     args::SeriesArgs,
@@ -147,28 +148,46 @@ fn names(source: &Source) -> String {
 }
 
 fn csv(curve: &Curve) -> String {
-    let mut text = String::from(
-        "from_ns,until_ns,count,min,mean,p50,p95,p99,max,last,gap,rolled_up,\
-         p50_low,p50_high,p95_low,p95_high,p99_low,p99_high\n",
-    );
+    let mut table = DataTable::new([
+        "from_ns",
+        "until_ns",
+        "count",
+        "min",
+        "mean",
+        "p50",
+        "p95",
+        "p99",
+        "max",
+        "last",
+        "gap",
+        "rolled_up",
+        "p50_low",
+        "p50_high",
+        "p95_low",
+        "p95_high",
+        "p99_low",
+        "p99_high",
+    ]);
     for point in &curve.points {
-        let (from, until) = (point.from.as_nanos(), point.until.as_nanos());
-        let values = match &point.values {
-            Some(Values { count, min, max, mean, last, quantiles, .. }) => {
-                let quantiles = quantiles.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
-                format!("{count},{min},{mean},{quantiles},{max},{last}")
-            }
-            None => "0,,,,,,,".to_owned(),
+        let values = point.values.as_ref();
+        let count = values.map_or(0, |values| values.count);
+        let [min, mean, max, last] = match values {
+            Some(Values { min, mean, max, last, .. }) => [min, mean, max, last].map(f64::to_string),
+            None => [const { String::new() }; 4],
         };
-        let rolled_up = point.values.as_ref().map_or(0, |values| values.rolled_up);
-        let within = point.values.as_ref().map_or(&[][..], |values| values.quantiles_within.as_slice());
+        let figure = |figure: Option<f64>| figure.map(|figure| figure.to_string()).unwrap_or_default();
+        let quantile = |place: usize| figure(values.and_then(|values| values.quantiles.get(place).copied()));
         // Exact quantiles have no bounds.
+        let within = values.map_or(&[][..], |values| values.quantiles_within.as_slice());
         let ends = (0..QUANTILES.len()).flat_map(|place| [0, 1].map(|end| Some(within.get(place)?[end])));
-        let ends: Vec<_> = ends.map(|end| end.map(|end| end.to_string()).unwrap_or_default()).collect();
-        writeln!(text, "{from},{until},{values},{},{rolled_up},{}", u8::from(point.gap), ends.join(","))
-            .expect("writing into a string cannot fail");
+        let begin =
+            [point.from.as_nanos().to_string(), point.until.as_nanos().to_string(), count.to_string()];
+        let rolled_up = values.map_or(0, |values| values.rolled_up);
+        let row = begin.into_iter().chain([min, mean]).chain((0..QUANTILES.len()).map(quantile));
+        let row = row.chain([max, last, u8::from(point.gap).to_string(), rolled_up.to_string()]);
+        table.row(row.chain(ends.map(figure)));
     }
-    text
+    table.to_csv()
 }
 
 fn describe(curve: &Curve, whole: &Curve) -> String {

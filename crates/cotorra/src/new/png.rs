@@ -1,6 +1,8 @@
 //! Decoding of PNG pictures (ISO/IEC 15948) to greyscale, as PGM.
 
-use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
+use std::io::Cursor;
+
+use png::{ColorType, DecodeOptions, Decoder, DecodingError, Info};
 
 /// First bytes of every PNG picture.
 pub const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
@@ -13,67 +15,16 @@ const MAX_RAW: usize = 128 << 20;
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PngError {
     #[error("the PNG picture is cut off or damaged: {0}")]
-    Damaged(&'static str),
+    Damaged(String),
     #[error("a PNG picture of {0} × {1} pixels is too large; scale it down to {MAX_PIXELS} pixels or fewer")]
     Size(u32, u32),
     #[error("the PNG picture is interlaced; save it without interlacing")]
     Interlaced,
 }
 
-/// Header of a picture.
-struct Header {
-    width: usize,
-    height: usize,
-    bits: usize,
-    /// Bit 0: palette; bit 1: colour; bit 2: alpha.
-    kind: u8,
-}
-
-impl Header {
-    fn parse(data: &[u8]) -> Result<Self, PngError> {
-        let damaged = PngError::Damaged("its header is not valid");
-        let &[a, b, c, d, e, f, g, h, bits, kind, compression, filter, interlace] = data else {
-            return Err(damaged);
-        };
-        let (width, height) = (u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([e, f, g, h]));
-        let depths: &[u8] = match kind {
-            0 => &[1, 2, 4, 8, 16],
-            3 => &[1, 2, 4, 8],
-            2 | 4 | 6 => &[8, 16],
-            _ => return Err(damaged),
-        };
-        if !depths.contains(&bits) || (compression, filter) != (0, 0) || width == 0 || height == 0 {
-            return Err(damaged);
-        }
-        if interlace != 0 {
-            return Err(PngError::Interlaced);
-        }
-        let header = Self { width: width as usize, height: height as usize, bits: bits.into(), kind };
-        let pixels = header.width.checked_mul(header.height).filter(|&pixels| pixels <= MAX_PIXELS);
-        let raw = pixels.and_then(|_| header.height.checked_mul(1 + header.row()));
-        match raw {
-            Some(raw) if raw <= MAX_RAW => Ok(header),
-            _ => Err(PngError::Size(width, height)),
-        }
-    }
-
-    fn channels(&self) -> usize {
-        match self.kind {
-            2 => 3,
-            4 => 2,
-            6 => 4,
-            _ => 1,
-        }
-    }
-
-    /// Bytes of a row without its filter.
-    fn row(&self) -> usize {
-        (self.width * self.channels() * self.bits).div_ceil(8)
-    }
-
-    /// Bytes from a byte to the one of the pixel before, for filters.
-    fn step(&self) -> usize {
-        (self.channels() * self.bits).div_ceil(8)
+impl From<DecodingError> for PngError {
+    fn from(error: DecodingError) -> Self {
+        Self::Damaged(error.to_string())
     }
 }
 
@@ -82,105 +33,65 @@ impl Header {
 /// # Errors
 /// [`PngError`] if it is damaged, too large or interlaced.
 pub fn to_pgm(bytes: &[u8]) -> Result<Vec<u8>, PngError> {
-    let mut rest = bytes.strip_prefix(SIGNATURE).ok_or(PngError::Damaged("its signature is missing"))?;
-    let (mut header, mut palette, mut alphas, mut packed) = (None, &[][..], &[][..], Vec::new());
-    loop {
-        let (kind, data) = chunk(&mut rest).ok_or(PngError::Damaged("it ends before its last chunk"))?;
-        match (kind, &header) {
-            (b"IHDR", None) => header = Some(Header::parse(data)?),
-            (_, None) => return Err(PngError::Damaged("it does not begin with a header")),
-            (b"PLTE", _) => palette = data,
-            // Of greyscale and colour it names one transparent colour, which plans do not use.
-            (b"tRNS", Some(Header { kind: 3, .. })) => alphas = data,
-            (b"IDAT", _) => packed.extend_from_slice(data),
-            (b"IEND", Some(header)) => return decode(header, palette, alphas, &packed),
-            _ => {}
-        }
-    }
-}
-
-/// Takes a chunk off the front: its kind and its data. The checksum of the pixels is checked when they are unpacked.
-fn chunk<'a>(rest: &mut &'a [u8]) -> Option<(&'a [u8; 4], &'a [u8])> {
-    let (length, behind) = rest.split_first_chunk::<4>()?;
-    let (kind, behind) = behind.split_first_chunk::<4>()?;
-    let (data, behind) = behind.split_at_checked(u32::from_be_bytes(*length) as usize)?;
-    *rest = behind.get(4..)?;
-    Some((kind, data))
-}
-
-fn decode(header: &Header, palette: &[u8], alphas: &[u8], packed: &[u8]) -> Result<Vec<u8>, PngError> {
-    let row = header.row();
-    let wanted = header.height * (1 + row);
-    let raw = decompress_to_vec_zlib_with_limit(packed, wanted)
-        .map_err(|_| PngError::Damaged("its pixels cannot be unpacked"))?;
-    if raw.len() < wanted {
-        return Err(PngError::Damaged("it has too few pixels"));
-    }
-    let mut pgm = format!("P5\n{} {}\n255\n", header.width, header.height).into_bytes();
-    let mut above = vec![0; row];
-    for line in raw.chunks_exact(1 + row) {
-        let mut line = line.to_vec();
-        unfilter(line[0], &mut line[1..], &above, header.step())?;
-        let pixels = &line[1..];
-        let sample = |index: usize| match header.bits {
-            16 => pixels[2 * index],
-            8 => pixels[index],
+    let mut options = DecodeOptions::default();
+    // The checksum of the pixels is enough.
+    options.set_ignore_crc(true);
+    options.set_ignore_adler32(false);
+    options.set_ignore_text_chunk(true);
+    options.set_ignore_iccp_chunk(true);
+    let mut decoder = Decoder::new_with_options(Cursor::new(bytes), options);
+    check(decoder.read_header_info()?)?;
+    let mut reader = decoder.read_info()?;
+    let Info { width, height, color_type, bit_depth, palette, trns, .. } = reader.info().clone();
+    let (palette, alphas) = (palette.unwrap_or_default(), trns.unwrap_or_default());
+    let channels = color_type.samples();
+    let mut pgm = format!("P5\n{width} {height}\n255\n").into_bytes();
+    while let Some(row) = reader.next_row()? {
+        let sample = |index: usize| match bit_depth as usize {
+            16 => row.data()[2 * index],
+            8 => row.data()[index],
             bits => {
                 let in_byte = 8 / bits;
                 let shift = 8 - bits * (index % in_byte + 1);
-                pixels[index / in_byte] >> shift & (0xff >> (8 - bits))
+                row.data()[index / in_byte] >> shift & (0xff >> (8 - bits))
             }
         };
-        for x in 0..header.width {
-            let at = |channel: usize| sample(x * header.channels() + channel);
-            pgm.push(match header.kind {
-                0 if header.bits < 8 => (usize::from(at(0)) * 255 / ((1 << header.bits) - 1)) as u8,
-                0 => at(0),
-                2 => grey(at(0), at(1), at(2)),
-                3 => {
+        for x in 0..width as usize {
+            let at = |channel: usize| sample(x * channels + channel);
+            pgm.push(match color_type {
+                ColorType::Grayscale if (bit_depth as u8) < 8 => {
+                    (usize::from(at(0)) * 255 / ((1 << bit_depth as usize) - 1)) as u8
+                }
+                // One transparent colour can be named here, which plans do not use.
+                ColorType::Grayscale => at(0),
+                ColorType::Rgb => grey(at(0), at(1), at(2)),
+                ColorType::Indexed => {
                     let index = usize::from(at(0));
                     let Some(&[red, green, blue]) = palette.get(3 * index..3 * index + 3) else {
-                        return Err(PngError::Damaged("it uses a colour that its palette lacks"));
+                        return Err(PngError::Damaged("it uses a colour that its palette lacks".to_owned()));
                     };
                     on_white(grey(red, green, blue), alphas.get(index).copied().unwrap_or(255))
                 }
-                4 => on_white(at(0), at(1)),
-                _ => on_white(grey(at(0), at(1), at(2)), at(3)),
+                ColorType::GrayscaleAlpha => on_white(at(0), at(1)),
+                ColorType::Rgba => on_white(grey(at(0), at(1), at(2)), at(3)),
             });
         }
-        above.copy_from_slice(pixels);
     }
+    reader.finish()?;
     Ok(pgm)
 }
 
-/// Undoes the filter of a row, in place.
-fn unfilter(filter: u8, line: &mut [u8], above: &[u8], step: usize) -> Result<(), PngError> {
-    for i in 0..line.len() {
-        let left = if i < step { 0 } else { line[i - step] };
-        let above_left = if i < step { 0 } else { above[i - step] };
-        let predicted = match filter {
-            0 => 0,
-            1 => left,
-            2 => above[i],
-            3 => ((u16::from(left) + u16::from(above[i])) / 2) as u8,
-            4 => paeth(left, above[i], above_left),
-            _ => return Err(PngError::Damaged("a row has an unknown filter")),
-        };
-        line[i] = line[i].wrapping_add(predicted);
+/// Checks that a picture is one that is read.
+fn check(header: &Info<'_>) -> Result<(), PngError> {
+    if header.interlaced {
+        return Err(PngError::Interlaced);
     }
-    Ok(())
-}
-
-/// Returns the neighbour that is nearest to their linear prediction (section 9.4 of the standard).
-fn paeth(left: u8, above: u8, above_left: u8) -> u8 {
-    let [a, b, c] = [left, above, above_left].map(i16::from);
-    let (da, db, dc) = ((b - c).abs(), (a - c).abs(), (a + b - 2 * c).abs());
-    if da <= db && da <= dc {
-        left
-    } else if db <= dc {
-        above
-    } else {
-        above_left
+    let (width, height) = (header.width as usize, header.height as usize);
+    let pixels = width.checked_mul(height).filter(|&pixels| pixels <= MAX_PIXELS);
+    let raw = pixels.and_then(|_| height.checked_mul(header.raw_row_length()));
+    match raw {
+        Some(raw) if raw <= MAX_RAW => Ok(()),
+        _ => Err(PngError::Size(header.width, header.height)),
     }
 }
 
@@ -257,12 +168,18 @@ pub mod tests {
         for length in 0..good.len() {
             assert!(matches!(to_pgm(&good[..length]), Err(PngError::Damaged(_))), "{length}");
         }
-        let damaged = |reason| Err(PngError::Damaged(reason));
-        assert_eq!(to_pgm(&png((2, 2), 8, 0, &[], &[0, 1, 2])), damaged("it has too few pixels"));
-        assert_eq!(to_pgm(&png((2, 1), 8, 0, &[], &[9, 1, 2])), damaged("a row has an unknown filter"));
-        assert_eq!(to_pgm(&png((2, 1), 3, 0, &[], &[0, 1])), damaged("its header is not valid"));
+        let reason = |picture: &[u8]| match to_pgm(picture) {
+            Err(PngError::Damaged(reason)) => reason,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(
+            reason(&png((2, 2), 8, 0, &[], &[0, 1, 2])),
+            "IDAT or fDAT chunk does not have enough data for image."
+        );
+        assert_eq!(reason(&png((2, 1), 8, 0, &[], &[9, 1, 2])), "Unknown filter method 9.");
+        assert_eq!(reason(&png((2, 1), 3, 0, &[], &[0, 1])), "Invalid bit depth 3.");
         let no_palette = png((2, 1), 8, 3, &[], &[0, 1, 2]);
-        assert_eq!(to_pgm(&no_palette), damaged("it uses a colour that its palette lacks"));
+        assert_eq!(reason(&no_palette), "it uses a colour that its palette lacks");
         assert_eq!(to_pgm(&png((99_999, 99_999), 1, 0, &[], &[])), Err(PngError::Size(99_999, 99_999)));
         let mut interlaced = good.clone();
         interlaced[SIGNATURE.len() + 8 + 12] = 1;
@@ -271,7 +188,7 @@ pub mod tests {
         let mut flipped = good;
         let place = flipped.windows(4).rposition(|w| w == b"IDAT").unwrap() + 4;
         flipped[place] ^= 1;
-        assert_eq!(to_pgm(&flipped), damaged("its pixels cannot be unpacked"));
+        assert!(reason(&flipped).starts_with("Corrupt deflate stream."));
     }
 
     proptest! {

@@ -121,17 +121,19 @@ impl Observed {
 
 /// Reads the samples of `service_time.csv`.
 fn samples(csv: &str) -> io::Result<Vec<Sample>> {
-    let wrong = || io::Error::new(io::ErrorKind::InvalidData, "service_time.csv has no service times");
-    let mut lines = csv.lines();
-    let heads: Vec<_> = lines.next().ok_or_else(wrong)?.split(',').collect();
-    let column = |name| heads.iter().position(|head| *head == name).ok_or_else(wrong);
-    let (emitted, took) = (column("emitted_ns")?, column("service_time_ms")?);
-    let sample = |line: &str| {
-        let cells: Vec<_> = line.split(',').collect();
-        let emitted: f64 = cells.get(emitted)?.parse().ok()?;
-        Some(Sample { emitted_ms: emitted / 1e6, took_ms: cells.get(took)?.parse().ok() })
-    };
-    lines.map(|line| sample(line).ok_or_else(wrong)).collect()
+    #[derive(Deserialize)]
+    struct Row {
+        emitted_ns: f64,
+        // Needs the column, unlike an option without it.
+        #[serde(deserialize_with = "Option::deserialize")]
+        service_time_ms: Option<f64>,
+    }
+    let mut rows = csv::Reader::from_reader(csv.as_bytes());
+    if rows.headers()?.is_empty() {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "service_time.csv has no service times"));
+    }
+    let sample = |row: Row| Sample { emitted_ms: row.emitted_ns / 1e6, took_ms: row.service_time_ms };
+    Ok(rows.deserialize().map(|row| row.map(sample)).collect::<csv::Result<_>>()?)
 }
 
 /// Reads the contexts of all links in a run's history.

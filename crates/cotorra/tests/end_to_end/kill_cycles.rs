@@ -52,7 +52,7 @@ impl Draw {
 
     /// Draws a number below `bound`.
     fn below(&mut self, bound: u64) -> u64 {
-        self.0 = cotorra_graph::seed::split(self.0, "kill");
+        self.0 = cotorra_numbers::seed::split(self.0, "kill");
         self.0 % bound
     }
 

@@ -2,6 +2,8 @@
 
 use std::{env, time::Duration};
 
+use cotorra_numbers::quantile;
+
 use crate::{
     packets::Packets,
     rig::{FLOOR, Rig},
@@ -17,10 +19,8 @@ impl Gaps {
         self.0.sort_by(f64::total_cmp);
     }
 
-    /// Returns the gap that this share of them does not exceed.
     fn quantile(&self, share: f64) -> f64 {
-        let rank = (share * self.0.len() as f64).ceil() as usize;
-        self.0[rank.clamp(1, self.0.len()) - 1]
+        quantile(&self.0, share).unwrap()
     }
 }
 

@@ -1,6 +1,5 @@
 //! Figures of each kind of radio, and whether those of the model lie in the intervals of the others'.
 
-use cotorra_graph::seed;
 use cotorra_numbers::{Draws, Interval, Quantiles, bootstrap};
 use cotorra_testbed::DataTable;
 use serde::Serialize;
@@ -175,7 +174,7 @@ pub(super) fn verdicts(walks: &[Walked], seed: u64) -> Vec<Verdict> {
                 let quantiles: [Quantile; 2] = [("p50", |its| its.p50), ("p95", |its| its.p95)];
                 for (quantile, read) in quantiles {
                     let label = format!("{name} {quantile}");
-                    let draws = &mut Draws::new(seed::split(seed, &format!("bootstrap {label}")));
+                    let draws = &mut Draws::new(seed, &format!("bootstrap {label}"));
                     let Some(interval) = bootstrap(&other, draws, |its| Quantiles::of(its).map(read)) else {
                         continue;
                     };

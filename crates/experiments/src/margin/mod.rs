@@ -18,7 +18,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{NodeId, ServiceId, Testbed, seed};
+use cotorra_graph::{NodeId, ServiceId, Testbed};
+use cotorra_numbers::seed;
 use cotorra_testbed::{Unrecorded, UnrecordedRun};
 
 pub use self::{

@@ -1,6 +1,5 @@
 //! Intervals around figures of samples that depend on their neighbours, by the moving block bootstrap.
 
-use cotorra_graph::seed;
 use cotorra_numbers::{Blocks, Draws, RESAMPLES, percentile_interval, resample};
 
 use super::{
@@ -14,7 +13,7 @@ const BLOCK_S: f64 = 25.0;
 /// Returns 95 % intervals around the figures of a walk; `None` without answered samples.
 pub(super) fn intervals(walk: &[Timed], seed: u64) -> Option<Intervals> {
     Distribution::of(walk)?;
-    let mut draws = Draws::new(seed::split(seed, "bootstrap"));
+    let mut draws = Draws::new(seed, "bootstrap");
     let block = block(walk);
     let mut resampled = Vec::with_capacity(walk.len());
     let mut figures: [Vec<f64>; 4] = Default::default();
@@ -51,7 +50,7 @@ mod tests {
 
     /// Samples that do not depend on each other, uniform in 0..100 ms.
     fn noise() -> Vec<f64> {
-        let mut draws = Draws::new(1);
+        let mut draws = Draws::from_seed(1);
         (0..450).map(|_| draws.below(10_000) as f64 / 100.0).collect()
     }
 

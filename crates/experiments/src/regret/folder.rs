@@ -1,12 +1,9 @@
 //! The tables of examined decisions.
 
-use cotorra_testbed::{FolderError, write_file};
+use cotorra_testbed::{DataTable, FolderError, write_file};
 
 use super::{Examined, Regrets};
-use crate::{
-    csv::{push, quoted, values},
-    journal::Journal,
-};
+use crate::{cell::number, journal::Journal};
 
 /// Files that [`Regrets::write`] makes: a row per decision and per alternative, and everything.
 pub const FILES: [&str; 2] = ["decisions.csv", "decisions.json"];
@@ -18,17 +15,35 @@ impl Regrets {
     /// [`FolderError`].
     pub fn write(&self, journal: &Journal) -> Result<(), FolderError> {
         let [table, all] = FILES;
-        write_file(journal.path(), table, table_of(&self.examined))?;
+        write_file(journal.path(), table, table_of(&self.examined).to_csv())?;
         let json = serde_json::to_string_pretty(self).expect("results are valid JSON");
         write_file(journal.path(), all, json + "\n")
     }
 }
 
-fn table_of(examined: &[Examined]) -> String {
-    let mut text =
-        "decision,at_ns,plugin,subject,target,chosen,walked,refused,samples,kept,service_time_p50_ms,\
-                    regret_kept,regret_ms,regret_cost,late_samples,cost,migrations,handovers,seed,void\n"
-            .to_owned();
+fn table_of(examined: &[Examined]) -> DataTable {
+    let mut table = DataTable::new([
+        "decision",
+        "at_ns",
+        "plugin",
+        "subject",
+        "target",
+        "chosen",
+        "walked",
+        "refused",
+        "samples",
+        "kept",
+        "service_time_p50_ms",
+        "regret_kept",
+        "regret_ms",
+        "regret_cost",
+        "late_samples",
+        "cost",
+        "migrations",
+        "handovers",
+        "seed",
+        "void",
+    ]);
     for Examined { seed, decided, stood, tried, regret_kept, regret_ms, regret_cost } in examined {
         let own =
             (decided.chosen(), true, Some(stood), [None, None], [*regret_kept, *regret_ms, *regret_cost]);
@@ -46,21 +61,20 @@ fn table_of(examined: &[Examined]) -> String {
                 chosen.to_string(),
                 stood.map(|stood| stood.walked.to_string()).unwrap_or_default(),
                 refused.unwrap_or_default(),
+                stood.map(|stood| stood.samples.to_string()).unwrap_or_default(),
             ];
-            values(&mut text, &names);
-            text += &stood.map(|stood| stood.samples.to_string()).unwrap_or_default();
-            push(&mut text, stood.and_then(|stood| stood.kept));
-            push(&mut text, stood.and_then(|stood| stood.service_time_p50_ms));
-            regrets.into_iter().for_each(|figure| push(&mut text, figure));
             let count = |count: Option<usize>| count.map(|count| count as f64);
-            push(&mut text, stood.and_then(|stood| count(stood.late)));
-            push(&mut text, stood.and_then(|stood| stood.cost));
-            push(&mut text, stood.and_then(|stood| count(stood.migrations)));
-            push(&mut text, stood.and_then(|stood| count(stood.handovers)));
-            text += &format!(",{seed},");
-            text += &quoted(&void.unwrap_or_default());
-            text.push('\n');
+            let kept =
+                [stood.and_then(|stood| stood.kept), stood.and_then(|stood| stood.service_time_p50_ms)];
+            let others = [
+                stood.and_then(|stood| count(stood.late)),
+                stood.and_then(|stood| stood.cost),
+                stood.and_then(|stood| count(stood.migrations)),
+                stood.and_then(|stood| count(stood.handovers)),
+            ];
+            let figures = kept.into_iter().chain(regrets).chain(others).map(number);
+            table.row(names.into_iter().chain(figures).chain([seed.to_string(), void.unwrap_or_default()]));
         }
     }
-    text
+    table
 }

@@ -15,8 +15,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{ServiceId, Testbed, Timestamp, millis, seed};
-use cotorra_numbers::median;
+use cotorra_graph::{ServiceId, Testbed, Timestamp, millis};
+use cotorra_numbers::{median, seed};
 use cotorra_testbed::{Altered, Fork, Unrecorded};
 use serde::{Deserialize, Serialize};
 

@@ -1,5 +1,6 @@
 //! Two samples of service times: their figures, and tests of whether both come from one distribution.
 
+use cotorra_numbers::quantile;
 use statrs::function::erf::erfc;
 
 /// Times in milliseconds, in order. Requests without an answer count as infinite.
@@ -49,12 +50,6 @@ impl Sample {
     fn share(&self, limit_ms: f64) -> f64 {
         self.within(limit_ms) as f64 / self.len() as f64
     }
-
-    /// Returns the smallest time that at least this share of times does not exceed.
-    fn quantile(&self, share: f64) -> Option<f64> {
-        let place = (share * self.len() as f64).ceil() as usize;
-        self.0.get(place.saturating_sub(1)).copied()
-    }
 }
 
 impl Two {
@@ -66,8 +61,8 @@ impl Two {
         let are_there = !one.is_empty() && !other.is_empty();
         Self {
             samples: [one.len(), other.len()],
-            p50_ms: of(&|sample| sample.quantile(0.5)),
-            p99_ms: of(&|sample| sample.quantile(0.99)),
+            p50_ms: of(&|sample| quantile(&sample.0, 0.5)),
+            p99_ms: of(&|sample| quantile(&sample.0, 0.99)),
             kept: of(&kept),
             p: if are_there { kolmogorov_smirnov(one, other, tolerance_ms) } else { 0.0 },
             p_kept: if are_there { equal_shares(one, other, target_ms, tolerance_ms) } else { 0.0 },
@@ -120,15 +115,14 @@ fn equal_shares(one: &Sample, other: &Sample, target_ms: f64, tolerance_ms: f64)
 
 #[cfg(test)]
 mod tests {
-    use rand::{Rng, SeedableRng};
-    use rand_xoshiro::Xoshiro256PlusPlus;
+    use cotorra_numbers::Draws;
 
     use super::*;
 
     /// Times around 10 ms, later by `shift_ms`.
     fn drawn(seed: u64, count: usize, shift_ms: f64) -> Sample {
-        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let mut share = || random.next_u64() as f64 / u64::MAX as f64;
+        let mut random = Draws::from_seed(seed);
+        let mut share = || random.bits() as f64 / u64::MAX as f64;
         let mut time = || (0..12).map(|_| share()).sum::<f64>() + 4.0 + shift_ms;
         Sample::new((0..count).map(|_| time()).collect())
     }

@@ -48,7 +48,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Event, Stamped, Testbed, seed};
+use cotorra_graph::{Event, Stamped, Testbed};
+use cotorra_numbers::seed;
 use cotorra_testbed::{Altered, Report, Unrecorded, UnrecordedRun, simulate_unrecorded};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 

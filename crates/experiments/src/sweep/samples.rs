@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cotorra_testbed::{DataTable, FolderError, Report, write_samples};
+use cotorra_testbed::{FolderError, Report, write_samples};
 
 use super::{Axis, Point};
 use crate::batch::{SamplesFile, plain_name};
@@ -28,15 +28,13 @@ pub(super) fn write(
     point: &Point,
     report: &Report,
 ) -> Result<(), FolderError> {
-    let mut settings = DataTable::new(axes.iter().map(Axis::path).chain(["seed"]));
-    settings.row(point.values.iter().cloned().chain([point.seed.to_string()]));
-    let settings = settings.to_csv();
-    let (head, row) = settings.split_once('\n').expect("a table has a line of heads");
+    let heads: Vec<_> = axes.iter().map(Axis::path).chain(["seed"]).map(str::to_owned).collect();
+    let values: Vec<_> = point.values.iter().cloned().chain([point.seed.to_string()]).collect();
     let draft = file.draft();
     let write = || {
         create_folder(&draft)?;
         let mut file = File::create(&draft)?;
-        write_samples(report, [head, row.trim_end()], &mut file)?;
+        write_samples(report, [&heads, &values], &mut file)?;
         file.sync_data()
     };
     write().map_err(|source| FolderError::new(&draft, source))

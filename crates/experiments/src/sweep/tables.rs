@@ -7,7 +7,7 @@ use super::{
     runs::Done,
     time_parts::{MeasuredLoss, MeasuredPart},
 };
-use crate::outcome::Void;
+use crate::{cell::number, outcome::Void};
 
 /// Last column of all tables for programs: the reason for which a run or a cell has no figures.
 const VOID: &str = "void";
@@ -230,11 +230,6 @@ fn bounds<const N: usize>(intervals: [(&'static str, Option<Interval>); N]) -> i
 /// Returns the names of the columns of figures and verdicts.
 fn judged(figures: impl Iterator<Item = String>) -> impl Iterator<Item = String> {
     figures.chain(Verdicts::NAMES.map(str::to_owned))
-}
-
-/// Returns a number with nanosecond resolution, if it is in milliseconds.
-fn number(figure: Option<f64>) -> String {
-    figure.map(|figure| ((figure * 1e6).round() / 1e6).to_string()).unwrap_or_default()
 }
 
 /// Returns the mean and the bounds of an interval.

@@ -19,6 +19,7 @@ use cotorra_graph::{
     LinkContext, LinkId, LostCause, Node, NodeId, NodeKind, Position, Probing, RadioContext, Stamped,
     ThroughputTest, Timestamp,
 };
+use cotorra_numbers::Draws;
 
 use crate::{
     balance::Balance,
@@ -33,7 +34,6 @@ use crate::{
     port::PortId,
     port_security::{ForgedFrames, Identity},
     radio::{Arrival, Path, Radio},
-    random::stream,
     routes::{Path as Pinned, Routes, Target, Vertex},
     settings::{FabricError, Settings},
     tap::Tap,
@@ -180,7 +180,7 @@ impl Fabric {
                 let settings = Settings::new(conditions.clone(), scale, link.medium())
                     .map_err(|error| GraphError::Conditions { link: link.id.to_string(), error })?;
                 routes.connect(from, to, settings.effective().delay);
-                let rng = |part: &str| stream(seed, &format!("{part} {} {direction}", link.id));
+                let rng = |part: &str| Draws::new(seed, &format!("{part} {} {direction}", link.id));
                 let link = DirectedLink::Wire(pipes.len());
                 pipes.push(Pipe::new(link, settings, rng("link"), rng("queue")));
             }

@@ -4,15 +4,14 @@
 use std::{f64::consts::FRAC_1_SQRT_2, time::Duration};
 
 use cotorra_graph::{Conditions, Jitter, JitterDistribution, Loss, Probability};
-use rand::Rng;
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
-use crate::{frame::Frame, random::unit};
+use crate::frame::Frame;
 
 /// The random impairments of one direction of a link.
 #[derive(Debug, Clone)]
 pub(crate) struct Impairments {
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
     loss: LossProcess,
     corruption: Probability,
     duplication: Probability,
@@ -22,8 +21,6 @@ pub(crate) struct Impairments {
     score_correlation: f64,
     /// Normal score of the last jitter that had a correlation.
     score: Option<f64>,
-    /// Second of the two normal deviates of one draw.
-    spare: Option<f64>,
 }
 
 /// The random process of losses.
@@ -44,7 +41,7 @@ enum LossProcess {
 
 impl Impairments {
     /// Creates the impairments of these conditions.
-    pub(crate) fn new(conditions: &Conditions, mut rng: Xoshiro256PlusPlus) -> Self {
+    pub(crate) fn new(conditions: &Conditions, mut rng: Draws) -> Self {
         Self {
             loss: LossProcess::new(conditions.loss, &mut rng),
             rng,
@@ -54,7 +51,6 @@ impl Impairments {
             jitter: conditions.jitter,
             score_correlation: score_correlation(conditions),
             score: None,
-            spare: None,
         }
     }
 
@@ -81,7 +77,7 @@ impl Impairments {
             LossProcess::Independent { rate } => happens(&mut self.rng, *rate),
             LossProcess::Bursty { good_to_bad, bad_to_good, bad } => {
                 let leaves = if *bad { *bad_to_good } else { *good_to_bad };
-                *bad ^= unit(&mut self.rng) < leaves;
+                *bad ^= self.rng.unit() < leaves;
                 *bad
             }
         }
@@ -89,7 +85,7 @@ impl Impairments {
 
     /// Flips a bit of the packet at random. Returns whether it did.
     pub(crate) fn corrupts(&mut self, frame: &mut Frame) -> bool {
-        happens(&mut self.rng, self.corruption) && frame.flip_bit(self.rng.next_u64())
+        happens(&mut self.rng, self.corruption) && frame.flip_bit(self.rng.bits())
     }
 
     /// Whether the packet arrives twice.
@@ -109,35 +105,24 @@ impl Impairments {
             return of_score(jitter.distribution, self.next_score());
         }
         match jitter.distribution {
-            JitterDistribution::Uniform => 2.0 * unit(&mut self.rng) - 1.0,
-            JitterDistribution::Normal => self.normal(),
-            JitterDistribution::Pareto => pareto(1.0 - unit(&mut self.rng)),
+            JitterDistribution::Uniform => 2.0 * self.rng.unit() - 1.0,
+            JitterDistribution::Normal => self.rng.normal(),
+            JitterDistribution::Pareto => pareto(1.0 - self.rng.unit()),
         }
     }
 
     /// Returns the normal score of the next jitter: an autoregression of first order in its stationary state.
     fn next_score(&mut self) -> f64 {
-        let innovation = self.normal();
+        let innovation = self.rng.normal();
         let correlation = self.score_correlation;
         let follow = |last| correlation * last + (1.0 - correlation * correlation).sqrt() * innovation;
         *self.score.insert(self.score.map_or(innovation, follow))
-    }
-
-    /// Returns a standard normal deviate (Box and Muller 1958).
-    fn normal(&mut self) -> f64 {
-        if let Some(spare) = self.spare.take() {
-            return spare;
-        }
-        let radius = (-2.0 * (1.0 - unit(&mut self.rng)).ln()).sqrt();
-        let (sin, cos) = (std::f64::consts::TAU * unit(&mut self.rng)).sin_cos();
-        self.spare = Some(radius * sin);
-        radius * cos
     }
 }
 
 impl LossProcess {
     /// Creates a process in its stationary state.
-    fn new(loss: Loss, rng: &mut Xoshiro256PlusPlus) -> Self {
+    fn new(loss: Loss, rng: &mut Draws) -> Self {
         match loss {
             Loss::None => Self::None,
             Loss::Independent { rate } => Self::Independent { rate },
@@ -151,8 +136,8 @@ impl LossProcess {
 }
 
 /// Whether an event of probability `p` happens. Probabilities 0 and 1 take no random number.
-fn happens(rng: &mut Xoshiro256PlusPlus, p: Probability) -> bool {
-    p != Probability::ZERO && (p == Probability::ONE || unit(rng) < p.get())
+fn happens(rng: &mut Draws, p: Probability) -> bool {
+    p != Probability::ZERO && (p == Probability::ONE || rng.unit() < p.get())
 }
 
 fn score_correlation(conditions: &Conditions) -> f64 {
@@ -187,12 +172,11 @@ mod tests {
     use cotorra_graph::Correlation;
 
     use super::*;
-    use crate::random::stream;
 
     const PACKETS: usize = 1_000_000;
 
     fn impairments(conditions: &Conditions) -> Impairments {
-        Impairments::new(conditions, stream(7, "impairment"))
+        Impairments::new(conditions, Draws::new(7, "impairment"))
     }
 
     fn p(p: f64) -> Probability {

@@ -49,7 +49,6 @@ mod port;
 mod port_security;
 mod queue;
 mod radio;
-mod random;
 mod routes;
 mod settings;
 mod tap;

@@ -4,7 +4,7 @@
 use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{Conditions, Direction, LinkContext, LinkCounters, LinkId, LostCause, Rate, Timestamp};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use crate::{
     balance::Balance,
@@ -92,12 +92,7 @@ pub(crate) struct Pipe {
 
 impl Pipe {
     /// Creates an empty pipe that draws the random numbers of its impairments and of its queue from a stream each.
-    pub(crate) fn new(
-        link: DirectedLink,
-        settings: Settings,
-        rng: Xoshiro256PlusPlus,
-        queue_rng: Xoshiro256PlusPlus,
-    ) -> Self {
+    pub(crate) fn new(link: DirectedLink, settings: Settings, rng: Draws, queue_rng: Draws) -> Self {
         let conditions = settings.effective();
         Self {
             link,

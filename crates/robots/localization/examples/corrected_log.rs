@@ -19,8 +19,7 @@ use cotorra_localization::{
     Belief, LikelihoodField, Localizer, Parameters, Pose2,
     carmen::{Laser, Log, Message},
 };
-use rand::{Rng, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 /// Side of a cell, metres.
 const RESOLUTION: f64 = 0.05;
@@ -124,7 +123,7 @@ impl Problem {
             self.follow(&mut localizer, 0..self.scans.len(), Pose2::default(), |_, belief, truth| {
                 outcome.followed(belief, truth);
             })?;
-            let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+            let mut random = Draws::from_seed(seed);
             for nth in 0..KIDNAPPINGS as u64 {
                 let seed = seed * KIDNAPPINGS as u64 + nth;
                 let Some([before, after]) = self.kidnapping(&mut random) else { continue };
@@ -146,12 +145,12 @@ impl Problem {
     }
 
     /// Draws the scans before and after a kidnapping.
-    fn kidnapping(&self, random: &mut impl Rng) -> Option<[Range<usize>; 2]> {
+    fn kidnapping(&self, random: &mut Draws) -> Option<[Range<usize>; 2]> {
         let reach = |begin: usize, way: f64| {
             let end = self.gone.partition_point(|gone| *gone < self.gone[begin] + way) + 1;
             (end <= self.gone.len()).then_some(begin..end)
         };
-        let mut any = || (random.next_u64() % self.scans.len() as u64) as usize;
+        let mut any = || (random.bits() % self.scans.len() as u64) as usize;
         let at = |nth: usize| self.scans[nth].laser.robot;
         (0..10_000).find_map(|_| {
             let (before, after) = (reach(any(), BEFORE)?, reach(any(), AFTER)?);

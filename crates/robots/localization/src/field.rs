@@ -4,6 +4,7 @@
 use std::f64::consts::PI;
 
 use cotorra_graph::{Cell, OccupancyGrid};
+use cotorra_numbers::Draws;
 
 use crate::{
     error::LocalizationError,
@@ -11,7 +12,6 @@ use crate::{
     geometry::Pose2,
     parameters::{Parameters, Weighing},
     place::{Place, Places},
-    random::Stream,
     scan::Beams,
 };
 
@@ -198,13 +198,13 @@ impl LikelihoodField {
     }
 
     /// Draws a pose uniformly from free space; `None` if there is none.
-    pub(crate) fn anywhere(&self, random: &mut Stream) -> Option<Place> {
+    pub(crate) fn anywhere(&self, random: &mut Draws) -> Option<Place> {
         let all = self.free.last()?.1;
-        let nth = random.below(all);
+        let nth = random.below(all as usize) as u64;
         let run = self.free.partition_point(|run| run.1 <= nth);
         let before = run.checked_sub(1).map_or(0, |before| self.free[before].1);
         let cell = self.free[run].0 + (nth - before) as usize;
-        let mut within = || random.uniform() as f32;
+        let mut within = || random.unit() as f32;
         Some(Place {
             column: (cell % self.size.0) as f32 + 1.0 + within(),
             row: (cell / self.size.0) as f32 + 1.0 + within(),
@@ -327,11 +327,7 @@ const BETWEEN_ROWS: u32 = 16;
 
 /// Returns the squared distance from each cell's centre to that of the nearest occupied cell, in cells, row by row from the
 /// lower left. With `surfaces`, only occupied cells beside a free one count.
-///
-/// The distances are exact: a pass along the columns, then lower envelopes of parabolas along the rows (Felzenszwalb and
-/// Huttenlocher 2012).
 fn squared_distances(map: &OccupancyGrid, surfaces: bool) -> Vec<f32> {
-    let (width, height) = (map.width(), map.height());
     // Cells off the map are unknown.
     let is_free = |column: usize, row: usize| map.cell(column, row) == Cell::Free;
     let beside_free = |column: usize, row: usize| {
@@ -340,28 +336,9 @@ fn squared_distances(map: &OccupancyGrid, surfaces: bool) -> Vec<f32> {
             || is_free(column, row.wrapping_sub(1))
             || is_free(column, row + 1)
     };
-    let is_wall = |column: usize, row: usize| {
+    map.squared_distances(|column, row| {
         map.cell(column, row) == Cell::Occupied && (!surfaces || beside_free(column, row))
-    };
-    let mut distance: Vec<f32> = (0..height)
-        .flat_map(|row| (0..width).map(move |column| (column, row)))
-        .map(|(column, row)| if is_wall(column, row) { 0.0 } else { f32::INFINITY })
-        .collect();
-    // Whole rows at a time, so that the loop vectorizes over columns.
-    let mut nearer = |from: usize, to: usize| {
-        let (low, high) = distance.split_at_mut(from.max(to) * width);
-        let (low, high) = (&mut low[from.min(to) * width..][..width], &mut high[..width]);
-        let (from, to) = if from < to { (low, high) } else { (high, low) };
-        for (to, from) in to.iter_mut().zip(from) {
-            *to = if *from + 1.0 < *to { *from + 1.0 } else { *to };
-        }
-    };
-    (1..height).for_each(|row| nearer(row - 1, row));
-    (1..height).rev().for_each(|row| nearer(row, row - 1));
-    distance.iter_mut().for_each(|distance| *distance *= *distance);
-    let mut envelope = Envelope::default();
-    distance.chunks_mut(width).for_each(|line| envelope.lower(line));
-    distance
+    })
 }
 
 /// Returns the map in larger cells. A cell is a wall if it has any, and else free if it has free space.
@@ -381,45 +358,6 @@ fn coarser(map: &OccupancyGrid) -> Option<OccupancyGrid> {
     OccupancyGrid::new(width, height, COARSER as f64 * map.resolution(), map.origin(), cells)
 }
 
-/// A lower envelope of parabolas: place, height, and start of the interval where each is the lowest.
-#[derive(Default)]
-struct Envelope(Vec<(usize, f32, f64)>);
-
-impl Envelope {
-    /// Replaces each value f(q) by the minimum over p of (q - p)² + f(p).
-    fn lower(&mut self, line: &mut [f32]) {
-        self.0.clear();
-        for (place, &height) in line.iter().enumerate() {
-            if height == f32::INFINITY {
-                continue;
-            }
-            let mut from = f64::NEG_INFINITY;
-            while let Some(&(other, other_height, other_from)) = self.0.last() {
-                let rise = f64::from(height) - f64::from(other_height);
-                let (p, q) = (place as f64, other as f64);
-                from = (rise + p * p - q * q) / (2.0 * (p - q));
-                if from > other_from {
-                    break;
-                }
-                self.0.pop();
-                from = f64::NEG_INFINITY;
-            }
-            self.0.push((place, height, from));
-        }
-        let mut lowest = 0;
-        if self.0.is_empty() {
-            return;
-        }
-        for (place, value) in line.iter_mut().enumerate() {
-            while self.0.get(lowest + 1).is_some_and(|next| next.2 <= place as f64) {
-                lowest += 1;
-            }
-            let (centre, height, _) = self.0[lowest];
-            *value = (place.abs_diff(centre) as f32).powi(2) + height;
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use cotorra_graph::Position;
@@ -434,25 +372,6 @@ mod tests {
     }
 
     proptest! {
-        #[test]
-        fn distances_match_an_exhaustive_search(
-            width in 1_usize..12,
-            cells in prop::collection::vec(prop::bool::weighted(0.2), 12..150),
-        ) {
-            let cells = &cells[..cells.len() / width * width];
-            let map = grid(width, cells);
-            let found = squared_distances(&map, false);
-            for (cell, &squared) in found.iter().enumerate() {
-                let walls = cells.iter().enumerate().filter(|(_, wall)| **wall);
-                let nearest = walls
-                    .map(|(wall, _)| {
-                        (wall % width).abs_diff(cell % width).pow(2) + (wall / width).abs_diff(cell / width).pow(2)
-                    })
-                    .min();
-                prop_assert_eq!(squared, nearest.map_or(f32::INFINITY, |squared| squared as f32));
-            }
-        }
-
         /// The fast sum equals the plain one, on the map and far off it.
         #[test]
         fn scores_are_sums_over_the_table(
@@ -507,7 +426,7 @@ mod tests {
     fn anywhere_draws_free_cells_uniformly() {
         let walls = [true, false, false, true, false, true, true, false];
         let field = LikelihoodField::new(&grid(4, &walls), &Parameters::default());
-        let mut random = Stream::new(1);
+        let mut random = Draws::new(1, "localization");
         let mut counts = [0; 8];
         for _ in 0..4000 {
             let place = field.anywhere(&mut random).unwrap();

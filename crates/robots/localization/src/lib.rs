@@ -16,7 +16,6 @@ mod motion;
 mod parameters;
 mod particles;
 mod place;
-mod random;
 mod relocate;
 mod scan;
 mod track;

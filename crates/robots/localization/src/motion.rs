@@ -7,8 +7,8 @@ use crate::{
     geometry::{Pose2, wrapped},
     parameters::MotionNoise,
     place::Places,
-    random::Stream,
 };
+use cotorra_numbers::Draws;
 
 /// Shortest step whose direction is meaningful, metres (as in AMCL).
 const LEAST_STEP: f64 = 0.01;
@@ -46,7 +46,7 @@ impl Motion {
     }
 
     /// Moves each particle by a random step of the model; `resolution` is the side of a cell, metres.
-    pub fn sample(&self, places: &mut Places, resolution: f64, random: &mut Stream) {
+    pub fn sample(&self, places: &mut Places, resolution: f64, random: &mut Draws) {
         let in_cells = resolution.recip() as f32;
         let [turn, way, turn_after] = [self.turn, self.way, self.turn_after].map(|mean| mean as f32);
         let [turn_deviation, way_deviation, turn_after_deviation] =
@@ -54,12 +54,12 @@ impl Motion {
                 .map(|deviation| deviation as f32);
         let places = places.column.iter_mut().zip(&mut places.row).zip(&mut places.heading);
         for ((column, row), heading) in places {
-            let direction = *heading + turn + turn_deviation * random.bell();
-            let way = (way + way_deviation * random.bell()) * in_cells;
+            let direction = *heading + turn + turn_deviation * random.bell_f32();
+            let way = (way + way_deviation * random.bell_f32()) * in_cells;
             let (sin, cos) = sin_cos(direction);
             *column += way * cos;
             *row += way * sin;
-            *heading = direction + turn_after + turn_after_deviation * random.bell();
+            *heading = direction + turn_after + turn_after_deviation * random.bell_f32();
         }
     }
 
@@ -92,7 +92,7 @@ mod tests {
     fn moved(step: Pose2, noise: &MotionNoise, count: usize) -> Places {
         let mut places = Places::default();
         (0..count).for_each(|_| places.push(Default::default()));
-        Motion::new(step, noise).sample(&mut places, 1.0, &mut Stream::new(3));
+        Motion::new(step, noise).sample(&mut places, 1.0, &mut Draws::new(3, "localization"));
         places
     }
 

@@ -1,11 +1,12 @@
 //! Particles as a structure of arrays, so that each step of the filter reads only what it needs. Resampling draws as many
 //! as KLD-sampling asks for.
 
+use cotorra_numbers::Draws;
+
 use crate::{
     bins::{Binning, Bins, kld_bound},
     parameters::Parameters,
     place::{Place, Places},
-    random::Stream,
 };
 
 /// Weighted places. Weights sum to 1 except while they are being changed.
@@ -48,13 +49,13 @@ impl Particles {
     ///
     /// Draws are the points of an additive recurrence with the golden ratio. Any number of them is spread nearly as evenly
     /// as in low-variance resampling (Probabilistic Robotics, table 4.4), which needs to know the number beforehand.
-    pub fn draw(&self, drawn: &mut Self, parameters: &Parameters, binning: &Binning, random: &mut Stream) {
+    pub fn draw(&self, drawn: &mut Self, parameters: &Parameters, binning: &Binning, random: &mut Draws) {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let parents = Parents::new(&self.weight);
         let mut children = vec![0_u32; self.len()];
         let mut bins = Bins::default();
         let mut bound = parameters.min_particles;
-        let mut point = random.uniform();
+        let mut point = random.unit();
         drawn.clear();
         let mut count = 0;
         while count < bound {
@@ -142,7 +143,7 @@ mod tests {
     fn drawn(particles: &Particles, parameters: &Parameters) -> Particles {
         let mut drawn = Particles::default();
         let binning = Binning::new(0.05);
-        particles.draw(&mut drawn, parameters, &binning, &mut Stream::new(5));
+        particles.draw(&mut drawn, parameters, &binning, &mut Draws::new(5, "localization"));
         drawn
     }
 

@@ -1,6 +1,5 @@
 //! Poses in cells of the likelihood field's table.
-
-use crate::random::Stream;
+use cotorra_numbers::Draws;
 
 /// A pose in the table's frame, in cells; the border counts.
 #[derive(Debug, Clone, Copy, Default)]
@@ -12,11 +11,11 @@ pub(crate) struct Place {
 
 impl Place {
     /// Returns a random place near this one, with these standard deviations of column and row, and of heading.
-    pub fn moved(self, way: f32, turn: f32, random: &mut Stream) -> Self {
+    pub fn moved(self, way: f32, turn: f32, random: &mut Draws) -> Self {
         Self {
-            column: self.column + way * random.bell(),
-            row: self.row + way * random.bell(),
-            heading: self.heading + turn * random.bell(),
+            column: self.column + way * random.bell_f32(),
+            row: self.row + way * random.bell_f32(),
+            heading: self.heading + turn * random.bell_f32(),
         }
     }
 }

@@ -4,10 +4,11 @@
 //! The likelihood is too sharp for uniform particles. The best of many places are moved uphill before they become particles
 //! (sensor resetting; Lenser and Veloso 2000).
 
+use cotorra_numbers::Draws;
+
 use crate::{
     field::LikelihoodField,
     place::{Place, Places},
-    random::Stream,
     scan::Beams,
     weights,
 };
@@ -34,15 +35,15 @@ pub(crate) struct Candidates {
 
 impl Candidates {
     /// Searches the whole map; `None` if nothing fits.
-    pub fn find(field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Option<Self> {
+    pub fn find(field: &LikelihoodField, beams: &Beams, random: &mut Draws) -> Option<Self> {
         let found = field.search(beams, HEADINGS, KEPT);
         (found.len() > 0).then(|| Self::uphill(found, field, beams, random))
     }
 
     /// Searches near a place that odometry led to.
-    pub fn near(place: Place, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
+    pub fn near(place: Place, field: &LikelihoodField, beams: &Beams, random: &mut Draws) -> Self {
         let [way, turn] = [NEAR[0] / field.resolution() as f32, NEAR[1]];
-        let mut off = |deviation: f32| deviation * random.bell();
+        let mut off = |deviation: f32| deviation * random.bell_f32();
         let mut pool = Places::default();
         for _ in 0..MOST_NEAR {
             pool.push(Place {
@@ -61,7 +62,7 @@ impl Candidates {
     }
 
     /// Moves each place to where the scan fits better.
-    fn uphill(places: Places, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
+    fn uphill(places: Places, field: &LikelihoodField, beams: &Beams, random: &mut Draws) -> Self {
         let kept = places.len();
         let mut best: Vec<(f32, Place)> = (0..kept).map(|nth| (f32::NEG_INFINITY, places.at(nth))).collect();
         let in_cells = (FIRST_STEP[0] as f64 / field.resolution()) as f32;
@@ -70,9 +71,9 @@ impl Candidates {
             steps.clear();
             for (_, place) in &best {
                 steps.push(Place {
-                    column: place.column + in_cells * length * random.bell(),
-                    row: place.row + in_cells * length * random.bell(),
-                    heading: place.heading + FIRST_STEP[1] * length * random.bell(),
+                    column: place.column + in_cells * length * random.bell_f32(),
+                    row: place.row + in_cells * length * random.bell_f32(),
+                    heading: place.heading + FIRST_STEP[1] * length * random.bell_f32(),
                 });
             }
             field.score(&steps, beams, &mut scores);
@@ -105,8 +106,8 @@ impl Candidates {
     }
 
     /// Draws a place by its weight.
-    pub fn draw(&self, random: &mut Stream) -> Place {
-        let share = random.uniform() * self.cumulative.last().copied().unwrap_or(1.0);
+    pub fn draw(&self, random: &mut Draws) -> Place {
+        let share = random.unit() * self.cumulative.last().copied().unwrap_or(1.0);
         let nth = self.cumulative.partition_point(|&reached| reached <= share);
         self.places.at(nth.min(self.places.len() - 1))
     }

@@ -12,11 +12,11 @@ use crate::{
     parameters::{Parameters, Weighing},
     particles::Particles,
     place::{Place, Places},
-    random::Stream,
     relocate::Candidates,
     scan::Beams,
     weights,
 };
+use cotorra_numbers::Draws;
 
 /// Smallest effective share of the particles after one step of weighing. Sharper likelihoods are applied in several steps.
 const LEAST_EFFECTIVE: f64 = 0.05;
@@ -30,7 +30,7 @@ const ABOUT_CANDIDATE: [f64; 2] = [0.05, 0.02];
 pub(crate) struct Bench {
     pub field: Arc<LikelihoodField>,
     pub parameters: Parameters,
-    pub random: Stream,
+    pub random: Draws,
     pub beams: Beams,
     pub scores: Vec<f32>,
     binning: Binning,
@@ -42,7 +42,7 @@ impl Bench {
     pub fn new(field: Arc<LikelihoodField>, parameters: Parameters, seed: u64) -> Self {
         Self {
             binning: Binning::new(field.resolution()),
-            random: Stream::new(seed),
+            random: Draws::new(seed, "localization"),
             beams: Beams::default(),
             scores: Vec::new(),
             spare: Particles::default(),
@@ -179,7 +179,7 @@ impl Track {
         let root = root.map(|entry| entry as f32);
         let Places { column, row, heading } = &mut self.particles.places;
         for ((column, row), heading) in column.iter_mut().zip(row).zip(heading) {
-            let [a, b, c] = [(); 3].map(|()| bench.random.bell());
+            let [a, b, c] = [(); 3].map(|()| bench.random.bell_f32());
             *column += root[0] * a;
             *row += root[3] * a + root[4] * b;
             *heading += root[6] * a + root[7] * b + root[8] * c;

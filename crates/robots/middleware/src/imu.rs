@@ -6,11 +6,11 @@
 use std::time::Duration;
 
 use cotorra_graph::{NodeId, Pose};
+use cotorra_numbers::Draws;
 
 use crate::{
     kobuki::{GYRO_BIAS, GYRO_WALK},
     planar::normalised,
-    random::Stream,
 };
 
 /// m/s².
@@ -24,7 +24,7 @@ const ACCELERATION_BIAS: f64 = 0.02 * GRAVITY;
 /// The device. Its axes are the robot's: forward, left, up.
 #[derive(Debug, Clone)]
 pub(crate) struct Imu {
-    noise: Stream,
+    noise: Draws,
     /// rad/s, about each axis.
     gyro_bias: [f64; 3],
     /// m/s², along each axis.
@@ -40,7 +40,7 @@ pub(crate) struct Imu {
 impl Imu {
     /// Creates the device of a robot that stands at `start`.
     pub fn new(seed: u64, robot: &NodeId, start: Pose) -> Self {
-        let mut noise = Stream::new(seed, &format!("{robot}/imu"));
+        let mut noise = Draws::new(seed, &format!("{robot}/imu"));
         let gyro_bias = [(); 3].map(|()| GYRO_BIAS * noise.bell());
         let acceleration_bias = [(); 3].map(|()| ACCELERATION_BIAS * noise.bell());
         let before = (start, [0.0; 3]);

@@ -5,10 +5,11 @@
 use std::time::Duration;
 
 use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
+use cotorra_numbers::Draws;
 pub(crate) use cotorra_turtlebot::kobuki::limited;
 pub use cotorra_turtlebot::kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, METRES_PER_TICK, WHEEL_BASE};
 
-use crate::{planar::normalised, random::Stream, world::World};
+use crate::{planar::normalised, world::World};
 
 /// Radius of the body, metres.
 pub const RADIUS: f64 = RobotModel::Turtlebot2.radius();
@@ -123,7 +124,7 @@ pub(crate) const GYRO_WALK: f64 = 5.2e-4;
 /// Odometry. As in Kobuki's own node, distances come from the encoders and the heading from the gyro. Both drift.
 #[derive(Debug, Clone)]
 pub(crate) struct Odometer {
-    noise: Stream,
+    noise: Draws,
     wheel_scale: [f64; 2],
     gyro_bias: f64,
     /// Way of each wheel, metres at its rim.
@@ -138,7 +139,7 @@ pub(crate) struct Odometer {
 
 impl Odometer {
     pub fn new(seed: u64, robot: &NodeId, start: &Base) -> Self {
-        let mut noise = Stream::new(seed, &format!("{robot}/odometry"));
+        let mut noise = Draws::new(seed, &format!("{robot}/odometry"));
         let common = 1.0 + WHEEL_SCALE * noise.bell();
         let wheel_scale = [(); 2].map(|()| common + WHEEL_DIFFERENCE * noise.bell());
         let gyro_bias = GYRO_BIAS * noise.bell();

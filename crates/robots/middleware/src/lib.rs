@@ -27,7 +27,6 @@ mod nonce;
 mod picture;
 mod planar;
 mod quadrotor;
-mod random;
 mod request;
 pub mod ros;
 mod ros1;

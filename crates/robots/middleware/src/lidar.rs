@@ -3,8 +3,9 @@
 use std::{f64::consts::PI, time::Duration};
 
 use cotorra_graph::{NodeId, Position, Timestamp};
+use cotorra_numbers::Draws;
 
-use crate::{random::Stream, world::World};
+use crate::world::World;
 
 /// Rays per turn.
 pub(crate) const RAYS: usize = 360;
@@ -71,7 +72,7 @@ impl Scan {
 
 #[derive(Debug, Clone)]
 pub(crate) struct Lidar {
-    noise: Stream,
+    noise: Draws,
     /// Unit vectors of the rays in the robot's frame.
     rays: Vec<(f64, f64)>,
     turning: Scan,
@@ -86,7 +87,7 @@ impl Lidar {
             (cos, sin)
         };
         Self {
-            noise: Stream::new(seed, &format!("{robot}/lidar")),
+            noise: Draws::new(seed, &format!("{robot}/lidar")),
             rays: (0..RAYS).map(ray).collect(),
             turning,
             complete: None,
@@ -121,7 +122,7 @@ impl Lidar {
     }
 }
 
-fn measured(range: f64, noise: &mut Stream) -> f32 {
+fn measured(range: f64, noise: &mut Draws) -> f32 {
     let read = range + (range * RELATIVE_ERROR).max(LEAST_ERROR) * noise.bell();
     if read < RANGE_MIN {
         f32::NEG_INFINITY

@@ -1,6 +1,5 @@
 //! Nonces of robots' packets.
-
-use crate::random::Stream;
+use cotorra_numbers::Draws;
 
 /// Source of nonces.
 #[derive(Debug, Clone)]
@@ -9,7 +8,7 @@ pub struct Nonces(Source);
 #[derive(Debug, Clone)]
 enum Source {
     System,
-    Seeded(Stream),
+    Seeded(Draws),
 }
 
 impl Nonces {
@@ -20,7 +19,7 @@ impl Nonces {
 
     /// Nonces from a seed, for virtual time, where nobody else sends packets.
     pub fn seeded(seed: u64) -> Self {
-        Self(Source::Seeded(Stream::new(seed, "nonces")))
+        Self(Source::Seeded(Draws::new(seed, "nonces")))
     }
 
     /// Draws the next nonce.

@@ -7,8 +7,9 @@
 use std::time::Duration;
 
 use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
+use cotorra_numbers::Draws;
 
-use crate::{planar::normalised, random::Stream, world::World};
+use crate::{planar::normalised, world::World};
 
 /// Radius of the outline with propellers, metres.
 const RADIUS: f64 = RobotModel::Quadrotor.radius();
@@ -145,7 +146,7 @@ const HEIGHT: f64 = 0.01;
 /// Odometry: visual-inertial in the plane, which drifts, and the height from a range finder.
 #[derive(Debug, Clone)]
 pub(crate) struct FlightOdometer {
-    noise: Stream,
+    noise: Draws,
     scale: f64,
     /// Error of the measured heading, radians.
     off: f64,
@@ -157,7 +158,7 @@ pub(crate) struct FlightOdometer {
 
 impl FlightOdometer {
     pub fn new(seed: u64, robot: &NodeId, start: &Airframe) -> Self {
-        let mut noise = Stream::new(seed, &format!("{robot}/odometry"));
+        let mut noise = Draws::new(seed, &format!("{robot}/odometry"));
         Self {
             scale: 1.0 + SCALE * noise.bell(),
             noise,

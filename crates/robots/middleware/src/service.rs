@@ -6,6 +6,7 @@ use std::{net::SocketAddrV4, time::Duration};
 use cotorra_graph::{
     GoalEvent, GoalState, Pose, Position, ServiceId, ServiceTime, Timestamp, Velocity, Walk,
 };
+use cotorra_numbers::Draws;
 use cotorra_plugin::{
     convert::{from_twist, to_pose},
     wire::{NavigationPacket, PositionPacket},
@@ -16,7 +17,6 @@ use crate::{
     exchange::{Exchange, Reply, Route, Sent},
     goal::Goal,
     nonce::Nonces,
-    random::Stream,
     request::Request,
 };
 
@@ -77,7 +77,7 @@ impl ServiceEndpoint {
     /// interval, so that robots do not emit in step. Intervals below [`Self::LEAST_INTERVAL`] count as that.
     pub fn new(service: ServiceId, walk: &Walk, command_timeout: Duration, seed: u64) -> Self {
         let interval = walk.position_interval.max(Self::LEAST_INTERVAL);
-        let phase = Stream::new(seed, &format!("{}/phase", walk.robot)).uniform();
+        let phase = Draws::new(seed, &format!("{}/phase", walk.robot)).unit();
         Self {
             exchange: Exchange::new(service, walk.robot.clone(), command_timeout),
             walk_length: u32::try_from(walk.waypoints.len()).unwrap_or(u32::MAX),

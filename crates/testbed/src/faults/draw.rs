@@ -2,7 +2,7 @@
 
 use std::{ops::RangeInclusive, time::Duration};
 
-use cotorra_graph::seed;
+use cotorra_numbers::seed;
 
 /// A stream of random choices: the same seed and label give the same ones on every machine.
 #[derive(Debug, Clone)]

@@ -2,7 +2,7 @@
 
 use std::{
     fs::{self, File},
-    io::{self, BufWriter, Write as _},
+    io::{self, Write as _},
     os::unix::fs::DirBuilderExt as _,
     path::{Path, PathBuf},
 };
@@ -124,7 +124,7 @@ impl RunFolder {
         write_file(&self.path, "services.csv", services::exact(&summary.services).to_csv())?;
         write_file(&self.path, "services.tex", summary.by_service().to_latex())?;
         let path = self.path.join("service_time.csv");
-        let written = File::create(&path).and_then(|file| write_samples(report, ["", ""], file));
+        let written = File::create(&path).and_then(|file| write_samples(report, [&[], &[]], file));
         written.map_err(|source| FolderError::new(&path, source))?;
         write_figure(&self.path, report, summary, Format::Svg)
     }
@@ -147,25 +147,23 @@ pub fn write_figure(
 }
 
 /// Writes the service times of a run as comma-separated values. `before` are the heads and the values of columns that come
-/// first, as in CSV; empty without any.
+/// first.
 ///
 /// # Errors
 /// Those of writing.
-pub fn write_samples(report: &Report, before: [&str; 2], to: impl io::Write) -> io::Result<()> {
-    let mut text = BufWriter::new(to);
-    let comma = |cells: &str| if cells.is_empty() { String::new() } else { format!("{cells},") };
-    let [heads, values] = before.map(comma);
-    writeln!(text, "{heads}emitted_ns,robot,service,sequence,service_time_ms,attachment,server")?;
+pub fn write_samples(report: &Report, before: [&[String]; 2], to: impl io::Write) -> io::Result<()> {
+    const HEADS: [&str; 7] =
+        ["emitted_ns", "robot", "service", "sequence", "service_time_ms", "attachment", "server"];
+    let mut table = csv::Writer::from_writer(to);
+    let [heads, values] = before.map(|cells| cells.iter().map(String::as_str));
+    table.write_record(heads.chain(HEADS))?;
     for s in report.samples().iter() {
         let took = service_time_ms(&s).map(|ms| format!("{ms:.6}")).unwrap_or_default();
         let attachment = s.attachment.as_ref().map_or("", |a| a.as_str());
-        let emitted = s.emitted.as_nanos();
-        // Names hold no character that CSV would need to quote.
-        writeln!(
-            text,
-            "{values}{emitted},{},{},{},{took},{attachment},{}",
-            s.robot, s.service, s.sequence, s.server
-        )?;
+        let (emitted, sequence) = (s.emitted.as_nanos().to_string(), s.sequence.to_string());
+        let (robot, service, server) = (s.robot.as_str(), s.service.as_str(), s.server.as_str());
+        let sample = [&*emitted, robot, service, &sequence, &took, attachment, server];
+        table.write_record(values.clone().chain(sample))?;
     }
-    text.flush()
+    table.flush()
 }

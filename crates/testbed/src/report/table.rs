@@ -38,11 +38,11 @@ impl DataTable {
 
     /// Returns the table as comma-separated values (RFC 4180), with cells quoted where necessary.
     pub fn to_csv(&self) -> String {
-        let quoted = |cell: &String| match cell.contains(['"', ',', '\n', '\r']) {
-            true => format!("\"{}\"", cell.replace('"', "\"\"")),
-            false => cell.clone(),
-        };
-        self.lines("", ",", "\n", quoted).concat()
+        let mut text = csv::Writer::from_writer(Vec::new());
+        for row in &self.rows {
+            text.write_record(row).expect("rows are equally long, and memory can be written");
+        }
+        String::from_utf8(text.into_inner().expect("memory can be written")).expect("cells are UTF-8")
     }
 
     /// Returns the table as a LaTeX `tabular` with the rules of the package booktabs.

@@ -6,8 +6,9 @@ pub mod exact;
 use std::time::Duration;
 
 use cotorra_graph::{
-    Attachment, Event, LinkId, NodeId, Pose, PoseSource, RobotContext, SensorData, Velocity, VnfId, seed,
+    Attachment, Event, LinkId, NodeId, Pose, PoseSource, RobotContext, SensorData, Velocity, VnfId,
 };
+use cotorra_numbers::seed;
 use cotorra_okpi::{Chain, Infrastructure, Link, Node, Vnf};
 use serde_json::{Map, Value, json};
 

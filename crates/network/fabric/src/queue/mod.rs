@@ -14,8 +14,7 @@ mod red;
 use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{Conditions, QueueDiscipline, QueueLimit, Rate, Timestamp};
-use rand::Rng;
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use self::{codel::Codel, fifo::Fifo, fq_codel::FqCodel, pie::Pie, red::Red};
 
@@ -64,7 +63,7 @@ pub(crate) struct Queue<P> {
     /// Packets and bytes that wait.
     packets: u64,
     bytes: u64,
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
     parameters: QueueDiscipline,
     discipline: Discipline<P>,
 }
@@ -80,11 +79,11 @@ enum Discipline<P> {
 }
 
 impl<P: Queued> Discipline<P> {
-    fn new(now: Timestamp, conditions: &Conditions, rng: &mut Xoshiro256PlusPlus) -> Self {
+    fn new(now: Timestamp, conditions: &Conditions, rng: &mut Draws) -> Self {
         match conditions.queue_discipline {
             QueueDiscipline::DropTail => Self::DropTail(VecDeque::new()),
             QueueDiscipline::Codel(codel) => Self::Codel(Fifo::default(), Codel::new(codel)),
-            QueueDiscipline::FqCodel(fq) => Self::FqCodel(Box::new(FqCodel::new(fq, rng.next_u64()))),
+            QueueDiscipline::FqCodel(fq) => Self::FqCodel(Box::new(FqCodel::new(fq, rng.bits()))),
             QueueDiscipline::Pie(pie) => Self::Pie(VecDeque::new(), Pie::new(pie, now)),
             QueueDiscipline::Red(red) => Self::Red(VecDeque::new(), Red::new(red, now, &conditions.rate)),
         }
@@ -104,7 +103,7 @@ impl<P: Queued> Discipline<P> {
 
 impl<P: Queued> Queue<P> {
     /// Creates an empty queue that draws its random numbers from `rng`.
-    pub(crate) fn new(now: Timestamp, conditions: &Conditions, mut rng: Xoshiro256PlusPlus) -> Self {
+    pub(crate) fn new(now: Timestamp, conditions: &Conditions, mut rng: Draws) -> Self {
         Self {
             limit: conditions.queue,
             packets: 0,

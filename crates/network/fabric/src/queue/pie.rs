@@ -7,10 +7,9 @@
 use std::time::Duration;
 
 use cotorra_graph::{Pie as Parameters, Timestamp};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::Verdict;
-use crate::random::unit;
 
 /// Weights of the distance to the target and of the trend, 1/s (RFC 8033, section 4.2).
 const ALPHA: f64 = 0.125;
@@ -60,7 +59,7 @@ impl Pie {
     }
 
     /// Decides on a packet that arrives while so many bytes wait.
-    pub fn decide(&mut self, now: Timestamp, bytes: u64, rng: &mut Xoshiro256PlusPlus) -> Verdict {
+    pub fn decide(&mut self, now: Timestamp, bytes: u64, rng: &mut Draws) -> Verdict {
         self.catch_up(now);
         let is_calm = self.delay_before < self.parameters.target / 2 && self.probability < 0.2;
         if !self.burst_left.is_zero() || is_calm || bytes <= SHORT_QUEUE {
@@ -71,7 +70,7 @@ impl Pie {
         }
         self.accumulated += self.probability;
         let [least, most] = ACCUMULATED;
-        let drops = self.accumulated >= least && (self.accumulated >= most || unit(rng) < self.probability);
+        let drops = self.accumulated >= least && (self.accumulated >= most || rng.unit() < self.probability);
         if !drops {
             return Verdict::Admit;
         }
@@ -133,7 +132,7 @@ impl Pie {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{queue::testing::ms, random::stream};
+    use crate::queue::testing::ms;
 
     fn pie(parameters: Parameters) -> Pie {
         Pie::new(parameters, Timestamp::ZERO)
@@ -194,7 +193,7 @@ mod tests {
     #[test]
     fn a_burst_passes_and_a_lasting_queue_does_not() {
         let mut pie = pie(Parameters::default());
-        let mut rng = stream(1, "pie");
+        let mut rng = Draws::new(1, "pie");
         pie.left(Timestamp::ZERO, Duration::from_secs(1));
         let mut decide = |at: f64| pie.decide(ms(at), 1_000_000, &mut rng);
         // After 149 ms there were nine updates, which leave 15 ms of the burst.
@@ -214,7 +213,7 @@ mod tests {
 
     #[test]
     fn short_and_calm_queues_drop_nothing() {
-        let mut rng = stream(1, "pie");
+        let mut rng = Draws::new(1, "pie");
         let no_burst = |probability, delay| Pie {
             burst_left: Duration::ZERO,
             next_update: Timestamp::MAX,
@@ -235,7 +234,7 @@ mod tests {
     #[test]
     fn drops_are_spread() {
         let mut pie = Pie { burst_left: Duration::ZERO, next_update: Timestamp::MAX, ..at(0.0625, [20, 20]) };
-        let mut rng = stream(1, "pie");
+        let mut rng = Draws::new(1, "pie");
         let mut gaps = vec![0];
         for _ in 0..100_000 {
             match pie.decide(ms(1.0), 1_000_000, &mut rng) {
@@ -258,7 +257,7 @@ mod tests {
             let parameters = Parameters { ecn, ..Parameters::default() };
             let calm = at(probability, [20, 20]);
             let mut pie = Pie { parameters, burst_left: Duration::ZERO, next_update: Timestamp::MAX, ..calm };
-            let mut rng = stream(1, "pie");
+            let mut rng = Draws::new(1, "pie");
             let mut decisions = (0..1000).map(|_| pie.decide(ms(1.0), 1_000_000, &mut rng));
             assert_eq!(decisions.find(|verdict| *verdict != Verdict::Admit), Some(expected));
         }

@@ -5,10 +5,9 @@
 use std::time::Duration;
 
 use cotorra_graph::{Rate, Red as Parameters, RedThresholds, Timestamp};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::{FULL_FRAME, Verdict, sending_time};
-use crate::random::unit;
 
 /// Bytes of a small packet. While the queue is idle, the average falls as if such packets were sent.
 const SMALL_PACKET: u64 = 500;
@@ -49,7 +48,7 @@ impl Red {
         now: Timestamp,
         [queued_packets, queued_bytes]: [u64; 2],
         bytes: u64,
-        rng: &mut Xoshiro256PlusPlus,
+        rng: &mut Draws,
     ) -> Verdict {
         let (queued, max, size) = match self.parameters.thresholds {
             RedThresholds::Packets { max, .. } => (queued_packets, f64::from(max), 1.0),
@@ -64,7 +63,7 @@ impl Red {
         let count = self.count.map_or(0, |count| count.saturating_add(1));
         let probability = (probability * size).min(1.0);
         let left = 1.0 - f64::from(count) * probability;
-        if left > 0.0 && unit(rng) >= probability / left {
+        if left > 0.0 && rng.unit() >= probability / left {
             self.count = Some(count);
             return Verdict::Admit;
         }
@@ -108,7 +107,7 @@ mod tests {
     use cotorra_graph::{BitRate, Probability};
 
     use super::*;
-    use crate::{queue::testing::ms, random::stream};
+    use crate::queue::testing::ms;
 
     /// 8 Mbit/s: a small packet of 500 bytes takes half a millisecond.
     fn rate() -> Rate {
@@ -130,7 +129,7 @@ mod tests {
     }
 
     fn verdicts(mut red: Red, bytes: u64) -> Vec<Verdict> {
-        let mut rng = stream(1, "red");
+        let mut rng = Draws::new(1, "red");
         (0..100_000).map(|_| red.decide(ms(1.0), [0; 2], bytes, &mut rng)).collect()
     }
 
@@ -144,7 +143,7 @@ mod tests {
     #[test]
     fn the_average_moves_by_its_weight() {
         let mut red = red(Parameters { weight: p(0.25), ..Parameters::default() });
-        let mut rng = stream(1, "red");
+        let mut rng = Draws::new(1, "red");
         let mut averages = Vec::new();
         for queued in [0, 4, 4, 0] {
             red.decide(Timestamp::ZERO, [queued, 0], 1000, &mut rng);

@@ -7,7 +7,6 @@ use super::{
     testing::{TestPacket, ms, packet},
     *,
 };
-use crate::random::stream;
 
 fn disciplines() -> Vec<QueueDiscipline> {
     let probability = Probability::new(0.5).unwrap();
@@ -39,7 +38,7 @@ fn conditions(queue: QueueLimit, queue_discipline: QueueDiscipline) -> Condition
 }
 
 fn queue(limit: QueueLimit, discipline: QueueDiscipline) -> Queue<TestPacket> {
-    Queue::new(Timestamp::ZERO, &conditions(limit, discipline), stream(1, "queue"))
+    Queue::new(Timestamp::ZERO, &conditions(limit, discipline), Draws::new(1, "queue"))
 }
 
 #[derive(Debug, Clone, Copy)]

@@ -9,7 +9,7 @@ use super::{
     medium::{Flow, Waiting},
     phy::{Exchange, Phy, Reception},
 };
-use crate::{frame::Frame, random};
+use crate::frame::Frame;
 
 impl Radio {
     /// Queues a frame for the air. `path.unit` is the robot's present or last radio unit.
@@ -102,7 +102,7 @@ impl Radio {
         let bytes = frame.bytes().len();
         let paths: Vec<_> = self.group(unit, source).collect();
         let least = paths.iter().map(|path| self.lane(*path).least_airtime(bytes)).max();
-        let backoff = random::unit(&mut self.units[unit].rng);
+        let backoff = self.units[unit].rng.unit();
         let first = phy.group_airtime(bytes, contended(phy), backoff).max(least.unwrap_or_default());
         for path in paths {
             let present = self.robots[path.robot].station.on_channel() == Some(unit);

@@ -3,7 +3,6 @@
 use cotorra_graph::{Dbm, Timestamp};
 
 use super::{Radio, RadioUnitIndex, StationIndex, roaming::Policy};
-use crate::random;
 
 /// Length of a beacon as an Ethernet frame. On the air, where frames are longer, it has the 250 bytes of a common one.
 const BEACON_BYTES: usize = 212;
@@ -26,7 +25,7 @@ impl Radio {
         let Policy::Supplicant(_, rng) = &mut self.robots[robot].policy else {
             return self.hears(robot, unit);
         };
-        let luck = random::unit(rng);
+        let luck = rng.unit();
         let fading_db = self.fading_now(now, robot, unit);
         let [_, reception] = self.receptions(robot, unit, fading_db);
         let [_, signal] = self.signals(robot, unit);
@@ -44,6 +43,6 @@ impl Radio {
         let [reception, _] = self.receptions_at(now, robot, unit);
         let Policy::Supplicant(_, rng) = &mut self.robots[robot].policy else { return false };
         let error_rate = reception.group_error_rate(NULL_FRAME_BYTES);
-        (0..PROBES * PROBE_ATTEMPTS).any(|_| random::unit(rng) >= error_rate)
+        (0..PROBES * PROBE_ATTEMPTS).any(|_| rng.unit() >= error_rate)
     }
 }

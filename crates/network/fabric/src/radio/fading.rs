@@ -4,9 +4,7 @@
 use std::f64::consts::TAU;
 
 use cotorra_graph::{Fading, Position, Timestamp};
-use rand_xoshiro::Xoshiro256PlusPlus;
-
-use crate::random::unit;
+use cotorra_numbers::Draws;
 
 /// Waves of a field.
 const WAVES: usize = 32;
@@ -62,19 +60,19 @@ struct Wave {
 }
 
 impl FadingField {
-    pub(super) fn new(fading: &Fading, frequency_mhz: u16, mut rng: Xoshiro256PlusPlus) -> Self {
+    pub(super) fn new(fading: &Fading, frequency_mhz: u16, mut rng: Draws) -> Self {
         let wavelength_m = LIGHT / (f64::from(frequency_mhz) * 1e6);
         let wave_number = TAU / wavelength_m;
-        let first = unit(&mut rng);
+        let first = rng.unit();
         let wave = |i: usize| {
-            let direction = TAU * (i as f64 + unit(&mut rng)) / WAVES as f64;
+            let direction = TAU * (i as f64 + rng.unit()) / WAVES as f64;
             // The golden ratio spreads the directions of movement, independently of those of the waves.
             let movement = TAU * (i as f64 * 0.618_033_988_749_895 + first).fract();
             let (sin, cos) = direction.sin_cos();
             Wave {
                 k: [wave_number * cos, wave_number * sin],
                 turn: TAU / TICKS * movement.cos(),
-                phase: TAU * unit(&mut rng),
+                phase: TAU * rng.unit(),
             }
         };
         let waves = (0..WAVES).map(wave).collect();
@@ -118,7 +116,6 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
-    use crate::random::stream;
 
     const MHZ: u16 = 2437;
     const WAVELENGTH_M: f64 = LIGHT / (MHZ as f64 * 1e6);
@@ -127,7 +124,7 @@ mod tests {
     const K: f64 = 3.981_071_705_534_972;
 
     fn field(fading: Fading, seed: u64) -> FadingField {
-        FadingField::new(&fading, MHZ, stream(seed, "r~R"))
+        FadingField::new(&fading, MHZ, Draws::new(seed, "r~R"))
     }
 
     fn moment(x: f64, y: f64, tick: u64) -> Moment {

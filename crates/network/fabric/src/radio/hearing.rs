@@ -1,12 +1,12 @@
 //! Signals at both ends of a robot's link to a radio unit, and the radio units that a robot has heard.
 
 use cotorra_graph::{Dbm, Direction, LinkId, Timestamp};
+use cotorra_numbers::Draws;
 
 use super::{
     Network, Path, Radio, RadioUnitIndex, RobotRadio, StationIndex, fading::Moment, phy::Reception,
     shadowing::ShadowingField,
 };
-use crate::random::stream;
 
 /// A signal that a robot received.
 #[derive(Debug, Clone, Copy)]
@@ -24,7 +24,7 @@ impl Radio {
         let spec = &self.networks[r.network].spec;
         let field = self.fields[self.pair(robot, unit)].get_or_init(|| {
             let label = format!("shadowing {}", LinkId::wireless(&r.id, &u.id));
-            ShadowingField::new(spec.shadowing, stream(self.seed, &label))
+            ShadowingField::new(spec.shadowing, Draws::new(self.seed, &label))
         });
         let path_loss = spec.path_loss.loss_db(r.position.distance(u.position), u.frequency_mhz);
         let loss = path_loss + field.at(r.position) + spec.wall_loss_db(r.position, u.position);

@@ -7,7 +7,7 @@ use cotorra_graph::{
     BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkCounters, LinkId, Medium, Position,
     Probed, Rate, Scale, Timestamp, WirelessNetwork,
 };
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::{
     fading::{FadingField, Moment},
@@ -19,7 +19,6 @@ use crate::{
     frame::Frame,
     impairment::{Impairments, jittered},
     meter::Meter,
-    random::{stream, unit},
     settings::{FabricError, Settings},
 };
 
@@ -48,7 +47,7 @@ pub(super) struct WirelessLink {
 pub(super) struct Lane {
     settings: Settings,
     impairments: Impairments,
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
     meter: Meter,
     rates: RateControl,
     /// Whether its ends were asked to agree to aggregates since the association.
@@ -104,20 +103,20 @@ impl WirelessLink {
         let rates = |direction: &str| match network.access.as_ref().map(|access| access.rate_control) {
             None | Some(cotorra_graph::RateControl::Ideal) => RateControl::Ideal,
             Some(cotorra_graph::RateControl::Minstrel) => {
-                RateControl::minstrel(stream(seed, &format!("rates {id} {direction}")))
+                RateControl::minstrel(Draws::new(seed, &format!("rates {id} {direction}")))
             }
         };
         let fading = network
             .fading
             .as_ref()
-            .map(|fading| FadingField::new(fading, frequency_mhz, stream(seed, &format!("fading {id}"))));
+            .map(|fading| FadingField::new(fading, frequency_mhz, Draws::new(seed, &format!("fading {id}"))));
         let lane = |direction: &str| Lane {
             settings: settings.clone(),
             impairments: Impairments::new(
                 settings.effective(),
-                stream(seed, &format!("link {id} {direction}")),
+                Draws::new(seed, &format!("link {id} {direction}")),
             ),
-            rng: stream(seed, &format!("air {id} {direction}")),
+            rng: Draws::new(seed, &format!("air {id} {direction}")),
             meter: Meter::default(),
             rates: rates(direction),
             agreed: false,
@@ -238,7 +237,7 @@ impl Lane {
 
     /// Sends a frame over the air. The first attempt takes at least the frame's time at the station's rate.
     pub(super) fn exchange(&mut self, reception: &Reception, bytes: usize, contended: bool) -> Exchange {
-        let mut exchange = reception.exchange(bytes, contended, || unit(&mut self.rng));
+        let mut exchange = reception.exchange(bytes, contended, || self.rng.unit());
         exchange.first = exchange.first.max(self.least_airtime(bytes));
         exchange
     }
@@ -254,17 +253,17 @@ impl Lane {
 
     /// Whether an RTS is received.
     pub(super) fn receives_rts(&mut self, reception: &Reception) -> bool {
-        unit(&mut self.rng) >= reception.rts_error_rate()
+        self.rng.unit() >= reception.rts_error_rate()
     }
 
     /// Whether one attempt to send a frame succeeds.
     pub(super) fn receives(&mut self, reception: &Reception, mode: usize, bytes: usize) -> bool {
-        unit(&mut self.rng) >= reception.error_rate(mode, bytes)
+        self.rng.unit() >= reception.error_rate(mode, bytes)
     }
 
     /// Whether a group frame, which is sent once, arrives.
     pub(super) fn receives_group(&mut self, reception: &Reception, bytes: usize) -> bool {
-        unit(&mut self.rng) >= reception.group_error_rate(bytes)
+        self.rng.unit() >= reception.group_error_rate(bytes)
     }
 
     /// Returns the airtime of a frame at the station's rate.

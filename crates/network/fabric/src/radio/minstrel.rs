@@ -14,7 +14,7 @@ mod tests;
 use std::time::Duration;
 
 use cotorra_graph::Timestamp;
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use self::sampling::Samples;
 use super::phy::Phy;
@@ -122,7 +122,7 @@ struct ModeStatistics {
 
 impl Minstrel {
     /// Creates the rate control for a new receiver. It begins with the slowest mode. `rng` decides the order of samples.
-    pub(super) fn new(now: Timestamp, phy: &Phy, rng: Xoshiro256PlusPlus) -> Self {
+    pub(super) fn new(now: Timestamp, phy: &Phy, rng: Draws) -> Self {
         let aggregates = phy.aggregates();
         let statistics = |bits_per_symbol| ModeStatistics {
             duration_ns: duration_ns(aggregates, bits_per_symbol),

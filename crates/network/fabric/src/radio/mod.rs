@@ -49,7 +49,7 @@ use cotorra_graph::{
     LinkContext, LinkCounters, LinkId, LostCause, NodeId, Position, Probed, QueueLimit, RadioContext,
     Stamped, StationContext, StationCounts, Timestamp, WirelessNetwork,
 };
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 pub use self::{
     associations::Association,
@@ -77,7 +77,6 @@ use crate::{
     frame::Frame,
     pool::Pool,
     port::{PortId, RadioUnitIndex, StationIndex},
-    random::stream,
     settings::{Carries, FabricError, Settings},
     timers::Timers,
     trace::DirectedLink,
@@ -167,7 +166,7 @@ struct Unit {
     /// Attached robots, sorted.
     stations: Vec<StationIndex>,
     /// Random numbers for the backoff of group frames.
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
 }
 
 #[derive(Debug)]
@@ -256,7 +255,7 @@ impl Radio {
                 serves: unit.serving.then(|| networks[network].access_point()),
                 frequency_mhz: networks[network].spec.standard.frequency_mhz(unit.channel),
                 stations: Vec::new(),
-                rng: stream(seed, &format!("group {}", node.id)),
+                rng: Draws::new(seed, &format!("group {}", node.id)),
             });
         }
         let mut robots = Vec::new();
@@ -273,7 +272,7 @@ impl Radio {
                 position: node.position.unwrap_or_default(),
                 tx_power: robot.tx_power,
                 policy: Policy::new(robot.roaming, spec, seed, &node.id),
-                station: Station::new(spec, stream(seed, &format!("station {}", node.id))),
+                station: Station::new(spec, Draws::new(seed, &format!("station {}", node.id))),
                 beacons: Beacons::default(),
                 moved: false,
                 elsewhere: None,

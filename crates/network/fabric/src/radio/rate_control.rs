@@ -1,8 +1,7 @@
 //! The rate of each frame or aggregate from one sender to one receiver.
 
 use cotorra_graph::Timestamp;
-use rand::SeedableRng;
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::{
     minstrel::{Chain, Minstrel, Tried},
@@ -27,7 +26,7 @@ pub(super) enum RateControl {
     /// The mode with the highest expected goodput at the present signal, as if the sender knew it.
     Ideal,
     /// Linux's, which learns from acknowledgements. It begins anew with each association.
-    Minstrel { state: Option<Box<Learning>>, rng: Xoshiro256PlusPlus },
+    Minstrel { state: Option<Box<Learning>>, rng: Draws },
 }
 
 #[derive(Debug)]
@@ -48,7 +47,7 @@ struct Running {
 
 impl RateControl {
     /// Creates Linux's rate control.
-    pub(super) fn minstrel(rng: Xoshiro256PlusPlus) -> Self {
+    pub(super) fn minstrel(rng: Draws) -> Self {
         Self::Minstrel { state: None, rng }
     }
 
@@ -73,7 +72,7 @@ impl RateControl {
             }
             Self::Minstrel { state, rng } => {
                 let Learning { minstrel, running } = &mut **state.get_or_insert_with(|| {
-                    let minstrel = Minstrel::new(now, phy, Xoshiro256PlusPlus::from_rng(rng));
+                    let minstrel = Minstrel::new(now, phy, rng.fork());
                     Box::new(Learning { minstrel, running: None })
                 });
                 let begin = || Running { chain: minstrel.chain(now), stage: 0, used: 0, tried: Vec::new() };
@@ -127,13 +126,11 @@ mod tests {
 
     use cotorra_graph::WifiStandard;
 
-    use crate::random::stream;
-
     #[test]
     fn a_chain_goes_on_until_something_is_acknowledged() {
         let phy = Phy::of(WifiStandard::N);
         let reception = Reception::new(phy, 40.0);
-        let mut rates = RateControl::minstrel(stream(1, "rates"));
+        let mut rates = RateControl::minstrel(Draws::new(1, "rates"));
         // It begins with a sample of the next mode, and the slowest mode twice in each of three entries.
         let attempts = [(); 7].map(|()| {
             let Attempt { mode, alone, most, .. } = rates.attempt(Timestamp::ZERO, phy, &reception, 1000);
@@ -154,7 +151,7 @@ mod tests {
     fn an_association_begins_anew() {
         let phy = Phy::of(WifiStandard::N);
         let reception = Reception::new(phy, 40.0);
-        let mut rates = RateControl::minstrel(stream(1, "rates"));
+        let mut rates = RateControl::minstrel(Draws::new(1, "rates"));
         for ms in 0..500 {
             let now = Timestamp::from_nanos(ms * 1_000_000);
             rates.attempt(now, phy, &reception, 1000);

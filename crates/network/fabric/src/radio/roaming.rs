@@ -4,10 +4,10 @@
 use std::time::Duration;
 
 use cotorra_graph::{Dbm, NodeId, Roaming, Timestamp, WirelessNetwork};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::supplicant::Supplicant;
-use crate::{port::RadioUnitIndex, random::stream};
+use crate::port::RadioUnitIndex;
 
 /// Beacon interval: 100 time units of 1.024 ms (IEEE 802.11-2020, 9.4.1.3), the default of most radio units.
 pub(super) const BEACON_INTERVAL: Duration = Duration::from_micros(102_400);
@@ -31,7 +31,7 @@ pub(super) enum Policy {
     Instructed,
     Signal(Thresholds),
     /// The numbers decide which beacons are lost.
-    Supplicant(Supplicant, Xoshiro256PlusPlus),
+    Supplicant(Supplicant, Draws),
 }
 
 impl Policy {
@@ -45,7 +45,7 @@ impl Policy {
             }),
             Roaming::Supplicant(scans) => Self::Supplicant(
                 Supplicant::new(scans, network.standard, network.noise_floor),
-                stream(seed, &format!("beacons {robot}")),
+                Draws::new(seed, &format!("beacons {robot}")),
             ),
         }
     }

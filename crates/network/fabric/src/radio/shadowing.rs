@@ -4,9 +4,7 @@
 use std::f64::consts::{PI, TAU};
 
 use cotorra_graph::{Position, Shadowing};
-use rand_xoshiro::Xoshiro256PlusPlus;
-
-use crate::random::unit;
+use cotorra_numbers::Draws;
 
 /// Waves of a field. A few tens suffice for values near to normal and a smooth correlation.
 const WAVES: usize = 32;
@@ -33,15 +31,15 @@ struct Wave {
 }
 
 impl ShadowingField {
-    pub(super) fn new(shadowing: Shadowing, mut rng: Xoshiro256PlusPlus) -> Self {
-        let turn = unit(&mut rng);
+    pub(super) fn new(shadowing: Shadowing, mut rng: Draws) -> Self {
+        let turn = rng.unit();
         let wave = |i: usize| {
             // Strata for the wave number and the golden ratio for the direction spread the few waves evenly.
-            let u = (i as f64 + unit(&mut rng)) / WAVES as f64;
+            let u = (i as f64 + rng.unit()) / WAVES as f64;
             let k = ((1.0 - u).powi(-2) - 1.0).sqrt() / shadowing.correlation_m;
             let direction = PI * (i as f64 * 0.618_033_988_749_895 + turn).fract();
             let (sin, cos) = direction.sin_cos();
-            Wave { k: [k * cos, k * sin], phase: TAU * unit(&mut rng) }
+            Wave { k: [k * cos, k * sin], phase: TAU * rng.unit() }
         };
         let flat = shadowing.deviation_db == 0.0;
         Self {
@@ -61,12 +59,10 @@ impl ShadowingField {
 mod tests {
     use super::*;
 
-    use crate::random::stream;
-
     const MODEL: Shadowing = Shadowing { deviation_db: 4.0, correlation_m: 5.0 };
 
     fn field(seed: u64) -> ShadowingField {
-        ShadowingField::new(MODEL, stream(seed, "r~R"))
+        ShadowingField::new(MODEL, Draws::new(seed, "r~R"))
     }
 
     fn mean(values: impl Iterator<Item = f64>) -> f64 {
@@ -84,7 +80,7 @@ mod tests {
 
     #[test]
     fn zero_deviation_means_no_shadowing() {
-        let field = ShadowingField::new(Shadowing { deviation_db: 0.0, ..MODEL }, stream(3, "r~R"));
+        let field = ShadowingField::new(Shadowing { deviation_db: 0.0, ..MODEL }, Draws::new(3, "r~R"));
         assert_eq!(field.at(Position::new(1.0, 2.0)), 0.0);
     }
 

@@ -4,11 +4,10 @@
 use std::time::Duration;
 
 use cotorra_graph::{Frames, HandoverTimes, ScanVisits, Timestamp, WirelessNetwork};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::exchange::{Fate, Message};
 use crate::port::RadioUnitIndex;
-use crate::random::unit;
 
 /// Waits for the radio unit's answer to a management frame (`IEEE80211_AUTH_TIMEOUT` and `IEEE80211_ASSOC_TIMEOUT` in Linux's
 /// `net/mac80211/mlme.c`), and after the frame was acknowledged (`…_TIMEOUT_SHORT`).
@@ -119,12 +118,12 @@ pub(super) struct Station {
     activity: Option<Activity>,
     times: HandoverTimes,
     fast_transition: bool,
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
 }
 
 impl Station {
     /// Creates a station without a radio unit.
-    pub(super) fn new(network: &WirelessNetwork, rng: Xoshiro256PlusPlus) -> Self {
+    pub(super) fn new(network: &WirelessNetwork, rng: Draws) -> Self {
         Self {
             attached: None,
             activity: None,
@@ -394,7 +393,7 @@ impl Station {
     }
 
     fn vary(&mut self, mean: Duration) -> Duration {
-        let u = 2.0 * unit(&mut self.rng) - 1.0;
+        let u = 2.0 * self.rng.unit() - 1.0;
         if self.times.variation == 0.0 {
             mean
         } else {
@@ -415,7 +414,6 @@ mod tests {
     use cotorra_graph::{Dbm, GapPolicy, Loss, PathLoss, Shadowing, WifiStandard};
 
     use super::*;
-    use crate::random::stream;
 
     const fn ms(ms: u64) -> Duration {
         Duration::from_millis(ms)
@@ -454,7 +452,7 @@ mod tests {
             },
             gap: GapPolicy::Hold,
         };
-        let mut station = Station::new(&network, stream(1, "r"));
+        let mut station = Station::new(&network, Draws::new(1, "r"));
         station.begin_attached(0);
         station
     }

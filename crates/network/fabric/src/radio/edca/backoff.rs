@@ -4,9 +4,9 @@
 use std::time::Duration;
 
 use cotorra_graph::Timestamp;
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
-use crate::{radio::phy::SLOT, random::unit};
+use crate::radio::phy::SLOT;
 
 /// Parameters of an access category.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,11 +34,11 @@ pub(super) struct Backoff {
     idle_from: Timestamp,
     /// Time from which it has had a frame to send.
     ready: Timestamp,
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
 }
 
 impl Backoff {
-    pub(super) fn new(parameters: Parameters, sifs: Duration, rng: Xoshiro256PlusPlus) -> Self {
+    pub(super) fn new(parameters: Parameters, sifs: Duration, rng: Draws) -> Self {
         Self {
             aifs: sifs + parameters.aifsn * SLOT,
             window: parameters.cw_min,
@@ -94,7 +94,7 @@ impl Backoff {
     }
 
     fn draw(&mut self) {
-        self.slots = (unit(&mut self.rng) * f64::from(self.window + 1)) as u32;
+        self.slots = (self.rng.unit() * f64::from(self.window + 1)) as u32;
     }
 }
 
@@ -102,13 +102,11 @@ impl Backoff {
 mod tests {
     use super::*;
 
-    use crate::random::stream;
-
     const SIFS: Duration = Duration::from_micros(16);
     const BEST_EFFORT: Parameters = Parameters { aifsn: 3, cw_min: 15, cw_max: 1023, txop: Duration::ZERO };
 
     fn backoff(parameters: Parameters, label: &str) -> Backoff {
-        Backoff::new(parameters, SIFS, stream(1, label))
+        Backoff::new(parameters, SIFS, Draws::new(1, label))
     }
 
     fn us(us: u64) -> Timestamp {

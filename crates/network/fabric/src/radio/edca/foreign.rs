@@ -4,19 +4,16 @@
 use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{Dbm, Direction, NodeId, Timestamp};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::{
     Category, Channel, Edca, Emitter, Node,
     transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, milliwatts},
 };
-use crate::{
-    radio::{
-        Path, Radio,
-        foreign::{Antenna, RateTries, Receiver, Report, Transmission, Urgency},
-        phy_rate::{self, PhyRate},
-    },
-    random::{stream, unit},
+use crate::radio::{
+    Path, Radio,
+    foreign::{Antenna, RateTries, Receiver, Report, Transmission, Urgency},
+    phy_rate::{self, PhyRate},
 };
 
 /// Frames of a radio that wait at most. Linux's simulated radios drop frames of which more than this many are not settled.
@@ -43,7 +40,7 @@ pub(super) struct Foreign {
     /// done.
     later: VecDeque<(Timestamp, Transmission)>,
     /// Random numbers for what it receives.
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -215,7 +212,7 @@ impl Edca {
             waiting: Default::default(),
             on_air: None,
             later: VecDeque::new(),
-            rng: stream(seed, label),
+            rng: Draws::new(seed, label),
         });
         self.foreign.len() - 1
     }
@@ -516,7 +513,7 @@ impl Radio {
             sent.overlaps.iter().map(|other| milliwatts(self.power(*other, receiver))).sum();
         let noise_db = 10.0 * (milliwatts(noise_floor) + disturbing).log10();
         let lost = lost(signal.0 - noise_db);
-        (unit(&mut self.edca().foreign[to].rng) >= lost).then_some(signal)
+        (self.edca().foreign[to].rng.unit() >= lost).then_some(signal)
     }
 
     /// Returns the received power of one radio at another, with fading between a robot and a radio unit of its network.

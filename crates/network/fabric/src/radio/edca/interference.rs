@@ -4,10 +4,9 @@
 use std::time::Duration;
 
 use cotorra_graph::{Dbm, Interferer, InterfererKind, Position, Timestamp};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::{backoff::Backoff, category::Category};
-use crate::random::{stream, unit};
 
 /// Frames of another network that wait at most; more do not come until some are sent.
 const MOST_WAITING: u32 = 64;
@@ -23,7 +22,7 @@ pub(in crate::radio) struct Interference {
     present: bool,
     changes: Timestamp,
     source: Source,
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
 }
 
 #[derive(Debug)]
@@ -44,15 +43,15 @@ impl Interference {
         seed: u64,
     ) -> Self {
         let label = format!("interference {}", spec.name);
-        let mut rng = stream(seed, &label);
+        let mut rng = Draws::new(seed, &label);
         let source = match spec.kind {
             InterfererKind::Network { .. } => {
-                let rng = stream(seed, &format!("backoff {label}"));
+                let rng = Draws::new(seed, &format!("backoff {label}"));
                 let backoff = Backoff::new(Category::BestEffort.of_station(), sifs, rng);
                 Source::Network { backoff, waiting: 0, next: Timestamp::ZERO }
             }
             InterfererKind::Device { on, off } => {
-                Source::Device { next: Timestamp::ZERO + (on + off).mul_f64(unit(&mut rng)) }
+                Source::Device { next: Timestamp::ZERO + (on + off).mul_f64(rng.unit()) }
             }
         };
         let mut interference = Self {
@@ -67,7 +66,7 @@ impl Interference {
         };
         if let Some(presence) = spec.presence {
             let (on, off) = (presence.on.as_secs_f64(), presence.off.as_secs_f64());
-            interference.present = unit(&mut interference.rng) < on / (on + off);
+            interference.present = interference.rng.unit() < on / (on + off);
             interference.changes = interference.next_change(Timestamp::ZERO);
         }
         if let Source::Network { .. } = interference.source {
@@ -190,6 +189,6 @@ impl Interference {
     }
 }
 
-fn exponential(mean: Duration, rng: &mut Xoshiro256PlusPlus) -> Duration {
-    mean.mul_f64(-(1.0 - unit(rng)).ln()).max(Duration::from_nanos(1))
+fn exponential(mean: Duration, rng: &mut Draws) -> Duration {
+    mean.mul_f64(-(1.0 - rng.unit()).ln()).max(Duration::from_nanos(1))
 }

@@ -20,6 +20,7 @@ mod transmission;
 use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{Direction, PowerSave, QueueLimit, Timestamp};
+use cotorra_numbers::Draws;
 
 pub use self::category::Category;
 pub(super) use self::interference::Interference;
@@ -39,7 +40,6 @@ use super::{
 use crate::{
     frame::Frame,
     port::{RadioUnitIndex, StationIndex},
-    random::stream,
 };
 
 /// Whatever sends on a channel.
@@ -79,7 +79,7 @@ struct Burst {
 impl Node {
     fn new(seed: u64, label: &str, sifs: Duration, parameters: fn(Category) -> backoff::Parameters) -> Self {
         let contentions = CATEGORIES.map(|category| {
-            let rng = stream(seed, &format!("backoff {label} {category:?}"));
+            let rng = Draws::new(seed, &format!("backoff {label} {category:?}"));
             Contention { backoff: Backoff::new(parameters(category), sifs, rng), ready: false }
         });
         Self { contentions, burst: None }

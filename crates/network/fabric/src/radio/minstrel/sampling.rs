@@ -1,10 +1,9 @@
 //! The choice of modes to sample. At each update, it looks for modes that may be better than those in use. Of six samples,
 //! three try the next faster mode, two try any faster mode, and one tries a mode between those in use.
 
-use rand_xoshiro::Xoshiro256PlusPlus;
+use cotorra_numbers::Draws;
 
 use super::{super::phy::MAX_MODES, ModeStatistics, ONE};
-use crate::random::unit;
 
 /// Modes of a group in Linux, and columns of its table of random orders.
 const GROUP: usize = 10;
@@ -41,11 +40,11 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    pub(super) fn new(mut rng: Xoshiro256PlusPlus) -> Self {
+    pub(super) fn new(mut rng: Draws) -> Self {
         let orders = std::array::from_fn(|_| {
             let mut order = [None; GROUP];
             for mode in 0..GROUP {
-                let mut place = (mode + (unit(&mut rng) * 256.0) as usize) % GROUP;
+                let mut place = (mode + (rng.unit() * 256.0) as usize) % GROUP;
                 while order[place].is_some() {
                     place = (place + 1) % GROUP;
                 }

@@ -3,7 +3,6 @@
 use cotorra_graph::WifiStandard;
 
 use super::{super::phy::Reception, *};
-use crate::random::{stream, unit};
 
 const BYTES: usize = 1200;
 const STANDARDS: [WifiStandard; 4] = [WifiStandard::A, WifiStandard::G, WifiStandard::N, WifiStandard::Ac];
@@ -14,7 +13,7 @@ struct Link {
     minstrel: Minstrel,
     reception: Reception,
     now: Timestamp,
-    rng: Xoshiro256PlusPlus,
+    rng: Draws,
     aggregate: u32,
     /// Totals.
     acknowledged: u32,
@@ -27,10 +26,10 @@ impl Link {
         let phy = Phy::of(standard);
         Self {
             phy,
-            minstrel: Minstrel::new(Timestamp::ZERO, phy, stream(seed, "minstrel")),
+            minstrel: Minstrel::new(Timestamp::ZERO, phy, Draws::new(seed, "minstrel")),
             reception: Reception::new(phy, snr_db),
             now: Timestamp::ZERO,
-            rng: stream(seed, "errors"),
+            rng: Draws::new(seed, "errors"),
             aggregate,
             acknowledged: 0,
             frames: 0,
@@ -51,7 +50,7 @@ impl Link {
                 self.now = self.now + Duration::from_micros(us + 67);
                 let error_rate = self.reception.error_rate(mode, BYTES);
                 tried.sent += mpdus;
-                tried.acknowledged = (0..mpdus).map(|_| u32::from(unit(&mut self.rng) >= error_rate)).sum();
+                tried.acknowledged = (0..mpdus).map(|_| u32::from(self.rng.unit() >= error_rate)).sum();
                 if tried.acknowledged > 0 {
                     outcome.push(tried);
                     break 'stages;
@@ -224,7 +223,7 @@ fn attempts_fit_into_six_milliseconds() {
         (WifiStandard::A, 0, 1, [3, 3]),
         (WifiStandard::A, 7, 1, [5, 5]),
     ] {
-        let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(standard), stream(1, "order"));
+        let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(standard), Draws::new(1, "order"));
         minstrel.modes[mode].probability = ONE;
         minstrel.mpdus_per_frame = mpdus << SCALE;
         let attempts = [minstrel.attempts(mode, false), minstrel.attempts(mode, true)];
@@ -236,7 +235,7 @@ fn attempts_fit_into_six_milliseconds() {
 
 #[test]
 fn throughput_counts_from_ten_to_ninety_percent() {
-    let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(WifiStandard::N), stream(1, "order"));
+    let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(WifiStandard::N), Draws::new(1, "order"));
     let mut at = |percent: i32, mpdus: i32| {
         minstrel.modes[7].probability = percent * ONE / 100;
         minstrel.mpdus_per_frame = mpdus << SCALE;
@@ -260,7 +259,7 @@ fn the_filter_follows_a_step_within_three_updates() {
     }
     assert_eq!(FILTER.iter().sum::<i32>(), ONE);
 
-    let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(WifiStandard::N), stream(1, "order"));
+    let mut minstrel = Minstrel::new(Timestamp::ZERO, Phy::of(WifiStandard::N), Draws::new(1, "order"));
     let mode = &mut minstrel.modes[3];
     let mut after = |acknowledged| {
         (mode.sent, mode.acknowledged) = (10, acknowledged);

@@ -1,15 +1,16 @@
 //! The stationary bootstrap of a series whose values depend on those before (Politis and Romano 1994), with an automatic
 //! length of blocks (Politis and White 2004, as corrected by Patton, Politis and White 2009).
 
-use cotorra_numbers::{Blocks, resample};
-
-use crate::draws::Draws;
+use crate::{
+    bootstrap::{Blocks, resample},
+    draws::Draws,
+};
 
 /// Returns the mean length of blocks for the stationary bootstrap of a series, 1 or more.
 ///
 /// b = (2·G² / D)^(1/3) · n^(1/3), with G = Σ λ(k/M)·|k|·R(k) and D = 2·g(0)², g(0) = Σ λ(k/M)·R(k), over the autocovariances R
 /// and the flat-top window λ. M is twice the lag from which on the autocorrelations are insignificant.
-pub(crate) fn block_length(series: &[f64]) -> f64 {
+pub fn block_length(series: &[f64]) -> f64 {
     let n = series.len();
     if n < 4 {
         return 1.0;
@@ -44,7 +45,8 @@ pub(crate) fn block_length(series: &[f64]) -> f64 {
 }
 
 /// Resamples of a series of `n` values, as indices. Blocks have random lengths with this mean, and wrap around the end.
-pub(crate) struct Resampler {
+#[derive(Debug)]
+pub struct Resampler {
     n: usize,
     length: f64,
 }
@@ -67,7 +69,7 @@ impl Resampler {
 
     /// Calls `each` with each index of a resample.
     pub fn resample(&self, draws: &mut Draws, each: impl FnMut(usize)) {
-        resample(self.n, Blocks::Stationary(self.length), draws.uniform(), each);
+        resample(self.n, Blocks::Stationary(self.length), draws, each);
     }
 }
 
