@@ -15,6 +15,7 @@ mod instance;
 mod leftovers;
 mod ready;
 mod registries;
+mod service;
 mod spec;
 mod trial;
 
