@@ -15,6 +15,7 @@ mod options;
 mod radios;
 mod robot;
 mod service;
+mod wake;
 mod works;
 
 use std::{
