@@ -99,7 +99,7 @@ pub enum RunError {
     /// Agents of real servers.
     #[cfg(feature = "agents")]
     #[error(transparent)]
-    Agents(#[from] crate::agents::AgentsError),
+    Agents(#[from] crate::agents::error::AgentsError),
     /// This build has no agents.
     #[cfg(not(feature = "agents"))]
     #[error(

@@ -11,6 +11,7 @@ mod nodes;
 mod prepared;
 mod services;
 mod wifi;
+mod wifi_plan;
 
 use std::{
     collections::BTreeMap,

@@ -85,7 +85,7 @@ impl Prepared {
         if let Some((vnf, _)) = super::engines::images_here(&testbed).next() {
             return Err(RunError::NoContainers(vnf.id.clone()));
         }
-        let wifi = super::wifi::plan(&testbed)?;
+        let wifi = super::wifi_plan::plan(&testbed)?;
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;

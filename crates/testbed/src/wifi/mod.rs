@@ -44,7 +44,7 @@ pub(crate) use self::{
 };
 use crate::clock::Clock;
 #[cfg(feature = "agents")]
-use crate::real_network::RadioFigures;
+use crate::radio_figures::RadioFigures;
 
 /// Beginning of the names of folders for Wi-Fi programs, in the folder for temporary files. The process's id follows, and a number.
 pub const WIFI_FOLDERS: &str = "cotorra-wifi-";
