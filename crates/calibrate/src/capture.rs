@@ -6,9 +6,9 @@
 mod both_ends;
 mod clocks;
 mod packet;
-mod pcap;
-mod pcapng;
 mod tcp;
+
+use cotorra_pcap::{Packet, ReadError};
 
 pub use self::{both_ends::one_way_of_captures, tcp::round_trips_of_capture};
 use crate::error::CalibrateError;
@@ -43,10 +43,7 @@ impl<'a> Packets<'a> {
     /// Adds a packet, of which the file may have the first bytes only. Skips what is not IP.
     fn add(
         &mut self,
-        link_type: u16,
-        at_ns: i64,
-        bytes: &'a [u8],
-        original: u32,
+        Packet { link_type, at_ns, bytes, original }: Packet<'a>,
     ) -> Result<(), CalibrateError> {
         self.seen += 1;
         if self.seen > MAX_PACKETS {
@@ -71,11 +68,7 @@ fn read(bytes: &[u8]) -> Result<Vec<Captured<'_>>, CalibrateError> {
         return Err(unreadable(format!("the capture has more than {} MiB", MAX_CAPTURE >> 20)));
     }
     let mut packets = Packets::default();
-    if pcapng::is_pcapng(bytes) {
-        pcapng::read(bytes, &mut packets)?;
-    } else {
-        pcap::read(bytes, &mut packets)?;
-    }
+    cotorra_pcap::read(bytes, |packet| packets.add(packet))?;
     match packets.packets.is_empty() {
         true => Err(unreadable(format!(
             "none of its {} packets is an IP packet over Ethernet or Linux's `any` interface",
@@ -85,32 +78,14 @@ fn read(bytes: &[u8]) -> Result<Vec<Captured<'_>>, CalibrateError> {
     }
 }
 
+impl From<ReadError> for CalibrateError {
+    fn from(error: ReadError) -> Self {
+        unreadable(error.to_string())
+    }
+}
+
 fn unreadable(reason: impl Into<String>) -> CalibrateError {
     CalibrateError::Unreadable(reason.into())
-}
-
-/// Order of the bytes of a number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Order {
-    Little,
-    Big,
-}
-
-impl Order {
-    fn u16_at(self, bytes: &[u8], at: usize) -> Option<u16> {
-        let number = bytes.get(at..)?.first_chunk().copied()?;
-        Some(if self == Self::Little { u16::from_le_bytes(number) } else { u16::from_be_bytes(number) })
-    }
-
-    fn u32_at(self, bytes: &[u8], at: usize) -> Option<u32> {
-        let number = bytes.get(at..)?.first_chunk().copied()?;
-        Some(if self == Self::Little { u32::from_le_bytes(number) } else { u32::from_be_bytes(number) })
-    }
-
-    fn i64_at(self, bytes: &[u8], at: usize) -> Option<i64> {
-        let number = bytes.get(at..)?.first_chunk().copied()?;
-        Some(if self == Self::Little { i64::from_le_bytes(number) } else { i64::from_be_bytes(number) })
-    }
 }
 
 #[cfg(test)]

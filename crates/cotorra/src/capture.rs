@@ -1,7 +1,5 @@
 //! `cotorra capture`: writes the packets that cross a link of the running testbed to a pcapng file.
 
-mod blocks;
-
 use std::{
     io::{self, BufWriter, Read, Write},
     path::{Path, PathBuf},
@@ -12,12 +10,12 @@ use std::{
 
 use clap::Args;
 use cotorra_graph::LinkId;
+use cotorra_pcap::Blocks;
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::create_capture;
 use indicatif::ProgressBar;
 use miette::{IntoDiagnostic, WrapErr};
 
-use self::blocks::Blocks;
 use crate::{
     duration::parse_duration,
     running::{WhichRun, explained, token_text},

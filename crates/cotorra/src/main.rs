@@ -28,6 +28,7 @@ mod explanation;
 mod fault_test;
 mod fdu;
 mod figures;
+mod given;
 mod history;
 mod link;
 mod localize;
@@ -67,9 +68,6 @@ use miette::{IntoDiagnostic, MietteHandlerOpts};
 use cli::{BundledVnf, Cli, Command};
 use exit::Status;
 use testbed_file::FileError;
-
-/// A hash of the source code that this program was built from.
-const SOURCES: &str = env!("COTORRA_SOURCES");
 
 fn main() -> ExitCode {
     // The messages of our errors include their causes.

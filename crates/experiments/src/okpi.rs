@@ -7,6 +7,7 @@ mod bootstrap;
 mod decided;
 mod distribution;
 mod drawn;
+mod figures;
 mod fitted;
 #[cfg(test)]
 mod fitted_tests;
@@ -30,7 +31,8 @@ use self::{
     published::PUBLISHED,
 };
 pub use self::{
-    distribution::{Distribution, Intervals, Sampling, Span, WalkDistribution},
+    distribution::{Sampling, Span, WalkDistribution},
+    figures::{Distribution, Intervals},
     fitted::{FittedWalk, Prediction, Predictor, WalkTest, fit},
     measured::{MAX_ROWS, Measured, MeasuredError},
     needs::{Unfit, check},

@@ -14,7 +14,7 @@ use crate::{
     driver::Driver,
     id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
-    real::{Gateway, Machine, RealRadio, RealServer},
+    real_machine::{Gateway, Machine, RealRadio, RealServer},
     sensor::Sensor,
     units::{BitRate, Dbm, Position, millis},
     walls::Walls,

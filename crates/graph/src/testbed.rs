@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     active::Probing,
     border::Border,
-    container::Containers,
+    containers::Containers,
     exposure::WaisSettings,
     hardware::{HardwareGraph, Node, NodeKind},
     id::{AgentId, DomainId, NodeId, PluginId},

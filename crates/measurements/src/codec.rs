@@ -5,6 +5,7 @@ pub(crate) mod binary;
 mod decode;
 mod encode;
 mod heard;
+mod read_error;
 pub(crate) mod time_parts;
 
 use std::borrow::Cow;
@@ -14,9 +15,10 @@ use cotorra_graph::{
 };
 
 pub(crate) use self::{
-    decode::{ReadError, Source, decode, decode_conditions},
+    decode::{Source, decode, decode_conditions},
     encode::{Fields, encode, encode_conditions},
     heard::Heard,
+    read_error::ReadError,
 };
 use crate::kind::Kind;
 

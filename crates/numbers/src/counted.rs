@@ -1,6 +1,6 @@
 //! Quantiles of many resamples of the same values.
 
-use crate::quantile::between;
+use crate::gathered::between;
 
 /// Values that are counted, so that quantiles of many resamples need no sorting.
 #[derive(Debug, Clone)]

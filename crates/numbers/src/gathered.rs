@@ -1,6 +1,6 @@
 //! Quantiles of any number of samples in bounded memory.
 
-use crate::{interval::Interval, quantile::between};
+use crate::interval::Interval;
 
 /// Most samples that are all kept. With fewer, quantiles are exact.
 const EXACT: usize = 1 << 20;
@@ -155,6 +155,12 @@ impl Sorted {
         let place = self.values.partition_point(|(_, up_to)| *up_to <= rank);
         self.values.get(place).map_or(self.ends.high, |(value, _)| *value)
     }
+}
+
+/// Interpolates between two values that follow each other.
+pub(crate) fn between(low: f64, high: f64, fraction: f64) -> f64 {
+    // Equal values may be infinite. Rounding may otherwise lead past the upper one.
+    if low == high { low } else { (low + (high - low) * fraction).min(high) }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use crate::gathered::Gathered;
+use crate::gathered::{Gathered, between};
 
 /// Returns the quantile of rising values at a share, which is clamped to 0 … 1: linear interpolation between closest ranks
 /// (type 7 of Hyndman and Fan). `None` without values.
@@ -12,12 +12,6 @@ pub fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
     let last = sorted.len().checked_sub(1)?;
     let rank = share.clamp(0.0, 1.0) * last as f64;
     Some(between(sorted[rank.floor() as usize], sorted[rank.ceil() as usize], rank.fract()))
-}
-
-/// Interpolates between two values that follow each other.
-pub(crate) fn between(low: f64, high: f64, fraction: f64) -> f64 {
-    // Equal values may be infinite. Rounding may otherwise lead past the upper one.
-    if low == high { low } else { (low + (high - low) * fraction).min(high) }
 }
 
 /// Returns the quantile of rising times at a share, as [`quantile`], to the nanosecond.

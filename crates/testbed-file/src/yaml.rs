@@ -7,7 +7,7 @@ mod diagnostics;
 mod quantity;
 mod tree;
 
-pub(crate) use diagnostics::Sink;
 pub use diagnostics::{Diagnostic, Diagnostics};
+pub(crate) use diagnostics::{Sink, Span};
 pub(crate) use quantity::{Angle, Bytes, Decibels, Frequency, Metres, Speed};
-pub(crate) use tree::{Span, parse, shorten};
+pub(crate) use tree::{parse, shorten};

@@ -3,9 +3,10 @@
 //!
 //! A thread of its own owns the router and the protocol's state. It talks to the core by messages.
 
+mod command;
 #[cfg(test)]
 mod contract_tests;
-mod error;
+pub(crate) mod error;
 mod link;
 mod links;
 mod robot;
@@ -13,8 +14,6 @@ mod shipped;
 
 use std::{
     collections::BTreeMap,
-    net::{Ipv4Addr, SocketAddr},
-    path::PathBuf,
     sync::{Arc, mpsc},
     thread,
 };
@@ -27,11 +26,13 @@ use cotorra_plugin::wire;
 
 pub use self::error::AgentsError;
 use self::{
-    link::{Command, Link},
+    command::Command,
+    link::Link,
     links::{LinkReports, LinksAtAgents},
     robot::Robots,
 };
 use crate::{
+    agent_options::AgentOptions,
     clock::Clock,
     message::Message,
     real_network::AgentLinks,
@@ -39,26 +40,6 @@ use crate::{
     robots::AtAgents,
     wifi::{AtAgentsMessage, Place, Wish, Wishes},
 };
-
-/// Where agents connect to a run.
-#[derive(Debug, Clone)]
-pub struct AgentOptions {
-    /// Address at which the core listens.
-    pub listen: SocketAddr,
-    /// Folder of the authority with which agents are enrolled.
-    pub authority: Option<PathBuf>,
-}
-
-impl AgentOptions {
-    /// Port at which the core listens.
-    pub const PORT: u16 = 7448;
-}
-
-impl Default for AgentOptions {
-    fn default() -> Self {
-        Self { listen: SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), Self::PORT), authority: None }
-    }
-}
 
 /// Opens the authority of a testbed's agents, before a run has a folder; `None` if nothing needs one.
 ///

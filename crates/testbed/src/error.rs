@@ -91,7 +91,7 @@ pub enum RunError {
     },
     /// Agents of real servers.
     #[error(transparent)]
-    Agents(#[from] crate::agents::AgentsError),
+    Agents(#[from] crate::agents::error::AgentsError),
     /// The core's thread panicked, which is a bug.
     #[error("the run's core panicked; please report this as a bug, with the run's folder")]
     Panicked,

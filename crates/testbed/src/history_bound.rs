@@ -1,43 +1,17 @@
 //! Bounds the size of a run's history, so that a run that is left alone does not fill the disk.
 
-use std::{fmt, fs, path::PathBuf, time::Duration};
+use std::{fs, path::PathBuf, time::Duration};
 
 use cotorra_graph::Timestamp;
 use cotorra_measurements::Location;
 
-use crate::{options::Options, report::RunFolder};
+use crate::{
+    options::{HistoryLimit, Options},
+    report::RunFolder,
+};
 
 /// Interval of looks at the size.
 const LOOK: Duration = Duration::from_secs(1);
-
-/// Largest size of a history in a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct HistoryLimit {
-    bytes: u64,
-}
-
-impl HistoryLimit {
-    /// Creates a limit of so many bytes.
-    pub const fn of_bytes(bytes: u64) -> Self {
-        Self { bytes }
-    }
-}
-
-impl Default for HistoryLimit {
-    /// 4 GB, which is several days of a testbed with a few robots.
-    fn default() -> Self {
-        Self::of_bytes(4_000_000_000)
-    }
-}
-
-impl fmt::Display for HistoryLimit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.bytes {
-            bytes if bytes >= 1_000_000_000 => write!(f, "{} GB", bytes as f64 / 1e9),
-            bytes => write!(f, "{} MB", bytes as f64 / 1e6),
-        }
-    }
-}
 
 /// The file of a run's history, and how far the run may let it grow.
 #[derive(Debug, Clone, Default)]

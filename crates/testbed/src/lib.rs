@@ -5,6 +5,7 @@
 //! runs are in `cotorra-experiments`.
 #![forbid(unsafe_code)]
 
+mod agent_options;
 mod agents;
 mod answerers;
 mod api;
@@ -33,6 +34,7 @@ mod plugins;
 mod previous_run;
 mod progress;
 mod pruner;
+mod radio_figures;
 mod real_links;
 mod real_network;
 mod real_place;
@@ -52,7 +54,8 @@ mod trips;
 mod whole;
 mod wifi;
 
-pub use agents::{AgentOptions, AgentsError};
+pub use agent_options::AgentOptions;
+pub use agents::AgentsError;
 pub use api::{
     ApiError, Checked, Dashboard, Edited, Editor, Mistake, Operator, Token, Tokens, TokensError,
     app_lcm_openapi, openapi,
@@ -63,11 +66,10 @@ pub use cotorra_wais::http::openapi as wais_openapi;
 pub use cpus::missing_cpus;
 pub use error::RunError;
 pub use finished::Finished;
-pub use history_bound::HistoryLimit;
 pub use leftovers::{Leftovers, clean, leftovers};
 pub use live::{Live, Snapshot};
 pub use manifest::{Digest, Inputs, Machine, Made, Manifest, ManifestError, Origin, Repeat, Time};
-pub use options::Options;
+pub use options::{HistoryLimit, Options};
 pub use plugins::{PluginError, panic_text};
 pub use previous_run::{CannotGoOn, PreviousRun, orchestrators};
 pub use real_links::{InterfacePlan, RealLinkError};

@@ -1,6 +1,6 @@
 //! Options of a run.
 
-use std::{net::SocketAddr, time::Duration};
+use std::{fmt, net::SocketAddr, time::Duration};
 
 use cotorra_graph::IpNetwork;
 use cotorra_measurements::Location;
@@ -8,10 +8,7 @@ use cotorra_netem::Confirmed;
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::Wanted;
 
-use crate::{
-    api::Tokens, capture::CapturePlan, history_bound::HistoryLimit, manifest::Origin,
-    previous_run::PreviousRun, report::Place,
-};
+use crate::{api::Tokens, capture::CapturePlan, manifest::Origin, previous_run::PreviousRun, report::Place};
 
 /// Options of a run.
 #[derive(Debug, Clone, Default)]
@@ -47,5 +44,34 @@ pub struct Options {
     /// Notes of the run that this one continues, in real time.
     pub after: Option<PreviousRun>,
     /// Where agents of real servers connect.
-    pub agents: crate::agents::AgentOptions,
+    pub agents: crate::agent_options::AgentOptions,
+}
+
+/// Largest size of a history in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HistoryLimit {
+    pub(crate) bytes: u64,
+}
+
+impl HistoryLimit {
+    /// Creates a limit of so many bytes.
+    pub const fn of_bytes(bytes: u64) -> Self {
+        Self { bytes }
+    }
+}
+
+impl Default for HistoryLimit {
+    /// 4 GB, which is several days of a testbed with a few robots.
+    fn default() -> Self {
+        Self::of_bytes(4_000_000_000)
+    }
+}
+
+impl fmt::Display for HistoryLimit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.bytes {
+            bytes if bytes >= 1_000_000_000 => write!(f, "{} GB", bytes as f64 / 1e9),
+            bytes => write!(f, "{} MB", bytes as f64 / 1e6),
+        }
+    }
 }

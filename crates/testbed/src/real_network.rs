@@ -18,6 +18,7 @@ use cotorra_network_control::{
 
 use crate::{
     capture::{Wiretap, WiretapError},
+    radio_figures::RadioFigures,
     real_links::RealLinks,
     traffic::Traffic,
     wifi,
@@ -49,15 +50,6 @@ pub(crate) trait AgentLinks: Send {
 
     /// Completes the contexts of such links. λ and the counters are those that the agents reported last.
     fn complete(&self, contexts: &mut [LinkContext]);
-}
-
-/// Figures of radios that are none of the fabric's.
-pub(crate) trait RadioFigures: Send + Sync {
-    /// Completes φ of a robot with such a radio, and leaves all others as they are.
-    fn complete_attachments(&self, now: Timestamp, robot: &NodeId, attachments: &mut [Attachment]);
-
-    /// Completes ι of a radio unit with such a radio, and leaves all others as they are.
-    fn complete_radio(&self, context: &mut RadioContext);
 }
 
 /// Returns the kernel's network, if the testbed wants it. If the kernel cannot emulate the testbed, this logs the reason,

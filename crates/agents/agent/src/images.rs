@@ -15,7 +15,7 @@ use crate::{
     files::{LOGS, TESTBED, VNF_LOGS},
     launcher::SELF,
     options::{ImageEngine, Options},
-    works::Wake,
+    wake::Wake,
 };
 
 /// Subcommand of the guard of containers.

@@ -15,7 +15,7 @@ use std::{
 use cotorra_engine::{Launcher, Process, program_of_others};
 use cotorra_graph::{Granted, NodeId, Program, Rights, Vnf};
 
-use crate::{environments::Environments, files::TESTBED, holder, options::Options, works::Wake};
+use crate::{environments::Environments, files::TESTBED, holder, options::Options, wake::Wake};
 
 /// The file of this process, even if it was replaced on the disk since.
 pub(crate) const SELF: &str = "/proc/self/exe";

@@ -14,6 +14,7 @@ mod options;
 mod radios;
 mod robot;
 mod service;
+mod wake;
 mod works;
 
 use std::{

@@ -19,7 +19,7 @@ use self::{
     interface::{Command, Interface},
     notes::Notes,
 };
-use crate::works::Wake;
+use crate::wake::Wake;
 
 /// Something that the thread of an interface reports.
 pub(crate) enum Reported {

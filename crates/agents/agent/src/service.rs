@@ -24,7 +24,8 @@ use crate::{
     options::{self, Options},
     radios::{News, Radios},
     robot::{Inbox, Robot},
-    works::{Wake, Works},
+    wake::Wake,
+    works::Works,
 };
 
 /// Interval of contexts, and of looking for new credentials.

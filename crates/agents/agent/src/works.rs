@@ -6,12 +6,9 @@ use cotorra_agent_protocol::{Run, WantedInstance};
 use cotorra_engine::{Cgroups, Engine, EngineEvent, InstanceId, ProcessEngine};
 
 use crate::{
-    environments::Environments, error::at, files::VNF_LOGS, images::Images, launcher::MachineLauncher,
-    options::Options,
+    environments::Environments, error::at, files::VNF_LOGS, launcher::MachineLauncher, options::Options,
+    wake::Wake,
 };
-
-/// Wakes the agent's loop.
-pub(crate) type Wake = Arc<dyn Fn() + Send + Sync>;
 
 /// Runs VNFs of one run. Dropping it ends them.
 pub(crate) struct Works {

@@ -4,37 +4,10 @@ use std::time::Duration;
 
 use cotorra_graph::{BitRate, Dbm, Probability, WifiRole, WifiStation};
 use cotorra_netlink::{
-    DecodeError, Writer, answer, attributes, parse_i8, parse_mac, parse_u16, parse_u32, parse_u64, text,
+    DecodeError, answer, attributes,
+    nl80211::{attribute as attr, interface_type},
+    parse_i8, parse_mac, parse_u16, parse_u32, parse_u64, text,
 };
-
-/// Name of the family.
-pub(crate) const FAMILY: &str = "nl80211";
-/// `NL80211_CMD_GET_INTERFACE`.
-pub(crate) const GET_INTERFACE: u8 = 5;
-/// `NL80211_CMD_GET_STATION`.
-pub(crate) const GET_STATION: u8 = 17;
-/// `NL80211_CMD_GET_SURVEY`.
-pub(crate) const GET_SURVEY: u8 = 50;
-
-/// `NL80211_ATTR_*`.
-mod attr {
-    pub(super) const IFINDEX: u16 = 3;
-    pub(super) const IFNAME: u16 = 4;
-    pub(super) const IFTYPE: u16 = 5;
-    pub(super) const MAC: u16 = 6;
-    pub(super) const STA_INFO: u16 = 21;
-    pub(super) const SSID: u16 = 52;
-    pub(super) const SURVEY_INFO: u16 = 84;
-}
-
-/// `NL80211_IFTYPE_*`.
-mod iftype {
-    pub(super) const STATION: u32 = 2;
-    pub(super) const AP: u32 = 3;
-    pub(super) const MESH_POINT: u32 = 7;
-    pub(super) const P2P_CLIENT: u32 = 8;
-    pub(super) const P2P_GO: u32 = 9;
-}
 
 /// `NL80211_STA_INFO_*`.
 mod sta_info {
@@ -114,13 +87,6 @@ impl Times {
     }
 }
 
-/// Encodes the attributes of a request that concerns an interface.
-pub(crate) fn of_interface(index: u32) -> Vec<u8> {
-    let mut writer = Writer::default();
-    writer.words(attr::IFINDEX, &[index]);
-    writer.finish()
-}
-
 /// Decodes an interface; `None` for one that is no network interface, such as those of Wi-Fi Direct.
 pub(crate) fn interface(body: &[u8]) -> Result<Option<Interface>, DecodeError> {
     let (mut index, mut name, mut role, mut ssid) = (None, None, WifiRole::Other, None);
@@ -130,9 +96,9 @@ pub(crate) fn interface(body: &[u8]) -> Result<Option<Interface>, DecodeError> {
             (attr::IFNAME, value) => name = Some(text(value)),
             (attr::IFTYPE, value) => {
                 role = match parse_u32(value)? {
-                    iftype::AP | iftype::P2P_GO => WifiRole::AccessPoint,
-                    iftype::STATION | iftype::P2P_CLIENT => WifiRole::Client,
-                    iftype::MESH_POINT => WifiRole::Mesh,
+                    interface_type::AP | interface_type::P2P_GO => WifiRole::AccessPoint,
+                    interface_type::STATION | interface_type::P2P_CLIENT => WifiRole::Client,
+                    interface_type::MESH_POINT => WifiRole::Mesh,
                     _ => WifiRole::Other,
                 }
             }

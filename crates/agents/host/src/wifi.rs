@@ -3,7 +3,10 @@
 use std::{collections::HashMap, io};
 
 use cotorra_graph::{MachineContext, WifiChannel, WifiContext, WifiStation};
-use cotorra_netlink::{DecodeError, Family, Netlink};
+use cotorra_netlink::{
+    DecodeError, Family, Netlink,
+    nl80211::{FAMILY, command, of_interface},
+};
 
 use crate::{
     bounds::keep,
@@ -34,7 +37,7 @@ pub(crate) struct WifiReading {
 
 impl Wifi {
     pub(crate) fn new() -> Self {
-        Self { nl80211: Family::new(nl80211::FAMILY), before: HashMap::new() }
+        Self { nl80211: Family::new(FAMILY), before: HashMap::new() }
     }
 
     /// Lets the next reading look again for nl80211, if the kernel did not have it.
@@ -45,7 +48,7 @@ impl Wifi {
     /// Reads all interfaces, oldest first.
     pub(crate) fn read(&mut self, socket: &mut Netlink) -> WifiReading {
         let mut reading = WifiReading::default();
-        let interfaces = self.nl80211.dump(socket, nl80211::GET_INTERFACE, &[], nl80211::interface);
+        let interfaces = self.nl80211.dump(socket, command::GET_INTERFACE, &[], nl80211::interface);
         let mut interfaces = interfaces.unwrap_or_else(|error| {
             reading.error = Some(error);
             Vec::new()
@@ -57,8 +60,8 @@ impl Wifi {
             Room { stations: MachineContext::MOST_STATIONS, channels: MachineContext::MOST_CHANNELS };
         for interface in interfaces {
             let mut list = ListReader { family: &mut self.nl80211, socket, error: &mut reading.error };
-            let stations = list.read(&interface, nl80211::GET_STATION, nl80211::station);
-            let surveys = list.read(&interface, nl80211::GET_SURVEY, nl80211::survey);
+            let stations = list.read(&interface, command::GET_STATION, nl80211::station);
+            let surveys = list.read(&interface, command::GET_SURVEY, nl80211::survey);
             let times = surveys.iter().filter_map(|survey| Some((key(&interface, survey), survey.times?)));
             self.before.extend(times);
             reading.wifi.push(context(interface, stations, surveys, &before, &mut room));
@@ -89,7 +92,7 @@ impl ListReader<'_> {
         command: u8,
         decode: impl Fn(&[u8]) -> Result<Option<T>, DecodeError>,
     ) -> Vec<T> {
-        let of = nl80211::of_interface(interface.index);
+        let of = of_interface(interface.index).finish();
         self.family.dump(self.socket, command, &of, decode).unwrap_or_else(|error| {
             if !matches!(error.raw_os_error(), Some(ENODEV | EOPNOTSUPP)) {
                 self.error.get_or_insert(error);

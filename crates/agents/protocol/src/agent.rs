@@ -10,10 +10,12 @@ use cotorra_graph::{LinkId, Timestamp};
 use cotorra_wifi::{Event, InterfaceName};
 
 use crate::{
+    action::Action,
     link::{LinkState, WantedLink},
-    message::{Beat, Echo, Instance, InstanceState, LEASE, Report, Run, Wanted, WantedInstance, short},
+    message::{Beat, Echo, Instance, InstanceState, LEASE, Report, Wanted, WantedInstance, short},
     robot::{RobotState, WantedRobot},
-    wifi::{AgentWifi, RadioState, RequestError, WantedRadio, WantedRequest},
+    run::Run,
+    wifi::{AgentWifi, RadioState, RequestError},
 };
 
 /// Reports in each lease, so that some can be lost.
@@ -23,27 +25,6 @@ const LEASES: [Duration; 2] = [Duration::from_millis(200), Duration::from_hours(
 /// Time for which Wi-Fi interfaces stay with a silent core, unless its lease is longer. A robot may hear the core over its own
 /// radio only, and be on the way to an access point.
 pub const RADIOS_KEPT: Duration = Duration::from_secs(15);
-
-/// Something that the agent's shell has to do, in this order.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Action {
-    /// Save the wanted state, for [`Agent::new`] after the next start. Everything before it must be done, and it must be saved
-    /// before anything after it is done. If that fails, [`Agent::cannot_save`] cancels what it starts.
-    Save(Box<Wanted>),
-    /// Start an instance. The files of the wanted state must be there first.
-    Start(InstanceId, Box<WantedInstance>),
-    /// Stop an instance.
-    Stop(InstanceId),
-    /// Give these links their conditions, and restore all other interfaces. [`Agent::set_link_states`] takes what became of
-    /// it, before the next action.
-    Emulate(BTreeMap<LinkId, WantedLink>),
-    /// Make these Wi-Fi interfaces so, and put all others back. [`Agent::set_radio_states`] takes what becomes of it.
-    UseRadios(BTreeMap<InterfaceName, WantedRadio>),
-    /// Carry out a request to the program of a Wi-Fi interface. [`Agent::answered`] takes what becomes of it.
-    Request(u64, WantedRequest),
-    /// Send a report.
-    Report(Report),
-}
 
 /// How long the core has been silent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

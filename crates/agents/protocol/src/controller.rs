@@ -11,38 +11,19 @@ use cotorra_wifi::InterfaceName;
 
 use crate::{
     clock::AgentClock,
+    controller_event::ControllerEvent,
     link::{LinkState, WantedLink},
-    message::{Beat, InstanceState, Report, Run, Wanted, WantedInstance},
+    message::{Beat, InstanceState, Report, Wanted, WantedInstance},
     robot::{RobotState, WantedRobot},
+    run::Run,
     shipped::Shipped,
-    wifi::{RadioEvent, RadioState, RemoteWifi, RequestError, WantedRadio, WantedRequest},
+    wifi::{RemoteWifi, WantedRadio, WantedRequest},
 };
 
 /// Beats in each lease, so that some can be lost.
 const BEATS_A_LEASE: u32 = 4;
 /// Least time between two copies of one wanted state.
 const AGAIN_AFTER: Duration = Duration::from_millis(100);
-
-/// Something that happened to an agent, or to an instance on its machine.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum ControllerEvent {
-    /// An agent reports, for the first time or again.
-    Joined(AgentId),
-    /// An agent does not report any more, with the reason.
-    Left(AgentId, String),
-    /// The outcome of an instance.
-    Instance(EngineEvent),
-    /// The robot of an agent has another state.
-    Robot(AgentId, RobotState),
-    /// A link over an interface of an agent's machine has another state.
-    Link(AgentId, LinkId, LinkState),
-    /// A wanted Wi-Fi interface of an agent's machine has another state.
-    Radio(AgentId, InterfaceName, RadioState),
-    /// The program of a Wi-Fi interface took a request, or refused it with this reason.
-    Request(AgentId, u64, Result<(), RequestError>),
-    /// The program of a Wi-Fi interface reports an event.
-    Wifi(AgentId, RadioEvent),
-}
 
 /// A message to send.
 #[derive(Debug, Clone, PartialEq)]

@@ -17,26 +17,34 @@
 //! [`DrivenRobot`] and a [`RemoteRobot`].
 #![forbid(unsafe_code)]
 
+mod action;
 mod agent;
 mod clock;
 mod controller;
+mod controller_event;
+mod encoding;
 mod link;
 mod machine_reading;
 mod message;
 mod robot;
+mod run;
 mod shipped;
 mod wifi;
 
-pub use agent::{Action, Agent, RADIOS_KEPT};
+pub use action::Action;
+pub use agent::{Agent, RADIOS_KEPT};
 pub use clock::AgentClock;
-pub use controller::{Controller, ControllerEvent, Transmit};
+pub use controller::{Controller, Transmit};
+pub use controller_event::ControllerEvent;
+pub use encoding::MessageError;
 pub use link::{LinkReading, LinkState, WantedLink, WantedProbes};
 pub use machine_reading::MachineReading;
-pub use message::{Beat, Echo, InstanceState, LEASE, MessageError, Report, Run, Wanted, WantedInstance};
+pub use message::{Beat, Echo, InstanceState, LEASE, Report, Wanted, WantedInstance};
 pub use robot::{
     DrivenRobot, Motion, RemoteRobot, RobotCommand, RobotReading, RobotSession, RobotState, RobotTurn,
     TurnError, WantedRobot,
 };
+pub use run::Run;
 pub use shipped::Shipped;
 pub use wifi::{
     LastEvent, MOST_HEARD, MOST_RADIOS, RadioEvent, RadioState, RequestError, RequestState, WantedRadio,

@@ -3,12 +3,14 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{LinkId, NodeId, Reached, Vnf};
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize};
 
 use crate::{
+    encoding::{MOST_INSTANCES, Message, MessageError, decode, message},
     link::{LinkState, WantedLink},
     machine_reading::MachineReading,
     robot::{RobotState, WantedRobot},
+    run::Run,
     shipped::Shipped,
     wifi::{LastEvent, WantedWifi, WifiReport, check_heard},
 };
@@ -18,11 +20,6 @@ pub const LEASE: Duration = Duration::from_secs(2);
 
 /// Number of an instance in a run.
 pub type Instance = u64;
-
-/// A run: the time of its start, nanoseconds since 1970. A later run replaces an earlier one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Run(pub u64);
 
 /// All that shall run on an agent's machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -126,75 +123,8 @@ pub enum InstanceState {
     Failed(String),
 }
 
-/// Error of a received message.
-#[derive(Debug, thiserror::Error)]
-pub enum MessageError {
-    /// It is longer than this kind of message can be.
-    #[error("{bytes} bytes, of at most {most}")]
-    TooLong { bytes: usize, most: usize },
-    /// It is not of this protocol.
-    #[error(transparent)]
-    Malformed(#[from] serde_json::Error),
-    /// It is more than a machine can run.
-    #[error("{0} instances, of at most {MOST_INSTANCES}")]
-    TooMany(usize),
-    /// It is more than a core can want.
-    #[error("{0} links, of at most {most}", most = Reached::MOST_VIA_AGENT)]
-    TooManyLinks(usize),
-    /// A link would be probed too often, or over too long a time.
-    #[error("probes of `{0}` beyond the bounds")]
-    Probes(LinkId),
-    /// It is more than Wi-Fi interfaces can have.
-    #[error("{number} {what}, of at most {most}")]
-    TooMuchWifi { what: &'static str, number: usize, most: usize },
-    /// No robot can say it.
-    #[error("readings beyond those of a robot")]
-    Impossible,
-}
-
-/// Most instances on one machine.
-const MOST_INSTANCES: usize = 1024;
 /// Longest reason in a report, characters.
 const LONGEST_REASON: usize = 256;
-
-/// A message with a longest encoding.
-pub(crate) trait Message: Serialize + DeserializeOwned {
-    /// Longest encoding, bytes.
-    const LONGEST: usize;
-
-    /// Checks what its type does not say.
-    fn check(&self) -> Result<(), MessageError> {
-        Ok(())
-    }
-}
-
-macro_rules! message {
-    ($name:ident, $longest:expr $(, $check:expr)?) => {
-        impl Message for $name {
-            const LONGEST: usize = $longest;
-            $(fn check(&self) -> Result<(), MessageError> {
-                $check(self)
-            })?
-        }
-
-        impl $name {
-            /// Encodes it.
-            pub fn encode(&self) -> Vec<u8> {
-                serde_json::to_vec(self).expect("it has text keys and finite numbers")
-            }
-
-            /// Decodes a received message.
-            ///
-            /// # Errors
-            /// [`MessageError`].
-            pub fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
-                decode(bytes)
-            }
-        }
-    };
-}
-
-pub(crate) use message;
 
 message!(Wanted, 1 << 20, Wanted::check_bounds);
 message!(Beat, 256);
@@ -204,15 +134,6 @@ message!(Report, 512 << 10, |its: &Report| {
 message!(MachineReading, 256 << 10, |its: &MachineReading| {
     few(0, its.links.len()).and_then(|()| check_heard(&its.heard, &its.addresses))
 });
-
-pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, MessageError> {
-    if bytes.len() > M::LONGEST {
-        return Err(MessageError::TooLong { bytes: bytes.len(), most: M::LONGEST });
-    }
-    let message: M = serde_json::from_slice(bytes)?;
-    message.check()?;
-    Ok(message)
-}
 
 impl Wanted {
     fn check_bounds(&self) -> Result<(), MessageError> {

@@ -17,7 +17,7 @@ use cotorra_wifi::{
 use serde::{Deserialize, Serialize};
 
 pub(crate) use self::{agent::AgentWifi, controller::RemoteWifi};
-use crate::message::MessageError;
+use crate::encoding::MessageError;
 
 /// Most interfaces of one machine.
 pub const MOST_RADIOS: usize = 8;

@@ -5,7 +5,7 @@ use std::{
     net::IpAddr,
 };
 
-use super::Order;
+use cotorra_pcap::Order;
 
 /// Length of an Ethernet header.
 pub(super) const ETHERNET: usize = 14;

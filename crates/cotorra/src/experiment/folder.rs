@@ -7,7 +7,7 @@ use cotorra_testbed::{Finished, FolderError, Made, ManyInputs, Repeat};
 use miette::IntoDiagnostic;
 
 use super::args::WalkArgs;
-use crate::origin;
+use crate::{given, origin};
 
 /// Carries the testbed file and what it names into an experiment's folder, and notes there how the experiment came to be.
 /// `others` carries further files, and returns the words that name them.
@@ -24,7 +24,7 @@ pub fn begin(
         let mut carried = ManyInputs::carry(folder, &text, base, &walks.settings).into_diagnostic()?;
         let repeat = match others(&mut carried).into_diagnostic()? {
             Repeat::Words(others) => {
-                let mut words = origin::given();
+                let mut words = given::words();
                 words.push(format!("--testbed={}", ManyInputs::TESTBED));
                 words.extend(carried.settings.iter().map(|setting| format!("--set={setting}")));
                 words.extend(others);

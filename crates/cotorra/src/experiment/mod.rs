@@ -1,7 +1,7 @@
 //! `cotorra experiment`: repeats a published experiment, and shows the result beside the published one; or compares kinds of
 //! radio.
 
-mod args;
+pub mod args;
 mod bundled;
 mod federation;
 mod folder;
@@ -13,8 +13,7 @@ use std::process::ExitCode;
 use cotorra_testbed::Finished;
 use miette::IntoDiagnostic;
 
-pub use args::Experiment;
-use args::{FederationArgs, HandoverArgs, OkpiArgs};
+use args::{Experiment, FederationArgs, HandoverArgs, OkpiArgs};
 use bundled::Bundled;
 
 /// Says what is wrong with a run of an experiment.

@@ -1,6 +1,6 @@
 //! `cotorra margin`: the smallest changes that break a target, and decisions beside their alternatives.
 
-mod args;
+pub mod args;
 mod decisions;
 mod show;
 
@@ -14,9 +14,16 @@ use cotorra_experiments::{
 };
 use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError, Time};
 
-pub use self::args::MarginArgs;
-use self::args::WhichDecision;
-use crate::{SOURCES, approval, exit::Status, origin, output, progress::Progress, signals, testbed_file};
+use self::args::{MarginArgs, WhichDecision};
+use crate::{
+    approval,
+    exit::Status,
+    given,
+    origin::{self, SOURCES},
+    output,
+    progress::Progress,
+    signals, testbed_file,
+};
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
@@ -136,7 +143,7 @@ fn open(
     }
     let base = args.file.parent().unwrap_or(Path::new(""));
     let carried = ManyInputs::carry(journal.path(), text, base, &[])?;
-    let mut words = origin::given();
+    let mut words = given::words();
     words.push(ManyInputs::TESTBED.to_owned());
     let seeds = (0..u64::from(args.seeds)).map(|number| seed.wrapping_add(number)).collect();
     let made = Made { time: Time::Virtual, seeds, until: args.until };

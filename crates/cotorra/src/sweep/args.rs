@@ -10,7 +10,7 @@ use std::{
 use clap::{Args, Subcommand, ValueEnum};
 use cotorra_experiments::sweep::{Axis, Shard};
 
-use super::{job_file::Scheduler, merge::MergeArgs};
+use super::job_file::Scheduler;
 use crate::{approval::TrustArgs, duration::parse_duration, figures::FigureArgs};
 
 /// Run a testbed in virtual time for all combinations of some settings, each with many seeds
@@ -145,4 +145,31 @@ impl SweepArgs {
         }
         words
     }
+}
+
+/// Join the shards of a sweep
+///
+/// Leaves the same tables and the same figure as the sweep on one machine, to the byte. Also joins the journals, so that the
+/// sweep can go on in the same folder without its shards. Merging again changes nothing.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra sweep merge sweeps/corridor-1a2b3c4d
+  cotorra sweep merge from-one-cluster from-another --out corridor --figure pdf
+  cotorra sweep merge sweeps/corridor-1a2b3c4d --partial")]
+pub struct MergeArgs {
+    /// Folder of the sweep, or of a shard; can be several
+    #[arg(required = true, value_name = "DIR")]
+    pub(super) folders: Vec<PathBuf>,
+    /// Folder for the result; default: the one that holds the first shard
+    #[arg(long, value_name = "DIR")]
+    pub(super) out: Option<PathBuf>,
+    /// Merge what there is, even if runs are missing
+    #[arg(long)]
+    pub(super) partial: bool,
+    /// End with exit status 4 if a service of any run kept its target less often than the testbed file demands
+    #[arg(long)]
+    pub(super) require_pass: bool,
+    #[command(flatten)]
+    pub(super) figure: FigureArgs,
 }

@@ -5,42 +5,14 @@ use std::{
     process::ExitCode,
 };
 
-use clap::Args;
 use cotorra_experiments::{
     journal::Journal,
     sweep::{Merge, MergeError},
 };
 use cotorra_testbed::{FolderError, Manifest, ManifestError, Repeat};
 
-use super::results;
-use crate::{figures::FigureArgs, origin, output, words::count};
-
-/// Join the shards of a sweep
-///
-/// Leaves the same tables and the same figure as the sweep on one machine, to the byte. Also joins the journals, so that the
-/// sweep can go on in the same folder without its shards. Merging again changes nothing.
-#[derive(Debug, Args)]
-#[command(after_long_help = "\
-Examples:
-  cotorra sweep merge sweeps/corridor-1a2b3c4d
-  cotorra sweep merge from-one-cluster from-another --out corridor --figure pdf
-  cotorra sweep merge sweeps/corridor-1a2b3c4d --partial")]
-pub struct MergeArgs {
-    /// Folder of the sweep, or of a shard; can be several
-    #[arg(required = true, value_name = "DIR")]
-    folders: Vec<PathBuf>,
-    /// Folder for the result; default: the one that holds the first shard
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-    /// Merge what there is, even if runs are missing
-    #[arg(long)]
-    partial: bool,
-    /// End with exit status 4 if a service of any run kept its target less often than the testbed file demands
-    #[arg(long)]
-    require_pass: bool,
-    #[command(flatten)]
-    figure: FigureArgs,
-}
+use super::{args::MergeArgs, results};
+use crate::{origin, output, words::count};
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {

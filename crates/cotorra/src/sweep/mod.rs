@@ -1,6 +1,6 @@
 //! `cotorra sweep`: many runs in virtual time, with progress and a summary, on one machine or on several.
 
-mod args;
+pub mod args;
 mod job_file;
 mod merge;
 mod results;
@@ -15,15 +15,16 @@ use cotorra_experiments::{
 use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Repeat, RunError, Time, Verdict};
 use cotorra_testbed_file::Setting;
 
-pub use args::SweepArgs;
-use args::{Keep, SweepCommand};
+use args::{Keep, SweepArgs, SweepCommand};
 use job_file::{Job, Scheduler};
 use trial::Trial;
 
 use crate::{
-    SOURCES, approval,
+    approval,
     exit::Status,
-    origin, output,
+    given,
+    origin::{self, SOURCES},
+    output,
     progress::Progress,
     signals,
     table::Table,
@@ -185,7 +186,7 @@ fn note(sweep: &Sweep, args: &SweepArgs, points: &[Point], text: &str, folder: &
             Repeat::Not(format!("`--set {given}` leads out of the folder of the testbed file"))
         }
         None => {
-            let mut words = origin::given();
+            let mut words = given::words();
             words.push(ManyInputs::TESTBED.to_owned());
             Repeat::Words(words)
         }

@@ -3,7 +3,7 @@
 use cotorra_numbers::{Blocks, Draws, RESAMPLES, percentile_interval, resample};
 
 use super::{
-    distribution::{Distribution, Intervals},
+    figures::{Distribution, Intervals},
     times::Timed,
 };
 

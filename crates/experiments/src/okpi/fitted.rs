@@ -10,7 +10,7 @@ use super::{
     Contender, Walks,
     bootstrap::intervals,
     compared,
-    distribution::{ABOVE_MS, Distribution, Intervals, ms, percent, with_interval},
+    figures::{ABOVE_MS, Distribution, Intervals, ms, percent, with_interval},
     samples,
     times::{Timed, halves},
 };

@@ -5,14 +5,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cotorra_testbed::DataTable;
-
 use super::{
     axis::{Axis, combinations},
     cells::Cell,
     measured::Measured,
     plan::Point,
-    tables,
 };
 use crate::{batch::Again, outcome::Outcome};
 
@@ -95,12 +92,6 @@ impl Runs {
             (!outcomes.is_empty()).then(|| Cell::of(values, &outcomes))
         };
         combinations(&self.axes).into_iter().filter_map(of).collect()
-    }
-
-    /// Returns a row for each robot and service of each combination, rounded for readers, with confidence intervals.
-    /// Several services also have a row for all together.
-    pub fn by_service(&self, cells: &[Cell]) -> DataTable {
-        tables::by_service(&self.axes, cells)
     }
 }
 

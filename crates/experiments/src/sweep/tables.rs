@@ -164,6 +164,14 @@ pub(super) fn service_cells(axes: &[Axis], cells: &[Cell]) -> DataTable {
     table
 }
 
+impl Runs {
+    /// Returns a row for each robot and service of each combination, rounded for readers, with confidence intervals.
+    /// Several services also have a row for all together.
+    pub fn by_service(&self, cells: &[Cell]) -> DataTable {
+        by_service(&self.axes, cells)
+    }
+}
+
 /// Returns a row for each service of each combination, and one for all services in the total together if there are several.
 /// Figures are rounded, and have half the width of their confidence interval.
 pub(super) fn by_service(axes: &[Axis], cells: &[Cell]) -> DataTable {

@@ -13,8 +13,13 @@ use cotorra_graph::{
     Tested, TimeParts, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
-use super::{direction_of, heard::Heard, time_parts};
-use crate::{error::Error, kind::Kind};
+use super::{
+    direction_of,
+    heard::Heard,
+    read_error::{ReadError, unreadable},
+    time_parts,
+};
+use crate::kind::Kind;
 
 /// A row that is read column by column, from the first to the last.
 pub(crate) trait Source {
@@ -28,36 +33,7 @@ pub(crate) trait Source {
     fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source) -> Result<()>) -> Result<()>;
 }
 
-/// A row that cannot be read.
-#[derive(Debug)]
-pub(crate) enum ReadError {
-    /// A column has a value that is never written.
-    Unreadable(String),
-    /// The engine failed.
-    Engine(Error),
-}
-
-impl ReadError {
-    /// Returns the error of a history with this name.
-    pub fn of(self, history: &Arc<str>) -> Error {
-        match self {
-            Self::Unreadable(detail) => Error::Corrupt { history: history.clone(), detail },
-            Self::Engine(error) => error,
-        }
-    }
-}
-
-impl From<Error> for ReadError {
-    fn from(error: Error) -> Self {
-        Self::Engine(error)
-    }
-}
-
 type Result<T> = std::result::Result<T, ReadError>;
-
-pub(super) fn unreadable(what: impl std::fmt::Display) -> ReadError {
-    ReadError::Unreadable(what.to_string())
-}
 
 fn required<T>(value: Option<T>) -> Result<T> {
     value.ok_or_else(|| unreadable("a required column is NULL"))

@@ -4,7 +4,7 @@ use std::{fmt::Write as _, time::Duration};
 
 use cotorra_graph::{Attachment, Dbm, NodeId, Timestamp};
 
-use super::decode::{ReadError, unreadable};
+use super::read_error::{ReadError, unreadable};
 
 /// The radio units of a robot in order, each with the signal that the robot heard before, if it did, and the time. That of
 /// the own radio unit changes all the time, and is in none.

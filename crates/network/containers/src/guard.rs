@@ -1,7 +1,7 @@
 //! A process that outlives a killed run, to remove its containers. It also serves podman, if nobody else does.
 
 use std::{
-    fs::{self, OpenOptions},
+    fs::OpenOptions,
     io::{self, Read as _},
     os::{fd::AsFd as _, unix::process::CommandExt as _},
     path::{Path, PathBuf},
@@ -16,6 +16,7 @@ use cotorra_engine::Backoff;
 use crate::{
     address::Address,
     leftovers::{Marker, Record, remove_run, service_folder},
+    service::Service,
 };
 
 /// Interval of checks whether podman's service still runs.
@@ -110,45 +111,4 @@ fn serve(folder: &Path, ended: &mpsc::Receiver<()>) -> io::Result<()> {
 /// Waits for the end of the run. Returns whether it ended within a time.
 fn has_ended_within(ended: &mpsc::Receiver<()>, time: Duration) -> bool {
     ended.recv_timeout(time) != Err(RecvTimeoutError::Timeout)
-}
-
-/// podman's service, which serves its interface at a socket. Dropping it ends it; containers go on.
-#[derive(Debug)]
-pub(crate) struct Service(Child);
-
-impl Service {
-    /// Returns the socket in the folder of a service.
-    pub(crate) fn socket(folder: &Path) -> PathBuf {
-        folder.join("socket")
-    }
-
-    /// Starts a service in a folder, whose output goes to `output`.
-    pub(crate) fn start(folder: &Path, output: fn() -> Stdio) -> io::Result<Self> {
-        fs::create_dir_all(folder)?;
-        let socket = Self::socket(folder);
-        // podman refuses a socket that exists.
-        let _ = fs::remove_file(&socket);
-        let process = Command::new("podman")
-            .args(["system", "service", "--time=0"])
-            .arg(format!("unix://{}", socket.display()))
-            // Its monitors of containers leave files where they run.
-            .current_dir(folder)
-            .stdin(Stdio::null())
-            .stdout(output())
-            .stderr(output())
-            .spawn()
-            .map_err(|e| io::Error::new(e.kind(), format!("cannot start podman: {e}")))?;
-        Ok(Self(process))
-    }
-
-    fn has_ended(&mut self) -> bool {
-        !matches!(self.0.try_wait(), Ok(None))
-    }
-}
-
-impl Drop for Service {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }

@@ -19,7 +19,7 @@ use rustix::process::geteuid;
 use crate::{
     address::Address,
     daemon::{Daemon, DaemonError, Retries},
-    guard::Service,
+    service::Service,
 };
 
 /// Name of the folder of records.

@@ -17,6 +17,7 @@ mod instance;
 mod leftovers;
 mod ready;
 mod registries;
+mod service;
 mod spec;
 mod trial;
 

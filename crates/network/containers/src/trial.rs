@@ -7,10 +7,10 @@ use cotorra_graph::{EngineKind, Image, NodeId, Program, Rights, Vnf};
 use crate::{
     address::Address,
     daemon::{Daemon, DaemonError},
-    guard::Service,
     holder::{Holders, PROGRAM, REFERENCE},
     instance::ended,
     leftovers::{Marker, connect, service_folder},
+    service::Service,
     spec::Spec,
 };
 

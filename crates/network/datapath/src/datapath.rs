@@ -14,7 +14,7 @@ use cotorra_graph::{HardwareGraph, Node, NodeId, NodeKind, RadioKind};
 use crate::{
     awake::Awake,
     clock::Clock,
-    engine::{DepartureSink, Engine, EventSink, Handle, Shared, Sinks},
+    engine::{DepartureSink, Engine, EventSink, Handle, Sinks},
     error::{Action, Error},
     gateway::{self, GatewayTraffic, Opened},
     hosts::{self, Addresses, Host, PortKind, Watched},
@@ -24,6 +24,7 @@ use crate::{
     port::Port,
     process::{Child, HostsFile, SpawnOptions},
     punctual::BusyPoll,
+    shared::Shared,
     sys,
     watch::Watch,
     wifi::{self, Air},

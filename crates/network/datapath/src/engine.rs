@@ -4,11 +4,7 @@
 use std::{
     io, mem,
     os::fd::AsFd,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-        mpsc,
-    },
+    sync::{Arc, atomic::Ordering, mpsc},
     time::Duration,
 };
 
@@ -23,7 +19,8 @@ use crate::{
     port::{self, Arrival, Port, Sent},
     presence::{LONGEST_SLEEP, PortWaits, Presence, RunQueue},
     punctual::{self, BusyPoll, Punctuality},
-    sys::{Epoll, Ready, Waker},
+    shared::Shared,
+    sys::{Epoll, Ready},
     wifi::Air,
 };
 
@@ -34,67 +31,11 @@ const MEASURED: u64 = 4;
 /// Upper limit on a measured send. A longer one was interrupted by other load.
 const MOST_HANDOVER: Duration = Duration::from_micros(15);
 
-/// Work for the fabric's thread.
-type Command = Box<dyn FnOnce(&mut Fabric, Timestamp) + Send>;
-
 /// Receiver of the fabric's events. Runs on the fabric's thread and must not block.
 pub type EventSink = Box<dyn FnMut(Stamped) + Send>;
 
 /// Receiver of packets for other cores. Runs on the fabric's thread and must not block.
 pub type DepartureSink = Box<dyn FnMut(Departure) + Send>;
-
-/// State shared with [`Handle`]s.
-pub(crate) struct Shared {
-    /// `None` once the thread ends.
-    commands: Mutex<Option<Vec<Command>>>,
-    waker: Waker,
-    /// Set to end the thread. Frames that are due are no longer sent, however many there are.
-    stopping: AtomicBool,
-    /// Frames that a port could not send or receive, and bursts of them that the medium missed.
-    dropped: AtomicU64,
-    /// Locked for a moment only, and never waited for by the fabric's thread.
-    waits: Mutex<PortWaits>,
-}
-
-impl Shared {
-    pub(crate) fn new() -> io::Result<Self> {
-        Ok(Self {
-            commands: Mutex::new(Some(Vec::new())),
-            waker: Waker::new()?,
-            stopping: AtomicBool::new(false),
-            dropped: AtomicU64::new(0),
-            waits: Mutex::default(),
-        })
-    }
-
-    /// Ends the thread after its current step. Commands that have not begun are dropped.
-    pub(crate) fn stop(&self) {
-        *self.commands.lock() = None;
-        self.stopping.store(true, Ordering::Relaxed);
-        self.waker.wake();
-    }
-
-    pub(crate) fn count_drop(&self) {
-        self.count_drops(1);
-    }
-
-    pub(crate) fn count_drops(&self, count: u64) {
-        if count > 0 {
-            self.dropped.fetch_add(count, Ordering::Relaxed);
-        }
-    }
-
-    pub(crate) fn dropped(&self) -> u64 {
-        self.dropped.load(Ordering::Relaxed)
-    }
-
-    /// Publishes figures, unless somebody reads the former ones just now.
-    fn publish(&self, waits: PortWaits) {
-        if let Some(mut published) = self.waits.try_lock() {
-            *published = waits;
-        }
-    }
-}
 
 /// Access to the fabric from any thread.
 #[derive(Clone)]

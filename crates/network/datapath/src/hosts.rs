@@ -13,15 +13,20 @@ use std::{
 };
 
 use cotorra_graph::HostAddress;
-use netlink_packet_route::RouteNetlinkMessage;
 
 use crate::{
     error::{Action, Error},
     namespace::{Namespace, on_a_thread},
     neighbours::Neighbours,
-    netlink::{self, Netlink},
-    sys, wifi,
+    netlink::{self, Netlink, Request},
+    sys,
 };
+
+/// The interface of a node's radio.
+pub const WLAN: &str = "wlan0";
+
+/// The bridge of a radio unit.
+pub const BRIDGE: &str = "br0";
 
 /// Largest payload of a frame, bytes.
 pub(crate) const MTU: u32 = 1500;
@@ -129,9 +134,9 @@ fn configure_all(
         Addresses::AtPort => configure(netlink, PORT, place, neighbours),
         Addresses::AtBridge => {
             let port = sys::interface_index(PORT).action("find a host's interface")?;
-            let requests = netlink::bridged(port, wifi::BRIDGE, BRIDGE_INDEX, MTU, QUEUE);
+            let requests = netlink::bridged(port, BRIDGE, BRIDGE_INDEX, MTU, QUEUE);
             netlink.execute(requests).action("make a radio unit's bridge")?;
-            configure(netlink, wifi::BRIDGE, place, neighbours)
+            configure(netlink, BRIDGE, place, neighbours)
         }
         Addresses::Elsewhere => Ok(()),
     }
@@ -158,7 +163,7 @@ pub(crate) fn configure(
 }
 
 /// Returns the requests by which a host has its addresses at an interface that is up, and reaches machines from there.
-fn reach(interface: u32, place: usize, neighbours: &Neighbours, has_ipv6: bool) -> Vec<RouteNetlinkMessage> {
+fn reach(interface: u32, place: usize, neighbours: &Neighbours, has_ipv6: bool) -> Vec<Request> {
     let mut requests = netlink::addresses(interface, &HostAddress::of(place), has_ipv6);
     let far = neighbours.machines().iter().filter(|address| !HostAddress::is_near(**address));
     requests.extend(far.map(|address| netlink::route(interface, *address, 32)));
@@ -179,8 +184,8 @@ impl Watched {
     pub(crate) fn new(host: &Namespace, interface: Addresses, place: usize) -> Result<Self, Error> {
         let name = match interface {
             Addresses::AtPort => PORT,
-            Addresses::AtBridge => wifi::BRIDGE,
-            Addresses::Elsewhere => wifi::WLAN,
+            Addresses::AtBridge => BRIDGE,
+            Addresses::Elsewhere => WLAN,
         };
         let watch = || {
             let interface = sys::interface_index(name)?;
@@ -267,7 +272,7 @@ fn packet_socket_host(
     let port = on_a_thread(|| {
         wiring.enter().action("enter the wiring's namespace")?;
         let outside = Netlink::open().action("open a netlink socket")?;
-        outside.execute(vec![netlink::up(index, vec![])]).action("set a port up")?;
+        outside.execute(vec![netlink::up(index)]).action("set a port up")?;
         sys::packet_socket(index, SOCKET_BUFFER).action("open a packet socket")
     })?;
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).action("open a socket in a namespace")?;

@@ -135,14 +135,14 @@ impl KernelNetwork {
                 let mut requests = Vec::new();
                 for node in 0..graph.nodes.len() {
                     requests.push(netlink::bridge(&format!("b{node}"), bridge(node)));
-                    requests.push(netlink::up(bridge(node), vec![]));
+                    requests.push(netlink::up(bridge(node)));
                 }
                 for (place, link) in graph.links.iter().enumerate() {
                     let [a, b] = [0, 1].map(|end| first_end + place as u32 * 2 + end);
                     let names = [Direction::Forward, Direction::Backward].map(|d| end(place, d));
                     requests.push(netlink::veth_here([(&names[0], a), (&names[1], b)]));
                     for (end, node) in [a, b].into_iter().zip(&link.ends) {
-                        requests.push(netlink::up(end, vec![netlink::in_bridge(bridge(nodes[node]))]));
+                        requests.push(netlink::up_in_bridge(end, bridge(nodes[node])));
                     }
                 }
                 Netlink::open()?.execute(requests)
@@ -316,7 +316,7 @@ fn attach_host(
     })
     .action("make a virtual Ethernet pair")?;
     wiring
-        .run(|| Netlink::open()?.execute(vec![netlink::up(port, vec![netlink::in_bridge(bridge)])]))
+        .run(|| Netlink::open()?.execute(vec![netlink::up_in_bridge(port, bridge)]))
         .action("set a port up")?;
     host.run(|| {
         let netlink = Netlink::open().action("open a netlink socket")?;

@@ -40,6 +40,7 @@ mod privilege;
 mod process;
 mod punctual;
 mod seccomp;
+mod shared;
 mod stamped_socket;
 mod sys;
 mod vnet;

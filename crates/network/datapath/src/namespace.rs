@@ -37,7 +37,7 @@ impl Namespace {
         on_a_thread(|| {
             let namespace = Self::enter_new().action("make a network namespace")?;
             let netlink = Netlink::open().action("open a netlink socket")?;
-            netlink.execute(vec![netlink::up(LOOPBACK, vec![])]).action("bring up loopback")?;
+            netlink.execute(vec![netlink::up(LOOPBACK)]).action("bring up loopback")?;
             Ok(namespace)
         })
     }

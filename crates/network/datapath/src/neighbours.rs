@@ -11,9 +11,8 @@ use std::{
 };
 
 use cotorra_graph::{HardwareGraph, HostAddress, Node, NodeKind};
-use netlink_packet_route::RouteNetlinkMessage;
 
-use crate::netlink;
+use crate::netlink::{self, Request};
 
 /// Most permanent entries of IPv4, and of IPv6, in all namespaces together. They take 64 MiB of the kernel's memory.
 const MOST: usize = 1 << 16;
@@ -73,7 +72,7 @@ impl Neighbours {
     }
 
     /// Returns the requests for a host's entries, at its interface.
-    pub(crate) fn entries(&self, interface: u32, place: usize, has_ipv6: bool) -> Vec<RouteNetlinkMessage> {
+    pub(crate) fn entries(&self, interface: u32, place: usize, has_ipv6: bool) -> Vec<Request> {
         let entries = self.known_to(place).map(HostAddress::of).flat_map(|other| {
             let addresses = [Some(IpAddr::from(other.ipv4)), has_ipv6.then_some(other.ipv6.into())];
             let entry = move |address| netlink::neighbour(interface, address, other.mac);

@@ -8,21 +8,80 @@ use std::{
 };
 
 use cotorra_graph::HostAddress;
-use netlink_packet_core::{
-    NLM_F_ACK, NLM_F_CREATE, NLM_F_EXCL, NLM_F_REPLACE, NLM_F_REQUEST, NetlinkMessage, NetlinkPayload,
+use cotorra_netlink::{
+    ACK, CREATE, ERROR, EXCLUSIVE, NETLINK_ROUTE, REPLACE, REQUEST, Writer, message, messages, parse_i32,
+    rtnetlink::{self, NEW_LINK, SET_LINK},
 };
-use netlink_packet_route::{
-    AddressFamily, RouteNetlinkMessage,
-    address::{AddressAttribute, AddressFlags, AddressHeaderFlags, AddressMessage, AddressScope},
-    link::{
-        AfSpecInet6, AfSpecUnspec, In6AddrGenMode, InfoBridge, InfoData, InfoKind, InfoVeth, LinkAttribute,
-        LinkFlags, LinkHeader, LinkInfo, LinkMessage,
-    },
-    neighbour::{NeighbourAddress, NeighbourAttribute, NeighbourMessage, NeighbourState},
-    route::{RouteAddress, RouteAttribute, RouteHeader, RouteMessage, RouteProtocol, RouteScope, RouteType},
-    tc::{TcAttribute, TcHandle, TcMessage},
-};
-use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
+use netlink_sys::Socket;
+
+/// `RTM_NEWADDR`.
+const NEW_ADDRESS: u16 = 20;
+/// `RTM_NEWROUTE`.
+const NEW_ROUTE: u16 = 24;
+/// `RTM_NEWNEIGH`.
+const NEW_NEIGHBOUR: u16 = 28;
+/// `RTM_NEWQDISC`.
+const NEW_DISCIPLINE: u16 = 36;
+
+/// Attributes of interfaces, `IFLA_*`.
+mod link {
+    pub(super) const ADDRESS: u16 = 1;
+    pub(super) const NAME: u16 = 3;
+    pub(super) const MTU: u16 = 4;
+    pub(super) const MASTER: u16 = 10;
+    pub(super) const QUEUE: u16 = 13;
+    pub(super) const INFO: u16 = 18;
+    pub(super) const INFO_KIND: u16 = 1;
+    pub(super) const INFO_DATA: u16 = 2;
+    /// `VETH_INFO_PEER`.
+    pub(super) const PEER: u16 = 1;
+    /// `IFLA_BR_MCAST_SNOOPING`.
+    pub(super) const MULTICAST_SNOOPING: u16 = 23;
+    pub(super) const AF_SPEC: u16 = 26;
+    /// `IFLA_INET6_ADDR_GEN_MODE`.
+    pub(super) const ADDRESS_MODE: u16 = 8;
+    pub(super) const NAMESPACE: u16 = 28;
+}
+
+/// Attributes of addresses, `IFA_*`.
+mod address {
+    pub(super) const ADDRESS: u16 = 1;
+    pub(super) const LOCAL: u16 = 2;
+    pub(super) const BROADCAST: u16 = 4;
+    pub(super) const FLAGS: u16 = 8;
+    /// `IFA_F_NODAD`.
+    pub(super) const NO_DETECTION: u8 = 2;
+}
+
+/// Numbers of routes.
+mod route {
+    /// `RTA_DST`.
+    pub(super) const TO: u16 = 1;
+    /// `RTA_OIF`.
+    pub(super) const INTERFACE: u16 = 4;
+    /// `RTPROT_STATIC`.
+    pub(super) const STATIC: u8 = 4;
+    /// `RTN_UNICAST`.
+    pub(super) const UNICAST: u8 = 1;
+    /// `RTN_LOCAL`.
+    pub(super) const LOCAL: u8 = 2;
+}
+
+const INET: u8 = libc::AF_INET as u8;
+const INET6: u8 = libc::AF_INET6 as u8;
+
+/// A request, without its number.
+#[derive(Debug, Clone)]
+pub(crate) struct Request {
+    kind: u16,
+    body: Vec<u8>,
+}
+
+impl Request {
+    fn new(kind: u16, body: Writer) -> Self {
+        Self { kind, body: body.finish() }
+    }
+}
 
 /// Index of the loopback interface in every network namespace.
 pub(crate) const LOOPBACK: u32 = 1;
@@ -57,10 +116,10 @@ impl Netlink {
 
     /// Sends requests, many in one message, and returns once the kernel has done all. Returns the first error; the requests of
     /// later messages are not sent then.
-    pub(crate) fn execute(&self, requests: Vec<RouteNetlinkMessage>) -> io::Result<()> {
+    pub(crate) fn execute(&self, requests: Vec<Request>) -> io::Result<()> {
         let mut requests = requests.into_iter().peekable();
         while requests.peek().is_some() {
-            let (batch, last) = batch(requests.by_ref().take(MOST_REQUESTS), NLM_F_EXCL, NLM_F_ACK);
+            let (batch, last) = batch(requests.by_ref().take(MOST_REQUESTS), EXCLUSIVE, ACK);
             self.socket.send(&batch, 0)?;
             self.answers_until(last)?;
         }
@@ -76,11 +135,12 @@ impl Netlink {
             answers.clear();
             self.socket.recv(&mut answers, 0)?;
             for answer in messages(&answers) {
-                let answer = answer?;
-                if let NetlinkPayload::Error(error) = &answer.payload {
-                    answered = answer.header.sequence_number;
-                    if error.code.is_some() && result.is_ok() {
-                        result = Err(error.to_io());
+                let answer = answer.map_err(invalid)?;
+                if answer.kind == ERROR {
+                    answered = answer.sequence;
+                    let code = parse_i32(answer.body.get(..4).unwrap_or_default()).map_err(invalid)?;
+                    if code != 0 && result.is_ok() {
+                        result = Err(io::Error::from_raw_os_error(code.wrapping_neg()));
                     }
                 }
             }
@@ -89,10 +149,10 @@ impl Netlink {
     }
 
     /// Sends requests whose errors are ignored. They replace what is there.
-    pub(crate) fn replace(&self, requests: Vec<RouteNetlinkMessage>) -> io::Result<()> {
+    pub(crate) fn replace(&self, requests: Vec<Request>) -> io::Result<()> {
         let mut requests = requests.into_iter().peekable();
         while requests.peek().is_some() {
-            let (batch, _) = batch(requests.by_ref().take(MOST_REQUESTS), NLM_F_REPLACE, 0);
+            let (batch, _) = batch(requests.by_ref().take(MOST_REQUESTS), REPLACE, 0);
             self.socket.send(&batch, 0)?;
         }
         Ok(())
@@ -111,10 +171,9 @@ impl Netlink {
                 Err(error) if error.raw_os_error() == Some(libc::ENOBUFS) => was_set_up = true,
                 Err(_) => return false,
             }
-            was_set_up |= messages(&changes).any(|change| match change.map(|change| change.payload) {
-                Ok(NetlinkPayload::InnerMessage(RouteNetlinkMessage::NewLink(link))) => {
-                    let LinkHeader { index, flags, change_mask, .. } = link.header;
-                    index == interface && (flags & change_mask).contains(LinkFlags::Up)
+            was_set_up |= messages(&changes).any(|change| match change {
+                Ok(change) if change.kind == NEW_LINK => {
+                    rtnetlink::set_up(change.body).map_or(true, |set_up| set_up == (interface, true))
                 }
                 Ok(_) => false,
                 Err(_) => true,
@@ -125,199 +184,172 @@ impl Netlink {
 
 impl AsFd for Netlink {
     fn as_fd(&self) -> BorrowedFd<'_> {
-        // SAFETY: the socket is open for as long as this borrow.
-        unsafe { BorrowedFd::borrow_raw(self.socket.as_raw_fd()) }
+        self.socket.as_fd()
     }
 }
 
+fn invalid(error: cotorra_netlink::DecodeError) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, error)
+}
+
 /// Writes requests into one message. The last one has more flags. Returns its number, too.
-fn batch(requests: impl Iterator<Item = RouteNetlinkMessage>, flags: u16, last_flags: u16) -> (Vec<u8>, u32) {
+fn batch(requests: impl Iterator<Item = Request>, flags: u16, last_flags: u16) -> (Vec<u8>, u32) {
     let mut requests = requests.zip(1..).peekable();
     let (mut batch, mut last) = (Vec::new(), 0);
-    while let Some((request, number)) = requests.next() {
-        let mut message = NetlinkMessage::from(request);
-        message.header.flags = NLM_F_REQUEST | NLM_F_CREATE | flags;
-        message.header.sequence_number = number;
+    while let Some((Request { kind, body }, number)) = requests.next() {
+        let mut flags = REQUEST | CREATE | flags;
         if requests.peek().is_none() {
-            message.header.flags |= last_flags;
+            flags |= last_flags;
             last = number;
         }
-        message.finalize();
-        let start = batch.len();
-        batch.resize(start + message.buffer_len(), 0);
-        message.serialize(&mut batch[start..]);
+        batch.extend(message(kind, flags, number, &body));
     }
     (batch, last)
 }
 
-/// Reads the messages of a datagram.
-fn messages(mut rest: &[u8]) -> impl Iterator<Item = io::Result<NetlinkMessage<RouteNetlinkMessage>>> {
-    std::iter::from_fn(move || {
-        if rest.is_empty() {
-            return None;
-        }
-        let message = NetlinkMessage::<RouteNetlinkMessage>::deserialize(rest)
-            .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e));
-        let length = message.as_ref().map_or(rest.len(), |message| message.header.length as usize);
-        rest = rest.get(length.next_multiple_of(4)..).unwrap_or_default();
-        Some(message)
-    })
-}
-
-fn link(index: u32, attributes: Vec<LinkAttribute>) -> LinkMessage {
-    let mut link = LinkMessage::default();
-    link.header.index = index;
-    link.attributes = attributes;
-    link
-}
-
 /// Sets an interface up.
-pub(crate) fn up(index: u32, attributes: Vec<LinkAttribute>) -> RouteNetlinkMessage {
-    let mut link = link(index, attributes);
-    link.header.flags = LinkFlags::Up;
-    link.header.change_mask = LinkFlags::Up;
-    RouteNetlinkMessage::SetLink(link)
+pub(crate) fn up(index: u32) -> Request {
+    Request::new(SET_LINK, rtnetlink::link_up(index))
 }
 
-fn veth_pair(name: &str, index: u32, peer: LinkMessage) -> RouteNetlinkMessage {
-    RouteNetlinkMessage::NewLink(link(
-        index,
-        vec![
-            LinkAttribute::IfName(name.into()),
-            LinkAttribute::LinkInfo(vec![
-                LinkInfo::Kind(InfoKind::Veth),
-                LinkInfo::Data(InfoData::Veth(InfoVeth::Peer(peer))),
-            ]),
-        ],
-    ))
+/// Sets an interface up, as a port of a bridge.
+pub(crate) fn up_in_bridge(index: u32, bridge: u32) -> Request {
+    let mut port = rtnetlink::link_up(index);
+    port.words(link::MASTER, &[bridge]);
+    Request::new(SET_LINK, port)
+}
+
+fn veth_pair(name: &str, index: u32, peer: Writer) -> Request {
+    let mut pair = rtnetlink::link(index);
+    pair.text(link::NAME, name).with(link::INFO, |info| {
+        info.text(link::INFO_KIND, "veth").with(link::INFO_DATA, |data| {
+            data.bytes(link::PEER, &peer.finish());
+        });
+    });
+    Request::new(NEW_LINK, pair)
 }
 
 /// Makes a pair of virtual Ethernet interfaces: one here, its peer in another network namespace, both with this
 /// index. (Kernels ignore an index that is given for the peer only.)
-pub(crate) fn veth(name: &str, peer: &str, index: u32, peer_space: BorrowedFd<'_>) -> RouteNetlinkMessage {
-    let peer =
-        link(index, vec![LinkAttribute::IfName(peer.into()), LinkAttribute::NetNsFd(peer_space.as_raw_fd())]);
-    veth_pair(name, index, peer)
+pub(crate) fn veth(name: &str, peer: &str, index: u32, peer_space: BorrowedFd<'_>) -> Request {
+    let mut there = rtnetlink::link(index);
+    there.text(link::NAME, peer).words(link::NAMESPACE, &[peer_space.as_raw_fd().cast_unsigned()]);
+    veth_pair(name, index, there)
 }
 
 /// Makes a pair of virtual Ethernet interfaces here, each with its name and index.
-pub(crate) fn veth_here([(name, index), (peer, peer_index)]: [(&str, u32); 2]) -> RouteNetlinkMessage {
-    let peer = link(peer_index, vec![LinkAttribute::IfName(peer.into())]);
-    veth_pair(name, index, peer)
+pub(crate) fn veth_here([(name, index), (peer, peer_index)]: [(&str, u32); 2]) -> Request {
+    let mut other = rtnetlink::link(peer_index);
+    other.text(link::NAME, peer);
+    veth_pair(name, index, other)
 }
 
-pub(crate) fn bridge(name: &str, index: u32) -> RouteNetlinkMessage {
-    let kind = LinkAttribute::LinkInfo(vec![LinkInfo::Kind(InfoKind::Bridge)]);
-    RouteNetlinkMessage::NewLink(link(index, vec![LinkAttribute::IfName(name.into()), kind]))
+pub(crate) fn bridge(name: &str, index: u32) -> Request {
+    let mut bridge = rtnetlink::link(index);
+    bridge.text(link::NAME, name).with(link::INFO, |info| {
+        info.text(link::INFO_KIND, "bridge");
+    });
+    Request::new(NEW_LINK, bridge)
 }
 
 /// Makes a bridge that floods multicast packets to all its ports, and an interface one of these, both up and without addresses.
-pub(crate) fn bridged(
-    interface: u32,
-    name: &str,
-    index: u32,
-    mtu: u32,
-    queue: u32,
-) -> Vec<RouteNetlinkMessage> {
-    let kind = LinkAttribute::LinkInfo(vec![
-        LinkInfo::Kind(InfoKind::Bridge),
-        LinkInfo::Data(InfoData::Bridge(vec![InfoBridge::MulticastSnooping(false)])),
-    ]);
-    let name = LinkAttribute::IfName(name.into());
-    let mut requests = vec![RouteNetlinkMessage::NewLink(link(index, vec![name, kind]))];
+pub(crate) fn bridged(interface: u32, name: &str, index: u32, mtu: u32, queue: u32) -> Vec<Request> {
+    let mut bridge = rtnetlink::link(index);
+    bridge.text(link::NAME, name).with(link::INFO, |info| {
+        info.text(link::INFO_KIND, "bridge").with(link::INFO_DATA, |data| {
+            data.bytes(link::MULTICAST_SNOOPING, &[0]);
+        });
+    });
+    let mut port = rtnetlink::link_up(interface);
+    port.words(link::MASTER, &[index]).words(link::MTU, &[mtu]).words(link::QUEUE, &[queue]);
+    let mut requests = vec![Request::new(NEW_LINK, bridge)];
     requests.extend(without_own_address(interface));
-    let attributes = vec![in_bridge(index), LinkAttribute::Mtu(mtu), LinkAttribute::TxQueueLen(queue)];
-    requests.push(up(interface, attributes));
+    requests.push(Request::new(SET_LINK, port));
     requests
 }
 
 /// Changes the MAC address of an interface that is down, and gives it no address by itself.
-pub(crate) fn at_mac(interface: u32, mac: [u8; 6]) -> Vec<RouteNetlinkMessage> {
-    let mac = link(interface, vec![LinkAttribute::Address(mac.to_vec())]);
-    without_own_address(interface).into_iter().chain([RouteNetlinkMessage::SetLink(mac)]).collect()
+pub(crate) fn at_mac(interface: u32, mac: [u8; 6]) -> Vec<Request> {
+    let mut change = rtnetlink::link(interface);
+    change.bytes(link::ADDRESS, &mac);
+    without_own_address(interface).into_iter().chain([Request::new(SET_LINK, change)]).collect()
 }
 
 /// Keeps the kernel from giving an interface a link-local address. `None` without IPv6.
-fn without_own_address(interface: u32) -> Option<RouteNetlinkMessage> {
-    let none = AfSpecInet6::AddrGenMode(In6AddrGenMode::None);
-    let attributes = vec![LinkAttribute::AfSpecUnspec(vec![AfSpecUnspec::Inet6(vec![none])])];
-    has_ipv6().then(|| RouteNetlinkMessage::SetLink(link(interface, attributes)))
+fn without_own_address(interface: u32) -> Option<Request> {
+    /// `IN6_ADDR_GEN_MODE_NONE`.
+    const NONE: u8 = 1;
+    let mut change = rtnetlink::link(interface);
+    change.with(link::AF_SPEC, |families| {
+        families.with(INET6.into(), |of| {
+            of.bytes(link::ADDRESS_MODE, &[NONE]);
+        });
+    });
+    has_ipv6().then(|| Request::new(SET_LINK, change))
 }
 
-/// Makes an interface a port of a bridge.
-pub(crate) fn in_bridge(bridge: u32) -> LinkAttribute {
-    LinkAttribute::Controller(bridge)
+fn octets(address: IpAddr) -> Vec<u8> {
+    match address {
+        IpAddr::V4(v4) => v4.octets().to_vec(),
+        IpAddr::V6(v6) => v6.octets().to_vec(),
+    }
 }
 
-fn address(index: u32, address: IpAddr, prefix: u8, scope: AddressScope) -> RouteNetlinkMessage {
-    let mut message = AddressMessage::default();
-    message.header.family = if address.is_ipv4() { AddressFamily::Inet } else { AddressFamily::Inet6 };
-    message.header.prefix_len = prefix;
-    message.header.index = index;
-    message.header.scope = scope;
-    // Addresses follow from the graph and are unique. Duplicate address detection would only delay a host by a
-    // second.
-    message.header.flags = AddressHeaderFlags::Nodad;
-    message.attributes = vec![
-        AddressAttribute::Local(address),
-        AddressAttribute::Address(address),
-        AddressAttribute::Flags(AddressFlags::Nodad),
-    ];
+fn family(address: IpAddr) -> u8 {
+    if address.is_ipv4() { INET } else { INET6 }
+}
+
+fn address(index: u32, address: IpAddr, prefix: u8, scope: u8) -> Request {
+    let mut request = Writer::default();
+    // `struct ifaddrmsg`. Addresses follow from the graph and are unique. Duplicate address detection would only delay a host
+    // by a second.
+    request.raw(&[family(address), prefix, address::NO_DETECTION, scope]).raw(&index.to_ne_bytes());
+    request.bytes(address::LOCAL, &octets(address)).bytes(address::ADDRESS, &octets(address));
+    request.words(address::FLAGS, &[address::NO_DETECTION.into()]);
     if let IpAddr::V4(v4) = address {
         let broadcast = u32::from(v4) | (u32::MAX >> prefix);
-        message.attributes.push(AddressAttribute::Broadcast(Ipv4Addr::from(broadcast)));
+        request.bytes(address::BROADCAST, &broadcast.to_be_bytes());
     }
-    RouteNetlinkMessage::NewAddress(message)
+    Request::new(NEW_ADDRESS, request)
 }
 
 /// Adds a route to what is reached without a router, also for broadcast or multicast, which the kernel would otherwise not
 /// send.
-pub(crate) fn route(index: u32, to: Ipv4Addr, prefix: u8) -> RouteNetlinkMessage {
-    let mut route = RouteMessage::default();
-    route.header.address_family = AddressFamily::Inet;
-    route.header.destination_prefix_length = prefix;
-    route.header.table = RouteHeader::RT_TABLE_MAIN;
-    route.header.protocol = RouteProtocol::Static;
-    route.header.scope = RouteScope::Link;
-    route.header.kind = RouteType::Unicast;
-    route.attributes = vec![RouteAttribute::Destination(RouteAddress::Inet(to)), RouteAttribute::Oif(index)];
-    RouteNetlinkMessage::NewRoute(route)
+pub(crate) fn route(index: u32, to: Ipv4Addr, prefix: u8) -> Request {
+    let (table, scope) = (libc::RT_TABLE_MAIN, libc::RT_SCOPE_LINK);
+    route_over(index, to.into(), prefix, [table, route::STATIC, scope, route::UNICAST])
+}
+
+/// `kind` has the route's table, protocol, scope and type.
+fn route_over(index: u32, to: IpAddr, prefix: u8, [table, protocol, scope, kind]: [u8; 4]) -> Request {
+    let mut request = Writer::default();
+    // `struct rtmsg`.
+    request.raw(&[family(to), prefix, 0, 0, table, protocol, scope, kind, 0, 0, 0, 0]);
+    request.bytes(route::TO, &octets(to)).words(route::INTERFACE, &[index]);
+    Request::new(NEW_ROUTE, request)
 }
 
 /// Tells an interface a neighbour's MAC address for good. The kernel never asks for it, and does not count it against the size
 /// of its table.
-pub(crate) fn neighbour(index: u32, address: IpAddr, mac: [u8; 6]) -> RouteNetlinkMessage {
-    let mut neighbour = NeighbourMessage::default();
-    neighbour.header.ifindex = index;
-    neighbour.header.state = NeighbourState::Permanent;
-    let destination = match address {
-        IpAddr::V4(v4) => {
-            neighbour.header.family = AddressFamily::Inet;
-            NeighbourAddress::Inet(v4)
-        }
-        IpAddr::V6(v6) => {
-            neighbour.header.family = AddressFamily::Inet6;
-            NeighbourAddress::Inet6(v6)
-        }
-    };
-    neighbour.attributes = vec![
-        NeighbourAttribute::Destination(destination),
-        NeighbourAttribute::LinkLayerAddress(mac.to_vec()),
-    ];
-    RouteNetlinkMessage::NewNeighbour(neighbour)
+pub(crate) fn neighbour(index: u32, address: IpAddr, mac: [u8; 6]) -> Request {
+    /// `NDA_DST`.
+    const ADDRESS: u16 = 1;
+    /// `NDA_LLADDR`.
+    const MAC: u16 = 2;
+    /// `NUD_PERMANENT`.
+    const PERMANENT: u16 = 0x80;
+    let mut request = Writer::default();
+    // `struct ndmsg`.
+    request.raw(&[family(address), 0, 0, 0]).raw(&index.to_ne_bytes());
+    request.raw(&PERMANENT.to_ne_bytes()).bytes(ADDRESS, &octets(address)).bytes(MAC, &mac);
+    Request::new(NEW_NEIGHBOUR, request)
 }
 
 /// Adds the route by which a host receives packets to an address of its own. The kernel adds one, too, but later, on a
 /// work queue: it drops packets that arrive before.
-fn local_route(index: u32, to: Ipv6Addr) -> RouteNetlinkMessage {
-    let mut route = RouteMessage::default();
-    route.header.address_family = AddressFamily::Inet6;
-    route.header.destination_prefix_length = 128;
-    route.header.table = libc::RT_TABLE_LOCAL;
-    route.header.protocol = RouteProtocol::Static;
-    route.header.kind = RouteType::Local;
-    route.attributes = vec![RouteAttribute::Destination(RouteAddress::Inet6(to)), RouteAttribute::Oif(index)];
-    RouteNetlinkMessage::NewRoute(route)
+fn local_route(index: u32, to: Ipv6Addr) -> Request {
+    let (table, scope) = (libc::RT_TABLE_LOCAL, libc::RT_SCOPE_UNIVERSE);
+    route_over(index, to.into(), 128, [table, route::STATIC, scope, route::LOCAL])
 }
 
 /// Returns the link-local address that follows from a MAC address (RFC 4291, appendix A).
@@ -332,51 +364,47 @@ pub(crate) fn has_ipv6() -> bool {
 }
 
 /// Returns the requests that set a host's interfaces up: loopback, and that with its addresses.
-pub(crate) fn host(interface: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<RouteNetlinkMessage> {
-    let mut requests = vec![up(LOOPBACK, vec![])];
+pub(crate) fn host(interface: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<Request> {
+    let mut requests = vec![up(LOOPBACK)];
     // The kernel's own link-local address would be tentative for a second.
     requests.extend(without_own_address(interface));
-    requests.push(up(
-        interface,
-        vec![
-            LinkAttribute::Address(of.mac.to_vec()),
-            LinkAttribute::Mtu(mtu),
-            LinkAttribute::TxQueueLen(queue),
-        ],
-    ));
+    let mut own = rtnetlink::link_up(interface);
+    own.bytes(link::ADDRESS, &of.mac).words(link::MTU, &[mtu]).words(link::QUEUE, &[queue]);
+    requests.push(Request::new(SET_LINK, own));
     requests
 }
 
 /// Returns the requests that give an interface that is up a host's addresses and routes.
-pub(crate) fn addresses(interface: u32, of: &HostAddress, has_ipv6: bool) -> Vec<RouteNetlinkMessage> {
+pub(crate) fn addresses(interface: u32, of: &HostAddress, has_ipv6: bool) -> Vec<Request> {
+    let (universe, on_this_link) = (libc::RT_SCOPE_UNIVERSE, libc::RT_SCOPE_LINK);
     let mut requests = vec![
-        address(interface, of.ipv4.into(), HostAddress::IPV4_PREFIX, AddressScope::Universe),
+        address(interface, of.ipv4.into(), HostAddress::IPV4_PREFIX, universe),
         route(interface, Ipv4Addr::new(224, 0, 0, 0), 4),
         route(interface, Ipv4Addr::BROADCAST, 32),
     ];
     if has_ipv6 {
         let on_link = link_local(of.mac);
-        requests.push(address(interface, on_link.into(), 64, AddressScope::Link));
-        requests.push(address(interface, of.ipv6.into(), HostAddress::IPV6_PREFIX, AddressScope::Universe));
+        requests.push(address(interface, on_link.into(), 64, on_this_link));
+        requests.push(address(interface, of.ipv6.into(), HostAddress::IPV6_PREFIX, universe));
         requests.extend([on_link, of.ipv6].map(|own| local_route(interface, own)));
     }
     requests
 }
 
 /// Puts a NetEm queueing discipline on an interface. `ENOENT` means that the kernel has none.
-pub(crate) fn netem(index: u32) -> RouteNetlinkMessage {
-    let mut message = TcMessage::default();
-    message.header.index = index as i32;
-    message.header.parent = TcHandle::ROOT;
-    message.header.handle = TcHandle { major: 1, minor: 0 };
+pub(crate) fn netem(index: u32) -> Request {
+    /// `TCA_KIND`.
+    const KIND: u16 = 1;
+    /// `TCA_OPTIONS`.
+    const OPTIONS: u16 = 2;
+    /// `TC_H_ROOT`.
+    const ROOT: u32 = u32::MAX;
+    let mut request = Writer::default();
+    // `struct tcmsg`: family, interface, handle, parent and info.
+    request.raw(&[0, index, 1 << 16, ROOT, 0].map(u32::to_ne_bytes).concat());
     // `struct tc_netem_qopt`: latency, limit, loss, gap, duplicate, jitter. Only the limit must not be zero.
-    let mut options = [0u8; 24];
-    options[4..8].copy_from_slice(&1000u32.to_ne_bytes());
-    message.attributes = vec![
-        TcAttribute::Kind("netem".into()),
-        TcAttribute::Other(netlink_packet_core::DefaultNla::new(2, options.to_vec())),
-    ];
-    RouteNetlinkMessage::NewQueueDiscipline(message)
+    request.text(KIND, "netem").words(OPTIONS, &[0, 1000, 0, 0, 0, 0]);
+    Request::new(NEW_DISCIPLINE, request)
 }
 
 #[cfg(test)]
@@ -396,16 +424,16 @@ mod tests {
         }
         crate::namespace::Namespace::new().unwrap().run(|| {
             let netlink = Netlink::open().unwrap();
-            netlink.execute(vec![up(1, vec![]), up(1, vec![])]).unwrap();
-            let error = netlink.execute(vec![up(1, vec![]), up(4711, vec![]), up(1, vec![])]).unwrap_err();
+            netlink.execute(vec![up(1), up(1)]).unwrap();
+            let error = netlink.execute(vec![up(1), up(4711), up(1)]).unwrap_err();
             assert_eq!(error.raw_os_error(), Some(libc::ENODEV));
             netlink.execute(vec![]).unwrap();
-            netlink.execute(vec![up(1, vec![]); 2 * MOST_REQUESTS + 1]).unwrap();
+            netlink.execute(vec![up(1); 2 * MOST_REQUESTS + 1]).unwrap();
             for count in [1, MOST_REQUESTS, 3 * MOST_REQUESTS] {
-                let error = netlink.execute(vec![up(4711, vec![]); count]).unwrap_err();
+                let error = netlink.execute(vec![up(4711); count]).unwrap_err();
                 assert_eq!(error.raw_os_error(), Some(libc::ENODEV), "all {count} are rejected");
             }
-            netlink.execute(vec![up(1, vec![])]).unwrap();
+            netlink.execute(vec![up(1)]).unwrap();
         });
     }
 }

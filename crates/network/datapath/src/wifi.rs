@@ -16,20 +16,16 @@ use cotorra_graph::{Dbm, HardwareGraph, HostAddress, Node, NodeKind, RadioKind, 
 use cotorra_hwsim::{Error as HwsimError, Exchange, MacAddress, MediumSocket, Phys, Radio, Radios};
 
 use crate::{
-    engine::Shared,
     error::{Action, Error},
     hosts::{self, Addresses},
     namespace::Namespace,
     neighbours::Neighbours,
     netlink::{self, Netlink},
+    shared::Shared,
     sys,
 };
 
-/// The interface of a node's radio.
-pub const WLAN: &str = "wlan0";
-
-/// The bridge of a radio unit.
-pub const BRIDGE: &str = "br0";
+pub use crate::hosts::{BRIDGE, WLAN};
 
 /// Checks that this kernel and this user can have simulated radios, if the graph needs any.
 ///

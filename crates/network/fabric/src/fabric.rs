@@ -110,20 +110,89 @@ struct Observers {
 struct Port {
     node: NodeId,
     vertex: usize,
-    /// Whether it reaches the network over the radio unit that it is attached to.
-    is_robot: bool,
-    /// Whether another radio than the fabric's has its antenna.
-    is_lent: bool,
-    /// The radio unit's port at which a robot is reached whose antenna is lent.
-    behind: Option<PortId>,
-    /// Vertex at which frames to a robot leave for the core that it is with.
-    border: Option<usize>,
-    /// Addresses of the host; `None` for what decides by itself which frames pass: gateways and real servers.
-    identity: Option<Identity>,
-    /// Whether frames from here with other sources are dropped.
-    is_secure: bool,
-    /// Frames with other sources, so far.
-    forged: ForgedFrames,
+    reach: Reach,
+    sources: Sources,
+}
+
+/// How packets of a node reach the wired network.
+#[derive(Debug, Clone, Copy)]
+enum Reach {
+    /// It is on the wired network.
+    Wire,
+    /// It is on the wired network, with an antenna that another radio than the fabric's has. Robots can be behind it.
+    LentUnit,
+    Robot {
+        by: ByAir,
+        /// Vertex at which frames to the robot leave for the core that it is with.
+        border: Option<usize>,
+    },
+}
+
+/// How a robot reaches a radio unit.
+#[derive(Debug, Clone, Copy)]
+enum ByAir {
+    /// By the fabric's radio, over the radio unit that it is attached to.
+    Attached,
+    /// By another radio, which has its antenna.
+    Lent {
+        /// The radio unit's port at which it is reached.
+        behind: Option<PortId>,
+    },
+}
+
+/// Senders that frames from a port may name.
+#[derive(Debug)]
+enum Sources {
+    /// All: gateways and real servers decide by themselves which frames pass.
+    Any,
+    /// The host.
+    Own {
+        identity: Identity,
+        /// Whether frames with other sources are delivered all the same.
+        others_pass: bool,
+        /// Frames with other sources, so far.
+        forged: ForgedFrames,
+    },
+}
+
+impl Port {
+    fn is_robot(&self) -> bool {
+        matches!(self.reach, Reach::Robot { .. })
+    }
+
+    /// Returns the vertex at which frames to a robot leave for the core that it is with.
+    fn border(&self) -> Option<usize> {
+        if let Reach::Robot { border, .. } = self.reach { border } else { None }
+    }
+
+    fn set_border(&mut self, vertex: Option<usize>) {
+        if let Reach::Robot { border, .. } = &mut self.reach {
+            *border = vertex;
+        }
+    }
+
+    /// Returns the radio unit's port at which a robot is reached whose antenna is lent.
+    fn behind(&self) -> Option<PortId> {
+        if let Reach::Robot { by: ByAir::Lent { behind }, .. } = self.reach { behind } else { None }
+    }
+
+    fn set_behind(&mut self, port: Option<PortId>) {
+        if let Reach::Robot { by: ByAir::Lent { behind }, .. } = &mut self.reach {
+            *behind = port;
+        }
+    }
+
+    fn lend_antenna(&mut self) {
+        match &mut self.reach {
+            Reach::Wire | Reach::LentUnit => self.reach = Reach::LentUnit,
+            Reach::Robot { by, .. } => *by = ByAir::Lent { behind: None },
+        }
+    }
+
+    /// Returns what a host names as its sender; `None` for gateways and real servers.
+    fn identity(&self) -> Option<Identity> {
+        if let Sources::Own { identity, .. } = self.sources { Some(identity) } else { None }
+    }
 }
 
 /// The next hop of a packet from a vertex.
@@ -189,13 +258,16 @@ impl Fabric {
         let port = |(place, node): (usize, &Node)| Port {
             node: node.id.clone(),
             vertex: vertices[&node.id],
-            is_robot: matches!(node.kind, NodeKind::Robot(_)),
-            is_lent: false,
-            behind: None,
-            border: None,
-            identity: emulated(place, node).then(|| Identity::of(HostAddress::of(place))),
-            is_secure: true,
-            forged: ForgedFrames::default(),
+            reach: match node.kind {
+                NodeKind::Robot(_) => Reach::Robot { by: ByAir::Attached, border: None },
+                _ => Reach::Wire,
+            },
+            sources: if emulated(place, node) {
+                let identity = Identity::of(HostAddress::of(place));
+                Sources::Own { identity, others_pass: false, forged: ForgedFrames::default() }
+            } else {
+                Sources::Any
+            },
         };
         let ports: Vec<Port> = graph.ports().enumerate().map(port).collect();
         let mut port_of_vertex = vec![None; graph.nodes.len()];
@@ -255,28 +327,29 @@ impl Fabric {
             self.drops.malformed += 1;
             return self.pool.put(frame.into_bytes());
         }
-        let Port { vertex, is_robot, is_lent, border, .. } = self.ports[port.0];
-        let sender = if is_lent { self.sender(port, &frame) } else { port };
+        let Port { vertex, reach, .. } = self.ports[port.0];
+        let sender = if let Reach::LentUnit = reach { self.sender(port, &frame) } else { port };
         if !self.admits(port, sender, &frame) {
             return self.pool.put(frame.into_bytes());
         }
         self.balance.sent += u64::from(frame.wire_packets());
         if sender != port {
-            self.ports[sender.0].behind = Some(port);
+            self.ports[sender.0].set_behind(Some(port));
         }
         self.learn(sender, &frame);
         if self.observers.is_some() {
             self.observe_entry(now, sender, &mut frame);
         }
         let Some(target) = self.target(sender, vertex, &frame) else { return self.drop_unroutable(frame) };
-        if border.is_some() {
-            return self.depart_frame(port, Direction::Forward, frame);
-        }
-        if is_robot {
-            return self.on_air(frame, |radio, frame| radio.push_up(now, port, frame));
-        }
-        if is_lent && self.is_back(port, &target) {
-            return self.drop_unroutable(frame);
+        match reach {
+            Reach::Robot { border: Some(_), .. } => {
+                return self.depart_frame(port, Direction::Forward, frame);
+            }
+            Reach::Robot { border: None, .. } => {
+                return self.on_air(frame, |radio, frame| radio.push_up(now, port, frame));
+            }
+            Reach::LentUnit if self.is_back(port, &target) => return self.drop_unroutable(frame),
+            Reach::LentUnit | Reach::Wire => {}
         }
         self.leave(now, vertex, frame, target);
         self.settle(now);
@@ -294,7 +367,7 @@ impl Fabric {
             if self.observers.is_some() {
                 self.observe_delivery(now, due, port, &mut frame);
             }
-            deliver(self.ports[port.0].behind.unwrap_or(port), frame);
+            deliver(self.ports[port.0].behind().unwrap_or(port), frame);
         }
         if self.observers.is_some() {
             self.observe_drops();
@@ -685,7 +758,7 @@ impl Fabric {
                     self.outbox.push_back((now, *port, frame));
                     continue;
                 }
-                Target::Port { port, .. } if self.ports[port.0].border == Some(vertex) => {
+                Target::Port { port, .. } if self.ports[port.0].border() == Some(vertex) => {
                     self.depart_frame(*port, Direction::Backward, frame);
                     continue;
                 }
@@ -764,24 +837,21 @@ impl Fabric {
 
     /// Returns the next hop from a vertex towards a host.
     fn hop(&mut self, vertex: usize, to: PortId) -> Option<Hop> {
-        let Port { vertex: mut end, is_robot, is_lent, behind, border, .. } = self.ports[to.0];
-        if let Some(border) = border {
-            if border == vertex {
-                return Some(Hop::Border);
+        let Port { vertex: own, reach, .. } = self.ports[to.0];
+        let (end, last) = match reach {
+            Reach::Wire | Reach::LentUnit => (own, None),
+            Reach::Robot { border: Some(border), .. } => (border, Some(Hop::Border)),
+            Reach::Robot { by: ByAir::Lent { behind }, border: None } => {
+                (self.ports[behind?.0].vertex, Some(Hop::Out))
             }
-            end = border;
-        } else if is_robot && is_lent {
-            end = self.ports[behind?.0].vertex;
-            if end == vertex {
-                return Some(Hop::Out);
+            Reach::Robot { by: ByAir::Attached, border: None } => {
+                (self.ports[self.radio.attached_to(to)?.0].vertex, Some(Hop::Air))
             }
-        } else if is_robot {
-            end = self.ports[self.radio.attached_to(to)?.0].vertex;
-            if end == vertex {
-                return Some(Hop::Air);
-            }
+        };
+        match last {
+            Some(last) if end == vertex => Some(last),
+            _ => self.routes.step(vertex, end).map(Hop::Edge),
         }
-        self.routes.step(vertex, end).map(Hop::Edge)
     }
 
     /// Returns the target of a frame that enters the wired network at a vertex; `None` if its sender is its destination.

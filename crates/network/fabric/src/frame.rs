@@ -416,3 +416,13 @@ impl Layout {
         put(bytes, self.transport + checksum_offset(kind), checksum::fold(pseudo));
     }
 }
+
+impl Pool {
+    /// Takes the buffer of a dropped frame, and keeps its way if it was followed.
+    pub(crate) fn discard(&mut self, mut frame: Frame) {
+        if let Some(trace) = frame.take_trace() {
+            self.ended(trace);
+        }
+        self.put(frame.into_bytes());
+    }
+}

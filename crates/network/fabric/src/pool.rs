@@ -1,7 +1,7 @@
 //! A pool of frame buffers. A dropped or delivered frame leaves its memory to the next one, so that the steady state
 //! allocates nothing per packet.
 
-use crate::{frame::Frame, trace::Trace};
+use crate::trace::Trace;
 
 /// Capacity for a frame of an ordinary link, with its header and a VLAN tag.
 const SMALL: usize = 2048;
@@ -32,14 +32,6 @@ impl Pool {
             Some(buffer) if buffer.capacity() >= length => buffer,
             _ => Vec::with_capacity(capacity),
         }
-    }
-
-    /// Takes the buffer of a dropped frame, and keeps its way if it was followed.
-    pub(crate) fn discard(&mut self, mut frame: Frame) {
-        if let Some(trace) = frame.take_trace() {
-            self.ended(trace);
-        }
-        self.put(frame.into_bytes());
     }
 
     /// Keeps the way of a frame that is not delivered.

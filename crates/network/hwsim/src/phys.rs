@@ -2,37 +2,13 @@
 
 use std::os::fd::{AsFd, AsRawFd};
 
-use cotorra_netlink::{DecodeError, Family, Netlink, Writer, answer, parse_u32, text};
-use netlink_sys::protocols::NETLINK_GENERIC;
+use cotorra_netlink::{
+    DecodeError, Family, NETLINK_GENERIC, Netlink, Writer, answer,
+    nl80211::{self, attribute as attr, command, interface_type, power_setting},
+    parse_u32, text,
+};
 
 use crate::error::Error;
-
-/// `NL80211_CMD_*`.
-mod command {
-    pub(super) const GET_WIPHY: u8 = 1;
-    pub(super) const SET_WIPHY: u8 = 2;
-    pub(super) const NEW_INTERFACE: u8 = 7;
-    pub(super) const SET_WIPHY_NETNS: u8 = 49;
-}
-
-/// `NL80211_ATTR_*`.
-mod attr {
-    pub(super) const WIPHY: u16 = 1;
-    pub(super) const WIPHY_NAME: u16 = 2;
-    pub(super) const IFNAME: u16 = 4;
-    pub(super) const IFTYPE: u16 = 5;
-    pub(super) const TX_POWER_SETTING: u16 = 97;
-    /// i32 in a u32, 0.01 dBm.
-    pub(super) const TX_POWER_LEVEL: u16 = 98;
-    pub(super) const SPLIT_WIPHY_DUMP: u16 = 174;
-    pub(super) const NETNS_FD: u16 = 219;
-}
-
-/// `NL80211_TX_POWER_LIMITED`.
-const LIMITED: u32 = 1;
-
-/// `NL80211_IFTYPE_STATION`.
-const STATION: u32 = 2;
 
 /// Wi-Fi devices of the calling thread's network namespace.
 #[derive(Debug)]
@@ -50,7 +26,7 @@ impl Default for Phys {
 impl Phys {
     /// Returns a client. Opens nothing yet.
     pub const fn new() -> Self {
-        Self { socket: Netlink::new(NETLINK_GENERIC), family: Family::new("nl80211") }
+        Self { socket: Netlink::new(NETLINK_GENERIC), family: Family::new(nl80211::FAMILY) }
     }
 
     /// Moves a phy with all its interfaces into a network namespace, such as an open `/proc/PID/ns/net`.
@@ -71,7 +47,7 @@ impl Phys {
     pub fn add_station(&mut self, phy: &str, interface: &str) -> Result<(), Error> {
         let mut attributes = Writer::default();
         attributes.words(attr::WIPHY, &[self.index(phy)?]).text(attr::IFNAME, interface);
-        attributes.words(attr::IFTYPE, &[STATION]);
+        attributes.words(attr::IFTYPE, &[interface_type::STATION]);
         self.execute("add an interface", command::NEW_INTERFACE, attributes)
     }
 
@@ -83,7 +59,9 @@ impl Phys {
     pub fn set_power(&mut self, phy: &str, dbm: f64) -> Result<(), Error> {
         let level = (dbm.round() * 100.0) as i32;
         let mut attributes = Writer::default();
-        attributes.words(attr::WIPHY, &[self.index(phy)?]).words(attr::TX_POWER_SETTING, &[LIMITED]);
+        attributes
+            .words(attr::WIPHY, &[self.index(phy)?])
+            .words(attr::TX_POWER_SETTING, &[power_setting::LIMITED]);
         attributes.words(attr::TX_POWER_LEVEL, &[level.cast_unsigned()]);
         self.execute("set a transmit power", command::SET_WIPHY, attributes)
     }

@@ -1,7 +1,6 @@
 //! Creates and deletes radios.
 
-use cotorra_netlink::{Family, Netlink};
-use netlink_sys::protocols::NETLINK_GENERIC;
+use cotorra_netlink::{Family, NETLINK_GENERIC, Netlink};
 
 use crate::{
     error::Error,

@@ -4,13 +4,14 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{DomainId, NodeId, Timestamp, Vnf, VnfId};
-use cotorra_mec::{CallbackError, Epoch, TooOften};
+use cotorra_mec::Epoch;
 
 use crate::{
-    Descriptor, DescriptorError,
-    descriptor::variables,
-    mec::{Occurrence, Operation, OperationState, State},
+    application::{Application, Output, Seen, Stage, sees, share},
+    descriptor::{Descriptor, variables},
+    error::{LifecycleError, conflict},
     network::Network,
+    operation::{Occurrence, Operation, OperationState, State},
     subscriptions::Subscriptions,
 };
 
@@ -20,101 +21,6 @@ const MOST_DESCRIPTORS: usize = 256;
 const MOST_INSTANCES: usize = 256;
 /// The most occurrences of the operator's operations that are kept. The oldest are dropped.
 const MOST_OCCURRENCES: usize = 1024;
-
-/// Returns how many objects an owner may have, where the operator may have `most`. Each domain has a share of its own, so that
-/// nobody takes the place of another.
-pub(crate) const fn share(owner: Option<&DomainId>, most: usize) -> usize {
-    if owner.is_some() { most / 4 } else { most }
-}
-
-/// Reason for which a request is rejected. Nothing has changed then.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum LifecycleError {
-    /// An unknown descriptor, network, instance or occurrence.
-    #[error("there is no {0} `{1}`")]
-    Unknown(&'static str, String),
-    /// A request that does not fit the present state.
-    #[error("{0}")]
-    Conflict(String),
-    /// A request that cannot be.
-    #[error("{0}")]
-    Invalid(String),
-    /// A descriptor that is rejected.
-    #[error("the descriptor is rejected: {0}")]
-    Descriptor(#[from] DescriptorError),
-    /// A callback that cannot be used.
-    #[error(transparent)]
-    Callback(#[from] CallbackError),
-    /// Too many subscriptions.
-    #[error("{0}")]
-    Full(String),
-    /// Too frequent changes of subscriptions.
-    #[error(transparent)]
-    TooOften(#[from] TooOften),
-}
-
-pub(crate) fn conflict<T>(reason: impl Into<String>) -> Result<T, LifecycleError> {
-    Err(LifecycleError::Conflict(reason.into()))
-}
-
-/// The stage of an instance.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Stage {
-    /// It is known. It may have a node.
-    Defined,
-    /// It can be started.
-    Configured,
-    /// Its VNF was added, and this is the last that was seen of it.
-    Started(VnfId, Seen),
-}
-
-/// What is seen of the VNF of a started instance.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Seen {
-    /// It does not serve yet.
-    Starting,
-    /// It serves.
-    Serves,
-    /// It ended, and is started again.
-    Restarts,
-    /// It cannot be started, for this reason.
-    Failed(String),
-    /// It is gone: others removed it.
-    Gone,
-}
-
-/// The part of a VNF's log that is of one instance. VNFs before and after it may have had the same name.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Output {
-    /// The VNF.
-    pub vnf: VnfId,
-    /// First byte.
-    pub from: u64,
-    /// End, once it was stopped.
-    pub to: Option<u64>,
-}
-
-/// An instance of an application.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Application {
-    /// Its identifier.
-    pub id: String,
-    /// The catalog's identifier of its descriptor.
-    pub descriptor: String,
-    /// Its name, if MEC gave it one.
-    pub name: Option<String>,
-    /// Its description, if MEC gave it one.
-    pub description: Option<String>,
-    /// Its node, once it has one.
-    pub node: Option<NodeId>,
-    /// Its stage.
-    pub stage: Stage,
-    pub(crate) owner: Option<DomainId>,
-    /// What its last start wrote.
-    output: Option<Output>,
-    /// Whether an operation is under way.
-    is_busy: bool,
-}
 
 #[derive(Debug)]
 pub(crate) struct Known {
@@ -133,10 +39,6 @@ pub struct Applications {
     epoch: Epoch,
     /// Number of identifiers made so far.
     made: u64,
-}
-
-pub(crate) fn sees(viewer: Option<&DomainId>, owner: Option<&DomainId>) -> bool {
-    viewer.is_none() || viewer == owner
 }
 
 impl Applications {

@@ -6,14 +6,20 @@
 //! subscribed to changes.
 #![forbid(unsafe_code)]
 
+mod application;
 mod applications;
 mod descriptor;
+mod error;
 pub mod fog05;
 pub mod mec;
 mod network;
+mod networks;
+mod operation;
 mod subscriptions;
 
-pub use applications::{Application, Applications, LifecycleError, Output, Seen, Stage};
+pub use application::{Application, Output, Seen, Stage};
+pub use applications::Applications;
 pub use descriptor::{Descriptor, DescriptorError, LONGEST_DESCRIPTOR, variables};
+pub use error::LifecycleError;
 pub use network::{Network, NetworkDescriptor};
 pub use subscriptions::{Recipient, Subscription, SubscriptionType, Subscriptions};

@@ -1,16 +1,20 @@
 //! Requests and documents of ETSI GS MEC 010-2 v2.1.1, application life cycle management.
 
 use cotorra_graph::{DomainId, NodeId, Timestamp};
-use cotorra_mec::{Attribute, TimeStamp};
-use serde::{Deserialize, Serialize};
+use cotorra_mec::Attribute;
+use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::{Application, Applications, Descriptor, LifecycleError, Seen, Stage};
+use crate::{
+    application::{Application, Stage},
+    applications::Applications,
+    descriptor::Descriptor,
+    error::LifecycleError,
+    operation::{PROVIDER, State, VERSION},
+};
 
-/// Provider of all applications.
-pub(crate) const PROVIDER: &str = "cotorra";
-/// Version of all applications and descriptors.
-pub(crate) const VERSION: &str = "1";
+pub use crate::operation::{Occurrence, Operation, OperationState, read};
+
 /// Longest name or description of an instance, bytes.
 const LONGEST_TEXT: usize = 1024;
 
@@ -98,66 +102,6 @@ enum Wanted {
     Terminate,
 }
 
-/// An operation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "UPPERCASE")]
-pub enum Operation {
-    /// Add the VNF on a node.
-    Instantiate,
-    /// Add or remove the VNF of an instance that has a node.
-    Operate,
-    /// Remove the VNF, and forget the node.
-    Terminate,
-}
-
-/// State of an operation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "UPPERCASE")]
-pub enum OperationState {
-    /// It is about to be carried out. No operation here has this state.
-    Starting,
-    /// It is carried out.
-    Processing,
-    /// It is done.
-    Completed,
-    /// It was rejected. Nothing has changed.
-    Failed,
-}
-
-/// State of an instance.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "SCREAMING_SNAKE_CASE")]
-pub(crate) enum State {
-    /// It has no node.
-    NotInstantiated,
-    /// Its VNF serves.
-    Started,
-    /// Its VNF does not serve.
-    Stopped,
-}
-
-impl State {
-    pub(crate) const ALL: [Self; 3] = [Self::NotInstantiated, Self::Started, Self::Stopped];
-
-    pub(crate) fn of(instance: &Application) -> Self {
-        match &instance.stage {
-            Stage::Defined => Self::NotInstantiated,
-            Stage::Started(_, Seen::Serves) => Self::Started,
-            Stage::Configured | Stage::Started(..) => Self::Stopped,
-        }
-    }
-}
-
-/// An operation that occurred, or that is carried out.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Occurrence {
-    pub(crate) instance: String,
-    pub(crate) operation: Operation,
-    pub(crate) state: OperationState,
-    started: TimeStamp,
-    pub(crate) entered: TimeStamp,
-}
-
 /// What an operation asks of the testbed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
@@ -178,14 +122,6 @@ pub struct Begun {
     pub operation: Operation,
     /// What is to be done.
     pub task: Task,
-}
-
-/// Reads a request.
-///
-/// # Errors
-/// [`LifecycleError::Invalid`].
-pub fn read<T: for<'a> Deserialize<'a>>(body: &[u8]) -> Result<T, LifecycleError> {
-    serde_json::from_slice(body).map_err(|error| LifecycleError::Invalid(error.to_string()))
 }
 
 fn invalid<T>(reason: impl Into<String>) -> Result<T, LifecycleError> {
@@ -352,24 +288,6 @@ impl Applications {
         let (number, occurrence) =
             found.ok_or_else(|| LifecycleError::Unknown("operation occurrence", id.to_owned()))?;
         Ok(occurrence.document(number, base))
-    }
-}
-
-impl Occurrence {
-    pub(crate) fn new(instance: &str, operation: Operation, now: TimeStamp) -> Self {
-        let state = OperationState::Processing;
-        Self { instance: instance.to_owned(), operation, state, started: now, entered: now }
-    }
-
-    fn document(&self, number: u64, base: &str) -> Value {
-        json!({
-            "id": number.to_string(), "operationState": self.state, "lcmOperation": self.operation,
-            "stateEnteredTime": self.entered, "startTime": self.started,
-            "_links": {
-                "self": { "href": format!("{base}/app_lcm_op_occs/{number}") },
-                "appInstance": { "href": format!("{base}/app_instances/{}", self.instance) },
-            },
-        })
     }
 }
 

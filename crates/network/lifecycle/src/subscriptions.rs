@@ -8,9 +8,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::{
-    Application, Descriptor, LifecycleError,
-    applications::{sees, share},
-    mec::{Occurrence, Operation, OperationState, PROVIDER, State, VERSION, read},
+    application::{Application, sees, share},
+    descriptor::Descriptor,
+    error::LifecycleError,
+    operation::{Occurrence, Operation, OperationState, PROVIDER, State, VERSION, read},
 };
 
 /// The most subscriptions of the operator.

@@ -4,13 +4,11 @@ use std::io;
 
 use crate::{
     attributes::{DecodeError, parse_i32},
-    message::messages,
+    message::{ERROR, messages},
 };
 
 /// `NLMSG_NOOP`.
 const NOOP: u16 = 1;
-/// `NLMSG_ERROR`, which is also an acknowledgement.
-const ERROR: u16 = 2;
 /// `NLMSG_DONE`: the end of a list.
 const DONE: u16 = 3;
 /// `NLM_F_DUMP_INTR`.
@@ -124,6 +122,10 @@ mod tests {
                 Ok(State::Rejected(error)) => assert_eq!(error.raw_os_error(), Some(EOPNOTSUPP)),
                 _ => panic!("the error was overlooked"),
             }
+        }
+        match Answers::new(7).take(&acknowledged(-1), &bytes) {
+            Ok(State::Rejected(error)) => assert_eq!(error.kind(), io::ErrorKind::PermissionDenied),
+            _ => panic!("the error was overlooked"),
         }
         assert!(matches!(Answers::new(7).take(&acknowledged(0), &bytes), Ok(State::Complete(0))));
         assert!(matches!(Answers::new(7).take(&acknowledged(4), &bytes), Ok(State::Complete(4))), "a result");

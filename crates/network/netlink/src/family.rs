@@ -68,6 +68,22 @@ impl Family {
         self.forget_if_gone(result)
     }
 
+    /// Reads what a command gives of one thing.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::NotFound`] if the kernel lacks the family; otherwise, those of [`Netlink::request`].
+    pub fn get<T>(
+        &mut self,
+        socket: &mut Netlink,
+        command: u8,
+        attributes: &[u8],
+        decode: impl Fn(&[u8]) -> Result<Option<T>, DecodeError>,
+    ) -> io::Result<Option<T>> {
+        let number = self.number(socket)?;
+        let result = socket.request(number, ACK, &request(command, attributes), decode);
+        Ok(self.forget_if_gone(result)?.into_iter().next())
+    }
+
     /// Carries out a command, and returns the number that the kernel acknowledges it with.
     ///
     /// # Errors

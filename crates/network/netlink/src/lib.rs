@@ -6,6 +6,8 @@ mod answers;
 mod attributes;
 mod family;
 mod message;
+pub mod nl80211;
+pub mod rtnetlink;
 mod socket;
 
 pub use answers::{Answers, State};
@@ -14,5 +16,6 @@ pub use attributes::{
     parse_u64, text,
 };
 pub use family::{Family, answer, decode_family};
-pub use message::{ACK, DUMP, Message, REQUEST, message, messages};
+pub use message::{ACK, CREATE, DUMP, ERROR, EXCLUSIVE, Message, REPLACE, REQUEST, message, messages};
+pub use netlink_sys::protocols::{NETLINK_GENERIC, NETLINK_ROUTE};
 pub use socket::{Netlink, bind_alone};

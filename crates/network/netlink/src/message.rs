@@ -8,6 +8,15 @@ pub const REQUEST: u16 = 1;
 pub const ACK: u16 = 4;
 /// `NLM_F_DUMP`: asks for a list.
 pub const DUMP: u16 = 0x300;
+/// `NLM_F_REPLACE`: replaces what is there.
+pub const REPLACE: u16 = 0x100;
+/// `NLM_F_EXCL`: is rejected if it is there.
+pub const EXCLUSIVE: u16 = 0x200;
+/// `NLM_F_CREATE`: makes what is not there.
+pub const CREATE: u16 = 0x400;
+
+/// `NLMSG_ERROR`: the kind of an error, which is also an acknowledgement. Its body begins with a negative error code, or 0.
+pub const ERROR: u16 = 2;
 
 /// Length of a message's header.
 const HEADER: usize = 16;

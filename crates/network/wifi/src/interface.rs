@@ -2,18 +2,13 @@
 
 use std::{fs, io, path::PathBuf};
 
-use netlink_packet_core::{NLM_F_ACK, NLM_F_REQUEST, NLMSG_ERROR, NetlinkBuffer, parse_i32};
-use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
+use cotorra_netlink::{NETLINK_ROUTE, Netlink, rtnetlink};
 use rustix::net::{AddressFamily, SocketType, netdevice};
 
 use crate::{address::MacAddress, names::InterfaceName};
 
 /// `IFF_UP`.
 const UP: u32 = 1;
-/// `RTM_NEWLINK`.
-const CHANGE_LINK: u16 = 16;
-/// Lengths of `struct nlmsghdr` and `struct ifinfomsg`.
-const HEADERS: (usize, usize) = (16, 16);
 
 /// Whether there is such an interface, with a radio.
 pub(crate) fn has_radio(interface: &InterfaceName) -> bool {
@@ -59,38 +54,8 @@ pub(crate) fn forgets_neighbours(interface: &InterfaceName) -> PathBuf {
 pub(crate) fn set_up(interface: &InterfaceName) -> io::Result<()> {
     let socket = rustix::net::socket(AddressFamily::INET, SocketType::DGRAM, None)?;
     let index = netdevice::name_to_index(socket, interface.as_str())?;
-    let mut socket = Socket::new(NETLINK_ROUTE)?;
-    socket.bind_auto()?;
-    // The kernel has answered before the request is sent.
-    socket.set_non_blocking(true)?;
-    socket.send(&request(index), 0)?;
-    let mut answer = Vec::with_capacity(4096);
-    socket.recv(&mut answer, 0)?;
-    let invalid = |error| io::Error::new(io::ErrorKind::InvalidData, error);
-    let answer = NetlinkBuffer::new_checked(&answer).map_err(invalid)?;
-    let code = answer.payload().get(..4).map(parse_i32).transpose().map_err(invalid)?;
-    match code {
-        Some(0) if answer.message_type() == NLMSG_ERROR => Ok(()),
-        Some(code) if answer.message_type() == NLMSG_ERROR => {
-            Err(io::Error::from_raw_os_error(code.saturating_neg()))
-        }
-        _ => Err(io::ErrorKind::InvalidData.into()),
-    }
-}
-
-/// Encodes a request to set an interface up.
-fn request(index: u32) -> Vec<u8> {
-    let (header, body) = HEADERS;
-    let mut bytes = vec![0; header + body];
-    let mut message = NetlinkBuffer::new(&mut bytes);
-    message.set_length(u32::try_from(header + body).expect("it is short"));
-    message.set_message_type(CHANGE_LINK);
-    message.set_flags(NLM_F_REQUEST | NLM_F_ACK);
-    message.set_sequence_number(1);
-    bytes[header + 4..header + 8].copy_from_slice(&index.to_ne_bytes());
-    bytes[header + 8..header + 12].copy_from_slice(&UP.to_ne_bytes());
-    bytes[header + 12..].copy_from_slice(&UP.to_ne_bytes());
-    bytes
+    let request = rtnetlink::link_up(index).finish();
+    Netlink::new(NETLINK_ROUTE).execute(rtnetlink::NEW_LINK, 0, &request).map(drop)
 }
 
 #[cfg(test)]

@@ -3,9 +3,8 @@
 use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
 use cotorra_graph::{NodeId, Pose, RobotModel, ServiceId, ServiceTime, Timestamp};
-use cotorra_localization::{Belief, Parameters, Pose2};
+use cotorra_localization::{Belief, Parameters, Pose2, believed, parameters, planar, to_pose};
 use cotorra_plugin::wire::{MAX_BEAMS, PosePacket, ScanPacket};
-use cotorra_vnfs::{believed, parameters, planar, to_pose};
 
 use crate::{
     answer_error::AnswerError,

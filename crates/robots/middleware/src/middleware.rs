@@ -15,9 +15,8 @@ use cotorra_graph::{
     RobotContext, RobotFault, RobotModel, SensorData, SensorId, Service, ServiceTime, Stamped, Testbed,
     Timestamp, Velocity,
 };
-use cotorra_localization::trajectory::Errors;
+use cotorra_localization::{believed, planar, trajectory::Errors};
 use cotorra_plugin::wire::{NavigationPacket, PosePacket};
-use cotorra_vnfs::{believed, planar};
 
 use crate::{
     answer_error::AnswerError,

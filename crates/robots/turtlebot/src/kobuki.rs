@@ -10,7 +10,7 @@ mod frames;
 mod odometry;
 
 pub use base::{Base, COMMAND_TIMEOUT};
-pub use command::{Command, Gains, MAX_ANGULAR_SPEED, limited};
+pub use command::{Command, Gains, MAX_ANGULAR_SPEED, WHEEL_BASE, limited};
 pub use feedback::{Basic, Feedback, Gyro, Inertia, Version};
 pub use frames::Frames;
-pub use odometry::{METRES_PER_TICK, Odometry, WHEEL_BASE};
+pub use odometry::{METRES_PER_TICK, Odometry};

@@ -6,10 +6,10 @@
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use cotorra_graph::{NodeId, OccupancyGrid, Pose, Program, RobotModel, Testbed};
-use cotorra_localization::{LikelihoodField, LocalizationError, Localizer, Parameters, Pose2, Scan};
+use cotorra_localization::{
+    LikelihoodField, LocalizationError, Localizer, Parameters, Pose2, Scan, believed, parameters, to_pose,
+};
 use cotorra_plugin::wire::{PosePacket, ScanPacket, WireError};
-
-use crate::belief::{believed, parameters, to_pose};
 
 /// The reason for which a robot cannot be localized.
 #[derive(Debug, thiserror::Error)]

@@ -2,7 +2,8 @@
 
 use std::{collections::BTreeSet, fmt, ops::Range};
 
-use super::Span;
+/// A range of bytes in the source.
+pub(crate) type Span = Range<usize>;
 
 /// One mistake or warning.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,18 +1,12 @@
 //! YAML as a tree that knows where each value stands. Bounded in size, depth and what aliases expand to, so that no
 //! file exhausts memory.
 
-use std::{
-    collections::{HashMap, HashSet},
-    ops::Range,
-};
+use std::collections::{HashMap, HashSet};
 
 use saphyr_parser::{Event, Marker, Parser, ScalarStyle};
 
-use super::Sink;
+use super::{Sink, Span};
 use crate::file::MAX_TEXT;
-
-/// A range of bytes in the source.
-pub(crate) type Span = Range<usize>;
 
 /// A value and where it stands.
 #[derive(Debug, Clone, PartialEq)]

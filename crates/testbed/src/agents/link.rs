@@ -10,15 +10,15 @@ use std::{
 
 use cotorra_agent_protocol::{
     Controller, ControllerEvent, LinkState, MachineReading, RadioEvent, RadioState, RequestError, RobotState,
-    Run, Shipped, WantedInstance, WantedLink, WantedRequest, WantedRobot,
+    Run, Shipped, WantedRequest, WantedRobot,
 };
 use cotorra_agent_transport::{Credentials, FromAgent, Granted, Receiver, Router};
-use cotorra_engine::{EngineEvent, InstanceId};
+use cotorra_engine::EngineEvent;
 use cotorra_enrolment::Authority;
-use cotorra_graph::{AgentId, Event, LinkId, NodeId, Stamped, Timestamp};
+use cotorra_graph::{AgentId, Event, NodeId, Stamped, Timestamp};
 use parking_lot::Mutex;
 
-use super::{error::AgentsError, links::LinkReports, robot::Robots, today};
+use super::{command::Command, error::AgentsError, links::LinkReports, robot::Robots, today};
 use crate::{
     clock::Clock,
     message::Message,
@@ -30,22 +30,6 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// Longest time at the end of a run for agents that report that something still ends, as a container of a busy engine may.
 const LONGEST_END: Duration = Duration::from_secs(30);
-
-/// A message to the thread.
-pub(super) enum Command {
-    Start(AgentId, InstanceId, Box<WantedInstance>),
-    Stop(InstanceId),
-    /// An agent shall emulate a link like this.
-    Emulate(AgentId, LinkId, Box<WantedLink>),
-    /// The core has a wish for a Wi-Fi interface.
-    Radio(Place, Wish),
-    /// A command to a robot is to be sent.
-    Wake,
-    /// Something arrived from an agent. The last part is held until it is handled, to bound the number that waits.
-    Arrived(AgentId, FromAgent, Arc<()>),
-    /// Stop everything, and end.
-    End,
-}
 
 /// What the thread works with.
 pub(super) struct Parts {

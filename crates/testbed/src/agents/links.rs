@@ -13,7 +13,7 @@ use cotorra_graph::{
 };
 use parking_lot::Mutex;
 
-use super::link::Command;
+use super::command::Command;
 use crate::{real_network::AgentLinks, real_place::Place};
 
 /// What agents report of their links. The agents' thread writes it, and the core's reads it.

@@ -11,7 +11,7 @@ use cotorra_graph::{AgentId, HardwareGraph, RobotFault, Timestamp, Velocity};
 use cotorra_turtlebot::{Body, Readings, rplidar::Turn};
 use parking_lot::Mutex;
 
-use super::link::Command;
+use super::command::Command;
 use crate::robots::AtAgents;
 
 /// The robots of a run at agents. Drivers, the agents' thread and the router's share them. Nothing waits: each robot keeps

@@ -4,8 +4,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs::File,
-    io::{self, Read},
+    io,
     sync::Arc,
 };
 
@@ -20,45 +19,8 @@ use axum::{
 };
 use cotorra_graph::{DomainId, PluginId};
 
-use super::{connections::Whose, serve::Place, sign_in::SignIns, types::Failure};
+use super::{connections::Whose, serve::Place, signed_in::SignIns, token::Token, types::Failure};
 use crate::domain::{DomainView, Domains};
-
-/// A caller's secret.
-#[derive(Clone)]
-pub struct Token(String);
-
-impl Token {
-    /// Creates a token; `None` if the text has fewer than 16 bytes, too few for a secret.
-    pub fn new(secret: impl Into<String>) -> Option<Self> {
-        let secret = secret.into();
-        (secret.len() >= 16).then_some(Self(secret))
-    }
-
-    /// Creates a random token.
-    pub(super) fn random() -> io::Result<Self> {
-        let mut bytes = [0; 32];
-        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-        Ok(Self(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
-    }
-
-    /// Returns the secret.
-    pub(crate) fn secret(&self) -> &str {
-        &self.0
-    }
-
-    /// Compares in constant time, which does not reveal how much of a guess is right.
-    pub(super) fn is(&self, shown: &str) -> bool {
-        let (secret, shown) = (self.0.as_bytes(), shown.as_bytes());
-        let differences = secret.iter().zip(shown).fold(0, |all, (a, b)| all | (a ^ b));
-        secret.len() == shown.len() && differences == 0
-    }
-}
-
-impl std::fmt::Debug for Token {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Token(…)")
-    }
-}
 
 /// Who is the operator, who sees and changes everything.
 #[derive(Debug, Clone, Default)]
@@ -100,7 +62,7 @@ impl Tokens {
             return Err(TokensError::Everyone);
         }
         let own = if let Operator::Token(token) = &operator { Some(token) } else { None };
-        let all: Vec<_> = own.into_iter().chain(domains.values()).map(|token| &token.0).collect();
+        let all: Vec<_> = own.into_iter().chain(domains.values()).map(Token::secret).collect();
         if all.iter().enumerate().any(|(i, token)| all[..i].contains(token)) {
             return Err(TokensError::Shared);
         }

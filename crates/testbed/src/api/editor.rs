@@ -24,7 +24,8 @@ use super::{
     map::{self, MapBody},
     page,
     serve::{self, Patience, Place},
-    sign_in::{self, SignIns},
+    sign_in,
+    signed_in::SignIns,
     types::{Failure, TestbedBody},
 };
 

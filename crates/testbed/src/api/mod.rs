@@ -18,7 +18,9 @@ mod routes;
 mod sensors;
 mod serve;
 mod sign_in;
+mod signed_in;
 mod stream;
+mod token;
 mod turns;
 mod types;
 mod wais;
@@ -37,7 +39,7 @@ use cotorra_mec::Delivery;
 use cotorra_plugin::runs::{Announced, Runs, RunsError};
 use tokio::sync::oneshot;
 
-use self::{auth::Gate, connections::Limits, context::BLOCKING_THREADS, serve::Patience, sign_in::SignIns};
+use self::{auth::Gate, connections::Limits, context::BLOCKING_THREADS, serve::Patience, signed_in::SignIns};
 use crate::domain::Domains;
 
 /// Returns the OpenAPI document of application life cycle management.
@@ -46,10 +48,11 @@ pub fn app_lcm_openapi() -> String {
 }
 
 pub(crate) use auth::PluginTokens;
-pub use auth::{Operator, Token, Tokens, TokensError};
+pub use auth::{Operator, Tokens, TokensError};
 pub(crate) use context::{Context, Lockstep, WaisOptions};
 pub use editor::{Checked, Edited, Editor, Mistake};
 pub use sign_in::Dashboard;
+pub use token::Token;
 
 #[cfg(test)]
 mod tests;

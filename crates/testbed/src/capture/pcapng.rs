@@ -3,19 +3,10 @@
 
 use cotorra_fabric::{Frame, Passage};
 use cotorra_graph::{Direction, LinkId, Timestamp};
-
-const SECTION_HEADER: u32 = 0x0a0d_0d0a;
-const INTERFACE: u32 = 1;
-const PACKET: u32 = 6;
-const BYTE_ORDER_MAGIC: u32 = 0x1a2b_3c4d;
-const LINKTYPE_ETHERNET: u16 = 1;
-
-/// Codes of options.
-const COMMENT: u16 = 1;
-const USER_APPLICATION: u16 = 4;
-const INTERFACE_NAME: u16 = 2;
-const TIME_RESOLUTION: u16 = 9;
-const DROP_COUNT: u16 = 4;
+use cotorra_pcap::{
+    ETHERNET,
+    write::{self, Record},
+};
 
 /// A packet that crossed a link, apart from the fabric.
 #[derive(Debug)]
@@ -67,14 +58,7 @@ struct Interface {
 impl Writer {
     /// Begins a file: writes its first block.
     pub(crate) fn new(snap: u32, out: &mut Vec<u8>) -> Self {
-        block(out, SECTION_HEADER, |out| {
-            out.extend(BYTE_ORDER_MAGIC.to_le_bytes());
-            // Version 1.0, and a section of unknown length.
-            out.extend([1, 0, 0, 0]);
-            out.extend(u64::MAX.to_le_bytes());
-            option(out, USER_APPLICATION, concat!("cotorra ", env!("CARGO_PKG_VERSION")).as_bytes());
-            end_options(out);
-        });
+        write::section(out, concat!("cotorra ", env!("CARGO_PKG_VERSION")));
         Self { snap, interfaces: Vec::new(), cut: Vec::new() }
     }
 
@@ -93,19 +77,15 @@ impl Writer {
             let _ = packet.complete_checksum();
             let comment = comment([entered, due, delivered], std::mem::take(&mut fewer));
             let kept = &packet.bytes()[..packet.len().min(self.snap as usize)];
-            block(out, PACKET, |out| {
-                out.extend((number as u32).to_le_bytes());
-                let at = due.as_nanos();
-                out.extend(((at >> 32) as u32).to_le_bytes());
-                out.extend((at as u32).to_le_bytes());
-                out.extend((kept.len() as u32).to_le_bytes());
-                out.extend((packet.len() as u32).to_le_bytes());
-                out.extend(kept);
-                pad(out, kept.len());
-                option(out, COMMENT, comment.as_bytes());
-                option(out, DROP_COUNT, &std::mem::take(&mut missed).to_le_bytes());
-                end_options(out);
-            });
+            let record = Record {
+                interface: number as u32,
+                at_ns: due.as_nanos(),
+                bytes: kept,
+                original: packet.len() as u32,
+                comment: &comment,
+                missed: std::mem::take(&mut missed),
+            };
+            write::packet(out, &record);
         }
         self.cut = cut;
     }
@@ -126,15 +106,7 @@ impl Writer {
             Direction::Forward => "forward",
             Direction::Backward => "backward",
         };
-        block(out, INTERFACE, |out| {
-            out.extend(LINKTYPE_ETHERNET.to_le_bytes());
-            out.extend([0; 2]);
-            out.extend(self.snap.to_le_bytes());
-            option(out, INTERFACE_NAME, format!("{link} {way}").as_bytes());
-            // Nanoseconds: 10 to the power of minus 9.
-            option(out, TIME_RESOLUTION, &[9]);
-            end_options(out);
-        });
+        write::interface(out, ETHERNET, self.snap, &format!("{link} {way}"));
         self.interfaces.push(Interface { link, direction, lost, overflowed });
         self.interfaces.len() - 1
     }
@@ -152,31 +124,4 @@ fn comment([entered, due, delivered]: [Timestamp; 3], [lost, overflowed]: [u64; 
         }
     }
     text
-}
-
-/// Writes a block with its length at both ends.
-fn block(out: &mut Vec<u8>, kind: u32, body: impl FnOnce(&mut Vec<u8>)) {
-    let begin = out.len();
-    out.extend(kind.to_le_bytes());
-    out.extend([0; 4]);
-    body(out);
-    let length = ((out.len() - begin + 4) as u32).to_le_bytes();
-    out.extend(length);
-    out[begin + 4..begin + 8].copy_from_slice(&length);
-}
-
-fn option(out: &mut Vec<u8>, code: u16, value: &[u8]) {
-    out.extend(code.to_le_bytes());
-    out.extend((value.len() as u16).to_le_bytes());
-    out.extend(value);
-    pad(out, value.len());
-}
-
-fn end_options(out: &mut Vec<u8>) {
-    out.extend([0; 4]);
-}
-
-/// Pads a field of this length to 32 bits.
-fn pad(out: &mut Vec<u8>, length: usize) {
-    out.resize(out.len() + length.next_multiple_of(4) - length, 0);
 }

@@ -6,12 +6,12 @@ use cotorra_datapath::Absence;
 use cotorra_graph::millis;
 use serde::{Deserialize, Serialize};
 
-use super::fidelity::{Fidelity, MeasuredFrames};
+use super::measured_frames::MeasuredFrames;
 
 /// Highest trusted share of time in which a frame would have waited for more than a millisecond.
 const VALID_SHARE: f64 = 0.01;
 /// Longest trusted time at once, ms. It is above the 50 ms for which Linux takes real-time threads off their processor.
-const VALID_MS: f64 = 100.0;
+pub(super) const VALID_MS: f64 = 100.0;
 
 /// Time in which the emulated network stood still, of a millisecond or more at once.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -37,7 +37,7 @@ impl AwaySummary {
 
     /// Returns why they make the figures of a run invalid; `None` if they do not. If the kernel carries the frames, it goes on
     /// meanwhile, and only a long absence matters: of probes, of robots and of the conditions' schedule.
-    fn reason(&self, measured_frames: MeasuredFrames) -> Option<String> {
+    pub(super) fn reason(&self, measured_frames: MeasuredFrames) -> Option<String> {
         let Self { absence_max_ms: longest_ms, stalled, .. } = self;
         if *longest_ms > VALID_MS {
             return Some(format!(
@@ -56,28 +56,11 @@ impl AwaySummary {
     }
 }
 
-impl Fidelity {
-    /// Extends the verdict to the time in which the emulated network stood still; `None` in virtual time. It does not matter if
-    /// no frame crossed the network at all.
-    pub(super) fn with_away(self, away: Option<AwaySummary>, measured_frames: MeasuredFrames) -> Self {
-        let judged = away.filter(|_| self.valid && self.frames > 0);
-        match judged.map(|its| (its, its.reason(measured_frames))) {
-            None => Self { away, ..self },
-            Some((_, Some(reason))) => Self { valid: false, reason, away, ..self },
-            Some((its, None)) => {
-                let reason =
-                    format!("{}, absence {:.0} ms (limit {VALID_MS:.0})", self.reason, its.absence_max_ms);
-                Self { reason, away, ..self }
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use cotorra_graph::Lateness;
 
-    use super::*;
+    use super::{super::fidelity::Fidelity, *};
 
     const MINUTE: Duration = Duration::from_secs(60);
 

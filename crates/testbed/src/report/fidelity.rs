@@ -3,12 +3,12 @@
 use cotorra_graph::Lateness;
 use serde::{Deserialize, Serialize};
 
-use super::{away::AwaySummary, vnf_waits::VnfWaits};
+use super::{
+    away::{AwaySummary, VALID_MS},
+    measured_frames::{MeasuredFrames, VALID_P50_US, VALID_P99_US},
+    vnf_waits::VnfWaits,
+};
 
-/// Highest trusted lateness at the 99th percentile, µs.
-pub(super) const VALID_P99_US: f64 = 1000.0;
-/// Highest trusted lateness at the median, µs.
-pub(super) const VALID_P50_US: f64 = 250.0;
 /// Highest trusted share of frames lost unintentionally.
 const VALID_DROPPED: f64 = 1e-4;
 /// Share of a target that the lateness may reach without a word about it.
@@ -49,19 +49,6 @@ pub struct LatenessSummary {
     pub p99: f64,
     /// Maximum.
     pub max: f64,
-}
-
-/// Frames whose lateness is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum MeasuredFrames {
-    /// All frames, in virtual time, where none is late.
-    Exact,
-    /// All frames, because the fabric carried them.
-    All,
-    /// The frames that the fabric carried; others crossed interfaces of this machine.
-    Emulated,
-    /// Probes alone, because the kernel carried the frames.
-    Probes,
 }
 
 impl Fidelity {
@@ -169,6 +156,38 @@ impl Fidelity {
              {overflows} times; raise net.ipv4.neigh.default.gc_thresh3 and that of ipv6"
         );
         Self { valid: false, reason, ..self }
+    }
+
+    /// Extends the verdict to the time in which the emulated network stood still; `None` in virtual time. It does not matter if
+    /// no frame crossed the network at all.
+    pub(super) fn with_away(self, away: Option<AwaySummary>, measured_frames: MeasuredFrames) -> Self {
+        let judged = away.filter(|_| self.valid && self.frames > 0);
+        match judged.map(|its| (its, its.reason(measured_frames))) {
+            None => Self { away, ..self },
+            Some((_, Some(reason))) => Self { valid: false, reason, away, ..self },
+            Some((its, None)) => {
+                let reason =
+                    format!("{}, absence {:.0} ms (limit {VALID_MS:.0})", self.reason, its.absence_max_ms);
+                Self { reason, away, ..self }
+            }
+        }
+    }
+
+    /// Extends the verdict to waits of VNFs: nobody asked for them.
+    pub(super) fn with_vnf_waits(self, vnf_waits: Vec<VnfWaits>) -> Self {
+        let starved = vnf_waits.iter().find(|its| its.is_starved);
+        let unknown = vnf_waits.iter().filter(|its| its.waited_ms.is_none());
+        let unknown: Vec<_> = unknown.map(|its| format!("`{}`", its.vnf)).collect();
+        let (valid, reason) = match starved {
+            _ if !self.valid => (false, self.reason),
+            Some(starved) => (false, format!("VNF `{}` {}", starved.vnf, starved.sentence())),
+            None if unknown.is_empty() => (true, self.reason),
+            None => {
+                let unknown = unknown.join(", ");
+                (true, format!("{}; how long VNF {unknown} waited for a processor is unknown", self.reason))
+            }
+        };
+        Self { valid, reason, vnf_waits, ..self }
     }
 }
 

@@ -7,6 +7,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
+/// Name of the file with a run's [`Summary`](super::Summary).
+pub(super) const SUMMARY: &str = "summary.json";
+
 /// A file of a results folder cannot be written.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: {}", path.display(), reason(path, source))]

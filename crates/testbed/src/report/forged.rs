@@ -79,7 +79,7 @@ impl Fidelity {
 mod tests {
     use cotorra_graph::Lateness;
 
-    use super::{super::fidelity::MeasuredFrames, *};
+    use super::{super::measured_frames::MeasuredFrames, *};
 
     fn forged(allowed: bool) -> ForgedSummary {
         let frames = ForgedFrames { arp: 100, ipv4: 20, ..ForgedFrames::default() };

@@ -4,7 +4,10 @@ use cotorra_datapath::{GatewayTraffic, Passed};
 use cotorra_graph::{Lateness, NodeId};
 use serde::Serialize;
 
-use super::fidelity::{Fidelity, LatenessSummary, VALID_P50_US, VALID_P99_US};
+use super::{
+    fidelity::{Fidelity, LatenessSummary},
+    measured_frames::{VALID_P50_US, VALID_P99_US},
+};
 
 /// The traffic of a gateway or a real server between the real and the emulated network.
 #[derive(Debug, Clone, PartialEq, Serialize)]

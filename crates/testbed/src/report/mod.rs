@@ -2,6 +2,7 @@
 //! except localization errors.
 
 mod away;
+mod doubts;
 mod driving;
 mod end;
 mod fidelity;
@@ -12,6 +13,7 @@ mod forged;
 mod gateways;
 mod instructed;
 mod kept;
+mod measured_frames;
 mod run_folder;
 mod samples;
 mod services;
@@ -23,6 +25,7 @@ mod vnf_waits;
 mod void;
 
 pub use away::AwaySummary;
+pub use doubts::sampled_services;
 pub(crate) use end::End;
 pub use fidelity::{Fidelity, LatenessSummary};
 pub use figure::panels;
@@ -43,4 +46,3 @@ pub use table::DataTable;
 pub use time_parts::{LostSummary, MeanParts, PartSummary, ServiceParts};
 pub use times::Quantiles;
 pub use vnf_waits::VnfWaits;
-pub use void::sampled_services;

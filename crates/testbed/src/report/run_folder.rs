@@ -11,14 +11,12 @@ use cotorra_figure::Format;
 
 use super::{
     figure::draw,
-    folder::{FolderError, Place, write_file},
+    folder::{FolderError, Place, SUMMARY, write_file},
     services,
     summary::{Report, Summary, service_time_ms},
 };
 use crate::manifest::Manifest;
 
-/// Name of the file with a run's [`Summary`].
-pub(super) const SUMMARY: &str = "summary.json";
 /// Bytes of the disk that are reserved for it at the run's start. A run that fills the disk still leaves its summary.
 const SUMMARY_ROOM: usize = 256 << 10;
 

@@ -14,19 +14,20 @@ use serde::Serialize;
 
 use super::{
     away::AwaySummary,
+    doubts::Doubts,
     driving::{Driving, DrivingSummary},
     end::End,
-    fidelity::{Fidelity, MeasuredFrames},
+    fidelity::Fidelity,
     folder::FolderError,
     forged::ForgedSummary,
     gateways::GatewaySummary,
     instructed::{Instructed, PluginSummary},
     kept::{Kept, Verdict},
+    measured_frames::MeasuredFrames,
     samples::Samples,
     time_parts::{ServiceParts, TimePartsReport},
     times::{Quantiles, Times},
     vnf_waits::VnfWaits,
-    void::Doubts,
 };
 
 /// Maximum number of notices.

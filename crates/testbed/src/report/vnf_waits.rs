@@ -6,7 +6,7 @@ use cotorra_engine::{InstanceWaits, ProcessorWaits};
 use cotorra_graph::{Testbed, VnfId, millis};
 use serde::{Deserialize, Serialize};
 
-use super::fidelity::{Fidelity, VALID_P99_US};
+use super::measured_frames::VALID_P99_US;
 
 /// Highest trusted share of a run in which a thread waited for a processor. Below, its waits are too few to matter.
 const VALID_SHARE: f64 = 1e-3;
@@ -71,30 +71,11 @@ fn is_starved(its: &ProcessorWaits, duration: Duration) -> bool {
     its.runs > 0 && each_ms(its) > VALID_P99_US / 1e3 && its.longest > duration.mul_f64(VALID_SHARE)
 }
 
-impl Fidelity {
-    /// Extends the verdict to waits of VNFs: nobody asked for them.
-    pub(super) fn with_vnf_waits(self, vnf_waits: Vec<VnfWaits>) -> Self {
-        let starved = vnf_waits.iter().find(|its| its.is_starved);
-        let unknown = vnf_waits.iter().filter(|its| its.waited_ms.is_none());
-        let unknown: Vec<_> = unknown.map(|its| format!("`{}`", its.vnf)).collect();
-        let (valid, reason) = match starved {
-            _ if !self.valid => (false, self.reason),
-            Some(starved) => (false, format!("VNF `{}` {}", starved.vnf, starved.sentence())),
-            None if unknown.is_empty() => (true, self.reason),
-            None => {
-                let unknown = unknown.join(", ");
-                (true, format!("{}; how long VNF {unknown} waited for a processor is unknown", self.reason))
-            }
-        };
-        Self { valid, reason, vnf_waits, ..self }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use cotorra_graph::Lateness;
 
-    use super::{super::fidelity::MeasuredFrames, *};
+    use super::{super::fidelity::Fidelity, super::measured_frames::MeasuredFrames, *};
 
     const MINUTE: Duration = Duration::from_secs(60);
 

@@ -1,26 +1,20 @@
 //! Judges a run as a whole: why its figures are not valid, whatever each of them says.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    io,
-    path::Path,
-    time::Duration,
-};
+use std::{io, path::Path, time::Duration};
 
-use cotorra_graph::{
-    AgentId, Event, NodeId, PluginId, PluginProgram, Program, RobotFault, Service, Stamped, Testbed,
-    Timestamp, VnfEvent, VnfId, VnfState,
-};
+use cotorra_graph::Timestamp;
 use serde::Deserialize;
 
-use super::{end::End, fidelity::Fidelity, folder::read_file, run_folder::SUMMARY, summary::Summary};
+use super::{
+    doubts::{Doubts, Samples},
+    end::End,
+    fidelity::Fidelity,
+    folder::{SUMMARY, read_file},
+    summary::Summary,
+};
 
 /// Duration of a run after which each service has a sample.
 const DUE: Duration = Duration::from_secs(10);
-/// Running time after which a VNF counts as started for good.
-const HEALTHY_AFTER: Duration = Duration::from_secs(10);
-/// Number of short lives in a row after which a VNF does not work.
-const SHORT_LIVES: u32 = 3;
 /// Size of the longest `summary.json` that is read, bytes.
 const LONGEST_SUMMARY: u64 = 64 << 20;
 
@@ -47,163 +41,7 @@ impl Fidelity {
     }
 }
 
-/// What speaks against a run's figures beside its fidelity, as far as events tell.
-#[derive(Debug, Default)]
-pub(super) struct Doubts {
-    plugins: BTreeMap<PluginId, Plugin>,
-    cut_off: Vec<String>,
-    /// VNFs of the testbed file that have not served so far.
-    unserved: BTreeSet<VnfId>,
-    lives: BTreeMap<(VnfId, NodeId), Life>,
-    /// Agents that have not reported so far, by their nodes.
-    absent: BTreeMap<NodeId, AgentId>,
-    /// Robots that have not been without a fault so far, with their last one.
-    faulty: BTreeMap<NodeId, Option<RobotFault>>,
-    samples: BTreeMap<cotorra_graph::ServiceId, Samples>,
-}
-
-/// What the testbed file says about a plug-in.
-#[derive(Debug)]
-struct Plugin {
-    is_optional: bool,
-    is_program: bool,
-}
-
-/// Where the samples of a service come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Samples {
-    /// Its robot's walk or localization.
-    Robot,
-    /// A flow between programs.
-    Flow,
-    /// A flow between programs that do not run in virtual time.
-    NotRunning,
-}
-
-impl Samples {
-    /// Returns where the samples of a service come from; `None` if it has none.
-    fn of(testbed: &Testbed, service: &Service) -> Option<Self> {
-        let of_robot = service.localizes() || (service.navigates() && testbed.walk(&service.robot).is_some());
-        let of_flow = service.kpis.flow.as_ref().map(|_| Self::Flow);
-        if of_robot { Some(Self::Robot) } else { of_flow }
-    }
-}
-
-/// Returns the services of a testbed that should have samples.
-pub fn sampled_services(testbed: &Testbed) -> impl Iterator<Item = &Service> {
-    testbed.services.iter().filter(|service| Samples::of(testbed, service).is_some())
-}
-
-/// The instances of a VNF on a node, one after another.
-#[derive(Debug, Default)]
-struct Life {
-    began: Option<Timestamp>,
-    /// Number of the last short lives in a row.
-    short: u32,
-    /// Reason for which the last one ended by itself.
-    dead: Option<String>,
-}
-
-impl Life {
-    fn note(&mut self, at: Timestamp, VnfEvent { state, detail, .. }: &VnfEvent) {
-        match state {
-            VnfState::Started => (self.began, self.dead) = (Some(at), None),
-            VnfState::Stopped => *self = Self::default(),
-            VnfState::Died | VnfState::Failed => {
-                let lived = self.began.take().is_some_and(|began| at.since(began) >= HEALTHY_AFTER);
-                self.short = if lived { 1 } else { self.short + 1 };
-                self.dead = Some(detail.clone().unwrap_or_else(|| "for an unknown reason".to_owned()));
-            }
-        }
-    }
-
-    /// Returns what is wrong with a VNF at the end of a run.
-    fn fault(&self, end: Timestamp) -> Option<String> {
-        let recovered = self.began.is_some_and(|began| end.since(began) >= HEALTHY_AFTER);
-        match &self.dead {
-            Some(reason) => Some(format!("did not run at the end: {reason}")),
-            None if self.short >= SHORT_LIVES && !recovered => {
-                Some(format!("ended {} times soon after its start", self.short))
-            }
-            None => None,
-        }
-    }
-}
-
 impl Doubts {
-    pub(super) fn new(testbed: &Testbed) -> Self {
-        let plugin = |spec: &cotorra_graph::PluginSpec| {
-            let is_program = matches!(spec.program, PluginProgram::Command(_));
-            (spec.id.clone(), Plugin { is_optional: spec.optional, is_program })
-        };
-        let samples = |service: &Service| Some((service.id.clone(), Samples::of(testbed, service)?));
-        Self {
-            plugins: testbed.plugins.iter().map(plugin).collect(),
-            absent: testbed.graph.agents().map(|(node, agent)| (node.id.clone(), agent.clone())).collect(),
-            faulty: testbed.graph.robots().map(|(node, _)| (node.id.clone(), None)).collect(),
-            unserved: testbed.vnfs().map(|vnf| vnf.id.clone()).collect(),
-            samples: testbed.services.iter().filter_map(samples).collect(),
-            ..Self::default()
-        }
-    }
-
-    /// Expects nothing of programs, which do not run in virtual time.
-    pub(super) fn in_virtual_time(mut self, testbed: &Testbed) -> Self {
-        let is_bundled = |program: &Program| !matches!(program, Program::Command(_) | Program::Host(_));
-        let bundled = testbed.vnfs().filter(|vnf| is_bundled(&vnf.program)).map(|vnf| &vnf.id);
-        let bundled: BTreeSet<_> = bundled.collect();
-        self.unserved.retain(|vnf| bundled.contains(vnf));
-        self.absent.clear();
-        for samples in self.samples.values_mut().filter(|samples| **samples == Samples::Flow) {
-            *samples = Samples::NotRunning;
-        }
-        self
-    }
-
-    /// Takes an event. Returns a notice about an optional plug-in.
-    pub(super) fn absorb(&mut self, Stamped { at, event }: &Stamped) -> Option<String> {
-        match event {
-            Event::PluginFault { plugin, reason } => {
-                let known = self.plugins.get(plugin);
-                let log = known.filter(|its| its.is_program).map(|_| format!(" (logs/plugins/{plugin}.log)"));
-                let log = log.unwrap_or_default();
-                if known.is_some_and(|its| its.is_optional) {
-                    return Some(format!("optional plug-in {plugin} was cut off: {reason}{log}"));
-                }
-                self.cut_off.push(format!("plug-in {plugin} was cut off: {reason}{log}"));
-            }
-            Event::Machine(context) => drop(self.absent.remove(&context.node)),
-            Event::Robot(context) => match context.health.first() {
-                None => drop(self.faulty.remove(&context.robot)),
-                Some(fault) => {
-                    if let Some(last) = self.faulty.get_mut(&context.robot) {
-                        *last = Some(*fault);
-                    }
-                }
-            },
-            Event::Placement(placement) => {
-                self.unserved.remove(&placement.vnf);
-            }
-            Event::Vnf(event) => {
-                let of = (event.vnf.clone(), event.node.clone());
-                self.lives.entry(of).or_default().note(*at, event);
-            }
-            _ => {}
-        }
-        None
-    }
-
-    /// Takes the number of events that plug-ins in process missed.
-    pub(super) fn missed(&mut self, events: u64) {
-        let what = format!("bundled plug-ins were too slow, and missed {events} events");
-        self.cut_off.extend((events > 0).then_some(what));
-    }
-
-    /// Whether a plug-in's fault leaves the figures valid.
-    pub(super) fn is_optional(&self, plugin: &PluginId) -> bool {
-        self.plugins.get(plugin).is_some_and(|its| its.is_optional)
-    }
-
     /// Returns the reasons for which the figures of a summary are not valid; none if they are.
     pub(super) fn void(&self, summary: &Summary, end: Timestamp) -> Vec<String> {
         let mut void = Vec::new();
@@ -252,7 +90,7 @@ impl Doubts {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Placement, ServiceTime};
+    use cotorra_graph::{Event, NodeId, Placement, ServiceTime, Stamped, Testbed, VnfEvent, VnfState};
 
     use super::*;
     use crate::report::{Losses, Report};

@@ -10,6 +10,7 @@ mod nodes;
 mod prepared;
 mod services;
 mod wifi;
+mod wifi_plan;
 
 use std::{
     collections::BTreeMap,

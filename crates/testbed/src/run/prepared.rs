@@ -77,7 +77,7 @@ impl Prepared {
         measure_media(&mut testbed.graph).map_err(RealLinkError::from)?;
         let authority = crate::agents::authority(&testbed, &options.agents)?;
         let engines = super::containers::find_engines(&testbed)?;
-        let wifi = super::wifi::plan(&testbed)?;
+        let wifi = super::wifi_plan::plan(&testbed)?;
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;

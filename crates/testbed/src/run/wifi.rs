@@ -10,7 +10,6 @@ use cotorra_datapath::{Datapath, SpawnOptions};
 use cotorra_engine::Process;
 use cotorra_fabric::{Association, Fabric, FabricError};
 use cotorra_graph::{Event, RadioKind, Stamped, Testbed, Timestamp};
-use cotorra_wifi::DomainKey;
 
 use super::{launcher::NodeProcess, network::NetworkUp, prepared::Prepared};
 use crate::{
@@ -19,27 +18,8 @@ use crate::{
     error::RunError,
     message::Message,
     real_network::RealNetwork,
-    wifi::{Change, Outlets, Plan, Surroundings, Wifi, WifiError, check_programs},
+    wifi::{Change, Outlets, Surroundings, Wifi, WifiError},
 };
-
-/// Returns what the Wi-Fi software of a testbed is to do; `None` if it needs none.
-///
-/// # Errors
-/// [`RunError::Wifi`] if the programs are not installed, or cannot serve the testbed.
-pub(super) fn plan(testbed: &Testbed) -> Result<Option<Plan>, RunError> {
-    let plan = Plan::new(&testbed.graph, &domain_key()).map_err(WifiError::from)?;
-    if plan.is_some() {
-        check_programs()?;
-    }
-    Ok(plan)
-}
-
-/// Returns a key of mobility domains that nobody else has.
-fn domain_key() -> DomainKey {
-    let mut key = [0; 32];
-    getrandom::fill(&mut key).expect("the system has random numbers");
-    DomainKey::new(key)
-}
 
 /// Starts the Wi-Fi software in the nodes of a run, if it has any.
 ///
@@ -91,7 +71,7 @@ pub(super) fn start_at_agents(
         change: change_in(datapath),
         report: report_to(messages, now),
     };
-    let started = Wifi::start_at_agents(&testbed.graph, &domain_key(), outlets, radios)?;
+    let started = Wifi::start_at_agents(&testbed.graph, &super::wifi_plan::domain_key(), outlets, radios)?;
     Ok(started.map(|(wifi, figures)| {
         real_network.add_wifi(wifi.handle());
         real_network.set_radio_figures(figures);

@@ -17,7 +17,7 @@ use cotorra_wifi::{
 };
 
 use super::{Reported, notes::Notes};
-use crate::works::Wake;
+use crate::wake::Wake;
 
 /// Interval of attempts after a failure.
 const AGAIN: Duration = Duration::from_secs(1);

@@ -7,7 +7,8 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    agent::{Action, Agent},
+    action::Action,
+    agent::Agent,
     message::{InstanceState, LEASE},
 };
 

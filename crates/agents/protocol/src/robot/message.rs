@@ -9,7 +9,10 @@ use cotorra_turtlebot::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::message::{Message, MessageError, Run, decode, message};
+use crate::{
+    encoding::{Message, MessageError, decode, message},
+    run::Run,
+};
 
 /// A robot that the agent shall drive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -6,7 +6,7 @@ use cotorra_graph::{RobotFault, Timestamp, Velocity};
 use cotorra_turtlebot::{Body, Readings, SILENCE, kobuki::Odometry, rplidar::Turn};
 
 use super::message::{Motion, RobotCommand, RobotReading, RobotSession, RobotTurn};
-use crate::{clock::AgentClock, message::Run};
+use crate::{clock::AgentClock, run::Run};
 
 /// A robot whose ports are at an agent.
 ///

@@ -10,10 +10,7 @@ use cotorra_turtlebot::{
 use proptest::prelude::*;
 
 use super::*;
-use crate::{
-    clock::AgentClock,
-    message::{Echo, Run},
-};
+use crate::{clock::AgentClock, message::Echo, run::Run};
 
 const RUN: Run = Run(7);
 /// Time of the core's clock at the start of the agent's.

@@ -9,7 +9,7 @@ use super::{
     MOST_EVENTS, RadioEvent, RadioState, RequestError, RequestState, WantedRadio, WantedRequest, WantedWifi,
     WifiReport,
 };
-use crate::{agent::Action, message::short};
+use crate::{action::Action, message::short};
 
 /// The Wi-Fi interfaces of an agent's machine.
 #[derive(Debug, Default)]

@@ -9,7 +9,7 @@ use super::{
     LastEvent, MOST_REQUESTS, RadioEvent, RadioState, RequestError, RequestState, WantedRadio, WantedRequest,
     WantedWifi, WifiReport,
 };
-use crate::controller::ControllerEvent;
+use crate::controller_event::ControllerEvent;
 
 /// Most earlier processes that are remembered.
 const MOST_EARLIER: usize = 16;

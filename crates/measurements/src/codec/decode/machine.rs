@@ -5,7 +5,7 @@ use cotorra_graph::{
     Probability, ReadingTime, Timestamp,
 };
 
-use super::{Columns, Result, Source, json, required, unreadable};
+use super::{super::read_error::unreadable, Columns, Result, Source, json, required};
 
 /// Reads a context, within its bounds.
 pub(super) fn read(source: &mut dyn Source) -> Result<MachineContext> {

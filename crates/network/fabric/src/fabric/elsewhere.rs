@@ -39,7 +39,7 @@ impl Fabric {
         let done = self.radio.depart(now, robot, mobility_domain);
         self.radio_deadline = self.radio.deadline();
         done?;
-        self.ports[port.0].border = border;
+        self.ports[port.0].set_border(border);
         Ok(())
     }
 
@@ -76,7 +76,7 @@ impl Fabric {
         let now = self.advance(now);
         self.balance.sent += 1;
         let frame = Frame::new(bytes);
-        let port = self.port(&robot).and_then(|port| Some((port, self.ports[port.0].border?)));
+        let port = self.port(&robot).and_then(|port| Some((port, self.ports[port.0].border()?)));
         let Some((port, border)) = port else { return self.drop_unroutable(frame) };
         let is_of = |address: Option<[u8; 6]>| address.and_then(|own| self.owner(own)) == Some(port);
         match direction {
@@ -132,7 +132,7 @@ impl Fabric {
     /// Hands copies of a frame to all hosts to the robots that are reached over a border.
     pub(super) fn depart_copies(&mut self, vertex: usize, source: PortId, frame: &Frame) {
         for port in (0..self.hosts).map(PortId) {
-            if port != source && self.ports[port.0].border == Some(vertex) {
+            if port != source && self.ports[port.0].border() == Some(vertex) {
                 let copy = frame.copy(&mut self.pool);
                 self.depart_frame(port, Direction::Backward, copy);
             }
@@ -142,14 +142,14 @@ impl Fabric {
     /// Whether a frame names a host as its sender, by each address in it. Other protocols than IP and ARP name none.
     fn is_from(&self, frame: &Frame, host: PortId) -> bool {
         let is_named = matches!(frame.bytes().get(12..14), Some([0x08, 0x00 | 0x06] | [0x86, 0xdd]));
-        let identity = self.ports[host.0].identity;
+        let identity = self.ports[host.0].identity();
         is_named && identity.is_some_and(|host| host.forgery(frame.bytes()).is_none())
     }
 
     /// Records that a robot is reached by radio again.
     pub(super) fn leave_border(&mut self, robot: &NodeId) {
         if let Some(port) = self.port(robot) {
-            self.ports[port.0].border = None;
+            self.ports[port.0].set_border(None);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use cotorra_graph::{NodeId, Timestamp};
 
-use super::{Fabric, Port};
+use super::{ByAir, Fabric, Reach};
 use crate::{
     frame::Frame,
     port::PortId,
@@ -27,7 +27,7 @@ impl Fabric {
         let done = self.radio.lend(now, node);
         self.radio_deadline = self.radio.deadline();
         if let (Ok(_), Some(port)) = (&done, self.port(node)) {
-            self.ports[port.0].is_lent = true;
+            self.ports[port.0].lend_antenna();
         }
         done
     }
@@ -105,27 +105,26 @@ impl Fabric {
     pub(super) fn sender(&self, port: PortId, frame: &Frame) -> PortId {
         let robot = frame.source().and_then(|source| self.assigned(source)).filter(|owner| *owner != port);
         let Some(robot) = robot else { return port };
-        let Port { is_robot, is_lent, .. } = self.ports[robot.0];
-        if !is_robot || !is_lent || self.ports[port.0].is_robot {
-            return port;
+        match self.ports[robot.0].reach {
+            Reach::Robot { by: ByAir::Lent { .. }, .. } => robot,
+            _ => port,
         }
-        robot
     }
 
     /// Whether the target of a frame is behind the port that it came to.
     pub(super) fn is_back(&self, port: PortId, target: &Target) -> bool {
-        matches!(target, Target::Port { port: to, .. } if self.ports[to.0].behind == Some(port))
+        matches!(target, Target::Port { port: to, .. } if self.ports[to.0].behind() == Some(port))
     }
 
     /// Records that nothing is behind a radio unit's port any more.
     pub(super) fn forget_behind(&mut self, radio_unit: &NodeId) {
         let gone = self.port(radio_unit);
-        self.ports.iter_mut().filter(|port| port.behind == gone).for_each(|port| port.behind = None);
+        self.ports.iter_mut().filter(|port| port.behind() == gone).for_each(|port| port.set_behind(None));
     }
 
     fn set_behind(&mut self, robot: &NodeId, port: Option<PortId>) {
         if let Some(PortId(robot)) = self.port(robot) {
-            self.ports[robot].behind = port;
+            self.ports[robot].set_behind(port);
         }
     }
 }

@@ -102,7 +102,7 @@ impl Fabric {
     /// Returns a node's vertex on the wired network; for a robot, that of its radio unit.
     fn on_wire(&self, vertex: usize) -> Option<usize> {
         match self.port_of_vertex[vertex] {
-            Some(port) if self.ports[port.0].is_robot => {
+            Some(port) if self.ports[port.0].is_robot() => {
                 self.radio.attached_to(port).map(|unit| self.ports[unit.0].vertex)
             }
             _ => Some(vertex),

@@ -12,7 +12,8 @@ use cotorra_graph::{Direction, Timestamp, WifiStandard};
 
 use super::{
     Path, PhyRate, Radio, RadioUnitIndex, StationIndex,
-    edca::{Category, Emitter},
+    edca::category::Category,
+    emitter::Emitter,
     foreign::{Antenna, RateTries, Receiver, Report, Transmission},
 };
 

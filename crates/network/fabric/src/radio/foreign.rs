@@ -6,10 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use cotorra_graph::{Dbm, Direction, NodeId, Timestamp};
 
-use super::{
-    Path, PhyRate, Radio, RadioUnitIndex, StationIndex,
-    edca::{Category, Emitter},
-};
+use super::{Path, PhyRate, Radio, RadioUnitIndex, StationIndex, edca::category::Category, emitter::Emitter};
 use crate::settings::FabricError;
 
 /// An antenna that is lent to a radio that is none of the fabric's.

@@ -19,6 +19,7 @@ mod beacons;
 mod channel;
 mod edca;
 mod elsewhere;
+mod emitter;
 mod exchange;
 mod fading;
 mod foreign;
@@ -60,7 +61,8 @@ pub use self::{
 };
 
 use self::{
-    edca::{Edca, Emitter, Interference},
+    edca::{Edca, Interference},
+    emitter::Emitter,
     exchange::Exchanges,
     foreign::Lent,
     hearing::Heard,

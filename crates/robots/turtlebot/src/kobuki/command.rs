@@ -4,7 +4,10 @@ use std::f64::consts::PI;
 
 use cotorra_graph::Velocity;
 
-use super::{frames::frame, odometry::WHEEL_BASE};
+use super::frames::frame;
+
+/// Distance between the wheels, metres (`en_appendix_parameters.dox`).
+pub const WHEEL_BASE: f64 = 0.230;
 
 /// A command to the base. Each is sent in a frame of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,10 +8,11 @@ use std::{
 use cotorra_graph::{Timestamp, Velocity};
 use serde::{Deserialize, Serialize};
 
-use super::feedback::{Basic, Inertia};
+use super::{
+    command::WHEEL_BASE,
+    feedback::{Basic, Inertia},
+};
 
-/// Distance between the wheels, metres (`en_appendix_parameters.dox`).
-pub const WHEEL_BASE: f64 = 0.230;
 /// Radius of a wheel, metres (`en_appendix_parameters.dox`).
 const WHEEL_RADIUS: f64 = 0.035;
 /// Rotation of a wheel per encoder tick, radians (`en_appendix_parameters.dox`): a revolution has 52 · 6545/132 = 2578.33

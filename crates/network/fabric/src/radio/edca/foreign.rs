@@ -8,7 +8,7 @@ use cotorra_numbers::Draws;
 
 use super::{
     Category, Channel, Edca, Emitter, Node,
-    transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, milliwatts},
+    transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, Try, milliwatts},
 };
 use crate::radio::{
     Path, Radio,
@@ -76,20 +76,6 @@ impl Sent {
         let (psdu_bytes, to_all) = (psdu_bytes.into(), to == Receiver::All);
         Self { id, since: *since, psdu_bytes, packet_bytes, to_all }
     }
-}
-
-/// A try on the air.
-#[derive(Debug)]
-pub(super) struct Try {
-    radio: usize,
-    category: usize,
-    /// Frames in it.
-    frames: usize,
-    rate: PhyRate,
-    /// End of the transmission opportunity.
-    until: Timestamp,
-    /// What follows if this is an RTS.
-    pub(super) protects: Option<Protected>,
 }
 
 impl Foreign {

@@ -9,7 +9,7 @@
 //! - [`transmission`] puts frames on the air and decides who gets them.
 
 mod backoff;
-mod category;
+pub(super) mod category;
 mod emitter;
 mod foreign;
 mod interference;
@@ -35,22 +35,13 @@ use self::{
 };
 use super::{
     Path,
+    emitter::Emitter,
     medium::{BusyTime, Flow, Waiting},
 };
 use crate::{
     frame::Frame,
     port::{RadioUnitIndex, StationIndex},
 };
-
-/// Whatever sends on a channel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Emitter {
-    Robot(StationIndex),
-    Unit(RadioUnitIndex),
-    Interference(usize),
-    /// A radio that is none of the fabric's.
-    Foreign(usize),
-}
 
 /// A station or a radio unit, with its four contentions.
 #[derive(Debug)]

@@ -6,7 +6,6 @@ use cotorra_graph::{Dbm, Timestamp};
 
 use super::{
     Edca, Emitter,
-    foreign::Try,
     stream::{Batch, Settled},
 };
 use crate::{
@@ -15,6 +14,7 @@ use crate::{
         Path, Radio,
         medium::{Flow, Waiting},
         phy::{Exchange, Reception},
+        phy_rate::PhyRate,
         rate_control::Attempt,
     },
 };
@@ -41,6 +41,20 @@ pub(super) struct OnAir {
     /// Others whose data overlapped with this data.
     pub(super) overlaps: Vec<Emitter>,
     pub(super) load: Load,
+}
+
+/// A try on the air.
+#[derive(Debug)]
+pub(super) struct Try {
+    pub(super) radio: usize,
+    pub(super) category: usize,
+    /// Frames in it.
+    pub(super) frames: usize,
+    pub(super) rate: PhyRate,
+    /// End of the transmission opportunity.
+    pub(super) until: Timestamp,
+    /// What follows if this is an RTS.
+    pub(super) protects: Option<Protected>,
 }
 
 /// What a transmission carries.

@@ -1,21 +1,23 @@
 //! The newer format of captures (draft-ietf-opsawg-pcapng).
 
-use super::{Order, Packets, unreadable};
-use crate::error::CalibrateError;
+use crate::{
+    order::Order,
+    packet::{Packet, ReadError},
+};
 
 /// Types of blocks.
-const SECTION: u32 = 0x0a0d_0d0a;
-const INTERFACE: u32 = 1;
-const PACKET: u32 = 6;
+pub(crate) const SECTION: u32 = 0x0a0d_0d0a;
+pub(crate) const INTERFACE: u32 = 1;
+pub(crate) const PACKET: u32 = 6;
 /// Number that shows the order of bytes.
-const BYTE_ORDER_MAGIC: u32 = 0x1a2b_3c4d;
+pub(crate) const BYTE_ORDER_MAGIC: u32 = 0x1a2b_3c4d;
 /// Length of a block's type and both lengths.
 const LEAST_BLOCK: usize = 12;
 /// Where the options of an interface begin, and the bytes of a packet.
 const INTERFACE_OPTIONS: usize = 16;
-const PACKET_BYTES: usize = 28;
+pub(crate) const PACKET_BYTES: usize = 28;
 /// Codes of options of an interface.
-const TIME_RESOLUTION: u16 = 9;
+pub(crate) const TIME_RESOLUTION: u16 = 9;
 const TIME_OFFSET: u16 = 14;
 /// Most interfaces of a section.
 const MAX_INTERFACES: usize = 4096;
@@ -63,15 +65,17 @@ fn units(resolution: u8) -> Option<u128> {
 }
 
 /// Whether a file begins as a pcapng capture.
-pub(super) fn is_pcapng(bytes: &[u8]) -> bool {
+pub(crate) fn is_pcapng(bytes: &[u8]) -> bool {
     Order::Little.u32_at(bytes, 0) == Some(SECTION)
 }
 
 /// Reads a capture. Blocks without a time, and those of unknown types, are skipped.
-pub(super) fn read<'a>(bytes: &'a [u8], packets: &mut Packets<'a>) -> Result<(), CalibrateError> {
+pub(crate) fn read<'a, E: From<ReadError>>(
+    bytes: &'a [u8],
+    mut take: impl FnMut(Packet<'a>) -> Result<(), E>,
+) -> Result<(), E> {
     let (mut rest, mut order, mut interfaces) = (bytes, Order::Little, Vec::new());
-    let damaged =
-        |rest: &[u8]| unreadable(format!("the capture is damaged at byte {}", bytes.len() - rest.len()));
+    let damaged = |rest: &[u8]| ReadError::Damaged(bytes.len() - rest.len());
     while let Some(kind) = order.u32_at(rest, 0) {
         if kind == SECTION {
             let orders = [Order::Little, Order::Big];
@@ -82,14 +86,14 @@ pub(super) fn read<'a>(bytes: &'a [u8], packets: &mut Packets<'a>) -> Result<(),
         let Some(length) = order.u32_at(rest, 4) else { break };
         let length = length as usize;
         if length < LEAST_BLOCK || !length.is_multiple_of(4) {
-            return Err(damaged(rest));
+            return Err(damaged(rest).into());
         }
         let Some(block) = rest.get(..length) else { break };
         match kind {
             INTERFACE if interfaces.len() < MAX_INTERFACES => {
                 interfaces.push(Interface::read(&block[..length - 4], order).ok_or_else(|| damaged(rest))?);
             }
-            PACKET => read_packet(block, order, &interfaces, packets)?.ok_or_else(|| damaged(rest))?,
+            PACKET => take(read_packet(block, order, &interfaces).ok_or_else(|| damaged(rest))?)?,
             _ => {}
         }
         rest = &rest[length..];
@@ -98,19 +102,11 @@ pub(super) fn read<'a>(bytes: &'a [u8], packets: &mut Packets<'a>) -> Result<(),
 }
 
 /// Reads the block of a packet; `None` if it is damaged.
-fn read_packet<'a>(
-    block: &'a [u8],
-    order: Order,
-    interfaces: &[Interface],
-    packets: &mut Packets<'a>,
-) -> Result<Option<()>, CalibrateError> {
+fn read_packet<'a>(block: &'a [u8], order: Order, interfaces: &[Interface]) -> Option<Packet<'a>> {
     let field = |at| order.u32_at(block, at);
-    let parts = || {
-        let interface = interfaces.get(field(8)? as usize)?;
-        let time = (u64::from(field(12)?) << 32) | u64::from(field(16)?);
-        let bytes = block.get(PACKET_BYTES..)?.get(..field(20)? as usize)?;
-        Some((interface.link_type, interface.nanoseconds(time)?, bytes, field(24)?))
-    };
-    let Some((link_type, at_ns, bytes, original)) = parts() else { return Ok(None) };
-    packets.add(link_type, at_ns, bytes, original).map(Some)
+    let interface = interfaces.get(field(8)? as usize)?;
+    let time = (u64::from(field(12)?) << 32) | u64::from(field(16)?);
+    let bytes = block.get(PACKET_BYTES..)?.get(..field(20)? as usize)?;
+    let at_ns = interface.nanoseconds(time)?;
+    Some(Packet { link_type: interface.link_type, at_ns, bytes, original: field(24)? })
 }

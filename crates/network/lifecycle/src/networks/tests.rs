@@ -1,7 +1,7 @@
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::*;
-use crate::Descriptor;
+use crate::{Descriptor, DescriptorError, LONGEST_DESCRIPTOR};
 
 const NET: &str = "6cc2aa30";
 

@@ -1,7 +1,8 @@
-//! Poses and parameters of the filter, which both ends of the localization service share.
+//! Poses of the graph as beliefs of the filter, and back. Both ends of the localization service use them.
 
 use cotorra_graph::{Pose, PoseSource, RobotModel};
-use cotorra_localization::{Belief, Parameters, Pose2};
+
+use crate::{belief::Belief, geometry::Pose2, parameters::Parameters};
 
 /// Returns the filter's parameters for a robot model. Both ends use them: for the motion noise, and for when a scan is
 /// wanted.

@@ -1,7 +1,9 @@
 //! The older format of captures (draft-ietf-opsawg-pcap).
 
-use super::{Order, Packets, unreadable};
-use crate::error::CalibrateError;
+use crate::{
+    order::Order,
+    packet::{Packet, ReadError},
+};
 
 /// Length of the file's header, and of a packet's.
 const FILE_HEADER: usize = 24;
@@ -11,7 +13,10 @@ const MICROSECONDS: u32 = 0xa1b2_c3d4;
 const NANOSECONDS: u32 = 0xa1b2_3c4d;
 
 /// Reads a capture.
-pub(super) fn read<'a>(bytes: &'a [u8], packets: &mut Packets<'a>) -> Result<(), CalibrateError> {
+pub(crate) fn read<'a, E: From<ReadError>>(
+    bytes: &'a [u8],
+    mut take: impl FnMut(Packet<'a>) -> Result<(), E>,
+) -> Result<(), E> {
     let (order, unit_ns) = [Order::Little, Order::Big]
         .into_iter()
         .find_map(|order| match order.u32_at(bytes, 0)? {
@@ -19,19 +24,18 @@ pub(super) fn read<'a>(bytes: &'a [u8], packets: &mut Packets<'a>) -> Result<(),
             NANOSECONDS => Some((order, 1)),
             _ => None,
         })
-        .ok_or_else(|| unreadable("it is no capture: give a file of `tcpdump -w`, i.e. pcap or pcapng"))?;
+        .ok_or(ReadError::NoCapture)?;
     // The upper half tells of checksums behind the frames.
-    let link_type =
-        order.u32_at(bytes, 20).ok_or_else(|| unreadable("the header of the capture is cut off"))? as u16;
+    let link_type = order.u32_at(bytes, 20).ok_or(ReadError::CutOff)? as u16;
     let mut rest = bytes.get(FILE_HEADER..).unwrap_or_default();
     let field = |rest: &[u8], at| order.u32_at(rest, at);
     while let (Some(seconds), Some(part)) = (field(rest, 0), field(rest, 4))
         && let (Some(kept), Some(original)) = (field(rest, 8), field(rest, 12))
         && let Some(end) = PACKET_HEADER.checked_add(kept as usize)
-        && let Some(packet) = rest.get(PACKET_HEADER..end)
+        && let Some(bytes) = rest.get(PACKET_HEADER..end)
     {
         let at_ns = i64::from(seconds) * 1_000_000_000 + i64::from(part) * unit_ns;
-        packets.add(link_type, at_ns, packet, original)?;
+        take(Packet { link_type, at_ns, bytes, original })?;
         rest = &rest[end..];
     }
     Ok(())

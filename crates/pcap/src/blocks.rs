@@ -1,11 +1,12 @@
 //! The blocks of a pcapng stream, counted and limited. A file ends after a whole block, wherever the stream breaks off.
 
-/// Type of a packet's block.
-const PACKET: u32 = 6;
-/// Code of the option that counts missed packets.
-const DROP_COUNT: u16 = 4;
-/// Offset of a packet's bytes, and of their number.
-const BYTES: usize = 28;
+use crate::{
+    order::Order,
+    pcapng::{PACKET, PACKET_BYTES},
+    write::DROP_COUNT,
+};
+
+/// Offset of the number of a packet's bytes.
 const LENGTH: usize = 20;
 
 /// Splits a stream into whole blocks.
@@ -80,7 +81,7 @@ impl Blocks {
 
 /// Returns the number of packets that were missed before this one.
 fn missed(packet: &[u8]) -> u64 {
-    let mut at = BYTES + (u32_at(packet, LENGTH).unwrap_or_default() as usize).next_multiple_of(4);
+    let mut at = PACKET_BYTES + (u32_at(packet, LENGTH).unwrap_or_default() as usize).next_multiple_of(4);
     while let Some(head) = u32_at(packet, at) {
         let (code, length) = (head as u16, (head >> 16) as usize);
         let value = packet.get(at + 4..).and_then(|value| value.first_chunk().copied());
@@ -94,7 +95,7 @@ fn missed(packet: &[u8]) -> u64 {
 }
 
 fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
-    bytes.get(at..)?.first_chunk().copied().map(u32::from_le_bytes)
+    Order::Little.u32_at(bytes, at)
 }
 
 #[cfg(test)]

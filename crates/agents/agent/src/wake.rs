@@ -1,0 +1,6 @@
+//! How threads wake the agent's loop.
+
+use std::sync::Arc;
+
+/// Wakes the agent's loop.
+pub(crate) type Wake = Arc<dyn Fn() + Send + Sync>;
