@@ -11,6 +11,7 @@ mod conditions;
 mod container;
 mod contention;
 mod context;
+mod decision;
 mod driver;
 mod event;
 mod exposure;
@@ -18,6 +19,7 @@ mod flow;
 mod goal;
 mod hardware;
 mod id;
+mod instruction;
 mod jitter;
 mod lost_at;
 mod machine_context;
@@ -27,9 +29,11 @@ mod natural;
 mod nodes;
 #[cfg(feature = "openapi")]
 pub mod openapi;
+mod part;
 mod propagation;
 mod queue;
 mod real;
+pub mod record;
 mod ros1_environment;
 mod routing;
 mod schedule;
@@ -39,6 +43,7 @@ mod service;
 mod testbed;
 mod time_parts;
 mod units;
+mod vnf_event;
 mod walls;
 mod wifi_software;
 
@@ -54,11 +59,12 @@ pub use context::{
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,
     StationContext, StationCounts, Velocity, VirtualLinkMapping,
 };
+pub use decision::Decision;
 pub use driver::{
     Driver, Kobuki, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, Rplidar, SensorMessage,
     SensorTopic,
 };
-pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
+pub use event::{Event, EventKind, InvalidKind, Series, Stamped};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
@@ -70,6 +76,7 @@ pub use hardware::{
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
+pub use instruction::Instruction;
 pub use jitter::{Correlation, InvalidCorrelation, Jitter, JitterDistribution};
 pub use lost_at::{LostAt, LostCause};
 pub use machine_context::{
@@ -80,6 +87,7 @@ pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use natural::Natural;
 pub use nodes::{InvalidNodes, Nodes};
+pub use part::Part;
 pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
 pub use real::{Gateway, Machine, Reached, RealLink, RealPort, RealRadio, RealServer};
 pub use routing::{Arrival, Edge, Route, Topology};
@@ -92,5 +100,6 @@ pub use testbed::{
 };
 pub use time_parts::{LinkTime, TimeParts};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
+pub use vnf_event::{VnfEvent, VnfState};
 pub use walls::{WallLoss, Walls};
 pub use wifi_software::{Protection, RadioKind, Security, WifiSoftware};
