@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use cotorra_experiments::LOGS;
-use cotorra_graph::{Conditions, LinkId, Loss, Probed, QueueLimit, Rate, TraceName};
+use cotorra_graph::LinkId;
 
 /// `1 link`, `2 links`, `3 switches`.
 pub fn count(n: usize, what: &str) -> String {
@@ -67,64 +67,6 @@ pub fn millis(duration: Duration) -> String {
 /// `1.5 s ago`.
 pub fn ago(age: Duration) -> String {
     format!("{:.1} s ago", age.as_secs_f64())
-}
-
-/// Describes the delay, jitter and loss that probes measured.
-pub fn probed(probed: &Probed) -> String {
-    let delay = probed.delay.map(|delay| {
-        let jitter = probed.jitter.map(|jitter| format!(" ± {}", millis(jitter))).unwrap_or_default();
-        let age = probed.delay_age.map(|age| format!(" ({})", ago(age))).unwrap_or_default();
-        format!("{}{jitter} ms{age}", millis(delay))
-    });
-    let loss = probed.loss.map(|loss| format!("{:.1} % lost ({})", loss * 100.0, ago(probed.loss_age)));
-    [delay, loss].into_iter().flatten().collect::<Vec<_>>().join(", ")
-}
-
-/// Describes a trace by its mean rate.
-fn traced(trace: &TraceName) -> String {
-    format!("a trace of {:.3} Mbit/s", trace.mean_bits_per_second() / 1e6)
-}
-
-/// Describes what a link does to packets.
-pub fn conditions(conditions: &Conditions) -> String {
-    let percent = |share: f64| format!("{:.3} %", share * 100.0);
-    let mut parts = vec![format!("{} ms", millis(conditions.delay))];
-    if let Some(jitter) = conditions.jitter {
-        parts[0] = format!("{} ± {} ms", millis(conditions.delay), millis(jitter.deviation));
-        if !jitter.correlation.is_none() {
-            parts.push(format!("correlation {}", jitter.correlation));
-        }
-    }
-    parts.push(match &conditions.rate {
-        Rate::Unlimited => "unlimited".to_owned(),
-        Rate::Fixed { bits_per_second } => bits_per_second.to_string(),
-        Rate::Trace { trace } => traced(trace.name()),
-        Rate::NamedTrace(name) => traced(name),
-    });
-    match conditions.loss {
-        Loss::None => {}
-        Loss::Independent { rate } => parts.push(format!("loss {}", percent(rate.get()))),
-        Loss::Bursty { rate, mean_burst } => {
-            parts.push(format!("loss {} in bursts of {mean_burst}", percent(rate.get())));
-        }
-    }
-    let shares = [
-        ("duplication", conditions.duplication),
-        ("corruption", conditions.corruption),
-        ("reordering", conditions.reordering),
-    ];
-    parts.extend(
-        shares.iter().filter(|(_, p)| p.get() > 0.0).map(|(name, p)| format!("{name} {}", percent(p.get()))),
-    );
-    match conditions.queue {
-        QueueLimit::Packets(1000) => {}
-        QueueLimit::Packets(packets) => parts.push(format!("queue {packets} packets")),
-        QueueLimit::Bytes(bytes) => parts.push(format!("queue {bytes} B")),
-    }
-    if !conditions.queue_discipline.is_drop_tail() {
-        parts.push(conditions.queue_discipline.name().to_owned());
-    }
-    parts.join(", ")
 }
 
 /// Lists the links of a path.

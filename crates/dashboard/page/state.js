@@ -20,16 +20,13 @@ import { Series } from "./series.js";
  * @property {number} number Grows with each entry.
  */
 
-/** Kinds of events that the page reads. */
-export const KINDS = [
-    "robot", "link", "placement", "virtual_link", "service_time", "handover", "detached", "vnf", "decision", "plugin_fault",
-    "lateness", "goal", "walk_finished", "machine", "notice", "suggestion_answered",
-];
-/** Kinds of which the timeline has all. */
+/** Kinds of events of which the timeline has all. */
 export const HAPPENINGS = [
     "placement", "handover", "detached", "vnf", "decision", "plugin_fault", "goal", "walk_finished", "notice",
     "suggestion_answered",
 ];
+/** Kinds of events that the page reads. */
+export const KINDS = [...HAPPENINGS, "robot", "link", "virtual_link", "service_time", "lateness", "machine"];
 
 /** Groups of entries in the timeline. */
 export const GROUPS = Object.freeze({

@@ -1,26 +1,28 @@
-//! Events of a run, each reported once. The terminal, the recorder, the API's stream and the report read events and
-//! nothing else. Plug-ins receive them as their contexts, and answer with instructions.
+//! Events of a run, each reported once and declared once, in [`events!`]. The terminal, the recorder, the API's stream
+//! and the report read events and nothing else. Plug-ins receive them as their contexts, and answer with instructions.
 
-use std::time::Duration;
+mod text;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
+#[cfg(doc)]
+use crate::instruction::Instruction;
 use crate::{
-    access::AccessPoint,
-    active::ThroughputTest,
-    conditions::ConditionChange,
     context::{
         AnswersRejected, Handover, Lateness, LinkContext, Placement, RadioContext, RobotContext, ServiceTime,
-        Velocity, VirtualLinkMapping,
+        VirtualLinkMapping,
     },
+    decision::Decision,
     goal::GoalEvent,
-    hardware::Direction,
-    id::{LinkId, NodeId, PluginId, SensorId, VnfId},
+    id::{NodeId, PluginId},
     machine_context::MachineContext,
-    nodes::Nodes,
+    part::Part,
+    record::{Columns, Fields, Reader, Record, SeriesPart, Source, Table, Unreadable},
     sensor::SensorReading,
-    service::Vnf,
-    units::{Position, Timestamp, millis},
+    units::Timestamp,
+    vnf_event::VnfEvent,
 };
 
 /// An event and when it happened.
@@ -34,328 +36,272 @@ pub struct Stamped {
     pub event: Event,
 }
 
-/// Anything that happens in a run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case", tag = "event")]
-pub enum Event {
+impl Stamped {
+    /// Puts the event into a row of its kind's table, and into child rows.
+    pub fn put<'a>(&'a self, row: &mut Fields<'a>, children: &mut Fields<'a>) {
+        self.event.put(self.at, row, children);
+    }
+
+    /// Reads an event of a kind that happened at a time.
+    ///
+    /// # Errors
+    /// [`Unreadable`], or an error of the source.
+    pub fn take<E: From<Unreadable>>(
+        kind: EventKind,
+        at: Timestamp,
+        source: &mut dyn Source<E>,
+    ) -> Result<Self, E> {
+        Ok(Self { at, event: Event::take(kind, at, source)? })
+    }
+
+    /// Whether a history can hold the event and return it unchanged.
+    pub fn is_storable(&self) -> bool {
+        i64::try_from(self.at.as_nanos()).is_ok()
+            && match &self.event {
+                Event::Decision(decision) => decision.instruction.survives_json(),
+                Event::Machine(context) => context.is_valid(),
+                _ => true,
+            }
+    }
+}
+
+/// Declares [`Event`] and [`EventKind`]. Each event has
+///
+/// - its documentation and details, which are its JSON and its OpenAPI: fields here, or a type of their own;
+/// - its name in JSON, which is also that of its table in the history. The place in the list is its number there: a new
+///   event is the last;
+/// - the columns of its table: here for fields, and in the type's [`Record`] otherwise;
+/// - the parts of the testbed that it is about: the domain of one of them sees the event;
+/// - its text.
+macro_rules! events {
+    ($(
+        $(#[doc = $doc:literal])*
+        $variant:ident
+            $(($details:ident: $type:ident))?
+            $({ $($(#[doc = $of_field:literal])* $field:ident: $of:ident => $column:literal,)* })?
+        = $name:literal, about [$($part:ident($($about:expr)?)),*], text $text:expr;
+    )*) => {
+        /// Anything that happens in a run.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+        #[serde(rename_all = "snake_case", tag = "event")]
+        pub enum Event { $(
+            $(#[doc = $doc])*
+            $variant $(($type))? $({ $($(#[doc = $of_field])* $field: $of,)* })?,
+        )* }
+
+        /// Kinds of events, one for each variant of [`Event`].
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum EventKind { $(
+            $(#[doc = $doc])*
+            $variant,
+        )* }
+
+        impl EventKind {
+            /// All kinds, each at the place of its number.
+            pub const ALL: [Self; [$(Self::$variant),*].len()] = [$(Self::$variant),*];
+
+            /// Returns the event's name in JSON, which is also its table in the history.
+            pub const fn as_str(self) -> &'static str {
+                match self { $(Self::$variant => $name,)* }
+            }
+
+            /// Returns the kind of an event.
+            pub const fn of(event: &Event) -> Self {
+                match event { $(Event::$variant { .. } => Self::$variant,)* }
+            }
+
+            /// Returns the table of its events in the history.
+            pub const fn table(self) -> &'static Table {
+                match self { $(
+                    Self::$variant => {
+                        $(const TABLE: &Table = &<$type as Record>::TABLE;)?
+                        $(const TABLE: &Table = &Table::plain(&[$($column),*]);)?
+                        TABLE
+                    }
+                )* }
+            }
+        }
+
+        #[expect(unused_variables, reason = "no event needs all its fields everywhere")]
+        impl Event {
+            /// Whether one of the parts of the testbed that it is about fulfils a condition.
+            pub fn is_about(&self, is: impl Fn(Part<'_>) -> bool) -> bool {
+                match self { $(
+                    Self::$variant $(($details))? $({ $($field),* })? => false $(|| is(Part::$part$(($about))?))*,
+                )* }
+            }
+
+            /// Returns the event in words.
+            pub fn text(&self) -> String {
+                match self { $(
+                    Self::$variant $(($details))? $({ $($field),* })? => $text,
+                )* }
+            }
+
+            /// Returns the bytes that it holds in memory: its own, and those of its texts and lists. Names count as
+            /// nothing, because events share them.
+            pub fn bytes(&self) -> usize {
+                let beyond = match self { $(
+                    Self::$variant $(($details))? $({ $($field),* })? => {
+                        $(<$type as Record>::bytes($details))?
+                        $([$(Columns::bytes($field)),*].into_iter().sum::<usize>())?
+                    }
+                )* };
+                size_of::<Self>() + beyond
+            }
+
+            /// Returns the series that it belongs to, if it belongs to one.
+            pub fn series(&self) -> Option<Series> {
+                let parts = match self {
+                $(
+                    $(Self::$variant($details) => <$type as Record>::series($details),)?
+                )*
+                    _ => None,
+                }?;
+                Some(Series { kind: EventKind::of(self), parts })
+            }
+
+            fn put<'a>(&'a self, at: Timestamp, row: &mut Fields<'a>, children: &mut Fields<'a>) {
+                match self { $(
+                    Self::$variant $(($details))? $({ $($field),* })? => {
+                        $(<$type as Record>::put($details, at, row, children);)?
+                        $($($field.put(row);)*)?
+                    }
+                )* }
+            }
+
+            fn take<E: From<Unreadable>>(
+                kind: EventKind,
+                at: Timestamp,
+                source: &mut dyn Source<E>,
+            ) -> Result<Self, E> {
+                Ok(match kind { $(
+                    EventKind::$variant => {
+                        $(Self::$variant(<$type as Record>::take(at, source)?))?
+                        $(Self::$variant { $($field: Columns::take(&mut Reader(&mut *source))?),* })?
+                    }
+                )* })
+            }
+        }
+    };
+}
+
+events! {
     /// κ(r), periodically.
-    Robot(RobotContext),
+    Robot(context: RobotContext) = "robot", about [Node(&context.robot)], text text::robot(context);
     /// ι(R), periodically.
-    Radio(RadioContext),
+    Radio(context: RadioContext) = "radio", about [Node(&context.radio_unit)], text text::radio(context);
     /// d, λ and conditions of a link, periodically and at every change.
-    Link(LinkContext),
+    Link(context: LinkContext) = "link", about [Link(&context.link)], text text::link(context);
     /// A VNF runs on another node now, or on others; a(n) changed.
-    Placement(Placement),
+    Placement(placement: Placement) = "placement", about [Vnf(&placement.vnf)],
+        text format!("{} on {}", placement.vnf, placement.node);
     /// One direction of a virtual link is carried by other links now; a(n1,n2) changed.
-    VirtualLink(VirtualLinkMapping),
+    VirtualLink(mapping: VirtualLinkMapping) = "virtual_link", about [Vnf(&mapping.from), Vnf(&mapping.to)],
+        text text::virtual_link(mapping);
     /// A service time was measured.
-    ServiceTime(ServiceTime),
-    /// A robot rejected answers since it was told last; once a second at most.
-    AnswersRejected(AnswersRejected),
+    ServiceTime(sample: ServiceTime) = "service_time", about [Node(&sample.robot)], text text::service_time(sample);
     /// A robot changed its radio unit.
-    Handover(Handover),
+    Handover(handover: Handover) = "handover", about [Node(&handover.robot)], text text::handover(handover);
     /// A robot has no radio unit any more.
     Detached {
         /// The robot.
-        robot: NodeId,
+        robot: NodeId => "robot",
         /// The radio unit that it lost.
-        from: NodeId,
-    },
+        from: NodeId => "from_radio_unit",
+    } = "detached", about [Node(robot), Node(from)], text format!("{robot} lost {from}");
     /// A robot finished a scan: its attachments' signals are fresh.
     Scanned {
         /// The robot.
-        robot: NodeId,
-    },
-    /// A robot answered its radio unit's suggestion to move to another one ([`Instruction::Suggest`]).
-    SuggestionAnswered {
-        /// The robot.
-        robot: NodeId,
-        /// The radio unit that was suggested.
-        radio_unit: NodeId,
-        /// Status of the BSS transition (IEEE 802.11-2020, table 9-428): 0 if the robot moves there; otherwise it stays, e.g. 7
-        /// if it hears the radio unit too weakly.
-        status: u8,
-    },
+        robot: NodeId => "robot",
+    } = "scanned", about [Node(robot)], text robot.to_string();
     /// A VNF's process began, ended or was begun again.
-    Vnf(VnfEvent),
+    Vnf(event: VnfEvent) = "vnf", about [Vnf(&event.vnf), Node(&event.node)], text text::vnf(event);
     /// A plug-in gave an instruction.
-    Decision(Decision),
+    Decision(decision: Decision) = "decision", about [Plugin(&decision.plugin)], text text::decision(decision);
     /// A plug-in was cut off.
     PluginFault {
         /// The plug-in.
-        plugin: PluginId,
+        plugin: PluginId => "plugin",
         /// Reason why it was cut off.
-        reason: String,
-    },
+        reason: String => "reason",
+    } = "plugin_fault", about [Plugin(plugin)], text format!("{plugin}: {reason}");
     /// The emulator's lateness since the run began, periodically.
-    Lateness(Lateness),
-    /// The state of a robot's goal changed.
-    Goal(GoalEvent),
+    Lateness(lateness: Lateness) = "lateness", about [Emulator()], text format!(
+        "median {:.1} µs, p99 {:.1} µs, max {:.1} µs of {} frames",
+        lateness.p50_us, lateness.p99_us, lateness.max_us, lateness.frames
+    );
     /// A robot reached the end of its walk.
     WalkFinished {
         /// The robot.
-        robot: NodeId,
-    },
-    /// A sensor that a robot declares was read, at its rate.
-    Sensor(SensorReading),
-    /// CPU, memory and interfaces of a node's machine, periodically.
-    Machine(MachineContext),
+        robot: NodeId => "robot",
+    } = "walk_finished", about [Node(robot)], text robot.to_string();
     /// A message for the user that no other event carries.
     Notice {
         /// The message.
-        message: String,
-    },
+        message: String => "message",
+    } = "notice", about [], text message.clone();
+    /// A robot rejected answers since it was told last; once a second at most.
+    AnswersRejected(counts: AnswersRejected) = "answers_rejected", about [Node(&counts.robot)],
+        text text::answers_rejected(counts);
+    /// The state of a robot's goal changed.
+    Goal(goal: GoalEvent) = "goal", about [Node(&goal.robot)], text text::goal(goal);
+    /// A sensor that a robot declares was read, at its rate.
+    Sensor(reading: SensorReading) = "sensor", about [Node(&reading.robot)], text text::sensor(reading);
+    /// CPU, memory and interfaces of a node's machine, periodically.
+    Machine(context: MachineContext) = "machine", about [Node(&context.node)], text text::machine(context);
+    /// A robot answered its radio unit's suggestion to move to another one ([`Instruction::Suggest`]).
+    SuggestionAnswered {
+        /// The robot.
+        robot: NodeId => "robot",
+        /// The radio unit that was suggested.
+        radio_unit: NodeId => "radio_unit",
+        /// Status of the BSS transition (IEEE 802.11-2020, table 9-428): 0 if the robot moves there; otherwise it stays, e.g. 7
+        /// if it hears the radio unit too weakly.
+        status: u8 => "status",
+    } = "suggestion_answered", about [Node(robot)], text match status {
+        0 => format!("{robot} moves to {radio_unit}"),
+        _ => format!("{robot} does not move to {radio_unit}: status {status}"),
+    };
 }
 
-/// Change of a VNF's process.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct VnfEvent {
-    /// The VNF.
-    pub vnf: VnfId,
-    /// Its node.
-    pub node: NodeId,
-    /// Its new state.
-    pub state: VnfState,
-    /// Exit status or error, for people.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub detail: Option<String>,
+impl EventKind {
+    /// Kinds whose old samples are rolled up: embeddings that are sampled all the time. Events of other kinds are all
+    /// kept.
+    pub const SAMPLED: [Self; 5] = [Self::Robot, Self::Radio, Self::Link, Self::Sensor, Self::Machine];
 }
 
-/// State of a VNF's process.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum VnfState {
-    /// The process runs.
-    Started,
-    /// The process ended by itself, and will be started again.
-    Died,
-    /// The process was stopped.
-    Stopped,
-    /// The process cannot be started.
-    Failed,
-}
-
-/// An instruction of a plug-in, its reason and its outcome.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct Decision {
-    /// The plug-in.
-    pub plugin: PluginId,
-    /// The instruction.
-    pub instruction: Instruction,
-    /// The plug-in's reason.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub reason: Option<String>,
-    /// Reason for its rejection; `None` if it was applied.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refused: Option<String>,
-}
-
-/// Instruction that a plug-in can give. Its texts and lists are bounded, each and all together.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(remote = "Self", rename_all = "snake_case", tag = "instruction", deny_unknown_fields)]
-pub enum Instruction {
-    /// Move a robot at this velocity, until another comes or its command timeout ends it.
-    Move {
-        /// The robot.
-        robot: NodeId,
-        /// The velocity.
-        velocity: Velocity,
-        /// The next waypoint of its walk, for whoever navigates it next.
-        waypoint: u32,
-    },
-    /// Limit a robot's speed, whoever moves it. From its next velocity on, faster ones are slowed along the same curve.
-    LimitSpeed {
-        /// The robot.
-        robot: NodeId,
-        /// The limit, m/s; 0 stops the robot at once, null removes the limit.
-        speed_limit_mps: Option<f64>,
-    },
-    /// Send a robot from its walk to a goal, where it stops. [`Event::Goal`] reports its progress.
-    NavigateTo {
-        /// The robot.
-        robot: NodeId,
-        /// The goal, which replaces an earlier one; null sends the robot back to its walk.
-        goal: Option<Position>,
-    },
-    /// Report the values of a sensor of kind `vector`. The sensor's next reading has those of the last report.
-    Report {
-        /// The robot.
-        robot: NodeId,
-        /// Its sensor.
-        sensor: SensorId,
-        /// As many finite numbers as the sensor has components.
-        values: Vec<f64>,
-    },
-    /// Scan all channels with a robot's radio, which leaves its own meanwhile.
-    Scan {
-        /// The robot.
-        robot: NodeId,
-    },
-    /// Attach a robot to a radio unit: φ(r,R) = 1. Does nothing where it is attached already.
-    Attach {
-        /// The robot.
-        robot: NodeId,
-        /// The radio unit.
-        radio_unit: NodeId,
-    },
-    /// Let a robot's radio unit suggest that it moves to another radio unit (802.11v), which the robot decides.
-    /// [`Event::SuggestionAnswered`] reports its answer. Does nothing where it is attached there already.
-    Suggest {
-        /// The robot.
-        robot: NodeId,
-        /// The other radio unit.
-        radio_unit: NodeId,
-    },
-    /// Run a VNF on a node, or an instance of it on each of several. New instances start first, then packets go to them, then
-    /// old instances stop. Instances that run there already stay.
-    Place {
-        /// The VNF.
-        vnf: VnfId,
-        /// The node, or one for each instance.
-        node: Nodes,
-    },
-    /// Add a VNF that belongs to no service, and start its instances. It is a command or an image with the rights of a
-    /// confined command, and ends with the run.
-    AddVnf {
-        /// The VNF. Its name is new in the testbed.
-        vnf: Box<Vnf>,
-    },
-    /// Remove a VNF that was added. Its instances stop once packets in flight to them have arrived.
-    RemoveVnf {
-        /// The VNF.
-        vnf: VnfId,
-    },
-    /// Map the virtual links between two nodes, a(n1,n2). Packets from one node to the other take this path, and the rate of
-    /// these virtual links is reserved on it in that direction. The mapping stays, whatever runs on the nodes.
-    Map {
-        /// The node at which the path begins.
-        from: NodeId,
-        /// The node at which it ends.
-        to: NodeId,
-        /// The path's links, in order; an empty list removes the mapping.
-        links: Vec<LinkId>,
-    },
-    /// Change the conditions of a link.
-    Condition {
-        /// The link.
-        link: LinkId,
-        /// One direction, or both.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        direction: Option<Direction>,
-        /// The change.
-        change: ConditionChange,
-    },
-    /// Deploy the VNF `vAP` on a radio unit that is off, a(R) = {vAP}. [`Event::Vnf`] reports when it serves.
-    Deploy {
-        /// The radio unit.
-        radio_unit: NodeId,
-        /// Settings of the access point.
-        access_point: AccessPoint,
-    },
-    /// Remove the VNF `vAP` from a radio unit, a(R) = {}. The radio unit is off, and its stations lose it.
-    Remove {
-        /// The radio unit.
-        radio_unit: NodeId,
-    },
-    /// Give a robot the settings and the key with which it attaches to a radio unit of another domain. Without a key, take
-    /// them back.
-    Provision {
-        /// The robot.
-        robot: NodeId,
-        /// The radio unit.
-        radio_unit: NodeId,
-        /// Settings with which it was deployed.
-        access_point: AccessPoint,
-    },
-    /// Stop a robot until [`Instruction::Go`], whatever its navigation answers.
-    Halt {
-        /// The robot.
-        robot: NodeId,
-    },
-    /// Let a halted robot follow its navigation again.
-    Go {
-        /// The robot.
-        robot: NodeId,
-    },
-    /// Record a step of a process that the plug-in conducts. Changes nothing else.
-    Note {
-        /// Name of the process that the note is about, of at most 128 characters.
-        process: String,
-        /// The step: a name of at most 128 characters.
-        step: String,
-        /// Time since the step was reached, where that was earlier: a run that goes on after another repeats the
-        /// other's notes.
-        #[serde(
-            rename = "ago_ms",
-            default,
-            skip_serializing_if = "Option::is_none",
-            with = "millis::option"
-        )]
-        #[schema(value_type = Option<f64>)]
-        ago: Option<Duration>,
-    },
-    /// Test the throughput of one direction of a wired link. The link's context has the result when the test is over.
-    TestThroughput {
-        /// The link.
-        link: LinkId,
-        /// The direction.
-        direction: Direction,
-        /// Its duration and rate.
-        test: ThroughputTest,
-    },
-}
-
-impl Serialize for Instruction {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        Self::serialize(self, serializer)
+impl FromStr for EventKind {
+    type Err = InvalidKind;
+    fn from_str(name: &str) -> Result<Self, InvalidKind> {
+        let found = Self::ALL.into_iter().find(|k| k.as_str() == name);
+        found.ok_or_else(|| InvalidKind(name.chars().take(60).collect()))
     }
 }
 
-impl<'de> Deserialize<'de> for Instruction {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let read = Self::deserialize(deserializer)?;
-        read.measure().map_err(de::Error::custom)?;
-        Ok(read)
-    }
+/// A text that names no kind.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not a kind of event; one of {list}", list = EventKind::ALL.map(EventKind::as_str).join(", "))]
+pub struct InvalidKind(String);
+
+/// A part of the graph's embedding. Each of its events is its state until the next one.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Series {
+    /// The kind of its events.
+    pub kind: EventKind,
+    /// The values of [`Table::series`], filled up with [`SeriesPart::None`].
+    pub parts: [SeriesPart; 2],
 }
 
-impl Instruction {
-    /// Returns the name in JSON.
-    pub const fn name(&self) -> &'static str {
-        match self {
-            Self::Move { .. } => "move",
-            Self::LimitSpeed { .. } => "limit_speed",
-            Self::NavigateTo { .. } => "navigate_to",
-            Self::Report { .. } => "report",
-            Self::Scan { .. } => "scan",
-            Self::Attach { .. } => "attach",
-            Self::Suggest { .. } => "suggest",
-            Self::Place { .. } => "place",
-            Self::AddVnf { .. } => "add_vnf",
-            Self::RemoveVnf { .. } => "remove_vnf",
-            Self::Map { .. } => "map",
-            Self::Condition { .. } => "condition",
-            Self::Deploy { .. } => "deploy",
-            Self::Remove { .. } => "remove",
-            Self::Provision { .. } => "provision",
-            Self::Halt { .. } => "halt",
-            Self::Go { .. } => "go",
-            Self::Note { .. } => "note",
-            Self::TestThroughput { .. } => "test_throughput",
-        }
+impl Series {
+    /// Returns the series of a kind with this name.
+    pub fn new(kind: EventKind, first: impl Into<SeriesPart>, second: impl Into<SeriesPart>) -> Self {
+        Self { kind, parts: [first.into(), second.into()] }
     }
 
-    /// The same without secrets, as all may know it.
-    #[must_use]
-    pub fn public(&self) -> Self {
-        match self.clone() {
-            Self::Deploy { radio_unit, access_point } => {
-                Self::Deploy { radio_unit, access_point: access_point.public() }
-            }
-            Self::Provision { robot, radio_unit, access_point } => {
-                Self::Provision { robot, radio_unit, access_point: access_point.public() }
-            }
-            other => other,
-        }
+    /// Returns the kinds whose events make series.
+    pub fn kinds() -> impl Iterator<Item = EventKind> {
+        EventKind::ALL.into_iter().filter(|kind| !kind.table().series.is_empty())
     }
 }

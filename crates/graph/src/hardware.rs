@@ -395,6 +395,16 @@ pub enum Direction {
     Backward,
 }
 
+impl Direction {
+    /// Returns the name in JSON.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Forward => "forward",
+            Self::Backward => "backward",
+        }
+    }
+}
+
 /// A wireless network: what radio units of one SSID and the robots that join it have in common.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WirelessNetwork {

@@ -13,6 +13,7 @@ mod container;
 mod containers;
 mod contention;
 mod context;
+mod decision;
 mod distance;
 mod driver;
 mod event;
@@ -21,6 +22,7 @@ mod flow;
 mod goal;
 mod hardware;
 mod id;
+mod instruction;
 mod jitter;
 mod lost_at;
 mod machine_context;
@@ -28,10 +30,12 @@ mod map;
 mod medium;
 mod natural;
 mod nodes;
+mod part;
 mod propagation;
 mod queue;
 mod real;
 mod real_machine;
+pub mod record;
 mod ros1_environment;
 mod routing;
 mod schedule;
@@ -40,6 +44,7 @@ mod service;
 mod testbed;
 mod time_parts;
 mod units;
+mod vnf_event;
 mod walls;
 mod wifi_software;
 
@@ -57,11 +62,12 @@ pub use context::{
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,
     StationContext, StationCounts, Velocity, VirtualLinkMapping,
 };
+pub use decision::Decision;
 pub use driver::{
     Driver, Kobuki, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, Rplidar, SensorMessage,
     SensorTopic,
 };
-pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
+pub use event::{Event, EventKind, InvalidKind, Series, Stamped};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
@@ -73,6 +79,7 @@ pub use hardware::{
 pub use id::{
     AgentId, ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId,
 };
+pub use instruction::Instruction;
 pub use jitter::{Correlation, InvalidCorrelation, Jitter, JitterDistribution};
 pub use lost_at::{LostAt, LostCause};
 pub use machine_context::{
@@ -83,6 +90,7 @@ pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use natural::Natural;
 pub use nodes::{InvalidNodes, Nodes};
+pub use part::Part;
 pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
 pub use real::{RealLink, RealPort};
 pub use real_machine::{Gateway, Machine, Reached, RealRadio, RealServer};
@@ -96,5 +104,6 @@ pub use testbed::{
 };
 pub use time_parts::{LinkTime, TimeParts};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
+pub use vnf_event::{VnfEvent, VnfState};
 pub use walls::{WallLoss, Walls};
 pub use wifi_software::{Protection, RadioKind, Security, WifiSoftware};

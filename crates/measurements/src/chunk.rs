@@ -14,7 +14,6 @@ use crate::{
     codec::{
         ReadError, Value,
         binary::{Bytes, write_integer},
-        table,
     },
     kind::Kind,
 };
@@ -22,7 +21,7 @@ use crate::{
 /// Most samples of a chunk. A stretch with more has none.
 const MOST: usize = 20_000;
 
-/// Returns the places, in [`table`], of the columns that a kind's chunks hold.
+/// Returns the places, in [`Kind::table`], of the columns that a kind's chunks hold.
 const fn places(kind: Kind) -> &'static [usize] {
     match kind {
         Kind::Link => &[2, 3, 4, 5, 14, 15, 17, 22],
@@ -75,7 +74,7 @@ impl Part {
 
 /// Returns the part that a column is in the chunks of a kind.
 pub(crate) fn column(kind: Kind, column: &str) -> Option<Part> {
-    let place = places(kind).iter().position(|place| table(kind).columns[*place] == column)?;
+    let place = places(kind).iter().position(|place| kind.table().columns[*place] == column)?;
     let (early, is_duration) = (early(kind), is_duration(kind, place));
     Some(match place < early {
         true => Part::Column { place, is_duration },
@@ -87,7 +86,7 @@ const NS_IN_MS: f64 = 1e6;
 
 /// Whether a column, by its place among those of chunks, holds durations.
 fn is_duration(kind: Kind, place: usize) -> bool {
-    table(kind).columns[places(kind)[place]].ends_with("_ms")
+    kind.table().columns[places(kind)[place]].ends_with("_ms")
 }
 
 /// Returns the figures of a row that chunks hold; NaN for NULL.
@@ -324,7 +323,7 @@ mod tests {
             let mut sorted = samples.clone();
             sorted.sort_by_key(|(t, _)| *t);
             for (column, place) in places(Kind::Link).iter().enumerate() {
-                let part = super::column(Kind::Link, table(Kind::Link).columns[*place]).unwrap();
+                let part = super::column(Kind::Link, Kind::Link.table().columns[*place]).unwrap();
                 let mut found = Vec::new();
                 let has_part = read(&bytes, part, |t, x| found.push((t, x.to_bits()))).unwrap();
                 prop_assert!(has_part || column >= early(Kind::Link));
@@ -351,7 +350,7 @@ mod tests {
         ) {
             let mut chunk = Chunk::default();
             for (t, children) in &samples {
-                chunk.push(kind, *t, &vec![Value::Null; table(kind).columns.len()]);
+                chunk.push(kind, *t, &vec![Value::Null; kind.table().columns.len()]);
                 children.iter().for_each(|(of, bits)| chunk.push_child(*of, f64::from_bits(*bits)));
             }
             let bytes = chunk.finish(kind).unwrap();
@@ -407,7 +406,7 @@ mod tests {
         let read_back = |error: &Value<'static>, part| {
             let mut chunk = Chunk::default();
             for t in 0..3 {
-                let columns = table(Kind::Robot).columns;
+                let columns = Kind::Robot.table().columns;
                 let mut row = vec![Value::Null; columns.len()];
                 row[columns.iter().position(|column| *column == "localization_error_m").unwrap()] =
                     error.clone();

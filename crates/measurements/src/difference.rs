@@ -12,7 +12,6 @@ use crate::{
     Figure, Kind, LinkQuantity, Run, RunId, Values,
     curve::Gathered,
     error::Result,
-    kind::Series,
     page::pages,
     store::{Selection, Span, Store},
 };
@@ -270,9 +269,8 @@ impl Side {
         pages(|page| store.gaps(run.id, EVER, page), |gap| side.doubts.lost_events += gap.events)?;
         for stamped in store.latest(run.id, i64::MAX)? {
             side.last = side.last.max(stamped.at);
-            if let (Some(Series::Link(link, direction)), Event::Link(context)) =
-                (Series::of(&stamped.event), &stamped.event)
-            {
+            if let Event::Link(context) = &stamped.event {
+                let (link, direction) = (context.link.clone(), context.direction);
                 let mut values =
                     [LinkQuantity::Delay, LinkQuantity::Throughput].into_iter().map(|quantity| {
                         let (figure, mut gathered) =

@@ -5,10 +5,7 @@ use std::{fmt, str::FromStr};
 use cotorra_graph::{ComponentId, Direction, Event, LinkId, NodeId, SensorId, SensorKind, ServiceId, millis};
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    codec::time_parts,
-    kind::{Kind, Series},
-};
+use crate::kind::{Kind, Series};
 
 macro_rules! quantities {
     ($(#[$doc:meta])* $of:ident { $($(#[$its:meta])* $quantity:ident = $name:literal, $unit:literal, $column:literal;)* }) => {
@@ -198,19 +195,20 @@ impl Figure {
         let plain = |kind, column| Kept { kind, series: None, named: Vec::new(), child: None, column };
         match self {
             Self::Link(link, direction, quantity) => {
-                let series = Some(Series::Link(link.clone(), *direction));
+                let series = Some(Series::new(Kind::Link, link, *direction));
                 Kept { series, ..plain(Kind::Link, quantity.column()) }
             }
-            Self::Robot(robot, quantity) => {
-                Kept { series: Some(Series::Robot(robot.clone())), ..plain(Kind::Robot, quantity.column()) }
-            }
+            Self::Robot(robot, quantity) => Kept {
+                series: Some(Series::new(Kind::Robot, robot, ())),
+                ..plain(Kind::Robot, quantity.column())
+            },
             Self::Signal { robot, radio_unit } => Kept {
-                series: Some(Series::Robot(robot.clone())),
+                series: Some(Series::new(Kind::Robot, robot, ())),
                 child: Some(("radio_unit", radio_unit.as_str())),
                 ..plain(Kind::Robot, "signal_dbm")
             },
             Self::Load(unit) => {
-                Kept { series: Some(Series::Radio(unit.clone())), ..plain(Kind::Radio, "load") }
+                Kept { series: Some(Series::new(Kind::Radio, unit, ())), ..plain(Kind::Radio, "load") }
             }
             Self::ServiceTime { service, robot } => {
                 Kept { named: samples(service, robot), ..plain(Kind::ServiceTime, "service_time_ms") }
@@ -225,12 +223,12 @@ impl Figure {
                 Kept { named, ..plain(Kind::Handover, "gap_ms") }
             }
             Self::Sensor { robot, sensor, component } => Kept {
-                series: Some(Series::Sensor(robot.clone(), sensor.clone())),
+                series: Some(Series::new(Kind::Sensor, robot, sensor)),
                 child: Some(("component", component.as_str())),
                 ..plain(Kind::Sensor, "value")
             },
             Self::Machine(node, quantity) => Kept {
-                series: Some(Series::Machine(node.clone())),
+                series: Some(Series::new(Kind::Machine, node, ())),
                 ..plain(Kind::Machine, quantity.column())
             },
             Self::Lateness(quantity) => plain(Kind::Lateness, quantity.column()),
@@ -296,7 +294,7 @@ impl Figure {
                 if service.as_ref().is_none_or(|service| time.service == *service)
                     && robot.as_ref().is_none_or(|robot| time.robot == *robot) =>
             {
-                let rows = time.parts.iter().flat_map(|parts| time_parts::rows(parts));
+                let rows = time.parts.iter().flat_map(|parts| parts.rows());
                 rows.filter(|row| row.name() == part).for_each(|row| each(millis::of(row.total())));
             }
             (Self::HandoverGap { robot }, Event::Handover(handover))

@@ -200,7 +200,7 @@ impl History {
         range: impl RangeBounds<Timestamp>,
         page: PageRequest,
     ) -> Result<Page<Sample<RobotContext>>> {
-        self.select(run, &Selection::Series(Series::Robot(robot.clone())), range, page)
+        self.select(run, &Selection::Series(Series::new(Kind::Robot, robot, ())), range, page)
     }
 
     /// Returns ι(R) over a range of time.
@@ -214,7 +214,7 @@ impl History {
         range: impl RangeBounds<Timestamp>,
         page: PageRequest,
     ) -> Result<Page<Sample<RadioContext>>> {
-        self.select(run, &Selection::Series(Series::Radio(radio_unit.clone())), range, page)
+        self.select(run, &Selection::Series(Series::new(Kind::Radio, radio_unit, ())), range, page)
     }
 
     /// Returns d, λ, ψ, δ of one direction of a link over a range of time.
@@ -229,7 +229,7 @@ impl History {
         range: impl RangeBounds<Timestamp>,
         page: PageRequest,
     ) -> Result<Page<Sample<LinkContext>>> {
-        self.select(run, &Selection::Series(Series::Link(link.clone(), direction)), range, page)
+        self.select(run, &Selection::Series(Series::new(Kind::Link, link, direction)), range, page)
     }
 
     /// Returns the context of a node's machine over a range of time.
@@ -243,7 +243,7 @@ impl History {
         range: impl RangeBounds<Timestamp>,
         page: PageRequest,
     ) -> Result<Page<Sample<MachineContext>>> {
-        self.select(run, &Selection::Series(Series::Machine(node.clone())), range, page)
+        self.select(run, &Selection::Series(Series::new(Kind::Machine, node, ())), range, page)
     }
 
     /// Returns changes of a(n) in a range of time.
@@ -364,7 +364,7 @@ impl History {
             .store
             .latest(run, nanos(at))?
             .into_iter()
-            .filter_map(|stamped| Some((Series::of(&stamped.event)?, stamped)))
+            .filter_map(|stamped| Some((stamped.event.series()?, stamped)))
             .collect();
         latest.sort_by(|a, b| a.0.cmp(&b.0));
         let mut state = GraphState { at, ..GraphState::default() };

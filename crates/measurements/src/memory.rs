@@ -114,7 +114,7 @@ impl Store for Memory {
         for Entry { run, stamped } in events {
             let recorded = &mut runs[index(*run)];
             let cursor = recorded.cursor(stamped.at);
-            if let Some(series) = Series::of(&stamped.event) {
+            if let Some(series) = stamped.event.series() {
                 recorded.series.entry(series).or_default().insert(cursor);
             }
             recorded.events.insert(cursor, stamped.event.clone());

@@ -7,7 +7,6 @@ use cotorra_graph::{Stamped, Timestamp};
 use parking_lot::Mutex;
 
 use crate::{
-    codec,
     error::Result,
     run::{Entry, Gap, RunId},
     store::Store,
@@ -38,7 +37,7 @@ impl PacedRecorder {
     /// Records an event.
     pub fn record(&self, stamped: Stamped) {
         let mut waiting = self.waiting.lock();
-        if codec::storable(&stamped) {
+        if stamped.is_storable() {
             waiting.entries.push(Entry { run: self.run, stamped });
         } else {
             waiting.lose(stamped.at);

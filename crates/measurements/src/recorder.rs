@@ -17,7 +17,6 @@ use parking_lot::{Condvar, Mutex};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    codec,
     error::{Error, Result},
     run::{Entry, Gap, RunId},
     store::Store,
@@ -59,7 +58,7 @@ impl Recorder {
     /// [`Gap`]. The event is durable within about 100 ms, or when [`Self::flush`] returns.
     pub fn record(&self, stamped: Stamped) {
         let at = stamped.at;
-        if codec::storable(&stamped) && self.queue.push(Entry { run: self.run, stamped }) {
+        if stamped.is_storable() && self.queue.push(Entry { run: self.run, stamped }) {
             self.tally.recorded.fetch_add(1, Ordering::Relaxed);
         } else {
             self.tally.drop_one(at);

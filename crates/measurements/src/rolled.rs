@@ -71,7 +71,7 @@ impl Step {
         for (place, figure) in chunk::figures(kind, row).enumerate() {
             add(FigureKey::Column(place), figure);
         }
-        let width = crate::codec::table(kind).children.map_or(1, |(_, columns)| columns.len());
+        let width = kind.table().children.map_or(1, |(_, columns)| columns.len());
         for (name, figure) in children.chunks(width).filter_map(|child| chunk::of_child(kind, child)) {
             add(FigureKey::Child(name.to_owned()), figure);
         }

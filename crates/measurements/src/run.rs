@@ -72,7 +72,7 @@ impl Gap {
     }
 }
 
-/// An event on its way into a history. [`crate::codec::storable`] holds for it.
+/// An event on its way into a history. [`Stamped::is_storable`] holds for it.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Entry {
     pub run: RunId,

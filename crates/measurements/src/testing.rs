@@ -1,18 +1,19 @@
 //! Strategies for events. They draw from a small set of names, so that several events belong to the same series.
 
+mod drawn;
 mod machine;
 
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, AnswersRejected, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions,
-    Correlation, DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Handover, Image,
-    InstancePath, Instruction, Jitter, JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters,
-    LinkId, LinkTime, ListenPort, Loss, LostAt, LostCause, NodeId, Nodes, PathKind, Pie, Placement, PluginId,
-    Pose, PoseSource, Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext,
-    Rate, Red, RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading,
-    ServiceId, ServiceTime, Stamped, StationContext, StationCounts, Tested, ThroughputTest, TimeParts,
-    Timestamp, Trace, Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
+    AccessPoint, Attachment, BitRate, Codel, ComponentId, ConditionChange, Conditions, Correlation,
+    DataFormat, Dbm, Decision, Direction, Event, FqCodel, GoalEvent, GoalState, Image, InstancePath,
+    Instruction, Jitter, JitterDistribution, LargeData, LinkContext, LinkCounters, LinkId, LinkTime,
+    ListenPort, Loss, LostAt, LostCause, NodeId, Nodes, PathKind, Pie, Placement, PluginId, Pose, PoseSource,
+    Position, Probability, Probed, Program, QueueDiscipline, QueueLimit, RadioContext, Rate, Red,
+    RedThresholds, Rights, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId,
+    ServiceTime, Stamped, StationContext, StationCounts, Tested, ThroughputTest, TimeParts, Timestamp, Trace,
+    Transport, Velocity, VirtualLinkMapping, Vnf, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -515,41 +516,21 @@ prop_compose! {
 /// Draws any event that a history can hold.
 pub fn event() -> impl Strategy<Value = Event> {
     prop_oneof![
-        robot_context().prop_map(Event::Robot),
-        radio_context().prop_map(Event::Radio),
-        link_context().prop_map(Event::Link),
-        (vnf(), nodes()).prop_map(|(vnf, node)| Event::Placement(Placement { vnf, node })),
-        (vnf(), vnf(), instance_path(), vec(instance_path(), 0..3)).prop_map(|(from, to, first, others)| {
+        1 => robot_context().prop_map(Event::Robot),
+        1 => radio_context().prop_map(Event::Radio),
+        1 => link_context().prop_map(Event::Link),
+        1 => (vnf(), nodes()).prop_map(|(vnf, node)| Event::Placement(Placement { vnf, node })),
+        1 => (vnf(), vnf(), instance_path(), vec(instance_path(), 0..3)).prop_map(|(from, to, first, others)| {
             let InstancePath { links, path, .. } = first;
             Event::VirtualLink(VirtualLinkMapping { from, to, links, path, others })
         }),
-        service_time().prop_map(Event::ServiceTime),
-        (node(), of(node()), node(), any::<bool>(), duration()).prop_map(|(robot, from, to, fast, gap)| {
-            Event::Handover(Handover { robot, from, to, fast, gap })
-        }),
-        (node(), node()).prop_map(|(robot, from)| Event::Detached { robot, from }),
-        node().prop_map(|robot| Event::Scanned { robot }),
-        (node(), node(), any::<u8>()).prop_map(|(robot, radio_unit, status)| Event::SuggestionAnswered {
-            robot,
-            radio_unit,
-            status
-        }),
-        vnf_event().prop_map(Event::Vnf),
-        decision().prop_map(Event::Decision),
-        (plugin(), ".*").prop_map(|(plugin, reason)| Event::PluginFault { plugin, reason }),
-        (any::<u64>(), real(), real(), real()).prop_map(|(frames, p50_us, p99_us, max_us)| {
-            Event::Lateness(Lateness { frames, p50_us, p99_us, max_us })
-        }),
-        goal_event().prop_map(Event::Goal),
-        reading().prop_map(Event::Sensor),
-        machine::context().prop_map(Event::Machine),
-        node().prop_map(|robot| Event::WalkFinished { robot }),
-        ".*".prop_map(|message| Event::Notice { message }),
-        (node(), any::<[u64; 6]>()).prop_map(|(robot, counts)| {
-            let [late, forged, repeated, redundant, unknown, invalid] = counts;
-            let counts = AnswersRejected { robot, late, forged, repeated, redundant, unknown, invalid };
-            Event::AnswersRejected(counts)
-        }),
+        1 => service_time().prop_map(Event::ServiceTime),
+        10 => drawn::event(),
+        1 => vnf_event().prop_map(Event::Vnf),
+        1 => decision().prop_map(Event::Decision),
+        1 => goal_event().prop_map(Event::Goal),
+        1 => reading().prop_map(Event::Sensor),
+        1 => machine::context().prop_map(Event::Machine),
     ]
 }
 

@@ -8,8 +8,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, LostAt, NodeId, Nodes, Placement,
-    PluginId, RobotContext, ServiceTime, Stamped, Testbed, VirtualLinkMapping, VnfId,
+    AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, LostAt, NodeId, Nodes, Part,
+    Placement, PluginId, RobotContext, ServiceTime, Stamped, Testbed, VirtualLinkMapping, VnfId,
 };
 use cotorra_measurements::{Figure, GraphState, Sample};
 
@@ -111,11 +111,6 @@ impl DomainView {
     /// Whether a plug-in belongs to the domain, or its name is the domain's.
     pub(crate) fn has_plugin(&self, plugin: &PluginId) -> bool {
         self.plugins.contains(plugin)
-    }
-
-    /// Whether the domain sees a VNF's placement.
-    pub(crate) fn sees_vnf(&self, vnf: &VnfId, node: &NodeId) -> bool {
-        self.vnfs.contains(vnf) || self.owns(node)
     }
 
     /// Returns a(n) of one of the domain's VNFs, or the part on its nodes of another's.
@@ -233,37 +228,33 @@ impl DomainView {
             Event::VirtualLink(mapping) => {
                 return changed(Event::VirtualLink(self.virtual_link(mapping)?));
             }
-            // A radio unit knows its stations, including those of other domains.
-            Event::Radio(context) => self.owns(&context.radio_unit),
-            Event::Link(context) => self.sees_link(&context.link),
             Event::Placement(placement) => return changed(Event::Placement(self.placement(placement)?)),
-            Event::Vnf(vnf) => self.sees_vnf(&vnf.vnf, &vnf.node),
-            Event::Goal(goal) => self.owns(&goal.robot),
-            Event::Sensor(reading) => self.owns(&reading.robot),
-            Event::Machine(context) => self.owns(&context.node),
             Event::ServiceTime(sample)
                 if self.owns(&sample.robot) && (sample.parts.is_some() || sample.lost_at.is_some()) =>
             {
                 return changed(Event::ServiceTime(self.service_time(sample)));
             }
-            Event::ServiceTime(sample) => self.owns(&sample.robot),
-            Event::AnswersRejected(counts) => self.owns(&counts.robot),
-            Event::Handover(handover) => self.owns(&handover.robot),
-            Event::Detached { robot, from } => self.owns(robot) || self.owns(from),
-            Event::Scanned { robot }
-            | Event::SuggestionAnswered { robot, .. }
-            | Event::WalkFinished { robot } => self.owns(robot),
             Event::Decision(Decision { plugin, instruction, .. }) => {
-                let is_note = matches!(instruction, Instruction::Note { .. });
-                self.has_plugin(plugin) || (!is_note && self.check(instruction, |_| None).is_ok())
+                let changes_nothing = instruction.changes(|_| Err(())).is_ok();
+                self.has_plugin(plugin) || (!changes_nothing && self.check(instruction, |_| None).is_ok())
             }
-            Event::PluginFault { plugin, .. } => self.has_plugin(plugin),
-            // Lateness is the emulator's, and belongs to no node.
-            Event::Lateness(_) => true,
-            // A notice may be about anything.
-            Event::Notice { .. } => false,
+            // A radio unit knows its stations, including those of other domains.
+            event => event.is_about(|part| self.sees(part)),
         };
         seen.then_some(Cow::Borrowed(stamped))
+    }
+
+    /// Whether the domain sees what happens to a part of the testbed. All see the emulator, which belongs to no node.
+    fn sees(&self, part: Part<'_>) -> bool {
+        match part {
+            Part::Node(node) => self.owns(node),
+            Part::Nodes(nodes) => nodes.iter().all(|node| self.owns(node)),
+            Part::Link(link) => self.sees_link(link),
+            Part::Links(links) => links.iter().all(|link| self.sees_link(link)),
+            Part::Vnf(vnf) => self.vnfs.contains(vnf),
+            Part::Plugin(plugin) => self.has_plugin(plugin),
+            Part::Emulator => true,
+        }
     }
 
     /// Returns the visible part of a handover of another domain's robot: its arrival or its departure.
@@ -282,43 +273,30 @@ impl DomainView {
         instruction: &Instruction,
         added: impl Fn(&VnfId) -> Option<Vec<NodeId>>,
     ) -> Result<(), NotOwnError> {
-        let not_own = |what: String| Err(NotOwnError { what, domain: self.domain.clone() });
-        let node = |node: &NodeId| if self.owns(node) { Ok(()) } else { not_own(format!("`{node}`")) };
+        let not_own = |what: String| NotOwnError { what, domain: self.domain.clone() };
+        let own_node =
+            |node: &NodeId| self.owns(node).then_some(()).ok_or_else(|| not_own(format!("`{node}`")));
         let own_link = |link: &LinkId| {
             let own = self.ends(link).is_some_and(|ends| ends.iter().all(|end| self.owns(end)));
-            if own { Ok(()) } else { not_own(format!("the link `{link}`")) }
+            own.then_some(()).ok_or_else(|| not_own(format!("the link `{link}`")))
         };
         let own_vnf = |vnf: &VnfId| {
             let is_added_here = || added(vnf).is_some_and(|nodes| nodes.iter().all(|node| self.owns(node)));
             let own = self.vnfs.contains(vnf) || is_added_here();
-            if own { Ok(()) } else { not_own(format!("the VNF `{vnf}`")) }
+            own.then_some(()).ok_or_else(|| not_own(format!("the VNF `{vnf}`")))
         };
-        match instruction {
-            Instruction::Move { robot, .. }
-            | Instruction::LimitSpeed { robot, .. }
-            | Instruction::NavigateTo { robot, .. }
-            | Instruction::Report { robot, .. }
-            | Instruction::Scan { robot }
-            | Instruction::Halt { robot }
-            | Instruction::Go { robot }
-            | Instruction::Attach { robot, .. }
-            | Instruction::Suggest { robot, .. }
-            | Instruction::Provision { robot, .. } => node(robot),
-            Instruction::Deploy { radio_unit, .. } | Instruction::Remove { radio_unit } => node(radio_unit),
-            Instruction::Place { vnf, node: to } => {
-                own_vnf(vnf)?;
-                to.all().iter().try_for_each(node)
-            }
-            Instruction::AddVnf { vnf } => vnf.node.all().iter().try_for_each(node),
-            Instruction::RemoveVnf { vnf } => own_vnf(vnf),
-            Instruction::Map { from, to, links } => {
-                node(from)?;
-                node(to)?;
-                links.iter().try_for_each(own_link)
-            }
-            Instruction::Condition { link, .. } | Instruction::TestThroughput { link, .. } => own_link(link),
-            Instruction::Note { .. } => Ok(()),
-        }
+        instruction.changes(|part| match part {
+            Part::Node(node) => own_node(node),
+            Part::Nodes(nodes) => nodes.iter().try_for_each(own_node),
+            Part::Link(link) => own_link(link),
+            Part::Links(links) => links.iter().try_for_each(own_link),
+            Part::Vnf(vnf) => own_vnf(vnf),
+            Part::Plugin(plugin) => self
+                .has_plugin(plugin)
+                .then_some(())
+                .ok_or_else(|| not_own(format!("the plug-in `{plugin}`"))),
+            Part::Emulator => Err(not_own("the emulator".to_owned())),
+        })
     }
 }
 

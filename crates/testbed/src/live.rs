@@ -144,14 +144,7 @@ impl Live {
             Event::Lateness(lateness) => now.lateness = lateness,
             Event::WalkFinished { robot } => now.finished.push(robot),
             Event::PluginFault { plugin, reason } => now.plugin_faults.push(format!("{plugin}: {reason}")),
-            Event::AnswersRejected(_)
-            | Event::Goal(_)
-            | Event::Handover(_)
-            | Event::Detached { .. }
-            | Event::Scanned { .. }
-            | Event::SuggestionAnswered { .. }
-            | Event::Decision(_)
-            | Event::Notice { .. } => {}
+            _ => {}
         }
     }
 }

@@ -6,8 +6,8 @@ use cotorra_agent_protocol::{Run, WantedInstance};
 use cotorra_engine::{Cgroups, Engine, EngineEvent, InstanceId, ProcessEngine};
 
 use crate::{
-    environments::Environments, error::at, files::VNF_LOGS, launcher::MachineLauncher, options::Options,
-    wake::Wake,
+    environments::Environments, error::at, files::VNF_LOGS, images::Images, launcher::MachineLauncher,
+    options::Options, wake::Wake,
 };
 
 /// Runs VNFs of one run. Dropping it ends them.

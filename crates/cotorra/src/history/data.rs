@@ -5,7 +5,7 @@ use std::{fs, io, path::PathBuf};
 use cotorra_graph::SensorId;
 use cotorra_measurements::{WantedData, read_large_data};
 
-use super::{answer::seconds, args::DataArgs, events, source};
+use super::{answer::seconds, args::DataArgs, source};
 use crate::output;
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -30,6 +30,6 @@ pub fn data(args: &DataArgs) -> miette::Result<()> {
         .map_err(system(format!("read the data of sensor `{sensor}` in {}", folder.display())))?;
     let stored = stored.ok_or_else(|| DataError::None { sensor: sensor.clone(), folder })?;
     fs::write(out, &stored.bytes).map_err(system(format!("write {}", out.display())))?;
-    let (what, at) = (events::large_data(&stored.data), seconds(stored.measured));
+    let (what, at) = (stored.data.text(), seconds(stored.measured));
     output::print(&format!("{what}, measured at {at} s: {}\n", out.display()))
 }

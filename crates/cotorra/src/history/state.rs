@@ -1,19 +1,16 @@
 //! `cotorra history state`: shows the state of the whole graph at a time.
 
-use cotorra_graph::{LinkContext, MachineContext, RobotContext, Timestamp, VirtualLinkMapping};
+use cotorra_graph::{
+    LargeData, LinkContext, MachineContext, Probed, RobotContext, Timestamp, VirtualLinkMapping,
+};
 use cotorra_measurements::{GraphState, Retained, Sample};
 
 use super::{
     answer::{first_of, seconds},
     args::StateArgs,
-    events::large_data,
     source::{Error, Source},
 };
-use crate::{
-    output,
-    table::Table,
-    words::{conditions, over, probed},
-};
+use crate::{output, table::Table, words::over};
 
 /// Maximum number of rows of each table.
 const ROWS: usize = 40;
@@ -101,7 +98,7 @@ fn describe(state: &GraphState) -> String {
     sensors.row(["robot", "sensor", "at, s", "values"]);
     for Sample { at, value } in state.sensors.iter().take(ROWS) {
         let values = value.values.iter().map(|(name, value)| format!("{name} {value:.4}"));
-        let values: Vec<_> = values.chain(value.data.as_ref().map(large_data)).collect();
+        let values: Vec<_> = values.chain(value.data.as_ref().map(LargeData::text)).collect();
         sensors.row([value.robot.to_string(), value.sensor.to_string(), seconds(*at), values.join(", ")]);
     }
     section("Sensors", sensors, state.sensors.len());
@@ -158,10 +155,10 @@ fn link(Sample { at, value }: &Sample<LinkContext>) -> [String; 11] {
         value.delay.map_or("-".to_owned(), |delay| format!("{:.3}", delay.as_secs_f64() * 1e3)),
         format!("{:.3}", value.throughput_bps / 1e6),
         value.queued_packets.map_or("-".to_owned(), |packets| packets.to_string()),
-        value.probed.as_ref().map(probed).unwrap_or_default(),
+        value.probed.as_ref().map(Probed::text).unwrap_or_default(),
         value.scale.delay_scale.to_string(),
         value.scale.drop_scale.to_string(),
         (value.counters.lost + value.counters.overflowed).to_string(),
-        conditions(&value.effective),
+        value.effective.text(),
     ]
 }

@@ -6,7 +6,7 @@ use cotorra_graph::{Direction, LinkContext, Probed, Scale};
 
 use crate::{
     table::Table,
-    words::{ago, conditions, millis},
+    words::{ago, millis},
 };
 
 /// Age from which results of probes are shown with it.
@@ -27,7 +27,7 @@ pub fn table(links: &[LinkContext]) -> String {
             format!("{:.3}", context.throughput_bps / 1e6),
             probed.and_then(delay).unwrap_or("-".to_owned()),
             probed.and_then(loss).unwrap_or("-".to_owned()),
-            conditions(&context.effective) + &scale(context.scale),
+            context.effective.text() + &scale(context.scale),
         ]);
         if let Some(packets @ 1..) = context.queued_packets {
             let s = if packets == 1 { "" } else { "s" };

@@ -5,9 +5,7 @@ use std::sync::Arc;
 
 use cotorra_graph::{Conditions, Stamped, Timestamp};
 
-use super::{
-    Fields, Heard, ReadError, Source, Value, decode, decode_conditions, encode, encode_conditions, table,
-};
+use super::{Columns, Fields, Heard, ReadError, Reader, Source, Value};
 use crate::{
     kind::Kind,
     run::{Entry, RunId},
@@ -22,13 +20,13 @@ const TEXT: u8 = 3;
 #[cfg_attr(not(any(test, feature = "databases")), expect(dead_code, reason = "used by spools only"))]
 pub(crate) fn write(entry: &Entry, bytes: &mut Vec<u8>) {
     let (mut row, mut children) = (Fields::default(), Fields::default());
-    encode(&entry.stamped, &mut row, &mut children);
+    entry.stamped.put(&mut row, &mut children);
     let kind = Kind::of(&entry.stamped.event);
     write_integer(entry.run.0, bytes);
     write_integer(entry.stamped.at.as_nanos().cast_signed(), bytes);
     bytes.push(kind as u8);
     row.0.iter().for_each(|value| write_value(value, bytes));
-    if let Some((_, columns)) = table(kind).children {
+    if let Some((_, columns)) = kind.table().children {
         write_integer((children.0.len() / columns.len()) as i64, bytes);
         children.0.iter().for_each(|value| write_value(value, bytes));
     }
@@ -54,7 +52,7 @@ fn write_value(value: &Value<'_>, bytes: &mut Vec<u8>) {
         Value::Name(name) => text(name),
         Value::Conditions(_, conditions) => {
             let mut row = Fields::default();
-            encode_conditions(conditions, &mut row);
+            conditions.put(&mut row);
             row.0.iter().for_each(|value| write_value(value, bytes));
         }
         Value::Heard(heard) => text(&heard.text()),
@@ -83,7 +81,7 @@ impl Bytes<'_> {
         let at = Timestamp::from_nanos(self.plain_integer()?.cast_unsigned());
         let kind = self.byte()?;
         let kind = Kind::ALL.get(usize::from(kind)).ok_or_else(|| unreadable("an unknown kind of event"))?;
-        Ok(Entry { run, stamped: Stamped { at, event: decode(*kind, at, self)? } })
+        Ok(Entry { run, stamped: Stamped::take(*kind, at, self)? })
     }
 
     /// Reads an integer of [`write_integer`].
@@ -133,7 +131,7 @@ fn unreadable(what: &str) -> ReadError {
     ReadError::Unreadable(what.to_owned())
 }
 
-impl Source for Bytes<'_> {
+impl Source<ReadError> for Bytes<'_> {
     fn integer(&mut self) -> Answer<Option<i64>> {
         match self.byte()? {
             NULL => Ok(None),
@@ -172,14 +170,14 @@ impl Source for Bytes<'_> {
     }
 
     fn conditions(&mut self) -> Answer<Conditions> {
-        decode_conditions(self)
+        Conditions::take(&mut Reader(self))
     }
 
     fn heard(&mut self) -> Answer<Option<Heard>> {
         self.text()?.as_deref().map(Heard::parse).transpose()
     }
 
-    fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source) -> Answer<()>) -> Answer<()> {
+    fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source<ReadError>) -> Answer<()>) -> Answer<()> {
         for _ in 0..self.plain_integer()? {
             read(self)?;
         }

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     Gap, Kind,
-    codec::{self, Heard, ReadError, Source},
+    codec::{Columns, Heard, ReadError, Reader, Source},
 };
 
 /// Tables of an export.
@@ -40,11 +40,11 @@ impl Tables {
         let mut shared = Shared::default();
         while let Some(id) = rows.key()? {
             let cells = rows.take()?.into_iter().flatten().skip(1).collect::<Vec<_>>();
-            let decoded = codec::decode_conditions(&mut Row {
+            let decoded = Conditions::take(&mut Reader(&mut Row {
                 cells: cells.into_iter(),
                 children: Vec::new(),
                 shared: &Shared::default(),
-            });
+            }));
             shared.conditions.insert(id, decoded.map_err(|e| ExportError::unreadable(rows.path(), e))?);
         }
         let mut rows = open(format, folder, &Shape::heard())?;
@@ -53,7 +53,8 @@ impl Tables {
                 Some(Cell::Text(signals)) => signals,
                 _ => String::new(),
             };
-            let heard = Heard::parse(&signals).map_err(|e| ExportError::unreadable(rows.path(), e))?;
+            let heard =
+                Heard::parse(&signals).map_err(|e: ReadError| ExportError::unreadable(rows.path(), e))?;
             shared.heard.insert(id, heard);
         }
         Ok(Self { kinds, gaps: open(format, folder, &Shape::gaps())?, shared, events: 0 })
@@ -94,10 +95,9 @@ impl Tables {
         };
         let at = Timestamp::from_nanos(at.cast_unsigned());
         let mut row = Row { cells: cells.collect::<Vec<_>>().into_iter(), children, shared: &self.shared };
-        let event =
-            codec::decode(*kind, at, &mut row).map_err(|e| ExportError::unreadable(rows.path(), e))?;
-        let stamped = Stamped { at, event };
-        if !codec::storable(&stamped) {
+        let stamped =
+            Stamped::take(*kind, at, &mut row).map_err(|e| ExportError::unreadable(rows.path(), e))?;
+        if !stamped.is_storable() {
             let problem = format!("event {n} has values that no history can hold");
             return Err(ExportError::malformed(rows.path(), problem));
         }
@@ -129,7 +129,7 @@ fn other<T>(cell: &Cell) -> Column<T> {
     Err(ReadError::Unreadable(format!("{cell:?} is in a column of another type")))
 }
 
-impl Source for Row<'_> {
+impl Source<ReadError> for Row<'_> {
     fn integer(&mut self) -> Column<i64> {
         match self.cells.next() {
             None | Some(Cell::Null) => Ok(None),
@@ -171,7 +171,7 @@ impl Source for Row<'_> {
 
     fn children(
         &mut self,
-        read: &mut dyn FnMut(&mut dyn Source) -> std::result::Result<(), ReadError>,
+        read: &mut dyn FnMut(&mut dyn Source<ReadError>) -> std::result::Result<(), ReadError>,
     ) -> std::result::Result<(), ReadError> {
         std::mem::take(&mut self.children).into_iter().try_for_each(|cells| {
             read(&mut Row { cells: cells.into_iter(), children: Vec::new(), shared: self.shared })

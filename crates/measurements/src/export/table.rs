@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::Result;
 use crate::{
     Kind,
-    codec::{self, CONDITIONS, HEARD},
+    codec::{CONDITIONS, HEARD},
 };
 
 /// Type of a column.
@@ -67,12 +67,12 @@ impl Shape {
 
     /// Returns the table of a kind's events: their place, time, and columns.
     pub fn of(kind: Kind) -> Self {
-        Self::new(kind.as_str(), &["n", "at_ns"], codec::table(kind).columns)
+        Self::new(kind.as_str(), &["n", "at_ns"], kind.table().columns)
     }
 
     /// Returns the table of a kind's child rows, if it has any.
     pub fn children(kind: Kind) -> Option<Self> {
-        let (name, columns) = codec::table(kind).children?;
+        let (name, columns) = kind.table().children?;
         Some(Self::new(name, &["n", "place"], columns))
     }
 

@@ -1,9 +1,10 @@
+use cotorra_graph::Stamped;
 use proptest::{collection::vec, prelude::*};
 
 use super::*;
 use crate::{
     Gap, Kind,
-    codec::{self, Fields, Value},
+    codec::{Fields, Value},
     run::Entry,
     testing::{notice, run_info, stamped},
 };
@@ -48,7 +49,7 @@ proptest! {
         gaps in vec((0..1000_u64, 0..1000_u64, 1..9_u64), 0..3),
         ended: bool,
     ) {
-        let events: Vec<_> = events.into_iter().filter(codec::storable).collect();
+        let events: Vec<_> = events.into_iter().filter(Stamped::is_storable).collect();
         let history = History::in_memory().unwrap();
         let run = history.begin_run(&run_info("out")).unwrap();
         let entries: Vec<_> = events.into_iter().map(|stamped| Entry { run, stamped }).collect();
@@ -83,7 +84,7 @@ proptest! {
     fn every_figure_is_of_its_columns_type(event in stamped()) {
         let kind = Kind::of(&event.event);
         let (mut row, mut children) = (Fields::default(), Fields::default());
-        codec::encode(&event, &mut row, &mut children);
+        event.put(&mut row, &mut children);
         let check = |values: &[Value<'_>], columns: &[(&'static str, Type)]| {
             assert_eq!(values.len(), columns.len());
             for (value, (name, of)) in values.iter().zip(columns) {

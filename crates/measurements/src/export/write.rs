@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     Gap, Kind,
-    codec::{self, Fields, Value},
+    codec::{Columns, Fields, Value},
 };
 
 /// Tables, each created with its first row.
@@ -56,7 +56,7 @@ impl Tables {
     pub fn event(&mut self, stamped: &Stamped) -> Result<()> {
         let kind = Kind::of(&stamped.event);
         let (mut row, mut children) = (Fields::default(), Fields::default());
-        codec::encode(stamped, &mut row, &mut children);
+        stamped.put(&mut row, &mut children);
         let n = Cell::Integer(self.events.cast_signed());
         let mut cells = vec![n.clone(), Cell::Integer(stamped.at.as_nanos().cast_signed())];
         for value in row.0 {
@@ -102,7 +102,7 @@ impl Tables {
         }
         let id = self.conditions.len() as i64;
         let mut fields = Fields::default();
-        codec::encode_conditions(conditions, &mut fields);
+        conditions.put(&mut fields);
         let mut cells = vec![Cell::Integer(id)];
         for value in fields.0 {
             cells.push(self.cell(value)?);

@@ -13,7 +13,7 @@ use cotorra_graph::{Retention, Stamped, Timestamp};
 
 use super::History;
 use crate::{
-    codec::{self, Fields},
+    codec::Fields,
     error::Result,
     kind::{Kind, Series},
     page::Cursor,
@@ -124,13 +124,13 @@ impl History {
             let rows = self.store.samples(run, kind, span, after, READ, step.is_some())?;
             let more = rows.len() == READ;
             for (cursor, event) in rows {
-                let Some(series) = Series::of(&event) else { continue };
+                let Some(series) = event.series() else { continue };
                 let its = all.entry(series).or_default();
                 its.cursors.push(cursor);
                 if let Some(step) = step {
                     let (mut row, mut children) = (Fields::default(), Fields::default());
                     let stamped = Stamped { at: Timestamp::from_nanos(cursor.t.cast_unsigned()), event };
-                    codec::encode(&stamped, &mut row, &mut children);
+                    stamped.put(&mut row, &mut children);
                     let (last, gathered) =
                         its.steps.entry(cursor.t / step).or_insert_with(|| (cursor, Step::default()));
                     *last = cursor;

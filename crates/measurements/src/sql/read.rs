@@ -8,14 +8,17 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{Conditions, Event, Stamped, Timestamp};
+use cotorra_graph::{
+    Conditions, Event, Stamped, Timestamp,
+    record::{self, SeriesPart},
+};
 
 use super::session::{
     Cell, Row, Session, blob, column_list, integer, integers, optional_integer, quoted, real, required, text,
 };
 use crate::{
     chunk::{self, Part},
-    codec::{self, Heard, ReadError, Source},
+    codec::{self, Columns, Heard, ReadError, Source},
     error::{Error, Result},
     figure::{Figure, Kept},
     kind::{Kind, Series},
@@ -104,7 +107,7 @@ impl<S: Session> Reader<S> {
             let mut found = match what {
                 Selection::Kinds(kinds) => self.merged(run, kinds, after, span.until, limit)?,
                 Selection::Series(series) => match self.ids(series)? {
-                    Some(ids) => self.series(run, series.kind(), ids, after, span.until, limit)?,
+                    Some(ids) => self.series(run, series.kind, ids, after, span.until, limit)?,
                     None => Vec::new(),
                 },
             };
@@ -213,7 +216,7 @@ impl<S: Session> Reader<S> {
     /// Returns rows of a kind after a cursor, in order.
     fn select(&self, run: RunId, select: &Select, after: Cursor) -> Answer<Vec<Found>> {
         let mut parameters = vec![run.0, after.t, after.t, after.seq, select.until];
-        parameters.extend(select.series.iter().flatten().take(codec::table(select.kind).series.len()));
+        parameters.extend(select.series.iter().flatten().take(select.kind.table().series.len()));
         parameters.push(select.limit as i64);
         let parameters: Vec<Cell> = parameters.into_iter().map(Cell::Integer).collect();
         let rows = self.rows(&select.sql(), &parameters)?;
@@ -276,7 +279,7 @@ impl<S: Session> Reader<S> {
                 return figures([run.0, span.from, span.until, 0], &named, &mut each);
             };
             let Some(ids) = self.ids(series)? else { return Ok(()) };
-            let named = [&ids[..codec::table(kept.kind).series.len()], &named].concat();
+            let named = [&ids[..kept.kind.table().series.len()], &named].concat();
             let part = match kept.child {
                 None => chunk::column(kept.kind, kept.column),
                 Some(_) => named.last().map(|id| Part::children(kept.kind, *id)),
@@ -330,7 +333,7 @@ impl<S: Session> Reader<S> {
         limit: usize,
         raw: bool,
     ) -> Result<Vec<(Cursor, Event)>> {
-        let names = codec::table(kind).columns.iter().map(|column| format!("e.{}", quoted(column)));
+        let names = kind.table().columns.iter().map(|column| format!("e.{}", quoted(column)));
         let sql = format!(
             "SELECT e.at_ns, e.seq, {} FROM {} e WHERE e.run = ? AND e.at_ns >= ? AND (e.at_ns > ? OR e.seq > ?)
              AND e.at_ns <= ?{} ORDER BY e.at_ns, e.seq LIMIT ?",
@@ -383,7 +386,7 @@ impl<S: Session> Reader<S> {
     pub fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>> {
         self.ask_of(run, || {
             let mut found = Vec::new();
-            for kind in Series::KINDS {
+            for kind in Series::kinds() {
                 let mut stretches = BTreeMap::<i64, BTreeSet<[i64; 2]>>::new();
                 let last = self.session.last_stretches(run, kind, at / STRETCH)?;
                 for (ids, stretch) in last {
@@ -418,7 +421,7 @@ impl<S: Session> Reader<S> {
         mut wanted: BTreeSet<[i64; 2]>,
         found: &mut Vec<Found>,
     ) -> Answer<BTreeSet<[i64; 2]>> {
-        let table = codec::table(kind);
+        let table = kind.table();
         let sql = format!(
             "SELECT at_ns, seq, {} FROM {} WHERE run = ? AND at_ns >= ? AND at_ns <= ? AND (at_ns < ? OR seq < ?)
              ORDER BY at_ns DESC, seq DESC LIMIT ?",
@@ -454,7 +457,7 @@ impl<S: Session> Reader<S> {
     fn decode(&self, run: RunId, found: &[Found]) -> Answer<Vec<Stamped>> {
         let mut children: HashMap<Cursor, Vec<Row>> = HashMap::new();
         for kind in Kind::ALL {
-            let Some((table, columns)) = codec::table(kind).children else { continue };
+            let Some((table, columns)) = kind.table().children else { continue };
             let parents: Vec<Cursor> =
                 found.iter().filter(|(_, its, _)| *its == kind).map(|(cursor, ..)| *cursor).collect();
             let (mut places, mut sql) = (0, String::new());
@@ -482,7 +485,7 @@ impl<S: Session> Reader<S> {
             let children = children.get(cursor).map_or(&[][..], Vec::as_slice);
             let mut source = RowSource { reader: self, row, column: 2, children };
             let at = timestamp(cursor.t);
-            Ok(Stamped { at, event: codec::decode(*kind, at, &mut source)? })
+            Stamped::take(*kind, at, &mut source)
         };
         found.iter().map(event).collect()
     }
@@ -518,7 +521,7 @@ impl<S: Session> Reader<S> {
         }
         for row in rows {
             let mut source = RowSource { reader: self, row: &row, column: 1, children: &[] };
-            remembered.insert(integer(&row, 0)?, codec::decode_conditions(&mut source)?);
+            remembered.insert(integer(&row, 0)?, Conditions::take(&mut record::Reader(&mut source))?);
         }
         remembered
             .get(&id)
@@ -539,7 +542,7 @@ impl<S: Session> Reader<S> {
             remembered.clear();
         }
         for row in rows {
-            remembered.insert(integer(&row, 0)?, Heard::parse(required(text(&row, 1)?)?)?);
+            remembered.insert(integer(&row, 0)?, Heard::parse::<ReadError>(required(text(&row, 1)?)?)?);
         }
         remembered
             .get(&id)
@@ -584,7 +587,7 @@ impl Select {
     /// Returns the statement. It compares keys in parts, because servers find no range of an index by a comparison of
     /// pairs.
     pub fn sql(&self) -> String {
-        let table = codec::table(self.kind);
+        let table = self.kind.table();
         let same: String = match self.series {
             Some(_) => table.series.iter().map(|column| format!(" AND {} = ?", quoted(column))).collect(),
             None => String::new(),
@@ -602,7 +605,7 @@ impl Select {
 /// the first `seq`, the ids of the series' columns, those of the names, and that of the child's name. `join` joins two
 /// tables in their order.
 fn figures_sql(kept: &Kept<'_>, join: &str) -> String {
-    let table = codec::table(kept.kind);
+    let table = kept.kind.table();
     let child = kept.child.and(table.children);
     let of = if child.is_some() { "c" } else { "e" };
     let mut sql = format!("SELECT e.at_ns, {of}.\"{}\" FROM \"{}\" e", kept.column, kept.kind.as_str());
@@ -628,7 +631,7 @@ fn figures_sql(kept: &Kept<'_>, join: &str) -> String {
 
 /// Returns a condition on samples `e` of a kind that no rolled-up step holds.
 fn not_rolled_up(kind: Kind, integer_division: &str) -> String {
-    let series = codec::table(kind).series;
+    let series = kind.table().series;
     let b = series.get(1).map_or("0".to_owned(), |column| format!("e.{column}"));
     format!(
         " AND NOT EXISTS (SELECT 1 FROM rolled_up u WHERE u.run = e.run AND u.kind = {} AND u.a = e.{} AND u.b = {b}
@@ -653,13 +656,13 @@ pub(super) fn series_ids<E>(
     series: &Series,
     mut id: impl FnMut(&str) -> std::result::Result<Option<i64>, E>,
 ) -> std::result::Result<Option<[i64; 2]>, E> {
-    let (a, b) = match series {
-        Series::Robot(node) | Series::Radio(node) | Series::Machine(node) => (id(node.as_str())?, Some(0)),
-        Series::Link(link, direction) => (id(link.as_str())?, Some(codec::direction_code(*direction))),
-        Series::Placement(vnf) => (id(vnf.as_str())?, Some(0)),
-        Series::VirtualLink(from, to) => (id(from.as_str())?, id(to.as_str())?),
-        Series::Sensor(robot, sensor) => (id(robot.as_str())?, id(sensor.as_str())?),
+    let mut id = |part: &SeriesPart| match part {
+        SeriesPart::None => Ok(Some(0)),
+        SeriesPart::Code(code) => Ok(Some(*code)),
+        SeriesPart::Name(name) => id(name),
     };
+    let [a, b] = &series.parts;
+    let (a, b) = (id(a)?, id(b)?);
     Ok(a.zip(b).map(|(a, b)| [a, b]))
 }
 
@@ -686,7 +689,7 @@ impl<S> RowSource<'_, S> {
     }
 }
 
-impl<S: Session> Source for RowSource<'_, S> {
+impl<S: Session> Source<ReadError> for RowSource<'_, S> {
     fn integer(&mut self) -> Answer<Option<i64>> {
         let column = self.next();
         optional_integer(self.row, column)
@@ -717,7 +720,7 @@ impl<S: Session> Source for RowSource<'_, S> {
         self.reader.conditions(id)
     }
 
-    fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source) -> Answer<()>) -> Answer<()> {
+    fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source<ReadError>) -> Answer<()>) -> Answer<()> {
         for row in self.children {
             read(&mut RowSource { reader: self.reader, row, column: 2, children: &[] })?;
         }

@@ -4,7 +4,6 @@ use cotorra_graph::Timestamp;
 
 use super::session::{Cell, Session, integers, quoted};
 use crate::{
-    codec,
     error::{Error, Result},
     kind::Kind,
     run::{RunId, RunInfo},
@@ -44,7 +43,7 @@ pub(crate) fn remove_run<S: Session>(session: &S, run: RunId) -> Result<()> {
 /// Returns all tables that have rows of runs.
 fn tables_of_runs() -> impl Iterator<Item = &'static str> {
     let of_kinds = Kind::ALL.into_iter().flat_map(|kind| {
-        let children = codec::table(kind).children.map(|(table, _)| table);
+        let children = kind.table().children.map(|(table, _)| table);
         std::iter::once(kind.as_str()).chain(children)
     });
     of_kinds.chain(["gap", "presence", "chunk", "rolled_up", "retained"])

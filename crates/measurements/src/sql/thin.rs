@@ -5,7 +5,7 @@ use super::{
     session::{Cell, Session, blob, integers, quoted, transaction},
 };
 use crate::{
-    chunk, codec,
+    chunk,
     error::Result,
     kind::Kind,
     page::Cursor,
@@ -45,7 +45,7 @@ fn delete_samples<S: Session>(session: &S, run: RunId, kind: Kind, samples: &[Cu
         if session.execute(&deleting(kind.as_str(), cursors.len()), &parameters)? < cursors.len() as u64 {
             return Ok(false);
         }
-        if let Some((children, _)) = codec::table(kind).children {
+        if let Some((children, _)) = kind.table().children {
             session.execute(&deleting(children, cursors.len()), &parameters)?;
         }
     }

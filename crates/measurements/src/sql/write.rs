@@ -3,12 +3,12 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use cotorra_graph::{Conditions, Event, Timestamp};
+use cotorra_graph::{Conditions, Timestamp};
 
 use super::{read::series_ids, session::Cell};
 use crate::{
     chunk::{self, Chunk, has_chunks},
-    codec::{self, Fields, Heard, Role, Value},
+    codec::{self, Columns, Fields, Heard, Role, Value},
     error::Result,
     kind::{Kind, Series},
     run::{Entry, Gap, RunId},
@@ -52,9 +52,9 @@ impl Target {
         const KEY: [&str; 4] = ["run", "at_ns", "seq", "place"];
         Some(match self {
             Self::Gaps => ("gap", [&KEY[..3], &["until_ns", "events"]].concat()),
-            Self::Events(kind) => (kind.as_str(), [&KEY[..3], codec::table(kind).columns].concat()),
+            Self::Events(kind) => (kind.as_str(), [&KEY[..3], kind.table().columns].concat()),
             Self::Children(kind) => {
-                let (table, columns) = codec::table(kind).children?;
+                let (table, columns) = kind.table().children?;
                 (table, [&KEY, columns].concat())
             }
         })
@@ -177,11 +177,11 @@ impl<B: Batch> Append<'_, B> {
         for Entry { run, stamped } in events {
             row.0.clear();
             children.0.clear();
-            codec::encode(stamped, &mut row, &mut children);
+            stamped.put(&mut row, &mut children);
             let kind = Kind::of(&stamped.event);
             let t = stamped.at.as_nanos().cast_signed();
             let key = [run.0, t, self.seq(*run)?];
-            let series = self.series(&stamped.event)?;
+            let series = self.series(stamped.event.series())?;
             if let Some(series) = series {
                 self.enter_stretch(kind, *run, t, series)?;
                 if let Some(chunk) = &mut self.known.of_series[series].chunk {
@@ -205,7 +205,7 @@ impl<B: Batch> Append<'_, B> {
         series: Option<usize>,
         children: &[Value<'_>],
     ) -> Result<()> {
-        let Some((_, columns)) = codec::table(kind).children else { return Ok(()) };
+        let Some((_, columns)) = kind.table().children else { return Ok(()) };
         for (child, place) in children.chunks(columns.len()).zip(0_i64..) {
             self.cells.extend(key.into_iter().chain([place]).map(Cell::Integer));
             for value in child {
@@ -269,15 +269,15 @@ impl<B: Batch> Append<'_, B> {
         Ok(id)
     }
 
-    /// Returns the place of the series that an event belongs to, if it belongs to one.
-    fn series(&mut self, event: &Event) -> Result<Option<usize>> {
+    /// Returns the place of a series, if there is one.
+    fn series(&mut self, series: Option<Series>) -> Result<Option<usize>> {
+        let Some(series) = series else { return Ok(None) };
         // Series are mostly sampled in turn.
         let guess = self.known.after_last;
-        if self.known.of_series.get(guess).is_some_and(|known| known.series.holds(event)) {
+        if self.known.of_series.get(guess).is_some_and(|known| known.series == series) {
             self.known.after_last = (guess + 1) % self.known.of_series.len();
             return Ok(Some(guess));
         }
-        let Some(series) = Series::of(event) else { return Ok(None) };
         if let Some(place) = self.known.series.get(&series) {
             self.known.after_last = (place + 1) % self.known.of_series.len();
             return Ok(Some(*place));
@@ -305,7 +305,7 @@ impl<B: Batch> Append<'_, B> {
             return Ok(*id);
         }
         let mut row = Fields::default();
-        codec::encode_conditions(conditions, &mut row);
+        conditions.put(&mut row);
         let began = self.cells.len();
         for value in &row.0 {
             self.push_cell(None, value)?;

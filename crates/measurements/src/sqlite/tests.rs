@@ -387,7 +387,7 @@ fn questions_use_the_keys() {
         statement.query_map(unbound, |row| row.get(3)).unwrap().map(|step| step.unwrap()).collect()
     };
     for kind in Kind::ALL {
-        let is_series = !crate::codec::table(kind).series.is_empty();
+        let is_series = !kind.table().series.is_empty();
         for series in [None, is_series.then_some([1, 0])] {
             let plan = plan(&sql::Select { kind, series, until: 0, limit: 1 }.sql());
             assert_eq!(plan.len(), 1, "{plan:?}");

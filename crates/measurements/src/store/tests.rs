@@ -180,13 +180,11 @@ fn selects_series_and_times() {
     let what = (vec(stamped(), 0..60), time(), time(), 1..5_usize);
     check(what, |store, run, other, (events, from, until, limit)| {
         append(store, run, other, events, 10);
-        for series in events.iter().filter_map(|s| Series::of(&s.event)) {
+        for series in events.iter().filter_map(|s| s.event.series()) {
             let what = Selection::Series(series.clone());
             let found = pages(*limit, |page| store.events(run, &what, span(*from, *until), page).unwrap());
             let mut wanted = sorted(events);
-            wanted.retain(|s| {
-                *from <= s.at && s.at <= *until && Series::of(&s.event).as_ref() == Some(&series)
-            });
+            wanted.retain(|s| *from <= s.at && s.at <= *until && s.event.series().as_ref() == Some(&series));
             prop_assert_eq!(found, wanted);
         }
         Ok(())
@@ -200,11 +198,11 @@ fn knows_the_latest_of_every_series() {
         let wanted: std::collections::BTreeMap<Series, Stamped> = sorted(events)
             .into_iter()
             .filter(|stamped| stamped.at <= *at)
-            .filter_map(|stamped| Some((Series::of(&stamped.event)?, stamped)))
+            .filter_map(|stamped| Some((stamped.event.series()?, stamped)))
             .collect();
         append(store, run, other, events, *batch);
         let mut found = store.latest(run, at.as_nanos() as i64).unwrap();
-        found.sort_by_key(|stamped| Series::of(&stamped.event));
+        found.sort_by_key(|stamped| stamped.event.series());
         prop_assert_eq!(found, wanted.values().cloned().collect::<Vec<_>>());
         Ok(())
     });

@@ -416,14 +416,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                     Err(InstructionError(format!("what a note names has 1 to {longest} characters")))
                 }
             }
-            Instruction::Move { .. }
-            | Instruction::LimitSpeed { .. }
-            | Instruction::NavigateTo { .. }
-            | Instruction::Report { .. }
-            | Instruction::Halt { .. }
-            | Instruction::Go { .. } => {
-                Err(InstructionError("movements are the Robot Middleware's".to_owned()))
-            }
+            _ => Err(InstructionError("movements are the Robot Middleware's".to_owned())),
         }
     }
 

@@ -122,17 +122,7 @@ impl Encoder {
                 };
                 self.tell("/emulation/lateness", at, &message, out);
             }
-            Event::AnswersRejected(_)
-            | Event::Detached { .. }
-            | Event::Goal(_)
-            | Event::Machine(_)
-            | Event::Scanned { .. }
-            | Event::SuggestionAnswered { .. }
-            | Event::Sensor(_)
-            | Event::Vnf(_)
-            | Event::PluginFault { .. }
-            | Event::WalkFinished { .. }
-            | Event::Notice { .. } => {}
+            _ => {}
         }
         if let Some(line) = log::line(at, event) {
             self.tell("/rosout", at, &line, out);

@@ -163,12 +163,7 @@ fn is_well(event: &VnfEvent) -> bool {
 }
 
 fn state(event: &VnfEvent) -> String {
-    let state = match event.state {
-        VnfState::Started => "started",
-        VnfState::Died => "died",
-        VnfState::Stopped => "stopped",
-        VnfState::Failed => "failed",
-    };
+    let state = event.state.as_str();
     event.detail.as_ref().map_or(state.to_owned(), |detail| format!("{state}: {detail}"))
 }
 

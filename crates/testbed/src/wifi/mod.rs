@@ -34,8 +34,8 @@ pub(crate) use self::{
     plan::Plan,
     programs::Surroundings,
 };
-use crate::clock::Clock;
-use crate::radio_figures::RadioFigures;
+use self::{manager::Manager, programs::Programs};
+use crate::{clock::Clock, radio_figures::RadioFigures};
 
 /// Beginning of the names of folders for Wi-Fi programs, in the folder for temporary files. The process's id follows, and a number.
 pub const WIFI_FOLDERS: &str = "cotorra-wifi-";

@@ -2,14 +2,17 @@
 
 use std::{fmt::Write as _, time::Duration};
 
-use cotorra_graph::{Attachment, Dbm, NodeId, Timestamp};
-
-use super::read_error::{ReadError, unreadable};
+use super::{Unreadable, unreadable};
+use crate::{
+    context::Attachment,
+    id::NodeId,
+    units::{Dbm, Timestamp},
+};
 
 /// The radio units of a robot in order, each with the signal that the robot heard before, if it did, and the time. That of
 /// the own radio unit changes all the time, and is in none.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Heard(Vec<(NodeId, Option<(Dbm, i64)>)>);
+pub struct Heard(Vec<(NodeId, Option<(Dbm, i64)>)>);
 
 impl Heard {
     /// Returns the signals that a context repeats; `None` if it repeats none.
@@ -49,7 +52,10 @@ impl Heard {
     }
 
     /// Reads [`Self::text`].
-    pub fn parse(text: &str) -> Result<Self, ReadError> {
+    ///
+    /// # Errors
+    /// [`Unreadable`] for any other text.
+    pub fn parse<E: From<Unreadable>>(text: &str) -> Result<Self, E> {
         let line = |line: &str| {
             let (signal, rest) = line.split_once(' ')?;
             let (at, name) = rest.split_once(' ')?;
@@ -65,6 +71,6 @@ impl Heard {
 }
 
 /// Whether a context has an attachment of its own: with a signal that it does not repeat.
-pub(crate) fn is_written(attachment: &Attachment) -> bool {
+pub(super) fn is_written(attachment: &Attachment) -> bool {
     attachment.is_news() && (attachment.attached || attachment.signal.is_some())
 }
