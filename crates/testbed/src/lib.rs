@@ -56,8 +56,8 @@ mod wifi;
 #[cfg(feature = "agents")]
 pub use agents::{AgentOptions, AgentsError};
 pub use api::{
-    ApiError, Checked, Dashboard, Edited, Editor, Mistake, Operator, Token, Tokens, TokensError,
-    app_lcm_openapi, openapi,
+    ApiError, Checked, Dashboard, Edited, Editor, Encryption, Identity, Mistake, NetworkApi, Operator,
+    TlsError, Token, Tokens, TokensError, app_lcm_openapi, openapi,
 };
 pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
 #[cfg(feature = "containers")]

@@ -24,8 +24,10 @@ use serde::{Deserialize, Serialize};
 use tempfile::NamedTempFile;
 
 use super::{
+    Listener, NetworkApi,
     auth::{Caller, Token},
     context::Answer,
+    on_loopback,
     serve::Place,
     types::Failure,
 };
@@ -53,17 +55,25 @@ struct State {
 #[derive(Clone)]
 pub struct Dashboard {
     api: SocketAddr,
+    network: Option<NetworkApi>,
     pages: Arc<SignIns>,
 }
 
 impl Dashboard {
-    pub(super) fn new(api: SocketAddr, pages: Arc<SignIns>) -> Self {
-        Self { api, pages }
+    pub(super) fn new(listener: &Listener, pages: Arc<SignIns>) -> Self {
+        let own = listener.address();
+        let api = if own.ip().is_unspecified() { on_loopback(own) } else { own };
+        Self { api, network: listener.network.clone(), pages }
     }
 
-    /// Returns the address of the API, which is also that of the dashboard.
+    /// Returns the address of the API on this machine, which is also that of the dashboard.
     pub fn address(&self) -> SocketAddr {
         self.api
+    }
+
+    /// Returns how other machines reach the API; `None` if they do not.
+    pub fn network(&self) -> Option<&NetworkApi> {
+        self.network.as_ref()
     }
 
     /// Prepares a page for the user's browser. `query` follows the address, and can be empty.
