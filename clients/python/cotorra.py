@@ -23,6 +23,7 @@ import fcntl
 import json
 import os
 import socket
+import ssl
 import struct
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
@@ -61,13 +62,18 @@ class LargeData(NamedTuple):
 
 class Client:
     """A testbed's API. What is not said is taken from the environment, as a testbed sets it for its plug-ins:
-    COTORRA_API, COTORRA_PLUGIN (the name under which decisions are recorded) and COTORRA_TOKEN.
+    COTORRA_API, COTORRA_PLUGIN (the name under which decisions are recorded), COTORRA_TOKEN, and for an https address
+    COTORRA_CA (a copy of the file with the authority's certificate, which the run printed).
 
     Without a token, this talks to your run on this machine with that address, or to your only one, over a socket on which
     nobody else can listen. With a token and an address, whoever listens there gets the token."""
 
     def __init__(
-        self, api: Optional[str] = None, plugin: Optional[str] = None, token: Optional[str] = None
+        self,
+        api: Optional[str] = None,
+        plugin: Optional[str] = None,
+        token: Optional[str] = None,
+        ca: Optional[str] = None,
     ) -> None:
         handlers = [request.ProxyHandler({})]  # Past any proxy in the environment: a testbed is near.
         api = api or os.environ.get("COTORRA_API")
@@ -77,7 +83,13 @@ class Client:
         if run:
             api = run.api
             handlers.append(_Local(run))
-        self._api = (api if "://" in api else f"http://{api}").rstrip("/") + "/api/v1"
+        if "://" not in api:
+            # A token must not cross a network in clear because nobody wrote which.
+            is_here = run or api.startswith(("localhost:", "127.", "[::1]"))
+            api = f"{'http' if is_here else 'https'}://{api}"
+        self._api = api.rstrip("/") + "/api/v1"
+        if self._api.startswith("https:"):
+            handlers.append(_https(ca or os.environ.get("COTORRA_CA")))
         self._headers = {"Content-Type": "application/json"}
         if plugin := plugin or os.environ.get("COTORRA_PLUGIN"):
             self._headers["X-Cotorra-Plugin"] = plugin
@@ -270,6 +282,8 @@ class Client:
             kind = Ended if failure.code == 503 else CotorraError
             raise kind(f"{path}: {failure.code}: {said.get('error', text)}") from None
         except error.URLError as failure:
+            if isinstance(failure.reason, ssl.SSLCertVerificationError):
+                raise CotorraError(f"{self._api} is not trusted: {failure.reason}; {_HINT}") from None
             raise Ended(f"no API at {self._api}: {failure.reason}") from None
 
 
@@ -323,6 +337,17 @@ def images(receiver: socket.socket) -> Iterator[Image]:
             names = robot.decode(errors="replace"), sensor.decode(errors="replace")
             offsets.clear()
             yield Image(*names, sequence, measured, _FORMATS[form], width, height, bytes(data))
+
+
+_HINT = "let COTORRA_CA name a copy of the file that the run printed"
+
+
+def _https(ca: Optional[str]) -> request.HTTPSHandler:
+    """HTTPS that trusts the authorities in a file alone; without one, those of the system."""
+    try:
+        return request.HTTPSHandler(context=ssl.create_default_context(cafile=ca))
+    except OSError as failure:
+        raise CotorraError(f"{ca} is not the certificate of an authority: {failure}; {_HINT}") from None
 
 
 class _Folder:

@@ -4,9 +4,10 @@ use std::{net::SocketAddr, path::PathBuf};
 
 use clap::Args;
 use cotorra_testbed::AgentOptions;
+use cotorra_testbed::{Dashboard, Encryption};
 
-/// Who may use the API and the dashboard.
-#[derive(Debug, Clone, Copy, Default, Args)]
+/// Who may use the API and the dashboard, and what protects them on the network.
+#[derive(Debug, Clone, Default, Args)]
 pub struct AccessArgs {
     /// Let every user and every program of this machine use the API and the dashboard
     ///
@@ -14,6 +15,37 @@ pub struct AccessArgs {
     /// run's socket, with COTORRA_TOKEN if you set it, and in browsers that `cotorra open` or --open signed in.
     #[arg(long)]
     pub no_token: bool,
+    /// Serve --api without TLS on an address that others can reach
+    ///
+    /// Whoever sees the packets then sees the token, and can steer the run. By default such an address has HTTPS, with a
+    /// certificate by the authority of your agents, which is made if there is none.
+    #[arg(long, requires = "api")]
+    pub no_tls: bool,
+    /// Certificate of --api in PEM with those that lead to its authority, in place of one by the authority of your agents
+    #[arg(long, value_name = "FILE", requires_all = ["api", "api_key"], conflicts_with = "no_tls")]
+    pub api_certificate: Option<PathBuf>,
+    /// Key of --api-certificate, in PEM
+    #[arg(long, value_name = "FILE", requires = "api_certificate")]
+    pub api_key: Option<PathBuf>,
+}
+
+impl AccessArgs {
+    /// Returns what protects the API on the network: a certificate by the authority in this folder, unless the user wants
+    /// something else.
+    pub fn encryption(&self, authority: Option<PathBuf>) -> Encryption {
+        match (self.no_tls, &self.api_certificate, &self.api_key) {
+            (true, ..) => Encryption::Off,
+            (false, Some(certificate), Some(key)) => {
+                Encryption::Own { certificate: certificate.clone(), key: key.clone() }
+            }
+            _ => Encryption::Authority(authority),
+        }
+    }
+}
+
+/// Notes how other machines reach an API, if they do.
+pub fn note_network(dashboard: &Dashboard) {
+    dashboard.network().into_iter().for_each(|network| note!("Network on {network}"));
 }
 
 /// Agents of real machines.
@@ -22,7 +54,8 @@ pub struct AgentArgs {
     /// Address at which agents of real machines connect
     #[arg(long, value_name = "ADDR:PORT", default_value_t = AgentOptions::default().listen, value_parser = parse_address)]
     pub agents: SocketAddr,
-    /// Folder of the authority with which agents were enrolled; default: cotorra/agents in $XDG_CONFIG_HOME or ~/.config
+    /// Folder of the authority with which agents were enrolled, and which certifies --api; default: cotorra/agents in
+    /// $XDG_CONFIG_HOME or ~/.config
     #[arg(long, value_name = "DIR")]
     pub authority: Option<PathBuf>,
 }

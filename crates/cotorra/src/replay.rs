@@ -13,7 +13,7 @@ use indicatif::ProgressBar;
 use miette::IntoDiagnostic;
 
 use crate::{
-    arguments::{AccessArgs, parse_address},
+    arguments::{AccessArgs, note_network, parse_address},
     browser::Opener,
     exit::Status,
     history::{HistoryPlace, Source, Span},
@@ -99,7 +99,8 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let options = ReplayOptions {
         api: args.api,
         known: Some((Runs::of_user(), format!("replay of {}", args.run))),
-        tokens: run::tokens(args.access)?,
+        tokens: run::tokens(&args.access)?,
+        encryption: args.access.encryption(None),
         folder: source.folder.clone(),
         speed: Some(args.speed),
         followers: match args.speed {
@@ -115,6 +116,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let replay = Replay::new(testbed, source.history, source.run.id, options).into_diagnostic()?;
     note!("API on http://{}, replay of {}", replay.api_address(), args.run);
     note!("Dashboard on http://{}/", replay.api_address());
+    note_network(replay.dashboard());
     opener.open(|| replay.dashboard().page(""));
     if let Some(foxglove) = replay.foxglove_address() {
         note!("Foxglove on ws://{foxglove}");

@@ -65,7 +65,7 @@ fn help_for(error: &RunsError) -> &'static str {
         }
         RunsError::NotThere { .. } => {
             "`cotorra ps` lists your runs; to reach a run of another user, become that user, as with sudo; for a run of \
-             another machine, log in there, or use `cotorra link` with --unverified"
+             another machine, log in there, or use `cotorra link` with its https address and --ca"
         }
         RunsError::System { .. } | RunsError::NotPrivate { .. } | RunsError::Malformed { .. } => {
             "runs have their entries in the folder `cotorra` in XDG_RUNTIME_DIR or /run/user/UID, or in `cotorra-UID` in \

@@ -14,7 +14,7 @@ use cotorra_testbed::replay::{Replay, ReplayError, ReplayOptions};
 use miette::IntoDiagnostic;
 
 use crate::{
-    arguments::{AccessArgs, parse_address},
+    arguments::{AccessArgs, note_network, parse_address},
     browser::Opener,
     history::{HistoryPlace, Source},
     run, signals,
@@ -76,7 +76,8 @@ pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
     let options = ReplayOptions {
         api: args.api,
         known: Some((Runs::of_user(), format!("view of {}", args.run))),
-        tokens: run::tokens(args.access)?,
+        tokens: run::tokens(&args.access)?,
+        encryption: args.access.encryption(None),
         folder: source.folder.clone(),
         speed: None,
         followers: 0,
@@ -88,6 +89,7 @@ pub fn view(args: &ViewArgs) -> miette::Result<ExitCode> {
     let replay = Replay::new(testbed, source.history, source.run.id, options).into_diagnostic()?;
     let query = compared.as_ref().map(|(_, run)| format!("?compare={run}")).unwrap_or_default();
     note!("Dashboard on http://{}/{query}, view of {}; Ctrl-C ends it", replay.api_address(), args.run);
+    note_network(replay.dashboard());
     opener.open(|| replay.dashboard().page(&query));
     replay.play(|_| interrupts.try_recv().is_err()).into_diagnostic()?;
     Ok(ExitCode::SUCCESS)

@@ -7,8 +7,13 @@ mod events;
 mod local;
 mod map;
 mod run;
+mod trust;
 
-use std::{io::Read, path::PathBuf, time::Duration};
+use std::{
+    io::Read,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use cotorra_graph::{
     Emulation, HostAddress, Instruction, InvalidId, LinkContext, LinkId, MachineContext, NodeId, Placement,
@@ -30,6 +35,8 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const SILENCE: Duration = Duration::from_secs(60);
 /// Status of a testbed whose run has ended.
 const ENDED: u16 = 503;
+/// What to do about an API that is not known.
+const HINT: &str = "let COTORRA_CA name a copy of the file that the run printed";
 /// The largest answer that is read, bytes: 10,000 contexts of a testbed with a few hundred radio units.
 const LARGEST_ANSWER: u64 = 256 << 20;
 
@@ -71,8 +78,27 @@ pub enum ClientError {
     #[error("COTORRA_API is not set, and {0}: let it name the testbed's API, as in http://127.0.0.1:7700")]
     NotSet(#[from] RunsError),
     /// The text is not an address of an API.
-    #[error("`{0}` is not the address of an API: write it like http://127.0.0.1:7700")]
+    #[error("`{0}` is not the address of an API: write it like http://127.0.0.1:7700 or https://lab:7700")]
     Address(String),
+    /// An address with TLS, and nothing says by which authority it is known.
+    #[error("{0} needs the certificate of its authority: {HINT}")]
+    NoAuthority(String),
+    /// The file of an authority cannot be used.
+    #[error("{} is not the certificate of an authority: {reason}; {HINT}", path.display())]
+    Authority {
+        /// The file.
+        path: PathBuf,
+        /// Its mistake.
+        reason: String,
+    },
+    /// Whoever answers has no certificate by the authority for that address.
+    #[error("{url} is not trusted: {reason}; {HINT}")]
+    NotTrusted {
+        /// URL of the request.
+        url: String,
+        /// Mistake of the certificate.
+        reason: String,
+    },
     /// The plug-in's name can be none.
     #[error("COTORRA_PLUGIN: {0}")]
     Name(#[from] InvalidId),
@@ -226,8 +252,8 @@ struct Failure {
 
 impl Client {
     /// The client of the API that `COTORRA_API` names, with the token in `COTORRA_TOKEN` if one is set, under the
-    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts. Without a token, the client of this
-    /// user's run on this machine with that address, as [`Client::of`] gives it, and without `COTORRA_API` that of the only
+    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts. An address with TLS is known by the
+    /// authority in the file that `COTORRA_CA` names. Without a token, the client of this user's run on this machine with that address, as [`Client::of`] gives it, and without `COTORRA_API` that of the only
     /// one.
     ///
     /// # Errors
@@ -239,7 +265,7 @@ impl Client {
             // Without a token, a run of this user knows it by its socket only.
             Some(api) => match Runs::of_user().find(Some(&api)) {
                 Ok(run) if token.is_none() => Self::of(&run)?,
-                _ => Self::new(&api)?,
+                _ => Self::at(&api, variable("COTORRA_CA").as_deref().map(Path::new))?,
             },
             None => Self::of(&Runs::of_user().find(None)?)?,
         };
@@ -254,11 +280,26 @@ impl Client {
     /// # Errors
     /// [`ClientError::Address`] if it is none.
     pub fn new(api: &str) -> Result<Self, ClientError> {
-        let api = api.trim_end_matches('/');
-        if api.strip_prefix("http://").is_none_or(|host| host.is_empty() || host.contains(['/', ' ', '?'])) {
-            return Err(ClientError::Address(api.to_owned()));
-        }
-        Ok(Self { agent: config().into(), api: api.to_owned(), token: None, plugin: None })
+        Self::at(api, None)
+    }
+
+    /// The client of the API at that address. One with TLS, as in `https://lab:7700`, is known by the authority in the
+    /// file `ca`, which the run prints.
+    ///
+    /// # Errors
+    /// [`ClientError`] if the address or the file cannot be used.
+    pub fn at(api: &str, ca: Option<&Path>) -> Result<Self, ClientError> {
+        let api = api.trim_end_matches('/').to_owned();
+        let is_address = |host: &str| !host.is_empty() && !host.contains(['/', ' ', '?']);
+        let config = match api.split_once("://") {
+            Some(("http", host)) if is_address(host) => config().build(),
+            Some(("https", host)) if is_address(host) => {
+                let ca = ca.ok_or_else(|| ClientError::NoAuthority(api.clone()))?;
+                config().tls_config(trust::authority(ca)?).https_only(true).build()
+            }
+            _ => return Err(ClientError::Address(api)),
+        };
+        Ok(Self { agent: config.into(), api, token: None, plugin: None })
     }
 
     /// The client of a run of this user on this machine, over its Unix socket, where nobody else can listen.
@@ -266,7 +307,7 @@ impl Client {
     /// # Errors
     /// [`ClientError::Address`] if the run's address can be none.
     pub fn of(run: &RunEntry) -> Result<Self, ClientError> {
-        let agent = local::agent(config(), run);
+        let agent = local::agent(config().build(), run);
         Ok(Self { agent, ..Self::new(&format!("http://{}", run.api))? })
     }
 
@@ -514,8 +555,13 @@ impl Client {
 
     /// The answer, if it is a good one.
     fn answer(&self, url: &str, response: Result<Response, ureq::Error>) -> Result<Response, ClientError> {
-        let mut response = response
-            .map_err(|source| ClientError::Unreachable { url: url.to_owned(), source: source.into() })?;
+        let mut response = response.map_err(|source| {
+            let url = url.to_owned();
+            match trust::mistake(&source) {
+                Some(reason) => ClientError::NotTrusted { url, reason },
+                None => ClientError::Unreachable { url, source: source.into() },
+            }
+        })?;
         let status = response.status();
         if status.is_success() {
             return Ok(response);
@@ -533,10 +579,10 @@ impl Client {
     }
 }
 
-fn config() -> ureq::config::Config {
+fn config() -> ureq::config::ConfigBuilder<ureq::typestate::AgentScope> {
     // A proxy that the environment names is for the world outside, not for the testbed.
     let config = ureq::Agent::config_builder().http_status_as_error(false).proxy(None).max_redirects(0);
-    config.timeout_connect(Some(PATIENCE)).timeout_recv_response(Some(PATIENCE)).build()
+    config.timeout_connect(Some(PATIENCE)).timeout_recv_response(Some(PATIENCE))
 }
 
 type Response = ureq::http::Response<ureq::Body>;

@@ -57,8 +57,8 @@ mod wifi;
 pub use agent_options::AgentOptions;
 pub use agents::AgentsError;
 pub use api::{
-    ApiError, Checked, Dashboard, Edited, Editor, Mistake, Operator, Token, Tokens, TokensError,
-    app_lcm_openapi, openapi,
+    ApiError, Checked, Dashboard, Edited, Editor, Encryption, Identity, Mistake, NetworkApi, Operator,
+    TlsError, Token, Tokens, TokensError, app_lcm_openapi, openapi,
 };
 pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
 pub use cotorra_containers::guard as guard_containers;

@@ -8,7 +8,13 @@ use cotorra_netem::Confirmed;
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::Wanted;
 
-use crate::{api::Tokens, capture::CapturePlan, manifest::Origin, previous_run::PreviousRun, report::Place};
+use crate::{
+    api::{Encryption, Tokens},
+    capture::CapturePlan,
+    manifest::Origin,
+    previous_run::PreviousRun,
+    report::Place,
+};
 
 /// Options of a run.
 #[derive(Debug, Clone, Default)]
@@ -27,6 +33,8 @@ pub struct Options {
     pub runs: Option<Runs>,
     /// Tokens of the API's callers: the operator, and orchestrators of domains.
     pub tokens: Tokens,
+    /// What protects the API on an address beyond loopback.
+    pub encryption: Encryption,
     /// Whether idle cores may sleep. Packets then wait for cores to wake, and are later.
     pub save_power: bool,
     /// Networks that the WLAN Access Information Service may send notifications to, beside those of the testbed file.

@@ -1,6 +1,7 @@
 //! The folder that makes credentials and knows who may connect.
 
 use std::{
+    collections::BTreeSet,
     env, fmt,
     fs::File,
     path::{Path, PathBuf},
@@ -12,7 +13,7 @@ use cotorra_graph::AgentId;
 
 use crate::{
     AgentCertificate, Bundle, CoreEndpoint, Enrolled, EnrolmentError, Granted,
-    certificates::{self, Credentials},
+    certificates::{self, API_COMMON_NAME, CORE_COMMON_NAME, Credentials},
     files,
     registry::{Registry, after},
     time_text::whole_seconds,
@@ -20,8 +21,12 @@ use crate::{
 
 /// Certificate and key of the authority.
 const AUTHORITY: &str = "authority.pem";
+/// Certificate of the authority, for clients of the API. It has no key.
+const CA: &str = "ca.pem";
 /// Certificate and key of the core.
 const CORE: &str = "core.pem";
+/// Certificate and key of the HTTP API.
+const API: &str = "api.pem";
 const REGISTRY: &str = "agents.json";
 
 /// Longest file with a certificate and a key, in bytes.
@@ -30,11 +35,12 @@ const LONGEST_PEM: u64 = 64 << 10;
 const LONGEST_REGISTRY: u64 = 16 << 20;
 
 const AUTHORITY_VALIDITY: Duration = Duration::from_hours(24 * 3652);
-const CORE_VALIDITY: Duration = Duration::from_hours(24 * 365);
-/// The core's certificate is made anew when it is valid for less.
-const CORE_REST: Duration = Duration::from_hours(24 * 120);
+const SERVER_VALIDITY: Duration = Duration::from_hours(24 * 365);
+/// The certificates of servers are made anew when they are valid for less.
+const SERVER_REST: Duration = Duration::from_hours(24 * 120);
 
-/// A folder of the user with a certificate authority, the certificate of the core, and a registry of agents.
+/// A folder of the user with a certificate authority, the certificates of the core and of its HTTP API, and a registry of
+/// agents.
 ///
 /// Every call reads the files, so that a running core sees what commands change. Files change one at a time and as a
 /// whole, while the folder is locked: a process can be killed at any time.
@@ -43,22 +49,22 @@ pub struct Authority {
     folder: PathBuf,
 }
 
-/// What the core shows to agents, and how it knows them.
+/// Credentials of a server of the core: that for agents, or that of the HTTP API.
 #[derive(Clone)]
-pub struct CoreCredentials {
+pub struct ServerCredentials {
     /// The authority's certificate, by which the core knows agents.
     pub authority_pem: String,
-    /// The core's certificate. It has the hosts at which agents reach the core.
+    /// The server's certificate. It has the hosts at which clients reach the server.
     pub certificate_pem: String,
-    /// The core's key, which is secret.
+    /// The server's key, which is secret.
     pub key_pem: String,
 }
 
 /// Leaves the key out.
-impl fmt::Debug for CoreCredentials {
+impl fmt::Debug for ServerCredentials {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let certificate = &self.certificate_pem;
-        f.debug_struct("CoreCredentials").field("certificate_pem", certificate).finish_non_exhaustive()
+        f.debug_struct("ServerCredentials").field("certificate_pem", certificate).finish_non_exhaustive()
     }
 }
 
@@ -215,29 +221,65 @@ impl Authority {
     ///
     /// # Errors
     /// [`EnrolmentError`] if the authority expired, or a file cannot be used.
-    pub fn core(&self, now: DateTime<Utc>) -> Result<CoreCredentials, EnrolmentError> {
+    pub fn core(&self, now: DateTime<Utc>) -> Result<ServerCredentials, EnrolmentError> {
+        self.server(CORE, CORE_COMMON_NAME, |authority| Ok(authority.registry()?.hosts()), now)
+    }
+
+    /// Returns the credentials of the HTTP API for these hosts. Makes them as [`Self::core`] does.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if the authority expired, a host is no name, or a file cannot be used.
+    pub fn api(
+        &self,
+        hosts: &BTreeSet<String>,
+        now: DateTime<Utc>,
+    ) -> Result<ServerCredentials, EnrolmentError> {
+        self.server(API, API_COMMON_NAME, |_| Ok(hosts.clone()), now)
+    }
+
+    fn server(
+        &self,
+        file: &str,
+        common_name: &str,
+        hosts: impl FnOnce(&Self) -> Result<BTreeSet<String>, EnrolmentError>,
+        now: DateTime<Utc>,
+    ) -> Result<ServerCredentials, EnrolmentError> {
         let now = whole_seconds(now);
         let _alone = self.lock()?;
         let (authority, authority_ends) = self.unexpired(now)?;
-        let hosts = self.registry()?.hosts();
-        let path = self.folder.join(CORE);
+        let hosts = hosts(self)?;
+        let path = self.folder.join(file);
         let found = files::read(&path, LONGEST_PEM)?.and_then(|text| Credentials::split(&text));
         let serves = |found: &Credentials| {
-            found.core(&authority.certificate_pem).is_ok_and(|(not_after, has)| {
-                not_after >= authority_ends.min(after(now, CORE_REST)) && hosts.is_subset(&has)
+            found.server(common_name, &authority.certificate_pem).is_ok_and(|(not_after, has)| {
+                not_after >= authority_ends.min(after(now, SERVER_REST)) && hosts.is_subset(&has)
             })
         };
-        let core = match found.filter(serves) {
-            Some(core) => core,
+        let server = match found.filter(serves) {
+            Some(server) => server,
             None => {
-                let until = authority_ends.min(after(now, CORE_VALIDITY));
-                let core = certificates::make_core(&authority, &hosts, now, until)?;
-                files::save(&path, &core.text())?;
-                core
+                let until = authority_ends.min(after(now, SERVER_VALIDITY));
+                let server = certificates::make_server(&authority, common_name, &hosts, now, until)?;
+                files::save(&path, &server.text())?;
+                server
             }
         };
-        let Credentials { certificate_pem, key_pem } = core;
-        Ok(CoreCredentials { authority_pem: authority.certificate_pem, certificate_pem, key_pem })
+        let Credentials { certificate_pem, key_pem } = server;
+        Ok(ServerCredentials { authority_pem: authority.certificate_pem, certificate_pem, key_pem })
+    }
+
+    /// Writes the authority's certificate into a file without its key, for clients of the API. Returns the file's path.
+    ///
+    /// # Errors
+    /// [`EnrolmentError`] if a file cannot be used.
+    pub fn publish(&self) -> Result<PathBuf, EnrolmentError> {
+        let _alone = self.lock()?;
+        let (authority, _) = self.credentials()?;
+        let path = self.folder.join(CA);
+        if files::read(&path, LONGEST_PEM)?.as_ref() != Some(&authority.certificate_pem) {
+            files::save(&path, &authority.certificate_pem)?;
+        }
+        Ok(path)
     }
 
     fn opened(&self) -> Result<File, EnrolmentError> {

@@ -23,6 +23,8 @@ use crate::EnrolmentError;
 
 /// Common name of the core's certificate. Public authorities certify domain names only, which have no blank.
 pub const CORE_COMMON_NAME: &str = "cotorra core";
+/// Common name of the HTTP API's certificate, which agents do not take for the core's.
+pub const API_COMMON_NAME: &str = "cotorra API";
 
 /// How far clocks of agents may be behind.
 const CLOCK_SKEW: TimeDelta = TimeDelta::minutes(5);
@@ -105,14 +107,18 @@ impl Credentials {
         if found.common_name() == text { Ok(found) } else { Err(format!("`{number}` is not a generation")) }
     }
 
-    /// Returns the end of validity of the core's certificate, and its hosts, if the authority signed it, and the key is
-    /// its own.
-    pub fn core(&self, authority_pem: &str) -> Result<(DateTime<Utc>, BTreeSet<String>), String> {
+    /// Returns the end of validity of a server's certificate, and its hosts, if it has this name, the authority signed it,
+    /// and the key is its own.
+    pub fn server(
+        &self,
+        common_name: &str,
+        authority_pem: &str,
+    ) -> Result<(DateTime<Utc>, BTreeSet<String>), String> {
         let pem = self.read()?;
         let certificate = parse(&pem)?;
         check_signature(&certificate, authority_pem)?;
-        if subject(&certificate)? != CORE_COMMON_NAME {
-            return Err("the certificate is not that of a core".to_owned());
+        if subject(&certificate)? != common_name {
+            return Err(format!("the certificate is not that of `{common_name}`"));
         }
         let names = certificate.subject_alternative_name().ok().flatten();
         let hosts = names.into_iter().flat_map(|names| &names.value.general_names).filter_map(host).collect();
@@ -190,9 +196,10 @@ pub fn make_agent(
     signed(params, authority)
 }
 
-/// Makes the credentials of the core, for servers with these hosts only.
-pub fn make_core(
+/// Makes the credentials of a server with this common name and these hosts only.
+pub fn make_server(
     authority: &Credentials,
+    common_name: &str,
     hosts: &BTreeSet<String>,
     now: DateTime<Utc>,
     until: DateTime<Utc>,
@@ -200,7 +207,7 @@ pub fn make_core(
     let hosts = hosts.iter().cloned().collect::<Vec<_>>();
     let mut params = params(now, until)?;
     params.subject_alt_names = CertificateParams::new(hosts).map_err(failed)?.subject_alt_names;
-    params.distinguished_name = named(CORE_COMMON_NAME);
+    params.distinguished_name = named(common_name);
     params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ServerAuth];
     signed(params, authority)
 }

@@ -67,6 +67,25 @@ fn an_authority_is_opened_where_one_was_created() {
 }
 
 #[test]
+fn the_api_has_its_own_certificate_for_its_hosts_and_clients_get_no_key() {
+    let (_folder, authority) = new();
+    let api = |hosts: &[&str], day| {
+        let hosts = hosts.iter().map(ToString::to_string).collect();
+        authority.api(&hosts, start() + TimeDelta::days(day)).unwrap()
+    };
+    let first = api(&["lab", "192.0.2.7", "::1"], 0);
+    assert_ne!(authority.core(start()).unwrap().key_pem, first.key_pem);
+    assert_eq!(api(&["192.0.2.7"], 245).certificate_pem, first.certificate_pem);
+    let with_more = api(&["lab", "other"], 245);
+    assert_ne!(with_more.certificate_pem, first.certificate_pem);
+    assert_ne!(api(&["lab"], 245 + 246).certificate_pem, with_more.certificate_pem);
+    let public = authority.publish().unwrap();
+    let text = fs::read_to_string(&public).unwrap();
+    assert!(text == first.authority_pem && !text.contains("KEY"), "{text}");
+    assert_eq!(mode(&public), 0o600);
+}
+
+#[test]
 fn a_renewal_overlaps_and_a_revocation_ends_all_generations() {
     let (_folder, authority) = new();
     let robot = name("robot");

@@ -4,7 +4,9 @@
 use std::{fmt, sync::Arc, time::Duration};
 
 use chrono::{DateTime, TimeDelta, Utc};
-use cotorra_enrolment::{Authority, Bundle, CORE_COMMON_NAME, CoreCredentials, CoreEndpoint, EnrolmentError};
+use cotorra_enrolment::{
+    Authority, Bundle, CORE_COMMON_NAME, CoreEndpoint, EnrolmentError, ServerCredentials,
+};
 use cotorra_graph::AgentId;
 use rustls::{
     CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, Error, RootCertStore,
@@ -39,7 +41,7 @@ fn agents(bundle: &Bundle) -> Shown<'_> {
     Shown { certificate: bundle.certificate_pem(), key: bundle.key_pem() }
 }
 
-fn cores(core: &CoreCredentials) -> Shown<'_> {
+fn cores(core: &ServerCredentials) -> Shown<'_> {
     Shown { certificate: &core.certificate_pem, key: &core.key_pem }
 }
 
@@ -48,7 +50,7 @@ struct Lab {
     _folder: TempDir,
     authority: Authority,
     agent: Bundle,
-    core: CoreCredentials,
+    core: ServerCredentials,
 }
 
 impl Lab {
@@ -307,7 +309,7 @@ fn a_certificate_is_valid_from_five_minutes_before_it_was_made_to_its_end() {
 fn the_core_has_the_hosts_at_which_agents_reach_it() {
     let lab = Lab::new();
     let trusted = (lab.agent.authority_pem(), &*lab.core.authority_pem);
-    let at = |core: &CoreCredentials, host| {
+    let at = |core: &ServerCredentials, host| {
         handshake(Some(agents(&lab.agent)), cores(core), trusted, start(), host).map(|_| ())
     };
     let error = at(&lab.core, "10.0.0.7").unwrap_err();

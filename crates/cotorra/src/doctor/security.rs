@@ -9,6 +9,7 @@ use std::{
 };
 
 use cotorra_datapath::{Capability, CapabilityState};
+use cotorra_enrolment::{Authority, EnrolmentError};
 use cotorra_plugin::runs::Runs;
 
 use crate::running::token_text;
@@ -47,6 +48,12 @@ pub fn probe(here: &Path) -> Vec<Capability> {
             "programs on other machines show that they are yours",
             token(),
             "use 16 characters or more: COTORRA_TOKEN=$(openssl rand -hex 16)",
+        ),
+        capability(
+            "authority",
+            "clients on other machines know your runs, and agents know their core",
+            authority(),
+            "let only you use the folder `cotorra/agents` in XDG_CONFIG_HOME or ~/.config, or remove it and enrol all agents anew",
         ),
         capability(
             "trust",
@@ -100,6 +107,16 @@ fn token() -> io::Result<String> {
         None => Ok("none; you use the socket".to_owned()),
         Some(text) if text.len() >= 16 => Ok("in COTORRA_TOKEN".to_owned()),
         Some(_) => Err(io::Error::other("COTORRA_TOKEN is too short to be a secret")),
+    }
+}
+
+fn authority() -> io::Result<String> {
+    let folder = Authority::default_folder()
+        .ok_or_else(|| io::Error::other("neither XDG_CONFIG_HOME nor HOME names a folder for it"))?;
+    match Authority::open(&folder) {
+        Ok(authority) => Ok(authority.folder().display().to_string()),
+        Err(EnrolmentError::NoAuthority { .. }) => Ok("none; made when it is needed".to_owned()),
+        Err(error) => Err(io::Error::other(error.to_string())),
     }
 }
 

@@ -117,7 +117,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             until: Some(args.until.unwrap_or_else(|| longest(&plan.loaded.testbed))),
             folder: Place::At(folder.join(&name)),
             runs: Some(known.clone()),
-            tokens: run::tokens(AccessArgs::default())?,
+            tokens: run::tokens(&AccessArgs::default())?,
             save_power: args.power.save_power,
             ..Options::default()
         };

@@ -213,7 +213,7 @@ fn walk(
         until: plan.until,
         folder: Place::At(folder.join(&name)),
         runs: Some(known.clone()),
-        tokens: run::tokens(AccessArgs::default())?,
+        tokens: run::tokens(&AccessArgs::default())?,
         save_power: args.save_power,
         agents: args.agents.options(),
         ..Options::default()

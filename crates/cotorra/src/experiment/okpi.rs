@@ -167,7 +167,7 @@ impl Conduct<'_> {
             until: args.until,
             folder: Place::At(self.folder.join(folder)),
             runs: Some(self.known.clone()),
-            tokens: run::tokens(AccessArgs::default())?,
+            tokens: run::tokens(&AccessArgs::default())?,
             save_power: args.power.save_power,
             history: self.history.cloned(),
             ..Options::default()

@@ -1,6 +1,6 @@
 //! Arguments of `cotorra link`.
 
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use cotorra_graph::{
@@ -30,7 +30,7 @@ Examples:
   cotorra link show
   cotorra link show lan-cloud --json
   cotorra link show --run corridor                          one of several runs
-  cotorra link show --run http://10.0.0.5:7700 --unverified one of another machine")]
+  cotorra link show --run https://lab:7700 --ca ca.pem      one of another machine, by the certificate that it printed")]
 pub struct ShowArgs {
     /// The link; default: all links
     pub link: Option<LinkId>,
@@ -119,7 +119,10 @@ pub struct TestArgs {
 pub struct ApiArgs {
     #[command(flatten)]
     pub run: WhichRun,
-    /// Trust the program on the address in --run, as on another machine, and send it the token in COTORRA_TOKEN
+    /// Certificate of the authority by which an https address in --run is known; the run prints its file
+    #[arg(long, value_name = "FILE", env = "COTORRA_CA")]
+    pub ca: Option<PathBuf>,
+    /// Trust the program on the http address in --run, as on another machine, and send it the token in COTORRA_TOKEN
     ///
     /// Its identity is not verified, and the connection is not encrypted.
     #[arg(long, requires = "run")]

@@ -42,10 +42,12 @@ struct Connection {
 
 impl Connection {
     fn open(args: &ApiArgs) -> Result<Self, Error> {
-        let (api, client, what) = match args.run.named().filter(|_| args.unverified) {
+        let is_away = |api: &&str| args.unverified || api.starts_with("https://");
+        let (api, client, what) = match args.run.named().filter(is_away) {
             Some(api) => {
                 let url = if api.contains("://") { api.to_owned() } else { format!("http://{api}") };
-                let client = with_token(Client::new(&url).map_err(Error::Failed)?, token_text());
+                let client =
+                    with_token(Client::at(&url, args.ca.as_deref()).map_err(Error::Failed)?, token_text());
                 let name = client.testbed().map_err(|error| explained(api, error))?.name;
                 (api.to_owned(), client, format!("{name} on {api}"))
             }

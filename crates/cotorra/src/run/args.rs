@@ -4,7 +4,7 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use clap::Args;
 use cotorra_graph::IpNetwork;
-use cotorra_testbed::{CapturePlan, HistoryLimit, Speed};
+use cotorra_testbed::{CapturePlan, Encryption, HistoryLimit, Speed};
 use cotorra_testbed_file::Setting;
 
 use crate::{
@@ -49,7 +49,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --dry-run
   cotorra run abroad.yaml --after latest
   COTORRA_HISTORY_PASSWORD=secret cotorra run testbeds/corridor.yaml --history mysql://ana@db.lab/cotorra
-  COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
+  COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700     HTTPS for other machines
 
 Exit status: 0 done, 1 error or incomplete record, 2 wrong usage, 3 done but the figures are not valid, 4 done and valid but
 a service kept its target less often than the testbed file demands, 5 ended because no robot made progress.")]
@@ -101,7 +101,8 @@ pub struct RunArgs {
     ///
     /// The default is 127.0.0.1:7700, or another port if that is taken. Your tools, such as `cotorra exec`, find the run by
     /// themselves, and `cotorra open` opens its dashboard. An address that others can reach needs a token of 16 characters or
-    /// more in COTORRA_TOKEN.
+    /// more in COTORRA_TOKEN, and is served with TLS; the run prints the certificate that clients need. On loopback it stays
+    /// without TLS.
     #[arg(long, value_name = "ADDR:PORT", value_parser = parse_address)]
     pub api: Option<SocketAddr>,
     #[command(flatten)]
@@ -175,6 +176,11 @@ pub struct RunArgs {
 }
 
 impl RunArgs {
+    /// Returns what protects the API on the network.
+    pub fn encryption(&self) -> Encryption {
+        self.access.encryption(self.agents.authority.clone())
+    }
+
     /// Returns the speed of virtual time if somebody watches it.
     pub fn watched(&self) -> Option<Speed> {
         self.speed.or(self.open.then_some(Speed::Times(1.0)))

@@ -28,7 +28,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
     approval,
-    arguments::AccessArgs,
+    arguments::{AccessArgs, note_network},
     browser::Opener,
     check,
     exit::Status,
@@ -115,7 +115,8 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         folder: Place::In(args.out.clone()),
         api: args.api,
         runs: Some(Runs::of_user()),
-        tokens: tokens(args.access)?,
+        tokens: tokens(&args.access)?,
+        encryption: args.encryption(),
         save_power: args.save_power,
         wais_callbacks: args.wais_callbacks.clone(),
         interfaces: Confirmed { replace: args.replace, interfaces: args.allow_interface.clone() },
@@ -226,6 +227,7 @@ impl Stage {
         let places = Places {
             api: run.api_address(),
             foxglove: run.foxglove_address(),
+            network: run.dashboard().network(),
             folder: &folder,
             wifi: run.wifi(),
         };
@@ -258,7 +260,10 @@ impl Stage {
         let mut opener = Some(opener);
         self.show_virtual_time(options, "", |options, spinner, go_on| {
             let mut served = |dashboard: &Dashboard| {
-                spinner.suspend(|| note!("Dashboard on http://{}/", dashboard.address()));
+                spinner.suspend(|| {
+                    note!("Dashboard on http://{}/", dashboard.address());
+                    note_network(dashboard);
+                });
                 opener.take().into_iter().for_each(|opener| opener.open(|| dashboard.page("")));
             };
             let watched = Watched { speed, served: &mut served };
@@ -307,7 +312,7 @@ fn complete(finished: &Finished) -> Result<(), Error> {
 }
 
 /// Reads and checks the tokens of the operator and of domains from the environment.
-pub fn tokens(access: AccessArgs) -> Result<Tokens, Error> {
+pub fn tokens(access: &AccessArgs) -> Result<Tokens, Error> {
     let token = token_text().map(|text| Token::new(text).ok_or(Error::Token)).transpose()?;
     let operator = match (token, access.no_token) {
         (Some(_), true) => return Err(Error::TokenAndNone),

@@ -82,7 +82,9 @@ pub fn describe(
     rest.row(["seed".to_owned(), args.seed.unwrap_or(testbed.seed).to_string()]);
     let until = args.until.map_or(String::new(), |until| format!(", or after {} s", until.as_secs_f64()));
     rest.row(["ends".to_owned(), format!("at the end of the walks{until}, or with Ctrl-C")]);
-    let api = args.api.map_or(format!("http://{DEFAULT_API}"), |api| format!("http://{api}"));
+    let api = args.api.map_or(DEFAULT_API.to_owned(), |api| api.to_string());
+    let is_encrypted = args.api.is_some_and(|api| !api.ip().is_loopback()) && !args.access.no_tls;
+    let api = format!("{}://{api}", if is_encrypted { "https" } else { "http" });
     rest.row(["API".to_owned(), api]);
     rest.row(["folder".to_owned(), args.out.join(format!("{}-<time>", testbed.name)).display().to_string()]);
     if let Some(history) = history {

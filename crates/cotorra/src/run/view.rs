@@ -3,7 +3,7 @@
 use std::{net::SocketAddr, path::Path, time::Duration};
 
 use cotorra_graph::{NodeId, Nodes, Program, RobotContext, Service, Testbed, Vnf, Walk, millis};
-use cotorra_testbed::Snapshot;
+use cotorra_testbed::{NetworkApi, Snapshot};
 use indicatif::MultiProgress;
 
 use super::{lines::Lines, tally::Tally};
@@ -23,6 +23,8 @@ const REFRESHES_PER_FRAME: u32 = 6;
 #[derive(Debug)]
 pub struct Places<'a> {
     pub api: SocketAddr,
+    /// How other machines reach the API.
+    pub network: Option<&'a NetworkApi>,
     pub foxglove: Option<SocketAddr>,
     pub folder: &'a Path,
     /// Which radio units of real Wi-Fi software serve, and which robots have joined.
@@ -72,6 +74,9 @@ impl<'a> View<'a> {
         if let Some(wifi) = &places.wifi {
             note!("Wi-Fi: {wifi}");
         }
+        if let Some(network) = places.network {
+            note!("Network on {network}");
+        }
         note!("Dashboard on http://{}/", places.api);
         note!("API on http://{}, run in {}", places.api, places.folder.display());
         Shape::Plain { next_s: LINE_EVERY_S }
@@ -79,7 +84,7 @@ impl<'a> View<'a> {
 
     fn live(testbed: &Testbed, places: &Places<'_>, terminal: &MultiProgress) -> Shape {
         let robots: Vec<_> = testbed.graph.robots().map(|(node, _)| node.id.clone()).collect();
-        let labels = ["so far", "API", "Dashboard", "Foxglove", &testbed.name]
+        let labels = ["so far", "API", "Dashboard", "Foxglove", "Network", &testbed.name]
             .into_iter()
             .chain(robots.iter().map(NodeId::as_str));
         let width = labels.map(str::len).max().unwrap_or(0);
@@ -98,6 +103,9 @@ impl<'a> View<'a> {
         }
         if let Some(wifi) = &places.wifi {
             lines.add("Wi-Fi", &format!("at the start: {wifi}"));
+        }
+        if let Some(network) = places.network {
+            lines.add("Network", &network.to_string());
         }
         lines.add("Dashboard", &format!("http://{}/", places.api));
         let so_far = lines.add("so far", "");

@@ -89,6 +89,8 @@ pub struct Run {
     /// Lines of standard error.
     lines: mpsc::Receiver<String>,
     pub api: String,
+    /// Lines of standard error until the run was up.
+    pub notes: Vec<String>,
     pub folder: PathBuf,
     out: TempDir,
     /// `None` if another run of the same test holds the lock.
@@ -134,8 +136,11 @@ impl Run {
         alone: Option<Alone>,
     ) -> Self {
         let out = TempDir::new().unwrap();
-        let mut command = cotorra(["run", "--headless", "--api", "127.0.0.1:0", "--out"]);
+        let mut command = cotorra(["run", "--headless", "--out"]);
         command.arg(out.path()).arg(testbed).args(arguments);
+        if !arguments.contains(&"--api") {
+            command.args(["--api", "127.0.0.1:0"]);
+        }
         change(&mut command);
         let has_token = command.get_envs().any(|(name, token)| name == "COTORRA_TOKEN" && token.is_some());
         if access == Access::Open && !has_token {
@@ -147,16 +152,16 @@ impl Run {
         let stderr = BufReader::new(child.stderr.take().unwrap());
         let (sender, lines) = mpsc::channel();
         thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| sender.send(line)));
-        let mut before = Vec::new();
+        let mut notes = Vec::new();
         let (api, folder) = loop {
-            let Ok(line) = lines.recv() else { panic!("the run did not come up:\n{}", before.join("\n")) };
+            let Ok(line) = lines.recv() else { panic!("the run did not come up:\n{}", notes.join("\n")) };
             if let Some((api, folder)) = line.strip_prefix("API on ").and_then(|l| l.split_once(", run in "))
             {
                 break (api.to_owned(), PathBuf::from(folder));
             }
-            before.push(line);
+            notes.push(line);
         };
-        Self { child, seen: RefCell::default(), lines, api, folder, out, _alone: alone }
+        Self { child, seen: RefCell::default(), lines, api, notes, folder, out, _alone: alone }
     }
 
     /// Returns the API's address without its scheme.

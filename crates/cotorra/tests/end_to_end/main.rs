@@ -63,6 +63,7 @@ mod steer;
 mod sweep;
 mod terminal;
 mod time_parts;
+mod tls;
 mod turtlebot;
 #[cfg(feature = "ethereum")]
 mod two_cores;

@@ -172,9 +172,15 @@ fn unreachable_apis_are_named() {
 
 #[test]
 fn invalid_addresses_are_rejected_at_once() {
-    for wrong in ["", "127.0.0.1:7700", "https://127.0.0.1:7700", "http://", "http://host/path", "http://a b"]
+    for wrong in ["", "127.0.0.1:7700", "http://", "https://", "http://host/path", "http://a b", "ftp://host"]
     {
         assert!(matches!(Client::new(wrong), Err(ClientError::Address(_))), "{wrong}");
+    }
+    let secure = |ca: Option<&str>| Client::at("https://127.0.0.1:7700", ca.map(Path::new)).unwrap_err();
+    assert!(matches!(secure(None), ClientError::NoAuthority(_)) && secure(None).to_string().contains(HINT));
+    for no_authority in ["/dev/null", "/does/not/exist"] {
+        let error = secure(Some(no_authority)).to_string();
+        assert!(error.starts_with(no_authority) && error.contains(HINT), "{error}");
     }
 }
 

@@ -85,6 +85,10 @@ impl<H> Connections<H> {
         Self { limits, last: 0, strangers: Strangers::new(limits.strangers), callers: BTreeMap::new() }
     }
 
+    pub(super) fn limits(&self) -> Limits {
+        self.limits
+    }
+
     /// Adds a new connection, and returns its number.
     pub(super) fn arrive(&mut self, from: IpAddr, handle: H) -> u64 {
         self.strangers.arrive(from, handle).number

@@ -17,15 +17,16 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
 use super::{
-    ApiError, Dashboard, Listener, Tokens,
+    ApiError, Dashboard, Encryption, Listener, Tokens,
     auth::{foreign, shown},
-    connections::{Limits, Whose},
+    connections::{Connections, Limits, Whose},
     context::Answer,
     map::{self, MapBody},
     page,
     serve::{self, Patience, Place},
     sign_in,
     signed_in::SignIns,
+    tls::Port,
     types::{Failure, TestbedBody},
 };
 
@@ -121,9 +122,9 @@ impl Editor {
         text: String,
         schema: serde_json::Value,
     ) -> Result<Self, ApiError> {
-        let listener = Listener::bind(address, moved, &Tokens::default())?;
+        let listener = Listener::bind(address, moved, &Tokens::default(), &Encryption::Off)?;
         let pages = Arc::<SignIns>::default();
-        let dashboard = Dashboard::new(listener.address(), Arc::clone(&pages));
+        let dashboard = Dashboard::new(&listener, Arc::clone(&pages));
         listener.tcp.set_nonblocking(true).map_err(ApiError::Start)?;
         let shared = Arc::new(Shared {
             edited: Box::new(edited),
@@ -148,10 +149,12 @@ impl Editor {
             let _entered = runtime.enter();
             tokio::net::TcpListener::from_std(listener.tcp).map_err(ApiError::Start)?
         };
+        let tcp = Port { listener: tcp, tls: None };
+        let places = Arc::new(Mutex::new(Connections::new(Limits::of(OPEN_FILES))));
         let (stop, stopped) = oneshot::channel();
         let serving = async move {
             tokio::select! {
-                () = serve::serve(tcp, app, Limits::of(OPEN_FILES), Patience::default()) => {}
+                () = serve::serve(tcp, app, places, Patience::default()) => {}
                 _ = stopped => {}
             }
         };

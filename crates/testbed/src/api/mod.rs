@@ -20,6 +20,7 @@ mod serve;
 mod sign_in;
 mod signed_in;
 mod stream;
+mod tls;
 mod token;
 mod turns;
 mod types;
@@ -27,7 +28,7 @@ mod wais;
 
 use std::{
     io::ErrorKind,
-    net::{IpAddr, Ipv4Addr, SocketAddr},
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
     sync::Arc,
 };
 
@@ -37,9 +38,18 @@ use axum::{
 };
 use cotorra_mec::Delivery;
 use cotorra_plugin::runs::{Announced, Runs, RunsError};
+use parking_lot::Mutex;
+use rustls::ServerConfig;
 use tokio::sync::oneshot;
 
-use self::{auth::Gate, connections::Limits, context::BLOCKING_THREADS, serve::Patience, signed_in::SignIns};
+use self::{
+    auth::Gate,
+    connections::{Connections, Limits},
+    context::BLOCKING_THREADS,
+    serve::Patience,
+    signed_in::SignIns,
+    tls::Port,
+};
 use crate::domain::Domains;
 
 /// Returns the OpenAPI document of application life cycle management.
@@ -52,6 +62,7 @@ pub use auth::{Operator, Tokens, TokensError};
 pub(crate) use context::{Context, Lockstep, WaisOptions};
 pub use editor::{Checked, Edited, Editor, Mistake};
 pub use sign_in::Dashboard;
+pub use tls::{Encryption, Identity, NetworkApi, TlsError};
 pub use token::Token;
 
 #[cfg(test)]
@@ -76,6 +87,13 @@ pub enum ApiError {
     /// A thread or a runtime cannot be started.
     #[error("cannot start the API's server: {0}")]
     Start(std::io::Error),
+    /// The certificate for an address other than loopback cannot be used.
+    #[error("cannot serve the API on {address} with TLS: {source}")]
+    Tls {
+        address: SocketAddr,
+        /// Cause.
+        source: TlsError,
+    },
     /// An address other than loopback needs a token.
     #[error(
         "{0} is not a loopback address: set COTORRA_TOKEN, so that not everyone on the network can move the robots"
@@ -159,30 +177,50 @@ const BACKLOG: i32 = 4096;
 /// A reserved address, where nothing is served yet.
 pub(crate) struct Listener {
     tcp: std::net::TcpListener,
+    /// Where this machine reaches a run with TLS on an address that is not loopback.
+    loopback: Option<std::net::TcpListener>,
+    tls: Option<Arc<ServerConfig>>,
+    network: Option<NetworkApi>,
     announced: Option<Announced>,
 }
 
 impl Listener {
-    /// Reserves an address, or the next free port if it may be `moved`.
-    pub(crate) fn bind(address: SocketAddr, moved: bool, tokens: &Tokens) -> Result<Self, ApiError> {
-        if !address.ip().is_loopback() && !tokens.work_from_afar() {
+    /// Reserves an address, or the next free port if it may be `moved`. Beyond loopback, `encryption` protects it.
+    pub(crate) fn bind(
+        address: SocketAddr,
+        moved: bool,
+        tokens: &Tokens,
+        encryption: &Encryption,
+    ) -> Result<Self, ApiError> {
+        let is_local = address.ip().is_loopback();
+        if !is_local && !tokens.work_from_afar() {
             return Err(ApiError::TokenMissing(address));
         }
-        let any_port = SocketAddr::new(address.ip(), 0);
-        let tcp = std::net::TcpListener::bind(address)
-            .or_else(|e| if moved { std::net::TcpListener::bind(any_port) } else { Err(e) })
-            .map_err(|source| ApiError::Bind { address, source })?;
-        let listener = Self { tcp, announced: None };
-        let is_moved = address.port() != 0 && listener.address() != address;
-        if is_moved {
-            tracing::warn!("{address} is taken: the API is on {}", listener.address());
+        let tcp = bind(address, moved)?;
+        let mut listener = Self { tcp, loopback: None, tls: None, network: None, announced: None };
+        let bound = listener.address();
+        if address.port() != 0 && bound != address {
+            tracing::warn!("{address} is taken: the API is on {bound}");
         }
-        if !address.ip().is_loopback() {
-            tracing::warn!(
-                "the API on {address} has no TLS: whoever sees its packets sees the token; `ssh -L` from the other machine \
-                 keeps it on loopback"
-            );
+        if is_local {
+            return Ok(listener);
         }
+        let of_tls = |source| ApiError::Tls { address, source };
+        listener.network = Some(match tls::configure(encryption, address).map_err(of_tls)? {
+            Some((config, identity)) => {
+                if !address.ip().is_unspecified() {
+                    listener.loopback = Some(bind(on_loopback(bound), true)?);
+                }
+                listener.tls = Some(config);
+                NetworkApi { url: tls::url("https", bound), identity: Some(identity) }
+            }
+            None => {
+                tracing::warn!(
+                    "the API on {bound} has no TLS: whoever sees its packets sees the token, and can then steer the run"
+                );
+                NetworkApi { url: tls::url("http", bound), identity: None }
+            }
+        });
         Ok(listener)
     }
 
@@ -195,9 +233,25 @@ impl Listener {
         Self { announced, ..self }
     }
 
+    /// Returns the address at which programs of this machine reach the API without TLS.
     pub(crate) fn address(&self) -> SocketAddr {
-        self.tcp.local_addr().expect("a bound socket has an address")
+        let listener = self.loopback.as_ref().unwrap_or(&self.tcp);
+        listener.local_addr().expect("a bound socket has an address")
     }
+}
+
+/// Binds a port, or any if it is taken and may be `moved`.
+fn bind(address: SocketAddr, moved: bool) -> Result<std::net::TcpListener, ApiError> {
+    let any_port = SocketAddr::new(address.ip(), 0);
+    std::net::TcpListener::bind(address)
+        .or_else(|e| if moved { std::net::TcpListener::bind(any_port) } else { Err(e) })
+        .map_err(|source| ApiError::Bind { address, source })
+}
+
+/// Returns the loopback address with the port of another.
+fn on_loopback(address: SocketAddr) -> SocketAddr {
+    let ip = if address.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() };
+    SocketAddr::new(ip, address.port())
 }
 
 impl Server {
@@ -223,9 +277,11 @@ impl Server {
         let plugins = PluginTokens::new(programs).map_err(ApiError::Start)?;
         let pages = Arc::new(SignIns::default());
         let gate = Gate::new(tokens, plugins.clone(), domains, Arc::clone(&pages));
-        let dashboard = Dashboard::new(listener.address(), Arc::clone(&pages));
-        listener.tcp.set_nonblocking(true).map_err(ApiError::Start)?;
-        socket2::SockRef::from(&listener.tcp).listen(BACKLOG).map_err(ApiError::Start)?;
+        let dashboard = Dashboard::new(&listener, Arc::clone(&pages));
+        for tcp in listener.loopback.iter().chain([&listener.tcp]) {
+            tcp.set_nonblocking(true).map_err(ApiError::Start)?;
+            socket2::SockRef::from(tcp).listen(BACKLOG).map_err(ApiError::Start)?;
+        }
         let mut announced = listener.announced;
         let local = announced.as_mut().and_then(Announced::listener);
         if let Some(local) = &local {
@@ -262,23 +318,43 @@ impl Server {
             .name("api".to_owned())
             .spawn(move || {
                 runtime.block_on(async move {
-                    let listeners = tokio::net::TcpListener::from_std(listener.tcp).and_then(|tcp| {
-                        Ok((tcp, local.map(tokio::net::UnixListener::from_std).transpose()?))
+                    let port = |tcp, tls| {
+                        Ok::<_, std::io::Error>(Port {
+                            listener: tokio::net::TcpListener::from_std(tcp)?,
+                            tls,
+                        })
+                    };
+                    let listeners = port(listener.tcp, listener.tls).and_then(|tcp| {
+                        let loopback = listener.loopback.map(|tcp| port(tcp, None)).transpose()?;
+                        Ok((tcp, loopback, local.map(tokio::net::UnixListener::from_std).transpose()?))
                     });
-                    let (tcp, local) = match listeners {
+                    let (tcp, loopback, local) = match listeners {
                         Ok(listeners) => listeners,
                         Err(error) => return tracing::error!("the API is not served: {error}"),
                     };
+                    let places = |limits| Arc::new(Mutex::new(Connections::new(limits)));
+                    let of_ports = places(limits);
                     let to_user = async {
                         match local {
-                            Some(local) => serve::serve(local, app.clone(), limits.of_user(), patience).await,
+                            Some(local) => {
+                                serve::serve(local, app.clone(), places(limits.of_user()), patience).await;
+                            }
+                            None => std::future::pending().await,
+                        }
+                    };
+                    let on_loopback = async {
+                        match loopback {
+                            Some(tcp) => {
+                                serve::serve(tcp, app.clone(), Arc::clone(&of_ports), patience).await
+                            }
                             None => std::future::pending().await,
                         }
                     };
                     // An open event stream must not keep a finished run alive, so this stops at once rather than
                     // gracefully.
                     tokio::select! {
-                        () = serve::serve(tcp, app.clone(), limits, patience) => {}
+                        () = serve::serve(tcp, app.clone(), Arc::clone(&of_ports), patience) => {}
+                        () = on_loopback => {}
                         () = to_user => {}
                         _ = stopped => {}
                     }

@@ -2,7 +2,7 @@
 
 use std::{
     convert::Infallible,
-    io,
+    future, io,
     net::{IpAddr, Ipv4Addr},
     pin::Pin,
     sync::Arc,
@@ -33,14 +33,17 @@ use hyper_util::{
 use parking_lot::Mutex;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
-    net::{TcpListener, TcpStream, UnixListener, UnixStream},
+    net::{TcpStream, UnixListener, UnixStream},
     sync::oneshot,
     time::{Sleep, sleep, timeout},
 };
+use tokio_rustls::server::TlsStream;
 use tokio_stream::StreamExt as _;
+use tokio_util::either::Either;
 
 use super::{
-    connections::{Connections, Full, Limits, Whose},
+    connections::{Connections, Full, Whose},
+    tls::{self, Port},
     types::Failure,
 };
 use crate::capture::PCAPNG;
@@ -55,6 +58,8 @@ const BREATH: Duration = Duration::from_millis(10);
 /// Deadlines of the API for its clients.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patience {
+    /// For the handshake of TLS.
+    pub(super) begin: Duration,
     /// For a request's head, also after a previous request.
     pub(super) head: Duration,
     /// For a request's body.
@@ -66,6 +71,7 @@ pub(super) struct Patience {
 impl Default for Patience {
     fn default() -> Self {
         Self {
+            begin: Duration::from_secs(10),
             // Longer than clients keep a connection for their next request.
             head: Duration::from_secs(30),
             body: Duration::from_secs(10),
@@ -75,29 +81,45 @@ impl Default for Patience {
     }
 }
 
+/// Makes a connection ready for requests.
+type Beginning<S> = Pin<Box<dyn Future<Output = io::Result<S>> + Send>>;
+
 /// A listener of any kind.
 pub(super) trait Accept {
+    type Socket: Send + 'static;
     type Stream: AsyncRead + AsyncWrite + Unpin + Send + 'static;
     /// Whether only the run's user can connect.
     const IS_OF_USER: bool;
 
     /// Accepts the next connection. Returns the address whose connections share places with it, too.
-    async fn accept(&self) -> io::Result<(Self::Stream, IpAddr)>;
+    async fn accept(&self) -> io::Result<(Self::Socket, IpAddr)>;
+
+    /// Makes a connection ready for its first request, as by the handshake of TLS.
+    fn begin(&self, socket: Self::Socket) -> Beginning<Self::Stream>;
 }
 
-impl Accept for TcpListener {
-    type Stream = TcpStream;
+impl Accept for Port {
+    type Socket = TcpStream;
+    type Stream = Either<TcpStream, TlsStream<TcpStream>>;
     const IS_OF_USER: bool = false;
 
     async fn accept(&self) -> io::Result<(TcpStream, IpAddr)> {
-        let (stream, from) = self.accept().await?;
+        let (stream, from) = self.listener.accept().await?;
         // Events are sent at once, without waiting for the reader's acknowledgement of earlier ones.
         let _ = stream.set_nodelay(true);
         Ok((stream, from.ip()))
     }
+
+    fn begin(&self, socket: TcpStream) -> Beginning<Self::Stream> {
+        match self.tls.clone() {
+            None => Box::pin(future::ready(Ok(Either::Left(socket)))),
+            Some(tls) => Box::pin(tls::begin(tls, socket, BUFFER)),
+        }
+    }
 }
 
 impl Accept for UnixListener {
+    type Socket = UnixStream;
     type Stream = UnixStream;
     const IS_OF_USER: bool = true;
 
@@ -105,18 +127,24 @@ impl Accept for UnixListener {
         let (stream, _) = self.accept().await?;
         Ok((stream, Ipv4Addr::LOCALHOST.into()))
     }
+
+    fn begin(&self, socket: UnixStream) -> Beginning<UnixStream> {
+        Box::pin(future::ready(Ok(socket)))
+    }
 }
 
+/// The places of one or several listeners.
+pub(super) type Places = Arc<Mutex<Connections<Close>>>;
+
 /// Serves until it is dropped.
-pub(super) async fn serve<L: Accept>(listener: L, app: Router, limits: Limits, patience: Patience) {
-    let connections = Arc::new(Mutex::new(Connections::new(limits)));
+pub(super) async fn serve<L: Accept>(listener: L, app: Router, connections: Places, patience: Patience) {
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(patience.head).max_buf_size(BUFFER);
     let app = TowerToHyperService::new(app);
     // Far fewer than there are places. More than one, because each pause costs a system call.
-    let (batch, mut accepted) = ((limits.strangers / 8).max(1), 0_usize);
+    let (batch, mut accepted) = ((connections.lock().limits().strangers / 8).max(1), 0_usize);
     loop {
-        let (stream, from) = match listener.accept().await {
+        let (socket, from) = match listener.accept().await {
             Ok(connection) => connection,
             Err(error) if is_of_connection(&error) => continue,
             Err(error) => {
@@ -130,17 +158,20 @@ pub(super) async fn serve<L: Accept>(listener: L, app: Router, limits: Limits, p
         let number = connections.lock().arrive(from, close);
         let connections = Arc::clone(&connections);
         let place = Arc::new(Place { connections, number, patience, is_of_user: L::IS_OF_USER });
-        let app = app.clone();
-        let stream = Impatient { stream, wait: None, place: Arc::clone(&place) };
-        let service = service_fn(move |mut request: Request<hyper::body::Incoming>| {
-            request.extensions_mut().insert(Arc::clone(&place));
-            app.call(request)
-        });
-        let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
+        let (http, app, begun) = (http.clone(), app.clone(), listener.begin(socket));
         tokio::spawn(async move {
-            tokio::select! {
+            let connection = async {
+                let Ok(Ok(stream)) = timeout(patience.begin, begun).await else { return };
+                let stream = Impatient { stream, wait: None, place: Arc::clone(&place) };
+                let service = service_fn(move |mut request: Request<hyper::body::Incoming>| {
+                    request.extensions_mut().insert(Arc::clone(&place));
+                    app.call(request)
+                });
                 // A client that breaks off only harms itself.
-                _ = connection => {}
+                let _ = http.serve_connection(TokioIo::new(stream), service).with_upgrades().await;
+            };
+            tokio::select! {
+                () = connection => {}
                 _ = closed => {}
             }
         });
@@ -158,7 +189,7 @@ fn is_of_connection(error: &io::Error) -> bool {
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
 }
 
-type Close = oneshot::Sender<Infallible>;
+pub(super) type Close = oneshot::Sender<Infallible>;
 
 /// A connection's place; released when the connection is closed.
 pub(super) struct Place {
@@ -341,11 +372,14 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Impatient<S> {
         self.stream.is_write_vectored()
     }
 
+    // TLS keeps what the client does not take, up to a buffer.
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_flush(context)
+        let flushed = Pin::new(&mut self.stream).poll_flush(context);
+        self.wrote(context, flushed)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(context)
+        let shut_down = Pin::new(&mut self.stream).poll_shutdown(context);
+        self.wrote(context, shut_down)
     }
 }

@@ -14,23 +14,33 @@ use axum::{
 use cotorra_plugin::client::SignIn;
 use serde::{Deserialize, Serialize};
 
-use super::{auth::Caller, context::Answer, serve::Place, signed_in::SignIns, types::Failure};
+use super::{
+    Listener, NetworkApi, auth::Caller, context::Answer, on_loopback, serve::Place, signed_in::SignIns, types::Failure,
+};
 
 /// The dashboard of a run, a replay or a view.
 #[derive(Clone)]
 pub struct Dashboard {
     api: SocketAddr,
+    network: Option<NetworkApi>,
     pages: Arc<SignIns>,
 }
 
 impl Dashboard {
-    pub(super) fn new(api: SocketAddr, pages: Arc<SignIns>) -> Self {
-        Self { api, pages }
+    pub(super) fn new(listener: &Listener, pages: Arc<SignIns>) -> Self {
+        let own = listener.address();
+        let api = if own.ip().is_unspecified() { on_loopback(own) } else { own };
+        Self { api, network: listener.network.clone(), pages }
     }
 
-    /// Returns the address of the API, which is also that of the dashboard.
+    /// Returns the address of the API on this machine, which is also that of the dashboard.
     pub fn address(&self) -> SocketAddr {
         self.api
+    }
+
+    /// Returns how other machines reach the API; `None` if they do not.
+    pub fn network(&self) -> Option<&NetworkApi> {
+        self.network.as_ref()
     }
 
     /// Prepares a page for the user's browser. `query` follows the address, and can be empty.

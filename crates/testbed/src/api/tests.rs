@@ -3,6 +3,7 @@
 mod applications;
 mod bounds;
 mod machines;
+mod tls;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -121,7 +122,7 @@ links: [{ ends: [left, ap] }]
         wiretap: Some(Arc::new(move |name, reader| Ok(tapped.lock().tap(name, reader)?))),
     };
     let tokens = Tokens::new(operator, BTreeMap::new()).unwrap();
-    let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
+    let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens, &Encryption::Off).unwrap();
     let listener = listener.announced(found_in, "served", "/runs/served");
     Served {
         server: Server::start_within(listener, context, tokens, limits, patience).unwrap(),
@@ -460,7 +461,7 @@ plugins:
         let tokens =
             Tokens::new(Operator::Token(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)]))
                 .unwrap();
-        let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
+        let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens, &Encryption::Off).unwrap();
         let listener = listener.announced(found_in, "served", "/runs/served");
         let server = Server::start(listener, context, tokens).unwrap();
         Self { server, events, core: inbox, live, logs }
@@ -957,7 +958,7 @@ fn strangers_on_the_port_take_no_place_from_the_users_tools() {
 fn a_taken_port_says_what_to_do() {
     let other = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = other.local_addr().unwrap();
-    let Err(error) = Listener::bind(address, false, &Tokens::default()) else {
+    let Err(error) = Listener::bind(address, false, &Tokens::default(), &Encryption::Off) else {
         panic!("two programs have {address}")
     };
     let error = error.to_string();

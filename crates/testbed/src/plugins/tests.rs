@@ -237,6 +237,7 @@ fn replay(run: &[Stamped], followers: usize, hangs: Arc<AtomicBool>) -> Replay {
         api: Some(([127, 0, 0, 1], 0).into()),
         known: None,
         tokens: Tokens::new(Operator::Everyone, BTreeMap::new()).unwrap(),
+        encryption: Default::default(),
         folder: None,
         speed: Some(Speed::Max),
         followers,

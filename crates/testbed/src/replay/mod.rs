@@ -20,7 +20,7 @@ use cotorra_plugin::runs::Runs;
 use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
 
 use crate::{
-    api::{self, ApiError, Dashboard, Listener, Lockstep as Waiting, Tokens},
+    api::{self, ApiError, Dashboard, Encryption, Listener, Lockstep as Waiting, Tokens},
     clock::{Clock, wall_clock},
     domain::Domains,
     keeping::Keeper,
@@ -52,6 +52,8 @@ pub struct ReplayOptions {
     pub known: Option<(Runs, String)>,
     /// Tokens of the API's callers.
     pub tokens: Tokens,
+    /// What protects the API on an address beyond loopback.
+    pub encryption: Encryption,
     /// The run's folder with large data of its sensors; `None` if unknown.
     pub folder: Option<PathBuf>,
     /// Speed at first; the API can change it. `None`: nothing is played, and the run is served as it was at the beginning.
@@ -220,7 +222,7 @@ impl Replay {
         wall: Clock,
     ) -> Result<Self, ReplayError> {
         let address = options.api.unwrap_or(api::DEFAULT_ADDRESS);
-        let listener = Listener::bind(address, options.api.is_none(), &options.tokens)?;
+        let listener = Listener::bind(address, options.api.is_none(), &options.tokens, &options.encryption)?;
         let listener = match &options.known {
             Some((runs, what)) => listener.announced(Some(runs), &testbed.name, what),
             None => listener,

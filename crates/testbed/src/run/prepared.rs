@@ -86,8 +86,8 @@ impl Prepared {
             plugins.resume(previous);
         }
         let any_port = options.api.is_none();
-        let listener =
-            Listener::bind(options.api.unwrap_or(api::DEFAULT_ADDRESS), any_port, &options.tokens)?;
+        let address = options.api.unwrap_or(api::DEFAULT_ADDRESS);
+        let listener = Listener::bind(address, any_port, &options.tokens, &options.encryption)?;
         let (folder, text) = whole::create(&options, &testbed, Time::Real, text)?;
         let info = run_info(&testbed, seed, &text);
         let confined = Confined::new(&testbed, &options, &folder)

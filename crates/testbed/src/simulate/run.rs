@@ -155,8 +155,8 @@ pub(super) fn simulate_with(
     if watched.is_some() || programs(&testbed).next().is_some() {
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
         let default = if watched.is_some() { api::DEFAULT_ADDRESS } else { any_port };
-        let listener =
-            Listener::bind(options.api.unwrap_or(default), options.api.is_none(), &options.tokens)?;
+        let (address, any_port) = (options.api.unwrap_or(default), options.api.is_none());
+        let listener = Listener::bind(address, any_port, &options.tokens, &options.encryption)?;
         let waited_for = Arc::new(programs(&testbed).cloned().collect());
         let context = |events, core| api::Context {
             testbed: Arc::clone(&testbed),

@@ -9,7 +9,7 @@ use std::{
 
 use chrono::{DateTime, Utc};
 use cotorra_agent_transport::Granted;
-use cotorra_enrolment::{Authority, Bundle, CoreCredentials};
+use cotorra_enrolment::{Authority, Bundle, ServerCredentials};
 use cotorra_graph::AgentId;
 
 pub struct Lab {
@@ -53,7 +53,7 @@ impl Lab {
         self.bundle(&self.agents[0]).core().to_string().parse().unwrap()
     }
 
-    pub fn core(&self) -> CoreCredentials {
+    pub fn core(&self) -> ServerCredentials {
         self.authority.core(today()).unwrap()
     }
 
