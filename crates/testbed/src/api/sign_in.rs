@@ -15,7 +15,8 @@ use cotorra_plugin::client::SignIn;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Listener, NetworkApi, auth::Caller, context::Answer, on_loopback, serve::Place, signed_in::SignIns, types::Failure,
+    Listener, NetworkApi, auth::Caller, context::Answer, on_loopback, serve::Place, signed_in::SignIns,
+    types::Failure,
 };
 
 /// The dashboard of a run, a replay or a view.

@@ -38,7 +38,7 @@ impl Engines {
 
     fn all(&mut self) -> impl Iterator<Item = &mut dyn Engine> {
         let here: [&mut dyn Engine; 2] = [&mut self.local, &mut self.containers];
-        let agents = self.agents.as_mut().map(|agents| -> &mut dyn Engine { &mut **agents });
+        let agents = self.agents.as_deref_mut().map(|agents| -> &mut dyn Engine { agents });
         here.into_iter().chain(agents)
     }
 }
