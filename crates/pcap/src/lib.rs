@@ -1,4 +1,4 @@
-//! Captures of packets, as `tcpdump` and Wireshark write them: [`read`] takes pcap and pcapng, [`write`] makes pcapng, and
+//! Captures of packets, as `tcpdump` and Wireshark write them: [`read`] takes pcap and pcapng, [`mod@write`] makes pcapng, and
 //! [`Blocks`] splits a stream of pcapng. What is in the packets is for others.
 #![forbid(unsafe_code)]
 

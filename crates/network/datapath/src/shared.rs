@@ -14,7 +14,7 @@ use crate::{presence::PortWaits, sys::Waker};
 /// Work for the fabric's thread.
 pub(crate) type Command = Box<dyn FnOnce(&mut Fabric, Timestamp) + Send>;
 
-/// State shared with [`Handle`]s.
+/// State shared with [`Handle`](crate::Handle)s.
 pub(crate) struct Shared {
     /// `None` once the thread ends.
     pub(crate) commands: Mutex<Option<Vec<Command>>>,
