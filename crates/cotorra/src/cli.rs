@@ -1,12 +1,15 @@
 //! The commands and their help. The arguments of a command stand in the module that carries it out.
 
+use std::convert::Infallible;
+
 use clap::{Parser, Subcommand};
 use clap_complete::Shell;
+use miette::IntoDiagnostic;
 
 #[cfg(feature = "agents")]
 use crate::agent::Agent;
 use crate::{
-    bench::{BenchArgs, Probe},
+    bench::BenchArgs,
     calibrate::CalibrateArgs,
     capture::CaptureArgs,
     check::CheckArgs,
@@ -14,13 +17,12 @@ use crate::{
     doctor::DoctorArgs,
     edit::EditArgs,
     exec::ExecArgs,
-    experiment::Experiment,
-    fault_test::FaultTestArgs,
     fdu::Fdu,
     history::{self, History},
     link::Link,
     localize::LocalizeArgs,
     margin::MarginArgs,
+    moved::Moved,
     netem::Netem,
     new::New,
     open::OpenArgs,
@@ -55,7 +57,6 @@ Examples:
   cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
   cotorra sweep testbeds/corridor.yaml --seeds 10  run it ten times in virtual time
   cotorra calibrate site.yaml --survey walk.csv    fit it to a real site
-  cotorra experiment okpi                          repeat the published comparison
   cotorra history series latest service            plot the service time of the last run
   cotorra reproduce runs/corridor-20260101-120000  run it again from its folder, and compare
   cotorra open                                     open the dashboard of a run
@@ -80,12 +81,12 @@ pub enum Command {
     Run(RunArgs),
     Sweep(SweepArgs),
     Margin(MarginArgs),
-    /// Repeat a published experiment beside the published result, or compare kinds of radio
-    Experiment {
-        #[command(subcommand)]
-        experiment: Experiment,
-    },
-    FaultTest(FaultTestArgs),
+    /// Moved to `cotorra-lab`
+    #[command(hide = true, disable_help_flag = true)]
+    Experiment(Moved),
+    /// Moved to `cotorra-lab`
+    #[command(hide = true, disable_help_flag = true)]
+    FaultTest(Moved),
     /// Query recorded runs
     ///
     /// RUN is the folder of a run, `latest` for the newest under runs/, or the number of a run in the history that
@@ -198,12 +199,6 @@ Examples:
         /// The record of the run's containers
         record: std::path::PathBuf,
     },
-    /// Run one end of a measurement; a benchmark starts it inside a peer.
-    #[command(hide = true)]
-    Probe {
-        #[command(subcommand)]
-        probe: Probe,
-    },
 }
 
 /// Bundled VNFs.
@@ -213,6 +208,15 @@ pub enum BundledVnf {
     Navigation,
     /// Monte Carlo localization: answers scans with poses.
     Localization,
+}
+
+/// Serves a bundled VNF for as long as the process lives.
+pub fn serve_vnf(vnf: BundledVnf) -> miette::Result<Infallible> {
+    let served = match vnf {
+        BundledVnf::Navigation => cotorra_vnfs::navigation(cotorra_datapath::be_punctual),
+        BundledVnf::Localization => cotorra_vnfs::localization(),
+    };
+    served.into_diagnostic()
 }
 
 #[cfg(test)]

@@ -1,12 +1,10 @@
 //! What started runs, for the manifests of their folders: the command line without secrets, and the words that repeat it.
 
-use std::{env, path::Path};
+use std::{env, ffi::OsString, path::Path};
 
-use clap::{ArgAction, ArgMatches, Command, CommandFactory, parser::ValueSource};
+use clap::{ArgAction, ArgMatches, Command, parser::ValueSource};
 use cotorra_recording::RecordingPlace;
 use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Options, Origin, Repeat, Time};
-
-use crate::cli::Cli;
 
 /// The commit that this program was built from, as build.rs found it.
 pub const COMMIT: &str = env!("COTORRA_COMMIT");
@@ -17,10 +15,16 @@ const LEFT_OUT: [&str; 15] = [
     "settings", "testbed", "verbose", "version", "with",
 ];
 
+/// Returns the name of this program, `cotorra` or `cotorra-lab`.
+pub fn program() -> String {
+    let path = env::args_os().next().unwrap_or_default();
+    Path::new(&path).file_name().unwrap_or("cotorra".as_ref()).to_string_lossy().into_owned()
+}
+
 /// Returns what started runs that are repeated like this.
 pub fn of(repeat: Repeat) -> Origin {
-    let command = env::args_os().skip(1).map(|word| without_secrets(&word.to_string_lossy()));
-    let command = std::iter::once("cotorra".to_owned()).chain(command).collect();
+    let arguments = env::args_os().skip(1).map(|word| without_secrets(&word.to_string_lossy()));
+    let command = std::iter::once(program()).chain(arguments).collect();
     Origin { command, commit: COMMIT.to_owned(), repeat }
 }
 
@@ -52,12 +56,14 @@ pub fn of_run(options: &Options, time: Time) -> Origin {
     of(Repeat::Words(words))
 }
 
-/// Returns the arguments of this process's command that have a part in results, in the order of their declaration. The
+/// Returns the arguments of a program's command line that have a part in results, in the order in which it declares them. The
 /// values of its files and settings are for the caller to add.
-pub fn given() -> Vec<String> {
-    let mut command = Cli::command();
-    command.build();
-    given_in(&command, &command.clone().get_matches())
+pub fn given<W: Into<OsString> + Clone>(
+    mut program: Command,
+    line: impl IntoIterator<Item = W>,
+) -> Vec<String> {
+    program.build();
+    given_in(&program, &program.clone().get_matches_from(line))
 }
 
 fn given_in(command: &Command, matches: &ArgMatches) -> Vec<String> {
@@ -115,7 +121,10 @@ fn without_secrets(word: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
+    use crate::cli::Cli;
 
     #[test]
     fn no_secret_is_recorded() {
@@ -133,11 +142,8 @@ mod tests {
         }
     }
 
-    /// Returns the arguments that a command line gives.
     fn given_by(line: &str) -> Vec<String> {
-        let mut command = Cli::command();
-        command.build();
-        given_in(&command, &command.clone().get_matches_from(line.split(' ')))
+        given(Cli::command(), line.split(' '))
     }
 
     #[test]
@@ -148,7 +154,5 @@ mod tests {
         let expected =
             ["margin", "--kpi=a", "--kpi=b", "--change=delay", "--change=down", "--most=20ms", "--singles"];
         assert_eq!(given_by(line), expected);
-        let line = "cotorra experiment okpi --until 60s --set a=1 --seed 7 --figure pdf -vv --measured w.csv";
-        assert_eq!(given_by(line), ["experiment", "okpi", "--seed=7", "--until=60s"]);
     }
 }
