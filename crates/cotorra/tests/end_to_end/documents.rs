@@ -41,6 +41,18 @@ fn the_readme_has_the_command_for_users_and_the_one_for_tests() {
 }
 
 #[test]
+fn files_to_change_exist() {
+    let page = fs::read_to_string(project_file("docs/extending.md")).unwrap();
+    let quoted = page.split('`').skip(1).step_by(2);
+    let is_path = |words: &&str| ["crates/", "docs/"].iter().any(|folder| words.starts_with(folder));
+    let paths: Vec<_> = quoted.filter(is_path).collect();
+    assert!(paths.len() > 40, "{paths:?}");
+    for path in paths {
+        assert!(project_file(path).exists(), "{path}");
+    }
+}
+
+#[test]
 fn links_between_documents_resolve() {
     let folders = ["README.md", "docs/plugins.md", "examples/README.md"];
     let folders = folders.map(|document| project_file(document).parent().unwrap().to_owned());
