@@ -184,11 +184,11 @@ pub struct Comparison {
     pub rows: Vec<Row>,
     /// Whether the model's gaps lie in the intervals of the others'.
     pub verdicts: Vec<Verdict>,
-    /// Where robots roamed by themselves.
+    /// Places at which robots roamed by themselves.
     pub places: Vec<Place>,
 }
 
-/// What is read again of a [`Comparison`].
+/// The part of a [`Comparison`] that is read again.
 #[derive(Deserialize)]
 struct Stored {
     walks: Vec<Walked>,
@@ -266,7 +266,7 @@ impl Comparison {
     }
 }
 
-/// What a table says of a figure that a kind of radio does not have.
+/// Cell of a table for a figure that a kind of radio does not have.
 const NOT_MEASURED: &str = "not measured";
 
 /// Returns a figure for readers.

@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn honest_providers_halt_nobody_and_lose_nothing() {
+    fn honest_providers_halt_no_robot_and_lose_nothing() {
         for lead in LEADS {
             for (attack, defence) in [(Attack::Idle, Defence::None), (Attack::LyingAnew, Defence::All)] {
                 assert_eq!(

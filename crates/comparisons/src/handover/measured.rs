@@ -11,7 +11,7 @@ use super::{Kind, Walk};
 
 /// After a handover or a scan, packets that still wait for it arrive within this time.
 const AFTER_S: f64 = 0.2;
-/// A scan that takes longer was none of the instruction's.
+/// Longest scan of an instruction. Longer ones have another cause.
 const LONGEST_SCAN_S: f64 = 30.0;
 
 /// A handover of a robot that had a radio unit before.
@@ -27,9 +27,9 @@ pub struct Roam {
     pub gap_ms: f64,
     /// The gap by packets: the longest time between two answers around it; `None` without answers.
     pub packet_gap_ms: Option<f64>,
-    /// Where the robot was, x and y in metres; `None` if that was not known yet.
+    /// Position of the robot, x and y in metres; `None` if it was not known yet.
     pub position: Option<[f64; 2]>,
-    /// How far the robot had come, metres along its way; `None` if nobody knows.
+    /// Distance that the robot had walked, metres along its way; `None` if it is not known.
     pub walked_m: Option<f64>,
 }
 
@@ -55,7 +55,7 @@ pub struct Walked {
     pub is_valid: bool,
     pub roams: Vec<Roam>,
     pub scans: Vec<Scan>,
-    /// How often the robot lost its radio unit.
+    /// Number of times that the robot lost its radio unit.
     pub losses: usize,
     /// Handovers that a plug-in asked for, and further tries of them.
     pub asked: usize,
@@ -64,7 +64,7 @@ pub struct Walked {
     pub packets: usize,
     pub unanswered: usize,
     /// Frames that the robot's radio sent again, as its kernel counts them. Those after the last reading before a handover are
-    /// missing. `None` if nobody reads its kernel.
+    /// missing. `None` if its kernel is not read.
     #[serde(default)]
     pub frames_again: Option<u64>,
 }

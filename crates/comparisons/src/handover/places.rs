@@ -1,4 +1,4 @@
-//! Where robots roamed by themselves.
+//! Places at which robots roamed by themselves.
 
 use cotorra_graph::NodeId;
 use cotorra_testbed::DataTable;
@@ -12,7 +12,7 @@ pub struct Place {
     pub seed: u64,
     pub from: NodeId,
     pub to: NodeId,
-    /// How far the robot had come on each kind of radio, metres along its way; `None` where it did not roam so.
+    /// Distance that the robot had walked on each kind of radio, metres along its way; `None` where it did not roam so.
     pub walked_m: Vec<(&'static str, Option<f64>)>,
 }
 

@@ -200,7 +200,7 @@ fn roams_of_all_kinds_are_matched_in_their_order() {
     assert!(comparison.to_markdown().contains("| B to A | 0 | 7.0 | – |"));
 }
 
-/// What the robot's machine reads of its radio.
+/// Returns a reading of the robot's machine, with the counters of its radio.
 fn counted(ms: f64, access_point: &str, retransmissions: u32) -> Stamped {
     let station = WifiStation {
         mac: access_point.to_owned(),

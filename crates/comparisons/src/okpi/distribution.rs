@@ -55,7 +55,7 @@ pub struct Intervals {
     pub above_40_ms: Interval,
 }
 
-/// Which samples of a walk are counted.
+/// The samples of a walk that are counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sampling {

@@ -30,7 +30,7 @@ const TITLES: [&str; 2] = ["SoA: cloud, probing", "OKpi"];
 const LOWEST_PERCENT: f64 = 0.01;
 /// Steps of a distribution that are nearer to each other than this ratio, in time and in share, are one.
 const RATIO: f64 = 1.01;
-/// Where the axis of the distributions begins, as a share of the shortest service time.
+/// Beginning of the axis of the distributions, as a share of the shortest service time.
 const BEFORE: f64 = 0.9;
 /// Quantile of a measured walk that the axis of time panels reaches, with room above.
 const SHOWN_QUANTILE: f64 = 0.95;
@@ -181,7 +181,7 @@ fn shares_above(samples: &[Timed]) -> Vec<Sample> {
         }
         steps.extend([Sample { x, y: last.y, range: None }, Sample { x, y, range: None }]);
     }
-    // What the last steps lack.
+    // The last steps lack this point.
     let (x, y) = (answered[answered.len() - 1], above as f64 / samples.len() as f64 * 100.0);
     let last = steps[steps.len() - 1];
     steps.extend([Sample { x, y: last.y, range: None }, Sample { x, y, range: None }]);

@@ -28,7 +28,7 @@ pub struct FittedWalk<'a> {
     pub report: &'a Report,
 }
 
-/// What predicts the second half of a measured walk.
+/// A predictor of the second half of a measured walk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Predictor {

@@ -43,7 +43,7 @@ plugins:
   - { bundled: probing, settings: { interval: [2 s, 3 s] } }
 ";
 
-/// What the site has and the testbed file does not.
+/// Settings of the site that differ from the testbed file.
 const SITE: [(&str, &str); 5] = [
     ("links.R1-cloud.forward.delay", "4.7 ms"),
     ("links.R1-cloud.forward.jitter", "{ deviation: 0.8 ms, distribution: normal }"),

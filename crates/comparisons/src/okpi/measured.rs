@@ -38,7 +38,7 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// Reads a measured walk of a contender, or of none of them.
+    /// Reads a measured walk of a contender, or of no contender.
     ///
     /// # Errors
     /// [`MeasuredError`], also if the file has more than 32 MiB.
@@ -97,7 +97,7 @@ impl Contender {
     }
 }
 
-/// Whether a row names its columns: none of them is a number.
+/// Whether a row has the names of columns, i.e. no number.
 fn is_head(row: &CsvRow) -> bool {
     row.cells().all(|field| !field.is_empty() && field.parse::<f64>().is_err())
 }

@@ -1,4 +1,4 @@
-//! What a testbed needs for the comparison.
+//! Requirements of the comparison on a testbed.
 
 use cotorra_graph::{Program, Roaming, Testbed};
 
