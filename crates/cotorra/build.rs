@@ -1,8 +1,5 @@
-//! Packs the picture of the corridor's map, which the program carries for the published experiments: each run of equal bytes
-//! becomes that byte and a length of two bytes.
-//!
-//! Also tells the program the commit that it is built from, and hashes the source code, so that kept runs of sweeps tell one
-//! build from another of the same version.
+//! Tells the program the commit that it is built from, and hashes the source code, so that kept runs of sweeps tell one build
+//! from another of the same version.
 
 use std::{
     env, fs,
@@ -11,9 +8,8 @@ use std::{
 };
 
 fn main() {
-    let variable = |name| env::var_os(name).expect("cargo sets it");
-    let root = Path::new(&variable("CARGO_MANIFEST_DIR")).join("../..");
-    pack(&root, Path::new(&variable("OUT_DIR")));
+    let crate_folder = env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it");
+    let root = Path::new(&crate_folder).join("../..");
     sources(&root).iter().filter(|path| path.exists()).for_each(|path| watch(path));
     println!("cargo::rustc-env=COTORRA_COMMIT={}", commit(&root).unwrap_or_else(|| "unknown".to_owned()));
     println!("cargo::rustc-env=COTORRA_SOURCES={:016x}", hash_of_sources(&root));
@@ -22,20 +18,6 @@ fn main() {
 /// Lets cargo run this again when a file, or one in a folder, changes.
 fn watch(path: &Path) {
     println!("cargo::rerun-if-changed={}", path.display());
-}
-
-fn pack(root: &Path, out: &Path) {
-    let picture = root.join("testbeds/maps/corridor.pgm");
-    watch(&picture);
-    let picture = fs::read(picture).expect("the checkout has the map");
-    let mut packed = Vec::new();
-    for run in picture.chunk_by(|one, next| one == next) {
-        for part in run.chunks(usize::from(u16::MAX)) {
-            packed.push(part[0]);
-            packed.extend((part.len() as u16).to_le_bytes());
-        }
-    }
-    fs::write(out.join("corridor.packed"), packed).expect("cargo made the folder");
 }
 
 /// Returns what decides the commit: the log of the checkout's commits, and the sources of the program, which can differ from

@@ -20,10 +20,10 @@ make these in turn: there is no consensus, and nobody holds out against a node t
   --help
 
 COMMAND runs on it, and the network ends with it. It has the nodes' WebSockets in COTORRA_TEST_LEDGER, with commas between, and in
-COTORRA_LEDGER, COTORRA_LEDGER_KEYS and COTORRA_LEDGER_NETWORK what \`cotorra experiment federation\` wants to know.
+COTORRA_LEDGER, COTORRA_LEDGER_KEYS and COTORRA_LEDGER_NETWORK what \`cotorra-lab experiment federation\` wants to know.
 
   scripts/ledger-network --block-period 1
-  scripts/ledger-network --block-period 1 -- cotorra experiment federation --emulate
+  scripts/ledger-network --block-period 1 -- cotorra-lab experiment federation --emulate
 `;
 
 /** The accounts of the keys 0101…01, 0202…02, 0303…03 and 6363…63, which the tests of the ledger use. */

@@ -86,9 +86,9 @@ pub enum LinkCalibration {
         forward: Option<PathCalibration>,
         /// The backward direction; `None` if it was not measured.
         backward: Option<PathCalibration>,
-        /// What is known of the mean delays.
+        /// The evidence on the mean delays.
         means: Means,
-        /// What to know about both directions.
+        /// Notes on both directions, for people.
         notes: Vec<String>,
     },
 }

@@ -24,7 +24,7 @@ const LEVELS: [f64; 3] = [0.5, 0.95, 0.99];
 /// Difference below which times are the same, ms, and shares: captures have nanoseconds.
 const SAME: f64 = 1e-6;
 
-/// What is compared of a series of times.
+/// The figures of a series of times that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Figures<T> {
     /// Median of the packets that arrived, ms.
@@ -39,7 +39,7 @@ pub struct Figures<T> {
     pub above: Option<T>,
 }
 
-/// What predicts the test part.
+/// A predictor of the test part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Predictor {
@@ -69,7 +69,7 @@ impl Predictor {
 /// A prediction of the test part.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Prediction {
-    /// What predicts.
+    /// The predictor.
     pub by: Predictor,
     /// Predicted figures.
     pub figures: Figures<f64>,
@@ -133,7 +133,7 @@ pub fn compare(
             },
         );
     let (mut fitted, mut test) = (Part::new(fitted, target_ms), Part::new(test, target_ms));
-    // What each predictor says if the fit and the resample of the fitted part are these.
+    // The prediction of each predictor if the fit and the resample of the fitted part are these.
     let predict = |mean: f64, deviation: f64, change: f64, fitted: &Part| {
         let (average, spread) = fitted.moments();
         let lost = fitted.lost_share();

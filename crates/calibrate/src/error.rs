@@ -8,7 +8,7 @@ pub enum CalibrateError {
     Line {
         /// Number of the line, from 1.
         line: usize,
-        /// What is wrong, and what to write.
+        /// The mistake, and the remedy.
         reason: String,
     },
     /// The text has no measurements, or too many.

@@ -28,7 +28,7 @@ pub struct HandoverFit {
     pub full_ms: Option<Estimate>,
     /// Share by which each phase varies.
     pub variation: Estimate,
-    /// What to know about the fit.
+    /// Notes on the fit, for people.
     pub notes: Vec<String>,
 }
 
@@ -79,7 +79,7 @@ fn fit_network(
         (times.len() >= LEAST_HANDOVERS).then(|| Sum::fit(&times, phases, draws))
     };
     let fast = fit("fast transitions", joins(true), &[authenticate, reassociate]);
-    // What is longer than a fast transition is the handshakes.
+    // The time beyond a fast transition is that of the handshakes.
     let full_times = joins(false);
     let (short, middle) =
         (authenticate + reassociate, full_times.iter().sum::<f64>() / full_times.len().max(1) as f64);

@@ -49,7 +49,7 @@ pub struct InterferenceFit {
     pub load: Estimate,
     /// When they are there; `None` if that is always, or not known.
     pub presence: Option<PresenceFit>,
-    /// What to know about the fit.
+    /// Notes on the fit, for people.
     pub notes: Vec<String>,
 }
 

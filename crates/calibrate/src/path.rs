@@ -45,7 +45,7 @@ pub struct PathFit {
     pub loss: Option<LossFit>,
     /// Share of packets that arrive twice; `None` if it was not measured.
     pub duplication: Option<Estimate>,
-    /// What to know about the fit.
+    /// Notes on the fit, for people.
     pub notes: Vec<String>,
     /// Fits of resamples.
     #[serde(skip)]

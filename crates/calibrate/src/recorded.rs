@@ -1,4 +1,4 @@
-//! What the history of a run tells: a survey by its robots, and the times of its handovers.
+//! Measurements in the history of a run: a survey by its robots, and the times of its handovers.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -24,7 +24,7 @@ pub struct HandoverTime {
     pub join_ms: f64,
 }
 
-/// Collects what a run tells, event by event.
+/// Collects the measurements of a run, event by event.
 #[derive(Debug)]
 pub struct Recorded {
     readings: Vec<Reading>,

@@ -12,7 +12,7 @@ use crate::{
     survey::SurveyComparison,
 };
 
-/// What is measured of a packet and its answer.
+/// Name of the time of a packet and its answer.
 const ROUND_TRIP: &str = "round trip";
 
 /// Returns the report as Markdown. JSON has the same figures: [`Calibration`] serializes.

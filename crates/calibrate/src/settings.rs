@@ -22,7 +22,7 @@ pub struct FittedSetting {
     pub path: String,
     /// Value, as YAML.
     pub value: String,
-    /// What was fitted, with its interval.
+    /// The fitted value with its interval.
     pub note: String,
 }
 

@@ -106,9 +106,9 @@ pub struct SurveyFit {
     pub correlation_m: Option<Estimate>,
     /// Standard deviation of what differs between readings at one place, dB: fast fading and rounding. It goes into no setting.
     pub noise_db: Estimate,
-    /// What to know about the fit.
+    /// Notes on the fit, for people.
     pub notes: Vec<String>,
-    /// What predicts signals elsewhere.
+    /// Predicts signals at other places.
     #[serde(skip)]
     middle: Middle,
 }

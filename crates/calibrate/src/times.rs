@@ -17,7 +17,7 @@ pub struct PacketTimes {
     pub interval: Option<Duration>,
     /// Size of a packet's Ethernet frame, and of its answer's.
     pub frame_bytes: [usize; 2],
-    /// What to know about the measurement.
+    /// Notes on the measurement, for people.
     pub notes: Vec<String>,
 }
 
@@ -43,13 +43,13 @@ impl PacketTimes {
 pub struct OneWay {
     /// Forward and backward; `None` for a direction that was not measured.
     pub ways: [Option<PacketTimes>; 2],
-    /// What the times say of the mean delay.
+    /// The evidence of the times on the mean delay.
     pub means: Means,
-    /// What to know about both directions.
+    /// Notes on both directions, for people.
     pub notes: Vec<String>,
 }
 
-/// What one-way times say of the mean delay.
+/// The evidence of one-way times on the mean delay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Means {

@@ -72,7 +72,7 @@ pub struct SimulatedSample {
     pub region: Option<Region>,
 }
 
-/// What a walk is fitted to.
+/// The data that a walk is fitted to.
 #[derive(Debug, Clone, Copy)]
 pub struct WalkData<'a> {
     /// The testbed that was simulated.
@@ -94,7 +94,7 @@ pub struct WalkFit {
     pub scan: Option<ScanFit>,
     /// Settings that put the fitted values into the testbed file; none if nothing was fitted.
     pub settings: Vec<FittedSetting>,
-    /// What was not fitted, and why.
+    /// Parameters that were not fitted, and the reasons.
     pub notes: Vec<String>,
 }
 
@@ -177,7 +177,7 @@ type Walk<'a> = BTreeMap<&'a Region, Series>;
 
 /// Fits a testbed to a part of a measured walk. The seed decides resamples.
 ///
-/// What the samples do not determine is left out, with a note.
+/// Leaves out, with a note, parameters that the samples do not determine.
 pub fn fit_walk(data: &WalkData<'_>, seed: u64) -> WalkFit {
     let visits = Visits::of(data.simulated);
     let mut notes = Vec::new();

@@ -1,7 +1,10 @@
 //! The commands and their help. The arguments of a command stand in the module that carries it out.
 
+use std::convert::Infallible;
+
 use clap::{Parser, Subcommand};
 use clap_complete::Shell;
+use miette::IntoDiagnostic;
 
 use crate::{
     agent::Agent,
@@ -13,13 +16,12 @@ use crate::{
     doctor::DoctorArgs,
     edit::EditArgs,
     exec::ExecArgs,
-    experiment::args::Experiment,
-    fault_test::FaultTestArgs,
     fdu::Fdu,
     history::{self, History},
     link::Link,
     localize::LocalizeArgs,
     margin::args::MarginArgs,
+    moved::Moved,
     netem::Netem,
     new::New,
     open::OpenArgs,
@@ -54,7 +56,6 @@ Examples:
   cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
   cotorra sweep testbeds/corridor.yaml --seeds 10  run it ten times in virtual time
   cotorra calibrate site.yaml --survey walk.csv    fit it to a real site
-  cotorra experiment okpi                          repeat the published comparison
   cotorra history series latest service            plot the service time of the last run
   cotorra reproduce runs/corridor-20260101-120000  run it again from its folder, and compare
   cotorra open                                     open the dashboard of a run
@@ -79,12 +80,12 @@ pub enum Command {
     Run(RunArgs),
     Sweep(SweepArgs),
     Margin(MarginArgs),
-    /// Repeat a published experiment beside the published result, or compare kinds of radio
-    Experiment {
-        #[command(subcommand)]
-        experiment: Experiment,
-    },
-    FaultTest(FaultTestArgs),
+    /// Moved to `cotorra-lab`
+    #[command(hide = true, disable_help_flag = true)]
+    Experiment(Moved),
+    /// Moved to `cotorra-lab`
+    #[command(hide = true, disable_help_flag = true)]
+    FaultTest(Moved),
     /// Query recorded runs
     ///
     /// RUN is the folder of a run, `latest` for the newest under runs/, or the number of a run in the history that
@@ -189,12 +190,6 @@ Examples:
         /// The record of the run's containers
         record: std::path::PathBuf,
     },
-    /// Run one end of a measurement; a benchmark starts it inside a peer.
-    #[command(hide = true)]
-    Probe {
-        #[command(subcommand)]
-        probe: Probe,
-    },
 }
 
 /// Bundled VNFs.
@@ -204,6 +199,15 @@ pub enum BundledVnf {
     Navigation,
     /// Monte Carlo localization: answers scans with poses.
     Localization,
+}
+
+/// Serves a bundled VNF for as long as the process lives.
+pub fn serve_vnf(vnf: BundledVnf) -> miette::Result<Infallible> {
+    let served = match vnf {
+        BundledVnf::Navigation => cotorra_vnfs::navigation(cotorra_datapath::be_punctual),
+        BundledVnf::Localization => cotorra_vnfs::localization(),
+    };
+    served.into_diagnostic()
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! What started runs, for the manifests of their folders: the command line without secrets, and the words that repeat it.
 
-use std::{env, path::Path};
+use std::{env, ffi::OsString, path::Path};
 
+use clap::{ArgAction, ArgMatches, Command, parser::ValueSource};
 use cotorra_recording::RecordingPlace;
 use cotorra_testbed::{FolderError, Made, Manifest, ManyInputs, Options, Origin, Repeat, Time};
 
@@ -11,10 +12,16 @@ pub const COMMIT: &str = env!("COTORRA_COMMIT");
 /// A hash of the source code that this program was built from.
 pub const SOURCES: &str = env!("COTORRA_SOURCES");
 
+/// Returns the name of this program, `cotorra` or `cotorra-lab`.
+pub fn program() -> String {
+    let path = env::args_os().next().unwrap_or_default();
+    Path::new(&path).file_name().unwrap_or("cotorra".as_ref()).to_string_lossy().into_owned()
+}
+
 /// Returns what started runs that are repeated like this.
 pub fn of(repeat: Repeat) -> Origin {
-    let command = env::args_os().skip(1).map(|word| without_secrets(&word.to_string_lossy()));
-    let command = std::iter::once("cotorra".to_owned()).chain(command).collect();
+    let arguments = env::args_os().skip(1).map(|word| without_secrets(&word.to_string_lossy()));
+    let command = std::iter::once(program()).chain(arguments).collect();
     Origin { command, commit: COMMIT.to_owned(), repeat }
 }
 
@@ -43,6 +50,40 @@ pub fn of_run(options: &Options, time: Time) -> Origin {
         words.extend(authority.map(|path| format!("--authority={}", path.display())));
     }
     of(Repeat::Words(words))
+}
+
+/// Returns the arguments of a program's command line that have a part in results, in the order in which it declares them. The
+/// values of its files and settings are for the caller to add.
+pub fn given<W: Into<OsString> + Clone>(
+    mut program: Command,
+    line: impl IntoIterator<Item = W>,
+) -> Vec<String> {
+    program.build();
+    given_in(&program, &program.clone().get_matches_from(line))
+}
+
+fn given_in(command: &Command, matches: &ArgMatches) -> Vec<String> {
+    if let Some((name, matches)) = matches.subcommand()
+        && let Some(below) = command.find_subcommand(name)
+    {
+        return std::iter::once(name.to_owned()).chain(given_in(below, matches)).collect();
+    }
+    let mut words = Vec::new();
+    for argument in command.get_arguments() {
+        let id = argument.get_id().as_str();
+        let Some(name) = argument.get_long().filter(|_| !LEFT_OUT.contains(&id)) else { continue };
+        if !matches!(matches.value_source(id), Some(ValueSource::CommandLine | ValueSource::EnvVariable)) {
+            continue;
+        }
+        match argument.get_action() {
+            ArgAction::SetTrue => words.push(format!("--{name}")),
+            _ => {
+                let values = matches.get_raw(id).into_iter().flatten();
+                words.extend(values.map(|value| format!("--{name}={}", value.to_string_lossy())));
+            }
+        }
+    }
+    words
 }
 
 /// Notes in the folder of many runs how they came to be.
@@ -76,7 +117,10 @@ fn without_secrets(word: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
+    use crate::cli::Cli;
 
     #[test]
     fn no_secret_is_recorded() {
@@ -92,5 +136,19 @@ mod tests {
             assert_eq!(without_secrets(word), recorded);
             assert!(!recorded.contains("secret"));
         }
+    }
+
+    fn given_by(line: &str) -> Vec<String> {
+        given(Cli::command(), line.split(' '))
+    }
+
+    #[test]
+    fn arguments_that_decide_results_are_given_again() {
+        let line = "cotorra sweep x.yaml --set plugin=okpi,probing --seeds 3 --jobs 2 --out y --headless --shard 1/2";
+        assert_eq!(given_by(line), ["sweep", "--set=plugin=okpi,probing", "--seeds=3", "--shard=1/2"]);
+        let line = "cotorra margin x.yaml --kpi a --kpi b --set a=1 --change delay,down --most 20ms --singles --fresh";
+        let expected =
+            ["margin", "--kpi=a", "--kpi=b", "--change=delay", "--change=down", "--most=20ms", "--singles"];
+        assert_eq!(given_by(line), expected);
     }
 }

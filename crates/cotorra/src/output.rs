@@ -31,9 +31,10 @@ pub fn print_either(is_exact: bool, text: &str) -> miette::Result<()> {
 }
 
 /// Writes a line to standard error.
+#[macro_export]
 macro_rules! note {
     ($($text:tt)*) => {
-        $crate::output::write_note(format_args!("{}\n", format_args!($($text)*)))
+        $crate::write_note(format_args!("{}\n", format_args!($($text)*)))
     };
 }
 

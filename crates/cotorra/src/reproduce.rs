@@ -22,14 +22,12 @@ use crate::{
 
 /// Outcomes of runs whose results are complete.
 const COMPLETE: [Status; 4] = [Status::Done, Status::NotValid, Status::NoProgress, Status::Failed];
-/// Commands whose results are made again.
-const COMMANDS: [&str; 4] = ["experiment", "margin", "run", "sweep"];
 /// Maximum number of files that differ which are listed.
 const LISTED: usize = 10;
 
 /// Make results again from their folder alone, and compare
 ///
-/// FOLDER is that of a run, a sweep, a margin or an experiment. Its manifest.json says how it came to be. Everything that the
+/// FOLDER is that of a run, a sweep or a margin, or with cotorra-lab that of an experiment. Its manifest.json says how it came to be. Everything that the
 /// runs need is taken from the folder, and must have the digests in the manifest; programs of the machine, such as python3,
 /// are not in it.
 ///
@@ -53,7 +51,7 @@ Exit status:
   3    the repeat has other results
   130  stopped with Ctrl-C")]
 pub struct ReproduceArgs {
-    /// The folder of a run, a sweep, a margin or an experiment
+    /// The folder of results
     pub folder: PathBuf,
     /// New folder that the repeat stays in; by default, it is removed after the comparison
     #[arg(long, value_name = "DIR")]
@@ -84,7 +82,10 @@ enum Error {
     #[error("{} cannot be repeated from its folder alone: {why}", folder.display())]
     Not { folder: PathBuf, why: String },
     #[error("the manifest of {} names another command: {word}", folder.display())]
-    #[diagnostic(help("a folder is made by `cotorra run`, `sweep`, `margin` or `experiment`"))]
+    #[diagnostic(help(
+        "`cotorra reproduce` repeats runs, sweeps and margins, and `cotorra-lab reproduce` experiments (cargo run --release \
+         -p cotorra-lab -- reproduce)"
+    ))]
     Command { folder: PathBuf, word: String },
     #[error("{} has no results to compare with: its runs did not end, or were stopped", .0.display())]
     NoResults(PathBuf),
@@ -96,11 +97,11 @@ enum Error {
     NoRepeat(PathBuf),
 }
 
-/// Makes results again, and compares.
-pub fn reproduce(args: &ReproduceArgs) -> miette::Result<ExitCode> {
+/// Makes results of these commands of this program again, and compares.
+pub fn reproduce(args: &ReproduceArgs, commands: &[&str]) -> miette::Result<ExitCode> {
     let folder = &args.folder;
     let manifest = Manifest::read(folder).map_err(Error::from)?;
-    let words = words(&manifest, folder)?;
+    let words = words(&manifest, folder, commands)?;
     if manifest.produced.is_empty() {
         return Err(Error::NoResults(folder.clone()).into());
     }
@@ -145,11 +146,11 @@ pub fn reproduce(args: &ReproduceArgs) -> miette::Result<ExitCode> {
 }
 
 /// Returns the words of the command line that makes a folder's results again.
-fn words<'a>(manifest: &'a Manifest, folder: &Path) -> Result<&'a [String], Error> {
+fn words<'a>(manifest: &'a Manifest, folder: &Path, commands: &[&str]) -> Result<&'a [String], Error> {
     match &manifest.repeat {
         Repeat::Not(why) => Err(Error::Not { folder: folder.to_owned(), why: why.clone() }),
         Repeat::Words(words) => match words.first() {
-            Some(first) if COMMANDS.contains(&first.as_str()) => Ok(words),
+            Some(first) if commands.contains(&first.as_str()) => Ok(words),
             first => {
                 let word = first.cloned().unwrap_or_default();
                 Err(Error::Command { folder: folder.to_owned(), word })
@@ -211,8 +212,9 @@ fn plan(manifest: &Manifest, folder: &Path, words: &[String]) -> String {
     row("files", format!("{}, as they were", count(manifest.carried.len(), "file")));
     row("results", count(manifest.produced.len(), "file"));
     format!(
-        "{}: would run {how}\n\n  cotorra {}\n\n{}",
+        "{}: would run {how}\n\n  {} {}\n\n{}",
         folder.display(),
+        origin::program(),
         words.join(" "),
         table.render("  ")
     )

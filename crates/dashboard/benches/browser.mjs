@@ -50,7 +50,7 @@ export async function benchmark(measure) {
     try {
         await measure();
     } catch (error) {
-        // What is cut off by Ctrl-C fails, too.
+        // A browser that Ctrl-C cuts off fails, too.
         if (interrupted) return;
         console.error(error instanceof Error ? error.message : error);
         process.exitCode = 1;

@@ -1,4 +1,4 @@
-// What the dashboard promises beside a run, measured with the real program and a headless browser without a GPU. Prints a line
+// The promises of the dashboard beside a run, measured with the real program and a headless browser without a GPU. Prints a line
 // for each figure: median, tail and goal.
 
 import { spawn } from "node:child_process";
@@ -183,7 +183,7 @@ async function handover() {
     const shown = /** @type {{ view: string, what: string, at: number }[]} */ (await browser.evaluate("return cotorraShown"));
     await stop();
     await server.stop();
-    // The event that came fastest tells when the run's time began.
+    // The event that came fastest gives the beginning of the run's time.
     const began = Math.min(...events.map(({ came, event }) => came - event.at_ns / 1e6));
     const handovers = events.filter(({ event }) => event.event === "handover");
     if (handovers.length === 0) throw new Error("the run had no handover");

@@ -339,7 +339,7 @@ export class ActionPanel {
         try {
             await this.send(given);
         } catch (error) {
-            // What `fetch` throws is no answer of the run's.
+            // An exception of `fetch` is no answer of the run.
             this.#tell(error instanceof TypeError ? "The run does not answer." : `Refused: ${error instanceof Error ? error.message : error}`, true);
             return;
         }

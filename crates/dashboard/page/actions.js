@@ -1,4 +1,4 @@
-// What the page can make a run do: from a filled-in form to a call of the API, and the same call as curl and Python.
+// The actions of the page on a run: from a filled-in form to a call of the API, and the same call as curl and Python.
 
 /** @typedef {import("#api").components["schemas"]} Schemas */
 /** @typedef {Schemas["Direction"]} Direction */

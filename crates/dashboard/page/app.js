@@ -351,7 +351,7 @@ function pause(seconds) {
     return new Promise((resolve) => setTimeout(resolve, seconds * 1000));
 }
 
-/** Returns when the page can be seen. While nobody looks, nothing is read. */
+/** Returns when the page can be seen. A hidden page reads nothing. */
 async function visible() {
     while (document.visibilityState !== "visible") {
         await new Promise((resolve) => document.addEventListener("visibilitychange", resolve, { once: true }));

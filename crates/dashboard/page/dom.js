@@ -39,7 +39,7 @@ export function setText(of, text) {
     if (of.textContent !== text) of.textContent = text;
 }
 
-/** Pause between two changes of words, ms: nobody reads words that change with every frame. */
+/** Pause between two changes of words, ms: words that change with every frame cannot be read. */
 const WORDS_EVERY = 200;
 
 /**

@@ -1,4 +1,4 @@
-// What the page knows of a run: a state machine without a clock, a socket or an element. Events go in, and the model has the
+// The state of a run in the page: a state machine without a clock, a socket or an element. Events go in, and the model has the
 // last of everything, the figures over time, and what happened. All of it is bounded.
 
 import { figure } from "./format.js";

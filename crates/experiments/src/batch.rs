@@ -51,7 +51,7 @@ pub enum BatchError {
         /// The plug-in, and the reason.
         fault: String,
     },
-    /// A file changed while the run was made, so that nobody knows which version it shows.
+    /// A file changed while the run was made, so that its version is not known.
     #[error("{run}: {} changed during the run: start it again when they stay as they are", Listed(changed))]
     Changed {
         /// Name of the run.

@@ -32,7 +32,7 @@ pub struct Journal {
 #[derive(Serialize, Deserialize)]
 struct Line<O> {
     run: String,
-    /// What the outcome depends on. Journals of earlier versions have none.
+    /// The inputs on which the outcome depends. Journals of earlier versions have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     key: Option<Key>,
     /// A single entry, `measured` or `void`.
@@ -44,7 +44,7 @@ struct Line<O> {
 #[derive(Debug, Default)]
 pub(crate) struct Kept(HashMap<String, Vec<(Option<Key>, Value)>>);
 
-/// What a journal has of a run.
+/// The entry of a run in a journal.
 pub(crate) enum Found<M> {
     Outcome(Outcome<M>),
     /// Only outcomes with other keys; the reason not to believe them.

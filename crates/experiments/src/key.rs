@@ -20,7 +20,7 @@ use sha2::{Digest, Sha256};
 /// Parts of the names of variables whose values are secrets.
 const SECRET: [&str; 5] = ["TOKEN", "SECRET", "PASSW", "KEY", "CREDENTIAL"];
 
-/// What the result of a run depends on, beside its settings, its changes and its seed, which are in its name.
+/// The inputs on which the result of a run depends, beside its settings, its changes and its seed, which are in its name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Key {
     /// Version of cotorra.
@@ -78,7 +78,7 @@ pub(crate) struct Keys {
     digests: Mutex<HashMap<PathBuf, (Stamp, String)>>,
 }
 
-/// Whatever tells a file from a later version of it, without reading it: its number, its length and its time.
+/// Distinguishes a file from a later version of it without reading it: its number, its length and its time.
 type Stamp = (u64, u64, i64, i64);
 
 impl Keys {
@@ -141,7 +141,7 @@ impl Keys {
             digests.insert(path.to_owned(), (stamp, digest.clone()));
             Ok(digest)
         };
-        // Whatever cannot be read is not what it was when it could.
+        // A file that cannot be read any more counts as changed.
         read().unwrap_or_else(|error| error.to_string())
     }
 }
@@ -159,7 +159,7 @@ fn digest(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
 
-/// Returns the first half of a digest as text, which is enough to tell versions apart.
+/// Returns the first half of a digest as text, which is enough to distinguish versions.
 fn hex(digest: &[u8]) -> String {
     digest[..digest.len() / 2].iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -37,7 +37,7 @@ pub struct Axis {
     scale: Scale,
 }
 
-/// How values lie along an axis.
+/// The scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Scale {
     Linear,

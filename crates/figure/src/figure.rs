@@ -64,7 +64,7 @@ pub struct Panel {
     /// A value of the horizontal axis, as a line up the panel.
     pub upright: Option<Level>,
     pub series: Vec<Series>,
-    /// Where values are missing on the horizontal axis, and their name in the legend.
+    /// Name in the legend of missing values, and their places on the horizontal axis.
     pub missing: (String, Vec<f64>),
 }
 
@@ -90,7 +90,7 @@ pub struct Series {
     /// Name in the legend; empty for no entry.
     pub name: String,
     pub kind: SeriesKind,
-    /// Which of the [`MAX_SERIES`] colours, dashes and markers it has; by default, its place in the panel. The same thing
+    /// Number of its colour, dash and marker, of [`MAX_SERIES`]; by default, its place in the panel. The same thing
     /// looks the same in several panels with the same number.
     pub look: Option<usize>,
     /// Lines, between which values are missing.
@@ -151,7 +151,7 @@ pub fn shares_up_to(mut values: Vec<f64>) -> Vec<Sample> {
     steps
 }
 
-/// Where a panel stands in the figure.
+/// The place of a panel in the figure.
 struct Place<'a> {
     panel: &'a Panel,
     legend: Legend,

@@ -109,7 +109,7 @@ pub struct Path {
     pub points: Vec<(f64, f64)>,
 }
 
-/// Where a panel stands in the scene.
+/// The place of a panel in the scene.
 struct Place<'a> {
     panel: &'a FloorPanel,
     plot: Rect,

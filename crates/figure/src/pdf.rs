@@ -25,7 +25,7 @@ const FIRST_IMAGE: usize = 10;
 /// A file whose objects are numbered from 1.
 struct File {
     bytes: Vec<u8>,
-    /// Where each object begins.
+    /// Offset of each object.
     offsets: Vec<usize>,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! [`Run::start`] brings a testbed up in real time, and [`Run::finish`] takes it down. [`simulate()`] does both in virtual
 //! time. [`Replay`](replay::Replay) plays a recorded run. [`Report`] and [`Summary`] are the results. Experiments of many
-//! runs are in `cotorra-experiments`.
+//! runs are in `cotorra-experiments`, and random faults in `cotorra-faults`.
 #![forbid(unsafe_code)]
 
 mod agent_options;
@@ -19,7 +19,6 @@ mod cpus;
 mod domain;
 mod error;
 mod event_stream;
-pub mod faults;
 mod finished;
 mod follower;
 mod history_bound;
@@ -89,7 +88,7 @@ pub use run::{Run, Stopper};
 pub use run_info::about;
 pub use script::{Rehearsal, ScriptError, replayed_conditions};
 pub use simulate::{
-    Altered, Fork, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,
+    Altered, Fork, Mood, Serving, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,
     simulate_unrecorded, simulate_watched,
 };
 pub use time_control::Speed;

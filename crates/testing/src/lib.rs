@@ -24,8 +24,9 @@ mod mutations;
 
 use std::{
     env,
+    ffi::OsStr,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::{Command, Output, Stdio},
 };
 
 use cotorra_graph::Testbed;
@@ -39,6 +40,26 @@ pub fn project_file(path: &str) -> PathBuf {
     let package = env::var_os("CARGO_MANIFEST_DIR").unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
     let root = Path::new(&package).ancestors().find(|folder| folder.join("Cargo.lock").exists());
     root.expect("the package is in the workspace").join(path)
+}
+
+/// Returns a command for a program of cotorra, without cotorra's own environment variables.
+pub fn command(program: impl AsRef<OsStr>) -> Command {
+    let mut command = Command::new(program);
+    command.env_remove("COTORRA_TOKEN").env_remove("COTORRA_LOG").env("NO_COLOR", "1");
+    // Most tests run commands of files that they wrote just now.
+    command.env("COTORRA_TRUST", "1");
+    command.env_remove("COTORRA_API").env_remove("COTORRA_HISTORY").env_remove("COTORRA_HISTORY_PASSWORD");
+    command
+}
+
+/// Returns the text on standard output.
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// Returns the text on standard error.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
 }
 
 /// Loads the published testbed as it ships.

@@ -171,7 +171,7 @@ fn second_clock(at_ns: i64) -> i64 {
     at_ns - 3600 * SECOND + (at_ns as f64 * 40e-6) as i64
 }
 
-/// What both ends capture of packets with uniform jitter, 10 ms apart.
+/// Returns the captures at both ends of packets with uniform jitter, 10 ms apart.
 fn both_ends(ways: &[([u8; 2], Truth)], packets: u32) -> [Vec<Frame>; 2] {
     let start = 5000 * SECOND;
     let mut draws = Draws::new(3, "captures");

@@ -103,7 +103,7 @@ fn parse_csv(text: &str) -> Result<ChannelSurvey, CalibrateError> {
     Ok(survey)
 }
 
-/// What was read of a channel so far.
+/// The readings of a channel so far.
 #[derive(Default)]
 struct Block {
     frequency: Option<u16>,

@@ -1,4 +1,4 @@
-//! How well a fitted radio predicts the signals of another part of a survey, beside two baselines.
+//! Checks how well a fitted radio predicts the signals of another part of a survey, beside two baselines.
 
 use cotorra_graph::Testbed;
 use cotorra_numbers::{Draws, Resampler, block_length};
@@ -41,7 +41,7 @@ pub fn split_survey(readings: &[Reading], share: f64) -> [Vec<Reading>; 2] {
     [first, second]
 }
 
-/// What predicts signals.
+/// A predictor of signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SignalPredictor {
@@ -73,7 +73,7 @@ impl SignalPredictor {
 /// A prediction of the test part of a survey, with bootstrap intervals. Errors are measured less predicted signals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SignalPrediction {
-    /// What predicts.
+    /// The predictor.
     pub by: SignalPredictor,
     /// 5 % quantile of the errors, dB.
     pub p5_db: Estimate,

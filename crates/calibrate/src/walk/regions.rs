@@ -133,7 +133,7 @@ mod tests {
             visits.aligned(&measured, &units.iter().zip(levels).collect()).visits[1].0
         };
         assert_eq!([12, 17, 20, 27].map(|at| changed(at, [10.0, 20.0])), [12.0, 17.0, 20.0, 27.0]);
-        // Equal levels tell nothing.
+        // Equal levels determine nothing.
         assert_eq!(changed(15, [10.0, 10.0]), 20.0);
         assert_eq!(visits.aligned(&[], &BTreeMap::new()), visits);
     }

@@ -7,7 +7,7 @@ use cotorra_graph::{JitterDistribution, Link, NodeId, Scale, Testbed};
 use super::{Region, RegionFit, Visits, WalkData};
 use crate::{jitter::standard_quantile, path::SHORTEST, settings::FittedSetting};
 
-/// Which wired links the packets of each region cross.
+/// The wired links that the packets of each region cross.
 #[derive(Debug)]
 pub(super) struct Crossings<'a> {
     /// Those that a region crosses in both directions, from the radio unit on.

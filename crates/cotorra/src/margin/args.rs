@@ -106,6 +106,9 @@ pub struct MarginArgs {
     pub dry_run: bool,
     #[command(flatten)]
     pub trust: TrustArgs,
+    /// The words of the command line that have a part in results, for their manifest.
+    #[arg(skip)]
+    pub given: Vec<String>,
 }
 
 /// A decision, or all of a run.

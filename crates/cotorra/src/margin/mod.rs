@@ -143,7 +143,7 @@ fn open(
     }
     let base = args.file.parent().unwrap_or(Path::new(""));
     let carried = ManyInputs::carry(journal.path(), text, base, &[])?;
-    let mut words = given::words();
+    let mut words = args.given.clone();
     words.push(ManyInputs::TESTBED.to_owned());
     let seeds = (0..u64::from(args.seeds)).map(|number| seed.wrapping_add(number)).collect();
     let made = Made { time: Time::Virtual, seeds, until: args.until };

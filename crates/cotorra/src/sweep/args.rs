@@ -98,6 +98,9 @@ pub struct SweepArgs {
     /// Number of shards in the job file; default: what the runs that are tried out suggest
     #[arg(long, value_name = "N", requires = "emit")]
     pub shards: Option<NonZero<usize>>,
+    /// The words of the command line that have a part in results, for their manifest.
+    #[arg(skip)]
+    pub given: Vec<String>,
 }
 
 /// What a sweep keeps of each run.

@@ -186,7 +186,7 @@ fn note(sweep: &Sweep, args: &SweepArgs, points: &[Point], text: &str, folder: &
             Repeat::Not(format!("`--set {given}` leads out of the folder of the testbed file"))
         }
         None => {
-            let mut words = given::words();
+            let mut words = args.given.clone();
             words.push(ManyInputs::TESTBED.to_owned());
             Repeat::Words(words)
         }

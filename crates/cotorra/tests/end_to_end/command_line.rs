@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::{self, BufRead, BufReader},
+    io,
     process::{Command, Stdio},
 };
 
@@ -200,18 +200,6 @@ fn a_dry_run_lists_its_plan_and_leaves_no_files() {
 }
 
 #[test]
-fn experiments_need_no_checkout() {
-    let elsewhere = tempfile::tempdir().unwrap();
-    for experiment in ["okpi", "federation"] {
-        let mut planned = cotorra(["experiment", experiment, "--dry-run"]);
-        let planned = planned.current_dir(elsewhere.path()).output().unwrap();
-        assert!(planned.status.success(), "{}", stderr(&planned));
-        assert!(stdout(&planned).contains("1 robot"), "{}", stdout(&planned));
-    }
-    assert_eq!(fs::read_dir(elsewhere.path()).unwrap().count(), 0);
-}
-
-#[test]
 fn clean_lists_leftovers_or_reports_none() {
     let printed = output(["clean", "--dry-run"]);
     assert!(printed.status.success(), "{}", stderr(&printed));
@@ -252,39 +240,19 @@ fn exec_without_a_run_says_how_to_start_one() {
 }
 
 #[test]
-fn benchmarks_are_listed_and_an_unknown_one_is_refused() {
-    let listed = stdout(&output(["bench", "--list"]));
-    assert!(listed.contains("round-trip"), "{listed}");
-    let unknown = output(["bench", "round-tripp"]);
-    assert_eq!(unknown.status.code(), Some(1));
-    assert!(stderr(&unknown).contains("round-trip"), "{}", stderr(&unknown));
-}
-
-#[test]
-fn a_fault_test_stopped_by_ctrl_c_prints_its_totals() {
-    let mut command = cotorra(["fault-test", "--headless", "--runs", "100"]);
-    let mut child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    let pid = child.id().to_string();
-    for line in BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok) {
-        if line.starts_with("5 of 100 runs") {
-            assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-        }
+fn commands_that_moved_are_named_in_the_other_program() {
+    for line in [
+        "experiment okpi --emulate",
+        "fault-test --runs 10",
+        "bench",
+        "bench round-trip",
+        "bench --list",
+        "experiment --help",
+    ] {
+        let refused = output(line.split(' '));
+        assert_eq!(refused.status.code(), Some(1), "{line}");
+        // Long lines are wrapped.
+        let said = stderr(&refused).split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.ends_with(&format!("cargo run --release -p cotorra-lab -- {line}")), "{said}");
     }
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(130), "{}", stdout(&output));
-    let summary = stdout(&output);
-    assert!(summary.lines().next().unwrap().contains(" of 100 runs, "), "{summary}");
-    assert!(summary.contains("packets are conserved"), "{summary}");
-}
-
-#[test]
-fn the_number_of_jobs_does_not_change_a_fault_test() {
-    let test = |seed: &str, jobs: &str| {
-        stdout(&output(["fault-test", "--headless", "--runs", "3", "--seed", seed, "--jobs", jobs]))
-    };
-    let printed = test("1", "1");
-    assert!(printed.starts_with("3 of 3 runs, "), "{printed}");
-    assert!(printed.contains("nothing acknowledged is lost"), "{printed}");
-    assert_eq!(test("1", "3"), printed);
-    assert_ne!(test("4", "1"), printed);
 }

@@ -27,6 +27,32 @@ fn testbeds_in_the_documents_pass_the_check() {
 }
 
 #[test]
+fn the_readme_has_the_command_for_users_and_the_one_for_tests() {
+    let readme = fs::read_to_string(project_file("README.md")).unwrap();
+    for (command, file) in [
+        ("cargo run --release -- run testbeds/corridor.yaml", "testbeds/corridor.yaml"),
+        ("scripts/test", "scripts/test"),
+    ] {
+        assert!(readme.contains(&format!("\n$ {command} ")), "{command}");
+        assert!(project_file(file).exists(), "{file}");
+    }
+    let head = fs::read_to_string(project_file("scripts/test")).unwrap();
+    assert!(head.contains("\n# Installs what the tests need, and runs them"));
+}
+
+#[test]
+fn files_to_change_exist() {
+    let page = fs::read_to_string(project_file("docs/extending.md")).unwrap();
+    let quoted = page.split('`').skip(1).step_by(2);
+    let is_path = |words: &&str| ["crates/", "docs/"].iter().any(|folder| words.starts_with(folder));
+    let paths: Vec<_> = quoted.filter(is_path).collect();
+    assert!(paths.len() > 40, "{paths:?}");
+    for path in paths {
+        assert!(project_file(path).exists(), "{path}");
+    }
+}
+
+#[test]
 fn links_between_documents_resolve() {
     let folders = ["README.md", "docs/plugins.md", "examples/README.md"];
     let folders = folders.map(|document| project_file(document).parent().unwrap().to_owned());

@@ -19,18 +19,15 @@ use std::{
     time::Duration,
 };
 
-pub use cotorra_testing::project_file;
+pub use cotorra_testing::{project_file, stderr, stdout};
 use serde_json::Value;
 use tempfile::TempDir;
 
 /// Returns a command for the program, without cotorra's own environment variables.
 pub fn cotorra<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let program = env::var_os("COTORRA_BIN").unwrap_or_else(|| env!("CARGO_BIN_EXE_cotorra").into());
-    let mut command = Command::new(program);
-    command.args(arguments).env_remove("COTORRA_TOKEN").env_remove("COTORRA_LOG").env("NO_COLOR", "1");
-    // Most tests run commands of files that they wrote just now.
-    command.env("COTORRA_TRUST", "1");
-    command.env_remove("COTORRA_API").env_remove("COTORRA_HISTORY").env_remove("COTORRA_HISTORY_PASSWORD");
+    let mut command = cotorra_testing::command(program);
+    command.args(arguments);
     command
 }
 
@@ -45,16 +42,6 @@ pub fn path_with_cotorra() -> OsString {
 /// Runs the program to its end, and returns its output.
 pub fn output<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
     cotorra(arguments).output().unwrap()
-}
-
-/// Returns the text on standard output.
-pub fn stdout(output: &Output) -> String {
-    String::from_utf8(output.stdout.clone()).unwrap()
-}
-
-/// Returns the text on standard error.
-pub fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
 }
 
 /// Lock of the one test whose run has the machine for itself. Concurrent runs would make each other late.

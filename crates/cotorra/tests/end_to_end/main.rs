@@ -19,7 +19,6 @@ mod dashboard;
 mod disk;
 mod documents;
 mod edit;
-mod experiment;
 mod fields;
 mod figures;
 mod flows;

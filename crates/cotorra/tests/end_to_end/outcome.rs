@@ -12,7 +12,7 @@ use std::{
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{Run, corridor, corridor_ending_in, cotorra, output, project_file, stderr, stdout};
+use crate::harness::{Run, corridor, corridor_ending_in, cotorra, output, stderr, stdout};
 
 /// A script that fails at its first import, after a line that it leaves in Python's buffer.
 const FAILS: &str = "print('about to begin')\nimport no_such_module\n";
@@ -187,22 +187,6 @@ fn a_history_at_its_limit_ends_the_run_in_order() {
     assert_eq!(done.status.code(), Some(1), "{}", stdout(&done));
     assert!(stdout(&done).contains("its history reached 2 MB"), "{}", stdout(&done));
     assert_eq!(summary(&folder)["ended"], "the history reached its limit");
-}
-
-#[test]
-fn an_experiment_with_a_void_run_has_the_status_of_void_figures() {
-    let out = TempDir::new().unwrap();
-    let shipped = project_file("testbeds");
-    let text = fs::read_to_string(shipped.join("federation.yaml")).unwrap();
-    let text = text.replace("maps/", &format!("{}/maps/", shipped.display()));
-    let testbed = out.path().join("testbed.yaml");
-    fs::write(&testbed, text + "  - { id: gone, command: [echo, Gone.] }\n").unwrap();
-    let mut experiment = cotorra(["experiment", "federation", "--headless", "--until", "5s", "--testbed"]);
-    experiment.arg(testbed).args(["--block-period", "1", "--out"]).arg(out.path().join("runs"));
-    let done = experiment.output().unwrap();
-    assert_eq!(done.status.code(), Some(3), "{}", stderr(&done));
-    let said = stderr(&done).replace("\n  │ ", " ");
-    assert!(said.contains("is void: plug-in gone: its program ended: exit status: 0"), "{said}");
 }
 
 #[test]

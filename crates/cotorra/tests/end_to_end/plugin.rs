@@ -206,3 +206,62 @@ fn children_of_a_plug_in_end_with_the_run_however_it_ends() {
         wait_until(|| words.iter().all(|word| with_word(word) == 0));
     }
 }
+
+#[test]
+fn settings_that_plugins_reject_leave_no_folder() {
+    let place = tempfile::tempdir().unwrap();
+    let out = place.path().join("runs");
+    let testbed = corridor().with_file_name("federation.yaml");
+    let with_program =
+        corridor_ending_in("plugins: [{ id: mine, command: [./no-such-program] }]", place.path());
+    let refused = |words: &[&str], testbed: &Path, set: &str| {
+        let output =
+            cotorra(words).arg(testbed).arg("--out").arg(&out).args(["--set", set]).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{words:?} {set}: {}", stderr(&output));
+        assert!(!out.exists(), "{words:?} {set} left something");
+        stderr(&output).split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+    };
+    let run = ["run", "--headless"];
+    let simulated = ["run", "--headless", "--simulate"];
+    for words in [&run[..], &simulated] {
+        let errors = refused(words, &testbed, "plugins.orchestrator-1.settings.price=0");
+        assert!(errors.contains("plug-in `orchestrator-1`: price: 0 is not a price"), "{errors}");
+    }
+    for words in [&run[..], &simulated] {
+        let errors = refused(words, &with_program, "seed=2");
+        assert!(errors.contains("cannot start `./no-such-program`"), "{errors}");
+    }
+    // `check` reports the same, and contacts no ledger.
+    let check = |file: &Path| {
+        let output = cotorra(["check"]).arg(file).output().unwrap();
+        (output.status.success(), stderr(&output))
+    };
+    let text = fs::read_to_string(&testbed).unwrap();
+    let wrong = place.path().join("wrong.yaml");
+    for ledger in ["{ kind: modelled, block_period: 5 s }", "{ kind: anvil, program: ./no-such-program }"] {
+        let of_ledger = text.replace("{ kind: modelled, block_period: 5 s }", ledger);
+        let is_known = ledger.contains("modelled") || cfg!(feature = "ethereum");
+        fs::write(&wrong, &of_ledger).unwrap();
+        assert_eq!(check(&wrong).0, is_known, "{:?}", check(&wrong));
+        fs::write(&wrong, of_ledger.replace("price: 140", "price: 0")).unwrap();
+        let (right, errors) = check(&wrong);
+        let told = "plug-in `orchestrator-3`: price: 0 is not a price";
+        assert!(!right && (!is_known || errors.contains(told)), "{errors}");
+    }
+    let (right, errors) = check(&with_program);
+    assert!(!right && errors.contains("cannot start `./no-such-program`"), "{errors}");
+
+    if cfg!(not(feature = "ethereum")) {
+        let errors = refused(&run, &testbed, "plugins.*.settings.ledger=anvil");
+        assert!(errors.contains("`--features ethereum`"), "{errors}");
+    }
+}
+
+#[test]
+fn virtual_time_has_only_a_modelled_ledger() {
+    let place = TempDir::new().unwrap();
+    let mut run = cotorra(["run", "--simulate", "--headless", "--set", "plugins.*.settings.ledger=anvil"]);
+    let testbed = corridor().with_file_name("federation.yaml");
+    let real = run.arg(testbed).current_dir(place.path()).output().unwrap();
+    assert!(stderr(&real).contains("virtual time has only a modelled ledger"), "{}", stderr(&real));
+}

@@ -252,27 +252,6 @@ fn margins_and_decisions_are_reproduced_after_their_testbed_is_gone() {
 }
 
 #[test]
-fn an_experiment_is_reproduced_with_its_walks() {
-    let place = TempDir::new().unwrap();
-    let corridor = corridor();
-    let testbed = corridor.to_str().unwrap();
-    let walk: String = (0..100).map(|i| format!("{},{}\n", i as f64 / 10.0, 12 + i % 7)).collect();
-    fs::write(place.path().join("walk.csv"), walk).unwrap();
-    let line = format!(
-        "experiment okpi --until 10s --set links.*.delay_scale=2 --measured OKpi=walk.csv --headless --out runs --testbed {testbed}"
-    );
-    done_in(place.path(), &line);
-    fs::remove_file(place.path().join("walk.csv")).unwrap();
-    let folder = fs::read_dir(place.path().join("runs")).unwrap().next().unwrap().unwrap().path();
-    let printed = is_reproduced(&folder);
-    for walk in ["okpi: all files", "probing: all files"] {
-        assert!(printed.contains(walk), "{printed}");
-    }
-    // A walk is a run of its own.
-    is_reproduced(&folder.join("okpi"));
-}
-
-#[test]
 fn a_real_run_is_compared_by_distribution() {
     let mut run = Run::start(&corridor(), &["--until", "20s"]);
     run.wait_for_service();

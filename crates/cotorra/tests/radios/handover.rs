@@ -1,6 +1,6 @@
-//! `cotorra experiment handover` on all kinds of radio.
+//! `cotorra-lab experiment handover` on all kinds of radio.
 
-use std::{env, fs};
+use std::{env, fs, path::PathBuf};
 
 use serde_json::Value;
 
@@ -45,7 +45,9 @@ fn compare(testbed: &str, arguments: &[&str]) -> Value {
     let file = folder.path().join("testbed.yaml");
     fs::write(&file, testbed).unwrap();
     let out = folder.path().join("runs");
-    let mut command = cotorra(["experiment", "handover", "--headless", "--save-power", "--testbed"]);
+    let program = PathBuf::from(cotorra([""; 0]).get_program()).with_file_name("cotorra-lab");
+    let mut command = cotorra_testing::command(program);
+    command.args(["experiment", "handover", "--headless", "--save-power", "--testbed"]);
     let output = command.arg(&file).arg("--out").arg(&out).args(arguments).output().unwrap();
     assert!(output.status.success(), "{}{}", stdout(&output), stderr(&output));
     println!("{}", stdout(&output));

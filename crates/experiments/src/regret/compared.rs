@@ -57,7 +57,7 @@ pub struct Paired {
     pub p: Option<f64>,
 }
 
-/// What the pairs tell of the share of samples kept, at 5 % for all alternatives together.
+/// Verdict of the pairs on the share of samples kept, at 5 % for all alternatives together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -157,7 +157,7 @@ impl Compared {
         target(&self.instruction)
     }
 
-    /// Returns what the pairs tell.
+    /// Returns the verdict of the pairs.
     pub fn verdict(&self) -> Verdict {
         match self.kept {
             Some(Paired { p: Some(p), mean, .. }) if p < 0.05 => {

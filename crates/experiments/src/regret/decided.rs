@@ -14,7 +14,7 @@ use serde::Serialize;
 pub struct Decided {
     /// Number of the decision, from 1.
     pub number: usize,
-    /// How often the plug-in had decided the same about the same robot or VNF up to then, with this decision.
+    /// Number of times that the plug-in had decided the same about the same robot or VNF, this decision included.
     #[serde(skip)]
     pub time: usize,
     /// Time of the decision.
@@ -24,7 +24,7 @@ pub struct Decided {
     pub instruction: Instruction,
     /// The plug-in's reason.
     pub reason: Option<String>,
-    /// What could have been done in its place.
+    /// Its alternatives.
     #[serde(skip)]
     pub alternatives: Vec<Alternative>,
     /// Time of the next decision about the same robot or VNF.
@@ -53,7 +53,7 @@ impl Decided {
     }
 }
 
-/// What could have been done in place of a decision.
+/// An alternative to a decision.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Alternative {
     /// The instruction; `None` to leave everything as it is.
@@ -79,7 +79,7 @@ pub(super) struct Sample {
     pub(super) took: Option<Duration>,
 }
 
-/// What a run took beside its samples, moment by moment.
+/// The state of a run beside its samples, moment by moment.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Taken {
     /// Price of all placed CPUs from each moment on, by the prices of servers.

@@ -115,7 +115,7 @@ struct Forked {
     refused: Option<String>,
 }
 
-/// What came of an alternative.
+/// The result of an alternative.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Tried {
     /// The radio unit or the node.

@@ -40,7 +40,7 @@ pub struct Compared {
     pub outcome: Outcome,
 }
 
-/// How a repeat came out.
+/// The outcome of a repeat.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
     /// Virtual time.
@@ -174,7 +174,7 @@ fn distributions(one: &Run, other: &Run) -> Result<Outcome, RepeatError> {
     Ok(Outcome::Distributions { services: services.collect(), tolerance_ms, valid })
 }
 
-/// What is compared of a run.
+/// The part of a run that is compared.
 #[derive(Deserialize)]
 struct Run {
     services: Vec<Served>,

@@ -21,12 +21,12 @@ pub struct Difference {
     /// Interval of 95 % by Student's t distribution; `None` for a single pair.
     pub interval: Option<numbers::Interval>,
     /// Probability of a mean at least as far from 0 if there is no difference, corrected for the number of combinations (Holm).
-    /// `None` with fewer than three pairs, which are too few to tell.
+    /// `None` with fewer than three pairs, which are too few.
     pub p: Option<f64>,
 }
 
 impl Difference {
-    /// Whether there is a difference, at 5 % over all combinations; `None` if there are too few pairs to tell.
+    /// Whether there is a difference, at 5 % over all combinations; `None` if there are too few pairs.
     pub fn is_shown(&self) -> Option<bool> {
         self.p.map(|p| p < 0.05)
     }

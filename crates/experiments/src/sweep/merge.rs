@@ -59,7 +59,7 @@ pub enum MergeError {
     )]
     OtherSweep {
         folders: [PathBuf; 2],
-        /// What differs.
+        /// The difference, for people.
         difference: String,
     },
     /// A run has two results, although runs in virtual time repeat.

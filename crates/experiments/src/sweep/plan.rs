@@ -1,4 +1,4 @@
-//! What a sweep runs, without its testbed file.
+//! The runs of a sweep, without its testbed file.
 
 use serde::{Deserialize, Serialize};
 

@@ -108,7 +108,7 @@ impl From<Shard> for String {
     }
 }
 
-/// What a shard is, so that it can be merged without the testbed file.
+/// The record of a shard, so that it can be merged without the testbed file.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Record {
     pub(super) shard: Shard,

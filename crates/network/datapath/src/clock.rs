@@ -13,7 +13,7 @@ pub struct Clock(Instant);
 #[allow(clippy::disallowed_types, reason = "this is the shell's clock, where real time comes from")]
 impl Clock {
     /// Starts a clock at zero.
-    pub(crate) fn start() -> Self {
+    pub fn start() -> Self {
         Self(Instant::now())
     }
 

@@ -18,7 +18,6 @@
 
 mod allowance;
 mod awake;
-pub mod bench;
 mod capability;
 mod clock;
 mod confine;
@@ -58,7 +57,7 @@ pub use gateway::{GatewayTraffic, check_gateways, error::GatewayError, gate::Pas
 pub use hosts::PortKind;
 pub use kernel_network::{KernelNetwork, KernelNetworkError, Observed};
 pub use listener::Listening;
-pub use namespace::Namespace;
+pub use namespace::{Namespace, wait_until_removed};
 pub use presence::{Absence, PortWaits};
 pub use privilege::{Privilege, enter_user_namespace_if_needed, hide_memory};
 pub use process::{Child, HostsFile, SpawnOptions, open_process, raise_open_files, spawn_outside};

@@ -125,6 +125,27 @@ fn enter_user(user: BorrowedFd<'_>) -> io::Result<()> {
     enter()
 }
 
+/// Waits until the kernel has removed all namespaces that were closed before. It removes them in order, so this closes one
+/// more, whose interface is visible from outside.
+///
+/// # Errors
+/// [`Error::Kernel`].
+#[allow(clippy::disallowed_methods, reason = "the kernel tells nobody when a namespace is gone")]
+pub fn wait_until_removed() -> Result<(), Error> {
+    on_a_thread(|| {
+        let outside = Namespace::enter_new().action("make a network namespace")?;
+        on_a_thread(|| {
+            Namespace::enter_new()?;
+            Netlink::open()?.execute(vec![netlink::veth("inside", "outside", 100, outside.as_fd())])
+        })
+        .action("make a virtual Ethernet pair")?;
+        while sys::interface_index("outside").is_ok() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        Ok(())
+    })
+}
+
 /// Runs a closure on a thread of its own, because a thread cannot undo an unshare.
 pub(crate) fn on_a_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     thread::scope(|scope| match scope.spawn(work).join() {

@@ -33,7 +33,7 @@ impl Bundled {
 
 /// The way in which an instance answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum Mood {
+pub enum Mood {
     /// Answers at once.
     #[default]
     Prompt,
@@ -96,7 +96,7 @@ impl Instances {
 
 /// The VNFs that serve on each node.
 #[derive(Clone, Default)]
-pub(crate) struct Serving(Arc<Mutex<Instances>>);
+pub struct Serving(Arc<Mutex<Instances>>);
 
 impl Serving {
     /// Writes the answer of a node's VNFs to a datagram at that port, and returns its delay; `None` without an answer.
@@ -148,7 +148,7 @@ impl Serving {
 /// Faults of instances.
 impl Serving {
     /// Kills all instances of a VNF.
-    pub(crate) fn kill(&self, vnf: &VnfId) {
+    pub fn kill(&self, vnf: &VnfId) {
         let mut all = self.0.lock();
         let mut killed = Vec::new();
         for instances in all.by_node.values_mut() {
@@ -169,19 +169,19 @@ impl Serving {
     }
 
     /// Sets how all instances of a VNF answer from now on.
-    pub(crate) fn set_mood(&self, vnf: &VnfId, mood: Mood) {
+    pub fn set_mood(&self, vnf: &VnfId, mood: Mood) {
         self.0.lock().all().filter(|i| i.vnf == *vnf).for_each(|instance| instance.mood = mood);
     }
 
     /// Keeps instances that are started unready, until this is called with `false`.
-    pub(crate) fn hold_starts(&self, held: bool) {
+    pub fn hold_starts(&self, held: bool) {
         let mut all = self.0.lock();
         all.starts_held = held;
         all.make_ready();
     }
 
     /// Returns the running instances, ready or not.
-    pub(crate) fn running(&self) -> Vec<InstanceId> {
+    pub fn running(&self) -> Vec<InstanceId> {
         let mut running: Vec<_> = self.0.lock().all().map(|instance| instance.id).collect();
         running.sort_unstable();
         running

@@ -28,6 +28,7 @@ use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 
 pub use self::{
     altered::{Altered, Fork, is_same_subject},
+    engine::{Mood, Serving},
     run::{Watched, simulate, simulate_watched},
     unrecorded::{Unrecorded, UnrecordedRun, simulate_unrecorded},
 };
@@ -35,10 +36,7 @@ use self::{
     altered::{Forked, Forking},
     interference::{Held, Interference},
 };
-pub(crate) use self::{
-    engine::{Mood, Serving, VirtualEngine},
-    network::VirtualNetwork,
-};
+pub(crate) use self::{engine::VirtualEngine, network::VirtualNetwork};
 use crate::{
     core::Core,
     domain::Domains,
@@ -212,7 +210,7 @@ impl Simulation {
     }
 
     /// Adds a plug-in in process.
-    pub(crate) fn with_plugin(
+    pub fn with_plugin(
         mut self,
         id: PluginId,
         plugin: Box<dyn cotorra_plugin::Plugin>,
@@ -249,6 +247,30 @@ impl Simulation {
         self.now()
     }
 
+    /// Makes the next step as [`Self::step`] does, but a plug-in counts as hung if `hangs` says so after a call of it.
+    pub fn step_with(&mut self, hangs: impl FnMut() -> bool) {
+        self.run_with(Stretch::Step, hangs);
+    }
+
+    /// Lets plug-ins react to events, without a step. `hangs` is as for [`Self::step_with`].
+    pub fn settle_with(&mut self, hangs: impl FnMut() -> bool) {
+        self.run_with(Stretch::Settle, hangs);
+    }
+
+    fn run_with(&mut self, stretch: Stretch, mut hangs: impl FnMut() -> bool) {
+        self.go(stretch);
+        loop {
+            while let Some(call) = self.next_call() {
+                let returned = call.make();
+                let returned = if hangs() { Err(Fault::Hung(PATIENCE)) } else { returned };
+                self.returned(returned);
+            }
+            if !self.go_on() {
+                return;
+            }
+        }
+    }
+
     /// Sets the extent of the next run.
     pub(crate) fn go(&mut self, stretch: Stretch) {
         self.stretch = stretch;
@@ -256,7 +278,7 @@ impl Simulation {
     }
 
     /// Returns the current time.
-    pub(crate) fn now(&self) -> Timestamp {
+    pub fn now(&self) -> Timestamp {
         self.network.now()
     }
 
@@ -288,7 +310,7 @@ impl Simulation {
     }
 
     /// Makes the next step no later than that time.
-    pub(crate) fn set_alarm(&mut self, at: Option<Timestamp>) {
+    pub fn set_alarm(&mut self, at: Option<Timestamp>) {
         self.alarm = at;
     }
 
@@ -297,7 +319,7 @@ impl Simulation {
     }
 
     /// Applies an instruction from outside now. The reactions of plug-ins in process follow in the next run.
-    pub(crate) fn instruct(
+    pub fn instruct(
         &mut self,
         plugin: PluginId,
         instruction: Instruction,
@@ -322,17 +344,17 @@ impl Simulation {
     }
 
     /// Returns the instances of VNFs that run.
-    pub(crate) fn serving(&self) -> &Serving {
+    pub fn serving(&self) -> &Serving {
         &self.serving
     }
 
     /// Returns every replica of every VNF with its instances, by the VNF's name.
-    pub(crate) fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
+    pub fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
         self.core.managed()
     }
 
     /// Returns what mappings reserve of each direction of a link, and what that carries, bit/s.
-    pub(crate) fn reserved(&self) -> Vec<(LinkId, Direction, [f64; 2])> {
+    pub fn reserved(&self) -> Vec<(LinkId, Direction, [f64; 2])> {
         let fabric = self.network.fabric();
         let both = |(link, direction, reserved): (&LinkId, _, f64)| {
             let carries = fabric.carries(link, direction).map_or(0.0, |carries| carries.rate_bps);
@@ -342,22 +364,22 @@ impl Simulation {
     }
 
     /// Returns what became of all packets that hosts sent.
-    pub(crate) fn packets(&self) -> Balance {
+    pub fn packets(&self) -> Balance {
         self.network.fabric().balance()
     }
 
     /// Lets a robot neither send nor hear from now on, or do both again.
-    pub(crate) fn set_silent(&mut self, robot: &NodeId, silent: bool) {
+    pub fn set_silent(&mut self, robot: &NodeId, silent: bool) {
         self.interference.set_silent(robot, silent);
     }
 
     /// Keeps the last answer to each robot from now on, for [`Self::answer_again`].
-    pub(crate) fn tap_answers(&mut self) {
+    pub fn tap_answers(&mut self) {
         self.interference.tap_answers();
     }
 
     /// Lets a robot receive its last answer, if there is one, once more, with the byte `forged` changed.
-    pub(crate) fn answer_again(&mut self, robot: &NodeId, forged: Option<usize>) {
+    pub fn answer_again(&mut self, robot: &NodeId, forged: Option<usize>) {
         let Some((from, mut payload)) = self.interference.last_answer(robot) else { return };
         if let Some(byte) = forged.and_then(|place| place.checked_rem(payload.len())) {
             payload[byte] ^= 0x5a;
@@ -366,7 +388,7 @@ impl Simulation {
     }
 
     /// Reorganises the modelled ledger's last blocks with calls away, so many, if there is a ledger.
-    pub(crate) fn reorganise_ledger(&self, depth: usize) {
+    pub fn reorganise_ledger(&self, depth: usize) {
         if let Some(chain) = self.ledgers.chain() {
             chain.reorganise(self.now(), depth);
         }
