@@ -8,7 +8,7 @@ use miette::IntoDiagnostic;
 
 use crate::{
     agent::Agent,
-    bench::{BenchArgs, Probe},
+    bench::BenchArgs,
     calibrate::CalibrateArgs,
     capture::CaptureArgs,
     check::CheckArgs,

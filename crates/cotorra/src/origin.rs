@@ -52,6 +52,12 @@ pub fn of_run(options: &Options, time: Time) -> Origin {
     of(Repeat::Words(words))
 }
 
+/// Arguments that have no part in results, or that name files which a repeat has elsewhere.
+const LEFT_OUT: [&str; 15] = [
+    "dry_run", "file", "formats", "fresh", "headless", "help", "history", "jobs", "measured", "out",
+    "settings", "testbed", "verbose", "version", "with",
+];
+
 /// Returns the arguments of a program's command line that have a part in results, in the order in which it declares them. The
 /// values of its files and settings are for the caller to add.
 pub fn given<W: Into<OsString> + Clone>(

@@ -18,7 +18,6 @@ use self::args::{MarginArgs, WhichDecision};
 use crate::{
     approval,
     exit::Status,
-    given,
     origin::{self, SOURCES},
     output,
     progress::Progress,

@@ -22,7 +22,6 @@ use trial::Trial;
 use crate::{
     approval,
     exit::Status,
-    given,
     origin::{self, SOURCES},
     output,
     progress::Progress,
