@@ -1,8 +1,7 @@
 //! Commands that start no testbed.
 
 use std::{
-    fs,
-    io,
+    fs, io,
     process::{Command, Stdio},
 };
 
