@@ -8,7 +8,7 @@ use cotorra::{BundledVnf, ReproduceArgs};
 
 use crate::{
     bench::{BenchArgs, Probe},
-    experiment::Experiment,
+    experiment::args::Experiment,
     fault_test::FaultTestArgs,
 };
 

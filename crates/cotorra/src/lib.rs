@@ -66,7 +66,6 @@ use miette::{IntoDiagnostic, MietteHandlerOpts};
 
 use cli::{Cli, Command};
 use margin::args::MarginArgs;
-use sweep::args::SweepArgs;
 
 pub use approval::{TrustArgs, demand as demand_approval};
 pub use arguments::AgentArgs;
@@ -86,9 +85,6 @@ pub use table::Table;
 pub use temporary::TemporaryFolder;
 pub use testbed_file::{FileError, Loaded, load, overview};
 pub use words::count;
-
-/// A hash of the source code that this program was built from.
-const SOURCES: &str = env!("COTORRA_SOURCES");
 
 /// Runs the program `cotorra`.
 pub fn cotorra() -> ExitCode {
@@ -136,7 +132,10 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
     let given = || origin::given(Cli::command(), env::args_os());
     match command {
         Command::Run(args) => return run::run(args),
-        Command::Sweep(args) => return sweep::sweep(&SweepArgs { given: given(), ..args }),
+        Command::Sweep(mut args) => {
+            args.given = given();
+            return sweep::sweep(&args);
+        }
         Command::Margin(args) => return margin::margin(&MarginArgs { given: given(), ..args }),
         Command::Experiment(moved) => return Err(moved.error("experiment").into()),
         Command::FaultTest(moved) => return Err(moved.error("fault-test").into()),

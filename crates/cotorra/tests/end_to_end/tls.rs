@@ -9,11 +9,12 @@ use std::{
     os::unix::fs::PermissionsExt as _,
     path::{Path, PathBuf},
     process::{Command, Output},
-    sync::{Arc, Mutex},
+    sync::Arc,
     thread,
 };
 
 use cotorra_plugin::client::{Client, ClientError};
+use parking_lot::Mutex;
 use tempfile::TempDir;
 
 use crate::harness::{Run, agent, corridor, cotorra, project_file, stderr, stdout};
@@ -97,7 +98,7 @@ fn pass(mut from: TcpStream, mut to: TcpStream, record: Arc<Mutex<Vec<u8>>>) {
     thread::spawn(move || {
         let mut part = [0; 4096];
         while let Ok(read @ 1..) = from.read(&mut part) {
-            record.lock().unwrap().extend_from_slice(&part[..read]);
+            record.lock().extend_from_slice(&part[..read]);
             if to.write_all(&part[..read]).is_err() {
                 break;
             }
@@ -149,7 +150,7 @@ fn clients_beyond_loopback_are_served_by_tls_alone() {
         "from cotorra import Client; c = Client(); print(len(c.links()), next(c.stream('robot'))['event'])";
     let told = python(script, &relayed, ca);
     assert!(stdout(&told).ends_with(" robot\n"), "{}", stderr(&told));
-    let recorded = recorded.lock().unwrap().clone();
+    let recorded = recorded.lock().clone();
     assert_eq!(recorded.first(), Some(&22));
     for clear in [TOKEN, "lan-cloud", "HTTP/1.1"] {
         assert!(
