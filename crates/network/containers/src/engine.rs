@@ -21,7 +21,8 @@ use tokio::{
 
 use crate::{
     address::Address,
-    daemon::{ANSWER, Daemon, DaemonError},
+    daemon::{ANSWER, Daemon},
+    daemon_error::DaemonError,
     guard::{Guard, GuardSettings},
     holder::Holders,
     instance::Instance,

@@ -11,7 +11,8 @@ use tokio::sync::Mutex;
 
 use crate::{
     container::{Container, HostConfig, Mount},
-    daemon::{Daemon, DaemonError, Retries},
+    daemon::{Daemon, Retries},
+    daemon_error::DaemonError,
     spec::labels,
 };
 

@@ -14,7 +14,7 @@ use hyper_util::rt::TokioIo;
 use serde::de::DeserializeOwned;
 use tokio::{net::UnixStream, task::JoinSet};
 
-use crate::daemon::DaemonError;
+use crate::daemon_error::DaemonError;
 
 /// Most bytes of an answer, or of a part of one that is streamed, which are in memory at once.
 const MOST_BYTES: usize = 16 << 20;

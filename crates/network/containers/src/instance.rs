@@ -21,7 +21,8 @@ use tokio::{
 
 use crate::{
     container::Container,
-    daemon::{Daemon, DaemonError, Retries, State},
+    daemon::{Daemon, Retries, State},
+    daemon_error::DaemonError,
     ready,
     registries::Registries,
 };

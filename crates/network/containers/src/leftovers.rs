@@ -18,7 +18,8 @@ use rustix::process::geteuid;
 
 use crate::{
     address::Address,
-    daemon::{Daemon, DaemonError, Retries},
+    daemon::{Daemon, Retries},
+    daemon_error::DaemonError,
     service::Service,
 };
 

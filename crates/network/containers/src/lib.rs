@@ -9,6 +9,7 @@
 mod address;
 mod container;
 mod daemon;
+mod daemon_error;
 mod engine;
 mod guard;
 mod holder;

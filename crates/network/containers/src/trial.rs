@@ -6,7 +6,8 @@ use cotorra_graph::{EngineKind, Image, NodeId, Program, Rights, Vnf};
 
 use crate::{
     address::Address,
-    daemon::{Daemon, DaemonError},
+    daemon::Daemon,
+    daemon_error::DaemonError,
     holder::{Holders, PROGRAM, REFERENCE},
     instance::ended,
     leftovers::{Marker, connect, service_folder},

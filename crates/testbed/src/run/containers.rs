@@ -15,11 +15,19 @@ use cotorra_engine::{Engine, EngineEvent, InstanceId};
 use cotorra_graph::{EngineKind, ListenPort, NodeId, Testbed, Transport, Vnf, VnfId};
 use cotorra_plugin::wire;
 
-use super::{engines::images_here, launcher::robots_by_vnf};
+use super::launcher::robots_by_vnf;
 use crate::{error::RunError, message::Message, report::RunFolder, whole};
 
 /// The engines that a testbed needs, by their kind.
 pub(crate) type Addresses = BTreeMap<EngineKind, Address>;
+
+/// Returns the VNFs with an image that start on this machine, with their nodes. Agents of real servers have engines of their own.
+fn images_here(testbed: &Testbed) -> impl Iterator<Item = (&Vnf, &NodeId)> {
+    let is_here = |id: &NodeId| testbed.graph.node(id).is_none_or(|node| node.real_server().is_none());
+    let images = testbed.vnfs().filter(|vnf| vnf.image.is_some());
+    let starts = images.flat_map(|vnf| vnf.node.all().iter().map(move |node| (vnf, node)));
+    starts.filter(move |(_, node)| is_here(node))
+}
 
 /// Finds the engines of a testbed on this machine, before a run has a folder: those of nodes where containers start, and those
 /// to which they can move.

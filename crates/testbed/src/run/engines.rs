@@ -4,17 +4,9 @@
 use std::collections::BTreeMap;
 
 use cotorra_engine::{Engine, EngineEvent, InstanceId, InstanceWaits, ProcessEngine};
-use cotorra_graph::{AgentId, HardwareGraph, NodeId, Testbed, Vnf};
+use cotorra_graph::{AgentId, HardwareGraph, NodeId, Vnf};
 
 use super::{containers::Containers, launcher::NodeLauncher};
-
-/// Returns the VNFs with an image that start on this machine, with their nodes. Agents of real servers have engines of their own.
-pub(super) fn images_here(testbed: &Testbed) -> impl Iterator<Item = (&Vnf, &NodeId)> {
-    let is_here = |id: &NodeId| testbed.graph.node(id).is_none_or(|node| node.real_server().is_none());
-    let images = testbed.vnfs().filter(|vnf| vnf.image.is_some());
-    let starts = images.flat_map(|vnf| vnf.node.all().iter().map(move |node| (vnf, node)));
-    starts.filter(move |(_, node)| is_here(node))
-}
 
 /// The engines of a run.
 pub(super) struct Engines {
