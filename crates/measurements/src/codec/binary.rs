@@ -192,6 +192,21 @@ mod tests {
     use super::*;
     use crate::testing::stamped;
 
+    /// A line is an entry in hexadecimal, and its event in JSON. Spools that another version left are read.
+    #[test]
+    fn entries_have_the_same_bytes_in_all_versions() {
+        for line in include_str!("golden.txt").lines() {
+            let (hex, json) = line.split_once(' ').unwrap();
+            let byte = |place| u8::from_str_radix(&hex[place..place + 2], 16).unwrap();
+            let bytes: Vec<u8> = (0..hex.len()).step_by(2).map(byte).collect();
+            let entry = Bytes(&bytes).entry().unwrap();
+            assert_eq!(serde_json::to_string(&entry.stamped).unwrap(), json);
+            let mut again = Vec::new();
+            write(&entry, &mut again);
+            assert_eq!(again, bytes, "{json}");
+        }
+    }
+
     proptest! {
         #[test]
         fn written_entries_are_read_back(events in vec((any::<i64>(), stamped()), 0..10)) {
