@@ -127,7 +127,7 @@ instructions! {
         Some(limit) => format!("limit {robot} to {limit:.2} m/s"),
         None => format!("limit {robot} no more"),
     };
-    /// Send a robot from its walk to a goal, where it stops. [`Event::Goal`](crate::Event::Goal) reports its progress.
+    /// Send a robot from its walk to a goal, where it stops. The event `goal` reports its progress.
     NavigateTo {
         /// The robot.
         robot: NodeId => Subject,
@@ -159,7 +159,7 @@ instructions! {
         radio_unit: NodeId => Object,
     } = "attach", changes [Node(robot)], text format!("attach {robot} to {radio_unit}");
     /// Let a robot's radio unit suggest that it moves to another radio unit (802.11v), which the robot decides.
-    /// [`Event::SuggestionAnswered`](crate::Event::SuggestionAnswered) reports its answer. Does nothing where it is attached there already.
+    /// The event `suggestion_answered` reports its answer. Does nothing where it is attached there already.
     Suggest {
         /// The robot.
         robot: NodeId => Subject,
@@ -211,7 +211,7 @@ instructions! {
         Some(direction) => format!("change {link} {}", direction.as_str()),
         None => format!("change {link}"),
     };
-    /// Deploy the VNF `vAP` on a radio unit that is off, a(R) = {vAP}. [`Event::Vnf`](crate::Event::Vnf) reports when it serves.
+    /// Deploy the VNF `vAP` on a radio unit that is off, a(R) = {vAP}. The event `vnf` reports when it serves.
     Deploy {
         /// The radio unit.
         radio_unit: NodeId => Subject,
