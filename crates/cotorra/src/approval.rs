@@ -181,7 +181,7 @@ impl Answers {
 /// Lets a testbed file be used if its user trusts it. Asks on a terminal.
 ///
 /// # Errors
-/// [`NotApproved`].
+/// `NotApproved`.
 pub fn demand(loaded: &Loaded, file: &Path, trust: TrustArgs) -> Result<(), NotApproved> {
     let wishes = Wishes::of(&loaded.testbed, &loaded.text);
     if wishes == Wishes::default() {

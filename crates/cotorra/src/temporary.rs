@@ -44,7 +44,7 @@ impl TemporaryFolder {
         &self.0
     }
 
-    /// Leaves it to [`clean`].
+    /// Leaves it to `cotorra clean`.
     pub fn keep(self) {
         std::mem::forget(self);
     }

@@ -1,4 +1,4 @@
-//! Events of a run, each reported once and declared once, in [`events!`]. The terminal, the recorder, the API's stream
+//! Events of a run, each reported once and declared once, in `events!`. The terminal, the recorder, the API's stream
 //! and the report read events and nothing else. Plug-ins receive them as their contexts, and answer with instructions.
 
 mod text;

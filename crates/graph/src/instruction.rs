@@ -1,4 +1,4 @@
-//! Instructions of plug-ins. Each is declared once, in [`instructions!`].
+//! Instructions of plug-ins. Each is declared once, in `instructions!`.
 
 use std::time::Duration;
 
