@@ -48,8 +48,10 @@ fn a_run_on_a_full_disk_ends_with_its_summary_and_says_what_is_not_recorded() {
         assert!(env::var_os("CI").is_none(), "the kernel lets nobody make a mount namespace");
         return eprintln!("skipped: the kernel lets nobody make a mount namespace");
     }
-    // The plug-in's log is on the disk of the run, and fills it.
-    let plugin = "plugins:\n  - { id: full, command: [sh, -c, 'cat /dev/zero; exec sleep 1000'] }\n";
+    // The plug-in's log is on the disk of the run, and fills it as soon as the run is up: the test then makes a file in the
+    // plug-in's working folder.
+    let plugin = "plugins:\n  - id: full\n    \
+                  command: [sh, -c, 'until [ -e fill ]; do sleep 0.1; done; cat /dev/zero; exec sleep 1000']\n";
     let file = testbed(
         place.path(),
         "full",
@@ -60,6 +62,7 @@ fn a_run_on_a_full_disk_ends_with_its_summary_and_says_what_is_not_recorded() {
         let out = command.get_args().skip_while(|word| *word != "--out").nth(1).unwrap().to_owned();
         on_a_small_disk(command, &out);
     });
+    fs::write(place.path().join("fill"), "").unwrap();
     run.wait_for_lines(["the history cannot be written", "not all large data of sensors is kept"]);
     run.signal("INT");
     let (status, printed, said) = run.wait();
