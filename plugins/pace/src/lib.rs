@@ -2,7 +2,7 @@
 //! limits the robot's speed.
 //!
 //! What it gains is way, not time: a robot goes on with its last command while it waits for an answer, and a slow one goes
-//! less far meanwhile. docs/pace.md has figures.
+//! less far meanwhile. docs/use/pace.md has figures.
 #![forbid(unsafe_code)]
 
 mod settings;

@@ -1,4 +1,5 @@
-//! Names and units in docs/fields.md, against everything that programs read: each quantity has one name and one unit.
+//! Names and units in docs/reference/fields.md, against everything that programs read: each quantity has one name
+//! and one unit.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -67,7 +68,7 @@ const BARE: [&str; 10] =
 
 /// Reads the page: units by name.
 fn fields() -> BTreeMap<String, String> {
-    let page = fs::read_to_string(project_file("docs/fields.md")).expect("the page is there");
+    let page = fs::read_to_string(project_file("docs/reference/fields.md")).expect("the page is there");
     let mut fields = BTreeMap::new();
     for row in page.lines().filter(|line| line.starts_with("| `")) {
         let cells: Vec<_> = row.split('|').map(str::trim).collect();
@@ -208,7 +209,7 @@ fn every_figure_is_documented_with_its_unit() {
         for (component, unit) in kind.components() {
             let told = fields
                 .get(component.as_str())
-                .unwrap_or_else(|| panic!("docs/fields.md lacks `{component}`"));
+                .unwrap_or_else(|| panic!("docs/reference/fields.md lacks `{component}`"));
             assert_eq!(told, if unit.is_empty() { "share" } else { unit }, "{component}");
             used.entry("sensors").or_default().insert(component.to_string());
         }
@@ -269,9 +270,11 @@ fn every_figure_is_documented_with_its_unit() {
                 continue;
             }
             let quantity = quantity(name, &fields);
-            found.insert(quantity.unwrap_or_else(|| panic!("docs/fields.md lacks `{name}` of {place}")));
+            found.insert(
+                quantity.unwrap_or_else(|| panic!("docs/reference/fields.md lacks `{name}` of {place}")),
+            );
         }
     }
     let idle: Vec<_> = fields.keys().filter(|name| !found.contains(*name)).collect();
-    assert!(idle.is_empty(), "nothing has the names {idle:?} of docs/fields.md");
+    assert!(idle.is_empty(), "nothing has the names {idle:?} of docs/reference/fields.md");
 }

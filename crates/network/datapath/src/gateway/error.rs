@@ -10,7 +10,7 @@ pub enum GatewayError {
     Namespace { path: PathBuf, source: io::Error },
     /// There is no such interface.
     #[error(
-        "there is no interface `{0}` there: `ip link` lists them, and docs/gateway.md makes a virtual one"
+        "there is no interface `{0}` there: `ip link` lists them, and docs/use/gateway.md makes a virtual one"
     )]
     Missing(String),
     /// It is down.
