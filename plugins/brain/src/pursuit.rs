@@ -52,7 +52,7 @@ pub fn follow(
     // On a steady slope, as fast as the slope needs; straight up, at the limit.
     let gain = (speed_limit / lookahead(speed_limit)).min(CLIMB_GAIN);
     let vertical = (rise * gain).clamp(-speed_limit, speed_limit);
-    // What rises steeply does not turn towards what is above it.
+    // A steep rise does not turn towards what is above it.
     if distance == 0.0 || rise.abs() > STEEP * distance {
         return Velocity { vertical, ..Velocity::default() };
     }

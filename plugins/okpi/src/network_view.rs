@@ -40,7 +40,7 @@ impl Concerned<'_> {
     }
 }
 
-/// The testbed as events tell it.
+/// The testbed according to its events.
 #[derive(Debug)]
 pub(crate) struct NetworkView {
     pub(crate) graph: HardwareGraph,
@@ -126,7 +126,7 @@ impl NetworkView {
                 }
                 Concerned::Nobody
             }
-            // What was refused or failed is asked for again at the next location, if it is wanted then.
+            // A rejected or failed action is requested again at the next location, if it is wanted then.
             Event::Decision(decision) if decision.refused.is_some() => {
                 match &decision.instruction {
                     Instruction::Place { vnf, node } => drop(self.end_move(vnf, node.first())),

@@ -14,7 +14,7 @@ use cotorra_plugin::{Actions, Plugin, settings::InvalidSettings};
 
 pub use crate::settings::Settings;
 
-/// A robot is told no more often.
+/// Shortest time between two orders to a robot.
 const HOLD: Duration = Duration::from_secs(1);
 
 /// Slows robots where their radio is weak.

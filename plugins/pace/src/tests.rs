@@ -53,7 +53,7 @@ fn received(signal: f64) -> Event {
         uplink_bps: 6.5 * 1e6,
         counted: Default::default(),
     };
-    // One that the testbed does not have is nobody's.
+    // One that the testbed does not have belongs to no robot.
     let stations = vec![station("r"), station("visitor")];
     Event::Radio(RadioContext { radio_unit: "A".parse().unwrap(), channel: 1, load: Some(0.1), stations })
 }

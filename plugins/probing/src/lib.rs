@@ -175,7 +175,7 @@ links:
         probing
     }
 
-    /// Runs for `seconds` of virtual time, and tells who scanned when.
+    /// Runs for `seconds` of virtual time, and returns the scans of each robot.
     fn scans(probing: &mut Probing, seconds: f64) -> Vec<(Timestamp, NodeId)> {
         let mut scans = Vec::new();
         let mut actions = Actions::default();

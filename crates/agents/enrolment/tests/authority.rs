@@ -1,4 +1,4 @@
-//! What an authority promises about generations, grants and its files, also if a process is killed.
+//! Promises of an authority about generations, grants and its files, also if a process is killed.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{

@@ -1,4 +1,4 @@
-//! What the reader of bundles promises about texts that are none.
+//! Promises of the reader of bundles about other texts.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{sync::LazyLock, time::Duration};

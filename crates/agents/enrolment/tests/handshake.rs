@@ -1,4 +1,4 @@
-//! Agents and the core know each other by TLS, and nobody else. All handshakes are in memory, at a given time.
+//! Agents and the core know only each other, by TLS. All handshakes are in memory, at a given time.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{fmt, sync::Arc, time::Duration};

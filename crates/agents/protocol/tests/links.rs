@@ -49,7 +49,7 @@ struct Machine {
 }
 
 impl Machine {
-    /// Does what the kernel allows, and tells what became of it.
+    /// Does what the kernel allows, and reports the outcome.
     fn emulate(&mut self) -> BTreeMap<LinkId, LinkState> {
         let is_missing = |link: &LinkId| self.is_missing && *link == self::link(0);
         self.emulated = self.wanted.clone();
@@ -72,7 +72,7 @@ struct World {
     now: Timestamp,
     runs: u64,
     controller: Controller,
-    /// What the core wants now, and what it wanted in each generation.
+    /// Wanted state now, and in each generation.
     wanted: Links,
     generations: BTreeMap<(Run, u64), Links>,
     machine: Machine,
@@ -80,7 +80,7 @@ struct World {
     is_cut: bool,
     /// Draws the network's faults: lost if it is 0, doubled if it is 1, and delayed by so many steps.
     faults: Box<dyn FnMut() -> u8>,
-    /// What the core learned of each link, in this run.
+    /// Reports of each link, in this run.
     told: Vec<(LinkId, LinkState)>,
 }
 

@@ -67,7 +67,7 @@ struct Machine {
     saved: Option<Wanted>,
     boots: u64,
     agent: Option<Agent>,
-    /// What radios do now, which outlives the agent's process.
+    /// State of the radios, which outlives the agent's process.
     used: Radios,
     /// Numbers of the requests that were carried out, by run.
     carried_out: BTreeSet<(Run, u64)>,

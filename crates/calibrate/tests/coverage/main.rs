@@ -22,7 +22,7 @@ const USUAL: usize = 40;
 /// Sites with `COTORRA_FULL`.
 const FULL: usize = 200;
 
-/// How often intervals held the true value, by parameter.
+/// Share of intervals that held the true value, by parameter.
 #[derive(Debug, Default)]
 struct Coverage(BTreeMap<&'static str, Vec<bool>>);
 

@@ -193,7 +193,7 @@ impl Provider {
         self.log.phase().winner() == Some(self.account)
     }
 
-    /// Whether nobody else can be chosen any more.
+    /// Whether the time to choose is over.
     fn is_decided(&self) -> bool {
         matches!(self.log.phase(), Phase::InUse { .. } | Phase::Ended(_)) || self.choose_by < self.log.time
     }

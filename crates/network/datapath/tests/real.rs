@@ -163,7 +163,7 @@ fn all_pairs_of_a_large_mesh_reach_each_other(kind: PortKind) {
             assert_eq!(answered, others().map(address).collect::<Vec<IpAddr>>());
         }
     }
-    // Nobody had to ask: the first packet goes at once, as in virtual time.
+    // No address had to be asked for: the first packet goes at once, as in virtual time.
     let table =
         datapath.namespace(&names[0]).unwrap().run(|| fs::read_to_string("/proc/thread-self/net/arp"));
     let table = table.unwrap();

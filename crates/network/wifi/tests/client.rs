@@ -90,7 +90,7 @@ fn a_late_answer_is_not_taken_for_the_next() {
         let mut buffer = [0; 64];
         let (_, first) = socket.recv_from(&mut buffer).expect("the first request");
         let (_, second) = socket.recv_from(&mut buffer).expect("the second request");
-        // Nobody listens at the first address any more.
+        // The first address is closed by now.
         assert!(socket.send_to(b"OK\n", first.as_pathname().expect("an address")).is_err());
         socket.send_to(b"PONG\n", second.as_pathname().expect("an address")).expect("it is read");
     });

@@ -97,7 +97,7 @@ fn hostapd_takes_wide_channels_and_virtual_access_points() {
     let fixture = Fixture::new();
     let daemon = fixture.hostapd(&fixture::wide_access_point("wlan0")).expect("hostapd starts");
     let status = daemon.client().expect("a client").request(&hostapd::status()).expect("a status");
-    // Nobody tells it about the regulatory domain.
+    // It does not learn the regulatory domain.
     assert_eq!(status.state, hostapd::State::CountryUpdate);
     assert_eq!(status.beacon_interval.map(|interval| interval.time_units()), Some(50));
     let names: Vec<_> = status.bss.iter().map(|bss| bss.interface.as_str()).collect();

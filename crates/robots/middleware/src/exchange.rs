@@ -1,4 +1,4 @@
-//! Requests of a service and their answers: tells which answers are accepted, and measures service times.
+//! Requests of a service and their answers: decides which answers are accepted, and measures service times.
 
 use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 

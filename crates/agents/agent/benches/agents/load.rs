@@ -44,7 +44,7 @@ const LATE: Duration = Duration::from_secs(2);
 const WAITING: &str = "waiting";
 pub const COUNTED: &str = "counted";
 
-/// What a core used.
+/// Resources that a core used.
 struct Usage {
     cpu_percent: f64,
     rss_mb: f64,

@@ -14,7 +14,7 @@ use crate::{action::Action, message::short};
 /// The Wi-Fi interfaces of an agent's machine.
 #[derive(Debug, Default)]
 pub(crate) struct AgentWifi {
-    /// What the shell was told last.
+    /// The last orders to the shell.
     told: BTreeMap<InterfaceName, WantedRadio>,
     states: BTreeMap<InterfaceName, RadioState>,
     /// States of the wanted requests, and those that the shell has not been told.

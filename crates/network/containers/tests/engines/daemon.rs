@@ -104,7 +104,7 @@ fn vnfs_run_again_once_docker_is_back() {
     assert_eq!(start(&lab, &mut engine, 1, "while true; do sleep 1; done"), Outcome::Ready);
     lab.containers.kill();
     lab.containers.resume();
-    // Docker ends the containers of a killed daemon when it starts again, unless it is told to keep them.
+    // Docker ends the containers of a killed daemon when it starts again, unless it is set to keep them.
     assert!(matches!(next(&lab, &mut engine).outcome, Outcome::Died(_)));
     assert_eq!(start(&lab, &mut engine, 2, "while true; do sleep 1; done"), Outcome::Ready);
     engine.shut_down();

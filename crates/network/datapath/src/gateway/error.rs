@@ -33,7 +33,7 @@ pub enum GatewayError {
     /// Another run has it.
     #[error("`{0}` is in use by another run")]
     Held(String),
-    /// The kernel does not tell its routes.
+    /// The kernel does not list its routes.
     #[error(transparent)]
     Routes(#[from] cotorra_netem::Error),
     /// The kernel rejected the socket.

@@ -17,7 +17,7 @@ use super::{
     foreign::{Antenna, RateTries, Receiver, Report, Transmission},
 };
 
-/// Tries of a management frame: those that Linux's simulated radios are told to make.
+/// Tries of a management frame: as many as Linux orders of its simulated radios.
 const TRIES: u32 = 11;
 /// Check sequence of a frame, bytes.
 const FCS: u32 = 4;
@@ -74,7 +74,7 @@ impl Message {
     }
 }
 
-/// What became of a frame of a handover.
+/// Fate of a frame of a handover.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fate {
     /// Its receiver has it.

@@ -280,7 +280,7 @@ fn a_middleware_that_nobody_ran_reports_the_packets_that_its_robots_missed() {
     assert_eq!(missed.len() as u32, second.sequence - first.sequence);
     assert!(missed.len() >= 14 && missed.iter().all(|sample| sample.took.is_none()), "{missed:?}");
     assert_eq!(missed[1].attachment, Some(id("R1")));
-    // The run ends while nobody runs it.
+    // The run ends while it is not run.
     middleware.finish(at(5200));
     assert!(samples(&mut middleware).len() >= 8);
 }
@@ -669,7 +669,7 @@ fn localized_robot_reports_its_estimate_and_the_radio_uses_its_true_position() {
     assert!(farthest > 0.0);
     let (unanswered, answered): (Vec<_>, Vec<_>) = measured.iter().partition(|time| time.took.is_none());
     assert!(answered.len() > 30 && answered.iter().all(|time| time.service.as_str() == "navigation"));
-    // Nobody answers scans. Those of the last three seconds are under way.
+    // Scans get no answers. Those of the last three seconds are under way.
     let given_up: Vec<_> = scans.iter().filter(|scan| scan.emitted <= at(4950)).collect();
     assert!(unanswered.iter().all(|time| time.service.as_str() == "localization"));
     let emitted: Vec<_> = unanswered.iter().map(|time| (time.sequence, time.emitted)).collect();

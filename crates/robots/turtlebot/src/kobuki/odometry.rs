@@ -144,7 +144,7 @@ mod tests {
         odometry.update(at(20), basic(20, 0, 0), inertia(-17_950));
         assert!((odometry.heading - 1_f64.to_radians()).abs() < 1e-9, "{odometry:?}");
         assert!((odometry.velocity.angular - PI / 4.0).abs() < 1e-12);
-        // Without a gyro, the wheels tell it.
+        // Without a gyro, it follows from the wheels.
         odometry.update(at(40), basic(40, 0, 100), None);
         let turned = 100.0 * METRES_PER_TICK / WHEEL_BASE;
         assert!((odometry.heading - 1_f64.to_radians() - turned).abs() < 1e-9);

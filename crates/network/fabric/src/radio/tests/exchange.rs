@@ -70,7 +70,7 @@ fn without_fast_transition_the_key_handshake_follows() {
 fn a_robot_out_of_reach_gives_up_and_looks_for_another_radio_unit() {
     let mut world = corridor(by_frames(true), Roaming::Instructed);
     world.radio.attach(at(1000), &id("r"), &id("R2")).unwrap();
-    // Nobody hears it there.
+    // No radio hears it there.
     world.radio.move_robot(at(1000), &id("r"), Position::new(100_000.0, 0.0)).unwrap();
     world.run(at(3000));
     let events = world.events();
