@@ -175,7 +175,7 @@ impl Provider {
         self.steps.pop_front()
     }
 
-    /// Whether nothing remains to be done: the service ended, another won it, or nobody was chosen in time; and the
+    /// Whether nothing remains to be done: the service ended, another won it, or no bidder was chosen in time; and the
     /// bond is back.
     pub fn is_over(&self) -> bool {
         let is_over = match self.log.phase() {

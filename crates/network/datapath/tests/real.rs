@@ -601,7 +601,7 @@ fn interfaces_that_are_set_up_again_are_complete(kind: PortKind) {
         let mut lines = Vec::new();
         for list in ["-br address show eth0", "route", "-6 route show table all", "neighbour"] {
             let told = ip(list);
-            // Which links the kernel resolves by itself says nothing of hosts.
+            // The kernel resolves these by itself: they say nothing of hosts.
             let own = told.lines().filter(|line| !line.contains("fe80::/64") && !line.contains("ff00::/8"));
             lines.extend(own.map(|line| line.split(" proto ").next().unwrap().trim().to_owned()));
         }

@@ -265,7 +265,7 @@ impl Device {
                 if self.hook.redirects {
                     requests.push(self.redirect(Verb::Delete, detour));
                 }
-                // `clsact` is never ours. An empty `ingress` discipline serves nobody.
+                // `clsact` is never ours. An empty `ingress` discipline is unused.
                 if self.hook.discipline.as_deref() == Some("ingress") && self.hook.others == 0 {
                     requests.push(self.arriving(Verb::Delete));
                 }

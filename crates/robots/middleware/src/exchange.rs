@@ -121,7 +121,7 @@ impl<N> Exchange<N> {
         }
     }
 
-    /// Receives an answer. Returns the service time of its request, and the note. `is_valid` tells whether the answer's
+    /// Receives an answer. Returns the service time of its request, and the note. `is_valid` says whether the answer's
     /// content fits the note.
     ///
     /// # Errors

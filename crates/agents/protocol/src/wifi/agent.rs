@@ -26,7 +26,7 @@ pub(crate) struct AgentWifi {
 }
 
 impl AgentWifi {
-    /// Requests that an earlier process had are not carried out: nobody knows whether it did so.
+    /// Requests that an earlier process had are not carried out: it is unknown whether it did so.
     pub(crate) fn after_a_restart(saved: &WantedWifi) -> Self {
         let refused = RequestState::Refused("its agent was restarted".to_owned());
         let requests = saved.requests.keys().map(|number| (*number, refused.clone())).collect();

@@ -53,7 +53,7 @@ enum Stage {
     Handshake,
 }
 
-/// What a station does in a handover whose frames are on the air.
+/// Phase of a station in a handover whose frames are on the air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Exchange {
     /// The frame to send when the phase ends: the next one, or once more the one without an answer.

@@ -1,4 +1,4 @@
-//! What is known of whoever sends on a channel.
+//! Networks, places and antennas of all senders of a channel.
 
 use cotorra_graph::{Dbm, Position};
 

@@ -1,5 +1,5 @@
-//! Frames of radios that are none of the fabric's, such as those of a kernel. They contend, collide and fade as all others do.
-//! Their senders choose the rates and the number of tries; the air decides when each try is made and who receives it.
+//! Frames of radios that are not the fabric's, such as those of a kernel. They contend, collide and fade as all others
+//! do. Their senders choose the rates and the number of tries; the air decides when each try is made and who receives it.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -22,11 +22,11 @@ const MOST_WAITING: usize = 96;
 /// Bytes of the delimiter before a frame of an A-MPDU (IEEE 802.11-2020, 9.7.1). Frames are padded to a multiple of four.
 const DELIMITER: u64 = 4;
 
-/// A radio that is none of the fabric's, at the antenna of a robot or a radio unit.
+/// A radio that is not the fabric's, at the antenna of a robot or a radio unit.
 #[derive(Debug)]
 pub(super) struct Foreign {
     pub(super) node: Node,
-    /// Whose antenna it has.
+    /// The owner of its antenna.
     pub(super) place: Emitter,
     /// Whether it is the fabric's after all, for the frames of handovers.
     is_own: bool,

@@ -21,7 +21,7 @@ use crate::{
 
 /// Power from which a channel is busy whatever is on it: 20 dB above the least sensitivity (IEEE 802.11-2020, 17.3.10.6).
 const ENERGY_DETECTION: Dbm = Dbm(-62.0);
-/// How a group frame is sent: once, at the lowest basic rate.
+/// Attempt of a group frame: once, at the lowest basic rate.
 const GROUP: Attempt = Attempt { mode: 0, rts: false, alone: true, most: 1 };
 /// A frame by itself.
 const SINGLE: Batch = Batch { frames: 1, cost: 0 };
@@ -53,11 +53,11 @@ pub(super) struct Try {
     pub(super) rate: PhyRate,
     /// End of the transmission opportunity.
     pub(super) until: Timestamp,
-    /// What follows if this is an RTS.
+    /// The frames that follow an RTS.
     pub(super) protects: Option<Protected>,
 }
 
-/// What a transmission carries.
+/// Content of a transmission.
 #[derive(Debug)]
 pub(super) enum Load {
     Interference,
@@ -75,7 +75,7 @@ pub(super) struct Content {
     attempt: Attempt,
     /// End of the transmission opportunity.
     until: Timestamp,
-    /// What follows if this is an RTS.
+    /// The frames that follow an RTS.
     protects: Option<Protected>,
 }
 
@@ -295,7 +295,7 @@ impl Radio {
         }
     }
 
-    /// Ends a group frame, which nobody acknowledges.
+    /// Ends a group frame, which is not acknowledged.
     fn end_group(&mut self, ended: &OnAir, content: &Content) {
         let &Content { flow, category, .. } = content;
         let now = ended.data_ends;

@@ -51,7 +51,7 @@ pub(super) fn bianchi(senders: i32, busy_us: f64) -> f64 {
 #[test]
 fn saturation_throughput_is_that_of_bianchi_within_2_percent() {
     for senders in [1, 2, 5, 10, 20] {
-        // As many places at one distance as there are robots, so that nobody captures the radio unit.
+        // As many places at one distance as there are robots, so that no robot captures the radio unit.
         let places: Vec<_> = (0..senders).map(|i| if i % 2 == 0 { 5.0 } else { -5.0 }).collect();
         let mut world = stations(contending(), &places);
         let seconds = f64::min(0.3 * f64::from(senders), 2.0);
