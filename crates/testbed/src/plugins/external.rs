@@ -20,10 +20,9 @@ use super::{
 use crate::{
     api::{self, ApiError, Dashboard, Listener, Server, Tokens},
     clock::Clock,
-    event_stream::EventStream,
-    live::Live,
-    message::Message,
-    time_control::TimeControl,
+    core::message::Message,
+    events::{live::Live, stream::EventStream},
+    virtual_time::time_control::TimeControl,
 };
 
 /// Interval at which an awaited program is checked for its end.

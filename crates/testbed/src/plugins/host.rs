@@ -15,7 +15,7 @@ use cotorra_graph::{
 use cotorra_network_control::{InstructionError, vim::MOST_ADDED};
 use cotorra_plugin::Actions;
 
-use crate::follower::{Follower, PluginMessage};
+use crate::events::follower::{Follower, PluginMessage};
 
 /// VNFs that a plug-in may add per second. Each starts programs.
 const VNFS_PER_SECOND: f64 = 10.0;
@@ -497,7 +497,7 @@ mod tests {
     use cotorra_graph::{Program, Rights, Vnf};
 
     use super::*;
-    use crate::follower::EventFilter;
+    use crate::events::follower::EventFilter;
 
     /// Applies every instruction, and records faults.
     #[derive(Default)]

@@ -28,9 +28,9 @@ use super::{
 use crate::{
     api::Server,
     clock::Clock,
+    core::message::Message,
     domain::{self, DomainView, Domains},
-    message::Message,
-    previous_run::PreviousRun,
+    history::previous_run::PreviousRun,
 };
 
 /// Longest duration of a call. A longer one counts as hung.

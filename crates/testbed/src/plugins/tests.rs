@@ -23,17 +23,15 @@ use super::{host::PluginHost, lockstep::Guarded, running::RunningPlugins};
 use crate::{
     api::{Operator, Tokens},
     clock::{Clock, wall_clock},
-    core::Core,
-    core_loop::{CoreLoop, EventSinks},
-    event_stream::EventStream,
-    live::Live,
-    message::Message,
+    core::{Core, message::Message, script::Script},
+    events::{live::Live, stream::EventStream},
+    real::{
+        core_loop::{CoreLoop, EventSinks},
+        robots::simulated,
+    },
     replay::{Played, Replay, ReplayEnd, ReplayOptions},
     report::Report,
-    robots::simulated,
-    script::Script,
-    simulate::{Serving, Simulation, Stretch, VirtualEngine, VirtualNetwork},
-    time_control::Speed,
+    virtual_time::{Serving, Simulation, Stretch, VirtualEngine, VirtualNetwork, time_control::Speed},
 };
 
 const TESTBED: &str = "name: hall

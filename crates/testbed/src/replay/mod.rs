@@ -23,8 +23,11 @@ use crate::{
     api::{self, ApiError, Dashboard, Encryption, Listener, Lockstep as Waiting, Tokens},
     clock::{Clock, wall_clock},
     domain::Domains,
-    keeping::Keeper,
-    live::Live,
+    events::live::Live,
+    history::{
+        keeping::Keeper,
+        run_info::{about, epoch},
+    },
     plugins::{
         Bundled, PluginError,
         external::{ExternalPlugins, Stage, Waited},
@@ -33,8 +36,7 @@ use crate::{
         programs,
     },
     report::Fidelity,
-    run_info::{about, epoch},
-    time_control::{Speed, TimeControl},
+    virtual_time::time_control::{Speed, TimeControl},
 };
 
 /// Interval between questions whether to go on.

@@ -35,7 +35,7 @@ pub(crate) use self::{
     programs::Surroundings,
 };
 use self::{manager::Manager, programs::Programs};
-use crate::{clock::Clock, radio_figures::RadioFigures};
+use crate::{clock::Clock, real::radio_figures::RadioFigures};
 
 /// Beginning of the names of folders for Wi-Fi programs, in the folder for temporary files. The process's id follows, and a number.
 pub const WIFI_FOLDERS: &str = "cotorra-wifi-";
