@@ -12,16 +12,14 @@ use cotorra_datapath::StampedSocket;
 use cotorra_engine::Engine;
 use cotorra_fabric::Histogram;
 use cotorra_graph::{NodeId, Stamped, Timestamp};
-use cotorra_measurements::Recorder;
 use cotorra_network_control::Network;
-use cotorra_recording::Tap;
 use parking_lot::Mutex;
 
 use crate::{
     clock::Clock,
     core::{Core, images::ImageSender, message::Message},
-    events::{live::Live, stream::EventStream},
-    history::{bound::HistoryBound, keeping::Keeper},
+    events::fanout::Fanout,
+    history::bound::HistoryBound,
     plugins::running::RunningPlugins,
     report::{End, Report},
 };
@@ -29,35 +27,12 @@ use crate::{
 /// Interval of checks of plug-ins.
 const CHECK: std::time::Duration = std::time::Duration::from_millis(200);
 
-/// Receivers of events.
-pub(crate) struct EventSinks {
-    pub(crate) live: Live,
-    pub(crate) recorder: Recorder,
-    pub(crate) report: Report,
-    pub(crate) stream: EventStream,
-    pub(crate) plugins: RunningPlugins,
-    pub(crate) tap: Option<Tap>,
-    pub(crate) keeper: Option<Keeper>,
-}
-
-impl EventSinks {
-    pub(crate) fn publish(&mut self, event: Stamped) {
-        self.live.absorb(&event);
-        self.report.absorb(&event);
-        let event = Arc::new(event);
-        self.plugins.publish(&event);
-        self.stream.send(Arc::clone(&event));
-        if let Some(tap) = &self.tap {
-            tap.event(Arc::clone(&event));
-        }
-        self.recorder.record(Arc::unwrap_or_clone(event));
-    }
-}
-
 /// State of the core's thread.
 pub(crate) struct CoreLoop<N, E> {
     pub(crate) core: Core<N, E>,
-    pub(crate) sinks: EventSinks,
+    pub(crate) report: Report,
+    pub(crate) plugins: RunningPlugins,
+    pub(crate) fanout: Fanout,
     pub(crate) inbox: mpsc::Receiver<Message>,
     pub(crate) sockets: BTreeMap<NodeId, UdpSocket>,
     /// Sender of images, if a camera's images go to a VNF.
@@ -80,7 +55,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
                 break End::Walked;
             }
             if self.until.is_none() && self.core.is_stuck(now) {
-                self.sinks.report.stuck(self.core.stand());
+                self.report.stuck(self.core.stand());
                 break End::NoProgress;
             }
             if self.history.is_full(now) {
@@ -92,7 +67,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             self.transmit();
             if now >= next_check {
                 next_check = now + CHECK;
-                self.sinks.plugins.check(now, &mut self.core);
+                self.plugins.check(now, &mut self.core);
             }
             self.publish();
             let deadline =
@@ -106,34 +81,39 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
         let now = (self.now)();
         if end != End::Stopped {
             // A plug-in that ended since the last check ended before the run did.
-            self.sinks.plugins.check(now, &mut self.core);
+            self.plugins.check(now, &mut self.core);
         }
         self.core.shut_down(now);
         self.publish();
         for event in self.images.take().into_iter().flat_map(|sender| sender.remarks()) {
-            self.sinks.publish(Stamped { at: now, event });
+            self.publish_event(Stamped { at: now, event });
         }
-        self.sinks.report.missed(self.sinks.plugins.missed());
-        self.sinks.report.localized(self.core.localization_errors());
-        self.sinks.report.waited(self.core.processor_waits());
-        (self.sinks.report, now, end)
+        self.report.missed(self.plugins.missed());
+        self.report.localized(self.core.localization_errors());
+        self.report.waited(self.core.processor_waits());
+        (self.report, now, end)
     }
 
     fn publish(&mut self) {
         // Data must be there when its event is published.
         while let Some(data) = self.core.poll_data() {
-            if let Some(keeper) = &self.sinks.keeper {
-                keeper.keep(data);
-            }
+            self.fanout.data(data);
         }
         while let Some(event) = self.core.poll_event() {
-            self.sinks.publish(event);
+            self.publish_event(event);
         }
-        if let Some(tap) = &self.sinks.tap {
-            while let Some(scan) = self.core.poll_scan() {
-                tap.scan(scan);
-            }
+        while let Some(scan) = self.core.poll_scan() {
+            self.fanout.scan(scan);
         }
+    }
+
+    /// Passes an event on to the report, the plug-ins and all others.
+    pub(crate) fn publish_event(&mut self, event: Stamped) {
+        let Self { report, plugins, fanout, .. } = self;
+        fanout.publish(Arc::new(event), |event| {
+            report.absorb(event);
+            plugins.publish(event);
+        });
     }
 
     fn transmit(&mut self) {
@@ -159,7 +139,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             }
             Message::Instruct { plugin, instruction, reason, reply } => {
                 let core = &mut self.core;
-                let done = self.sinks.plugins.instruct(now, plugin, instruction, reason, core);
+                let done = self.plugins.instruct(now, plugin, instruction, reason, core);
                 if let Some(reply) = reply {
                     // The instruction's events come before its reply.
                     self.publish();
@@ -167,7 +147,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
                 }
             }
             Message::Returned { plugin, at, outcome } => {
-                self.sinks.plugins.returned(at, &plugin, outcome, &mut self.core);
+                self.plugins.returned(at, &plugin, outcome, &mut self.core);
             }
             Message::Network(event) => self.core.observe(event),
             Message::Machine { context, .. } => self.core.observe(context),

@@ -10,8 +10,7 @@ use std::{
 use cotorra_graph::{Instruction, PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{PacedRecorder, RunInfo};
 use cotorra_network_control::InstructionError;
-use cotorra_recording::{Pace, Recording, Tap};
-use cotorra_robot_middleware::{SensedData, SensedScan};
+use cotorra_recording::{Pace, Recording};
 
 use super::{Altered, Output, Simulation, Stretch, emulated};
 use crate::{
@@ -19,15 +18,10 @@ use crate::{
     capture::CaptureFile,
     clock::{Clock, wall_clock},
     error::{RunError, system},
-    events::live::Live,
+    events::{fanout::Fanout, live::Live, stream::EventStream},
     finished::Finished,
     folder::{manifest::Time, whole},
-    history::{
-        bound::HistoryBound,
-        keeping::{Keeper, Keeping},
-        recorded::Recorded,
-        run_info::about,
-    },
+    history::{bound::HistoryBound, keeping::Keeping, recorded::Recorded, run_info::about},
     options::Options,
     plugins::{
         self,
@@ -148,10 +142,22 @@ pub(super) fn simulate_with(
     let recorder = history.paced_recorder(run)?;
     let history_bound = HistoryBound::new(options, &folder);
     let report = Report::new(&testbed, seed).in_virtual_time(&testbed).on_disk(folder.path())?;
-    let records = Records { report, recorder: recorder.clone(), unwritten: 0, tap, keeper: keeper.clone() };
+    let records = recorder.clone();
+    let record = Box::new(move |event| records.record(event));
+    let fanout = Fanout { api: None, tap, keeper: keeper.clone(), history: Some(record) };
     let speed = watched.as_ref().map_or(Speed::Max, |watched| watched.speed);
     let time = TimeControl::new(speed, Timestamp::ZERO, Arc::clone(&wall));
-    let mut recorded = RecordedSimulation { simulation, records, time, observe, go_on, stopped: false };
+    let mut recorded = RecordedSimulation {
+        simulation,
+        report,
+        fanout,
+        recorder: recorder.clone(),
+        unwritten: 0,
+        time,
+        observe,
+        go_on,
+        stopped: false,
+    };
     let mut external = None;
     if watched.is_some() || programs(&testbed).next().is_some() {
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
@@ -159,9 +165,11 @@ pub(super) fn simulate_with(
         let (address, any_port) = (options.api.unwrap_or(default), options.api.is_none());
         let listener = Listener::bind(address, any_port, &options.tokens, &options.encryption)?;
         let waited_for = Arc::new(programs(&testbed).cloned().collect());
-        let context = |events, core| api::Context {
+        let (live, events) = (Live::default(), EventStream::default());
+        recorded.fanout.api = Some((live.clone(), events.clone()));
+        let context = |core| api::Context {
             testbed: Arc::clone(&testbed),
-            live: Live::default(),
+            live,
             history: Arc::clone(&history),
             run,
             events,
@@ -204,7 +212,7 @@ pub(super) fn simulate_with(
             break End::Until;
         }
         if until.is_none() && recorded.simulation.is_stuck() {
-            recorded.records.report.stuck(recorded.simulation.stand());
+            recorded.report.stuck(recorded.simulation.stand());
             break End::NoProgress;
         }
         if let Some(programs) = &mut external
@@ -218,17 +226,17 @@ pub(super) fn simulate_with(
             }
         }
         // Programs receive events after each moment with events. The history is written after the same steps each time.
-        let stretch = match HISTORY_PACE.saturating_sub(recorded.records.unwritten) {
+        let stretch = match HISTORY_PACE.saturating_sub(recorded.unwritten) {
             0 => Stretch::Step,
             _ if recorded.time.is_limited() => Stretch::Step,
             _ if external.is_some() => Stretch::Events(1, until),
             room => Stretch::Events(room, until),
         };
-        if !recorded.advance(stretch, external.as_mut()) {
+        if !recorded.advance(stretch) {
             break End::Stopped;
         }
-        if recorded.records.unwritten >= HISTORY_PACE {
-            recorded.records.catch_up()?;
+        if recorded.unwritten >= HISTORY_PACE {
+            recorded.catch_up()?;
             if history_bound.is_reached() {
                 break End::HistoryFull;
             }
@@ -242,10 +250,10 @@ pub(super) fn simulate_with(
         programs.cut_off_ended(&mut recorded);
     }
     drop(external);
-    let RecordedSimulation { simulation, mut records, .. } = recorded;
-    simulation.flow_remarks().into_iter().for_each(|remark| records.keep(Arc::new(remark)));
-    records.catch_up()?;
-    let Records { mut report, recorder, .. } = records;
+    let remarks = recorded.simulation.flow_remarks();
+    remarks.into_iter().for_each(|remark| recorded.publish(Arc::new(remark)));
+    recorded.catch_up()?;
+    let RecordedSimulation { simulation, mut report, recorder, .. } = recorded;
     report.localized(simulation.localization_errors());
     let recording = recording.map(Recording::finish);
     let mut unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
@@ -270,7 +278,11 @@ pub(super) fn simulate_with(
 /// A simulation whose events are recorded.
 struct RecordedSimulation<'a, G> {
     simulation: Guarded<Simulation>,
-    records: Records,
+    report: Report,
+    fanout: Fanout,
+    recorder: PacedRecorder,
+    /// Number of events since the last write to the history.
+    unwritten: usize,
     time: TimeControl,
     observe: &'a mut dyn FnMut(&Stamped),
     go_on: G,
@@ -280,24 +292,35 @@ struct RecordedSimulation<'a, G> {
 
 impl<G: FnMut(Timestamp) -> bool> RecordedSimulation<'_, G> {
     /// Runs a stretch, and publishes its outputs. Returns whether to go on.
-    fn advance(&mut self, stretch: Stretch, mut programs: Option<&mut ExternalPlugins>) -> bool {
+    fn advance(&mut self, stretch: Stretch) -> bool {
         self.simulation.go(stretch);
         let now = self.simulation.now();
         self.stopped |= !self.simulation.run(&mut || (self.go_on)(now));
         while let Some(output) = self.simulation.poll() {
             match output {
                 Output::Event(event) => {
-                    if let Some(programs) = &mut programs {
-                        programs.publish(&event, self.simulation.host());
-                    }
                     (self.observe)(&event);
-                    self.records.keep(event);
+                    self.publish(event);
                 }
-                Output::Scan(scan) => self.records.scan(scan),
-                Output::Data(data) => self.records.data(data),
+                Output::Scan(scan) => self.fanout.scan(scan),
+                Output::Data(data) => self.fanout.data(data),
             }
         }
         !self.stopped
+    }
+
+    fn publish(&mut self, event: Arc<Stamped>) {
+        let Self { simulation, report, fanout, .. } = self;
+        fanout.publish(event, |event| {
+            report.absorb(event);
+            simulation.host().publish(event);
+        });
+        self.unwritten += 1;
+    }
+
+    fn catch_up(&mut self) -> Result<(), cotorra_measurements::Error> {
+        self.unwritten = 0;
+        self.recorder.flush()
     }
 }
 
@@ -312,19 +335,18 @@ impl<G: FnMut(Timestamp) -> bool> Stage for RecordedSimulation<'_, G> {
 
     fn instruct(
         &mut self,
-        programs: &mut ExternalPlugins,
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
     ) -> Result<(), InstructionError> {
         let done = self.simulation.instruct(plugin, instruction, reason);
-        self.advance(Stretch::Settle, Some(programs));
+        self.advance(Stretch::Settle);
         done
     }
 
-    fn cut_off(&mut self, programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault) {
+    fn cut_off(&mut self, plugin: &PluginId, fault: &Fault) {
         self.simulation.cut_off(plugin, fault);
-        self.advance(Stretch::Settle, Some(programs));
+        self.advance(Stretch::Settle);
     }
 
     fn time_control(&mut self) -> &mut TimeControl {
@@ -334,42 +356,5 @@ impl<G: FnMut(Timestamp) -> bool> Stage for RecordedSimulation<'_, G> {
     fn goes_on(&mut self) -> bool {
         self.stopped = self.stopped || !(self.go_on)(self.simulation.now());
         !self.stopped
-    }
-}
-
-/// Records a simulation's outputs.
-struct Records {
-    report: Report,
-    recorder: PacedRecorder,
-    unwritten: usize,
-    tap: Option<Tap>,
-    keeper: Option<Keeper>,
-}
-
-impl Records {
-    fn keep(&mut self, event: Arc<Stamped>) {
-        self.report.absorb(&event);
-        if let Some(tap) = &self.tap {
-            tap.event(Arc::clone(&event));
-        }
-        self.recorder.record(Arc::unwrap_or_clone(event));
-        self.unwritten += 1;
-    }
-
-    fn scan(&self, scan: SensedScan) {
-        if let Some(tap) = &self.tap {
-            tap.scan(scan);
-        }
-    }
-
-    fn data(&self, data: SensedData) {
-        if let Some(keeper) = &self.keeper {
-            keeper.keep(data);
-        }
-    }
-
-    fn catch_up(&mut self) -> Result<(), cotorra_measurements::Error> {
-        self.unwritten = 0;
-        self.recorder.flush()
     }
 }

@@ -38,12 +38,12 @@ use crate::{
     api::{Dashboard, Server},
     core::{images::ImageSender, message::Message},
     error::{RunError, system},
-    events::live::Live,
+    events::{fanout::Fanout, live::Live},
     finished::Finished,
     history::{bound::HistoryBound, keeping::Keeping, pruner::Pruner},
     options::Options,
     real::{
-        core_loop::{CoreLoop, EventSinks, receive},
+        core_loop::{CoreLoop, receive},
         leftovers::clean,
         robots::Masters,
     },
@@ -131,24 +131,25 @@ impl Run {
         }
         core.start(now());
         let report = Report::new(&testbed, prepared.seed).on_disk(folder.path())?;
-        let mut sinks = EventSinks {
-            live: live.clone(),
-            recorder: recorder.clone(),
-            report: if is_probed { report.by_the_kernel() } else { report },
-            stream,
-            plugins,
+        let report = if is_probed { report.by_the_kernel() } else { report };
+        let records = recorder.clone();
+        let fanout = Fanout {
+            api: Some((live.clone(), stream)),
             tap,
             keeper: keeping.as_ref().map(Keeping::keeper),
+            history: Some(Box::new(move |event| records.record(event))),
         };
-        if let Some(previous) = &prepared.options.after {
-            previous.notes_before(prepared.info.started_at_unix_ns).for_each(|note| sinks.publish(note));
-        }
         let until = prepared.options.until.map(|until| Timestamp::ZERO + until);
         let images = (!image_sockets.is_empty()).then(|| ImageSender::start(image_sockets)).transpose();
         let images = images.map_err(system("start the thread that sends images"))?;
         let history_bound = HistoryBound::new(&prepared.options, &folder);
         let bound = history_bound.clone();
-        let core_loop = CoreLoop { core, sinks, inbox, sockets, images, now, until, history: bound };
+        let mut core_loop =
+            CoreLoop { core, report, plugins, fanout, inbox, sockets, images, now, until, history: bound };
+        if let Some(previous) = &prepared.options.after {
+            let notes = previous.notes_before(prepared.info.started_at_unix_ns);
+            notes.for_each(|note| core_loop.publish_event(note));
+        }
         let core = thread::Builder::new()
             .name("core".to_owned())
             .spawn(move || {
