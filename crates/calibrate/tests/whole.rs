@@ -288,8 +288,8 @@ fn a_channel_survey_gives_interference_that_comes_and_goes() {
     );
     assert!(presence.on_s.covers(30.0) && presence.off_s.covers(30.0), "{fit:?}");
     let network = &parse(&calibrated_text(TESTBED, &calibration.settings)).graph.wireless["lab"];
-    assert!(network.access.is_some());
-    let [always, at_times] = &network.interference[..] else { panic!("{network:?}") };
+    assert!(network.access.contends());
+    let [always, at_times] = network.access.interference() else { panic!("{network:?}") };
     assert_eq!((always.name.as_str(), at_times.name.as_str()), ("around-R", "at-times-around-R"));
     assert_eq!((always.channel, always.presence), (1, None));
     let InterfererKind::Network { load, .. } = at_times.kind else { panic!("{at_times:?}") };

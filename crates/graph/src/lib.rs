@@ -56,7 +56,9 @@ pub use bounds::TooLong;
 pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace, TraceName};
 pub use container::{EngineKind, Image, ListenPort, Pull, Transport, Volume};
 pub use containers::Containers;
-pub use contention::{Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl};
+pub use contention::{
+    Access, Contention, Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl,
+};
 pub use context::{
     AnswersRejected, Attachment, Handover, InstancePath, Lateness, LinkContext, LinkCounters, PathKind,
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,

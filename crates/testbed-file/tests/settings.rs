@@ -142,7 +142,7 @@ fn a_robot_on_its_way_starts_at_its_position() {
 fn real_wifi_software_takes_the_place_of_the_model_and_gives_it_back() {
     let hwsim = |settings: &[&str]| {
         let settings = [&["wireless.lab.access=edca"], settings].concat();
-        with(&settings).unwrap().graph.wireless["lab"].software.clone()
+        with(&settings).unwrap().graph.wireless["lab"].access.software().cloned()
     };
     assert_eq!(hwsim(&[]), None);
     let usual = Security::Wpa2 {

@@ -141,7 +141,7 @@ impl Simulation {
             return Err(RunError::VirtualBorder);
         }
         if let Some((network, _)) =
-            testbed.graph.wireless.iter().find(|(_, network)| network.software.is_some())
+            testbed.graph.wireless.iter().find(|(_, network)| network.access.software().is_some())
         {
             return Err(RunError::VirtualWifi(network.clone()));
         }

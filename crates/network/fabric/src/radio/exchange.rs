@@ -148,7 +148,7 @@ impl Radio {
     /// that, but a request at the lowest rate is in their way.
     pub(super) fn agree(&mut self, now: Timestamp, Path { robot, unit, direction }: Path) {
         let spec = &self.networks[self.units[unit].network].spec;
-        let aggregates = spec.access.as_ref().is_some_and(|access| access.aggregation);
+        let aggregates = spec.access.edca().is_some_and(|edca| edca.aggregation);
         if aggregates && spec.handover.frames.is_some() && self.link(robot, unit).agrees(direction) {
             self.send_message(now, robot, unit, Message::Agree(direction));
         }

@@ -411,7 +411,7 @@ fn next_tick(now: Timestamp, Frames { tick }: Frames) -> Timestamp {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Dbm, GapPolicy, Loss, PathLoss, Shadowing, WifiStandard};
+    use cotorra_graph::{Access, Dbm, GapPolicy, Loss, PathLoss, Shadowing, WifiStandard};
 
     use super::*;
 
@@ -433,9 +433,7 @@ mod tests {
             mobility_domain: 1,
             path_loss: PathLoss::FreeSpace,
             walls: None,
-            access: None,
-            interference: Vec::new(),
-            software: None,
+            access: Access::Turns,
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 1.0 },
             fading: None,
             noise_floor: Dbm(-95.0),

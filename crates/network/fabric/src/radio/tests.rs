@@ -6,9 +6,9 @@ mod foreign;
 mod supplicant;
 
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, Driver, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss,
-    Node, NodeKind, PathLoss, PowerSave, Probability, QueueDiscipline, RadioUnit, Rate, RateControl, Roaming,
-    Robot, RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard,
+    Access, BitRate, Capacity, Conditions, Driver, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link,
+    Loss, Node, NodeKind, PathLoss, PowerSave, Probability, QueueDiscipline, RadioUnit, Rate, RateControl,
+    Roaming, Robot, RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard,
 };
 use proptest::prelude::*;
 
@@ -42,9 +42,7 @@ fn network() -> WirelessNetwork {
         mobility_domain: 1,
         path_loss: PathLoss::LogDistance { exponent: 3.0 },
         walls: None,
-        access: None,
-        interference: Vec::new(),
-        software: None,
+        access: Access::Turns,
         shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
         fading: None,
         noise_floor: Dbm(-95.0),
@@ -824,6 +822,7 @@ proptest! {
         let nodes = (0..3).map(|i| robot(robots[i], 10.0 * i as f64, roaming[i]))
             .chain((0..3).map(|i| unit(units[i], 30.0 * i as f64, if i == 2 { 11 } else { 1 })))
             .collect();
+        let access = access.map_or(Access::Turns, Access::from);
         let mut world = World::seeded(WirelessNetwork { gap, shadowing, handover, access, ..network() }, nodes, seed);
         let groups = operations.iter().any(|(_, o)| matches!(o, Operation::Group(..)));
         let mut now = Timestamp::ZERO;

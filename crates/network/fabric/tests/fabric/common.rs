@@ -4,8 +4,8 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, Dbm, Driver, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link,
-    LinkContext, Loss, Node, NodeKind, PathLoss, Position, RadioUnit, Rate, Roaming, Robot, RobotModel,
+    Access, BitRate, Capacity, Conditions, Dbm, Driver, GapPolicy, HandoverTimes, HardwareGraph, HostAddress,
+    Link, LinkContext, Loss, Node, NodeKind, PathLoss, Position, RadioUnit, Rate, Roaming, Robot, RobotModel,
     Server, Shadowing, Tier, Timestamp, WifiStandard, WirelessNetwork,
 };
 
@@ -24,9 +24,7 @@ impl Network {
             mobility_domain: 1,
             path_loss: PathLoss::LogDistance { exponent: 3.0 },
             walls: None,
-            access: None,
-            interference: Vec::new(),
-            software: None,
+            access: Access::Turns,
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
             fading: None,
             noise_floor: Dbm(-95.0),

@@ -35,7 +35,7 @@ fn lent_but(own: &[&str]) -> Fabric {
         .fold(network.robot("p", 2.0), |network, end| network.link(end, "s", Conditions::default()));
     let mut graph = network.graph();
     graph.wireless.get_mut("air").unwrap().access =
-        Some(Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None });
+        Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }.into();
     let mut fabric = Fabric::new(&graph, 1).unwrap();
     for node in ["p", "R1", "R2"].into_iter().filter(|node| !own.contains(node)) {
         fabric.lend_antenna(ms(0.0), &node.parse().unwrap()).unwrap();

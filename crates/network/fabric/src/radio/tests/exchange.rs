@@ -11,7 +11,7 @@ fn us(us: u64) -> Duration {
 fn by_frames(fast_transition: bool) -> WirelessNetwork {
     let frames = Some(Frames { tick: ms(4) });
     WirelessNetwork {
-        access: Some(Edca { aggregation: true, rate_control: RateControl::Minstrel, power_save: None }),
+        access: Edca { aggregation: true, rate_control: RateControl::Minstrel, power_save: None }.into(),
         fast_transition,
         handover: HandoverTimes { frames, ..network().handover },
         ..network()
@@ -128,5 +128,5 @@ fn first_data_of_each_direction_bring_a_request_to_aggregate_and_its_answer() {
     };
     assert_eq!(asked(by_frames(true)), [0, 2, 2, 4]);
     let alone = Edca { aggregation: false, rate_control: RateControl::Minstrel, power_save: None };
-    assert_eq!(asked(WirelessNetwork { access: Some(alone), ..by_frames(true) }), [0; 4]);
+    assert_eq!(asked(WirelessNetwork { access: alone.into(), ..by_frames(true) }), [0; 4]);
 }
