@@ -592,24 +592,4 @@ impl Lockstep for Simulation {
 }
 
 #[cfg(test)]
-mod added_tests;
-#[cfg(test)]
-mod altered_tests;
-#[cfg(test)]
-mod camera_tests;
-#[cfg(test)]
-mod container_tests;
-#[cfg(test)]
-mod corruption_tests;
-#[cfg(test)]
-mod federation_tests;
-#[cfg(test)]
-mod large_data_tests;
-#[cfg(test)]
-mod localization_tests;
-#[cfg(test)]
-mod replica_tests;
-#[cfg(test)]
-mod sensor_tests;
-#[cfg(test)]
 mod tests;

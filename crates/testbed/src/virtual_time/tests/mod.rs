@@ -1,3 +1,14 @@
+mod added;
+mod altered;
+mod camera;
+mod container;
+mod corruption;
+mod federation;
+mod large_data;
+mod localization;
+mod replica;
+mod sensor;
+
 use std::path::Path;
 
 use cotorra_graph::{
@@ -639,7 +650,7 @@ fn okpi_keeps_the_target_with_the_published_placements() {
 
 /// Returns the two-paths testbed, with or without its plug-in.
 fn two_paths(with_okpi: bool) -> Testbed {
-    let text = include_str!("../../../../testbeds/two-paths.yaml");
+    let text = include_str!("../../../../../testbeds/two-paths.yaml");
     let text = text.replace("enabled: false", &format!("enabled: {with_okpi}"));
     cotorra_testbed_file::parse("two-paths.yaml", &text, Path::new("")).unwrap()
 }

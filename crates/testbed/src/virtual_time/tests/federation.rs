@@ -9,7 +9,7 @@ use cotorra_ledger::{Account, Call, Event as LedgerEvent, Ledger as _, Notice, W
 use cotorra_measurements::{History, RunInfo};
 use cotorra_testbed_file::Setting;
 
-use super::*;
+use crate::virtual_time::*;
 
 /// Returns the steps from the announcement to the attachment without faults.
 fn steps_to_attachment() -> impl Iterator<Item = Step> {

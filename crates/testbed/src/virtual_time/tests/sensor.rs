@@ -1,6 +1,6 @@
 use cotorra_graph::{ComponentId, Event, Instruction, SensorReading};
 
-use super::*;
+use crate::virtual_time::*;
 
 /// A robot that walks 18 m and back.
 const ROOM: &str = "

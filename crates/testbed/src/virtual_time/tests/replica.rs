@@ -6,7 +6,7 @@ use cotorra_graph::{
     AnswersRejected, ConditionChange, Event, Instruction, LinkId, Loss, Nodes, Probability, ServiceTime,
 };
 
-use super::*;
+use crate::virtual_time::*;
 
 /// Interval between position packets.
 const INTERVAL: Duration = Duration::from_millis(50);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::*;
+use crate::virtual_time::*;
 
 const SECONDS: f64 = 300.0;
 

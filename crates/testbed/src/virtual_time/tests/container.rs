@@ -4,7 +4,7 @@ use std::path::Path;
 
 use cotorra_graph::{Image, Kpis, Nodes, ServiceTime, Vnf, VnfEvent, VnfId, VnfState};
 
-use super::*;
+use crate::virtual_time::*;
 
 const START: Duration = Duration::from_millis(500);
 const PROCESSING: Duration = Duration::from_millis(6);

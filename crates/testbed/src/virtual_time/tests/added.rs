@@ -4,8 +4,8 @@ use std::path::Path;
 
 use cotorra_graph::{Image, Nodes, Rights, Vnf, VnfEvent, VnfId, VnfState};
 
-use super::*;
 use crate::events::live::Live;
+use crate::virtual_time::*;
 
 const START: Duration = Duration::from_millis(500);
 

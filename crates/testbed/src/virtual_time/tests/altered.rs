@@ -2,7 +2,7 @@ use std::path::Path;
 
 use cotorra_graph::{Nodes, ServiceTime, millis};
 
-use super::*;
+use crate::virtual_time::*;
 
 const SEED: u64 = 3;
 

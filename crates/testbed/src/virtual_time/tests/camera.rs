@@ -1,4 +1,4 @@
-use super::*;
+use crate::virtual_time::*;
 
 /// A robot with a camera walks 9 m and back.
 const ROOM: &str = "

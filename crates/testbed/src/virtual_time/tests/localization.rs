@@ -6,7 +6,7 @@ use cotorra_graph::{
     ConditionChange, Event, Instruction, LinkId, Loss, Nodes, PoseSource, Probability, ServiceTime,
 };
 
-use super::*;
+use crate::virtual_time::*;
 
 /// Time after which a scan is unanswered.
 const PATIENCE: Duration = Duration::from_secs(3);

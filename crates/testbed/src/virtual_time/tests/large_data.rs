@@ -7,7 +7,7 @@ use std::{
 use cotorra_graph::{DataFormat, Event, SensorReading};
 use cotorra_measurements::{WantedData, read_large_data};
 
-use super::*;
+use crate::virtual_time::*;
 use crate::{options::Options, report::Place};
 
 const SENSORS: &str = "sensors: { front: { kind: lidar }, fast: { kind: lidar, rate: 50 Hz },
