@@ -476,6 +476,18 @@ pub enum WifiStandard {
     Ac,
 }
 
+impl WifiStandard {
+    /// Returns its name and band, as people read them.
+    pub const fn described(self) -> &'static str {
+        match self {
+            Self::G => "802.11g at 2.4 GHz",
+            Self::A => "802.11a at 5 GHz",
+            Self::N => "802.11n at 2.4 GHz",
+            Self::Ac => "802.11ac at 5 GHz",
+        }
+    }
+}
+
 /// Path loss over distance d (metres).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "model")]

@@ -18,6 +18,7 @@ mod distance;
 mod driver;
 mod event;
 mod exposure;
+mod figure;
 mod flow;
 mod goal;
 mod hardware;
@@ -69,6 +70,10 @@ pub use driver::{
 };
 pub use event::{Event, EventKind, InvalidKind, Series, Stamped};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
+pub use figure::{
+    Better, Bound, Declared, FIGURES, Figure, FigureKind, InvalidBound, InvalidFigure, LatenessQuantity,
+    LinkQuantity, MachineQuantity, Measure, RobotQuantity, Statistic, Total, Unit,
+};
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{

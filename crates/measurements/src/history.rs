@@ -9,7 +9,7 @@ use std::{
 };
 
 use cotorra_graph::{
-    Direction, Event, Handover, LinkContext, LinkId, MachineContext, NodeId, Placement, RadioContext,
+    Direction, Event, Figure, Handover, LinkContext, LinkId, MachineContext, NodeId, Placement, RadioContext,
     RobotContext, SensorReading, ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
 };
 use serde::{Deserialize, Serialize};
@@ -18,7 +18,7 @@ use crate::{
     curve::{Curve, CurveRequest, Drawing},
     difference::{Difference, Targets, difference},
     error::Result,
-    figure::Figure,
+    figure::kept,
     kind::{Kind, Series},
     location::Location,
     memory::Memory,
@@ -396,10 +396,10 @@ impl History {
         request: &CurveRequest,
     ) -> Result<Curve> {
         let asked = span(&range);
-        let samples = self.store.extent(run, figure.kept().kind, asked)?;
+        let samples = self.store.extent(run, kept(figure).kind, asked)?;
         let (mut first, last) = samples.unwrap_or((asked.from, asked.until));
         // Of a rolled-up step, only the last sample is left: the curve begins where the step began.
-        let thinned = self.store.retained(run)?.into_iter().find(|its| its.kind == figure.kept().kind);
+        let thinned = self.store.retained(run)?.into_iter().find(|its| its.kind == kept(figure).kind);
         if let Some(its) = thinned.filter(|its| first < nanos(its.rolled_up_to) && !its.step.is_zero()) {
             first -= first % i64::try_from(its.step.as_nanos()).unwrap_or(i64::MAX);
         }

@@ -85,7 +85,7 @@ fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
                         format!(
                             "`{}` uses {}: write one of {}",
                             unit.network,
-                            kpis::described(standard),
+                            standard.described(),
                             numbers.join(", ")
                         ),
                     );

@@ -3,7 +3,7 @@
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, BitRate, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
+    AgentId, BackgroundScan, BitRate, Bound, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
     EngineKind, GapPolicy, InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability,
     ListenPort, NodeId, PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl,
     Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume, WifiStandard,
@@ -1147,6 +1147,8 @@ record! {
         area: Option<Spanned<Vec<Position>>>,
         /// The radio technology that it needs.
         radio: Option<Spanned<WifiStandard>>,
+        /// Bounds on figures of a run, such as `service_time p95 <= 15 ms`. Each run then has a verdict on each of them.
+        require: Vec<Spanned<Bound>> = [],
     }
 }
 

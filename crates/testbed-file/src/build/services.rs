@@ -45,6 +45,7 @@ impl Builder<'_> {
             area: record.kpis.area.as_ref().map(|a| a.value.clone()),
             radio: record.kpis.radio.as_ref().map(|r| r.value),
             flow: self.flow(record)?,
+            require: record.kpis.require.iter().map(|bound| bound.value.clone()).collect(),
         };
         let mut vnfs = vnfs?;
         vnfs.extend(composed?);

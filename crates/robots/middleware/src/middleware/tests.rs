@@ -50,6 +50,7 @@ fn testbed() -> Testbed {
             area: None,
             radio: None,
             flow: None,
+            require: Vec::new(),
         },
         requests: Default::default(),
     };
