@@ -189,8 +189,10 @@ impl Bound {
     pub fn limit(&self) -> f64 {
         let units = self.figure.unit.written().iter();
         let factor = units.clone().find(|(unit, _)| *unit == self.unit).map_or(1.0, |(_, factor)| *factor);
-        // A division by a whole number gives the nearest share: 99.9 % is 0.999.
-        if factor < 1.0 { self.limit / (1.0 / factor) } else { self.limit * factor }
+        // The decimal point moves without rounding: 99.9 % is 0.999, which neither a product nor a quotient gives.
+        let exponent = factor.log10();
+        let moved = (exponent.fract() == 0.0).then(|| format!("{}e{exponent}", self.limit).parse().ok());
+        moved.flatten().unwrap_or(self.limit * factor)
     }
 
     /// Whether a value keeps the bound. What was not measured does not.
