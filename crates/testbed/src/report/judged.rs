@@ -166,6 +166,14 @@ impl Judged {
     }
 }
 
+impl ServiceSummary {
+    /// Returns its KPIs beside the target and the demanded share, which has a verdict of its own.
+    pub fn further_kpis(&self) -> impl Iterator<Item = &Judged> {
+        let share = self.kept.keep.map(|keep| Bound::at_least(Total::Kept, keep).to_string());
+        self.kpis.iter().filter(move |judged| Some(&judged.kpi) != share.as_ref())
+    }
+}
+
 impl Summary {
     /// Returns a figure of which the run has one number; of a service or its robot, if the figure is. `None` if it was not
     /// measured. The reliability and the cost are in no summary.
