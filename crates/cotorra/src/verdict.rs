@@ -30,9 +30,7 @@ pub fn verdicts(services: &[ServiceSummary], parts: &[ServiceParts]) -> Vec<Stri
     let shown = by_name(services);
     let of_kpis = |its: &ServiceSummary| {
         let name = name(its, services);
-        // The sentence on the service says how often it kept its target.
-        let others = its.kpis.iter().filter(|kpi| !kpi.kpi.starts_with("kept >="));
-        others.map(|kpi| kpi_sentence(kpi, &name)).collect::<Vec<_>>()
+        its.further_kpis().map(|kpi| kpi_sentence(kpi, &name)).collect::<Vec<_>>()
     };
     let mut sentences: Vec<_> =
         shown.iter().copied().flat_map(|its| [sentence(its)].into_iter().chain(of_kpis(its))).collect();
@@ -268,8 +266,9 @@ mod tests {
             judged("localization_error p95 <= 0.1 m", None, Some(Verdict::Fail)),
             judged("area", None, None),
         ];
-        let its =
-            ServiceSummary { kpis, verdict: Some(Verdict::Fail), ..service("r1", "navigation", Some(8)) };
+        let its = service("r1", "navigation", Some(8));
+        let kept = Kept::of(992, 1000, Some(0.99));
+        let its = ServiceSummary { kpis, kept, verdict: Some(Verdict::Fail), ..its };
         assert_eq!(
             verdicts(&[its], &[])[1..],
             [

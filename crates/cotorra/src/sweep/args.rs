@@ -76,7 +76,7 @@ pub struct SweepArgs {
     pub fresh: bool,
     #[command(flatten)]
     pub trust: TrustArgs,
-    /// End with exit status 4 if a service of any run kept its target less often than the testbed file demands
+    /// End with exit status 4 if a service of any run failed a KPI of the testbed file
     #[arg(long, conflicts_with_all = ["dry_run"])]
     pub require_pass: bool,
     #[command(flatten)]

@@ -197,6 +197,11 @@ fn each_bound_on_a_figure_is_judged_and_what_is_not_measured_fails() {
     let printed = unwrapped(&stdout(&run));
     assert!(printed.contains("FAIL: r2 has answered >= 99 %: "), "{printed}");
     assert!(printed.contains("r1 has the KPI area, not judged: "), "{printed}");
+    let run = lab.folder();
+    let diff = lab.cotorra(&["history", "diff", run.to_str().unwrap(), run.to_str().unwrap()]);
+    let diff = unwrapped(&stdout(&diff));
+    let measured = answered["measured"].as_str().unwrap();
+    assert!(diff.contains(&format!("n2 answered >= 99 % {measured} FAIL {measured} FAIL")), "{diff}");
 
     let lab = Lab::with([String::new(), ", require: [localization_error p95 <= 0.1 m]".to_owned()]);
     let run = lab.run();

@@ -250,6 +250,29 @@ impl MeasuredService {
 }
 
 /// Returns 1 for PASS and 0 for FAIL.
-fn passed(verdict: Option<Verdict>) -> Option<f64> {
+pub(super) fn passed(verdict: Option<Verdict>) -> Option<f64> {
     verdict.map(|verdict| if verdict == Verdict::Pass { 1.0 } else { 0.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{FIGURES, FigureKind, Statistic};
+
+    use super::*;
+
+    #[test]
+    fn columns_have_the_names_of_declared_figures() {
+        let of = |figure: &cotorra_graph::Declared| match figure.kind {
+            FigureKind::Samples => Statistic::ALL.iter().map(|its| figure.column(Some(*its))).collect(),
+            FigureKind::Total => vec![figure.column(None)],
+        };
+        let declared: Vec<String> = FIGURES.iter().flat_map(|figure| of(figure)).collect();
+        let others: Vec<_> = Measured::default()
+            .figures()
+            .into_iter()
+            .map(|(name, _)| name)
+            .filter(|name| !declared.iter().any(|declared| declared == name))
+            .collect();
+        assert_eq!(others, ["walked", "above_target", "passed"], "words and a complement of `kept`");
+    }
 }

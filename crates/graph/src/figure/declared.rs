@@ -1,6 +1,6 @@
 //! The registry of figures: each is declared here once, with its unit and its name in files.
 
-use super::unit::Unit;
+use super::{bound::Statistic, unit::Unit};
 
 /// The declaration of a figure.
 #[derive(Debug, PartialEq, Eq)]
@@ -173,5 +173,22 @@ impl Declared {
     /// Returns the figure of that name.
     pub fn named(name: &str) -> Option<&'static Self> {
         FIGURES.iter().copied().find(|figure| figure.name == name)
+    }
+
+    /// Returns the name of a column with a statistic of it, such as `service_time_p95_ms`.
+    pub fn column(&self, statistic: Option<Statistic>) -> String {
+        let statistic = statistic.map(|statistic| format!("_{}", statistic.as_str())).unwrap_or_default();
+        let unit = match self.unit {
+            Unit::Millis => "_ms",
+            Unit::Micros => "_us",
+            Unit::Metres => "_m",
+            Unit::BitRate => "_bps",
+            Unit::Power => "_dbm",
+            Unit::Speed => "_mps",
+            Unit::Radians | Unit::TurningRate | Unit::Packets | Unit::Bytes | Unit::Share | Unit::Number => {
+                ""
+            }
+        };
+        format!("{}{statistic}{unit}", self.name)
     }
 }

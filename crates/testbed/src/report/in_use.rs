@@ -1,15 +1,18 @@
 //! Servers and links that a service uses: their reliability and cost.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 use cotorra_graph::{
-    Event, HardwareGraph, LinkId, NodeId, NodeKind, Nodes, Service, Testbed, Total, VirtualLinkMapping, VnfId,
+    Event, HardwareGraph, LinkId, NodeId, NodeKind, Nodes, Service, Total, VirtualLinkMapping, VnfId,
 };
 
 /// What a service uses over a run, for the bounds on it.
 #[derive(Debug)]
 pub(super) struct InUse {
-    graph: HardwareGraph,
+    graph: Arc<HardwareGraph>,
     service: Service,
     placed: BTreeMap<VnfId, Nodes>,
     /// Links of the virtual links, by their ends.
@@ -23,9 +26,9 @@ pub(super) struct InUse {
 }
 
 impl InUse {
-    pub(super) fn new(testbed: &Testbed, service: &Service) -> Self {
+    pub(super) fn new(graph: Arc<HardwareGraph>, service: &Service) -> Self {
         Self {
-            graph: testbed.graph.clone(),
+            graph,
             service: service.clone(),
             placed: BTreeMap::new(),
             mapped: BTreeMap::new(),

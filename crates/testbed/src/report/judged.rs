@@ -1,15 +1,19 @@
 //! Verdicts on KPIs: the value of each bounded figure beside its bound.
 
+use std::{cell::LazyCell, collections::BTreeMap, io, path::Path, sync::Arc};
+
 use cotorra_graph::{
     Bound, Figure, Kpis, Measure, ServiceId, Stamped, Testbed, Timestamp, Total, WifiStandard,
 };
 use serde::{Deserialize, Serialize};
 
 use super::{
+    folder::{SUMMARY, read_file},
     in_use::InUse,
     kept::Verdict,
     stream::Stream,
     summary::{ServiceSummary, Summary},
+    void::LONGEST_SUMMARY,
 };
 
 /// A KPI and the verdict on it.
@@ -55,6 +59,7 @@ enum Kpi {
 impl Judge {
     pub(super) fn new(testbed: &Testbed) -> Self {
         let mut judge = Self::default();
+        let graph = LazyCell::new(|| Arc::new(testbed.graph.clone()));
         for service in &testbed.services {
             let Kpis { area, radio, .. } = &service.kpis;
             let bounds = service.kpis.bounds().into_iter();
@@ -73,7 +78,7 @@ impl Judge {
                     Kpi::Bound(_, Measure::Total(Total::Reliability | Total::Cost))
                         if judge.in_use(&service.id).is_none() =>
                     {
-                        judge.in_use.push((service.id.clone(), InUse::new(testbed, service)));
+                        judge.in_use.push((service.id.clone(), InUse::new(Arc::clone(&graph), service)));
                     }
                     _ => {}
                 }
@@ -161,8 +166,35 @@ impl Judge {
 }
 
 impl Judged {
+    /// Reads the KPIs of all services from a run's folder.
+    ///
+    /// # Errors
+    /// That of the system, if the folder has no `summary.json`; `InvalidData` if the file is not that of a run.
+    pub fn of_folder(folder: &Path) -> io::Result<BTreeMap<ServiceId, Vec<Self>>> {
+        #[derive(Deserialize)]
+        struct Run {
+            services: Vec<Service>,
+        }
+        #[derive(Deserialize)]
+        struct Service {
+            service: ServiceId,
+            #[serde(default)]
+            kpis: Vec<Judged>,
+        }
+        let run: Run = serde_json::from_slice(&read_file(&folder.join(SUMMARY), LONGEST_SUMMARY)?)?;
+        Ok(run.services.into_iter().map(|its| (its.service, its.kpis)).collect())
+    }
+
     fn without_value(kpi: String) -> Self {
         Self { kpi, value: None, unit: String::new(), measured: None, verdict: None, reason: None }
+    }
+}
+
+impl ServiceSummary {
+    /// Returns its KPIs beside the target and the demanded share, which has a verdict of its own.
+    pub fn further_kpis(&self) -> impl Iterator<Item = &Judged> {
+        let share = self.kept.keep.map(|keep| Bound::at_least(Total::Kept, keep).to_string());
+        self.kpis.iter().filter(move |judged| Some(&judged.kpi) != share.as_ref())
     }
 }
 

@@ -16,7 +16,7 @@ use super::{
 /// Duration of a run after which each service has a sample.
 const DUE: Duration = Duration::from_secs(10);
 /// Size of the longest `summary.json` that is read, bytes.
-const LONGEST_SUMMARY: u64 = 64 << 20;
+pub(super) const LONGEST_SUMMARY: u64 = 64 << 20;
 
 impl Fidelity {
     /// Reads the verdict on a run from its folder. It is not valid if anything speaks against the run's figures.
