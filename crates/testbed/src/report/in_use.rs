@@ -107,3 +107,61 @@ impl InUse {
         routes.flat_map(|route| route.links).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::{path::Path, time::Duration};
+
+    use cotorra_graph::{Placement, ServiceTime, Timestamp};
+
+    use super::*;
+
+    const LAB: &str = "name: lab
+wireless: { w: {} }
+nodes:
+  r: { kind: robot }
+  A: { kind: radio_unit, position: [0, 2], channel: 1 }
+  B: { kind: radio_unit, position: [9, 2], channel: 6 }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB, cost: 3, reliability: 90 % }
+links:
+  - { ends: [A, edge], delay: 1 ms, reliability: 50 % }
+  - { ends: [B, edge], delay: 1 ms }
+services:
+  s:
+    robot: r
+    kpis: { service_time: 15 ms, require: [cost <= 6] }
+    vnfs:
+      driver: { program: robot_driver, pinned_to: r }
+      nav: { program: navigation, node: edge, cpus: 2 }
+walks: { r: { waypoints: [[0, 0], [5, 0]] } }
+";
+
+    #[test]
+    fn the_worst_of_all_samples_counts_and_what_is_used_twice_counts_once() {
+        let testbed = cotorra_testbed_file::parse("lab.yaml", LAB, Path::new("")).unwrap();
+        let mut in_use = InUse::new(Arc::new(testbed.graph.clone()), &testbed.services[0]);
+        let id = |name: &str| name.parse::<NodeId>().unwrap();
+        for (vnf, node) in [("driver", "r"), ("nav", "edge")] {
+            let placement = Placement { vnf: vnf.parse().unwrap(), node: id(node).into() };
+            in_use.absorb(&Event::Placement(placement));
+        }
+        assert_eq!((in_use.of(Total::Reliability), in_use.of(Total::Cost)), (None, None));
+        let mut sample = |unit: &str| {
+            in_use.absorb(&Event::ServiceTime(ServiceTime {
+                service: "s".parse().unwrap(),
+                robot: id("r"),
+                sequence: 1,
+                emitted: Timestamp::ZERO,
+                took: Some(Duration::from_millis(5)),
+                attachment: Some(id(unit)),
+                server: id("edge"),
+                parts: None,
+                lost_at: None,
+            }));
+            (in_use.of(Total::Reliability).unwrap(), in_use.of(Total::Cost).unwrap())
+        };
+        assert_eq!(sample("B"), (0.9, 6.0));
+        assert_eq!(sample("A"), (0.45, 6.0));
+        assert_eq!(sample("B"), (0.45, 6.0), "the least of all samples");
+    }
+}
