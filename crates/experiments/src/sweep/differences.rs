@@ -59,6 +59,9 @@ const COMPARED: [&str; 8] = [
     "blind_m",
 ];
 
+/// The values of a combination, and the figures of its runs by seed.
+type Contender<'a> = (&'a [String], BTreeMap<u64, Vec<Compared>>);
+
 /// A compared figure of a run, with the most that two of them can differ.
 struct Compared {
     figure: String,
@@ -91,7 +94,7 @@ impl Runs {
     /// Returns how each combination differs from the first one that has runs, figure by figure. Combinations without a seed
     /// in common with it have no differences, and neither have those with a void run.
     pub fn differences(&self) -> Vec<Difference> {
-        let mut contenders: Vec<(&[String], BTreeMap<u64, Vec<Compared>>)> = Vec::new();
+        let mut contenders: Vec<Contender<'_>> = Vec::new();
         for cell in self.combinations() {
             let its = self.done.iter().filter(|done| done.point.values == *cell);
             let measured = its.map(|done| Some((done.point.seed, Compared::all(done.outcome.measured()?))));
@@ -101,7 +104,7 @@ impl Runs {
         let mut all = Vec::new();
         for Compared { figure, most, .. } in first.values().next().into_iter().flatten() {
             let read = |its: &Vec<Compared>| its.iter().find(|its| its.figure == *figure)?.value;
-            let difference = |(values, runs): &(&[String], BTreeMap<u64, Vec<Compared>>)| {
+            let difference = |(values, runs): &Contender<'_>| {
                 let pair = |(seed, run): (&u64, &Vec<Compared>)| Some((read(first.get(seed)?)?, read(run)?));
                 let pairs: Vec<_> = runs.iter().filter_map(pair).collect();
                 let Mean { n, mean, interval, p } = Mean::of_differences(&pairs)?;
