@@ -39,6 +39,7 @@ pub mod record;
 mod ros1_environment;
 mod routing;
 mod schedule;
+mod search;
 mod sensor;
 mod service;
 mod testbed;
@@ -94,8 +95,9 @@ pub use part::Part;
 pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
 pub use real::{RealLink, RealPort};
 pub use real_machine::{Gateway, Machine, Reached, RealRadio, RealServer};
-pub use routing::{Arrival, Edge, Route, Topology};
+pub use routing::{Edge, Route, Topology};
 pub use schedule::{Scheduled, Script, When};
+pub use search::{Arrival, cheapest_paths, steps_back};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{

@@ -93,11 +93,11 @@ fn fastest_ns(
         let mut at = vec![(start, 0)];
         for stage in &stages {
             let reached = topology.shortest(&at, Edge::delay_ns);
-            at = stage.iter().filter_map(|&host| Some((host, reached[host]?.cost))).collect();
+            at = stage.iter().filter_map(|&host| Some((host, reached[host]?))).collect();
         }
         let back = topology.shortest(&at, Edge::delay_ns)[start];
         topology.detach(&service.robot);
-        best = best.into_iter().chain(back.map(|back| back.cost)).min();
+        best = best.into_iter().chain(back).min();
         if best.is_some_and(|best| u128::from(best) <= enough_ns) {
             break;
         }
@@ -127,7 +127,7 @@ fn most_reliable(
             NodeKind::Server(server) => cost(server.reliability),
             _ => 0,
         };
-        reached[i].map(|path| path.cost + own)
+        reached[i].map(|path| path + own)
     };
     let best = |vnf: &Vnf| candidates(vnf, testbed).into_iter().filter_map(host).min();
     let worst = service.vnfs.iter().filter_map(best).max().unwrap_or(0);
