@@ -183,11 +183,6 @@ impl Dbm {
     pub fn milliwatts(self) -> f64 {
         10f64.powf(self.0 / 10.0)
     }
-
-    /// Converts from milliwatts; 0 mW is minus infinity.
-    pub fn from_milliwatts(mw: f64) -> Self {
-        Self(10.0 * mw.log10())
-    }
 }
 
 impl fmt::Display for Dbm {
