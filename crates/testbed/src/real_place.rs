@@ -1,7 +1,7 @@
 //! Places of links in the real network: which packets of which interface cross them.
 
-use cotorra_graph::{Conditions, Direction, LinkId, Medium, Reached, RealLink};
-use cotorra_netem::{ConditionsError, Network, Rule, Side};
+use cotorra_graph::{Conditions, Direction, IpNetwork, LinkId, Medium, Reached, RealLink};
+use cotorra_netem::{ConditionsError, Rule, Side};
 
 /// A condition of a link that NetEm cannot emulate. Nothing has changed then.
 #[derive(Debug, thiserror::Error)]
@@ -42,9 +42,9 @@ impl Place {
     }
 
     /// Returns the packets of the interface that cross the link in a direction.
-    pub(crate) fn packets(&self, direction: Direction) -> (Side, Option<Network>) {
+    pub(crate) fn packets(&self, direction: Direction) -> (Side, Option<IpNetwork>) {
         let side = if direction == self.leaving { Side::Egress } else { Side::Ingress };
-        (side, self.reached.address.map(Network::from))
+        (side, self.reached.address)
     }
 
     /// Returns NetEm's rule for one direction of the link under these conditions.

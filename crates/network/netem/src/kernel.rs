@@ -2,11 +2,11 @@
 
 use std::io;
 
+use cotorra_graph::IpNetwork;
 use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
 
 use crate::{
     device::{Device, DisciplineInfo, Interface, Plan, Snapshot, decode_filter},
-    handle::Network,
     netem::Netem,
     request::{Dump, Object, Request, Verb},
     route,
@@ -143,7 +143,7 @@ impl Kernel {
         let mut lacks = Vec::new();
         let sides = [
             (Side::Egress, None),
-            (Side::Egress, Network::new([10, 0, 0, 1].into(), 32)),
+            (Side::Egress, IpNetwork::new([10, 0, 0, 1].into(), 32)),
             (Side::Ingress, None),
         ];
         for (side, network) in sides {
