@@ -105,7 +105,7 @@ pub use testbed::{
     Walk,
 };
 pub use time_parts::{LinkTime, TimeParts};
-pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
+pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis, wrapped_angle};
 pub use vnf_event::{VnfEvent, VnfState};
 pub use walls::{WallLoss, Walls};
 pub use wifi_software::{Protection, RadioKind, Security, WifiSoftware};

@@ -8,7 +8,7 @@ use cotorra_numbers::Draws;
 
 use super::{
     Category, Channel, Edca, Emitter, Node,
-    transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, Try, milliwatts},
+    transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, Try},
 };
 use crate::radio::{
     Path, Radio,
@@ -496,8 +496,8 @@ impl Radio {
         let signal = self.signal_foreign(sent.start, sent.emitter, receiver);
         let noise_floor = self.networks[self.network_of(receiver)].spec.noise_floor;
         let disturbing: f64 =
-            sent.overlaps.iter().map(|other| milliwatts(self.power(*other, receiver))).sum();
-        let noise_db = 10.0 * (milliwatts(noise_floor) + disturbing).log10();
+            sent.overlaps.iter().map(|other| self.power(*other, receiver).milliwatts()).sum();
+        let noise_db = 10.0 * (noise_floor.milliwatts() + disturbing).log10();
         let lost = lost(signal.0 - noise_db);
         (self.edca().foreign[to].rng.unit() >= lost).then_some(signal)
     }

@@ -341,8 +341,8 @@ impl Radio {
         let fading_db = self.fading_db(path, moment);
         let signal = self.signals(path.robot, path.unit)[path.direction as usize];
         let network = &self.networks[self.units[path.unit].network];
-        let disturbing: f64 = others.iter().map(|other| milliwatts(self.power(*other, receiver))).sum();
-        let noise_db = 10.0 * (milliwatts(network.spec.noise_floor) + disturbing).log10();
+        let disturbing: f64 = others.iter().map(|other| self.power(*other, receiver).milliwatts()).sum();
+        let noise_db = 10.0 * (network.spec.noise_floor.milliwatts() + disturbing).log10();
         Some(Reception::new(network.phy, signal.0 + fading_db - noise_db))
     }
 
@@ -387,8 +387,4 @@ impl Radio {
     pub(super) fn is_one_network(&self, robot: usize, unit: RadioUnitIndex) -> bool {
         self.robots[robot].network == self.units[unit].network
     }
-}
-
-pub(super) fn milliwatts(power: Dbm) -> f64 {
-    10f64.powf(power.0 / 10.0)
 }
