@@ -41,7 +41,7 @@ pub struct IpNetwork {
 
 /// Error of a text that is not a network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a network of IP addresses: write it like 10.1.2.3, 10.1.0.0/16 or fd00::/8")]
+#[error("`{0}` is neither an address nor a network: write it like 10.1.2.3, 10.1.0.0/16 or fd00::/8")]
 pub struct InvalidIpNetwork(String);
 
 impl IpNetwork {
