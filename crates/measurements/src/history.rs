@@ -512,6 +512,8 @@ from_event!(
 
 #[cfg(test)]
 mod tests {
+    use cotorra_graph_testing as base;
+
     use super::*;
     use crate::{
         LatenessQuantity,
@@ -618,21 +620,15 @@ mod tests {
 
     #[test]
     fn the_diff_shows_runs_side_by_side() {
-        use cotorra_graph::{Decision, Handover, Instruction, PluginId, ServiceId, VnfId};
+        use cotorra_graph::{Decision, Handover, Instruction, PluginId, VnfId};
         let node = |name: &str| NodeId::new(name).unwrap();
         let s = |seconds: u64| Timestamp::from_nanos(seconds * 1_000_000_000);
         let service = |at: u64, unit: &str, took: Option<u64>| Stamped {
             at: s(at),
             event: Event::ServiceTime(ServiceTime {
-                service: ServiceId::new("navigation").unwrap(),
                 robot: node("r1"),
-                sequence: 0,
-                emitted: s(at),
-                took: took.map(std::time::Duration::from_millis),
                 attachment: Some(node(unit)),
-                server: node("fog"),
-                parts: None,
-                lost_at: None,
+                ..base::service_time("fog", s(at), took.map(std::time::Duration::from_millis))
             }),
         };
         let handover = Event::Handover(Handover {

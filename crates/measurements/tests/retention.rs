@@ -10,10 +10,11 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Conditions, CpuContext, DataFormat, Dbm, Direction, Event, LargeData, LinkContext,
-    LinkCounters, LinkId, MachineContext, MemoryContext, NodeId, Pose, PoseSource, Probability, Retention,
-    RobotContext, Scale, SensorData, SensorReading, Stamped, Timestamp, Velocity,
+    Attachment, CpuContext, DataFormat, Dbm, Direction, Event, LargeData, LinkContext, LinkId,
+    MachineContext, MemoryContext, NodeId, Pose, PoseSource, Probability, Retention, RobotContext,
+    SensorReading, Stamped, Timestamp,
 };
+use cotorra_graph_testing as base;
 use cotorra_measurements::{
     CurveRequest, Figure, History, Kind, Location, PageRequest, Pruned, RunId, RunInfo, Values,
 };
@@ -36,18 +37,11 @@ fn at(n: u64) -> Timestamp {
 
 fn link(name: &str, n: u64) -> Stamped {
     let context = LinkContext {
-        link: LinkId::new(name).unwrap(),
-        direction: Direction::Forward,
-        // Some samples have no delay.
+        link: LinkId::new(name).unwrap(), // Some samples have no delay.
         delay: (!n.is_multiple_of(7)).then(|| Duration::from_micros(1000 + n * 37 % 501)),
         throughput_bps: n as f64,
         queued_packets: Some(n % 11),
-        probed: None,
-        tested: None,
-        asked: Conditions::default(),
-        scale: Scale::default(),
-        effective: Conditions::default(),
-        counters: LinkCounters::default(),
+        ..base::link_context("link")
     };
     Stamped { at: at(n), event: Event::Link(context) }
 }
@@ -61,20 +55,9 @@ fn robot(n: u64) -> Stamped {
         age: None,
     };
     let context = RobotContext {
-        robot: NodeId::new("robot").unwrap(),
-        attachments: [("R1", -50.0 - n as f64 * 0.01), ("R2", -70.0)].map(heard).into(),
-        sensors: SensorData {
-            pose,
-            odometry: pose,
-            velocity: Velocity::default(),
-            bumper: false,
-            nearest_obstacle_m: None,
-        },
-        waypoint: 0,
-        health: Default::default(),
-        speed_limit_mps: None,
-        // Some samples have none.
+        attachments: [("R1", -50.0 - n as f64 * 0.01), ("R2", -70.0)].map(heard).into(), // Some samples have none.
         localization_error_m: (!n.is_multiple_of(5)).then_some(n as f64 * 0.25),
+        ..base::robot_context("robot", pose)
     };
     Stamped { at: at(n), event: Event::Robot(context) }
 }
@@ -97,15 +80,9 @@ fn reading(n: u64) -> Stamped {
 
 fn machine(n: u64) -> Stamped {
     let context = MachineContext {
-        node: NodeId::new("edge").unwrap(),
-        reading: None,
         cpu: Some(CpuContext { cpus: 4, busy: Probability::new(n as f64 / SAMPLES as f64) }),
-        load_average: None,
         memory: Some(MemoryContext { memory_bytes: 1 << 33, available_bytes: (1 << 32) + n }),
-        interfaces: Vec::new(),
-        interfaces_left_out: 0,
-        wifi: Vec::new(),
-        wifi_left_out: 0,
+        ..base::machine_context("edge")
     };
     Stamped { at: at(n), event: Event::Machine(context) }
 }

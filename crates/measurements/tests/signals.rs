@@ -3,9 +3,8 @@
 
 use std::{path::Path, time::Duration};
 
-use cotorra_graph::{
-    Attachment, Dbm, Event, NodeId, Pose, PoseSource, RobotContext, SensorData, Stamped, Timestamp, Velocity,
-};
+use cotorra_graph::{Attachment, Dbm, Event, NodeId, Pose, PoseSource, RobotContext, Stamped, Timestamp};
+use cotorra_graph_testing as base;
 use cotorra_measurements::{CurveRequest, Figure, History, PageRequest, RunInfo};
 
 /// Contexts, ten a second.
@@ -31,16 +30,9 @@ fn context(n: u64) -> Stamped {
         Attachment { radio_unit: NodeId::new(unit).unwrap(), attached, signal, age }
     };
     let pose = Pose::planar(n as f64, 0.5, 0.0, [0.0; 9], PoseSource::Simulator);
-    let velocity = Velocity::default();
-    let sensors = SensorData { pose, odometry: pose, velocity, bumper: false, nearest_obstacle_m: None };
     let context = RobotContext {
-        robot: NodeId::new("robot").unwrap(),
         attachments: UNITS.iter().enumerate().map(attachment).collect(),
-        sensors,
-        waypoint: 0,
-        health: Vec::new(),
-        speed_limit_mps: None,
-        localization_error_m: None,
+        ..base::robot_context("robot", pose)
     };
     Stamped { at, event: Event::Robot(context) }
 }

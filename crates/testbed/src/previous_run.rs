@@ -175,7 +175,8 @@ pub fn orchestrators(testbed: &Testbed) -> impl Iterator<Item = &PluginSpec> {
 mod tests {
     use std::path::Path;
 
-    use cotorra_graph::{Pose, PoseSource, Position, SensorData, Velocity};
+    use cotorra_graph::{Pose, PoseSource, Position};
+    use cotorra_graph_testing as base;
     use cotorra_measurements::RunInfo;
 
     use super::*;
@@ -271,21 +272,10 @@ mod tests {
         let now = testbed(&[]);
         let stood = |robot: &str, at_s, x, waypoint| {
             let pose = Pose::planar(x, -2.5, 0.25, [0.0; 9], PoseSource::Simulator);
-            let sensors = SensorData {
-                pose,
-                odometry: pose,
-                velocity: Velocity::default(),
-                bumper: false,
-                nearest_obstacle_m: None,
-            };
             let context = RobotContext {
                 robot: robot.parse().unwrap(),
-                attachments: Vec::new(),
-                sensors,
                 waypoint,
-                health: Vec::new(),
-                speed_limit_mps: None,
-                localization_error_m: None,
+                ..base::robot_context("robot", pose)
             };
             Stamped { at: Timestamp::ZERO + Duration::from_secs(at_s), event: Event::Robot(context) }
         };

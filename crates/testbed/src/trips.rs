@@ -115,6 +115,7 @@ mod tests {
     use std::{sync::mpsc::SyncSender, time::Duration};
 
     use cotorra_graph::Timestamp;
+    use cotorra_graph_testing as base;
 
     use super::*;
 
@@ -127,13 +128,7 @@ mod tests {
         ServiceTime {
             service: "s".parse().unwrap(),
             robot: "r".parse().unwrap(),
-            sequence: 0,
-            emitted: Timestamp::ZERO,
-            took: None,
-            attachment: None,
-            server: "edge".parse().unwrap(),
-            parts: None,
-            lost_at: None,
+            ..base::service_time("edge", Timestamp::ZERO, None)
         }
     }
 

@@ -11,9 +11,8 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{
-    Event, NodeId, Pose, PoseSource, RobotContext, SensorData, Stamped, Timestamp, Velocity,
-};
+use cotorra_graph::{Event, NodeId, Pose, PoseSource, RobotContext, Stamped, Timestamp};
+use cotorra_graph_testing as base;
 use cotorra_recording::{About, Pace, Recording, RecordingError, Wanted};
 use serde_json::{Value, json};
 
@@ -30,23 +29,8 @@ links: []
 fn moved(second: u64) -> Arc<Stamped> {
     let (covariance, source) = ([0.0; 9], PoseSource::Odometry);
     let pose = Pose::planar(second as f64, 2.0, 0.0, covariance, source);
-    let sensors = SensorData {
-        pose,
-        odometry: pose,
-        velocity: Velocity::default(),
-        bumper: false,
-        nearest_obstacle_m: None,
-    };
     let robot = NodeId::new("tb2").unwrap();
-    let context = RobotContext {
-        robot,
-        attachments: Vec::new(),
-        sensors,
-        waypoint: 0,
-        health: Vec::new(),
-        speed_limit_mps: None,
-        localization_error_m: None,
-    };
+    let context = RobotContext { robot, ..base::robot_context("robot", pose) };
     Arc::new(Stamped { at: Timestamp::from_nanos(second * 1_000_000_000), event: Event::Robot(context) })
 }
 

@@ -8,9 +8,10 @@ use cotorra_graph::{
     Attachment, Conditions, CpuContext, Dbm, Decision, Direction, Event, Handover, Instruction,
     InterfaceContext, InterfaceTraffic, Lateness, LinkContext, LinkCounters, LinkId, MachineContext, NodeId,
     PathKind, Placement, PluginId, Pose, PoseSource, Probability, RadioContext, ReadingTime, RobotContext,
-    RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Testbed, Timestamp,
-    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    RobotFault, Scale, SensorData, ServiceTime, Stamped, StationContext, Testbed, Timestamp, Velocity,
+    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
+use cotorra_graph_testing as base;
 use cotorra_recording::{About, Pace, Recording, RecordingPlace, Wanted};
 use cotorra_robot_middleware::{Scan, SensedScan};
 use serde_json::{Value, json};
@@ -63,15 +64,10 @@ fn machine() -> MachineContext {
         sent: InterfaceTraffic::default(),
     };
     MachineContext {
-        node: node("edge"),
         reading: Some(ReadingTime { measured: Timestamp::from_nanos(7), error: Duration::from_micros(250) }),
         cpu: Some(CpuContext { cpus: 4, busy: Probability::new(0.25) }),
-        load_average: None,
-        memory: None,
         interfaces: vec![interface],
-        interfaces_left_out: 0,
-        wifi: Vec::new(),
-        wifi_left_out: 0,
+        ..base::machine_context("edge")
     }
 }
 
@@ -93,7 +89,6 @@ fn events() -> Vec<Event> {
             detail: Some("exit status 3".to_owned()),
         }),
         Event::Robot(RobotContext {
-            robot: node("tb2"),
             attachments: vec![Attachment {
                 radio_unit: node("R-1"),
                 attached: true,
@@ -111,6 +106,7 @@ fn events() -> Vec<Event> {
             health: vec![RobotFault::TimeJump],
             speed_limit_mps: Some(0.25),
             localization_error_m: Some(0.125),
+            ..base::robot_context("tb2", pose(0.0, 0.0, 0.0))
         }),
         Event::Radio(RadioContext {
             radio_unit: node("R-1"),
@@ -125,13 +121,10 @@ fn events() -> Vec<Event> {
             }],
         }),
         Event::Link(LinkContext {
-            link: LinkId::new("R-1-edge").unwrap(),
             direction: Direction::Backward,
             delay: Some(Duration::from_micros(4250)),
             throughput_bps: 1e6,
             queued_packets: Some(17),
-            probed: None,
-            tested: None,
             asked: Conditions { delay: Duration::from_millis(4), ..Conditions::default() },
             scale: Scale { delay_scale: 2.0, drop_scale: 1.5 },
             effective: Conditions { delay: Duration::from_millis(8), ..Conditions::default() },
@@ -143,17 +136,17 @@ fn events() -> Vec<Event> {
                 duplicated: 5,
                 corrupted: 6,
             },
+            ..base::link_context("R-1-edge")
         }),
         Event::ServiceTime(ServiceTime {
-            service: ServiceId::new("navigation").unwrap(),
             robot: node("tb2"),
             sequence: 42,
-            emitted: Timestamp::from_nanos(2_500_000_001),
-            took: Some(Duration::from_micros(11_250)),
             attachment: Some(node("R-1")),
-            server: node("edge"),
-            parts: None,
-            lost_at: None,
+            ..base::service_time(
+                "edge",
+                Timestamp::from_nanos(2_500_000_001),
+                Some(Duration::from_micros(11_250)),
+            )
         }),
         Event::Handover(Handover {
             robot: node("tb2"),

@@ -16,6 +16,7 @@ use cotorra_engine::{
     contract::{self, Promise, Subject},
 };
 use cotorra_graph::{EngineKind, Image, Pull};
+use cotorra_graph_testing as base;
 use cotorra_testing::containers::{BUSYBOX, Containers};
 use parking_lot::Mutex;
 use tempfile::TempDir;
@@ -205,16 +206,11 @@ fn nothing_is_left_of_a_killed_agents_containers() {
     let mut engine = lab.engine();
     let [left, _] = lab.nodes();
     let vnf = Vnf {
-        id: "service".parse().unwrap(),
         program: cotorra_graph::Program::Command(["sleep", "1000000"].map(str::to_owned).to_vec()),
-        cpus: 1.0,
-        memory_bytes: 64 << 20,
-        pinned_to: None,
         node: left.clone().into(),
-        env: Vec::new(),
         rights: cotorra_graph::Rights::default(),
-        keep: false,
         image: lab.image().map(Box::new),
+        ..base::vnf("service", "server")
     };
     engine.start(InstanceId(1), &vnf, 0, &left).unwrap();
     let ready = loop {

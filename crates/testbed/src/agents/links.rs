@@ -228,6 +228,7 @@ mod tests {
 
     use cotorra_fabric::Fabric;
     use cotorra_graph::{MachineContext, Rate, Timestamp, Trace};
+    use cotorra_graph_testing as base;
 
     use super::*;
 
@@ -292,17 +293,8 @@ links:
                 let [leaving, arriving] = bytes.map(counters);
                 (cable(), LinkReading { leaving, arriving, probed: self.probed })
             });
-            let context = MachineContext {
-                node: self.graph.nodes[0].id.clone(),
-                reading: None,
-                cpu: None,
-                load_average: None,
-                memory: None,
-                interfaces: Vec::new(),
-                interfaces_left_out: 0,
-                wifi: Vec::new(),
-                wifi_left_out: 0,
-            };
+            let context =
+                MachineContext { node: self.graph.nodes[0].id.clone(), ..base::machine_context("machine") };
             let links = reading.into_iter().collect();
             let read_ns = seconds * 1_000_000_000;
             self.reports.read(

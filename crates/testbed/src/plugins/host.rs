@@ -494,7 +494,8 @@ impl PluginHost {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Program, Rights, Vnf};
+    use cotorra_graph::{Program, Vnf};
+    use cotorra_graph_testing as base;
 
     use super::*;
     use crate::follower::EventFilter;
@@ -662,16 +663,10 @@ mod tests {
         let mut host = PluginHost::new([plugin.clone(), other.clone()], Duration::from_secs(1));
         let mut testbed = Obedient::default();
         let vnf = Vnf {
-            id: "new".parse().unwrap(),
             program: Program::Command(vec!["serve".to_owned()]),
-            cpus: 1.0,
             memory_bytes: 1,
-            pinned_to: None,
             node: "edge".parse::<NodeId>().unwrap().into(),
-            env: Vec::new(),
-            rights: Rights::default(),
-            keep: false,
-            image: None,
+            ..base::vnf("new", "server")
         };
         let mut add = |seconds: f64, plugin: &PluginId| {
             let now = Timestamp::from_secs_f64(seconds);

@@ -726,6 +726,7 @@ mod tests {
     use std::{path::Path, time::Duration};
 
     use cotorra_graph::Handover;
+    use cotorra_graph_testing as base;
     use proptest::{collection::vec, option, prelude::*};
 
     use super::*;
@@ -733,15 +734,9 @@ mod tests {
     fn sample(sequence: u32, attachment: &str, service_time_ms: Option<u64>) -> Stamped {
         let emitted = Timestamp::from_secs_f64(f64::from(sequence));
         let event = Event::ServiceTime(ServiceTime {
-            service: "navigation".parse().unwrap(),
-            robot: "robot".parse().unwrap(),
             sequence,
-            emitted,
-            took: service_time_ms.map(Duration::from_millis),
             attachment: Some(attachment.parse().unwrap()),
-            server: "cloud".parse().unwrap(),
-            parts: None,
-            lost_at: None,
+            ..base::service_time("cloud", emitted, service_time_ms.map(Duration::from_millis))
         });
         Stamped { at: emitted, event }
     }

@@ -91,6 +91,7 @@ impl Doubts {
 #[cfg(test)]
 mod tests {
     use cotorra_graph::{Event, NodeId, Placement, ServiceTime, Stamped, Testbed, VnfEvent, VnfState};
+    use cotorra_graph_testing as base;
 
     use super::*;
     use crate::report::{Losses, Report};
@@ -139,13 +140,8 @@ plugins:
             Event::ServiceTime(ServiceTime {
                 service: service.parse().unwrap(),
                 robot,
-                sequence: 0,
-                emitted: Timestamp::ZERO,
-                took: None,
-                attachment: None,
                 server,
-                parts: None,
-                lost_at: None,
+                ..base::service_time("server", Timestamp::ZERO, None)
             }),
         )
     }

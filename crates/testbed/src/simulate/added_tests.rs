@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use cotorra_graph::{Image, Nodes, Rights, Vnf, VnfEvent, VnfId, VnfState};
+use cotorra_graph_testing as base;
 
 use super::*;
 use crate::live::Live;
@@ -24,12 +25,9 @@ fn vnf(node: &str) -> Vnf {
         program: Program::Command(Vec::new()),
         cpus: 0.1,
         memory_bytes: 1_000_000,
-        pinned_to: None,
         node: node.parse::<NodeId>().unwrap().into(),
-        env: Vec::new(),
-        rights: Rights::default(),
-        keep: false,
         image: Some(Box::new(image)),
+        ..base::vnf("vnf", "server")
     }
 }
 

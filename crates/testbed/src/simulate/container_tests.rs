@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use cotorra_graph::{Image, Kpis, Nodes, ServiceTime, Vnf, VnfEvent, VnfId, VnfState};
+use cotorra_graph_testing as base;
 
 use super::*;
 
@@ -39,10 +40,8 @@ fn others(name: &str, program: Program) -> Vnf {
         memory_bytes: 1_000_000,
         pinned_to: Some(node.clone()),
         node: node.into(),
-        env: Vec::new(),
-        rights: Default::default(),
-        keep: false,
         image: image(START, Duration::ZERO),
+        ..base::vnf("vnf", "server")
     }
 }
 

@@ -2,7 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use cotorra_graph::{Program, Vnf, VnfId};
+use cotorra_graph::Vnf;
+use cotorra_graph_testing as base;
 use proptest::prelude::*;
 
 use super::*;
@@ -20,18 +21,7 @@ fn name() -> AgentId {
 
 fn instance(keep: bool) -> WantedInstance {
     let node = cotorra_graph::NodeId::new("edge").unwrap();
-    let vnf = Vnf {
-        id: VnfId::new("navigation").unwrap(),
-        program: Program::Navigation,
-        cpus: 1.0,
-        memory_bytes: 1 << 20,
-        pinned_to: None,
-        node: node.clone().into(),
-        env: Vec::new(),
-        rights: Default::default(),
-        keep: false,
-        image: None,
-    };
+    let vnf = Vnf { memory_bytes: 1 << 20, node: node.clone().into(), ..base::vnf("navigation", "server") };
     WantedInstance { vnf, replica: 0, node, environment: BTreeMap::new(), keep }
 }
 

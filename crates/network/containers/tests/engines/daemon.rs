@@ -1,23 +1,18 @@
 //! The engine's daemon dies and comes back.
 
 use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome, contract::Subject as _};
-use cotorra_graph::{EngineKind, Image, NodeId, Program, Rights, Vnf};
+use cotorra_graph::{EngineKind, Image, NodeId, Program, Vnf};
+use cotorra_graph_testing as base;
 
 use crate::lab::Lab;
 
 pub(crate) fn vnf(lab: &Lab, script: &str) -> Vnf {
     let [node, _] = lab.nodes();
     Vnf {
-        id: "service".parse().unwrap(),
         program: Program::Command(["sh", "-c", script].map(str::to_owned).to_vec()),
-        cpus: 1.0,
-        memory_bytes: 64 << 20,
-        pinned_to: None,
         node: node.into(),
-        env: Vec::new(),
-        rights: Rights::default(),
-        keep: false,
         image: lab.image().map(Box::<Image>::new),
+        ..base::vnf("service", "server")
     }
 }
 
