@@ -6,7 +6,7 @@ use cotorra_calibrate::{PacketTimes, fit_path};
 use cotorra_graph::JitterDistribution;
 use cotorra_numbers::Draws;
 
-use crate::{Coverage, between, sites};
+use super::{Coverage, between, sites};
 
 /// Packets of a site.
 const PACKETS: usize = 1000;

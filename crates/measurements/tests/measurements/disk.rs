@@ -60,7 +60,7 @@ fn in_a_small_file_system(commands: &str) {
 
 #[test]
 fn a_disk_that_is_full_for_a_while_loses_nothing() {
-    in_a_small_file_system("inside fills_the_disk\ninside opens_what_was_filled");
+    in_a_small_file_system("inside disk::fills_the_disk\ninside disk::opens_what_was_filled");
 }
 
 /// Fills the disk with another file.
@@ -122,7 +122,7 @@ fn opens_what_was_filled() {
 #[test]
 fn a_read_only_file_system_causes_an_error() {
     in_a_small_file_system(
-        "inside makes_a_history\nmount -o remount,ro \"$COTORRA_TEST_FOLDER\"\ninside is_refused",
+        "inside disk::makes_a_history\nmount -o remount,ro \"$COTORRA_TEST_FOLDER\"\ninside disk::is_refused",
     );
 }
 

@@ -47,7 +47,7 @@ struct Recording {
 impl Recording {
     fn start(location: &str) -> Self {
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["records_until_it_is_killed", "--exact", "--ignored", "--nocapture"])
+            .args(["kill::records_until_it_is_killed", "--exact", "--ignored", "--nocapture"])
             .env(PATH, location)
             .stdout(Stdio::piped())
             .stderr(Stdio::null())

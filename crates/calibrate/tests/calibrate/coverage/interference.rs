@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use cotorra_calibrate::{ChannelSurvey, Counters, MeasuredChannel, fit_interference};
 use cotorra_numbers::Draws;
 
-use crate::{Coverage, between, sites};
+use super::{Coverage, between, sites};
 
 const TESTBED: &str = "name: lab
 wireless: { lab: {} }

@@ -1,7 +1,5 @@
 //! The real hostapd and wpa_supplicant, without a radio. `radios.rs` meets them on emulated radios.
 
-mod fixture;
-
 use std::{
     env, fs, io,
     os::unix::fs::PermissionsExt,
@@ -14,6 +12,8 @@ use cotorra_wifi::{
     AccessPoint, AccessPointDriver, Bss, ControlError, Daemon, Event, Security, StartError, Station,
     StationDriver, hostapd, launch_here, ping, wpa_supplicant,
 };
+
+use crate::fixture;
 
 /// Whether all programs are there. In continuous integration they must be.
 fn installed() -> bool {

@@ -1,11 +1,10 @@
 //! Configuration files, compared with those in `golden`. `COTORRA_BLESS=1` writes those anew.
 
-#[allow(dead_code, reason = "other tests use the rest")]
-mod fixture;
-
 use std::{env, fs, path::Path};
 
 use cotorra_wifi::{AccessPointDriver, Generation, Security};
+
+use crate::fixture;
 
 const CONTROL: &str = "/run/cotorra/control";
 

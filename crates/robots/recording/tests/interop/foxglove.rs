@@ -1,5 +1,4 @@
 //! A run watched by a viewer of Foxglove's WebSocket protocol: the Python package `websockets`, with `rosbags` as decoder.
-#![cfg(feature = "foxglove")]
 #![allow(clippy::unwrap_used, reason = "a failure here fails the test")]
 
 use std::{

@@ -267,7 +267,7 @@ fn kill_9_leaves_either_samples_or_points() {
         let before = FIGURES.map(|figure| exact(&curve(&history, run, figure, 1)[0]));
         for round in 0..100_u64 {
             let mut child = Command::new(std::env::current_exe().unwrap())
-                .args(["prunes_until_it_is_killed", "--exact", "--ignored", "--nocapture"])
+                .args(["retention::prunes_until_it_is_killed", "--exact", "--ignored", "--nocapture"])
                 .env(PATH, &location)
                 .env(RUN, run.to_string())
                 .stdout(Stdio::piped())

@@ -7,7 +7,7 @@ use cotorra_fabric::{Fabric, Frame};
 use cotorra_graph::{HostAddress, Timestamp};
 use cotorra_numbers::Draws;
 
-use crate::{Coverage, between, sites};
+use super::{Coverage, between, sites};
 
 /// Packets of a link.
 const PACKETS: u64 = 1000;

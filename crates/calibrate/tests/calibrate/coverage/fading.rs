@@ -6,7 +6,7 @@ use cotorra_calibrate::{Reading, fit_fading, fit_survey};
 use cotorra_graph::{Dbm, PathLoss, Position};
 use cotorra_numbers::Draws;
 
-use crate::{Coverage, USUAL, between, sites};
+use super::{Coverage, USUAL, between, sites};
 
 const TESTBED: &str = "name: lab
 wireless: { lab: {} }

@@ -1,5 +1,5 @@
 //! Error messages of testbed files: each rule has a file in `tests/bad`, with the expected message beside it. `BLESS=1
-//! cargo test -p cotorra-testbed-file --test bad` writes the messages anew, to be read in the diff.
+//! cargo test -p cotorra-testbed-file bad` writes the messages anew, to be read in the diff.
 
 use std::{fs, path::Path};
 

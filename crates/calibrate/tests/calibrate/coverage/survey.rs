@@ -6,7 +6,7 @@ use cotorra_calibrate::{Reading, SignalPredictor, compare_survey, fit_survey, sp
 use cotorra_graph::{Cell, Dbm, OccupancyGrid, PathLoss, Position, Testbed};
 use cotorra_numbers::Draws;
 
-use crate::{Coverage, USUAL, between, sites};
+use super::{Coverage, USUAL, between, sites};
 
 /// Edges of the hall, metres.
 const HALL: [f64; 2] = [40.0, 24.0];

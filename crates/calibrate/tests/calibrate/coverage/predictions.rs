@@ -6,7 +6,7 @@ use cotorra_calibrate::{Predictor, compare, fit_path};
 use cotorra_graph::JitterDistribution;
 use cotorra_numbers::Draws;
 
-use crate::{
+use super::{
     paths::{Truth, packet_times},
     sites,
 };

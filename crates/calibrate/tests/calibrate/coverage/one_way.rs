@@ -5,7 +5,7 @@ use std::array;
 use cotorra_calibrate::{Means, fit_path, one_way_of_captures};
 use cotorra_numbers::Draws;
 
-use crate::{
+use super::{
     Coverage, between,
     paths::{Truth, packet_times},
     sites,

@@ -3,7 +3,7 @@
 use cotorra_calibrate::{HandoverTime, fit_handovers};
 use cotorra_numbers::Draws;
 
-use crate::{Coverage, between, sites};
+use super::{Coverage, between, sites};
 
 const TESTBED: &str = "name: lab
 wireless: { lab: { handover: { authenticate: 15 ms, reassociate: 20 ms, handshake: 60 ms } } }
