@@ -415,6 +415,3 @@ fn end(
         remote.change();
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,6 +1,5 @@
 //! Wi-Fi interfaces are what the core wants as long as it is there, requests are carried out once, and no event is told twice,
 //! whatever is lost, doubled, delayed or killed.
-#![allow(clippy::unwrap_used, reason = "a failure here fails the test")]
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -18,7 +17,7 @@ use cotorra_wifi::{
 };
 use proptest::prelude::*;
 
-const STEP: Duration = Duration::from_millis(10);
+use crate::rig::{Carrier, Message, STEP, settling, steps_of, tell};
 
 type Radios = BTreeMap<InterfaceName, WantedRadio>;
 
@@ -75,22 +74,13 @@ struct Machine {
     heard: Timestamp,
 }
 
-#[derive(Clone)]
-enum Message {
-    ToAgent(Transmit),
-    ToCore(Report),
-}
-
 struct World {
     now: Timestamp,
     runs: u64,
     controller: Controller,
     wanted: Radios,
     machine: Machine,
-    under_way: Vec<(Timestamp, Message)>,
-    is_cut: bool,
-    /// Draws the network's faults: lost if it is 0, doubled if it is 1, and delayed by so many steps.
-    faults: Box<dyn FnMut() -> u8>,
+    network: Carrier,
     /// The last state that the core learned of each interface in this run.
     told: BTreeMap<InterfaceName, RadioState>,
     /// Requests of this run, and whether each was taken.
@@ -101,7 +91,7 @@ struct World {
 }
 
 impl World {
-    fn new(faults: impl FnMut() -> u8 + 'static) -> Self {
+    fn new(network: Carrier) -> Self {
         let machine = Machine {
             saved: None,
             boots: 0,
@@ -116,9 +106,7 @@ impl World {
             controller: Controller::new(Run(0), LEASE, Vec::new(), []),
             wanted: Radios::new(),
             machine,
-            under_way: Vec::new(),
-            is_cut: false,
-            faults: Box::new(faults),
+            network,
             told: BTreeMap::new(),
             requests: BTreeMap::new(),
             happened: 0,
@@ -165,28 +153,13 @@ impl World {
         }
     }
 
-    fn send(&mut self, message: Message) {
-        let fault = (self.faults)();
-        if self.is_cut || fault == 0 {
-            return;
-        }
-        if fault == 1 {
-            self.under_way.push((self.now + STEP * 9, message.clone()));
-        }
-        self.under_way.push((self.now + STEP * u32::from(fault % 8), message));
-    }
-
     fn step(&mut self) {
         self.now = self.now + STEP;
         let now = self.now;
-        let (due, later): (Vec<_>, Vec<_>) = self.under_way.drain(..).partition(|(at, _)| *at <= now);
-        self.under_way = later;
-        for (_, message) in due {
+        for message in self.network.arrived(now) {
             match message {
                 Message::ToAgent(transmit) => self.tell_agent(transmit),
-                Message::ToCore(report) => {
-                    self.controller.receive(now, &name(), Report::decode(&report.encode()).unwrap());
-                }
+                Message::ToCore(report) => self.controller.receive(now, &name(), report),
             }
         }
         self.controller.advance(now);
@@ -194,7 +167,7 @@ impl World {
             self.learn(event);
         }
         while let Some(transmit) = self.controller.poll_transmit(now) {
-            self.send(Message::ToAgent(transmit));
+            self.network.send(now, Message::ToAgent(transmit));
         }
         self.run_agent();
     }
@@ -220,16 +193,7 @@ impl World {
     fn tell_agent(&mut self, transmit: Transmit) {
         let now = self.now;
         let Some(agent) = &mut self.machine.agent else { return };
-        let run = match transmit {
-            Transmit::Wanted(_, wanted) => {
-                agent.want(now, Wanted::decode(&wanted.encode()).unwrap());
-                wanted.run
-            }
-            Transmit::Beat(_, beat) => {
-                agent.beat(now, beat);
-                beat.run
-            }
-        };
+        let run = tell(agent, now, transmit);
         if agent.run() == Some(run) {
             self.machine.heard = now;
         }
@@ -262,7 +226,7 @@ impl World {
             assert_eq!(self.machine.used, Radios::new(), "the core is away");
         }
         self.machine.agent = Some(agent);
-        reports.into_iter().for_each(|report| self.send(Message::ToCore(report)));
+        reports.into_iter().for_each(|report| self.network.send(now, Message::ToCore(report)));
     }
 
     fn steps(&mut self, count: u32) {
@@ -271,11 +235,11 @@ impl World {
 
     /// Steps until a lease and what is under way have passed, several times over.
     fn settle(&mut self) {
-        self.pass(LEASE * 4);
+        self.steps(settling());
     }
 
     fn pass(&mut self, time: Duration) {
-        self.steps(time.as_millis() as u32 / STEP.as_millis() as u32);
+        self.steps(steps_of(time));
     }
 }
 
@@ -318,11 +282,7 @@ proptest! {
         steps in prop::collection::vec(step(), 1..60),
         faults in prop::collection::vec(any::<u8>(), 1..200),
     ) {
-        let mut place = 0;
-        let mut world = World::new(move || {
-            place += 1;
-            faults[place % faults.len()] % 16
-        });
+        let mut world = World::new(Carrier::with(faults));
         for step in steps {
             match step {
                 Step::Want(number, on) => world.want(number, on),
@@ -332,8 +292,8 @@ proptest! {
                 Step::StartCore => world.start_core(),
                 Step::KillAgent => world.machine.agent = None,
                 Step::StartAgent => world.start_agent(),
-                Step::Cut => world.is_cut = true,
-                Step::Heal => world.is_cut = false,
+                Step::Cut => world.network.is_cut = true,
+                Step::Heal => world.network.is_cut = false,
                 Step::Wait(steps) => world.steps(steps.into()),
                 Step::Outlast => world.pass(RADIOS_KEPT),
             }
@@ -341,8 +301,7 @@ proptest! {
         if world.machine.agent.is_none() {
             world.start_agent();
         }
-        world.is_cut = false;
-        world.faults = Box::new(|| 2);
+        world.network.heal();
         world.settle();
         prop_assert!(world.controller.is_settled());
         prop_assert_eq!(&world.machine.used, &world.wanted);
@@ -360,10 +319,10 @@ proptest! {
 fn events_arrive_once_although_reports_and_beats_are_lost() {
     let mut draw = 0;
     // Each third message is lost.
-    let mut world = World::new(move || {
+    let mut world = World::new(Carrier::new(move || {
         draw = (draw + 1) % 3;
         draw
-    });
+    }));
     world.settle();
     for _ in 0..50 {
         world.happen();
@@ -375,14 +334,13 @@ fn events_arrive_once_although_reports_and_beats_are_lost() {
 
 #[test]
 fn an_agent_that_is_away_takes_no_request() {
-    let mut world = World::new(|| 2);
+    let mut world = World::new(Carrier::sound());
     assert!(world.controller.request(&name(), roam()).unwrap_err().contains("not connected"));
     world.settle();
     world.request();
     world.settle();
     assert_eq!(world.requests[&1], Some(true));
-    world.is_cut = true;
-    world.under_way.clear();
+    world.network.cut();
     world.request();
     world.settle();
     assert_eq!(world.requests[&2], Some(false));
@@ -390,17 +348,16 @@ fn an_agent_that_is_away_takes_no_request() {
 
 #[test]
 fn radios_stay_with_a_core_that_is_silent_for_a_while() {
-    let mut world = World::new(|| 2);
+    let mut world = World::new(Carrier::sound());
     world.want(1, 6);
     world.settle();
-    world.is_cut = true;
-    world.under_way.clear();
+    world.network.cut();
     world.pass(RADIOS_KEPT - LEASE);
     assert!(world.machine.agent.as_ref().unwrap().is_alone());
     assert_eq!(world.machine.used, world.wanted);
     world.pass(LEASE * 2);
     assert_eq!(world.machine.used, Radios::new());
-    world.is_cut = false;
+    world.network.is_cut = false;
     world.settle();
     assert_eq!(world.machine.used, world.wanted);
 }
@@ -456,8 +413,8 @@ fn more_than_wifi_interfaces_can_have_is_rejected() {
 }
 
 /// Messages from which the fuzzer starts, too.
-const WANTED: &[u8] = include_bytes!("../../../../fuzz/seeds/agents/wanted");
-const REPORT: &[u8] = include_bytes!("../../../../fuzz/seeds/agents/report");
+const WANTED: &[u8] = include_bytes!("../../../../../fuzz/seeds/agents/wanted");
+const REPORT: &[u8] = include_bytes!("../../../../../fuzz/seeds/agents/report");
 
 #[test]
 fn messages_on_the_wire_are_read() {

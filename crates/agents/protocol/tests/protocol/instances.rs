@@ -1,19 +1,17 @@
-//! Both ends, with a network between them that loses, doubles, delays and overtakes, and with kills of both.
+//! Instances run as the core wants them in the end, whatever is lost, doubled, delayed or killed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use cotorra_graph::Vnf;
+use cotorra_agent_protocol::{
+    Action, Agent, Beat, Controller, ControllerEvent, InstanceState, LEASE, Report, Run, Transmit, Wanted,
+    WantedInstance,
+};
+use cotorra_engine::{EngineEvent, InstanceId, Outcome};
+use cotorra_graph::{AgentId, Timestamp, Vnf};
 use cotorra_graph_testing as base;
 use proptest::prelude::*;
 
-use super::*;
-use crate::{
-    action::Action,
-    agent::Agent,
-    message::{InstanceState, LEASE},
-};
-
-const STEP: Duration = Duration::from_millis(10);
+use crate::rig::{Carrier, Message, STEP, settling, tell};
 
 fn name() -> AgentId {
     AgentId::new("edge1").unwrap()
@@ -36,22 +34,12 @@ struct Machine {
     running: BTreeMap<InstanceId, (WantedInstance, bool)>,
 }
 
-/// A message under way.
-#[derive(Clone)]
-enum Message {
-    ToAgent(Transmit),
-    ToCore(Report),
-}
-
 struct World {
     now: Timestamp,
     runs: u64,
     controller: Controller,
     machine: Machine,
-    under_way: Vec<(Timestamp, Message)>,
-    is_cut: bool,
-    /// Draws the network's faults: lost if it is 0, doubled if it is 1, and delayed by so many steps.
-    faults: Box<dyn FnMut() -> u8>,
+    network: Carrier,
     /// Outcomes of each instance of this run.
     outcomes: BTreeMap<u64, Vec<Outcome>>,
     wanted: BTreeSet<u64>,
@@ -59,15 +47,13 @@ struct World {
 }
 
 impl World {
-    fn new(faults: impl FnMut() -> u8 + 'static) -> Self {
+    fn new(network: Carrier) -> Self {
         let mut world = Self {
             now: Timestamp::ZERO,
             runs: 0,
             controller: Controller::new(Run(0), LEASE, Vec::new(), []),
             machine: Machine { saved: None, boots: 0, agent: None, run: Run(0), running: BTreeMap::new() },
-            under_way: Vec::new(),
-            is_cut: false,
-            faults: Box::new(faults),
+            network,
             outcomes: BTreeMap::new(),
             wanted: BTreeSet::new(),
             next: 0,
@@ -108,36 +94,17 @@ impl World {
         self.controller.stop(InstanceId(id));
     }
 
-    fn send(&mut self, message: Message) {
-        let fault = (self.faults)();
-        if self.is_cut || fault == 0 {
-            return;
-        }
-        if fault == 1 {
-            self.under_way.push((self.now + STEP * 9, message.clone()));
-        }
-        self.under_way.push((self.now + STEP * u32::from(fault % 8), message));
-    }
-
     fn step(&mut self) {
         self.now = self.now + STEP;
         let now = self.now;
-        let (due, later) = self.under_way.drain(..).partition(|(at, _)| *at <= now);
-        self.under_way = later;
-        let due: Vec<(Timestamp, Message)> = due;
-        for (_, message) in due {
+        for message in self.network.arrived(now) {
             match message {
-                Message::ToAgent(Transmit::Wanted(_, wanted)) => {
-                    let wanted = Wanted::decode(&wanted.encode()).unwrap();
-                    self.machine.agent.iter_mut().for_each(|agent| agent.want(now, wanted.clone()));
+                Message::ToAgent(transmit) => {
+                    if let Some(agent) = &mut self.machine.agent {
+                        tell(agent, now, transmit);
+                    }
                 }
-                Message::ToAgent(Transmit::Beat(_, beat)) => {
-                    self.machine.agent.iter_mut().for_each(|agent| agent.beat(now, beat));
-                }
-                Message::ToCore(report) => {
-                    let report = Report::decode(&report.encode()).unwrap();
-                    self.controller.receive(now, &name(), report);
-                }
+                Message::ToCore(report) => self.controller.receive(now, &name(), report),
             }
         }
         self.controller.advance(now);
@@ -150,7 +117,7 @@ impl World {
             }
         }
         while let Some(transmit) = self.controller.poll_transmit(now) {
-            self.send(Message::ToAgent(transmit));
+            self.network.send(now, Message::ToAgent(transmit));
         }
         self.run_agent();
     }
@@ -186,7 +153,7 @@ impl World {
             }
         }
         self.machine.agent = Some(agent);
-        reports.into_iter().for_each(|report| self.send(Message::ToCore(report)));
+        reports.into_iter().for_each(|report| self.network.send(now, Message::ToCore(report)));
     }
 
     fn steps(&mut self, count: u32) {
@@ -195,7 +162,7 @@ impl World {
 
     /// Steps until a lease and what is under way have passed, several times over.
     fn settle(&mut self) {
-        self.steps((LEASE * 4).as_millis() as u32 / STEP.as_millis() as u32);
+        self.steps(settling());
     }
 
     /// Checks that instances have the outcomes that an engine promises.
@@ -244,11 +211,7 @@ proptest! {
         steps in prop::collection::vec(step(), 1..60),
         faults in prop::collection::vec(any::<u8>(), 1..200),
     ) {
-        let mut place = 0;
-        let mut world = World::new(move || {
-            place += 1;
-            faults[place % faults.len()] % 16
-        });
+        let mut world = World::new(Carrier::with(faults));
         for step in steps {
             match step {
                 Step::Start { keep } => {
@@ -270,14 +233,13 @@ proptest! {
                 }
                 Step::RestartAgent => world.restart_agent(),
                 Step::RestartCore => world.restart_core(),
-                Step::Cut => world.is_cut = true,
-                Step::Heal => world.is_cut = false,
+                Step::Cut => world.network.is_cut = true,
+                Step::Heal => world.network.is_cut = false,
                 Step::Wait(steps) => world.steps(steps.into()),
             }
             world.check_outcomes();
         }
-        world.is_cut = false;
-        world.faults = Box::new(|| 2);
+        world.network.heal();
         world.settle();
         world.check_outcomes();
         prop_assert!(world.controller.is_settled());
@@ -291,7 +253,7 @@ proptest! {
 
 /// A world without faults in which these instances run.
 fn running(keep: &[bool]) -> (World, Vec<u64>) {
-    let mut world = World::new(|| 2);
+    let mut world = World::new(Carrier::sound());
     let ids = keep.iter().map(|keep| world.start(*keep)).collect();
     world.settle();
     assert_eq!(world.machine.running.len(), keep.len());
@@ -301,7 +263,7 @@ fn running(keep: &[bool]) -> (World, Vec<u64>) {
 #[test]
 fn an_agent_without_its_core_stops_what_shall_not_go_on() {
     let (mut world, _) = running(&[true, false]);
-    world.is_cut = true;
+    world.network.is_cut = true;
     world.steps(140);
     assert_eq!(world.machine.running.len(), 2, "before the lease");
     world.settle();
@@ -313,11 +275,11 @@ fn an_agent_without_its_core_stops_what_shall_not_go_on() {
 #[test]
 fn a_core_counts_instances_of_a_lost_agent_as_dead_unless_they_go_on() {
     let (mut world, ids) = running(&[true, false]);
-    world.is_cut = true;
+    world.network.is_cut = true;
     world.settle();
     assert_eq!(world.outcomes[&ids[0]], [Outcome::Ready]);
     assert!(matches!(world.outcomes[&ids[1]][..], [Outcome::Ready, Outcome::Died(_)]));
-    world.is_cut = false;
+    world.network.is_cut = false;
     world.settle();
     assert_eq!(world.outcomes[&ids[0]], [Outcome::Ready], "it went on");
     assert_eq!(world.machine.running.len(), 1);
@@ -326,7 +288,7 @@ fn a_core_counts_instances_of_a_lost_agent_as_dead_unless_they_go_on() {
 #[test]
 fn a_restarted_agent_goes_on_with_what_it_saved_while_the_core_is_away() {
     let (mut world, _) = running(&[true, false]);
-    world.is_cut = true;
+    world.network.is_cut = true;
     world.restart_agent();
     world.settle();
     assert_eq!(world.machine.running.len(), 1);

@@ -1,5 +1,4 @@
 //! Readings of machines have the core's time, whatever the two clocks and the ways between them are.
-#![allow(clippy::unwrap_used, reason = "a failure here fails the test")]
 
 use std::{collections::BTreeMap, time::Duration};
 

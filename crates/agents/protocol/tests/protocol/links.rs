@@ -1,5 +1,4 @@
 //! Links have the conditions that the core wants as long as it is there, whatever is lost, doubled, delayed or killed.
-#![allow(clippy::unwrap_used, reason = "a failure here fails the test")]
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -10,7 +9,7 @@ use cotorra_agent_protocol::{
 use cotorra_graph::{AgentId, Conditions, LinkId, Probing, Reached, Timestamp};
 use proptest::prelude::*;
 
-const STEP: Duration = Duration::from_millis(10);
+use crate::rig::{Carrier, Message, STEP, settling, tell};
 
 type Links = BTreeMap<LinkId, WantedLink>;
 
@@ -62,12 +61,6 @@ impl Machine {
     }
 }
 
-#[derive(Clone)]
-enum Message {
-    ToAgent(Transmit),
-    ToCore(Report),
-}
-
 struct World {
     now: Timestamp,
     runs: u64,
@@ -76,16 +69,13 @@ struct World {
     wanted: Links,
     generations: BTreeMap<(Run, u64), Links>,
     machine: Machine,
-    under_way: Vec<(Timestamp, Message)>,
-    is_cut: bool,
-    /// Draws the network's faults: lost if it is 0, doubled if it is 1, and delayed by so many steps.
-    faults: Box<dyn FnMut() -> u8>,
+    network: Carrier,
     /// What the core learned of each link, in this run.
     told: Vec<(LinkId, LinkState)>,
 }
 
 impl World {
-    fn new(faults: impl FnMut() -> u8 + 'static) -> Self {
+    fn new(network: Carrier) -> Self {
         let mut world = Self {
             now: Timestamp::ZERO,
             runs: 0,
@@ -101,9 +91,7 @@ impl World {
                 is_missing: false,
                 heard: Timestamp::ZERO,
             },
-            under_way: Vec::new(),
-            is_cut: false,
-            faults: Box::new(faults),
+            network,
             told: Vec::new(),
         };
         world.start_core();
@@ -143,30 +131,13 @@ impl World {
         self.controller.stop_all();
     }
 
-    fn send(&mut self, message: Message) {
-        let fault = (self.faults)();
-        if self.is_cut || fault == 0 {
-            return;
-        }
-        if fault == 1 {
-            self.under_way.push((self.now + STEP * 9, message.clone()));
-        }
-        self.under_way.push((self.now + STEP * u32::from(fault % 8), message));
-    }
-
     fn step(&mut self) {
         self.now = self.now + STEP;
         let now = self.now;
-        let (due, later) = self.under_way.drain(..).partition(|(at, _)| *at <= now);
-        self.under_way = later;
-        let due: Vec<(Timestamp, Message)> = due;
-        for (_, message) in due {
+        for message in self.network.arrived(now) {
             match message {
                 Message::ToAgent(transmit) => self.tell_agent(transmit),
-                Message::ToCore(report) => {
-                    let report = Report::decode(&report.encode()).unwrap();
-                    self.controller.receive(now, &name(), report);
-                }
+                Message::ToCore(report) => self.controller.receive(now, &name(), report),
             }
         }
         self.controller.advance(now);
@@ -181,7 +152,7 @@ impl World {
                 let links = wanted.links.clone();
                 self.generations.insert((wanted.run, wanted.generation), links);
             }
-            self.send(Message::ToAgent(transmit));
+            self.network.send(now, Message::ToAgent(transmit));
         }
         self.run_agent();
     }
@@ -189,16 +160,7 @@ impl World {
     fn tell_agent(&mut self, transmit: Transmit) {
         let now = self.now;
         let Some(agent) = &mut self.machine.agent else { return };
-        let run = match transmit {
-            Transmit::Wanted(_, wanted) => {
-                agent.want(now, Wanted::decode(&wanted.encode()).unwrap());
-                wanted.run
-            }
-            Transmit::Beat(_, beat) => {
-                agent.beat(now, beat);
-                beat.run
-            }
-        };
+        let run = tell(agent, now, transmit);
         if agent.run() == Some(run) {
             self.machine.heard = now;
         }
@@ -230,7 +192,7 @@ impl World {
             assert_eq!(self.machine.emulated, Links::new(), "the core is away");
         }
         self.machine.agent = Some(agent);
-        reports.into_iter().for_each(|report| self.send(Message::ToCore(report)));
+        reports.into_iter().for_each(|report| self.network.send(now, Message::ToCore(report)));
     }
 
     /// A report says what is true when it is sent.
@@ -254,7 +216,7 @@ impl World {
 
     /// Steps until a lease and what is under way have passed, several times over.
     fn settle(&mut self) {
-        self.steps((LEASE * 4).as_millis() as u32 / STEP.as_millis() as u32);
+        self.steps(settling());
     }
 }
 
@@ -294,11 +256,7 @@ proptest! {
         steps in prop::collection::vec(step(), 1..60),
         faults in prop::collection::vec(any::<u8>(), 1..200),
     ) {
-        let mut place = 0;
-        let mut world = World::new(move || {
-            place += 1;
-            faults[place % faults.len()] % 16
-        });
+        let mut world = World::new(Carrier::with(faults));
         for step in steps {
             match step {
                 Step::Want(number, delay_ms) => world.want(number, delay_ms),
@@ -306,8 +264,8 @@ proptest! {
                 Step::StartCore => world.start_core(),
                 Step::KillAgent => world.kill_agent(),
                 Step::StartAgent => world.start_agent(),
-                Step::Cut => world.is_cut = true,
-                Step::Heal => world.is_cut = false,
+                Step::Cut => world.network.is_cut = true,
+                Step::Heal => world.network.is_cut = false,
                 Step::Unplug => world.machine.is_missing = true,
                 Step::Plug => world.machine.is_missing = false,
                 Step::Wait(steps) => world.steps(steps.into()),
@@ -316,9 +274,8 @@ proptest! {
         if world.machine.agent.is_none() {
             world.start_agent();
         }
-        world.is_cut = false;
         world.machine.is_missing = false;
-        world.faults = Box::new(|| 2);
+        world.network.heal();
         world.settle();
         prop_assert!(world.controller.is_settled());
         prop_assert_eq!(&world.machine.emulated, &world.wanted);
@@ -331,7 +288,7 @@ proptest! {
 
 /// A world without faults in which two links are emulated.
 fn emulating() -> World {
-    let mut world = World::new(|| 2);
+    let mut world = World::new(Carrier::sound());
     world.want(0, 20);
     world.want(1, 5);
     world.settle();
@@ -342,10 +299,10 @@ fn emulating() -> World {
 #[test]
 fn links_lose_their_conditions_without_the_core_and_get_them_back_with_it() {
     let mut world = emulating();
-    world.is_cut = true;
+    world.network.is_cut = true;
     world.settle();
     assert_eq!(world.machine.emulated, Links::new());
-    world.is_cut = false;
+    world.network.is_cut = false;
     world.settle();
     assert_eq!(world.machine.emulated, world.wanted);
 }
@@ -366,12 +323,11 @@ fn the_end_of_a_run_and_the_next_run_remove_conditions() {
 #[test]
 fn a_restarted_agent_waits_for_the_core() {
     let mut world = emulating();
-    world.is_cut = true;
-    world.under_way.clear();
+    world.network.cut();
     world.start_agent();
     world.steps(20);
     assert_eq!(world.machine.emulated, Links::new());
-    world.is_cut = false;
+    world.network.is_cut = false;
     world.settle();
     assert_eq!(world.machine.emulated, world.wanted);
 }
