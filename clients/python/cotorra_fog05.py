@@ -13,7 +13,7 @@ it: COTORRA_API, or else your only run on this machine. A locator of fog05 is ig
 `from fog05_sdk.interfaces.FDU import FDU` works after this import, too, unless the SDK of fog05 is installed.
 
 Routers, images and flavors are not here: nodes have their paths in the testbed file, and images come from registries. A
-virtual network is the emulated network, which all nodes share. docs/lifecycle.md has what a descriptor may say.
+virtual network is the emulated network, which all nodes share. docs/use/lifecycle.md has what a descriptor may say.
 """
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class _Networks:
         return f"nodes/{_name(node)}/network/{_name(network)}/info"
 
     def __getattr__(self, name: str) -> Any:
-        raise NotImplementedError(f"network.{name} of fog05 is not here: docs/lifecycle.md has what is")
+        raise NotImplementedError(f"network.{name} of fog05 is not here: docs/use/lifecycle.md has what is")
 
 
 class _Fdus:
@@ -264,7 +264,7 @@ class _Fdus:
         return self._rest.ask("GET", "fdu/list")
 
     def __getattr__(self, name: str) -> Any:
-        reason = self._missing.get(name, "docs/lifecycle.md has what is")
+        reason = self._missing.get(name, "docs/use/lifecycle.md has what is")
         raise NotImplementedError(f"fdu.{name} of fog05 is not here: {reason}")
 
     def _step(self, instance: str, step: str, body: str = "") -> str:
@@ -290,7 +290,7 @@ class _Missing:
         return []
 
     def __getattr__(self, name: str) -> Any:
-        raise NotImplementedError(f"{self._part}.{name} of fog05 is not here: docs/lifecycle.md has what is")
+        raise NotImplementedError(f"{self._part}.{name} of fog05 is not here: docs/use/lifecycle.md has what is")
 
 
 def _stand_in() -> None:

@@ -14,7 +14,9 @@ fuzz_target!(|parts: Vec<&[u8]>| {
             match decoder.poll(LONGEST) {
                 Ok(Some(frame)) => frame.write(&mut written).expect("a vector takes all"),
                 Ok(None) => break,
-                Err(FrameError::Kind(_) | FrameError::TooLong { .. }) => return assert!(stream.starts_with(&written)),
+                Err(FrameError::Kind(_) | FrameError::TooLong { .. }) => {
+                    return assert!(stream.starts_with(&written));
+                }
             }
         }
     }

@@ -84,7 +84,10 @@ fn rtps(of_client: bool, port: u8, flags: u8, sequence: u16, payload: &[u8]) -> 
     frame
 }
 
-fuzz_target!(|input: (u8, Vec<(u8, u8, u8, u16, &[u8])>)| {
+/// What happens: a kind, the ends, how much later, and bytes.
+type Step<'a> = (u8, u8, u8, u16, &'a [u8]);
+
+fuzz_target!(|input: (u8, Vec<Step<'_>>)| {
     let (kind, events) = input;
     let names = || ("/a".to_owned(), "/b".to_owned());
     let is_ros2 = kind >= 192;

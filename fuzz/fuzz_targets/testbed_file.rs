@@ -9,7 +9,9 @@ use libfuzzer_sys::fuzz_target;
 fuzz_target!(|input: (Option<String>, String)| {
     let (setting, text) = input;
     let settings: Vec<Setting> = setting.iter().filter_map(|setting| setting.parse().ok()).collect();
-    if let Err(wrong) = cotorra_testbed_file::parse_with("fuzz.yaml", &text, Path::new("/nonexistent"), &settings) {
+    if let Err(wrong) =
+        cotorra_testbed_file::parse_with("fuzz.yaml", &text, Path::new("/nonexistent"), &settings)
+    {
         assert!(wrong.list.iter().all(|d| wrong.source_text.get(d.span.clone()).is_some()));
         _ = wrong.to_string();
     }

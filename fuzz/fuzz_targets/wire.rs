@@ -3,8 +3,8 @@
 
 use cotorra_plugin::wire::{Answer, ImagePacket, NavigationPacket, PosePacket, PositionPacket, ScanPacket};
 use cotorra_ros_messages::{
-    BatteryState, CompressedImage, Float64MultiArray, Image, Imu, LaserScan, Message, OccupancyGrid, Odometry, TFMessage,
-    TwistStamped,
+    BatteryState, CompressedImage, Float64MultiArray, Image, Imu, LaserScan, Message, OccupancyGrid,
+    Odometry, TFMessage, TwistStamped,
 };
 use libfuzzer_sys::fuzz_target;
 

@@ -1,4 +1,4 @@
-//! A calibration as a whole: what is fitted, how it is tested, and the settings of the testbed that follow.
+//! A calibration as a whole: what is fitted, its tests, and the settings of the testbed that follow.
 
 use std::{collections::BTreeMap, time::Duration};
 

@@ -103,7 +103,12 @@ pub fn fit_interference(
     notes.push(format!(
         "a channel survey does not tell where others are: they are put at `{name}`, where it hears them best"
     ));
-    if wireless.interference.iter().any(|other| other.channel == unit.channel && !is_of(&other.name, name)) {
+    if wireless
+        .access
+        .interference()
+        .iter()
+        .any(|other| other.channel == unit.channel && !is_of(&other.name, name))
+    {
         notes.push(format!(
             "the testbed has other interference on channel {}, which adds to this: remove it",
             unit.channel
@@ -169,7 +174,7 @@ pub(crate) fn settings(testbed: &Testbed, radio_unit: &str, fit: &InterferenceFi
             }
         }
     }
-    if !settings.is_empty() && testbed.graph.wireless[&fit.network].access.is_none() {
+    if !settings.is_empty() && !testbed.graph.wireless[&fit.network].access.contends() {
         settings.push(FittedSetting {
             path: format!("wireless.{}.access", fit.network),
             value: "edca".to_owned(),
@@ -190,7 +195,7 @@ fn is_of(interferer: &str, radio_unit: &str) -> bool {
 
 /// Rejects a channel that is shared with a network whose senders take turns, if this one will contend.
 fn check_sharing(testbed: &Testbed, name: &str, network: &str, channel: u8) -> Result<(), CalibrateError> {
-    if testbed.graph.wireless[network].access.is_some() {
+    if testbed.graph.wireless[network].access.contends() {
         return Ok(());
     }
     let frequencies = |of: &str| -> Vec<u16> {

@@ -123,7 +123,8 @@ impl Recorded {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Attachment, Dbm, Pose, SensorData, Velocity};
+    use cotorra_graph::{Attachment, Dbm, Pose};
+    use cotorra_graph_testing as base;
 
     use super::*;
 
@@ -139,17 +140,7 @@ mod tests {
         let pose = Pose::planar(x, 0.0, 0.0, [0.0; 9], source);
         let signal = Some(Dbm(signal));
         let attachments = vec![Attachment { radio_unit: name("A"), attached: true, signal, age: None }];
-        let velocity = Velocity::default();
-        let sensors = SensorData { pose, odometry: pose, velocity, bumper: false, nearest_obstacle_m: None };
-        let context = RobotContext {
-            robot: name("robot"),
-            attachments,
-            sensors,
-            waypoint: 0,
-            health: Vec::new(),
-            speed_limit_mps: None,
-            localization_error_m: None,
-        };
+        let context = RobotContext { attachments, ..base::robot_context("robot", pose) };
         Stamped { at: at(ms), event: Event::Robot(context) }
     }
 

@@ -124,8 +124,9 @@ pub(crate) fn of_handovers(testbed: &Testbed, name: &str, fit: &HandoverFit) -> 
 
 /// Returns the settings of a link by round trips. Its frames take some time to be sent in each direction, ms.
 ///
-/// Round trips do not tell the direction of jitter and loss. Both directions get half of the shortest round trip. The rest of
-/// the mean, jitter, loss and duplication are those of the forward direction, so that round trips are as they were fitted.
+/// Round trips do not show the direction of jitter and loss. Both directions get half of the shortest round trip. The
+/// rest of the mean, jitter, loss and duplication are those of the forward direction, so that round trips are as they
+/// were fitted.
 ///
 /// # Errors
 /// [`CalibrateError::Unsuited`] if sending takes longer than the shortest round trip.

@@ -11,7 +11,7 @@ use miette::IntoDiagnostic;
 ///
 /// Each run has a random testbed, and random faults at random times: links are cut, VNFs killed, hung and slowed, plug-ins
 /// panic, hang and flood, robots fall silent, disks fill up, ledgers are reorganised, answers are forged. A seed repeats
-/// its run to the last event. docs/reliability.md has all faults and promises.
+/// its run to the last event. docs/reference/reliability.md has all faults and promises.
 ///
 /// If a promise is broken, the command that repeats the run is printed, and the exit status is 1. Ctrl-C ends the test, and
 /// the totals of the finished runs are printed.

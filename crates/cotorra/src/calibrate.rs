@@ -50,8 +50,8 @@ const TURN: Duration = Duration::from_millis(120);
 /// Packets and surveys are fitted on their first part, and tested on the rest, beside two baselines: constant delay with normal
 /// jitter, and a replay of the first part; the mean signal of each radio unit, and the testbed before.
 ///
-/// It writes a folder with the fitted testbed (testbed.yaml, which runs as it is), report.md and report.json. docs/calibrate.md
-/// explains formats, formulas and figures.
+/// It writes a folder with the fitted testbed (testbed.yaml, which runs as it is), report.md and report.json.
+/// docs/use/calibrate.md explains formats, formulas and figures.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -157,10 +157,10 @@ enum Error {
     #[error("cannot read {}: {reason}", path.display())]
     Unreadable { path: PathBuf, reason: io::Error },
     #[error("{}: {reason}", path.display())]
-    #[diagnostic(help("docs/calibrate.md describes the formats"))]
+    #[diagnostic(help("docs/use/calibrate.md describes the formats"))]
     Malformed { path: PathBuf, reason: CalibrateError },
     #[error("captures {} and {}: {reason}", paths[0].display(), paths[1].display())]
-    #[diagnostic(help("docs/calibrate.md says how to capture at both ends"))]
+    #[diagnostic(help("docs/use/calibrate.md says how to capture at both ends"))]
     Unmatched { paths: [PathBuf; 2], reason: CalibrateError },
     #[error(transparent)]
     #[diagnostic(transparent)]

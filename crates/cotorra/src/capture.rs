@@ -32,7 +32,7 @@ const CHUNKS: usize = 64;
 /// Write the packets that cross a link of the running testbed to a file for Wireshark
 ///
 /// The file is in the format pcapng. Each packet has a comment with the times at which it entered the link, was due, and was
-/// delivered. The capture ends with Ctrl-C, with a limit, or with the run. See docs/capture.md.
+/// delivered. The capture ends with Ctrl-C, with a limit, or with the run. See docs/use/capture.md.
 ///
 /// EXPR is made of `ip`, `ip6`, `arp`, `icmp`, `icmp6`, `tcp`, `udp`, `[tcp|udp] [src|dst] port N` and `[src|dst] host
 /// NODE-OR-ADDRESS`, with `not`, `and`, `or` and parentheses. It is a subset of pcap-filter(7).

@@ -1,10 +1,10 @@
-//! Verdicts on services: a sentence for each robot on how often it kept its target.
+//! Verdicts on services: a sentence for each robot on how often it kept its target, and one for each of its KPIs.
 
 use std::collections::BTreeSet;
 
 use cotorra_graph::Natural;
 use cotorra_numbers::Quantiles;
-use cotorra_testbed::{FEW_ROBOTS, Kept, ServiceParts, ServiceSummary, Verdict, WORST_ROBOTS};
+use cotorra_testbed::{FEW_ROBOTS, Judged, Kept, ServiceParts, ServiceSummary, Verdict, WORST_ROBOTS};
 
 use crate::{
     explanation::explanation,
@@ -28,7 +28,12 @@ pub fn verdicts(services: &[ServiceSummary], parts: &[ServiceParts]) -> Vec<Stri
         }
     };
     let shown = by_name(services);
-    let mut sentences: Vec<_> = shown.iter().copied().map(sentence).collect();
+    let of_kpis = |its: &ServiceSummary| {
+        let name = name(its, services);
+        its.further_kpis().map(|kpi| kpi_sentence(kpi, &name)).collect::<Vec<_>>()
+    };
+    let mut sentences: Vec<_> =
+        shown.iter().copied().flat_map(|its| [sentence(its)].into_iter().chain(of_kpis(its))).collect();
     if shown.len() < services.len() {
         sentences.push(all_together(services));
     }
@@ -42,7 +47,7 @@ pub fn by_name(services: &[ServiceSummary]) -> Vec<&ServiceSummary> {
     let mut shown: Vec<_> = services.iter().collect();
     if services.iter().map(|its| &its.robot).collect::<BTreeSet<_>>().len() > FEW_ROBOTS {
         shown.sort_by_cached_key(|its| [its.robot.as_str(), its.service.as_str()].map(Natural::of));
-        let has_failed = |its: &ServiceSummary| its.kept.verdict == Some(Verdict::Fail);
+        let has_failed = |its: &ServiceSummary| its.verdict == Some(Verdict::Fail);
         // A service without samples did not miss its target, unless a share is demanded.
         let kept = |its: &ServiceSummary| its.kept.kept.unwrap_or(if has_failed(its) { 0.0 } else { 2.0 });
         shown.sort_by(|a, b| has_failed(b).cmp(&has_failed(a)).then(kept(a).total_cmp(&kept(b))));
@@ -65,8 +70,8 @@ fn all_together(services: &[ServiceSummary]) -> String {
         parts.push(format!("{silent} without samples"));
     }
     for verdict in [Verdict::Pass, Verdict::Fail] {
-        let its = services.iter().filter(|its| its.kept.verdict == Some(verdict)).count();
-        if services.iter().any(|its| its.kept.verdict.is_some()) {
+        let its = services.iter().filter(|its| its.verdict == Some(verdict)).count();
+        if services.iter().any(|its| its.verdict.is_some()) {
             parts.push(format!("{its} {verdict}"));
         }
     }
@@ -118,6 +123,17 @@ fn judged(kept: &Kept) -> Option<[String; 2]> {
     Some([verdict?.to_string(), why])
 }
 
+/// Says whether a KPI was kept, with its value.
+fn kpi_sentence(Judged { kpi, measured, verdict, reason, .. }: &Judged, name: &str) -> String {
+    match (verdict, measured) {
+        (Some(verdict), Some(measured)) => format!("{verdict}: {name} has {kpi}: {measured}."),
+        (Some(verdict), None) => format!("{verdict}: {name} has {kpi}: not measured."),
+        (None, _) => {
+            format!("{name} has the KPI {kpi}, not judged: {}.", reason.as_deref().unwrap_or("unknown"))
+        }
+    }
+}
+
 /// Names the service that kept its target least; `None` if no service is worse than all others.
 fn worst(services: &[ServiceSummary]) -> Option<String> {
     let mut measured: Vec<_> = services.iter().filter_map(|its| Some((its.kept.kept?, its))).collect();
@@ -146,6 +162,8 @@ mod tests {
             service_time_target_ms: 15.0,
             above_target: above.map(|above| above as f64 / 1000.0),
             kept: Kept::of(samples - above.unwrap_or(0), samples, None),
+            verdict: None,
+            kpis: Vec::new(),
             service_time_ms: None,
         }
     }
@@ -171,7 +189,8 @@ mod tests {
         let many = |keep: Option<f64>| -> Vec<ServiceSummary> {
             let of = |i: usize| {
                 let its = service(&format!("r{i}"), &format!("navigation-{i}"), (i != 12).then_some(10 * i));
-                ServiceSummary { kept: Kept::of(1000 - 10 * i, its.samples, keep), ..its }
+                let kept = Kept::of(1000 - 10 * i, its.samples, keep);
+                ServiceSummary { kept, verdict: kept.verdict, ..its }
             };
             (1..=12).map(of).collect()
         };
@@ -229,6 +248,35 @@ mod tests {
             ["FAIL: r1 has no samples; its target is 15 ms (90 % demanded, too few samples to be sure)."]
         );
         assert!(of(98_996, 100_000, 0.99)[0].contains("98.996 % of"), "it does not look like 99 %");
+    }
+
+    #[test]
+    fn each_kpi_has_a_sentence_with_its_value_beside_the_limit() {
+        let judged = |kpi: &str, measured: Option<&str>, verdict| Judged {
+            kpi: kpi.to_owned(),
+            value: None,
+            unit: String::new(),
+            measured: measured.map(str::to_owned),
+            verdict,
+            reason: verdict.is_none().then(|| "no run can tell".to_owned()),
+        };
+        let kpis = vec![
+            judged("kept >= 99 %", Some("99.2 %"), Some(Verdict::Pass)),
+            judged("service_time p95 <= 15 ms", Some("12.5 ms"), Some(Verdict::Pass)),
+            judged("localization_error p95 <= 0.1 m", None, Some(Verdict::Fail)),
+            judged("area", None, None),
+        ];
+        let its = service("r1", "navigation", Some(8));
+        let kept = Kept::of(992, 1000, Some(0.99));
+        let its = ServiceSummary { kpis, kept, verdict: Some(Verdict::Fail), ..its };
+        assert_eq!(
+            verdicts(&[its], &[])[1..],
+            [
+                "PASS: r1 has service_time p95 <= 15 ms: 12.5 ms.",
+                "FAIL: r1 has localization_error p95 <= 0.1 m: not measured.",
+                "r1 has the KPI area, not judged: no run can tell.",
+            ]
+        );
     }
 
     #[test]

@@ -410,7 +410,7 @@ impl Decided {
     /// Checks, at the end, that a plug-in's instructions were decided up to the host's bound.
     pub(crate) fn all_of(&self, who: &PluginId, given: usize) -> Result<(), Broken> {
         let decided = self.decided_for(who);
-        // The bound in docs/plugins.md.
+        // The bound in docs/use/plugins.md.
         let expected = given.min(1000);
         let enough = if given > expected { decided >= expected } else { decided == expected };
         if enough {

@@ -6,6 +6,7 @@ use cotorra_graph::{
     Decision, Direction, Event, Instruction, NodeId, PluginId, Pose, PoseSource, RobotContext, SensorData,
     ServiceTime, Stamped, Testbed, Velocity, Vnf, VnfEvent, VnfState,
 };
+use cotorra_graph_testing as base;
 use cotorra_network_control::vim::{Managed, Stage};
 
 use super::{
@@ -149,36 +150,12 @@ fn a_kept_run_has_its_testbed_plan_and_history() {
 
 fn context(linear: f64, angular: f64) -> Event {
     let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
-    let sensors = SensorData {
-        pose,
-        odometry: pose,
-        velocity: Velocity::planar(linear, angular),
-        bumper: false,
-        nearest_obstacle_m: None,
-    };
-    Event::Robot(RobotContext {
-        robot: node("robot"),
-        attachments: Vec::new(),
-        sensors,
-        waypoint: 0,
-        health: Vec::new(),
-        speed_limit_mps: None,
-        localization_error_m: None,
-    })
+    let sensors = SensorData { velocity: Velocity::planar(linear, angular), ..base::sensors(pose) };
+    Event::Robot(RobotContext { sensors, ..base::robot_context("robot", pose) })
 }
 
 fn sample(took: Option<Duration>) -> Event {
-    Event::ServiceTime(ServiceTime {
-        robot: node("robot"),
-        service: "navigation".parse().unwrap(),
-        sequence: 1,
-        emitted: at(1.0),
-        took,
-        attachment: None,
-        server: node("one"),
-        parts: None,
-        lost_at: None,
-    })
+    Event::ServiceTime(ServiceTime { sequence: 1, ..base::service_time("one", at(1.0), took) })
 }
 
 #[test]

@@ -128,7 +128,7 @@ fn along((from, to): (f64, f64), count: usize, size: usize) -> Vec<(usize, usize
     pixels.map(|pixel| (pixel, cell(pixel).min(count.saturating_sub(1)))).collect()
 }
 
-/// How much of each pixel polygons cover: in each row, the sum from the left.
+/// Part of each pixel that polygons cover: in each row, the sum from the left.
 struct Mask {
     /// One more than the width, because an edge on the right also changes what follows it.
     stride: usize,

@@ -1,8 +1,8 @@
 //! Colours, dashes, markers and sizes of all figures.
 //!
-//! The colours are those of Okabe and Ito ("Color Universal Design", 2008), which colour-blind readers can tell apart. Lines
-//! also differ in dashes and markers, so that a printout without colours shows them as well. Values have the colours of
-//! viridis (van der Walt and Smith, 2015), which become lighter in equal steps.
+//! The colours are those of Okabe and Ito ("Color Universal Design", 2008), which colour-blind readers can distinguish.
+//! Lines also differ in dashes and markers, so that a printout without colours shows them as well. Values have the
+//! colours of viridis (van der Walt and Smith, 2015), which become lighter in equal steps.
 
 use std::f64::consts::TAU;
 

@@ -4,7 +4,116 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use crate::units::{Dbm, Position, Probability, millis};
+use crate::{
+    units::{Dbm, Position, Probability, millis},
+    wifi_software::WifiSoftware,
+};
+
+/// How the senders of a wireless network share its channels.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(into = "AccessFields", try_from = "AccessFields")]
+pub enum Access {
+    /// Senders take turns and never collide.
+    #[default]
+    Turns,
+    /// Stations contend, as real ones do.
+    Contention(Contention),
+}
+
+/// Contention for the channels of a network. Only stations that contend can sense others, or be real software.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contention {
+    /// How stations contend.
+    pub edca: Edca,
+    /// What else sends on the network's channels.
+    pub interference: Vec<Interferer>,
+    /// Real Wi-Fi software. Without it, stations are modelled.
+    pub software: Option<WifiSoftware>,
+}
+
+/// How the senders of a wireless network share its channels, and what only stations that contend have.
+#[derive(Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = Access)]
+pub(crate) struct AccessFields {
+    /// Contention for the channel. Without it, senders take turns and never collide.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    access: Option<Edca>,
+    /// What else sends on its channels. Only where stations contend.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    interference: Vec<Interferer>,
+    /// Real Wi-Fi software. Without it, stations are modelled. Only where stations contend.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    software: Option<WifiSoftware>,
+}
+
+impl Access {
+    /// Returns the contention; `None` if senders take turns.
+    pub fn contention(&self) -> Option<&Contention> {
+        match self {
+            Self::Turns => None,
+            Self::Contention(contention) => Some(contention),
+        }
+    }
+
+    /// Returns the contention, to change it; `None` if senders take turns.
+    pub fn contention_mut(&mut self) -> Option<&mut Contention> {
+        match self {
+            Self::Turns => None,
+            Self::Contention(contention) => Some(contention),
+        }
+    }
+
+    /// Whether stations contend.
+    pub fn contends(&self) -> bool {
+        self.contention().is_some()
+    }
+
+    /// Returns how stations contend; `None` if senders take turns.
+    pub fn edca(&self) -> Option<&Edca> {
+        self.contention().map(|contention| &contention.edca)
+    }
+
+    /// Returns what else sends on the network's channels.
+    pub fn interference(&self) -> &[Interferer] {
+        self.contention().map_or(&[], |contention| &contention.interference)
+    }
+
+    /// Returns the real software of the network's stations; `None` if they are modelled.
+    pub fn software(&self) -> Option<&WifiSoftware> {
+        self.contention().and_then(|contention| contention.software.as_ref())
+    }
+}
+
+impl From<Edca> for Access {
+    fn from(edca: Edca) -> Self {
+        Self::Contention(Contention { edca, interference: Vec::new(), software: None })
+    }
+}
+
+impl From<Access> for AccessFields {
+    fn from(access: Access) -> Self {
+        match access {
+            Access::Turns => Self { access: None, interference: Vec::new(), software: None },
+            Access::Contention(Contention { edca, interference, software }) => {
+                Self { access: Some(edca), interference, software }
+            }
+        }
+    }
+}
+
+impl TryFrom<AccessFields> for Access {
+    type Error = &'static str;
+
+    fn try_from(AccessFields { access, interference, software }: AccessFields) -> Result<Self, Self::Error> {
+        match access {
+            Some(edca) => Ok(Self::Contention(Contention { edca, interference, software })),
+            None if interference.is_empty() && software.is_none() => Ok(Self::Turns),
+            None => Err(
+                "interference and real Wi-Fi software need `access`, because senders take turns without it",
+            ),
+        }
+    }
+}
 
 /// Contention for the channel by EDCA (IEEE 802.11-2020, 10.23.2), with its collisions, hidden nodes and capture.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -96,4 +205,25 @@ pub struct Presence {
     #[serde(rename = "absent_ms", with = "millis")]
     #[schema(value_type = f64)]
     pub off: Duration,
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn only_stations_that_contend_have_interference_and_real_software() {
+        let edca = json!({ "aggregation": true, "rate_control": "ideal" });
+        let software = json!({ "radios": "hwsim", "security": { "method": "open" } });
+        let read = |json: &serde_json::Value| serde_json::from_value::<Access>(json.clone());
+        let contending = json!({ "access": edca, "software": software });
+        let access = read(&contending).unwrap();
+        assert!(access.contends() && access.software().is_some());
+        assert_eq!(serde_json::to_value(&access).unwrap(), contending);
+        assert_eq!(read(&json!({})).unwrap(), Access::Turns);
+        assert_eq!(serde_json::to_value(Access::Turns).unwrap(), json!({}));
+        assert!(read(&json!({ "software": software })).unwrap_err().to_string().contains("need `access`"));
+    }
 }

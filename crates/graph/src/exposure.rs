@@ -41,7 +41,7 @@ pub struct IpNetwork {
 
 /// Error of a text that is not a network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a network of IP addresses: write it like 10.1.2.3, 10.1.0.0/16 or fd00::/8")]
+#[error("`{0}` is neither an address nor a network: write it like 10.1.2.3, 10.1.0.0/16 or fd00::/8")]
 pub struct InvalidIpNetwork(String);
 
 impl IpNetwork {
@@ -51,6 +51,23 @@ impl IpNetwork {
         Self { address: IpAddr::V6(Ipv6Addr::LOCALHOST), prefix: 128 },
     ];
 
+    /// Returns the network of an address with a prefix of so many bits, and clears the other bits; `None` if the address has
+    /// fewer.
+    pub fn new(address: IpAddr, prefix: u8) -> Option<Self> {
+        let address: IpAddr = match address {
+            IpAddr::V4(v4) if prefix <= 32 => {
+                let mask = u32::MAX.checked_shl(32 - u32::from(prefix)).unwrap_or(0);
+                (v4.to_bits() & mask).to_be_bytes().into()
+            }
+            IpAddr::V6(v6) if prefix <= 128 => {
+                let mask = u128::MAX.checked_shl(128 - u32::from(prefix)).unwrap_or(0);
+                (v6.to_bits() & mask).to_be_bytes().into()
+            }
+            _ => return None,
+        };
+        Some(Self { address, prefix })
+    }
+
     /// Returns the first address.
     pub fn address(&self) -> IpAddr {
         self.address
@@ -58,7 +75,7 @@ impl IpNetwork {
 
     /// Whether it is one address alone.
     pub fn is_one(&self) -> bool {
-        self.prefix == if self.address.is_ipv4() { 32 } else { 128 }
+        self.prefix == longest(self.address)
     }
 
     /// Bits that all its addresses have in common.
@@ -84,31 +101,30 @@ impl FromStr for IpNetwork {
     type Err = InvalidIpNetwork;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let invalid = || InvalidIpNetwork(text.to_owned());
-        let (address, prefix) = text.split_once('/').map_or((text, None), |(a, p)| (a, Some(p)));
-        let address: IpAddr = address.parse().map_err(|_| invalid())?;
-        let longest = if address.is_ipv4() { 32 } else { 128 };
-        let prefix = match prefix {
-            Some(digits) => digits.parse().ok().filter(|p| *p <= longest).ok_or_else(invalid)?,
-            None => longest,
+        let parse = || {
+            let (address, prefix) = match text.split_once('/') {
+                Some((address, prefix)) => (address.parse().ok()?, Some(prefix.parse().ok()?)),
+                None => (text.parse().ok()?, None),
+            };
+            Self::new(address, prefix.unwrap_or(longest(address)))
         };
-        let address = match address {
-            IpAddr::V4(v4) => {
-                let mask = u32::MAX.checked_shl(32 - u32::from(prefix)).unwrap_or(0);
-                IpAddr::from(Ipv4Addr::from_bits(v4.to_bits() & mask))
-            }
-            IpAddr::V6(v6) => {
-                let mask = u128::MAX.checked_shl(128 - u32::from(prefix)).unwrap_or(0);
-                IpAddr::from(Ipv6Addr::from_bits(v6.to_bits() & mask))
-            }
-        };
-        Ok(Self { address, prefix })
+        parse().ok_or_else(|| InvalidIpNetwork(text.to_owned()))
     }
 }
 
+/// Returns the number of bits of an address.
+fn longest(address: IpAddr) -> u8 {
+    if address.is_ipv4() { 32 } else { 128 }
+}
+
 impl fmt::Display for IpNetwork {
+    /// Writes address and prefix. The alternate form (`{:#}`) leaves out the prefix of one address alone.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.address, self.prefix)
+        if f.alternate() && self.is_one() {
+            write!(f, "{}", self.address)
+        } else {
+            write!(f, "{}/{}", self.address, self.prefix)
+        }
     }
 }
 
@@ -127,6 +143,8 @@ impl From<IpNetwork> for String {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     fn network(text: &str) -> IpNetwork {
@@ -148,7 +166,9 @@ mod tests {
         assert_eq!(network("10.1.2.3").to_string(), "10.1.2.3/32");
         assert_eq!(network("10.1.2.3/8"), network("10.0.0.0/8"));
         assert_eq!(network("fd00::7/0").to_string(), "::/0");
-        for wrong in ["", "10.0.0.0/33", "::/129", "10.0.0/8", "lab", "10.0.0.0/", "10.0.0.0/-1"] {
+        assert_eq!(network("fd00::1:2/64").to_string(), "fd00::/64");
+        assert_eq!(format!("{:#} {:#}", network("10.1.2.3"), network("10.1.2.3/8")), "10.1.2.3 10.0.0.0/8");
+        for wrong in ["", "10.0.0", "10.0.0.0/33", "::/129", "10.0.0/8", "lab", "10.0.0.0/", "10.0.0.0/-1"] {
             assert!(wrong.parse::<IpNetwork>().is_err(), "{wrong}");
         }
     }
@@ -163,6 +183,18 @@ mod tests {
         for address in ["0.0.0.0", "::", "10.0.0.1", "169.254.169.254"] {
             let address: IpAddr = address.parse().unwrap();
             assert!(!IpNetwork::LOOPBACK.iter().any(|net| net.contains(address)), "{address}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn displayed_networks_parse_back(bits: u128, prefix in 0_u8..=128) {
+            let v6 = IpNetwork::new(bits.to_be_bytes().into(), prefix).unwrap();
+            let v4 = IpNetwork::new((bits as u32).to_be_bytes().into(), prefix / 4).unwrap();
+            for network in [v6, v4] {
+                prop_assert_eq!(network.to_string().parse(), Ok(network));
+                prop_assert_eq!(format!("{network:#}").parse(), Ok(network));
+            }
         }
     }
 }

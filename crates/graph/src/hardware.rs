@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     conditions::{Conditions, Loss, Scale},
-    contention::{Edca, Interferer},
+    contention::Access,
     driver::Driver,
     id::{AgentId, DomainId, LinkId, NodeId},
     medium::Medium,
@@ -18,7 +18,7 @@ use crate::{
     sensor::Sensor,
     units::{BitRate, Dbm, Position, millis},
     walls::Walls,
-    wifi_software::{RadioKind, WifiSoftware},
+    wifi_software::RadioKind,
 };
 
 /// The hardware graph. Made by the crate `testbed-file`, which checks what this type takes for granted: names are
@@ -69,14 +69,14 @@ impl HardwareGraph {
                 NodeKind::RadioUnit(unit) => &unit.network,
                 _ => return false,
             };
-            let software = self.wireless.get(network).and_then(|network| network.software.as_ref());
+            let software = self.wireless.get(network).and_then(|network| network.access.software());
             software.is_some_and(|software| software.radios == radios)
         })
     }
 
     /// Returns the name that a wireless network has in its beacons.
     pub fn ssid<'a>(&'a self, network: &'a str) -> &'a str {
-        let software = self.wireless.get(network).and_then(|network| network.software.as_ref());
+        let software = self.wireless.get(network).and_then(|network| network.access.software());
         software.and_then(|software| software.ssid.as_deref()).unwrap_or(network)
     }
 
@@ -450,15 +450,10 @@ pub struct WirelessNetwork {
     pub handover: HandoverTimes,
     /// Treatment of frames for a station that is off its channel.
     pub gap: GapPolicy,
-    /// Contention for the channel. Without it, senders take turns and never collide.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub access: Option<Edca>,
-    /// What else sends on its channels. Only where stations contend.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub interference: Vec<Interferer>,
-    /// Real Wi-Fi software. Without it, stations are modelled. Only where stations contend.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub software: Option<WifiSoftware>,
+    /// How its senders share the channel.
+    #[serde(flatten)]
+    #[schema(value_type = crate::contention::AccessFields)]
+    pub access: Access,
 }
 
 /// Physical layers whose rates are modelled.
@@ -474,6 +469,18 @@ pub enum WifiStandard {
     N,
     /// IEEE 802.11ac: VHT, one stream, 20 MHz at 5 GHz, 6.5 to 78 Mbit/s.
     Ac,
+}
+
+impl WifiStandard {
+    /// Returns its name and band, as people read them.
+    pub const fn described(self) -> &'static str {
+        match self {
+            Self::G => "802.11g at 2.4 GHz",
+            Self::A => "802.11a at 5 GHz",
+            Self::N => "802.11n at 2.4 GHz",
+            Self::Ac => "802.11ac at 5 GHz",
+        }
+    }
 }
 
 /// Path loss over distance d (metres).

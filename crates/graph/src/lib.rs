@@ -18,6 +18,7 @@ mod distance;
 mod driver;
 mod event;
 mod exposure;
+mod figure;
 mod flow;
 mod goal;
 mod hardware;
@@ -39,6 +40,7 @@ pub mod record;
 mod ros1_environment;
 mod routing;
 mod schedule;
+mod search;
 mod sensor;
 mod service;
 mod testbed;
@@ -56,7 +58,9 @@ pub use bounds::TooLong;
 pub use conditions::{ConditionChange, Conditions, InvalidTrace, Loss, Rate, Scale, Trace, TraceName};
 pub use container::{EngineKind, Image, ListenPort, Pull, Transport, Volume};
 pub use containers::Containers;
-pub use contention::{Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl};
+pub use contention::{
+    Access, Contention, Edca, Interferer, InterfererKind, PowerSave, Presence, RateControl,
+};
 pub use context::{
     AnswersRejected, Attachment, Handover, InstancePath, Lateness, LinkContext, LinkCounters, PathKind,
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,
@@ -69,6 +73,10 @@ pub use driver::{
 };
 pub use event::{Event, EventKind, InvalidKind, Series, Stamped};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
+pub use figure::{
+    Better, Bound, Declared, FIGURES, Figure, FigureKind, InvalidBound, InvalidFigure, LatenessQuantity,
+    LinkQuantity, MachineQuantity, Measure, RobotQuantity, Statistic, Total, Unit,
+};
 pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
@@ -94,8 +102,9 @@ pub use part::Part;
 pub use queue::{Codel, FqCodel, InvalidDiscipline, Pie, QueueDiscipline, QueueLimit, Red, RedThresholds};
 pub use real::{RealLink, RealPort};
 pub use real_machine::{Gateway, Machine, Reached, RealRadio, RealServer};
-pub use routing::{Arrival, Edge, Route, Topology};
+pub use routing::{Edge, Route, Topology};
 pub use schedule::{Scheduled, Script, When};
+pub use search::{Arrival, cheapest_paths, steps_back};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{
@@ -103,7 +112,7 @@ pub use testbed::{
     Walk,
 };
 pub use time_parts::{LinkTime, TimeParts};
-pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
+pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis, wrapped_angle};
 pub use vnf_event::{VnfEvent, VnfState};
 pub use walls::{WallLoss, Walls};
 pub use wifi_software::{Protection, RadioKind, Security, WifiSoftware};

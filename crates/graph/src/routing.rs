@@ -1,15 +1,12 @@
 //! Shortest paths over G, for whoever maps virtual links or asks what a placement can reach at best.
 //! Only switches and radio units forward; hosts are where paths begin and end.
 
-use std::{
-    cmp::Reverse,
-    collections::{BinaryHeap, HashMap},
-    time::Duration,
-};
+use std::{collections::HashMap, time::Duration};
 
 use crate::{
     hardware::{HardwareGraph, NodeKind},
     id::{LinkId, NodeId},
+    search::{Arrival, cheapest_paths, steps_back},
 };
 
 /// A path from one node to another.
@@ -39,16 +36,11 @@ impl HardwareGraph {
             }
         }
         let (from, to) = (topology.place(from)?, topology.place(to)?);
-        let tree = topology.shortest(&[(from, 0)], Edge::delay_ns);
-        let mut at = to;
-        let mut links = Vec::new();
-        while at != from {
-            let (before, edge) = tree[at].as_ref()?.by?;
-            links.push(topology.link_id(before, edge));
-            at = before;
-        }
+        let tree = topology.search(&[(from, 0)], Edge::delay_ns);
+        let (delay_ns, _) = tree[to]?.cost;
+        let mut links: Vec<_> = steps_back(&tree, to).map(|(at, edge)| topology.link_id(at, edge)).collect();
         links.reverse();
-        Some(Route { links, delay: Duration::from_nanos(tree[to].as_ref()?.cost) })
+        Some(Route { links, delay: Duration::from_nanos(delay_ns) })
     }
 }
 
@@ -85,15 +77,8 @@ impl Edge {
     }
 }
 
-/// The cheapest path to a node.
-#[derive(Debug, Clone, Copy)]
-pub struct Arrival {
-    /// Cost of the source and of all edges.
-    pub cost: u64,
-    hops: u32,
-    /// The node before it and the edge from there; `None` at a source.
-    by: Option<(usize, Edge)>,
-}
+/// Cost of a path: the sum over its edges, then its hops.
+type Cost = (u64, u32);
 
 impl<'a> Topology<'a> {
     /// G with its wired links.
@@ -147,7 +132,9 @@ impl<'a> Topology<'a> {
         all
     }
 
-    fn link_id(&self, from: usize, edge: Edge) -> LinkId {
+    /// The link of an edge, by its place among those of its node.
+    fn link_id(&self, from: usize, edge: usize) -> LinkId {
+        let edge = self.edges[from][edge];
         match edge.wired {
             Some(i) => self.graph.links[i].id.clone(),
             None => {
@@ -161,31 +148,23 @@ impl<'a> Topology<'a> {
         }
     }
 
-    /// Returns the cheapest path to each node from any of the sources, each with its initial cost (Dijkstra 1959).
-    /// Paths go on from sources, and from nodes that forward.
-    pub fn shortest(&self, sources: &[(usize, u64)], cost: impl Fn(&Edge) -> u64) -> Vec<Option<Arrival>> {
-        let mut reached: Vec<Option<Arrival>> = vec![None; self.edges.len()];
-        let mut queue = BinaryHeap::new();
-        for &(at, cost) in sources {
-            if reached[at].is_none_or(|known| cost < known.cost) {
-                reached[at] = Some(Arrival { cost, hops: 0, by: None });
-                queue.push(Reverse((cost, 0, at)));
-            }
-        }
-        while let Some(Reverse((so_far, hops, at))) = queue.pop() {
-            let known = reached[at].expect("what is queued was reached");
-            let goes_on = known.by.is_none() || self.graph.nodes[at].forwards();
-            if (so_far, hops) != (known.cost, known.hops) || !goes_on {
-                continue;
-            }
-            for edge in &self.edges[at] {
-                let next = (so_far.saturating_add(cost(edge)), hops + 1);
-                if reached[edge.to].is_none_or(|known| next < (known.cost, known.hops)) {
-                    reached[edge.to] = Some(Arrival { cost: next.0, hops: next.1, by: Some((at, *edge)) });
-                    queue.push(Reverse((next.0, next.1, edge.to)));
-                }
-            }
-        }
-        reached
+    /// Returns the cost of the cheapest path to each node from any of the sources, each with its initial cost; `None`
+    /// without a path. Paths go on from sources, and from nodes that forward.
+    pub fn shortest(&self, sources: &[(usize, u64)], cost: impl Fn(&Edge) -> u64) -> Vec<Option<u64>> {
+        self.search(sources, cost).into_iter().map(|reached| reached.map(|path| path.cost.0)).collect()
+    }
+
+    fn search(&self, sources: &[(usize, u64)], cost: impl Fn(&Edge) -> u64) -> Vec<Option<Arrival<Cost>>> {
+        let sources: Vec<_> = sources.iter().map(|&(at, cost)| (at, (cost, 0))).collect();
+        let cost = &cost;
+        cheapest_paths(
+            self.edges.len(),
+            &sources,
+            |node| self.graph.nodes[node].forwards(),
+            |at, (so_far, hops): Cost| {
+                let onward = move |edge: &Edge| (so_far.saturating_add(cost(edge)), hops + 1);
+                self.edges[at].iter().enumerate().map(move |(i, edge)| (edge.to, i, onward(edge)))
+            },
+        )
     }
 }

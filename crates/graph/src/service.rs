@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     container::Image,
+    figure::{Bound, Total},
     flow::Flow,
     hardware::WifiStandard,
     id::{NodeId, ServiceId, VnfId},
@@ -207,4 +208,17 @@ pub struct Kpis {
     /// The flow whose time is the service's, in place of navigation's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flow: Option<Flow>,
+    /// Further bounds on figures, such as `answered >= 99.9 %`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(value_type = Vec<String>)]
+    pub require: Vec<Bound>,
+}
+
+impl Kpis {
+    /// Returns all KPIs that are bounds on figures of a run: the demanded share and the reliability, then the further bounds.
+    pub fn bounds(&self) -> Vec<Bound> {
+        let kept = self.kept.map(|kept| Bound::at_least(Total::Kept, kept.get()));
+        let reliability = self.reliability.map(|share| Bound::at_least(Total::Reliability, share));
+        kept.into_iter().chain(reliability).chain(self.require.iter().cloned()).collect()
+    }
 }

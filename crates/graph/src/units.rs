@@ -1,6 +1,10 @@
 //! Units as types, so that a figure in milliseconds never meets one in seconds, nor a rate one in bytes.
 
-use std::{fmt, time::Duration};
+use std::{
+    f64::consts::{PI, TAU},
+    fmt,
+    time::Duration,
+};
 
 use serde::{Deserialize, Serialize};
 
@@ -183,11 +187,6 @@ impl Dbm {
     pub fn milliwatts(self) -> f64 {
         10f64.powf(self.0 / 10.0)
     }
-
-    /// Converts from milliwatts; 0 mW is minus infinity.
-    pub fn from_milliwatts(mw: f64) -> Self {
-        Self(10.0 * mw.log10())
-    }
 }
 
 impl fmt::Display for Dbm {
@@ -249,6 +248,12 @@ impl Position {
         };
         edges.filter(|(a, b)| crossed(a, b)).count() % 2 == 1
     }
+}
+
+/// Wraps an angle into (-π, π], radians.
+pub fn wrapped_angle(angle: f64) -> f64 {
+    let turned = angle.rem_euclid(TAU);
+    if turned > PI { turned - TAU } else { turned }
 }
 
 impl fmt::Display for Position {

@@ -34,7 +34,7 @@ pub struct Requirements {
     pub signal_dbm: i16,
 }
 
-/// The longest duration of each step, in seconds of the chain, none of them zero; and the bond.
+/// The longest duration of each step, in seconds of the chain, over zero; and the bond.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Terms {
     /// Time for bids, and for each choice among them.
@@ -111,7 +111,7 @@ pub enum Call {
     Release { id: ServiceId },
     /// Anyone ends a service whose deadline has passed.
     Expire { id: ServiceId },
-    /// A bidder that was not chosen reclaims its bond, once nobody can be chosen any more.
+    /// A bidder that was not chosen reclaims its bond, once the time to choose is over.
     Reclaim { id: ServiceId },
     /// Pays out the caller's balance.
     Withdraw {
@@ -155,7 +155,7 @@ pub enum Outcome {
     Cancelled,
     /// The winner declined it.
     Declined,
-    /// Nobody was chosen in time.
+    /// No bidder was chosen in time.
     NoWinner,
     /// The winner did not deploy in time.
     NotDeployed,
@@ -346,7 +346,7 @@ pub enum ContractError {
     /// Somebody may still be chosen.
     #[error("a bond is held until nobody can be chosen any more")]
     BondBound,
-    /// The receiver is nobody.
+    /// There is no receiver.
     #[error("money cannot be paid to the zero address or to the contract")]
     BadReceiver,
     /// There is no balance.

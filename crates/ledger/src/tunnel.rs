@@ -41,7 +41,7 @@ pub enum End {
     Visited,
 }
 
-/// What a datagram was.
+/// Kind of a datagram.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Received {
     /// A message of the other end.

@@ -16,9 +16,10 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, Pose,
-    PoseSource, Probed, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
+    Attachment, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, Pose, PoseSource, Probed,
+    RobotContext, SensorData, Stamped, Timestamp, Velocity,
 };
+use cotorra_graph_testing as base;
 use cotorra_measurements::{
     CurveRequest, Figure, History, LinkQuantity, PageRequest, RobotQuantity, RunInfo, export::Format,
 };
@@ -67,11 +68,8 @@ fn link(n: u64) -> Stamped {
             loss: Some(0.0),
             loss_age: Duration::from_millis(240),
         }),
-        tested: None,
-        asked: Conditions::default(),
-        scale: Scale::default(),
-        effective: Conditions::default(),
         counters: LinkCounters { packets: n, bytes: n * 100, ..LinkCounters::default() },
+        ..base::link_context("link")
     };
     Stamped { at: Timestamp::from_nanos(tick * TICK), event: Event::Link(context) }
 }
@@ -97,9 +95,7 @@ fn robot(n: u64) -> Stamped {
             nearest_obstacle_m: Some(1.25),
         },
         waypoint: 3,
-        health: Vec::new(),
-        speed_limit_mps: None,
-        localization_error_m: None,
+        ..base::robot_context("robot", pose)
     };
     Stamped { at: Timestamp::from_nanos(tick * TICK), event: Event::Robot(context) }
 }

@@ -1,12 +1,11 @@
 //! Curves: a figure over time in a bounded number of points. Each point summarises its samples, and says whether some were
 //! lost.
 
-use cotorra_graph::Timestamp;
+use cotorra_graph::{Figure, Timestamp};
 use cotorra_numbers as numbers;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    figure::Figure,
     rolled::{Reading, Summary},
     run::Gap,
 };

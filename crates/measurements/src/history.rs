@@ -9,7 +9,7 @@ use std::{
 };
 
 use cotorra_graph::{
-    Direction, Event, Handover, LinkContext, LinkId, MachineContext, NodeId, Placement, RadioContext,
+    Direction, Event, Figure, Handover, LinkContext, LinkId, MachineContext, NodeId, Placement, RadioContext,
     RobotContext, SensorReading, ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
 };
 use serde::{Deserialize, Serialize};
@@ -18,7 +18,7 @@ use crate::{
     curve::{Curve, CurveRequest, Drawing},
     difference::{Difference, Targets, difference},
     error::Result,
-    figure::Figure,
+    figure::kept,
     kind::{Kind, Series},
     location::Location,
     memory::Memory,
@@ -396,10 +396,10 @@ impl History {
         request: &CurveRequest,
     ) -> Result<Curve> {
         let asked = span(&range);
-        let samples = self.store.extent(run, figure.kept().kind, asked)?;
+        let samples = self.store.extent(run, kept(figure).kind, asked)?;
         let (mut first, last) = samples.unwrap_or((asked.from, asked.until));
         // Of a rolled-up step, only the last sample is left: the curve begins where the step began.
-        let thinned = self.store.retained(run)?.into_iter().find(|its| its.kind == figure.kept().kind);
+        let thinned = self.store.retained(run)?.into_iter().find(|its| its.kind == kept(figure).kind);
         if let Some(its) = thinned.filter(|its| first < nanos(its.rolled_up_to) && !its.step.is_zero()) {
             first -= first % i64::try_from(its.step.as_nanos()).unwrap_or(i64::MAX);
         }
@@ -512,6 +512,8 @@ from_event!(
 
 #[cfg(test)]
 mod tests {
+    use cotorra_graph_testing as base;
+
     use super::*;
     use crate::{
         LatenessQuantity,
@@ -618,21 +620,15 @@ mod tests {
 
     #[test]
     fn the_diff_shows_runs_side_by_side() {
-        use cotorra_graph::{Decision, Handover, Instruction, PluginId, ServiceId, VnfId};
+        use cotorra_graph::{Decision, Handover, Instruction, PluginId, VnfId};
         let node = |name: &str| NodeId::new(name).unwrap();
         let s = |seconds: u64| Timestamp::from_nanos(seconds * 1_000_000_000);
         let service = |at: u64, unit: &str, took: Option<u64>| Stamped {
             at: s(at),
             event: Event::ServiceTime(ServiceTime {
-                service: ServiceId::new("navigation").unwrap(),
                 robot: node("r1"),
-                sequence: 0,
-                emitted: s(at),
-                took: took.map(std::time::Duration::from_millis),
                 attachment: Some(node(unit)),
-                server: node("fog"),
-                parts: None,
-                lost_at: None,
+                ..base::service_time("fog", s(at), took.map(std::time::Duration::from_millis))
             }),
         };
         let handover = Event::Handover(Handover {

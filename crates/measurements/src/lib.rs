@@ -32,10 +32,12 @@ mod store;
 #[cfg(test)]
 mod testing;
 
+pub use cotorra_graph::{
+    Figure, InvalidFigure, LatenessQuantity, LinkQuantity, MachineQuantity, RobotQuantity,
+};
 pub use curve::{Curve, CurveRequest, Point, Values};
 pub use difference::Difference;
 pub use error::{Error, Result};
-pub use figure::{Figure, InvalidFigure, LatenessQuantity, LinkQuantity, MachineQuantity, RobotQuantity};
 pub use history::{GraphState, History, Sample};
 pub use kind::{InvalidKind, Kind};
 pub use large_data::{LargeDataWriter, StoredData, WantedData, read_large_data};

@@ -2,12 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use cotorra_graph::{Event, Stamped, Timestamp};
+use cotorra_graph::{Event, Figure, Stamped, Timestamp};
 use parking_lot::RwLock;
 
 use crate::{
     error::{Error, Result},
-    figure::Figure,
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
     rolled::Reading,

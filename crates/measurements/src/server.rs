@@ -15,7 +15,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Event, Stamped, Timestamp};
+use cotorra_graph::{Event, Figure, Stamped, Timestamp};
 use parking_lot::{Condvar, Mutex};
 
 use self::{
@@ -26,7 +26,6 @@ use self::{
 };
 use crate::{
     error::{Error, Result},
-    figure::Figure,
     kind::Kind,
     location::Server,
     page::{Cursor, Page, PageRequest},

@@ -149,7 +149,8 @@ pub(crate) fn silences(
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Lateness, ServiceTime, Stamped};
+    use cotorra_graph::{Lateness, Stamped};
+    use cotorra_graph_testing as base;
 
     use super::*;
     use crate::{History, testing::run_info};
@@ -162,17 +163,7 @@ mod tests {
 
     /// A sample that was emitted and recorded at these times, ms.
     fn sample(emitted: u64, recorded: u64) -> Stamped {
-        let event = Event::ServiceTime(ServiceTime {
-            service: ServiceId::new("navigation").unwrap(),
-            robot: NodeId::new("robot").unwrap(),
-            sequence: 0,
-            emitted: at(emitted),
-            took: None,
-            attachment: None,
-            server: NodeId::new("edge").unwrap(),
-            parts: None,
-            lost_at: None,
-        });
+        let event = Event::ServiceTime(base::service_time("edge", at(emitted), None));
         Stamped { at: at(recorded), event }
     }
 

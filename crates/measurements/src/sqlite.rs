@@ -9,7 +9,7 @@ mod write;
 
 use std::{fs::OpenOptions, os::unix::fs::OpenOptionsExt as _, path::Path, sync::Arc, time::Duration};
 
-use cotorra_graph::{Event, Stamped, Timestamp};
+use cotorra_graph::{Event, Figure, Stamped, Timestamp};
 use parking_lot::Mutex;
 use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 
@@ -20,7 +20,6 @@ use self::{
 };
 use crate::{
     error::{Error, Result},
-    figure::Figure,
     kind::Kind,
     page::{Cursor, Page, PageRequest},
     retention::{Retained, Thinned},

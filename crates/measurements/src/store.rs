@@ -1,11 +1,10 @@
 //! The seam to the engines that keep histories. An engine takes events in batches and answers questions about them;
 //! every engine gives the same answers.
 
-use cotorra_graph::{Event, Stamped, Timestamp};
+use cotorra_graph::{Event, Figure, Stamped, Timestamp};
 
 use crate::{
     error::Result,
-    figure::Figure,
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
     retention::{Retained, Thinned},

@@ -22,7 +22,7 @@ use crate::{
     yaml::{Sink, decode::Spanned},
 };
 
-/// Parts of service times that are no links (`docs/time-parts.md`). Those that are have the links' names.
+/// Parts of service times that are no links (`docs/use/time-parts.md`). Those that are have the links' names.
 const PARTS_OF_TIMES: [&str; 4] = ["sender", "vnf", "receiver", "unknown"];
 
 /// Checks the whole. Tables of the record and lists of the testbed have the same order.
@@ -85,7 +85,7 @@ fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
                         format!(
                             "`{}` uses {}: write one of {}",
                             unit.network,
-                            kpis::described(standard),
+                            standard.described(),
                             numbers.join(", ")
                         ),
                     );

@@ -389,6 +389,7 @@ fn below(folder: &Path, path: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use cotorra_graph::{LinuxCapability, Pull, Transport};
+    use cotorra_graph_testing as base;
     use proptest::prelude::*;
 
     use super::*;
@@ -462,16 +463,14 @@ services:
             readable: Vec::new(),
         };
         let expected = Vnf {
-            id: VnfId::new("planner").unwrap(),
             program: Program::Command(words.into()),
             cpus: 1.5,
             memory_bytes: 512 << 20,
-            pinned_to: None,
             node: Nodes::from(NodeId::new("cloud").unwrap()),
             env: ["MODE=fast", "PRICE=5 $", "DISPLAY"].map(str::to_owned).into(),
             rights: Rights::Confined(granted),
-            keep: false,
             image: Some(Box::new(image)),
+            ..base::vnf("planner", "server")
         };
         assert_eq!(*planner, expected);
         let detector = &all[1];

@@ -4,6 +4,7 @@
 //! its place and a correct alternative. [`schema`] returns the JSON Schema. Both come from the declarations in `records.rs`.
 #![forbid(unsafe_code)]
 
+mod bound;
 mod build;
 mod carry;
 mod check;

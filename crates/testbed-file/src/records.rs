@@ -3,7 +3,7 @@
 use std::{net::Ipv4Addr, time::Duration};
 
 use cotorra_graph::{
-    AgentId, BackgroundScan, BitRate, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
+    AgentId, BackgroundScan, BitRate, Bound, Correlation, DataFormat, Dbm, Direction, DomainId, Emulation,
     EngineKind, GapPolicy, InstructionLimit, IpNetwork, JitterDistribution, LinkId, LinuxCapability,
     ListenPort, NodeId, PluginId, Position, Probability, Protection, Pull, QueueLimit, Rate, RateControl,
     Requests, Roaming, RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, Volume, WifiStandard,
@@ -29,7 +29,7 @@ record! {
         seed: u64 = 1,
         /// Emulator of the links in real time.
         emulation: Emulation = "fabric",
-        /// Engine that runs container images on nodes without an `engine` of their own: docs/containers.md.
+        /// Engine that runs container images on nodes without an `engine` of their own: docs/use/containers.md.
         engine: EngineKind = "podman",
         /// Administrative domains. Without them there is one, `local`.
         domains: Vec<Spanned<DomainId>> = [],
@@ -58,7 +58,7 @@ record! {
         probes: Either<ProbesWord, ProbesRecord> = {},
         /// Settings of its history.
         history: HistoryRecord = {},
-        /// Where this core meets the cores of other domains: docs/federation.md.
+        /// Where this core meets the cores of other domains: docs/use/federation.md.
         border: Option<BorderRecord>,
     }
 }
@@ -187,12 +187,12 @@ record! {
         /// Path loss over distance.
         path_loss: PathLossRecord = { "model": "log_distance", "exponent": 3.0 },
         /// Attenuation by the walls of the map: the loss of each that the line between two antennas crosses, or a mapping.
-        /// Without it, walls take nothing away: docs/radio.md.
+        /// Without it, walls take nothing away: docs/reference/radio.md.
         walls: Option<Spanned<Either<WallLoss, WallsRecord>>>,
         /// Variation of the signal around the path loss.
         shadowing: ShadowingRecord = {},
         /// Fading of single frames by interference of paths: `rayleigh`, or a mapping. Without it, there is none:
-        /// docs/radio.md.
+        /// docs/reference/radio.md.
         fading: Option<Either<FadingWord, FadingRecord>>,
         /// Noise floor of a receiver: thermal noise over 20 MHz (-101 dBm) and a noise figure of 6 dB.
         noise_floor: Dbm = "-95 dBm",
@@ -204,7 +204,7 @@ record! {
         handover: HandoverRecord = {},
         /// Treatment of frames for a station that is off its channel.
         gap: GapPolicy = "hold",
-        /// How senders share a channel: `turns`, `edca`, or a mapping with the settings of EDCA: docs/radio.md.
+        /// How senders share a channel: `turns`, `edca`, or a mapping with the settings of EDCA: docs/reference/radio.md.
         access: Spanned<Either<AccessWord, AccessRecord>> = "turns",
         /// What else sends on its channels, by name. It needs EDCA.
         interference: Table<String, InterferenceRecord> = {},
@@ -438,7 +438,7 @@ record! {
         /// Each phase varies by up to this share, uniformly.
         variation: Probability = "30 %",
         /// What a handover takes: the `times` above, or that of its `frames` on the air. A mapping sets the kernel's timers,
-        /// too. Frames need EDCA: docs/radio.md.
+        /// too. Frames need EDCA: docs/reference/radio.md.
         exchange: Spanned<Either<ExchangeWord, ExchangeRecord>> = "times",
     }
 }
@@ -523,7 +523,7 @@ record! {
 record! {
     /// What runs in the node's network: a command, or containers of an image.
     ContainerRecord {
-        /// Reference of a container image, such as `ros:jazzy`: docs/containers.md.
+        /// Reference of a container image, such as `ros:jazzy`: docs/use/containers.md.
         image: Option<Spanned<Reference>>,
         /// A program and its arguments. With `image`, they are those of its containers; without them, the image's own run.
         command: Option<Spanned<Vec<String>>>,
@@ -994,7 +994,7 @@ record! {
 }
 
 tagged! {
-    /// A queue and its discipline: docs/queues.md.
+    /// A queue and its discipline: docs/reference/queues.md.
     QueueRecord by discipline {
         "drop_tail" => DropTail(DropTailRecord),
         "codel" => Codel(CodelRecord),
@@ -1121,7 +1121,7 @@ record! {
 }
 
 record! {
-    /// A compose file, and the node of its containers: docs/containers.md.
+    /// A compose file, and the node of its containers: docs/use/containers.md.
     ComposeRecord {
         /// Its path, from this file's folder.
         file: Spanned<String>,
@@ -1139,7 +1139,7 @@ record! {
         service_time: Spanned<Duration>,
         /// Share of samples that must be within the target. With it, each run has a verdict on the service: PASS or FAIL.
         kept: Option<Spanned<Probability>>,
-        /// A flow of your own programs, whose time is the service's: docs/flows.md.
+        /// A flow of your own programs, whose time is the service's: docs/use/flows.md.
         flow: Option<Spanned<FlowRecord>>,
         /// Probability that all nodes and links in use work.
         reliability: Option<Spanned<Probability>>,
@@ -1147,6 +1147,8 @@ record! {
         area: Option<Spanned<Vec<Position>>>,
         /// The radio technology that it needs.
         radio: Option<Spanned<WifiStandard>>,
+        /// Bounds on figures of a run, such as `service_time p95 <= 15 ms`. Each run then has a verdict on each of them.
+        require: Vec<Spanned<Bound>> = [],
     }
 }
 
@@ -1364,7 +1366,7 @@ record! {
 }
 
 record! {
-    /// The WLAN Access Information Service: docs/wais.md.
+    /// The WLAN Access Information Service: docs/reference/wais.md.
     WaisRecord {
         /// Networks that notifications may be sent to beside this machine's loopback addresses, such as `10.1.0.0/16`.
         callbacks: Vec<IpNetwork> = [],

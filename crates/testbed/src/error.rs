@@ -6,8 +6,13 @@ use cotorra_graph::NodeId;
 use cotorra_recording::RecordingError;
 
 use crate::{
-    api::ApiError, capture::CaptureError, plugins::PluginError, real_links::RealLinkError,
-    recorded::BeginError, report::FolderError, robots::RobotError, script::ScriptError,
+    api::ApiError,
+    capture::CaptureError,
+    core::script::ScriptError,
+    history::recorded::BeginError,
+    plugins::PluginError,
+    real::{links::RealLinkError, robots::RobotError},
+    report::FolderError,
 };
 
 /// Error of bringing a testbed up or of finishing its run.
@@ -91,7 +96,7 @@ pub enum RunError {
     },
     /// Agents of real servers.
     #[error(transparent)]
-    Agents(#[from] crate::agents::error::AgentsError),
+    Agents(#[from] crate::real::agents::error::AgentsError),
     /// The core's thread panicked, which is a bug.
     #[error("the run's core panicked; please report this as a bug, with the run's folder")]
     Panicked,

@@ -11,8 +11,8 @@ use cotorra_recording::Wanted;
 use crate::{
     api::{Encryption, Tokens},
     capture::CapturePlan,
-    manifest::Origin,
-    previous_run::PreviousRun,
+    folder::manifest::Origin,
+    history::previous_run::PreviousRun,
     report::Place,
 };
 
@@ -52,7 +52,7 @@ pub struct Options {
     /// Notes of the run that this one continues, in real time.
     pub after: Option<PreviousRun>,
     /// Where agents of real servers connect.
-    pub agents: crate::agent_options::AgentOptions,
+    pub agents: crate::real::agents::AgentOptions,
 }
 
 /// Largest size of a history in a file.

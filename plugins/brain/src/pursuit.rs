@@ -4,9 +4,9 @@
 //! Autonomous Robots 47, 2023): pure pursuit, slowed in tight curves, near obstacles and before the goal, with a
 //! turn on the spot when the path leads elsewhere than the robot looks. It depends on nothing but its arguments.
 
-use std::f64::consts::{FRAC_PI_4, PI, TAU};
+use std::f64::consts::FRAC_PI_4;
 
-use cotorra_graph::{Pose, Position, Velocity};
+use cotorra_graph::{Pose, Position, Velocity, wrapped_angle};
 
 use crate::{
     costmap::Costmap,
@@ -52,11 +52,11 @@ pub fn follow(
     // On a steady slope, as fast as the slope needs; straight up, at the limit.
     let gain = (speed_limit / lookahead(speed_limit)).min(CLIMB_GAIN);
     let vertical = (rise * gain).clamp(-speed_limit, speed_limit);
-    // What rises steeply does not turn towards what is above it.
+    // A steep rise does not turn towards what is above it.
     if distance == 0.0 || rise.abs() > STEEP * distance {
         return Velocity { vertical, ..Velocity::default() };
     }
-    let bearing = wrapped((carrot.y - pose.y).atan2(carrot.x - pose.x) - pose.heading);
+    let bearing = wrapped_angle((carrot.y - pose.y).atan2(carrot.x - pose.x) - pose.heading);
     if bearing.abs() > TURN_THRESHOLD {
         let angular = (TURN_GAIN * bearing).clamp(-TURN_LIMIT, TURN_LIMIT);
         return Velocity { vertical, ..Velocity::planar(0.0, angular) };
@@ -88,14 +88,10 @@ fn carrot(map: Option<&Costmap>, path: &Path, on: &Projection, here: Position, s
     ahead.into_iter().find(|place| !hidden(place)).unwrap_or(ahead[3])
 }
 
-/// The same angle in (-π, π].
-fn wrapped(angle: f64) -> f64 {
-    let turned = angle.rem_euclid(TAU);
-    if turned > PI { turned - TAU } else { turned }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use cotorra_graph::PoseSource;
     use proptest::prelude::*;
 

@@ -12,7 +12,7 @@ use cotorra_plugin::{
 
 use crate::Brain;
 
-/// The testbed lets the robot go nowhere, so that nobody can navigate it.
+/// The testbed lets the robot go nowhere, so that it cannot be navigated.
 #[derive(Debug, thiserror::Error)]
 #[error("robot `{robot}` has no walk in testbed `{testbed}`")]
 pub struct NoWalk {
@@ -103,7 +103,7 @@ impl NavigationVnf {
     }
 }
 
-/// κ(r) as far as a position packet tells it.
+/// κ(r) as far as a position packet has it.
 fn context(packet: &PositionPacket) -> RobotContext {
     let pose = from_pose(&packet.pose, PoseSource::Localization);
     RobotContext {
@@ -126,7 +126,7 @@ fn context(packet: &PositionPacket) -> RobotContext {
 /// Serves a robot on that socket until the process ends; what a user should know goes to standard error.
 ///
 /// # Errors
-/// What the socket cannot recover from.
+/// Errors from which the socket cannot recover.
 pub fn serve(mut navigation: NavigationVnf, socket: &UdpSocket) -> io::Result<Infallible> {
     let mut standstill: Option<String> = None;
     vnf::log(format_args!("navigating `{}`", navigation.robot));

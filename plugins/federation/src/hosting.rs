@@ -51,7 +51,7 @@ struct Service {
     noted: bool,
 }
 
-/// What became of a deployment.
+/// Outcome of a deployment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Acceptance {
     /// There is none on the chain.
@@ -95,7 +95,7 @@ impl Hosting {
         let Some((unit, serves)) = self.unit_for(requirements, units, coverage) else { return };
         let (endpoint, deploys_within) = (settings.endpoint.clone(), settings.deploy_within());
         let offer = Offer { price, endpoint, deploys_within, accepted_within: settings.accepted_within() };
-        // A key that cannot be encrypted to is the creator's mistake, which nobody can be told about.
+        // A key that cannot be encrypted to is the creator's mistake, which cannot be reported to it.
         let Ok(Some(provider)) = Provider::new(account, secret.clone(), announced, offer) else { return };
         self.services.push(Service {
             provider,

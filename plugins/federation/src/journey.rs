@@ -1,5 +1,5 @@
 //! The creator's role for one robot: from its own domain's radio units to another domain's vAP and back. A robot that
-//! nobody would serve is halted before it leaves coverage, and its attachment stays unchanged.
+//! no domain would serve is halted before it leaves coverage, and its attachment stays unchanged.
 
 use std::time::Duration;
 
@@ -55,7 +55,7 @@ enum Stage {
         to: NodeId,
         next_try: Timestamp,
     },
-    /// Nobody serves it beyond the edge.
+    /// No domain serves it beyond the edge.
     GivenUp,
 }
 
@@ -262,7 +262,7 @@ impl Journey {
         }
     }
 
-    /// Turns off the domain's radio unit that nobody needs any more: a(R) = {}.
+    /// Turns off the domain's radio unit that is no longer needed: a(R) = {}.
     fn release_own(
         &mut self,
         robot: &NodeId,

@@ -38,7 +38,7 @@ pub(crate) const EXACTLY: f64 = 1e9;
 /// then the index of the radio unit, delay and unreliability.
 type Rank = (u64, u64, usize, u64, u64);
 
-/// A VNF on a host, and how it came there.
+/// A VNF on a host, and the step that put it there.
 #[derive(Debug)]
 struct Label {
     vnf: usize,
@@ -99,7 +99,7 @@ pub(crate) struct Decision<'a> {
     rivals: usize,
     paths: Paths<'a>,
     processing_ns: Vec<u64>,
-    /// Negative logarithm of each node's reliability; zero where nobody asks for it.
+    /// Negative logarithm of each node's reliability; zero where it has no bound.
     node_failure: Vec<f64>,
     /// Whole units of cost in one of the infrastructure's, so that sums are exact and equals are equal.
     cost_units: f64,
@@ -250,7 +250,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
             if self.labels[at].vnf == last {
                 return Ok(self.read(at));
             }
-            // What came after it may have beaten it.
+            // A later state may have beaten it.
             if !self.is_needless(&self.labels[at], Some(at)) {
                 let used = self.taken_of_links(&self.labels[at]);
                 used.iter().for_each(|&(link, sent)| self.used[link] = Some(sent));
@@ -352,7 +352,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         let last = before.map(|before| &self.labels[before]);
         let vnf = last.map_or(0, |label| label.vnf + 1);
         let after = &decision.after[vnf];
-        // What is used already fails only once: how reliable the rest is, nobody can tell.
+        // What is used already fails only once: the reliability of the rest is unknown.
         let delay_ns = after.delay_ns.get(node).copied().unwrap_or(0);
         let to_come = Figures { delay_ns, failure: 0.0 };
         // A host counts once, however many VNFs it carries.
@@ -360,7 +360,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         let failure = decision.node_failure[node];
         let failure = if failure > 0.0 && known() { 0.0 } else { failure };
         let own = Figures { delay_ns: decision.processing_ns[vnf], failure };
-        // What the host does is part of the hop that leads to it.
+        // The host's work is part of the hop that leads to it.
         let rounded = match way.wireless[1] {
             None => [way.hops[0], way.hops[1].and(own), way.hops[2]],
             Some(_) => [way.hops[0], way.hops[1], way.hops[2].and(own)],

@@ -76,7 +76,7 @@ impl Okpi {
     ///   location, what was known of them, as the letter's did. It needs [`Okpi::asking`];
     /// - `services`: those that are orchestrated, as `[navigation]`; by default all are.
     ///
-    /// What they name is checked by [`Okpi::for_testbed`].
+    /// [`Okpi::for_testbed`] checks the names in them.
     ///
     /// # Errors
     /// [`InvalidSettings`] for a setting that does not exist, or that has no such value.
@@ -185,7 +185,7 @@ fn decide(
     for (from, to, links) in now.wants_paths(service, paths) {
         actions.instruct_because(Instruction::Map { from, to, links }, &reason);
     }
-    // A robot that lost its radio unit, or took another by itself, is told again.
+    // A robot that lost its radio unit, or took another by itself, gets its order again.
     if let Some(unit) = &placed.attachment
         && roaming == Roaming::Instructed
         && now.wants_attachment(&service.robot, attached, unit)

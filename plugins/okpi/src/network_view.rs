@@ -40,7 +40,7 @@ impl Concerned<'_> {
     }
 }
 
-/// The testbed as events tell it.
+/// The testbed according to its events.
 #[derive(Debug)]
 pub(crate) struct NetworkView {
     pub(crate) graph: HardwareGraph,
@@ -126,7 +126,7 @@ impl NetworkView {
                 }
                 Concerned::Nobody
             }
-            // What was refused or failed is asked for again at the next location, if it is wanted then.
+            // A rejected or failed action is requested again at the next location, if it is wanted then.
             Event::Decision(decision) if decision.refused.is_some() => {
                 match &decision.instruction {
                     Instruction::Place { vnf, node } => drop(self.end_move(vnf, node.first())),
@@ -364,8 +364,9 @@ mod tests {
 
     use cotorra_graph::{
         Attachment, Decision, Handover, LinkContext, PathKind, Placement, Pose, PoseSource, RobotContext,
-        SensorData, Velocity, VirtualLinkMapping,
+        VirtualLinkMapping,
     };
+    use cotorra_graph_testing as base;
 
     use super::*;
 
@@ -477,16 +478,9 @@ walks:
             let effective = Conditions { delay: Duration::from_millis(delay_ms), ..link.forward.clone() };
             Event::Link(LinkContext {
                 link: link.id.clone(),
-                direction: Direction::Forward,
-                delay: None,
-                throughput_bps: 0.0,
-                queued_packets: None,
-                probed: None,
-                tested: None,
                 asked: effective.clone(),
-                scale: Scale::default(),
                 effective,
-                counters: Default::default(),
+                ..base::link_context("link")
             })
         };
         assert!(concerned(&mut now, &event(5)).is_empty());
@@ -509,23 +503,12 @@ walks:
     fn attachments_are_instructed_once_until_they_end() {
         let (robot, unit, other) = (node_id("r"), node_id("U"), node_id("P"));
         let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
-        let sensors = SensorData {
-            pose,
-            odometry: pose,
-            velocity: Velocity::default(),
-            bumper: false,
-            nearest_obstacle_m: None,
-        };
         let attachments =
             vec![Attachment { radio_unit: unit.clone(), attached: true, signal: None, age: None }];
         let there = Event::Robot(RobotContext {
             robot: robot.clone(),
             attachments,
-            sensors,
-            waypoint: 0,
-            health: Vec::new(),
-            speed_limit_mps: None,
-            localization_error_m: None,
+            ..base::robot_context("robot", pose)
         });
         let lost = Event::Detached { robot: robot.clone(), from: other.clone() };
         for end in [handed_over("r", "U"), lost, refused(attach("r", "U")), there] {

@@ -1,11 +1,9 @@
 //! Paths between hosts over wired links, from one host to all others by one tree: the fastest, those that fail least
 //! often, and the fastest that have room beside what is sent already.
 
-use std::{
-    cmp::Reverse,
-    collections::{BinaryHeap, HashMap},
-    rc::Rc,
-};
+use std::{cmp::Ordering, collections::HashMap, rc::Rc};
+
+use cotorra_graph::{Arrival, cheapest_paths, steps_back};
 
 use crate::model::{Infrastructure, Link};
 
@@ -51,24 +49,43 @@ impl By {
     }
 }
 
-/// The way to a node in a tree.
+/// What a path costs: the weight of its figures, then its hops.
 #[derive(Debug, Clone, Copy)]
-struct Reached {
+struct Cost {
+    rank: ((u64, u64), u32),
     figures: Figures,
     /// Free rate on the narrowest link, bit/s.
     free_bps: f64,
-    /// The node before it and the link from there; `None` at the source.
-    by: Option<(usize, usize)>,
 }
+
+impl Ord for Cost {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.rank.cmp(&other.rank)
+    }
+}
+
+impl PartialOrd for Cost {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Cost {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Cost {}
 
 /// The shortest paths from one node.
 #[derive(Debug)]
-pub(crate) struct Tree(Vec<Option<Reached>>);
+pub(crate) struct Tree(Vec<Option<Arrival<Cost>>>);
 
 impl Tree {
     /// Returns the figures of the shortest path to a node, and its free rate; `None` if there is none.
     pub(crate) fn to(&self, to: usize) -> Option<(Figures, f64)> {
-        self.0[to].map(|reached| (reached.figures, reached.free_bps))
+        self.0[to].map(|reached| (reached.cost.figures, reached.cost.free_bps))
     }
 
     /// The links of the shortest path to a node, in order.
@@ -80,8 +97,7 @@ impl Tree {
 
     /// The links of the shortest path to a node, from the last one back.
     pub(crate) fn walk(&self, to: usize) -> impl Iterator<Item = usize> {
-        let by = |at: usize| self.0[at].and_then(|reached| reached.by);
-        std::iter::successors(by(to), move |(before, _)| by(*before)).map(|(_, link)| link)
+        steps_back(&self.0, to).map(|(_, link)| link)
     }
 }
 
@@ -182,7 +198,7 @@ impl<'a> Paths<'a> {
         Some(Rc::clone(known.around.get_or_insert_with(|| Rc::new(tree()))))
     }
 
-    /// Dijkstra's algorithm from some nodes, over nodes that forward and wired links that have so much free besides what
+    /// The shortest paths from some nodes, over nodes that forward and wired links that have so much free besides what
     /// is sent over them; of equals the path with fewer hops, then the first.
     fn tree(
         &self,
@@ -191,41 +207,23 @@ impl<'a> Paths<'a> {
         rate_bps: f64,
         sent_bps: &dyn Fn(usize) -> f64,
     ) -> Tree {
-        let nodes = &self.infrastructure.nodes;
-        let mut reached: Vec<Option<Reached>> = vec![None; self.edges.len()];
-        let mut best = vec![((u64::MAX, u64::MAX), u32::MAX); self.edges.len()];
-        let mut queue = BinaryHeap::new();
-        for (i, &(at, figures)) in from.iter().enumerate() {
-            let rank = (by.weigh(figures), 0);
-            queue.push(Reverse((rank, at, Some(i))));
-            if rank < best[at] {
-                best[at] = rank;
-                reached[at] = Some(Reached { figures, free_bps: f64::INFINITY, by: None });
-            }
-        }
-        while let Some(Reverse((rank, at, beginning))) = queue.pop() {
-            // Paths begin at each of the first nodes, even where one from another leads there that is shorter.
-            let begun = beginning.map(|i| (from[i].1, f64::INFINITY));
-            let known = || reached[at].filter(|_| rank == best[at]).map(|r| (r.figures, r.free_bps));
-            let Some((figures_here, free_here)) = begun.or_else(known) else { continue };
-            for &(next, link) in &self.edges[at] {
-                let free = self.infrastructure.links[link].free_bps;
-                if !fits(free, rate_bps + sent_bps(link)) {
-                    continue;
-                }
-                let figures = figures_here.and(self.figures[link]);
-                let rank = (by.weigh(figures), rank.1 + 1);
-                if rank < best[next] {
-                    best[next] = rank;
-                    let free_bps = free_here.min(free);
-                    reached[next] = Some(Reached { figures, free_bps, by: Some((at, link)) });
-                    if nodes[next].forwards {
-                        queue.push(Reverse((rank, next, None)));
-                    }
-                }
-            }
-        }
-        Tree(reached)
+        let cost = |figures, hops, free_bps| Cost { rank: (by.weigh(figures), hops), figures, free_bps };
+        let sources: Vec<_> =
+            from.iter().map(|&(at, figures)| (at, cost(figures, 0, f64::INFINITY))).collect();
+        Tree(cheapest_paths(
+            self.edges.len(),
+            &sources,
+            |node| self.infrastructure.nodes[node].forwards,
+            |at, so_far| {
+                self.edges[at].iter().filter_map(move |&(next, link)| {
+                    let free = self.infrastructure.links[link].free_bps;
+                    fits(free, rate_bps + sent_bps(link)).then(|| {
+                        let figures = so_far.figures.and(self.figures[link]);
+                        (next, link, cost(figures, so_far.rank.1 + 1, so_far.free_bps.min(free)))
+                    })
+                })
+            },
+        ))
     }
 }
 

@@ -307,7 +307,7 @@ fn handovers_under_way_are_not_instructed_again() {
     let (mut okpi, [place, attach]) = instructed();
     let Instruction::Place { vnf, node } = place else { panic!("{place:?}") };
     assert!(matches!(&attach, Instruction::Attach { radio_unit, .. } if radio_unit == "R2"), "{attach:?}");
-    // Its own doing comes back as events, κ tells φ of before, and the robot goes on.
+    // Its own doing comes back as events, κ has the φ of before, and the robot goes on.
     let mapping = VirtualLinkMapping {
         from: "robot-driver".parse().unwrap(),
         to: vnf.clone(),

@@ -1,8 +1,8 @@
-//! Slows robots where their radio is weak: radio units tell the signal of each station, ι(R), and the Robot Middleware
+//! Slows robots where their radio is weak: radio units report the signal of each station, ι(R), and the Robot Middleware
 //! limits the robot's speed.
 //!
 //! What it gains is way, not time: a robot goes on with its last command while it waits for an answer, and a slow one goes
-//! less far meanwhile. docs/pace.md has figures.
+//! less far meanwhile. docs/use/pace.md has figures.
 #![forbid(unsafe_code)]
 
 mod settings;
@@ -14,7 +14,7 @@ use cotorra_plugin::{Actions, Plugin, settings::InvalidSettings};
 
 pub use crate::settings::Settings;
 
-/// A robot is told no more often.
+/// Shortest time between two orders to a robot.
 const HOLD: Duration = Duration::from_secs(1);
 
 /// Slows robots where their radio is weak.

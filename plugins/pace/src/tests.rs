@@ -1,6 +1,7 @@
 use std::path::Path;
 
-use cotorra_graph::{Pose, PoseSource, RadioContext, RobotContext, SensorData, StationContext, Velocity};
+use cotorra_graph::{RadioContext, RobotContext, StationContext};
+use cotorra_graph_testing as base;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -53,23 +54,14 @@ fn received(signal: f64) -> Event {
         uplink_bps: 6.5 * 1e6,
         counted: Default::default(),
     };
-    // One that the testbed does not have is nobody's.
+    // One that the testbed does not have belongs to no robot.
     let stations = vec![station("r"), station("visitor")];
     Event::Radio(RadioContext { radio_unit: "A".parse().unwrap(), channel: 1, load: Some(0.1), stations })
 }
 
 fn limited(speed_limit_mps: Option<f64>) -> Event {
-    let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
-    let velocity = Velocity::default();
-    Event::Robot(RobotContext {
-        robot: "r".parse().unwrap(),
-        attachments: Vec::new(),
-        sensors: SensorData { pose, odometry: pose, velocity, bumper: false, nearest_obstacle_m: None },
-        waypoint: 0,
-        health: Vec::new(),
-        speed_limit_mps,
-        localization_error_m: None,
-    })
+    let pose = base::pose(0.0, 0.0, 0.0);
+    Event::Robot(RobotContext { speed_limit_mps, ..base::robot_context("r", pose) })
 }
 
 #[test]

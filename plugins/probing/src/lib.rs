@@ -142,7 +142,8 @@ fn draw(random: &mut Draws, settings: &Settings) -> Duration {
 mod tests {
     use std::path::Path;
 
-    use cotorra_graph::{Dbm, Pose, PoseSource, SensorData, Velocity};
+    use cotorra_graph::{Dbm, Pose, PoseSource};
+    use cotorra_graph_testing as base;
     use proptest::prelude::*;
     use serde_json::{Map, json};
 
@@ -175,7 +176,7 @@ links:
         probing
     }
 
-    /// Runs for `seconds` of virtual time, and tells who scanned when.
+    /// Runs for `seconds` of virtual time, and returns the scans of each robot.
     fn scans(probing: &mut Probing, seconds: f64) -> Vec<(Timestamp, NodeId)> {
         let mut scans = Vec::new();
         let mut actions = Actions::default();
@@ -203,17 +204,7 @@ links:
                     age: None,
                 })
                 .collect(),
-            sensors: SensorData {
-                pose,
-                odometry: pose,
-                velocity: Velocity::default(),
-                bumper: false,
-                nearest_obstacle_m: None,
-            },
-            waypoint: 0,
-            health: Vec::new(),
-            speed_limit_mps: None,
-            localization_error_m: None,
+            ..base::robot_context("robot", pose)
         })
     }
 

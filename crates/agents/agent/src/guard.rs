@@ -1,5 +1,5 @@
 //! A small process beside the agent while it drives a robot. It leaves the robot at rest if the agent is gone, however it ended:
-//! a Kobuki goes on at its last speed when nobody commands it any more.
+//! a Kobuki goes on at its last speed when commands stop.
 //!
 //! Its standard input is a pipe from the agent. The agent writes the robot's ports into it, and the end of the pipe says that
 //! the agent is gone.

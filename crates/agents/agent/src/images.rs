@@ -110,7 +110,7 @@ impl Images {
 /// are not files of the run.
 fn of_the_machine(image: &Image, rights: &Rights) -> Option<&'static str> {
     let is_of_run = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
-    // What a container writes could lead out of the run's folder.
+    // A link that a container writes could lead out of the run's folder.
     let is_harmless = |volume: &cotorra_graph::Volume| !volume.writable && is_of_run(&volume.source);
     match rights {
         _ if !image.devices.is_empty() => Some("devices"),

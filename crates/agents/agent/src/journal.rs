@@ -19,7 +19,7 @@ pub(crate) struct Journal {
     _lock: File,
 }
 
-/// What is saved.
+/// Content of the journal.
 #[derive(Serialize, Deserialize)]
 struct Saved {
     /// The boot of the machine. After the next one, nothing of an old run is started again.

@@ -37,7 +37,7 @@ struct Emulated {
     probe: Option<LinkProbe>,
 }
 
-/// What is wanted of a link, as NetEm does it.
+/// Wanted conditions of a link, as NetEm applies them.
 struct Plan<'a> {
     wanted: &'a WantedLink,
     rules: Rules,

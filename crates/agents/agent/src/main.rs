@@ -31,7 +31,8 @@ use crate::{error::AgentError, options::Options, service::Service};
 
 /// Run VNFs of cotorra testbeds on this machine, and report its context
 ///
-/// `cotorra agent enrol NAME` on the core's machine makes the credentials. docs/machines.md has all steps, and a systemd unit.
+/// `cotorra agent enrol NAME` on the core's machine makes the credentials. docs/use/machines.md has all
+/// steps, and a systemd unit.
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Cli {

@@ -15,7 +15,7 @@ const MOST_WAITING: usize = 64;
 /// Interval of attempts to open ports.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// What the thread of a robot waits for.
+/// Input of a robot's thread.
 #[derive(Default)]
 pub(crate) struct Inbox {
     state: Mutex<State>,
@@ -154,7 +154,7 @@ impl Drop for Robot {
     }
 }
 
-/// Drives a robot until it is told to end.
+/// Drives a robot until it receives the order to end.
 fn drive(mut robot: DrivenRobot, clock: &Clock, inbox: &Inbox) {
     loop {
         let mut state = inbox.state.lock();

@@ -1,4 +1,4 @@
-//! How threads wake the agent's loop.
+//! Wakes the agent's loop from threads.
 
 use std::sync::Arc;
 

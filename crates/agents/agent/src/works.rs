@@ -1,4 +1,4 @@
-//! What runs VNFs of one run: its files, and the engines.
+//! Runs VNFs of one run: its files, and the engines.
 
 use std::{fs, path::PathBuf, sync::Arc};
 

@@ -39,7 +39,7 @@ fn an_agent_that_waits_for_its_core_ends_when_it_is_terminated() {
     let home = tempfile::tempdir().unwrap();
     let (authority, today) = (home.path().join("authority"), chrono::Utc::now());
     let authority = Authority::create_or_open(authority, today).unwrap();
-    // Nobody listens there.
+    // No program listens there.
     let (name, core) = (AgentId::new("edge1").unwrap(), "127.0.0.1:1".parse().unwrap());
     let credentials = home.path().join("edge1.agent");
     let bundle = authority.enrol(&name, &core, Duration::from_secs(86400), today).unwrap();

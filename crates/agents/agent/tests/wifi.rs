@@ -29,7 +29,7 @@ use cotorra_wifi::{
 const RUN: Run = Run(1);
 const CORE: &str = "10.9.0.1:7448";
 const ROBOT: MacAddress = MacAddress([2, 0, 0, 0, 0, 0]);
-/// What nothing here needs.
+/// Longer than anything here needs.
 const LONG: Duration = Duration::from_secs(60);
 const HOSTAPD: &str = "interface=wlan1
 bridge=br0
@@ -402,7 +402,7 @@ fn a_core_serves_a_network_by_agents_and_leaves_all_as_it_was() {
         assert!(gap < most && without_answers < most && answers > 100, "802.11r aims at 50 ms");
     }
 
-    // The owner's neighbour knows nobody.
+    // The owner's neighbour knows no others.
     let nobody = core.ask_robot(WifiRequest::Roam { to: bssid(9), over_ds: false });
     core.until(
         |_, event| matches!(event, Some(ControllerEvent::Request(_, number, Err(_))) if *number == nobody),

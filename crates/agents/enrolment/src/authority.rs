@@ -75,7 +75,7 @@ pub struct Renewal {
     pub core: Option<CoreEndpoint>,
     /// Validity of the new certificate; `None` keeps that of the one before.
     pub validity: Option<Duration>,
-    /// How long the generations before may still connect.
+    /// Time for which earlier generations may still connect.
     pub overlap: Duration,
 }
 

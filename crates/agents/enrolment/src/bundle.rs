@@ -8,7 +8,7 @@ use crate::{AgentCertificate, CoreEndpoint, certificates::Credentials, files, ti
 const LONGEST: usize = 64 << 10;
 const KEYS: [&str; 7] = ["agent", "generation", "expires", "core", "authority", "certificate", "key"];
 
-/// What an agent needs: the core's address, the authority's certificate, and its own certificate and key.
+/// Credentials of an agent: the core's address, the authority's certificate, and its own certificate and key.
 ///
 /// The text of a bundle has lines `key: value` and blocks of PEM. All that is read has been checked: the authority signed
 /// the certificate, the key is that of the certificate, and the lines say what the certificate says.
@@ -33,7 +33,7 @@ pub enum BundleError {
     Line {
         /// Number of the line, from 1.
         line: usize,
-        /// What is wrong, and what would be right.
+        /// The mistake, and its correction.
         problem: String,
     },
     /// A key that every bundle has.
@@ -45,7 +45,7 @@ pub enum BundleError {
     /// Credentials that do not belong together.
     #[error("{problem}; it may be made of several files")]
     Credentials {
-        /// What is wrong.
+        /// The mistake.
         problem: String,
     },
 }
@@ -118,7 +118,7 @@ impl Bundle {
     /// new one, also after a crash.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn write(&self, path: &Path) -> io::Result<()> {
         files::write(path, &self.text())
     }
@@ -128,7 +128,7 @@ impl Bundle {
         &self.core
     }
 
-    /// What the agent's certificate says.
+    /// Content of the agent's certificate.
     pub fn certificate(&self) -> &AgentCertificate {
         &self.certificate
     }

@@ -26,10 +26,10 @@ pub const CORE_COMMON_NAME: &str = "cotorra core";
 /// Common name of the HTTP API's certificate, which agents do not take for the core's.
 pub const API_COMMON_NAME: &str = "cotorra API";
 
-/// How far clocks of agents may be behind.
+/// Time by which clocks of agents may be behind.
 const CLOCK_SKEW: TimeDelta = TimeDelta::minutes(5);
 
-/// What an agent's certificate says.
+/// Content of an agent's certificate.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AgentCertificate {
     /// The agent.

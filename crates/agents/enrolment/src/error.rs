@@ -79,7 +79,7 @@ pub enum EnrolmentError {
     /// A bound of the registry.
     #[error("there are too many {what}: {most} are the most")]
     TooMany {
-        /// What there are too many of.
+        /// The objects of which there are too many.
         what: &'static str,
         /// The bound.
         most: usize,

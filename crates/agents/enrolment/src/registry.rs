@@ -43,7 +43,7 @@ pub struct Enrolled {
 pub enum AgentState {
     /// It may connect while its certificate is valid.
     Enrolled,
-    /// None of its generations may connect.
+    /// All its generations are rejected.
     Revoked,
 }
 

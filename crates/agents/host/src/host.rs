@@ -17,7 +17,7 @@ use crate::{interfaces::Interfaces, link::Link, proc, proc::CpuTimes, wifi::Wifi
 /// The machine that this program runs on.
 pub struct Host {
     node: NodeId,
-    /// Where the kernel's texts are: `/proc`.
+    /// Folder of the kernel's texts: `/proc`.
     proc: PathBuf,
     route: Netlink,
     generic: Netlink,

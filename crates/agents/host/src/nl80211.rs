@@ -58,7 +58,7 @@ pub(crate) struct Interface {
     pub(crate) ssid: Option<String>,
 }
 
-/// What an interface heard of a channel, counted since it exists.
+/// Counts of an interface on a channel, since it exists.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Survey {
     pub(crate) frequency_mhz: u32,

@@ -26,7 +26,7 @@ pub(crate) struct Wifi {
     before: HashMap<ChannelKey, Times>,
 }
 
-/// What a reading gives.
+/// Result of a reading.
 #[derive(Default)]
 pub(crate) struct WifiReading {
     pub(crate) wifi: Vec<WifiContext>,
@@ -70,7 +70,7 @@ impl Wifi {
     }
 }
 
-/// What can still be reported, of all interfaces together.
+/// Room left in a report, for all interfaces together.
 struct Room {
     stations: usize,
     channels: usize,

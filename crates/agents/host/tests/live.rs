@@ -94,7 +94,7 @@ fn interfaces_have_the_state_speed_and_rate_that_the_kernel_gave_them() {
     let reading = a.run(|| host.read(SECOND));
     let va = interface(&reading, "va");
     assert!(va.carrier);
-    // What the kernel's veth claims.
+    // The speed that the kernel's veth claims.
     assert_eq!(va.speed, BitRate::from_mbps(10_000.0));
     assert_eq!(reading.context.interfaces[0].name, "lo");
     assert_eq!(reading.context.interfaces[0].speed, None);

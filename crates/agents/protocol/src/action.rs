@@ -1,4 +1,4 @@
-//! What the agent's shell has to do.
+//! Actions of the agent's shell.
 
 use std::collections::BTreeMap;
 

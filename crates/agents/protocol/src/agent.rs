@@ -26,7 +26,7 @@ const LEASES: [Duration; 2] = [Duration::from_millis(200), Duration::from_hours(
 /// radio only, and be on the way to an access point.
 pub const RADIOS_KEPT: Duration = Duration::from_secs(15);
 
-/// How long the core has been silent.
+/// Time since the core was last heard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Silence {
     /// Not for longer than the lease.

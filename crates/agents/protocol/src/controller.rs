@@ -32,7 +32,7 @@ pub enum Transmit {
     Beat(AgentId, Beat),
 }
 
-/// What is known of a wanted instance.
+/// Known state of a wanted instance.
 #[derive(Debug)]
 struct Known {
     wanted: WantedInstance,
@@ -41,7 +41,7 @@ struct Known {
     is_ready: bool,
 }
 
-/// What is known of a wanted link.
+/// Known state of a wanted link.
 #[derive(Debug)]
 struct KnownLink {
     wanted: WantedLink,
@@ -51,7 +51,7 @@ struct KnownLink {
     state: Option<LinkState>,
 }
 
-/// What is known of an agent.
+/// Known state of an agent.
 #[derive(Debug, Default)]
 struct Remote {
     instances: BTreeMap<u64, Known>,
@@ -170,7 +170,7 @@ impl Controller {
     }
 
     /// Wants the program of a Wi-Fi interface to carry out a request once. Returns the number with which
-    /// [`ControllerEvent::Request`] tells what became of it.
+    /// [`ControllerEvent::Request`] reports the outcome.
     ///
     /// # Errors
     /// The reason, for people, if the agent is not there, or has too much to do.
@@ -415,6 +415,3 @@ fn end(
         remote.change();
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,4 +1,4 @@
-//! What the core learns of its agents.
+//! Events that the core receives of its agents.
 
 use cotorra_engine::EngineEvent;
 use cotorra_graph::{AgentId, LinkId};

@@ -17,19 +17,19 @@ pub struct WantedLink {
     pub leaving: Conditions,
     /// Conditions of arriving packets, less what the medium does itself.
     pub arriving: Conditions,
-    /// How the link is probed, if it is.
+    /// Probes of the link, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probes: Option<WantedProbes>,
 }
 
-/// How a link is to be probed by STAMP.
+/// Wanted probes of a link by STAMP.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WantedProbes {
     /// The address of the reflector.
     pub reflector: IpAddr,
     pub probing: Probing,
-    /// What the medium itself takes, one way.
+    /// Delay of the medium itself, one way.
     #[serde(rename = "medium_delay_ms", with = "millis")]
     pub medium_delay: Duration,
 }
@@ -52,7 +52,7 @@ pub enum LinkState {
     Failed(String),
 }
 
-/// What crossed a link since its interface was given conditions, and what its probes tell.
+/// What crossed a link since its interface was given conditions, and the results of its probes.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkReading {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::link::LinkReading;
 
-/// What an agent read of its machine.
+/// An agent's reading of its machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MachineReading {

@@ -72,7 +72,7 @@ pub struct Beat {
     pub last_event: Option<LastEvent>,
 }
 
-/// What runs on an agent's machine.
+/// An agent's report of its machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Report {

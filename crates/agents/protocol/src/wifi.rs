@@ -32,18 +32,18 @@ pub(crate) const MOST_EVENTS: usize = 64;
 /// Most access points that a station reports as heard, strongest first.
 pub const MOST_HEARD: usize = 32;
 
-/// What the core wants of the Wi-Fi interfaces of an agent's machine.
+/// Wanted state of the Wi-Fi interfaces of an agent's machine.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WantedWifi {
-    /// What each interface shall be. Others stay their owner's.
+    /// Wanted role of each interface. Others stay their owner's.
     pub radios: BTreeMap<InterfaceName, WantedRadio>,
     /// Requests by their numbers. Each is carried out once.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub requests: BTreeMap<u64, WantedRequest>,
 }
 
-/// What a Wi-Fi interface shall be.
+/// Wanted role of a Wi-Fi interface.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WantedRadio {
@@ -112,7 +112,7 @@ pub enum RadioState {
 #[serde(rename_all = "snake_case")]
 pub enum RequestState {
     UnderWay,
-    /// The program took it. Its events tell what becomes of it.
+    /// The program took it. Its events report the outcome.
     Done,
     /// It cannot do it now.
     Busy,
@@ -143,7 +143,7 @@ pub struct RadioEvent {
     pub event: Event,
 }
 
-/// What an agent reports of its Wi-Fi interfaces.
+/// An agent's report of its Wi-Fi interfaces.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WifiReport {

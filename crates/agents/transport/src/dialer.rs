@@ -56,7 +56,7 @@ pub enum FromCore {
 /// A part of a file; none at its end.
 type Part = Option<Vec<u8>>;
 
-/// What the dialer's thread and those that send share.
+/// State that the dialer's thread shares with senders.
 #[derive(Debug)]
 struct Shared {
     /// The connection, once the core is known to be at its other end.
@@ -393,7 +393,7 @@ impl<R: Fn(FromCore)> Service<R> {
                 if let Some((number, part)) = frame::number(&message)
                     && let Some(fetch) = self.shared.fetches.lock().waiting.get(&number)
                 {
-                    // Nobody waits for a file that is longer than announced.
+                    // The receiver gives up a file that is longer than announced.
                     _ = fetch.send((kind == Kind::Part).then(|| part.to_vec()));
                 }
                 return;

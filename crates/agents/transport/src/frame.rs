@@ -1,4 +1,4 @@
-//! What both ends write into a connection: a kind (one byte), a length (four bytes, big endian), and so many bytes.
+//! Format of a connection, in both directions: a kind (one byte), a length (four bytes, big endian), and so many bytes.
 
 use std::io::{self, Write};
 
@@ -7,7 +7,7 @@ const HEADER: usize = 5;
 /// Longest message, bytes. The protocol has a lower bound for most.
 pub const LONGEST: usize = 1 << 20;
 
-/// What a frame carries.
+/// Kind of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum Kind {

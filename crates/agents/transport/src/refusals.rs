@@ -19,7 +19,7 @@ impl Refusals {
         }
     }
 
-    /// Notes a reason for which nobody has to do something, unless that was done.
+    /// Notes a reason that needs no action, unless it was noted before.
     pub(crate) fn note(&mut self, reason: String) {
         if self.is_new(&reason) {
             tracing::info!("refused a connection of an agent: {reason}");

@@ -80,7 +80,7 @@ pub type Receiver = Arc<dyn Fn(AgentId, FromAgent, Arc<()>) + Send + Sync>;
 /// A connection of an agent, once it is known whose it is.
 type Shared = Arc<Mutex<Connection>>;
 
-/// What the router's thread and those that send share.
+/// State that the router's thread shares with senders.
 #[derive(Debug)]
 struct Agents {
     /// The connections of each agent that is granted, oldest first.
@@ -314,7 +314,7 @@ impl Service {
             Some(End::Agent(end)) => end.connection.lock().exchange(now),
             None => return false,
         };
-        // What was read before the end counts.
+        // Bytes that were read before the end count.
         if let Err(reason) = self.take_all(token) {
             self.reject(token, reason);
             return false;

@@ -16,7 +16,7 @@ use rustls::{
 
 use crate::error::TransportError;
 
-/// What the two ends speak, by which they notice that the other is of another version (RFC 7301).
+/// Protocol of both ends, which shows them that the other is of another version (RFC 7301).
 pub(crate) const PROTOCOL: &[u8] = b"cotorra-agent/1";
 
 /// Key and certificate of one end, and the authority that signed those of the other, in PEM.
@@ -83,7 +83,7 @@ pub(crate) fn server(credentials: Credentials<'_>) -> Result<Arc<ServerConfig>, 
     Ok(Arc::new(config))
 }
 
-/// Who the other end is.
+/// Identity of the other end.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Identity {
     pub(crate) common_name: String,
@@ -94,7 +94,7 @@ pub(crate) struct Identity {
 /// Returns who the other end of a connection is, once the handshake is over.
 ///
 /// # Errors
-/// The reason, for people, if it is nobody to speak to.
+/// Reason for which the other end is rejected, for people.
 pub(crate) fn identity(tls: &CommonState) -> Result<Identity, String> {
     if tls.alpn_protocol() != Some(PROTOCOL) {
         return Err("the other end speaks another version of the protocol".to_owned());

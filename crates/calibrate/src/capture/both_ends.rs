@@ -155,7 +155,7 @@ struct Seen {
 /// The packets at one end, with their fingerprints.
 struct Endpoint {
     packets: Vec<Seen>,
-    /// Where a fingerprint is first, and how many packets have it.
+    /// First place of a fingerprint, and the number of its packets.
     places: HashMap<u64, (usize, usize)>,
     /// Time by which its clock is ahead of the clock at the first end, about.
     ahead_ns: i64,
@@ -214,7 +214,7 @@ impl Between {
     /// Finds the hosts with the most packets in both captures; `None` if those are too few.
     ///
     /// A packet's time at the second end, less that at the first, is later for forward packets than for backward ones, on any
-    /// clocks. If all go one way, the clocks have to tell.
+    /// clocks. If all go one way, the clocks decide.
     fn find(near: &Endpoint, far: &Endpoint) -> Option<Self> {
         let mut apart: BTreeMap<Hosts, Vec<i64>> = BTreeMap::new();
         for packet in &near.packets {

@@ -42,7 +42,7 @@ impl FadingFit {
 /// rounding and what shadowing changes over that distance. That of a Rician signal falls with its K-factor.
 ///
 /// # Errors
-/// [`CalibrateError::TooLittle`] with few pairs, or if the deviation is too small to tell, and [`CalibrateError::Unsuited`] if it
+/// [`CalibrateError::TooLittle`] with few pairs, or if the deviation is too small, and [`CalibrateError::Unsuited`] if it
 /// is larger than that of Rayleigh fading.
 pub fn fit_fading(
     testbed: &Testbed,

@@ -72,8 +72,8 @@ fn unit(distribution: JitterDistribution) -> f64 {
 
 /// Returns the settings of a region's link, and what they cannot do.
 ///
-/// Round trips do not tell directions. Each direction gets half of the added delay. The jitter is counted forward, and delay that
-/// it needs to stay above zero is moved there.
+/// Round trips do not show directions. Each direction gets half of the added delay. The jitter is counted forward, and
+/// delay that it needs to stay above zero is moved there.
 pub(super) fn of_region(link: &Link, fit: &RegionFit) -> (Vec<FittedSetting>, Vec<String>) {
     let delays = [&link.forward, &link.backward].map(|conditions| conditions.delay.as_secs_f64() * 1e3);
     let added = fit.added_ms.value;

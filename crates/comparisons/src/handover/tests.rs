@@ -1,9 +1,10 @@
 use std::{path::Path, time::Duration};
 
 use cotorra_graph::{
-    Decision, Event, Handover, Instruction, MachineContext, NodeId, Pose, PoseSource, RealRadio,
-    RobotContext, SensorData, ServiceTime, Stamped, Timestamp, Velocity, WifiContext, WifiRole, WifiStation,
+    Decision, Event, Handover, Instruction, MachineContext, NodeId, Pose, PoseSource, RealRadio, Stamped,
+    Timestamp, WifiContext, WifiRole, WifiStation,
 };
+use cotorra_graph_testing as base;
 
 use super::*;
 
@@ -45,38 +46,17 @@ fn stamped(ms: f64, event: Event) -> Stamped {
 }
 
 fn answer(emitted_ms: f64, took_ms: Option<f64>) -> Stamped {
-    let event = Event::ServiceTime(ServiceTime {
-        service: "navigation".parse().unwrap(),
-        robot: id("robot"),
-        sequence: 0,
-        emitted: at(emitted_ms),
-        took: took_ms.map(|ms| Duration::from_secs_f64(ms / 1e3)),
-        attachment: None,
-        server: id("edge"),
-        parts: None,
-        lost_at: None,
-    });
+    let event = Event::ServiceTime(base::service_time(
+        "edge",
+        at(emitted_ms),
+        took_ms.map(|ms| Duration::from_secs_f64(ms / 1e3)),
+    ));
     stamped(emitted_ms + took_ms.unwrap_or(1000.0), event)
 }
 
 fn place(ms: f64, x: f64) -> Stamped {
     let pose = Pose::planar(x, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
-    let sensors = SensorData {
-        pose,
-        odometry: pose,
-        velocity: Velocity::default(),
-        bumper: false,
-        nearest_obstacle_m: None,
-    };
-    let context = RobotContext {
-        robot: id("robot"),
-        attachments: Vec::new(),
-        sensors,
-        waypoint: 0,
-        health: Vec::new(),
-        speed_limit_mps: None,
-        localization_error_m: None,
-    };
+    let context = base::robot_context("robot", pose);
     stamped(ms, Event::Robot(context))
 }
 
@@ -222,17 +202,7 @@ fn counted(ms: f64, access_point: &str, retransmissions: u32) -> Stamped {
         channels: Vec::new(),
         channels_left_out: 0,
     };
-    let machine = MachineContext {
-        node: id("robot"),
-        reading: None,
-        cpu: None,
-        load_average: None,
-        memory: None,
-        interfaces: Vec::new(),
-        interfaces_left_out: 0,
-        wifi: vec![wifi],
-        wifi_left_out: 0,
-    };
+    let machine = MachineContext { wifi: vec![wifi], ..base::machine_context("robot") };
     stamped(ms, Event::Machine(machine))
 }
 

@@ -1,6 +1,7 @@
 use std::{path::Path, time::Duration};
 
 use cotorra_graph::{Event, Stamped, Timestamp};
+use cotorra_graph_testing as base;
 use cotorra_numbers::Interval;
 
 use super::*;
@@ -46,15 +47,9 @@ fn walk(testbed: &Testbed, usual: f64, spike: f64) -> Report {
 fn sample(sequence: u32, seconds: f64, attachment: &str, ms: Option<f64>) -> Stamped {
     let emitted = Timestamp::from_secs_f64(seconds);
     let event = Event::ServiceTime(ServiceTime {
-        service: "navigation".parse().unwrap(),
-        robot: "robot".parse().unwrap(),
         sequence,
-        emitted,
-        took: ms.map(|ms| Duration::from_secs_f64(ms / 1e3)),
         attachment: Some(attachment.parse().unwrap()),
-        server: "cloud".parse().unwrap(),
-        parts: None,
-        lost_at: None,
+        ..base::service_time("cloud", emitted, ms.map(|ms| Duration::from_secs_f64(ms / 1e3)))
     });
     Stamped { at: emitted, event }
 }

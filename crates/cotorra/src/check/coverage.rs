@@ -29,7 +29,7 @@ pub enum CoverageError {
     #[error("{} exists already, and is not overwritten: choose another file, or remove it first", .0.display())]
     Exists(PathBuf),
     #[error("`{0}` has no radio units, so there is no coverage to draw")]
-    #[diagnostic(help("add a node with `kind: radio_unit`, as in docs/testbed-file.md"))]
+    #[diagnostic(help("add a node with `kind: radio_unit`, as in docs/reference/testbed-file.md"))]
     NoRadioUnits(String),
     #[error(transparent)]
     Unwritable(#[from] FolderError),

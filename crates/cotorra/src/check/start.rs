@@ -8,7 +8,7 @@ use cotorra_graph::{Node, Position, RadioUnit, Testbed};
 pub fn hints(testbed: &Testbed) -> Vec<String> {
     let graph = &testbed.graph;
     let is_emulated = |unit: &RadioUnit| {
-        graph.wireless.get(&unit.network).is_some_and(|network| network.software.is_none())
+        graph.wireless.get(&unit.network).is_some_and(|network| network.access.software().is_none())
     };
     let units: Vec<_> = graph.radio_units().filter(|(_, unit)| unit.serving).collect();
     if units.is_empty() || !units.iter().all(|(_, unit)| is_emulated(unit)) {

@@ -1,13 +1,13 @@
 //! `cotorra history diff`: compares two runs.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use cotorra_graph::ServiceId;
 use cotorra_measurements::{
     Difference, Values,
     difference::{Entry, Links, Services},
 };
-use cotorra_testbed::{Fidelity, Kept};
+use cotorra_testbed::{Fidelity, Judged, Kept};
 
 use super::{
     answer::first_of,
@@ -46,8 +46,33 @@ pub fn diff(args: &DiffArgs) -> miette::Result<()> {
     let keep = services.each_ref().map(|services| {
         services.iter().filter_map(|service| Some((service.id.clone(), service.kpis.kept?.get()))).collect()
     });
+    let kpis = [&a, &b].map(Source::kpis);
     let verdicts = [&a, &b].map(|source| source.verdict().map_or("unknown".to_owned(), verdict));
-    output::print(&describe(&difference, &verdicts, &keep))
+    output::print(&(describe(&difference, &verdicts, &keep) + &describe_kpis(&kpis)))
+}
+
+/// Describes the KPIs of two runs beside their targets; empty without any.
+fn describe_kpis(kpis: &[BTreeMap<ServiceId, Vec<Judged>>; 2]) -> String {
+    let named = |of: &BTreeMap<ServiceId, Vec<Judged>>| -> Vec<_> {
+        of.iter()
+            .flat_map(|(service, kpis)| kpis.iter().map(move |its| (service.clone(), its.kpi.clone())))
+            .collect()
+    };
+    let names: BTreeSet<_> = kpis.iter().flat_map(named).collect();
+    let mut table = Table::new("<<>>");
+    table.row(["service", "KPI", "first", "second"]);
+    for (service, kpi) in &names {
+        let judged = |of: &BTreeMap<ServiceId, Vec<Judged>>| {
+            let Some(its) = of.get(service).and_then(|kpis| kpis.iter().find(|its| its.kpi == *kpi)) else {
+                return "-".to_owned();
+            };
+            let measured = its.measured.as_deref().unwrap_or("not measured");
+            its.verdict.map_or("not judged".to_owned(), |verdict| format!("{measured} {verdict}"))
+        };
+        let [first, second] = kpis.each_ref().map(judged);
+        table.row([service.to_string(), kpi.clone(), first, second]);
+    }
+    if names.is_empty() { String::new() } else { format!("\nKPIs\n{}", table.render("  ")) }
 }
 
 /// Returns the word of a verdict, with the reason if the run is not valid.

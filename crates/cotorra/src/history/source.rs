@@ -1,12 +1,14 @@
 //! Resolves the argument RUN to a run and its history.
 
 use std::{
+    collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
 };
 
+use cotorra_graph::ServiceId;
 use cotorra_measurements::{History, Location, Run, RunId};
-use cotorra_testbed::{Fidelity, Recorded, RecordedError};
+use cotorra_testbed::{Fidelity, Judged, Recorded, RecordedError};
 
 use super::args::HistoryPlace;
 use super::place::{HISTORY_VARIABLE, WrongPlace, location};
@@ -87,6 +89,11 @@ impl Source {
     /// Returns the verdict on the run; `None` without its folder, or if the run was killed before it had one.
     pub fn verdict(&self) -> Option<Fidelity> {
         Fidelity::of_folder(self.folder.as_deref()?).ok()
+    }
+
+    /// Returns the KPIs of the run's services; none without its folder, or if the run was killed before it judged them.
+    pub fn kpis(&self) -> BTreeMap<ServiceId, Vec<Judged>> {
+        self.folder.as_deref().and_then(|folder| Judged::of_folder(folder).ok()).unwrap_or_default()
     }
 
     /// Returns the folder that relative paths in the run's testbed file start from, unless the user named one.

@@ -81,7 +81,8 @@ fn scale(scale: Scale) -> String {
 #[cfg(test)]
 mod tests {
     use console::measure_text_width;
-    use cotorra_graph::{BitRate, Conditions, LinkCounters, Rate, Tested};
+    use cotorra_graph::{BitRate, Conditions, Rate, Tested};
+    use cotorra_graph_testing as base;
 
     use super::*;
 
@@ -96,17 +97,13 @@ mod tests {
         };
         let rate = Rate::Fixed { bits_per_second: BitRate::from_mbps(30.0).unwrap() };
         LinkContext {
-            link: "robot~R1".parse().unwrap(),
             direction,
             delay: Some(ms(13.621)),
             throughput_bps: 12_345_678.0,
             queued_packets: Some(0),
             probed: Some(probed),
-            tested: None,
-            asked: Conditions::default(),
-            scale: Scale::default(),
             effective: Conditions { delay: ms(13.5), rate, ..Conditions::default() },
-            counters: LinkCounters::default(),
+            ..base::link_context("robot~R1")
         }
     }
 

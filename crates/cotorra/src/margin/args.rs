@@ -30,7 +30,7 @@ use crate::{
 /// several seeds have intervals, and probabilities that are corrected for the number of alternatives.
 ///
 /// Each run is saved as soon as it is done. If the command is stopped, the same command resumes it. It leaves margins.csv
-/// and margins.json, or decisions.csv and decisions.json. docs/margin.md explains them.
+/// and margins.json, or decisions.csv and decisions.json. docs/use/margin.md explains them.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

@@ -46,7 +46,7 @@ pub fn describe(margins: &Margins, folder: &Path) -> String {
         keep * 100.0,
         count(*seeds as usize, "seed")
     );
-    for ServiceKept { service, service_time_target_ms, samples, kept } in unchanged {
+    for ServiceKept { service, service_time_target_ms, samples, kept, .. } in unchanged {
         let kept = kept.unwrap_or(0.0) * 100.0;
         text += &format!(
             "  unchanged: {service} keeps {service_time_target_ms} ms in {kept:.2} % of {samples} samples\n"
@@ -89,7 +89,7 @@ fn by_breaks(a: &Finding, b: &Finding) -> Ordering {
 }
 
 fn row(finding: &Finding) -> [String; 6] {
-    let Finding { change, on, down, breaks, service, kept, complete, void, .. } = finding;
+    let Finding { change, on, down, breaks, service, kept, failed, complete, void, .. } = finding;
     let name = |name: &Option<String>| name.clone().unwrap_or_default();
     let [survives, at] = match (on, breaks) {
         _ if void.is_some() => [void.iter().map(ToString::to_string).collect(), String::new()],
@@ -97,11 +97,12 @@ fn row(finding: &Finding) -> [String; 6] {
         (None, false) => [if *complete { "yes" } else { "" }, ""].map(str::to_owned),
         (Some(_), _) => [survives(finding), breaks_at(finding).unwrap_or_default()],
     };
-    let kept = match (service, kept) {
-        (Some(service), Some(kept)) => format!("{service} {:.2} %", kept * 100.0),
-        (Some(service), None) => format!("{service}: no samples"),
-        (None, _) if *breaks => "a walk does not end".to_owned(),
-        (None, _) => String::new(),
+    let kept = match (service, kept, failed) {
+        (Some(service), _, Some(kpi)) => format!("{service} fails {kpi}"),
+        (Some(service), Some(kept), None) => format!("{service} {:.2} %", kept * 100.0),
+        (Some(service), None, None) => format!("{service}: no samples"),
+        (None, ..) if *breaks => "a walk does not end".to_owned(),
+        (None, ..) => String::new(),
     };
     [(*change).to_owned(), name(on), name(&down.as_ref().map(ToString::to_string)), survives, at, kept]
 }
@@ -174,6 +175,7 @@ mod tests {
             breaks_loss: None,
             service: breaks.map(|_| "navigation".parse().unwrap()),
             kept: breaks.map(|_| 0.982),
+            failed: None,
             complete: true,
             void: None,
         }

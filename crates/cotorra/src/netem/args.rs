@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
-use cotorra_graph::{BitRate, JitterDistribution, Probability};
-use cotorra_netem::{Distribution, Jitter, Loss, Network, Rule, Side};
+use cotorra_graph::{BitRate, IpNetwork, JitterDistribution, Probability};
+use cotorra_netem::{Distribution, Jitter, Loss, Rule, Side};
 
 use crate::{
     arguments::parse_seed,
@@ -97,13 +97,13 @@ pub struct PacketsArgs {
     pub interface: String,
     /// Only packets to this address or network
     #[arg(long, value_name = "ADDRESS", conflicts_with = "ingress")]
-    pub to: Option<Network>,
+    pub to: Option<IpNetwork>,
     /// Arriving packets instead of leaving ones
     #[arg(long)]
     pub ingress: bool,
     /// Only packets that arrive from this address or network
     #[arg(long, value_name = "ADDRESS", requires = "ingress")]
-    pub from: Option<Network>,
+    pub from: Option<IpNetwork>,
 }
 
 /// Show the conditions of interfaces, and the kernel's counters
@@ -152,7 +152,7 @@ pub enum Shape {
 
 impl PacketsArgs {
     /// Returns the side, and the network that packets go to or come from.
-    pub fn which(&self) -> (Side, Option<Network>) {
+    pub fn which(&self) -> (Side, Option<IpNetwork>) {
         if self.ingress { (Side::Ingress, self.from) } else { (Side::Egress, self.to) }
     }
 }

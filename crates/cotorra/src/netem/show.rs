@@ -25,9 +25,9 @@ fn time(duration: Duration) -> String {
 pub fn packets(rule: &Rule) -> String {
     match (rule.side, rule.network) {
         (Side::Egress, None) => "leaving".to_owned(),
-        (Side::Egress, Some(network)) => format!("to {network}"),
+        (Side::Egress, Some(network)) => format!("to {network:#}"),
         (Side::Ingress, None) => "arriving".to_owned(),
-        (Side::Ingress, Some(network)) => format!("from {network}"),
+        (Side::Ingress, Some(network)) => format!("from {network:#}"),
     }
 }
 
@@ -103,7 +103,7 @@ fn of_rule(interface: &str, rule: &Rule, counters: Counters) -> Value {
     json!({
         "interface": interface,
         "side": rule.side,
-        "network": rule.network,
+        "network": rule.network.map(|network| format!("{network:#}")),
         "delay_ms": ms(netem.delay),
         "jitter": netem.jitter.map(|jitter| {
             json!({ "deviation_ms": ms(jitter.deviation), "distribution": jitter.distribution })

@@ -58,8 +58,8 @@ pub struct RunArgs {
     pub file: PathBuf,
     /// Override a value of the file, as in plugin=okpi or links.*.delay_scale=2
     ///
-    /// A path leads from key to key; * matches any part of a name. See docs/testbed-file.md, "Variants". Can be given
-    /// several times.
+    /// A path leads from key to key; * matches any part of a name. See docs/reference/testbed-file.md, "Variants". Can be
+    /// given several times.
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub settings: Vec<Setting>,
     /// End after this time, such as 60s or 2min, if the walks take longer

@@ -78,7 +78,7 @@ pub enum Error {
     Log { path: PathBuf, source: io::Error },
     #[error("cannot continue after {run}: {why}")]
     #[diagnostic(help(
-        "docs/federation.md, \"After a crash\", lists the conditions; without --after, the run starts afresh"
+        "docs/use/federation.md, \"After a crash\", lists the conditions; without --after, the run starts afresh"
     ))]
     After { run: String, why: CannotGoOn },
 }

@@ -190,7 +190,10 @@ fn figures(summary: &Summary, several: bool) -> Table {
     }
     let word = style(summary.fidelity.word());
     let verdict = if summary.fidelity.valid { word.green() } else { word.red().bold() };
-    table.row(["fidelity".to_owned(), format!("{verdict}: {} (docs/trust.md)", summary.fidelity.reason)]);
+    table.row([
+        "fidelity".to_owned(),
+        format!("{verdict}: {} (docs/reference/trust.md)", summary.fidelity.reason),
+    ]);
     table.row(["seed".to_owned(), summary.seed.to_string()]);
     table
 }

@@ -67,19 +67,13 @@ fn share(part: usize, of: usize) -> Option<(f64, usize)> {
 mod tests {
     use super::*;
     use cotorra_graph::Timestamp;
+    use cotorra_graph_testing as base;
     use std::time::Duration;
 
     fn sample(sequence: u32, took_ms: Option<u64>) -> ServiceTime {
         ServiceTime {
-            service: "navigation".parse().unwrap(),
-            robot: "robot".parse().unwrap(),
             sequence,
-            emitted: Timestamp::ZERO,
-            took: took_ms.map(Duration::from_millis),
-            attachment: None,
-            server: "cloud".parse().unwrap(),
-            parts: None,
-            lost_at: None,
+            ..base::service_time("cloud", Timestamp::ZERO, took_ms.map(Duration::from_millis))
         }
     }
 

@@ -16,7 +16,8 @@ use crate::{approval::TrustArgs, duration::parse_duration, figures::FigureArgs};
 /// Run a testbed in virtual time for all combinations of some settings, each with many seeds
 ///
 /// A setting's values are a list, as in plugin=probing,okpi, or a range, as in 1..4, 0..1:0.25 (in steps of 0.25) or
-/// 5..20:5 ms. docs/testbed-file.md, "Variants", explains paths. By default, one run for each CPU goes on at a time.
+/// 5..20:5 ms. docs/reference/testbed-file.md, "Variants", explains paths. By default, one run for each CPU goes on
+/// at a time.
 ///
 /// Each run is saved as soon as it is done. If a sweep is stopped, the same command resumes it. The command with more
 /// values or seeds adds to it. A sweep leaves runs.csv (a row for each run), cells.csv (a row for each combination: means
@@ -26,7 +27,7 @@ use crate::{approval::TrustArgs, duration::parse_duration, figures::FigureArgs};
 /// run: what it added to service times above the target. With --keep samples, samples/ has every service time of each run.
 ///
 /// On several machines, --shard runs a part of the sweep, and `cotorra sweep merge` joins the parts. --emit prints a job
-/// file for a scheduler that does both. docs/cluster.md explains it.
+/// file for a scheduler that does both. docs/use/cluster.md explains it.
 #[derive(Debug, Args)]
 #[command(
     args_conflicts_with_subcommands = true,
@@ -76,7 +77,7 @@ pub struct SweepArgs {
     pub fresh: bool,
     #[command(flatten)]
     pub trust: TrustArgs,
-    /// End with exit status 4 if a service of any run kept its target less often than the testbed file demands
+    /// End with exit status 4 if a service of any run failed a KPI of the testbed file
     #[arg(long, conflicts_with_all = ["dry_run"])]
     pub require_pass: bool,
     #[command(flatten)]

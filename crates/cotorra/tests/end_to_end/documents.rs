@@ -12,8 +12,14 @@ fn yaml(text: &str) -> impl Iterator<Item = &str> {
 #[test]
 fn testbeds_in_the_documents_pass_the_check() {
     let folder = tempfile::tempdir().unwrap();
-    let documents = ["README.md", "docs/testbed-file.md", "docs/ros.md", "docs/ros2.md", "docs/turtlebot.md"]
-        .map(|d| fs::read_to_string(project_file(d)).unwrap());
+    let documents = [
+        "README.md",
+        "docs/reference/testbed-file.md",
+        "docs/use/ros.md",
+        "docs/use/ros2.md",
+        "docs/use/turtlebot.md",
+    ]
+    .map(|d| fs::read_to_string(project_file(d)).unwrap());
     let blocks = documents.iter().flat_map(|document| yaml(document));
     let whole: Vec<_> =
         blocks.filter(|block| block.starts_with("name:")).map(|block| block.trim_end_matches('`')).collect();
@@ -42,7 +48,7 @@ fn the_readme_has_the_command_for_users_and_the_one_for_tests() {
 
 #[test]
 fn files_to_change_exist() {
-    let page = fs::read_to_string(project_file("docs/extending.md")).unwrap();
+    let page = fs::read_to_string(project_file("docs/internals/extending.md")).unwrap();
     let quoted = page.split('`').skip(1).step_by(2);
     let is_path = |words: &&str| ["crates/", "docs/"].iter().any(|folder| words.starts_with(folder));
     let paths: Vec<_> = quoted.filter(is_path).collect();
@@ -54,7 +60,7 @@ fn files_to_change_exist() {
 
 #[test]
 fn links_between_documents_resolve() {
-    let folders = ["README.md", "docs/plugins.md", "examples/README.md"];
+    let folders = ["README.md", "docs/use/plugins.md", "examples/README.md"];
     let folders = folders.map(|document| project_file(document).parent().unwrap().to_owned());
     let files =
         folders.iter().flat_map(|folder| fs::read_dir(folder).unwrap()).map(|file| file.unwrap().path());

@@ -1,4 +1,5 @@
-//! Names and units in docs/fields.md, against everything that programs read: each quantity has one name and one unit.
+//! Names and units in docs/reference/fields.md, against everything that programs read: each quantity has one name
+//! and one unit.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -6,7 +7,7 @@ use std::{
 };
 
 use cotorra_fabric::{ForgedFrames, ForgedSources};
-use cotorra_graph::SensorKind;
+use cotorra_graph::{Better, FIGURES, FigureKind, SensorKind};
 use cotorra_testbed::ForgedSummary;
 use serde_json::Value;
 
@@ -67,7 +68,7 @@ const BARE: [&str; 10] =
 
 /// Reads the page: units by name.
 fn fields() -> BTreeMap<String, String> {
-    let page = fs::read_to_string(project_file("docs/fields.md")).expect("the page is there");
+    let page = fs::read_to_string(project_file("docs/reference/fields.md")).expect("the page is there");
     let mut fields = BTreeMap::new();
     for row in page.lines().filter(|line| line.starts_with("| `")) {
         let cells: Vec<_> = row.split('|').map(str::trim).collect();
@@ -208,7 +209,7 @@ fn every_figure_is_documented_with_its_unit() {
         for (component, unit) in kind.components() {
             let told = fields
                 .get(component.as_str())
-                .unwrap_or_else(|| panic!("docs/fields.md lacks `{component}`"));
+                .unwrap_or_else(|| panic!("docs/reference/fields.md lacks `{component}`"));
             assert_eq!(told, if unit.is_empty() { "share" } else { unit }, "{component}");
             used.entry("sensors").or_default().insert(component.to_string());
         }
@@ -269,9 +270,43 @@ fn every_figure_is_documented_with_its_unit() {
                 continue;
             }
             let quantity = quantity(name, &fields);
-            found.insert(quantity.unwrap_or_else(|| panic!("docs/fields.md lacks `{name}` of {place}")));
+            found.insert(
+                quantity.unwrap_or_else(|| panic!("docs/reference/fields.md lacks `{name}` of {place}")),
+            );
         }
     }
     let idle: Vec<_> = fields.keys().filter(|name| !found.contains(*name)).collect();
-    assert!(idle.is_empty(), "nothing has the names {idle:?} of docs/fields.md");
+    assert!(idle.is_empty(), "nothing has the names {idle:?} of docs/reference/fields.md");
+}
+
+/// Figures that can be bounded are in the page as they are declared. `BLESS=1` writes the table anew.
+#[test]
+fn figures_and_kpis_are_documented_as_they_are_declared() {
+    let mut table = "| figure | of | unit | better | meaning |\n|---|---|---|---|---|\n".to_owned();
+    for figure in FIGURES {
+        let of = figure.of.split(':').filter(|name| !name.is_empty()).map(|name| format!("`{name}`"));
+        let of = of.collect::<Vec<_>>().join(", ");
+        let unit = if figure.unit == cotorra_graph::Unit::Share { "%" } else { figure.unit.symbol() };
+        let better = match figure.better {
+            Better::Lower => "lower",
+            Better::Higher => "higher",
+            Better::Neither => "",
+        };
+        let one = if figure.kind == FigureKind::Total { " One number." } else { "" };
+        table += &format!("| `{}` | {of} | {unit} | {better} | {}{one} |\n", figure.name, figure.about);
+    }
+    let path = project_file("docs/reference/testbed-file.md");
+    let page = fs::read_to_string(&path).unwrap();
+    let [begin, end] = ["<!-- figures: written by a test -->\n", "<!-- end of figures -->"];
+    let (before, rest) = page.split_once(begin).unwrap();
+    let (_, after) = rest.split_once(end).unwrap();
+    let expected = format!("{before}{begin}\n{table}\n{end}{after}");
+    if std::env::var_os("BLESS").is_some() {
+        fs::write(path, expected).unwrap();
+    } else {
+        assert!(
+            page == expected,
+            "the table in docs/reference/testbed-file.md is not what the code says: write it by BLESS=1"
+        );
+    }
 }

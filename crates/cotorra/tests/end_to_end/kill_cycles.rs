@@ -1,7 +1,7 @@
 //! SIGKILL to each part of a run at random points of its progress: nothing acknowledged is lost, nothing is left behind,
 //! and the next run starts.
 //!
-//! An answer of the history, a `flush`, and the orderly end of a run acknowledge events (`docs/history.md`).
+//! An answer of the history, a `flush`, and the orderly end of a run acknowledge events (`docs/use/history.md`).
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{

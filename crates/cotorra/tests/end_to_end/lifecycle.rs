@@ -272,7 +272,7 @@ fn a_script_of_fog05_connects_two_fdus_by_a_network_after_changing_one_import() 
     assert_eq!(script.after("left"), "[] []");
     assert_eq!(
         script.after("missing"),
-        "network.add_router of fog05 is not here: docs/lifecycle.md has what is"
+        "network.add_router of fog05 is not here: docs/use/lifecycle.md has what is"
     );
     script.end();
     wait_until(|| run.get("/api/v1/vnfs") == json!([]));

@@ -193,7 +193,7 @@ fn shows(command: &str, output: &str, shown: &[&str]) {
 
 #[test]
 fn the_tutorial_shows_what_its_commands_print() {
-    let text = fs::read_to_string(project_file("docs/tutorial.md")).unwrap();
+    let text = fs::read_to_string(project_file("docs/start/tutorial.md")).unwrap();
     let out = TempDir::new().unwrap();
     fs::copy(floor_plan(), out.path().join("floor-plan.png")).unwrap();
     let mut folder = out.path().to_owned();

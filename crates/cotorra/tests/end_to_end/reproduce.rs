@@ -10,7 +10,9 @@ use std::{
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::harness::{Run, corridor, corridor_ending_in, cotorra, project_file, stderr, stdout};
+use crate::harness::{
+    Run, between_two_units, corridor, corridor_ending_in, cotorra, project_file, stderr, stdout,
+};
 
 /// Simulates a testbed for some seconds. Returns the run's folder.
 fn simulate(testbed: &Path, out: &Path, arguments: &[&str]) -> PathBuf {
@@ -172,35 +174,13 @@ fn a_manifest_has_no_secrets() {
     assert!(!text.contains("secret"), "{text}");
 }
 
-/// A robot between two radio units, whose signal depends on the seed.
-const LAB: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 4 dB } } }
-nodes:
-  robot: { kind: robot, roaming: signal }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  B: { kind: radio_unit, position: [9, 1], channel: 6 }
-  lan: { kind: switch }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [lan, [A, B]], delay: 1 ms }
-  - { ends: [lan, edge], delay: 2 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-  robot: { waypoints: [[0, 0], [9, 0]], speed_limit: 0.5 m/s, position_interval: 50 ms }
-";
-
 /// Writes the lab and traces into a new folder.
 fn lab() -> (TempDir, PathBuf) {
     let place = TempDir::new().unwrap();
     let bed = place.path().join("bed");
     fs::create_dir(&bed).unwrap();
-    fs::write(bed.join("lab.yaml"), LAB).unwrap();
+    let walk = "{ waypoints: [[0, 0], [9, 0]], speed_limit: 0.5 m/s, position_interval: 50 ms }";
+    fs::write(bed.join("lab.yaml"), between_two_units(walk)).unwrap();
     for (name, trace) in [("bed/fast.trace", "1\n"), ("bed/slow.trace", "9\n"), ("out.trace", "1\n")] {
         fs::write(place.path().join(name), trace).unwrap();
     }

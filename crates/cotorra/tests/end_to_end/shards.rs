@@ -12,30 +12,7 @@ use std::{
 use cotorra_testing::{peers, slurm::Slurm};
 use tempfile::TempDir;
 
-use crate::harness::{cotorra, stderr, stdout, wait_until};
-
-/// A robot between two radio units, whose signal depends on the seed.
-const LAB: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 4 dB } } }
-nodes:
-  robot: { kind: robot, roaming: signal }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  B: { kind: radio_unit, position: [9, 1], channel: 6 }
-  lan: { kind: switch }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [lan, [A, B]], delay: 1 ms }
-  - { ends: [lan, edge], delay: 2 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-  robot: { waypoints: [[0, 0], [9, 0], [0, 0], [9, 0]], speed_limit: 0.5 m/s, position_interval: 20 ms }
-";
+use crate::harness::{between_two_units, cotorra, stderr, stdout, wait_until};
 
 /// A folder of a sweep, whose name is hard on shells and Kubernetes.
 const OUT: &str = "o $(u)'t%";
@@ -49,7 +26,9 @@ impl Lab {
     fn new() -> Self {
         let lab = Self { parent: tempfile::tempdir().unwrap() };
         fs::create_dir(lab.folder()).unwrap();
-        fs::write(lab.folder().join("the lab.yaml"), LAB).unwrap();
+        let walk =
+            "{ waypoints: [[0, 0], [9, 0], [0, 0], [9, 0]], speed_limit: 0.5 m/s, position_interval: 20 ms }";
+        fs::write(lab.folder().join("the lab.yaml"), between_two_units(walk)).unwrap();
         lab
     }
 

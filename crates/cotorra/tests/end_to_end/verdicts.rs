@@ -47,10 +47,15 @@ struct Lab(TempDir);
 impl Lab {
     /// Creates a folder with the testbed, whose services demand these shares.
     fn new(kept: [&str; 2]) -> Self {
+        Self::with(
+            kept.map(|share| if share.is_empty() { String::new() } else { format!(", kept: {share}") }),
+        )
+    }
+
+    /// Creates a folder with the testbed, whose services have these further KPIs.
+    fn with([first, second]: [String; 2]) -> Self {
         let folder = TempDir::new().unwrap();
-        let demanded =
-            |share: &str| if share.is_empty() { String::new() } else { format!(", kept: {share}") };
-        let text = TESTBED.replace(" KEPT1", &demanded(kept[0])).replace(" KEPT2", &demanded(kept[1]));
+        let text = TESTBED.replace(" KEPT1", &first).replace(" KEPT2", &second);
         fs::write(folder.path().join("testbed.yaml"), text).unwrap();
         Self(folder)
     }
@@ -148,6 +153,61 @@ fn a_run_passes_or_fails_by_the_demanded_share() {
     let share = format!("{:.1} % FAIL {:.1} % FAIL", kept * 100.0, kept * 100.0);
     let unanswered = its["unanswered"].as_u64().unwrap();
     assert!(diff.contains(&format!("{unanswered} {unanswered} {share}")), "{diff}");
+}
+
+#[test]
+fn each_bound_on_a_figure_is_judged_and_what_is_not_measured_fails() {
+    let passing = ", require: [service_time p95 <= 50 ms, answered >= 80 %, queue:A-edge max <= 100 packets, cost <= 1], \
+        reliability: 99 %, radio: n, area: [[0, 0], [5, 0], [5, 5]]";
+    let lab =
+        Lab::with([passing.to_owned(), ", require: [answered >= 99 %, service_time max <= 1 s]".to_owned()]);
+    let run = lab.run();
+    assert_eq!(run.status.code(), Some(4), "{}", stdout(&run));
+    let summary = lab.summary();
+    let kpis = |place: usize| {
+        let all = summary["services"][place]["kpis"].as_array().unwrap().iter();
+        let of = |kpi: &Value| {
+            format!("{} {}", kpi["kpi"].as_str().unwrap(), kpi["verdict"].as_str().unwrap_or("-"))
+        };
+        all.map(of).collect::<Vec<_>>()
+    };
+    assert_eq!(
+        kpis(0),
+        [
+            "reliability >= 99 % PASS",
+            "service_time p95 <= 50 ms PASS",
+            "answered >= 80 % PASS",
+            "queue:A-edge max <= 100 packets PASS",
+            "cost <= 1 PASS",
+            "radio 802.11n at 2.4 GHz PASS",
+            "area -",
+        ]
+    );
+    assert_eq!(kpis(1), ["answered >= 99 % FAIL", "service_time max <= 1 s PASS"]);
+    let verdicts = |of: &str| [0, 1].map(|place| summary[of][place]["verdict"].clone());
+    let expected = ["PASS", "FAIL"].map(Value::from);
+    assert_eq!((verdicts("services"), verdicts("robots")), (expected.clone(), expected));
+    assert_eq!(summary["verdict"], "FAIL");
+    let its = &summary["services"][0];
+    let p95 = &its["kpis"][1];
+    let (value, expected) = (p95["value"].as_f64().unwrap(), its["service_time_ms"]["p95"].as_f64().unwrap());
+    assert!((value - expected).abs() < 1e-9 && p95["unit"] == "ms", "{its:#}");
+    let answered = &summary["services"][1]["kpis"][0];
+    assert!(answered["value"].as_f64().unwrap() < 0.9, "{answered:#}");
+    let printed = unwrapped(&stdout(&run));
+    assert!(printed.contains("FAIL: r2 has answered >= 99 %: "), "{printed}");
+    assert!(printed.contains("r1 has the KPI area, not judged: "), "{printed}");
+    let run = lab.folder();
+    let diff = lab.cotorra(&["history", "diff", run.to_str().unwrap(), run.to_str().unwrap()]);
+    let diff = unwrapped(&stdout(&diff));
+    let measured = answered["measured"].as_str().unwrap();
+    assert!(diff.contains(&format!("n2 answered >= 99 % {measured} FAIL {measured} FAIL")), "{diff}");
+
+    let lab = Lab::with([String::new(), ", require: [localization_error p95 <= 0.1 m]".to_owned()]);
+    let run = lab.run();
+    assert_eq!(run.status.code(), Some(4), "{}", stdout(&run));
+    assert!(unwrapped(&stdout(&run)).contains("FAIL: r2 has localization_error p95 <= 0.1 m: not measured."));
+    assert_eq!(lab.summary()["services"][1]["kpis"][0]["value"], Value::Null);
 }
 
 #[test]

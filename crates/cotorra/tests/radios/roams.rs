@@ -66,7 +66,7 @@ impl Roams {
     }
 }
 
-/// How many roams: a few, or as many as the figures of docs/wifi.md need.
+/// How many roams: a few, or as many as the figures of docs/use/wifi.md need.
 fn number(few: usize, many: usize) -> usize {
     if env::var_os("COTORRA_FULL").is_some() { many } else { few }
 }

@@ -39,6 +39,13 @@ pub enum MarginError {
         /// Share that is demanded.
         keep: f64,
     },
+    /// A KPI fails before anything changes.
+    #[error("service `{service}` does not keep `{kpi}` before anything changes")]
+    Fails {
+        service: ServiceId,
+        /// The KPI.
+        kpi: String,
+    },
     /// A run failed.
     #[error(transparent)]
     Run(#[from] BatchError),

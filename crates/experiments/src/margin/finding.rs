@@ -41,6 +41,9 @@ pub struct ServiceKept {
     pub samples: usize,
     /// Share of samples within the target; `None` without samples.
     pub kept: Option<f64>,
+    /// The first of its further KPIs that failed with any seed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub failed: Option<String>,
 }
 
 /// The result of one search.
@@ -66,6 +69,9 @@ pub struct Finding {
     pub service: Option<ServiceId>,
     /// Its share of samples within the target.
     pub kept: Option<f64>,
+    /// The first of its further KPIs that failed there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub failed: Option<String>,
     /// Whether the search ended.
     pub complete: bool,
     /// The reason for which a run was void. The search then ended without a result.

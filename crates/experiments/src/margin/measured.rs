@@ -1,7 +1,7 @@
 //! Results of one run of a search.
 
 use cotorra_graph::ServiceId;
-use cotorra_testbed::{ServiceSummary, Summary};
+use cotorra_testbed::{ServiceSummary, Summary, Verdict};
 use serde::{Deserialize, Serialize};
 
 /// The results of a run.
@@ -23,6 +23,9 @@ pub(super) struct Counted {
     pub(super) samples: usize,
     /// Number of samples within the target.
     pub(super) within: usize,
+    /// Further KPIs of the service that failed; none in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) failed: Vec<String>,
 }
 
 impl Measured {
@@ -30,7 +33,13 @@ impl Measured {
         let counted = |its: &ServiceSummary| {
             // A share of whole numbers below 2^53 leads back to them.
             let above = (its.above_target? * its.samples as f64).round() as usize;
-            Some(Counted { service: its.service.clone(), samples: its.samples, within: its.samples - above })
+            let failed = its.further_kpis().filter(|judged| judged.verdict == Some(Verdict::Fail));
+            Some(Counted {
+                service: its.service.clone(),
+                samples: its.samples,
+                within: its.samples - above,
+                failed: failed.map(|judged| judged.kpi.clone()).collect(),
+            })
         };
         Self {
             duration_ms: summary.duration_ms,

@@ -365,6 +365,7 @@ impl Margin {
     fn kept(&self, runs: &[Measured]) -> Vec<ServiceKept> {
         let of = |service: &ServiceId| {
             let its = runs.iter().flat_map(|run| &run.services).filter(|its| its.service == *service);
+            let failed = its.clone().flat_map(|its| &its.failed).next().cloned();
             let (samples, within) =
                 its.fold((0, 0), |(samples, within), its| (samples + its.samples, within + its.within));
             let target = self.testbed.services.iter().find(|of| of.id == *service);
@@ -374,6 +375,7 @@ impl Margin {
                 service_time_target_ms: cotorra_graph::millis::of(target),
                 samples,
                 kept: (samples > 0).then(|| within as f64 / samples as f64),
+                failed,
             }
         };
         self.services.iter().map(of).collect()
@@ -385,7 +387,10 @@ impl Margin {
         if self.options.services.is_empty() {
             all.retain(|its| its.samples > 0);
         }
-        for ServiceKept { service, kept, .. } in &all {
+        for ServiceKept { service, kept, failed, .. } in &all {
+            if let Some(kpi) = failed {
+                return Err(MarginError::Fails { service: service.clone(), kpi: kpi.clone() });
+            }
             match kept {
                 None => return Err(MarginError::NoSamples(service.clone())),
                 Some(kept) if *kept < self.options.keep => {
@@ -405,7 +410,8 @@ impl Margin {
     fn verdict(&self, changed: &[Measured], runs: &Runs<'_>) -> Verdict {
         let unended = changed.iter().zip(&runs.limits).any(|(run, (_, walked))| *walked && !run.walked);
         let counts = |its: &ServiceKept| runs.services.contains(&its.service);
-        let is_broken = |its: &ServiceKept| its.kept.is_none_or(|kept| kept < self.options.keep);
+        let is_broken =
+            |its: &ServiceKept| its.failed.is_some() || its.kept.is_none_or(|kept| kept < self.options.keep);
         let first = self.kept(changed).into_iter().find(|its| counts(its) && is_broken(its));
         Verdict { breaks: unended || first.is_some(), first }
     }

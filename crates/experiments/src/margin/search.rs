@@ -45,7 +45,9 @@ impl Search {
     pub(super) fn finding(&self) -> Finding {
         let is_void = self.void.is_some();
         let first = self.broken.as_ref().and_then(|verdict| verdict.first.clone());
-        let (service, kept) = first.map_or((None, None), |its| (Some(its.service), its.kept));
+        let first = first.filter(|_| !is_void);
+        let (service, kept, failed) =
+            first.map_or((None, None, None), |its| (Some(its.service), its.kept, its.failed));
         let survives = self.bisection.survived() as f64;
         let breaks = self.bisection.broke().map(|amount| amount as f64);
         let (none, in_ms) = ([None; 2], || [Some(survives / 1e6), breaks.map(|breaks| breaks / 1e6)]);
@@ -67,8 +69,9 @@ impl Search {
             breaks_ms,
             survives_loss,
             breaks_loss,
-            service: service.filter(|_| !is_void),
-            kept: kept.filter(|_| !is_void),
+            service,
+            kept,
+            failed,
             complete: !is_void && self.bisection.next().is_none(),
             void: self.void.clone(),
         }

@@ -85,6 +85,38 @@ fn a_margin_is_where_a_sweep_over_the_same_axis_breaks() {
 }
 
 #[test]
+fn a_margin_and_a_sweep_go_by_any_figure_that_the_file_bounds() {
+    let kpi = "service_time p95 <= 12 ms";
+    let text = LAB.replace("service_time: 15 ms", &format!("service_time: 15 ms, require: [{kpi}]"));
+    let margins = run(&margin(&text, Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));
+    let finding = of(&margins, Kind::Delay, Some("lan-edge"), None);
+    let breaks = finding.breaks_ms.unwrap();
+    assert!(breaks < 2.5 && finding.failed.as_deref() == Some(kpi), "the target allows more: {finding:?}");
+
+    let axis = "links.lan-edge.delay=2 ms,7 ms".parse().unwrap();
+    let sweep = Sweep::new("lab.yaml", text, Path::new("")).axis(axis).seeds(2);
+    let out = tempfile::tempdir().unwrap();
+    let folder = Journal::open(out.path()).unwrap();
+    let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+    let verdicts: Vec<_> = runs.cells().iter().map(|cell| cell.verdicts.failed_runs).collect();
+    assert_eq!(verdicts, [0, 2]);
+    let differences = runs.differences();
+    let figure = format!("navigation: {kpi}");
+    let of_kpi = differences.iter().find(|its| its.figure == figure).unwrap();
+    let p95 = differences.iter().find(|its| its.figure == "service_time_p95_ms").unwrap();
+    assert!((of_kpi.mean - p95.mean).abs() < 1e-9 && of_kpi.mean > 8.0, "{of_kpi:?} {p95:?}");
+    runs.write(&folder).unwrap();
+    let table = fs::read_to_string(out.path().join("kpis.csv")).unwrap();
+    let rows: Vec<_> = table.lines().collect();
+    assert!(
+        rows.len() == 5 && rows[0].ends_with(",seed,robot,service,kpi,value,unit,passed,void"),
+        "{table}"
+    );
+    assert!(rows[1].contains(&format!(",robot,navigation,{kpi},")) && rows[1].ends_with(",ms,1,"), "{table}");
+    assert!(rows[4].ends_with(",ms,0,"), "{table}");
+}
+
+#[test]
 fn a_slow_server_has_the_margin_of_both_directions_of_its_link() {
     let margins = run(&margin(LAB, Options { on: vec!["edge".into()], ..options(&[Kind::Answers]) }));
     let of_link = run(&margin(LAB, Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));

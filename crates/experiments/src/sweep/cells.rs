@@ -42,7 +42,7 @@ pub struct Cell {
 /// Numbers of verdicts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Verdicts {
-    /// Number of runs with a verdict: 0 if the testbed file demands no share.
+    /// Number of runs with a verdict: 0 if the testbed file demands nothing.
     pub judged_runs: usize,
     /// Number of them that failed.
     pub failed_runs: usize,
@@ -212,7 +212,7 @@ impl ServiceCell {
             service_time_p99_ms: over(|its| its.service_time_p99_ms),
             above_target: above_target(measured().map(|its| (its.above_target, its.samples))),
             unanswered: over(|its| Some(its.unanswered as f64)),
-            verdicts: Verdicts::of(runs.iter().map(|its| its.kept().verdict)),
+            verdicts: Verdicts::of(runs.iter().map(|its| its.verdict())),
         }
     }
 
@@ -299,6 +299,7 @@ mod tests {
             service_time_p99_ms: median,
             service_time_max_ms: median,
             keep: (robot == "r1").then_some(0.9),
+            kpis: Vec::new(),
         };
         let [first, second] = [(10.0, Some(20.0)), (12.0, None)]
             .map(|(r1, r2)| [service("r1", Some(r1)), service("r2", r2), service("r3", None)]);

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use cotorra_graph::{Bound, Unit};
 use cotorra_numbers::{self as numbers, FEWEST, Mean, holm};
 use serde::Serialize;
 
@@ -12,8 +13,8 @@ use super::{measured::Measured, runs::Runs};
 pub struct Difference {
     /// One value per axis.
     pub values: Vec<String>,
-    /// Name of the figure, as in the table of combinations.
-    pub figure: &'static str,
+    /// Name of the figure, as in the table of combinations; of a KPI, the service and the bound.
+    pub figure: String,
     /// Number of pairs of runs with the same seed that both have the figure.
     pub pairs: usize,
     /// Mean difference.
@@ -46,40 +47,77 @@ impl Difference {
     }
 }
 
-/// Figures that are compared, with the most that two of them can differ.
-type Figure = (&'static str, f64, fn(&Measured) -> Option<f64>);
-
-const FIGURES: [Figure; 8] = [
-    ("service_time_p50_ms", f64::INFINITY, |run| run.service_time_p50_ms),
-    ("service_time_p95_ms", f64::INFINITY, |run| run.service_time_p95_ms),
-    ("service_time_p99_ms", f64::INFINITY, |run| run.service_time_p99_ms),
-    ("above_target", 1.0, |run| run.above_target),
-    ("handovers", f64::INFINITY, |run| Some(run.handovers as f64)),
-    ("migrations", f64::INFINITY, |run| Some(run.migrations as f64)),
-    ("duration_ms", f64::INFINITY, |run| Some(run.duration_ms)),
-    ("blind_m", f64::INFINITY, |run| Some(run.blind_m)),
+/// Figures of a run that are compared, beside its KPIs.
+const COMPARED: [&str; 8] = [
+    "service_time_p50_ms",
+    "service_time_p95_ms",
+    "service_time_p99_ms",
+    "above_target",
+    "handovers",
+    "migrations",
+    "duration_ms",
+    "blind_m",
 ];
+
+/// The values of a combination, and the figures of its runs by seed.
+type Contender<'a> = (&'a [String], BTreeMap<u64, Vec<Compared>>);
+
+/// A compared figure of a run, with the most that two of them can differ.
+struct Compared {
+    figure: String,
+    most: f64,
+    value: Option<f64>,
+}
+
+impl Compared {
+    /// Returns the compared figures of a run.
+    fn all(run: &Measured) -> Vec<Self> {
+        let of = |figure: String, is_share: bool, value: Option<f64>| Self {
+            figure,
+            most: if is_share { 1.0 } else { f64::INFINITY },
+            value,
+        };
+        let figures = run.figures();
+        let named = |name: &str| figures.iter().find(|(its, _)| *its == name).and_then(|(_, value)| *value);
+        let figures = COMPARED.map(|name| of(name.to_owned(), name == "above_target", named(name)));
+        let kpis = run.services.iter().flat_map(|its| its.kpis.iter().map(move |kpi| (its, kpi)));
+        let bounds = kpis.filter_map(|(its, judged)| {
+            let bound = judged.kpi.parse::<Bound>().ok()?;
+            let is_share = bound.figure().unit == Unit::Share;
+            Some(of(format!("{}: {bound}", its.service), is_share, judged.value))
+        });
+        figures.into_iter().chain(bounds).collect()
+    }
+}
 
 impl Runs {
     /// Returns how each combination differs from the first one that has runs, figure by figure. Combinations without a seed
     /// in common with it have no differences, and neither have those with a void run.
     pub fn differences(&self) -> Vec<Difference> {
-        let mut contenders: Vec<(&[String], BTreeMap<u64, &Measured>)> = Vec::new();
+        let mut contenders: Vec<Contender<'_>> = Vec::new();
         for cell in self.combinations() {
             let its = self.done.iter().filter(|done| done.point.values == *cell);
-            let measured = its.map(|done| Some((done.point.seed, done.outcome.measured()?)));
+            let measured = its.map(|done| Some((done.point.seed, Compared::all(done.outcome.measured()?))));
             contenders.push((cell, measured.collect::<Option<_>>().unwrap_or_default()));
         }
         let Some(((_, first), others)) = contenders.split_first() else { return Vec::new() };
         let mut all = Vec::new();
-        for (figure, most, read) in FIGURES {
-            let difference = |(values, runs): &(&[String], BTreeMap<u64, &Measured>)| {
-                let pair = |(seed, run): (&u64, &&Measured)| Some((read(first.get(seed)?)?, read(run)?));
+        for Compared { figure, most, .. } in first.values().next().into_iter().flatten() {
+            let read = |its: &Vec<Compared>| its.iter().find(|its| its.figure == *figure)?.value;
+            let difference = |(values, runs): &Contender<'_>| {
+                let pair = |(seed, run): (&u64, &Vec<Compared>)| Some((read(first.get(seed)?)?, read(run)?));
                 let pairs: Vec<_> = runs.iter().filter_map(pair).collect();
                 let Mean { n, mean, interval, p } = Mean::of_differences(&pairs)?;
                 let interval = interval
-                    .map(|its| numbers::Interval { low: its.low.max(-most), high: its.high.min(most) });
-                Some(Difference { values: values.to_vec(), figure, pairs: n, mean, interval, p })
+                    .map(|its| numbers::Interval { low: its.low.max(-*most), high: its.high.min(*most) });
+                Some(Difference {
+                    values: values.to_vec(),
+                    figure: figure.clone(),
+                    pairs: n,
+                    mean,
+                    interval,
+                    p,
+                })
             };
             let mut its: Vec<_> = others.iter().filter_map(difference).collect();
             let told: Vec<_> = its.iter().filter_map(|difference| difference.p).collect();

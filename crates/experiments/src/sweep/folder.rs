@@ -23,8 +23,11 @@ pub const FILES: [&str; 10] = [
     "differences.csv",
 ];
 
+/// A row per KPI of a run, where services have KPIs beside their targets.
+const KPIS: &str = "kpis.csv";
+
 impl Runs {
-    /// Writes [`FILES`] into the folder of a journal. Of the samples there, only those of these runs stay.
+    /// Writes [`FILES`] into the folder of a journal, and `kpis.csv` where services have KPIs beside their targets. Of the samples there, only those of these runs stay.
     ///
     /// # Errors
     /// [`FolderError`].
@@ -51,6 +54,9 @@ impl Runs {
         csv(of_parts, tables::time_parts(self))?;
         csv(of_pairs, tables::differences(&self.axes, &self.differences()))?;
         csv(of_unanswered, tables::unanswered(self))?;
+        if let Some(of_kpis) = tables::kpis(self) {
+            csv(KPIS, of_kpis)?;
+        }
         write_file(path, for_papers, tables::by_service(&self.axes, &cells).to_latex())?;
         let measured = self.done.iter().filter(|done| done.outcome.measured().is_some());
         samples::retain(path, &measured.map(|done| done.samples.as_path()).collect())?;

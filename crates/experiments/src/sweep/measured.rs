@@ -1,7 +1,7 @@
 //! Results of one run of a sweep.
 
 use cotorra_graph::{NodeId, PluginId, ServiceId, Timestamp};
-use cotorra_testbed::{Kept, Quantiles, RegionSummary, ServiceSummary, Summary, Verdict};
+use cotorra_testbed::{Judged, Kept, Quantiles, RegionSummary, ServiceSummary, Summary, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::time_parts::{MeasuredLoss, MeasuredPart};
@@ -91,6 +91,9 @@ pub struct MeasuredService {
     /// Share of samples that must be within the target; `None` if any will do, and in journals of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub keep: Option<f64>,
+    /// Its KPIs beside the target; none in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub kpis: Vec<Judged>,
 }
 
 /// In journals of earlier versions, all services do.
@@ -162,9 +165,9 @@ impl Measured {
         }
     }
 
-    /// Returns the verdict on all services of which the testbed file demands a share; `None` without any.
+    /// Returns the verdict on all services of which the testbed file demands more than a target; `None` without any.
     pub fn verdict(&self) -> Option<Verdict> {
-        Verdict::of_all(self.services.iter().map(|its| its.kept().verdict))
+        Verdict::of_all(self.services.iter().map(MeasuredService::verdict))
     }
 
     /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
@@ -211,7 +214,13 @@ impl MeasuredService {
             service_time_p99_ms: service_time(|q| q.p99),
             service_time_max_ms: service_time(|q| q.max),
             keep: summary.kept.keep,
+            kpis: summary.kpis.clone(),
         }
+    }
+
+    /// Returns the verdict on all of its KPIs; `None` if nothing is demanded beside the target.
+    pub fn verdict(&self) -> Option<Verdict> {
+        Verdict::of_all([self.kept().verdict].into_iter().chain(self.kpis.iter().map(|kpi| kpi.verdict)))
     }
 
     /// Returns the share of samples within the target, and the verdict on it.
@@ -221,7 +230,7 @@ impl MeasuredService {
 
     /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
     pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 13] {
-        let Kept { kept, kept_low, kept_high, keep, verdict, .. } = self.kept();
+        let Kept { kept, kept_low, kept_high, keep, .. } = self.kept();
         [
             ("service_time_target_ms", Some(self.service_time_target_ms)),
             ("samples", Some(self.samples as f64)),
@@ -235,12 +244,35 @@ impl MeasuredService {
             ("kept_low", kept_low),
             ("kept_high", kept_high),
             ("keep", keep),
-            ("passed", passed(verdict)),
+            ("passed", passed(self.verdict())),
         ]
     }
 }
 
 /// Returns 1 for PASS and 0 for FAIL.
-fn passed(verdict: Option<Verdict>) -> Option<f64> {
+pub(super) fn passed(verdict: Option<Verdict>) -> Option<f64> {
     verdict.map(|verdict| if verdict == Verdict::Pass { 1.0 } else { 0.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{FIGURES, FigureKind, Statistic};
+
+    use super::*;
+
+    #[test]
+    fn columns_have_the_names_of_declared_figures() {
+        let of = |figure: &cotorra_graph::Declared| match figure.kind {
+            FigureKind::Samples => Statistic::ALL.iter().map(|its| figure.column(Some(*its))).collect(),
+            FigureKind::Total => vec![figure.column(None)],
+        };
+        let declared: Vec<String> = FIGURES.iter().flat_map(|figure| of(figure)).collect();
+        let others: Vec<_> = Measured::default()
+            .figures()
+            .into_iter()
+            .map(|(name, _)| name)
+            .filter(|name| !declared.iter().any(|declared| declared == name))
+            .collect();
+        assert_eq!(others, ["walked", "above_target", "passed"], "words and a complement of `kept`");
+    }
 }

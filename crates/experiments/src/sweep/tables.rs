@@ -1,9 +1,10 @@
 //! Tables of a sweep: tidy ones for programs, and a rounded one for readers.
 
-use cotorra_testbed::{DataTable, name_of_total};
+use cotorra_testbed::{DataTable, Judged, name_of_total};
 
 use super::{
     Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts,
+    measured::passed,
     runs::Done,
     time_parts::{MeasuredLoss, MeasuredPart},
 };
@@ -90,6 +91,20 @@ pub(super) fn services(runs: &Runs) -> DataTable {
     })
 }
 
+/// Returns a row for each KPI of each run; `None` if there are no KPIs beside targets.
+pub(super) fn kpis(runs: &Runs) -> Option<DataTable> {
+    measured(runs).flat_map(|measured| &measured.services).find(|its| !its.kpis.is_empty())?;
+    let figures = ["value", "unit", "passed"].map(str::to_owned);
+    Some(rows(runs, ["seed", "robot", "service", "kpi"], &figures, |measured| {
+        let all = measured.services.iter().flat_map(|its| its.kpis.iter().map(move |kpi| (its, kpi)));
+        let row = |(its, Judged { kpi, value, unit, verdict, .. }): (&MeasuredService, &Judged)| {
+            let names = [its.robot.to_string(), its.service.to_string(), kpi.clone()];
+            names.into_iter().chain([number(*value), unit.clone(), number(passed(*verdict))]).collect()
+        };
+        all.map(row).collect()
+    }))
+}
+
 /// Returns a row for each part of the service times of each run.
 pub(super) fn time_parts(runs: &Runs) -> DataTable {
     let first = measured(runs).find_map(|measured| measured.time_parts.first());
@@ -114,7 +129,7 @@ pub(super) fn differences(axes: &[Axis], differences: &[Difference]) -> DataTabl
     let mut table = DataTable::new(axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
     for Difference { values, figure, pairs, mean, interval, p } in differences {
         let ends = [Some(*mean), interval.map(|its| its.low), interval.map(|its| its.high), *p];
-        let fixed = [(*figure).to_owned(), pairs.to_string()];
+        let fixed = [figure.clone(), pairs.to_string()];
         table.row(of(values).chain(fixed).chain(ends.map(number)));
     }
     table

@@ -91,7 +91,7 @@ impl Anvil {
             let _ = child.wait();
             return Err(AnvilError::Ended { program, output });
         };
-        // The node keeps printing, and would block if nobody read.
+        // The node keeps printing, and would block without a reader.
         thread::spawn(move || lines.for_each(drop));
         Ok(Self { child, address })
     }

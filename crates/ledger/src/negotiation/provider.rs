@@ -175,7 +175,7 @@ impl Provider {
         self.steps.pop_front()
     }
 
-    /// Whether nothing remains to be done: the service ended, another won it, or nobody was chosen in time; and the
+    /// Whether nothing remains to be done: the service ended, another won it, or no bidder was chosen in time; and the
     /// bond is back.
     pub fn is_over(&self) -> bool {
         let is_over = match self.log.phase() {
@@ -193,7 +193,7 @@ impl Provider {
         self.log.phase().winner() == Some(self.account)
     }
 
-    /// Whether nobody else can be chosen any more.
+    /// Whether the time to choose is over.
     fn is_decided(&self) -> bool {
         matches!(self.log.phase(), Phase::InUse { .. } | Phase::Ended(_)) || self.choose_by < self.log.time
     }

@@ -1,5 +1,5 @@
 //! An operator's record of how others served it, derived from the chain's events of its own services. It therefore
-//! survives restarts, and nobody else can write to it.
+//! survives restarts, and only its owner can write to it.
 
 use std::collections::VecDeque;
 
@@ -51,7 +51,7 @@ impl Record {
                 }
                 self.services.push_back(ServiceLog::new(id));
             }
-            // These tell nothing about how anybody served, and are long.
+            // These do not show how a provider served, and are long.
             (Event::ServiceAnnounced { .. } | Event::BidPlaced { .. } | Event::BondReclaimed { .. }, _) => {}
             (_, Some(log)) => _ = log.take(notice),
             (_, None) => {}

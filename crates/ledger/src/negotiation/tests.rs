@@ -68,7 +68,7 @@ enum Manner {
     NeverBids,
     NeverDeploys,
     FailsToDeploy,
-    /// Confirms the deployment, but nobody can attach.
+    /// Confirms the deployment, but no robot can attach.
     Lies,
 }
 
@@ -894,7 +894,7 @@ proptest! {
         (world.attach, world.using) = (Duration::from_millis(attach), Duration::from_secs(using));
         world.run(seconds(1500.0));
         world.assert_over();
-        // Nobody is charged for unused service, and no money or bond is lost.
+        // Unused service is not charged, and no money or bond is lost.
         let contract = world.chain.contract();
         let balances: u128 = (0..5).map(|number| contract.balance(account(number)).0).sum();
         prop_assert_eq!(Wei(balances), contract.holds());

@@ -85,7 +85,7 @@ fn payees_that_reject_money_block_nobody() {
     }
     let bond = TERMS.bond().0;
     assert_eq!(both.chain.wealth(both.chain.contract()), PRICE.times(TERMS.use_for).0 + bond);
-    // Unpaid money is not lost. It goes to the receiver named by its owner, and to nobody else.
+    // Unpaid money is not lost. It goes only to the receiver named by its owner.
     both.wait(1);
     let anybody = both.chain.call(both.now, MALLORY, &Call::Withdraw { to: MALLORY });
     assert_eq!(anybody.err(), Some(ContractError::NothingToWithdraw));

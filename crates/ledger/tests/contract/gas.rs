@@ -48,9 +48,9 @@ fn gas_matches_the_documentation() {
     let Some(mut both) = Both::new() else { return };
     let table = table(&mut both);
     println!("{table}");
-    let document = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/federation-contract.md");
+    let document = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/use/federation-contract.md");
     assert!(
         fs::read_to_string(document).unwrap().contains(&table),
-        "docs/federation-contract.md has another table than\n{table}"
+        "docs/use/federation-contract.md has another table than\n{table}"
     );
 }

@@ -141,7 +141,7 @@ fn only_the_creator_chooses_bids_at_their_price() {
     for wrong in [0, due.0 - 1, due.0 + 1] {
         both.refuses(ContractError::BadDeposit(due), CREATOR, chosen(PRICE.get(), salt_of(PROVIDER), wrong));
     }
-    // A bid of zero can be placed, because nobody sees its price, but it cannot win.
+    // A bid of zero can be placed, because its price is hidden, but it cannot win.
     let free = Price::new(0).unwrap();
     let commitment = Commitment::to(id, OTHER, free, salt_of(OTHER));
     both.does(OTHER, Call::Bid { id, commitment, sealed: vec![1], bond: TERMS.bond() });
@@ -301,7 +301,7 @@ fn bids_need_exactly_their_bond() {
         let call = Call::Bid { id, commitment, sealed, bond: Wei(wrong) };
         both.refuses(ContractError::BadDeposit(TERMS.bond()), PROVIDER, call);
     }
-    // The mark of a chosen bid is not a valid commitment: its bond would belong to nobody.
+    // The mark of a chosen bid is not a valid commitment: its bond would have no owner.
     let mut spent = [0; 32];
     spent[31] = 1;
     let call = Call::Bid { id, commitment: Commitment(spent), sealed: vec![1], bond: TERMS.bond() };

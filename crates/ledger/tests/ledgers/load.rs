@@ -198,7 +198,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     assert_eq!(answers.len(), announcements * bids);
     let won = ["Bidding", "BidPlaced", "Won", "Confirming", "Deployed", "InUse", "Ended"];
     let lost = ["Bidding", "BidPlaced", "Lost"];
-    // Losers may or may not know how it ended.
+    // Losers may or may not know the outcome.
     let is_lost = |steps: &[String]| steps.len() <= 5 && steps[..3] == lost;
     let other = answers.iter().find(|steps| ***steps != won && !is_lost(steps));
     let counts = [

@@ -20,7 +20,7 @@ pub struct Operator {
     pub deployment: Deployment,
     /// All notices so far.
     pub notices: Vec<Notice>,
-    /// Whether the test keeps it from its node: nobody waits for it.
+    /// Whether the test keeps it from its node, so that it is not awaited.
     pub is_cut_off: bool,
     now: Timestamp,
     /// Last block that it received.

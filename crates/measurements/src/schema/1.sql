@@ -4,7 +4,7 @@
 --   *_ns      a moment: nanoseconds since the run began
 --   seq       order of recording within the run; (at_ns, seq) orders all events of a run and names one of them
 --   *_ms      a duration: milliseconds, exact to the nanosecond up to 26 days; *_us microseconds
---   *_m metres, *_dbm dBm, *_bps bit/s; all others as docs/fields.md has them
+--   *_m metres, *_dbm dBm, *_bps bit/s; all others as docs/reference/fields.md has them
 --   names (of nodes, links, VNFs, services, plug-ins) are ids of rows in `name`
 --   unsigned 64-bit figures are stored as the signed integer with the same bits
 --   a figure that is no number (NaN) is NULL

@@ -9,7 +9,7 @@ use std::{
 };
 
 use cotorra_graph::{
-    Conditions, Event, Stamped, Timestamp,
+    Conditions, Event, Figure, Stamped, Timestamp,
     record::{self, SeriesPart},
 };
 
@@ -20,7 +20,7 @@ use crate::{
     chunk::{self, Part},
     codec::{self, Columns, Heard, ReadError, Source},
     error::{Error, Result},
-    figure::{Figure, Kept},
+    figure::{Kept, kept},
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
     retention::Retained,
@@ -256,7 +256,7 @@ impl<S: Session> Reader<S> {
         span: Span,
         each: &mut dyn FnMut(i64, Reading),
     ) -> Result<()> {
-        let kept = figure.kept();
+        let kept = kept(figure);
         let sql = figures_sql(&kept, S::DIALECT.ordered_join);
         let mut each = |t: i64, reading: Reading| {
             if (span.from..=span.until).contains(&t) && reading.is_number() {

@@ -5,9 +5,10 @@ mod hostile;
 use std::{fs, path::PathBuf};
 
 use cotorra_graph::{
-    Conditions, Dbm, Direction, Event, Jitter, JitterDistribution, LinkContext, LinkCounters, LinkId, NodeId,
-    RadioContext, ReadingTime, Scale, StationContext,
+    Conditions, Dbm, Event, Jitter, JitterDistribution, LinkContext, NodeId, RadioContext, ReadingTime,
+    StationContext,
 };
+use cotorra_graph_testing as base;
 use tempfile::TempDir;
 
 use super::*;
@@ -252,19 +253,7 @@ fn rows_that_were_rolled_back_are_written_again() {
         run,
         stamped: Stamped {
             at: Timestamp::ZERO,
-            event: Event::Link(LinkContext {
-                link: LinkId::new("a-b").unwrap(),
-                direction: Direction::Forward,
-                delay: None,
-                throughput_bps: 0.0,
-                queued_packets: Some(3),
-                probed: None,
-                tested: None,
-                asked: Conditions::default(),
-                scale: Scale::default(),
-                effective: Conditions::default(),
-                counters: LinkCounters::default(),
-            }),
+            event: Event::Link(LinkContext { queued_packets: Some(3), ..base::link_context("a-b") }),
         },
     };
     // The second one's run does not exist, so that both are rolled back.
@@ -437,17 +426,7 @@ fn histories_without_machines_are_read_and_then_take_them() {
     let history = History::open(&path).unwrap();
     let run = history.runs(None, 1).unwrap()[0].id;
     assert_eq!(everything(&history, run), [notice(5, "from before")]);
-    let context = cotorra_graph::MachineContext {
-        node: NodeId::new("edge").unwrap(),
-        reading: None,
-        cpu: None,
-        load_average: None,
-        memory: None,
-        interfaces: Vec::new(),
-        interfaces_left_out: 0,
-        wifi: Vec::new(),
-        wifi_left_out: 0,
-    };
+    let context = base::machine_context("edge");
     let event = Stamped { at: Timestamp::from_nanos(6), event: Event::Machine(context.clone()) };
     let recorder = history.recorder(run).unwrap();
     recorder.record(event.clone());

@@ -16,7 +16,8 @@ use std::{
 use cotorra_containers::{Address, ContainerEngine, Network, Settings, Surroundings};
 use cotorra_datapath::Namespace;
 use cotorra_engine::{Engine as _, InstanceId, Outcome};
-use cotorra_graph::{EngineKind, Image, NodeId, Program, Rights, Vnf};
+use cotorra_graph::{EngineKind, Image, NodeId, Program, Vnf};
+use cotorra_graph_testing as base;
 use cotorra_testing::containers::{BUSYBOX, Containers};
 use serde_json::json;
 
@@ -132,14 +133,9 @@ fn vnf(place: usize) -> Vnf {
     Vnf {
         id: format!("v{place}").parse().unwrap(),
         program: Program::Command(SCRIPT.map(str::to_owned).to_vec()),
-        cpus: 1.0,
-        memory_bytes: 64 << 20,
-        pinned_to: None,
         node: node(place).into(),
-        env: Vec::new(),
-        rights: Rights::default(),
-        keep: false,
         image: Some(Box::new(Image { reference: BUSYBOX.to_owned(), ..Image::default() })),
+        ..base::vnf("vnf", "server")
     }
 }
 

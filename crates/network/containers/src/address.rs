@@ -11,7 +11,7 @@ use cotorra_graph::EngineKind;
 /// Docker's socket if `DOCKER_HOST` names no other.
 const DOCKER: &str = "/var/run/docker.sock";
 
-/// Where the interface of an engine is.
+/// Address of an engine's interface.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Address {
     /// At a socket that somebody serves.

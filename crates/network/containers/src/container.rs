@@ -23,7 +23,7 @@ pub(crate) struct Container {
     pub(crate) host_config: HostConfig,
 }
 
-/// What a container may do to its machine.
+/// Rights of a container on its machine.
 #[derive(Debug, Clone, Default, Serialize)]
 #[serde(rename_all = "PascalCase")]
 pub(crate) struct HostConfig {
@@ -93,7 +93,7 @@ pub(crate) struct Ulimit {
     pub(crate) hard: u64,
 }
 
-/// Where an engine keeps the output.
+/// Place where an engine keeps the output.
 #[derive(Debug, Clone, Serialize)]
 #[serde(rename_all = "PascalCase")]
 pub(crate) struct LogConfig {

@@ -41,7 +41,7 @@ pub(crate) struct State {
     pub(crate) out_of_memory: bool,
 }
 
-/// What the engine says of a container's state. Names of states are left out: podman has some of its own.
+/// A container's state, as the engine reports it. Names of states are left out: podman has some of its own.
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "PascalCase", default)]
 struct InspectedState {
@@ -249,7 +249,7 @@ async fn accepted(answer: Answer) -> Result<Answer, DaemonError> {
         message: String,
     }
     let status = answer.status();
-    // What is as wanted already is not modified.
+    // NOT_MODIFIED: it is already as wanted.
     if status.is_success() || status == StatusCode::NOT_MODIFIED {
         return Ok(answer);
     }

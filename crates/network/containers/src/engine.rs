@@ -32,7 +32,7 @@ use crate::{
     spec::{Network, RUN, Spec},
 };
 
-/// What containers find around them, as far as it depends on the testbed.
+/// Surroundings of containers that depend on the testbed.
 pub trait Surroundings: Send + Sync + 'static {
     /// Returns the network of a node.
     ///
@@ -65,7 +65,7 @@ pub trait Surroundings: Send + Sync + 'static {
 pub struct Settings {
     /// Kind of the engine, podman or Docker.
     pub kind: EngineKind,
-    /// Where it is.
+    /// Its address.
     pub address: Address,
     /// Folder from which sources of volumes start.
     pub folder: PathBuf,
@@ -90,7 +90,7 @@ pub struct ContainerEngine {
     instances: BTreeMap<InstanceId, Known>,
 }
 
-/// What the engine's owner knows of an instance.
+/// State of an instance, as the engine's owner knows it.
 struct Known {
     is_stopped: bool,
     /// Upgrades until the instance has ended and is cleaned up.
@@ -243,7 +243,7 @@ impl Drop for ContainerEngine {
     }
 }
 
-/// What the tasks of instances share.
+/// State that the tasks of instances share.
 struct Tasks {
     settings: Settings,
     surroundings: Arc<dyn Surroundings>,

@@ -1,4 +1,4 @@
-//! A process that outlives a killed run, to remove its containers. It also serves podman, if nobody else does.
+//! A process that outlives a killed run, to remove its containers. It also serves podman, if no other process does.
 
 use std::{
     fs::OpenOptions,

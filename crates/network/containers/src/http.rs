@@ -19,7 +19,7 @@ use crate::daemon_error::DaemonError;
 /// Most bytes of an answer, or of a part of one that is streamed, which are in memory at once.
 const MOST_BYTES: usize = 16 << 20;
 
-/// What a request sends: its type, and its bytes.
+/// Body of a request: its type, and its bytes.
 pub(crate) type Content = (&'static str, Bytes);
 
 /// An answer whose body is not read yet. Dropping it closes the connection.

@@ -43,7 +43,7 @@ pub(crate) struct Instance {
     pub(crate) ports: Vec<ListenPort>,
     pub(crate) memory_bytes: u64,
     pub(crate) log: File,
-    /// Where its image may be pulled from.
+    /// Registries from which its image may be pulled.
     pub(crate) registries: Registries,
 }
 
@@ -85,7 +85,7 @@ impl Instance {
             // The engine says whether it has the image. That saves a request.
             match daemon.create(&self.name, container.clone()).await {
                 Ok(()) => return daemon.start(&self.name).await.map(|()| true).map_err(cannot),
-                // What is missing may also be its network.
+                // The missing object may also be its network.
                 Err(error) if !error.is_missing() || daemon.has_image(&reference).await.unwrap_or(true) => {
                     return Err(cannot(error));
                 }
@@ -203,7 +203,7 @@ pub(crate) async fn ended(daemon: &Daemon, name: &str) -> State {
 /// Exit code of a process that was killed by SIGKILL.
 const KILLED: i64 = 137;
 
-/// Returns a descriptor of a process, which can be read once it has exited, though nobody may have waited for it yet.
+/// Returns a descriptor of a process, which can be read once it has exited, even if no process has waited for it yet.
 fn open(process: u32) -> io::Result<OwnedFd> {
     let process = i32::try_from(process).ok().and_then(Pid::from_raw).ok_or(io::ErrorKind::InvalidInput)?;
     Ok(pidfd_open(process, PidfdFlags::empty())?)

@@ -211,7 +211,7 @@ fn stale(folders: &[PathBuf]) -> (Vec<PathBuf>, Vec<PathBuf>) {
 pub struct Cleaned {
     /// Killed runs, by the label `cotorra.run` of their containers, and the number of containers.
     pub runs: Vec<(String, usize)>,
-    /// What could not be removed, each with the error.
+    /// Leftovers that could not be removed, each with the error.
     pub kept: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! podman's service, for machines where nobody else serves podman.
+//! podman's service, for machines where no other process serves podman.
 
 use std::{
     fs, io,

@@ -32,7 +32,7 @@ pub enum Network {
     Machine,
 }
 
-/// What a container is made from.
+/// Specification of a container.
 #[derive(Debug)]
 pub(crate) struct Spec<'a> {
     pub(crate) vnf: &'a Vnf,

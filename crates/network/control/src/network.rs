@@ -64,7 +64,7 @@ pub trait Network {
     /// otherwise an event reports it. Does nothing if the robot is there.
     ///
     /// # Errors
-    /// [`InstructionError`]. Nobody was asked then.
+    /// [`InstructionError`]. No component was asked then.
     fn suggest(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<Option<u8>, InstructionError> {
         suggest_in_fabric(self, robot, radio_unit)
     }
@@ -119,10 +119,10 @@ pub trait Network {
         contexts
     }
 
-    /// Completes φ of a robot, if its radio is none of the fabric's.
+    /// Completes φ of a robot, if its radio is not the fabric's.
     fn complete_attachments(&self, _now: Timestamp, _robot: &NodeId, _attachments: &mut [Attachment]) {}
 
-    /// Completes ι of a radio unit, if its radio is none of the fabric's.
+    /// Completes ι of a radio unit, if its radio is not the fabric's.
     fn complete_radio(&self, _context: &mut RadioContext) {}
 
     /// Completes the fabric's lateness, if other networks carry packets, too.

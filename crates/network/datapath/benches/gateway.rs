@@ -5,7 +5,6 @@
 #![allow(clippy::unwrap_used, reason = "a benchmark may panic")]
 
 use std::{
-    collections::BTreeMap,
     net::{Ipv4Addr, SocketAddr, UdpSocket},
     process::Command,
     thread,
@@ -14,10 +13,8 @@ use std::{
 
 use cotorra_datapath::{Datapath, Namespace, Options};
 use cotorra_fabric::Fabric;
-use cotorra_graph::{
-    BitRate, Capacity, Conditions, DomainId, Gateway, HardwareGraph, HostAddress, Link, LinkId, Node, NodeId,
-    NodeKind, Server, Tier,
-};
+use cotorra_graph::{BitRate, Conditions, Gateway, HardwareGraph, HostAddress, Link, NodeId, NodeKind};
+use cotorra_graph_testing as base;
 
 const PACKETS: usize = 20_000;
 const WARM_UP: usize = 500;
@@ -34,33 +31,13 @@ fn ip(inside: &Namespace, commands: &[&str]) {
 }
 
 fn graph(gateway: Gateway) -> (HardwareGraph, NodeId) {
-    let domain = DomainId::new("bench").unwrap();
-    let [host, gate] = ["host", "gate"].map(|name| NodeId::new(name).unwrap());
-    let server = NodeKind::Server(Server {
-        tier: Tier::Fog,
-        capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
-        cost: 0.0,
-        reliability: 1.0,
-        real: None,
-    });
-    let node = |id: &NodeId, kind| Node { id: id.clone(), domain: domain.clone(), position: None, kind };
-    let link = Link {
-        id: LinkId::new("host-gate").unwrap(),
-        ends: [host.clone(), gate.clone()],
-        forward: Conditions::default(),
-        backward: Conditions::default(),
-        scales: Default::default(),
-        medium: BitRate::from_bits_per_second(10_000_000_000).unwrap(),
-        medium_delay: Duration::ZERO,
-        reliability: 1.0,
-    };
-    let graph = HardwareGraph {
-        domains: vec![domain.clone()],
-        nodes: vec![node(&host, server), node(&gate, NodeKind::Gateway(gateway))],
-        links: vec![link],
-        wireless: BTreeMap::new(),
-    };
-    (graph, host)
+    let nodes = vec![
+        base::node("host", NodeKind::Server(base::server())),
+        base::node("gate", NodeKind::Gateway(gateway)),
+    ];
+    let medium = BitRate::from_bits_per_second(10_000_000_000).unwrap();
+    let link = Link { medium, ..base::link("host", "gate", Conditions::default()) };
+    (base::graph(nodes, vec![link]), base::id("host"))
 }
 
 fn echo(inside: &Namespace) {

@@ -56,13 +56,17 @@ impl CapabilityState {
     }
 }
 
+fn capability(
+    name: &'static str,
+    purpose: &'static str,
+    result: io::Result<String>,
+    remedy: &'static str,
+) -> Capability {
+    Capability { name, purpose, state: CapabilityState::of(result, remedy) }
+}
+
 /// Tests all capabilities. Call it after [`crate::enter_user_namespace_if_needed`], whose rights it uses.
 pub fn probe() -> Vec<Capability> {
-    let capability = |name, purpose, result, remedy| Capability {
-        name,
-        purpose,
-        state: CapabilityState::of(result, remedy),
-    };
     vec![
         capability(
             "network namespaces",
@@ -134,11 +138,6 @@ pub fn probe() -> Vec<Capability> {
 
 /// Tests what confines programs of others. Call it after [`crate::enter_user_namespace_if_needed`], whose rights it uses.
 pub fn probe_confinement() -> Vec<Capability> {
-    let capability = |name, purpose, result, remedy| Capability {
-        name,
-        purpose,
-        state: CapabilityState::of(result, remedy),
-    };
     vec![
         capability(
             "process and mount namespaces",

@@ -308,7 +308,7 @@ impl Engine {
         deadline
     }
 
-    /// Receives frames at a port. `arrived` is the estimated arrival of the first at a port that does not tell.
+    /// Receives frames at a port. `arrived` is the estimated arrival of the first at a port that does not report it.
     fn receive(&mut self, index: usize, mut arrived: Option<Timestamp>) {
         let port = &mut self.ports.ports[index];
         let wait = self.presence.wait().max(mem::take(&mut port.left));

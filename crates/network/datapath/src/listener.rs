@@ -21,7 +21,7 @@ impl Listening {
     /// Finds the process on whose socket `connect` arrives.
     ///
     /// # Errors
-    /// What the system says, as when the process ended, or is in another PID namespace.
+    /// The system's error, as when the process ended, or is in another PID namespace.
     pub fn on(connect: impl Fn() -> io::Result<UnixStream>) -> io::Result<Self> {
         let number = || sys::listening_process(connect()?.as_fd());
         let before = number()?;
@@ -39,7 +39,7 @@ impl Listening {
     /// Sends it SIGINT, as Ctrl-C does.
     ///
     /// # Errors
-    /// What the system says, as when the process ended.
+    /// The system's error, as when the process ended.
     pub fn interrupt(&self) -> io::Result<()> {
         sys::send_signal(self.process.as_fd(), libc::SIGINT)
     }
@@ -47,7 +47,7 @@ impl Listening {
     /// Waits until it has ended.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn wait(&self) -> io::Result<()> {
         // The descriptor becomes readable when the process ends.
         sys::wait_readable(self.process.as_fd())

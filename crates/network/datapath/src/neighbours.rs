@@ -1,8 +1,9 @@
 //! Neighbours of hosts: whose MAC addresses they know from the start, and whose they ask for.
 //!
-//! Addresses of hosts follow from their places, so that nobody has to ask for them. This is not only faster. The kernel keeps
-//! what was asked for in a table that all namespaces of a machine share, of 1,024 entries by default, and drops packets to
-//! neighbours that do not fit. Permanent entries do not count. First round trips have no ARP in virtual time, either.
+//! Addresses of hosts follow from their places, so that no host has to ask for them. This is not only faster. The kernel
+//! keeps what was asked for in a table that all namespaces of a machine share, of 1,024 entries by default, and drops
+//! packets to neighbours that do not fit. Permanent entries do not count. First round trips have no ARP in virtual time,
+//! either.
 
 use std::{
     fs, io,
@@ -34,7 +35,7 @@ pub(crate) struct Neighbours {
 impl Neighbours {
     /// Returns those of a graph's emulated hosts, and of the real machines that they reach.
     pub(crate) fn of(graph: &HardwareGraph, machines: Vec<Ipv4Addr>) -> Self {
-        // Where there are too many, servers come first: most packets have one at an end.
+        // Of too many, servers come first: most packets have one at an end.
         let rank = |node: &Node| match node.kind {
             NodeKind::Server(_) => 0,
             NodeKind::RadioUnit(_) => 1,
@@ -55,7 +56,7 @@ impl Neighbours {
         Self { hosts, known, machines, refused: OnceLock::new() }
     }
 
-    /// Returns those of hosts that know nobody from the start.
+    /// Returns those of hosts that know no others from the start.
     pub(crate) fn unknown(hosts: usize) -> Self {
         Self { hosts: (0..hosts).collect(), ..Self::default() }
     }

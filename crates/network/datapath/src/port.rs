@@ -45,7 +45,7 @@ pub(crate) enum Arrival {
 
 pub(crate) struct Port {
     fd: OwnedFd,
-    /// Whether the kernel tells when frames came.
+    /// Whether the kernel stamps arrivals of frames.
     is_stamped: bool,
     /// Number of frames to read in a row, as many as the last time. Finding no further frame costs as much as reading
     /// one.

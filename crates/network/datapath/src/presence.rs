@@ -41,8 +41,8 @@ impl Absence {
 /// Waits of frames in the ports, and absences of the fabric's thread.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PortWaits {
-    /// How long frames waited in their ports before the fabric had them. Where the port tells no time of arrival, this is the
-    /// longest possible wait.
+    /// How long frames waited in their ports before the fabric had them. If the port reports no time of arrival, this is
+    /// the longest possible wait.
     pub frames: Lateness,
     pub absence: Absence,
 }
@@ -122,7 +122,8 @@ impl Presence {
         self.woke = now;
     }
 
-    /// Returns the longest possible wait of a frame that the last look found, at a port that does not tell its time of arrival.
+    /// Returns the longest possible wait of a frame that the last look found, at a port that does not report its time of
+    /// arrival.
     pub(crate) fn wait(&self) -> Duration {
         self.wait
     }

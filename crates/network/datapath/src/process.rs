@@ -57,7 +57,7 @@ pub struct SpawnOptions<'a> {
 /// Opens a process of that number, to watch whether it lives.
 ///
 /// # Errors
-/// What the system says, as when there is none.
+/// The system's error, as when there is none.
 pub fn open_process(number: u32) -> io::Result<OwnedFd> {
     sys::open_process(number.cast_signed())
 }
@@ -309,7 +309,7 @@ fn show_own_interfaces() -> io::Result<()> {
         return sys::mount_tmpfs(Path::new(INTERFACES), "size=1m,mode=755");
     }
     for (path, tree) in mounts {
-        // What has no place there is left out.
+        // Leave out what has no place there.
         let _ = sys::move_mount(tree.as_fd(), path);
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! What the fabric's thread and others share.
+//! State that the fabric's thread shares with others.
 
 use std::{
     io,

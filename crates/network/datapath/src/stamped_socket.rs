@@ -9,7 +9,7 @@ use std::{
 
 use crate::sys;
 
-/// An IPv4 socket that tells how long its datagrams have waited.
+/// An IPv4 socket that measures the waits of its datagrams.
 #[derive(Debug)]
 pub struct StampedSocket(UdpSocket);
 

@@ -36,7 +36,7 @@ fn check_len(result: isize) -> io::Result<usize> {
 /// # Safety
 /// `result` is the return value of a system call that makes a descriptor.
 unsafe fn own(result: c_int) -> io::Result<OwnedFd> {
-    // SAFETY: the descriptor is new, so that nobody else owns it.
+    // SAFETY: the descriptor is new, so that no other value owns it.
     check(result).map(|fd| unsafe { OwnedFd::from_raw_fd(fd) })
 }
 
@@ -218,7 +218,7 @@ pub(crate) fn mount_tmpfs(on: &Path, options: &str) -> io::Result<()> {
     check(unsafe { libc::mount(tmpfs, on.as_ptr(), tmpfs, flags, options.as_ptr().cast()) }).map(drop)
 }
 
-/// Unmounts a file system at once from the path, and for good when nobody uses it any more.
+/// Unmounts a file system at once from the path, and for good when its last user is gone.
 pub(crate) fn unmount(path: &CStr) -> io::Result<()> {
     // SAFETY: the path ends in a zero.
     check(unsafe { libc::umount2(path.as_ptr(), libc::MNT_DETACH) }).map(drop)
@@ -548,7 +548,7 @@ pub(crate) fn make_tap(device: &File, name: &CStr) -> io::Result<()> {
     // SAFETY: the request takes a pointer to an ifreq, and this one lives.
     check(unsafe { libc::ioctl(device.as_raw_fd(), TUNSETIFF, &mut request) })?;
     // The kernel removes a TAP that closes with its descriptor alone, in 30 ms. A persistent one is removed with its
-    // namespace, many at a time. Nobody else holds the namespace, so no TAP outlives the process.
+    // namespace, many at a time. No other process holds the namespace, so no TAP outlives the process.
     // SAFETY: the request takes an integer.
     check(unsafe { libc::ioctl(device.as_raw_fd(), TUNSETPERSIST, 1 as c_ulong) })?;
     let tso = CSUM | TSO4 | TSO6 | TSO_ECN;

@@ -207,7 +207,7 @@ fn confined_programs_work_in_their_folder() {
     assert_eq!(output(&script), "gone\n");
     assert!(!Path::new(&file).exists());
     assert_eq!(output("head -c 3 /dev/urandom | wc -c; echo x >/dev/null; cat /dev/null; ls runs"), "3\n1\n");
-    // Its children see each other, and nobody else.
+    // Its children see only each other.
     assert_eq!(
         output("ls /proc | grep -c '^[0-9]' || true").trim().parse::<u32>().unwrap().min(1),
         proc_is_there()

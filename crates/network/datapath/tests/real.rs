@@ -17,9 +17,10 @@ use std::{
 use cotorra_datapath::{Datapath, Error, HostsFile, Namespace, Options, PortKind, SpawnOptions};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    BitRate, Capacity, ConditionChange, Conditions, Direction, DomainId, HardwareGraph, HostAddress, Link,
-    LinkId, Loss, Node, NodeId, NodeKind, Probability, Server, Tier,
+    ConditionChange, Conditions, Direction, HardwareGraph, HostAddress, Link, LinkId, Loss, NodeId, NodeKind,
+    Probability,
 };
+use cotorra_graph_testing as base;
 
 const HELPER: &str = "COTORRA_TEST_HELPER";
 /// The variable with the script of a helper.
@@ -76,31 +77,15 @@ fn main() -> ExitCode {
 
 /// Hosts at one switch, each by a link with these conditions.
 fn star(hosts: usize, conditions: Conditions) -> (HardwareGraph, Vec<NodeId>) {
-    let domain = DomainId::new("test").unwrap();
-    let node = |id: &NodeId, kind| Node { id: id.clone(), domain: domain.clone(), position: None, kind };
-    let server = NodeKind::Server(Server {
-        tier: Tier::Fog,
-        capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
-        cost: 0.0,
-        reliability: 1.0,
-        real: None,
-    });
-    let switch = NodeId::new("switch").unwrap();
     let names: Vec<_> = (0..hosts).map(|i| NodeId::new(&format!("host{i}")).unwrap()).collect();
     let link = |host: &NodeId| Link {
         id: LinkId::new(&format!("link-{host}")).unwrap(),
-        ends: [host.clone(), switch.clone()],
-        forward: conditions.clone(),
-        backward: conditions.clone(),
-        medium: BitRate::from_bits_per_second(100_000_000_000).unwrap(),
-        medium_delay: Duration::ZERO,
-        scales: Default::default(),
-        reliability: 1.0,
+        ..base::link(host.as_str(), "switch", conditions.clone())
     };
     let links = names.iter().map(link).collect();
-    let mut nodes: Vec<_> = names.iter().map(|id| node(id, server.clone())).collect();
-    nodes.push(node(&switch, NodeKind::Switch));
-    (HardwareGraph { domains: vec![domain], nodes, links, wireless: Default::default() }, names)
+    let host = |id: &NodeId| base::node(id.as_str(), NodeKind::Server(base::server()));
+    let switch = base::node("switch", NodeKind::Switch);
+    (base::graph(names.iter().map(host).chain([switch]).collect(), links), names)
 }
 
 fn start(graph: &HardwareGraph, port: PortKind) -> Result<Datapath, Error> {
@@ -163,7 +148,7 @@ fn all_pairs_of_a_large_mesh_reach_each_other(kind: PortKind) {
             assert_eq!(answered, others().map(address).collect::<Vec<IpAddr>>());
         }
     }
-    // Nobody had to ask: the first packet goes at once, as in virtual time.
+    // No address had to be asked for: the first packet goes at once, as in virtual time.
     let table =
         datapath.namespace(&names[0]).unwrap().run(|| fs::read_to_string("/proc/thread-self/net/arp"));
     let table = table.unwrap();
@@ -601,7 +586,7 @@ fn interfaces_that_are_set_up_again_are_complete(kind: PortKind) {
         let mut lines = Vec::new();
         for list in ["-br address show eth0", "route", "-6 route show table all", "neighbour"] {
             let told = ip(list);
-            // Which links the kernel resolves by itself says nothing of hosts.
+            // The kernel resolves these by itself: they say nothing of hosts.
             let own = told.lines().filter(|line| !line.contains("fe80::/64") && !line.contains("ff00::/8"));
             lines.extend(own.map(|line| line.split(" proto ").next().unwrap().trim().to_owned()));
         }

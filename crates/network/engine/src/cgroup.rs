@@ -197,7 +197,7 @@ impl Cgroups {
         Ok(procs)
     }
 
-    /// Returns the file that tells for how long an instance's limit of the processor kept it from running.
+    /// Returns the file with the time for which an instance's limit of the processor kept it from running.
     pub(crate) fn cpu_stat(&self, instance: InstanceId) -> PathBuf {
         let (Hierarchy::V2(tree) | Hierarchy::V1 { cpu: tree, .. }) = &self.hierarchy;
         tree.join(&self.name).join(instance.0.to_string()).join("cpu.stat")

@@ -570,7 +570,7 @@ fn full_disk<S: Subject + ?Sized>(run: &mut Run<'_, S>) {
         eprintln!("FullDisk: skipped, because the subject has no full disk");
         return;
     }
-    // More than any pipe holds: it would stand still if nobody read it.
+    // More than any pipe holds: it would stand still without a reader.
     let script = "x=0123456789abcdef; i=0; while [ $i -lt 16 ]; do x=$x$x; i=$((i+1)); done; \
                   echo $x || exit 5; echo $x || exit 5; exit 3";
     let vnf = run.script(NAME, script);

@@ -57,7 +57,7 @@ impl<'a> Variable<'a> {
 /// `NAME=VALUE` the one that it gives. Callers add others themselves.
 pub fn program_of_others(program: impl AsRef<OsStr>, named: &[String]) -> Command {
     let mut command = Command::new(program);
-    // What a killed program of Python printed last would be lost in its buffer.
+    // The last output of a killed program of Python would be lost in its buffer.
     command.env_clear().env("PYTHONUNBUFFERED", "1").envs(allowed(env::vars_os(), named));
     command
 }

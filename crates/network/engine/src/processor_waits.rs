@@ -11,7 +11,7 @@ pub struct InstanceWaits {
     pub vnf: VnfId,
     /// The node that it ran on.
     pub node: NodeId,
-    /// `None` if the kernel does not tell.
+    /// `None` if the kernel does not count it.
     pub waits: Option<ProcessorWaits>,
 }
 
@@ -22,11 +22,11 @@ pub struct ProcessorWaits {
     pub all: Duration,
     /// Waits of the thread that waited longest.
     pub longest: Duration,
-    /// How often that thread ran.
+    /// Number of times that this thread ran.
     pub runs: u64,
 }
 
-/// What the kernel counts of a thread.
+/// The kernel's counters of a thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct Counted {
     waited: Duration,

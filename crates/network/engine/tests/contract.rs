@@ -15,6 +15,7 @@ use cotorra_engine::{
     program_of, program_of_others,
 };
 use cotorra_graph::{Image, NodeId, Program, Vnf, VnfId};
+use cotorra_graph_testing as base;
 use rustix::process::{Pid, Signal, kill_process_group};
 
 fn nodes() -> [NodeId; 2] {
@@ -134,18 +135,7 @@ impl Subject for Processes {
 
     fn ends_before_ready(&self, id: VnfId) -> Option<Vnf> {
         let [node, _] = nodes();
-        Some(Vnf {
-            id,
-            program: Program::Navigation,
-            cpus: 1.0,
-            memory_bytes: 64 << 20,
-            pinned_to: None,
-            node: node.into(),
-            env: Vec::new(),
-            rights: Default::default(),
-            keep: false,
-            image: None,
-        })
+        Some(Vnf { id, node: node.into(), ..base::vnf("vnf", "server") })
     }
 
     fn omitted(&self) -> Vec<(Promise, String)> {

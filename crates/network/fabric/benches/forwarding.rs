@@ -3,13 +3,11 @@
 //! Each iteration pushes a batch of frames and polls until all are delivered. Buffers come from the fabric and go back, as
 //! in a data plane; `alloc` shows that nothing is allocated on the way.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::time::Duration;
 
 use cotorra_fabric::{Checksum, Fabric, Frame, Offload, PortId, Segmentation, SegmentationKind};
-use cotorra_graph::{
-    BitRate, Capacity, Conditions, DomainId, HardwareGraph, HostAddress, Jitter, Link, Loss, Node, NodeId,
-    NodeKind, Probability, Rate, Server, Tier, Timestamp,
-};
+use cotorra_graph::{BitRate, Conditions, HostAddress, Jitter, Loss, NodeKind, Probability, Rate, Timestamp};
+use cotorra_graph_testing as base;
 use divan::{
     AllocProfiler, Bencher,
     counter::{BytesCount, ItemsCount},
@@ -25,37 +23,18 @@ fn main() {
 const BATCH: usize = 64;
 const HOPS: [usize; 3] = [1, 3, 10];
 
-fn name(i: usize) -> NodeId {
-    format!("n{i}").parse().expect("a letter and a number make a name")
+fn name(i: usize) -> String {
+    format!("n{i}")
 }
 
 /// Two servers with `hops` equal links between them.
 fn chain(hops: usize, conditions: &Conditions) -> Fabric {
-    let domain: DomainId = "home".parse().expect("letters make a name");
-    let server = || {
-        let capacity = Capacity { cpus: 1.0, memory_bytes: 1 << 30 };
-        NodeKind::Server(Server { tier: Tier::Edge, capacity, cost: 1.0, reliability: 1.0, real: None })
-    };
     let node = |i| {
-        let kind = if i == 0 || i == hops { server() } else { NodeKind::Switch };
-        Node { id: name(i), domain: domain.clone(), position: None, kind }
+        let kind = if i == 0 || i == hops { NodeKind::Server(base::server()) } else { NodeKind::Switch };
+        base::node(&name(i), kind)
     };
-    let link = |i: usize| Link {
-        id: format!("l{i}").parse().expect("a letter and a number make a name"),
-        ends: [name(i), name(i + 1)],
-        forward: conditions.clone(),
-        backward: conditions.clone(),
-        scales: Default::default(),
-        medium: BitRate::from_bits_per_second(100_000_000_000).expect("the rate is above 0"),
-        medium_delay: Duration::ZERO,
-        reliability: 1.0,
-    };
-    let graph = HardwareGraph {
-        domains: vec![domain.clone()],
-        nodes: (0..=hops).map(node).collect(),
-        links: (0..hops).map(link).collect(),
-        wireless: BTreeMap::new(),
-    };
+    let link = |i: usize| base::link(&name(i), &name(i + 1), conditions.clone());
+    let graph = base::graph((0..=hops).map(node).collect(), (0..hops).map(link).collect());
     Fabric::new(&graph, 1).expect("the chain is a sound graph")
 }
 

@@ -114,7 +114,7 @@ struct Port {
     sources: Sources,
 }
 
-/// How packets of a node reach the wired network.
+/// A node's way into the wired network.
 #[derive(Debug, Clone, Copy)]
 enum Reach {
     /// It is on the wired network.
@@ -128,7 +128,7 @@ enum Reach {
     },
 }
 
-/// How a robot reaches a radio unit.
+/// A robot's way to a radio unit.
 #[derive(Debug, Clone, Copy)]
 enum ByAir {
     /// By the fabric's radio, over the radio unit that it is attached to.

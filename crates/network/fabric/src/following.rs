@@ -1,4 +1,4 @@
-//! Follows the frames of clients to their servers, and the answers back, to tell where the time of a round trip went.
+//! Follows the frames of clients to their servers, and the answers back, to split the time of a round trip.
 
 use std::{collections::VecDeque, fmt, time::Duration};
 
@@ -55,7 +55,7 @@ pub struct RoundTrip {
     pub back: Trip,
 }
 
-/// What became of a followed datagram.
+/// Fate of a followed datagram.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Followed {
     /// Its answer is handed out.
@@ -64,12 +64,12 @@ pub enum Followed {
     Progress {
         /// The id, little endian.
         id: u64,
-        /// How far it came.
+        /// The last place that it reached.
         progress: Progress,
     },
 }
 
-/// How far a followed datagram came.
+/// The last place that a followed datagram reached.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Progress {
     /// It entered the network.
@@ -112,7 +112,7 @@ struct Sent {
     place: Option<Place>,
     id: Option<u64>,
     trip: Option<Trip>,
-    /// Where it was lost.
+    /// Place of its loss.
     lost: Option<LostAt>,
 }
 
@@ -122,7 +122,7 @@ struct Answer {
     /// Ports of the client and the server.
     ports: [u16; 2],
     entered: Timestamp,
-    /// Where it was lost.
+    /// Place of its loss.
     lost: Option<LostAt>,
 }
 

@@ -20,12 +20,12 @@
 //!   [attach](Fabric::attach) to other radio units.
 //! - **Other cores.** A robot may [depart](Fabric::depart) to a radio unit that another core emulates. Its packets then
 //!   leave this fabric, and those to it leave at a border. The other core returns them [here](Fabric::arrive).
-//! - **Other radios.** Radios that are none of the fabric's, such as those of a kernel, use [antennas](Fabric::lend_antenna)
+//! - **Other radios.** Radios that are not the fabric's, such as those of a kernel, use [antennas](Fabric::lend_antenna)
 //!   of robots and radio units. Their [frames](Fabric::transmit) contend, fade and collide as all others.
 //! - **Measurement.** The packets of [probes](Fabric::probe_links) and [throughput tests](Fabric::test_throughput) cross
 //!   links as others do. They reach no host and are in no counter. The [service times of flows](Fabric::measure_flows)
-//!   are measured where frames enter and leave. [Followed](Fabric::follow) frames tell the time on each link; others carry
-//!   no trace.
+//!   are measured where frames enter and leave. [Followed](Fabric::follow) frames carry the time on each link;
+//!   others carry no trace.
 //! - **Taps.** [Readers](Fabric::tap) see the packets that cross the links they name. Without any, this costs nothing.
 //! - **Offloads.** A super-packet stays whole where no link on its way needs single packets; all counters count its
 //!   packets. Random impairments, rates below 1 Gbit/s, traces, queues that are not drop tail, and the air cut it. A

@@ -2,7 +2,9 @@
 //! for frames to all hosts. Both are worked out at first use, and again after a delay changed. Frames from one host to
 //! another can be pinned to a path.
 
-use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc, time::Duration};
+use std::{collections::BTreeSet, sync::Arc, time::Duration};
+
+use cotorra_graph::{Arrival, cheapest_paths, steps_back};
 
 use crate::port::PortId;
 
@@ -15,17 +17,8 @@ pub(crate) enum Target {
     All { tree: Arc<Tree>, source: PortId },
 }
 
-/// Cost of a path: its delay in nanoseconds, then its hops.
-type Cost = (u64, u32);
-
-/// A vertex's step towards a root, or the root's towards it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Step {
-    /// Cost of the whole path between vertex and root.
-    cost: Cost,
-    /// The edge at this vertex.
-    edge: u32,
-}
+/// Cost of a path: its delay in nanoseconds, its hops, then its last edge, so that the order of edges decides.
+type Cost = (u64, u32, u32);
 
 /// A spanning tree without the branches that lead to no host.
 #[derive(Debug)]
@@ -70,16 +63,6 @@ struct Edge {
     delay_ns: u64,
 }
 
-/// Steps of all vertices; [`UNREACHABLE`] without a path.
-type Steps = Box<[Step]>;
-
-const UNREACHABLE: Step = Step { cost: (u64::MAX, u32::MAX), edge: u32::MAX };
-
-/// Returns the edge of a step; `None` if there is no path.
-fn taken(step: Step) -> Option<usize> {
-    (step != UNREACHABLE).then_some(step.edge as usize)
-}
-
 /// A result and the version of the routes that it holds for.
 type Cached<T> = Option<(u64, T)>;
 
@@ -91,7 +74,8 @@ pub(crate) struct Routes {
     /// Edges that leave, and that enter, each vertex.
     adjacent: [Vec<Vec<u32>>; 2],
     version: u64,
-    towards: Vec<Cached<Steps>>,
+    /// Next edges from all vertices to each root.
+    towards: Vec<Cached<Box<[Option<u32>]>>>,
     away: Vec<Cached<Arc<Tree>>>,
 }
 
@@ -153,10 +137,12 @@ impl Routes {
     /// Returns the next edge from a vertex towards another; `None` without a wired path.
     pub(crate) fn step(&mut self, from: usize, to: usize) -> Option<usize> {
         if self.towards[to].as_ref().is_none_or(|(version, _)| *version != self.version) {
-            self.towards[to] = Some((self.version, self.shortest(to, Sense::Towards).0));
+            let next = |arrival: Option<Arrival<Cost>>| arrival?.by.map(|(_, edge)| edge as u32);
+            let steps = self.shortest(to, Sense::Towards).into_iter().map(next).collect();
+            self.towards[to] = Some((self.version, steps));
         }
         let (_, steps) = self.towards[to].as_ref()?;
-        taken(steps[from])
+        steps[from].map(|edge| edge as usize)
     }
 
     /// Returns the edge of a path that leaves a vertex.
@@ -166,15 +152,9 @@ impl Routes {
 
     /// Returns the edges of the shortest path between two vertices; `None` without a wired path.
     pub(crate) fn path(&self, from: usize, to: usize) -> Option<Vec<usize>> {
-        let (steps, _) = self.shortest(to, Sense::Towards);
-        let mut path = Vec::new();
-        let mut at = from;
-        while at != to {
-            let edge = taken(steps[at])?;
-            path.push(edge);
-            at = self.end(edge);
-        }
-        Some(path)
+        let steps = self.shortest(to, Sense::Towards);
+        steps[from]?;
+        Some(steps_back(&steps, from).map(|(_, edge)| edge).collect())
     }
 
     /// Returns the tree that a frame to all hosts takes from a vertex.
@@ -184,53 +164,31 @@ impl Routes {
         {
             return Arc::clone(tree);
         }
-        let (steps, order) = self.shortest(root, Sense::Away);
-        let mut leads_to_port: Vec<bool> = self.vertices.iter().map(|v| v.has_port).collect();
-        let mut branches = Vec::new();
-        // Goes from the leaves to the root.
-        for &vertex in order.iter().rev().filter(|v| **v as usize != root) {
-            if leads_to_port[vertex as usize] {
-                let edge = steps[vertex as usize].edge;
-                let from = self.edges[edge as usize].ends[0];
-                leads_to_port[from as usize] = true;
-                branches.push((from, edge));
-            }
+        let steps = self.shortest(root, Sense::Away);
+        let mut branches = BTreeSet::new();
+        for vertex in (0..self.vertices.len()).filter(|vertex| self.vertices[*vertex].has_port) {
+            // Where a branch is known, so is the way to it from the root.
+            let is_new = |(from, edge): &(usize, usize)| branches.insert((*from as u32, *edge as u32));
+            steps_back(&steps, vertex).take_while(is_new).for_each(drop);
         }
-        branches.sort_unstable();
-        let tree = Arc::new(Tree { branches });
+        let tree = Arc::new(Tree { branches: branches.into_iter().collect() });
         self.away[root] = Some((self.version, Arc::clone(&tree)));
         tree
     }
 
-    /// Returns the shortest paths between the root and all vertices (Dijkstra 1959), and the order in which they were
-    /// found. Of equal delays, fewer hops win, then the order of edges. Every step lowers the cost, so no path has a
-    /// loop.
-    fn shortest(&self, root: usize, sense: Sense) -> (Steps, Vec<u32>) {
-        let mut steps = vec![UNREACHABLE; self.vertices.len()].into_boxed_slice();
-        let mut order = Vec::new();
-        let mut found = vec![false; self.vertices.len()];
-        let mut heap = BinaryHeap::from([Reverse(((0, 0), root as u32))]);
-        while let Some(Reverse((cost, vertex))) = heap.pop() {
-            if std::mem::replace(&mut found[vertex as usize], true) {
-                continue;
-            }
-            order.push(vertex);
-            if vertex as usize != root && !self.vertices[vertex as usize].forwards {
-                continue;
-            }
-            for &edge in &self.adjacent[sense as usize][vertex as usize] {
-                let Edge { ends, delay_ns } = &self.edges[edge as usize];
-                let far = ends[1 - sense as usize] as usize;
-                let step = Step { cost: (cost.0 + delay_ns, cost.1 + 1), edge };
-                let before = steps[far];
-                if !found[far] && (step.cost, step.edge) < (before.cost, before.edge) {
-                    if step.cost < before.cost {
-                        heap.push(Reverse((step.cost, far as u32)));
-                    }
-                    steps[far] = step;
-                }
-            }
-        }
-        (steps, order)
+    /// Returns the shortest paths between the root and all vertices. Of equal delays, fewer hops win, then the order of
+    /// edges. Every step raises the cost, so no path has a loop.
+    fn shortest(&self, root: usize, sense: Sense) -> Vec<Option<Arrival<Cost>>> {
+        cheapest_paths(
+            self.vertices.len(),
+            &[(root, (0, 0, 0))],
+            |vertex| self.vertices[vertex].forwards,
+            |vertex, (so_far, hops, _): Cost| {
+                self.adjacent[sense as usize][vertex].iter().map(move |&i| {
+                    let Edge { ends, delay_ns } = &self.edges[i as usize];
+                    (ends[1 - sense as usize] as usize, i as usize, (so_far + delay_ns, hops + 1, i))
+                })
+            },
+        )
     }
 }

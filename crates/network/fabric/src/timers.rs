@@ -16,7 +16,7 @@ pub(crate) struct Timers {
 }
 
 impl Timers {
-    /// Creates a timer for each owner, none of them set.
+    /// Creates a timer for each owner, all unset.
     pub(crate) fn new(owners: usize) -> Self {
         Self { heap: Vec::new(), place: vec![IDLE; owners], deadline: vec![Timestamp::MAX; owners] }
     }

@@ -18,7 +18,7 @@ pub(crate) struct Trace {
     pub crossings: Vec<Crossing>,
     /// The client that it is for, if it may answer followed frames.
     pub answers: Option<Answered>,
-    /// Where it was lost or damaged first, and why.
+    /// Place and cause of its first loss or damage.
     pub ended: Option<(Option<DirectedLink>, LostCause)>,
 }
 

@@ -36,7 +36,7 @@ pub enum Error {
     /// The kernel rejected a request, or a socket failed.
     #[error("the kernel refuses to {what}: {source}")]
     Refused {
-        /// What was asked.
+        /// The request.
         what: &'static str,
         /// The kernel's error.
         source: io::Error,

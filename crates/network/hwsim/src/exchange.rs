@@ -25,7 +25,7 @@ const BATCH: usize = 64;
 pub struct Exchange {
     socket: MediumSocket,
     medium: Medium,
-    /// How many messages to take before the socket is waited for again. It grows while the socket stays readable.
+    /// Number of messages to take before the socket is waited for again. It grows while the socket stays readable.
     batch: usize,
 }
 
@@ -63,7 +63,7 @@ impl Exchange {
         self.take(now, fabric, self.batch)
     }
 
-    /// Records that the socket was not readable after the last delivery: the kernel has refused none of its messages.
+    /// Records that the socket was not readable after the last delivery: the kernel has accepted all its messages.
     pub fn nothing_waits(&mut self) {
         self.batch = 1;
         self.medium.confirm();

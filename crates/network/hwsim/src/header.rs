@@ -30,7 +30,7 @@ pub enum FrameType {
     Extension,
 }
 
-/// What a medium needs of a frame's MAC header.
+/// Fields of a frame's MAC header that a medium needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Header {
     /// Its type.
@@ -47,9 +47,9 @@ pub struct Header {
     pub power_management: bool,
     /// Whether its body is encrypted.
     pub protected: bool,
-    /// Who is to receive it (address 1).
+    /// Its receiver (address 1).
     pub receiver: MacAddress,
-    /// Who sends it (address 2); `None` in frames that answer another, such as acknowledgements.
+    /// Its sender (address 2); `None` in frames that answer another, such as acknowledgements.
     pub transmitter: Option<MacAddress>,
     /// Its sequence number, 0 to 4095; `None` in control and extension frames.
     pub sequence: Option<u16>,

@@ -31,7 +31,7 @@ pub struct Medium {
     radios: Vec<Member>,
     by_hardware: BTreeMap<MacAddress, usize>,
     by_antenna: BTreeMap<Antenna, usize>,
-    /// Who receives frames to an address.
+    /// Receivers of frames to an address.
     by_address: BTreeMap<MacAddress, usize>,
     agreements: Agreements,
     /// Frames that the air has not settled, by their number.
@@ -40,7 +40,7 @@ pub struct Medium {
     /// Frames to one radio that the kernel may refuse: their numbers and that of the transmission.
     delivered: BTreeMap<u32, u64>,
     numbered: u32,
-    /// How often the kernel's refusals were known.
+    /// Number of times that the kernel's refusals were known.
     confirmed: u64,
     /// A report that depends on refusals.
     held: Option<Report>,

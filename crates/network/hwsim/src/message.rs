@@ -81,7 +81,7 @@ pub enum Message {
     Frame(Frame),
     /// A frame that a radio receives. To the kernel.
     Delivery(Delivery),
-    /// What became of a frame that a radio sent. To the kernel.
+    /// Fate of a frame that a radio sent. To the kernel.
     Status(Status),
     /// Creates a radio, or says that one was created.
     NewRadio(Radio),
@@ -106,7 +106,7 @@ pub struct Frame {
     pub frequency_mhz: Option<u32>,
     /// Whether the kernel waits for the status. It does so for all frames; the flag is that of mac80211.
     pub wants_status: bool,
-    /// Whether nobody is to acknowledge it.
+    /// Whether it needs no acknowledgement.
     pub no_ack: bool,
     /// Whether it may go in an A-MPDU. Only the kernel of `scripts/radio-kernel` says so.
     pub aggregates: bool,
@@ -131,7 +131,7 @@ pub struct Delivery {
     pub frequency_mhz: Option<u32>,
 }
 
-/// What became of a frame that a radio sent.
+/// Fate of a frame that a radio sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Status {
     /// Hardware address of the radio.

@@ -31,7 +31,7 @@ pub struct MediumSocket {
     numbers: Vec<u32>,
 }
 
-/// What comes from the kernel.
+/// Messages from the kernel.
 #[derive(Debug)]
 pub enum Incoming {
     /// A message.
@@ -92,7 +92,7 @@ impl MediumSocket {
     }
 
     /// Sends the queued messages in one system call. Returns the numbers of those that could not be sent: none, or all of them.
-    /// What the kernel refuses comes back by [`Self::receive`].
+    /// [`Self::receive`] returns the kernel's refusals.
     pub fn flush(&mut self) -> Vec<u32> {
         if self.queued.is_empty() {
             return Vec::new();
@@ -147,7 +147,7 @@ impl fmt::Debug for MediumSocket {
     }
 }
 
-/// What a datagram holds. The kernel sends a medium one message in each.
+/// Content of a datagram. The kernel sends a medium one message in each.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Answer {
     Message(Message),

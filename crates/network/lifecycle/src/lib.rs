@@ -1,5 +1,5 @@
 //! The life cycle of applications in the terms of two published interfaces: the FDUs and networks of Eclipse fog05 v0.2, and
-//! ETSI GS MEC 010-2 v2.1.1. docs/lifecycle.md has the mapping.
+//! ETSI GS MEC 010-2 v2.1.1. docs/use/lifecycle.md has the mapping.
 //!
 //! [`Applications`] is a state machine without a socket or a clock. It says which VNF to add, to move or to remove, and is
 //! told the outcome. [`fog05`] and [`mec`] read requests and write documents. [`Subscriptions`] hold notifications for those who

@@ -1,5 +1,5 @@
 //! The thread that sends notifications. It waits until one is due, and posts it. It is separate from the thread that
-//! serves requests, so that a hanging consumer delays nobody else.
+//! serves requests, so that a hanging consumer delays no other consumer.
 
 use std::{io, net::SocketAddr, pin::Pin, sync::Arc, time::Duration};
 

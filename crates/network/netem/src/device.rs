@@ -5,13 +5,14 @@ use std::{collections::BTreeMap, fmt};
 
 use crate::{
     filter::{Field, Filter, Verdict},
-    handle::{Handle, Network},
+    handle::Handle,
     netem::Netem,
     request::{Discipline, Object, Request, Verb},
     rule::{Counters, DisciplineError, Replaced, Rule, Side},
     structure::{number, word},
     tree::{Installed, Root, Tree},
 };
+use cotorra_graph::IpNetwork;
 use cotorra_netlink::{DecodeError, attributes, text};
 
 /// A network interface.
@@ -141,7 +142,7 @@ impl Device {
     /// those for networks.
     pub fn rules(&self) -> impl Iterator<Item = (Rule, Counters)> {
         let of = |side, tree: &Tree| {
-            let rule = move |(network, installed): (&Option<Network>, &Installed)| {
+            let rule = move |(network, installed): (&Option<IpNetwork>, &Installed)| {
                 let rule = Rule { side, network: *network, netem: installed.netem.clone() };
                 (rule, installed.counters)
             };
@@ -153,7 +154,7 @@ impl Device {
 
     /// Sets the distribution of a rule's jitter. The kernel does not report it, and it is needed when the rule is
     /// created anew.
-    pub fn recall(&mut self, side: Side, network: Option<Network>, distribution: crate::Distribution) {
+    pub fn recall(&mut self, side: Side, network: Option<IpNetwork>, distribution: crate::Distribution) {
         let tree = match side {
             Side::Egress => Some(&mut self.egress),
             Side::Ingress => self.detour.as_mut(),
@@ -239,7 +240,7 @@ impl Device {
     }
 
     /// Plans the removal of a rule. Removing a side's last rule is [`Self::clear`].
-    pub fn remove(&self, side: Side, network: Option<Network>, replaced: Option<&Replaced>) -> Plan {
+    pub fn remove(&self, side: Side, network: Option<IpNetwork>, replaced: Option<&Replaced>) -> Plan {
         let tree = match side {
             Side::Egress => Some(&self.egress),
             Side::Ingress => self.detour.as_ref(),
@@ -265,7 +266,7 @@ impl Device {
                 if self.hook.redirects {
                     requests.push(self.redirect(Verb::Delete, detour));
                 }
-                // `clsact` is never ours. An empty `ingress` discipline serves nobody.
+                // `clsact` is never ours. An empty `ingress` discipline is unused.
                 if self.hook.discipline.as_deref() == Some("ingress") && self.hook.others == 0 {
                     requests.push(self.arriving(Verb::Delete));
                 }

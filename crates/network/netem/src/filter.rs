@@ -3,10 +3,8 @@
 
 use std::net::IpAddr;
 
-use crate::{
-    handle::{Handle, Network},
-    structure::word,
-};
+use crate::{handle::Handle, structure::word};
+use cotorra_graph::IpNetwork;
 use cotorra_netlink::{DecodeError, Writer, attributes};
 
 /// Address field that a filter compares.
@@ -28,7 +26,7 @@ pub(crate) enum Verdict {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Filter {
     /// Network to match; `None` matches every packet.
-    pub(crate) network: Option<Network>,
+    pub(crate) network: Option<IpNetwork>,
     pub(crate) field: Field,
     pub(crate) verdict: Verdict,
     /// Filters run in ascending priority. Each of ours has its own.
@@ -55,7 +53,7 @@ fn offset(of: [(Field, u32); 2], field: Field) -> u32 {
 impl Filter {
     /// Returns the EtherType of the packets that the filter examines.
     pub(crate) fn protocol(&self) -> u16 {
-        match self.network.map(Network::address) {
+        match self.network.map(|network| network.address()) {
             Some(IpAddr::V4(_)) => 0x0800,
             Some(IpAddr::V6(_)) => 0x86dd,
             None => 0x0003,
@@ -143,7 +141,7 @@ fn redirect(actions: &[u8]) -> Result<Option<u32>, DecodeError> {
     Ok(None)
 }
 
-fn read_selector(value: &[u8], protocol: u16) -> Result<Option<(Field, Option<Network>)>, DecodeError> {
+fn read_selector(value: &[u8], protocol: u16) -> Result<Option<(Field, Option<IpNetwork>)>, DecodeError> {
     let keys = value.get(SELECTOR_HEADER..).ok_or(DecodeError("a filter's selector is too short"))?;
     let (fields, length) = match protocol {
         0x0800 => (V4, 4),
@@ -170,7 +168,7 @@ fn read_selector(value: &[u8], protocol: u16) -> Result<Option<(Field, Option<Ne
         4 => IpAddr::from([address[0], address[1], address[2], address[3]]),
         _ => IpAddr::from(<[u8; 16]>::try_from(address).expect("an address of IPv6 has 16 bytes")),
     };
-    Ok(field.and_then(|field| Some((field, Some(Network::new(address, prefix)?)))))
+    Ok(field.and_then(|field| Some((field, Some(IpNetwork::new(address, prefix)?)))))
 }
 
 #[cfg(test)]
@@ -183,9 +181,9 @@ mod tests {
         #[test]
         fn written_filters_are_read_back(bits: u128, v4: bool, prefix in 0_u8..=128, source: bool, class in 1_u16.., priority: u16) {
             let network = if v4 {
-                Network::new((bits as u32).to_be_bytes().into(), prefix / 4)
+                IpNetwork::new((bits as u32).to_be_bytes().into(), prefix / 4)
             } else {
-                Network::new(bits.to_be_bytes().into(), prefix)
+                IpNetwork::new(bits.to_be_bytes().into(), prefix)
             };
             let field = if source { Field::Source } else { Field::Destination };
             let filter = Filter { network, field, verdict: Verdict::Class(Handle::class(class)), priority };

@@ -2,18 +2,18 @@
 
 use std::io;
 
+use cotorra_graph::IpNetwork;
 use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
 
 use crate::{
     device::{Device, DisciplineInfo, Interface, Plan, Snapshot, decode_filter},
-    handle::Network,
     netem::Netem,
     request::{Dump, Object, Request, Verb},
     route,
     rule::{Rule, Side},
     structure::word,
 };
-use cotorra_netlink::{DecodeError, Message, attributes, messages, text};
+use cotorra_netlink::{Answers, DecodeError, ERROR, Message, State, attributes, messages, text};
 
 /// A failure in the exchange with the kernel.
 #[derive(Debug, thiserror::Error)]
@@ -69,8 +69,8 @@ impl Error {
     }
 }
 
-const ERROR: u16 = 2;
-const DONE: u16 = 3;
+/// Number of all requests: each is answered before the next.
+const NUMBER: u32 = 1;
 const HEADER: usize = 16;
 /// `NLM_F_ACK_TLVS`: attributes follow the error code.
 const HAS_TEXT: u16 = 0x200;
@@ -143,7 +143,7 @@ impl Kernel {
         let mut lacks = Vec::new();
         let sides = [
             (Side::Egress, None),
-            (Side::Egress, Network::new([10, 0, 0, 1].into(), 32)),
+            (Side::Egress, IpNetwork::new([10, 0, 0, 1].into(), 32)),
             (Side::Ingress, None),
         ];
         for (side, network) in sides {
@@ -212,7 +212,7 @@ impl Kernel {
     }
 
     fn send(&self, request: &Request) -> Result<(), Error> {
-        self.socket.send(&request.encode(1), 0)?;
+        self.socket.send(&request.encode(NUMBER), 0)?;
         let mut answer = Vec::with_capacity(16 << 10);
         self.socket.recv(&mut answer, 0)?;
         let answer = messages(&answer).next().ok_or(DecodeError("an answer is empty"))??;
@@ -238,19 +238,16 @@ impl Kernel {
 
     /// Sends a dump request and returns the bodies of all answers.
     fn dump(&self, question: Dump) -> Result<Vec<Vec<u8>>, Error> {
-        self.socket.send(&question.encode(1), 0)?;
-        let mut bodies = Vec::new();
-        let mut answers = Vec::with_capacity(64 << 10);
+        self.socket.send(&question.encode(NUMBER), 0)?;
+        let mut answers = Answers::new(NUMBER);
+        let mut datagram = Vec::with_capacity(64 << 10);
         loop {
-            answers.clear();
-            self.socket.recv(&mut answers, 0)?;
-            for message in messages(&answers) {
-                let Message { kind, body, .. } = message?;
-                match kind {
-                    DONE => return Ok(bodies),
-                    ERROR => return Err(io::Error::from_raw_os_error(-(word(body, 0)? as i32)).into()),
-                    _ => bodies.push(body.to_vec()),
-                }
+            datagram.clear();
+            self.socket.recv(&mut datagram, 0)?;
+            match answers.take(&datagram, &|body| Ok(Some(body.to_vec())))? {
+                State::Incomplete => {}
+                State::Complete(_) => return Ok(answers.found),
+                State::Rejected(error) => return Err(error.into()),
             }
         }
     }

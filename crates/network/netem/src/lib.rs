@@ -26,7 +26,7 @@ pub use cotorra_netlink::DecodeError;
 pub use device::read_anything;
 pub use device::{Device, Interface, Plan};
 pub use distribution::Distribution;
-pub use handle::{Handle, Network, ParseNetworkError};
+pub use handle::Handle;
 pub use hold::{Confirmed, Hold, HoldError, leftovers, put_back};
 pub use kernel::{Error, Kernel};
 pub use loss::Loss;

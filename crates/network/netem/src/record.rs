@@ -7,12 +7,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use cotorra_graph::IpNetwork;
 use serde::{Deserialize, Serialize};
 
 use crate::{
     device::{Device, Interface},
     distribution::Distribution,
-    handle::Network,
     rule::{Replaced, Rule, Side},
 };
 
@@ -26,7 +26,7 @@ pub struct Record {
     /// Process whose end removes the conditions; `None` if they are permanent.
     #[serde(default)]
     pub owner: Option<Owner>,
-    shapes: Vec<(Side, Option<Network>, Distribution)>,
+    shapes: Vec<(Side, Option<IpNetwork>, Distribution)>,
 }
 
 /// A process, distinct from later ones with the same ID.

@@ -9,7 +9,10 @@ use crate::{
     loss::Loss,
     netem::Netem,
 };
-use cotorra_netlink::{ACK, DUMP, REQUEST, Writer, message};
+use cotorra_netlink::{
+    ACK, CREATE, DUMP, EXCLUSIVE, REQUEST, Writer, message,
+    rtnetlink::{self, NEW_LINK},
+};
 
 /// Action of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,19 +67,13 @@ pub(crate) struct Request {
 }
 
 /// Message kinds `RTM_NEW…`. Deletion is the next number, retrieval the one after.
-const LINK: u16 = 16;
 const ROUTE: u16 = 24;
 const QDISC: u16 = 36;
 const CLASS: u16 = 40;
 const FILTER: u16 = 44;
 
-const CREATE: u16 = 0x400;
-const EXCLUSIVE: u16 = 0x200;
-
 const KIND: u16 = 1;
 const OPTIONS: u16 = 2;
-
-const UP: u32 = 1;
 
 /// Rate of a class in bytes per second: 1 Tbit/s, i.e. unlimited.
 const CLASS_RATE: u64 = 125_000_000_000;
@@ -151,14 +148,14 @@ impl Request {
                 FILTER
             }
             Object::Ifb => {
-                w.raw(&link(index, UP));
+                w = rtnetlink::link_up(index);
                 if delete == 0 {
                     w.text(3, &self.interface.1).words(13, &[crate::netem::QUEUE]);
                     w.with(18, |w| {
                         w.text(1, "ifb");
                     });
                 }
-                LINK
+                NEW_LINK
             }
         };
         message(kind + delete, flags, number, &w.finish())
@@ -178,7 +175,7 @@ pub(crate) enum Dump {
 impl Dump {
     pub(crate) fn encode(self, number: u32) -> Vec<u8> {
         let (kind, body) = match self {
-            Self::Links => (LINK, link(0, 0)),
+            Self::Links => (NEW_LINK, rtnetlink::link(0).finish()),
             Self::Disciplines => (QDISC, tc(0, Handle(0), Handle(0), 0)),
             // An empty `struct rtmsg` selects all address families.
             Self::Routes => (ROUTE, vec![0; 12]),
@@ -191,11 +188,6 @@ impl Dump {
 /// Encodes `struct tcmsg`.
 fn tc(index: u32, handle: Handle, parent: Handle, info: u32) -> Vec<u8> {
     [0, index, handle.0, parent.0, info].map(u32::to_ne_bytes).concat()
-}
-
-/// Encodes `struct ifinfomsg`.
-fn link(index: u32, flags: u32) -> Vec<u8> {
-    [0, index, flags, flags].map(u32::to_ne_bytes).concat()
 }
 
 impl Discipline {

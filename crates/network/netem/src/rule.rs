@@ -3,11 +3,7 @@
 use cotorra_graph::{Conditions, IpNetwork, LinkCounters};
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    conditions::ConditionsError,
-    handle::{Handle, Network},
-    netem::Netem,
-};
+use crate::{conditions::ConditionsError, handle::Handle, netem::Netem};
 
 /// Direction of packets at an interface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
@@ -26,7 +22,7 @@ pub struct Rule {
     /// Direction of the packets.
     pub side: Side,
     /// Network that they go to or come from. `None` matches all packets that no other rule matches.
-    pub network: Option<Network>,
+    pub network: Option<IpNetwork>,
     /// Conditions of these packets.
     pub netem: Netem,
 }
@@ -42,11 +38,11 @@ impl Rule {
         addresses: Option<IpNetwork>,
         conditions: &Conditions,
     ) -> Result<Self, ConditionsError> {
-        Ok(Self { side, network: addresses.map(Network::from), netem: Netem::try_from(conditions)? })
+        Ok(Self { side, network: addresses, netem: Netem::try_from(conditions)? })
     }
 
     /// The packets that it applies to.
-    pub fn packets(&self) -> (Side, Option<Network>) {
+    pub fn packets(&self) -> (Side, Option<IpNetwork>) {
         (self.side, self.network)
     }
 }

@@ -6,11 +6,12 @@ use std::collections::BTreeMap;
 
 use crate::{
     filter::{Field, Filter, Verdict},
-    handle::{Handle, Network},
+    handle::Handle,
     netem::Netem,
     request::{Discipline, Object, Request, Verb},
     rule::{Counters, DisciplineError, Replaced},
 };
+use cotorra_graph::IpNetwork;
 
 /// Root discipline of an interface.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,7 +45,7 @@ pub(crate) struct Tree {
     pub(crate) field: Field,
     pub(crate) root: Root,
     /// Rules by network. `None` matches all packets that no other rule matches.
-    pub(crate) rules: BTreeMap<Option<Network>, Installed>,
+    pub(crate) rules: BTreeMap<Option<IpNetwork>, Installed>,
 }
 
 /// Number of priorities reserved for filters of each prefix length.
@@ -71,14 +72,14 @@ impl Tree {
         self.request(verb, Object::Discipline { parent, handle, discipline })
     }
 
-    fn filter(&self, verb: Verb, network: Option<Network>, number: u16, priority: u16) -> Request {
+    fn filter(&self, verb: Verb, network: Option<IpNetwork>, number: u16, priority: u16) -> Request {
         let verdict = Verdict::Class(Handle::class(number));
         let filter = Filter { network, field: self.field, verdict, priority };
         self.request(verb, Object::Filter { parent: Handle::OURS, filter })
     }
 
     /// Requests that create a rule in a class.
-    fn add_rule(&self, network: Option<Network>, number: u16, priority: u16, netem: Netem) -> [Request; 3] {
+    fn add_rule(&self, network: Option<IpNetwork>, number: u16, priority: u16, netem: Netem) -> [Request; 3] {
         [
             self.request(Verb::Add, Object::Class { number }),
             self.leaf(Verb::Add, number, netem, None),
@@ -87,7 +88,7 @@ impl Tree {
     }
 
     /// Returns the first priority for filters of a network's prefix length.
-    fn priorities(network: Option<Network>) -> u16 {
+    fn priorities(network: Option<IpNetwork>) -> u16 {
         let Some(network) = network else { return LAST };
         let group = match network.address() {
             std::net::IpAddr::V4(_) => 32 - u16::from(network.prefix()),
@@ -97,7 +98,7 @@ impl Tree {
     }
 
     /// Returns a free class number and a free priority.
-    fn free(&self, network: Option<Network>) -> Result<(u16, u16), DisciplineError> {
+    fn free(&self, network: Option<IpNetwork>) -> Result<(u16, u16), DisciplineError> {
         let first = Self::priorities(network);
         let mut priorities = first..first.saturating_add(PRIORITIES);
         let priority = priorities.find(|p| self.rules.values().all(|rule| rule.priority != *p));
@@ -109,7 +110,7 @@ impl Tree {
     /// place.
     pub(crate) fn set(
         &self,
-        network: Option<Network>,
+        network: Option<IpNetwork>,
         netem: &Netem,
         replace: bool,
     ) -> Result<Vec<Request>, DisciplineError> {
@@ -152,7 +153,7 @@ impl Tree {
     }
 
     /// Returns the tree as it is after [`Self::set`].
-    pub(crate) fn with(&self, network: Option<Network>, netem: &Netem) -> Result<Self, DisciplineError> {
+    pub(crate) fn with(&self, network: Option<IpNetwork>, netem: &Netem) -> Result<Self, DisciplineError> {
         let mut tree = self.clone();
         if let Some(rule) = tree.rules.get_mut(&network) {
             rule.netem = netem.clone();
@@ -180,7 +181,7 @@ impl Tree {
     }
 
     /// Returns the requests that remove one rule of several.
-    pub(crate) fn remove(&self, network: Option<Network>) -> Vec<Request> {
+    pub(crate) fn remove(&self, network: Option<IpNetwork>) -> Vec<Request> {
         let Some(rule) = self.rules.get(&network) else { return Vec::new() };
         vec![
             self.filter(Verb::Delete, network, rule.number, rule.priority),
@@ -216,9 +217,9 @@ mod tests {
     use super::*;
     use crate::netem::tests::any_netem;
 
-    fn any_network() -> impl Strategy<Value = Option<Network>> {
+    fn any_network() -> impl Strategy<Value = Option<IpNetwork>> {
         prop::option::of((any::<u32>(), 0_u8..=32)).prop_map(|network| {
-            network.and_then(|(bits, prefix)| Network::new(bits.to_be_bytes().into(), prefix))
+            network.and_then(|(bits, prefix)| IpNetwork::new(bits.to_be_bytes().into(), prefix))
         })
     }
 

@@ -16,10 +16,8 @@ use std::{
 };
 
 use cotorra_datapath::Namespace;
-use cotorra_graph::{BitRate, Probability};
-use cotorra_netem::{
-    Device, DisciplineError, Distribution, Error, Jitter, Kernel, Loss, Netem, Network, Rule, Side,
-};
+use cotorra_graph::{BitRate, IpNetwork, Probability};
+use cotorra_netem::{Device, DisciplineError, Distribution, Error, Jitter, Kernel, Loss, Netem, Rule, Side};
 use proptest::prelude::*;
 
 /// Two hosts and a wire: `a` at 10.0.0.1 with the interface `va`, `b` at 10.0.0.2 and 10.0.0.3 with `vb`.
@@ -375,7 +373,7 @@ fn packets_are_duplicated_corrupted_and_reordered() {
 }
 
 fn to(network: &str, delay: u64) -> Rule {
-    let network = (!network.is_empty()).then(|| network.parse::<Network>().unwrap());
+    let network = (!network.is_empty()).then(|| network.parse::<IpNetwork>().unwrap());
     Rule { side: Side::Egress, network, netem: Netem { delay: ms(delay), ..Netem::default() } }
 }
 

@@ -18,7 +18,7 @@ const INTERRUPTED: u16 = 0x10;
 #[derive(Debug)]
 pub struct Answers<T> {
     sequence: u32,
-    /// What was decoded so far.
+    /// Values decoded so far.
     pub found: Vec<T>,
     /// Whether a change interrupted the dump, so that something may be missing.
     pub interrupted: bool,

@@ -92,14 +92,6 @@ fn fixed<const N: usize>(value: &[u8]) -> Result<[u8; N], DecodeError> {
     value.try_into().map_err(|_| DecodeError("a number has another length"))
 }
 
-/// Reads a number of one byte.
-///
-/// # Errors
-/// [`DecodeError`] for another length.
-pub fn parse_u8(value: &[u8]) -> Result<u8, DecodeError> {
-    fixed(value).map(u8::from_ne_bytes)
-}
-
 /// Reads a signed number of one byte.
 ///
 /// # Errors

@@ -31,7 +31,7 @@ pub struct Family {
 
 #[derive(Debug)]
 enum Number {
-    /// Nobody asked the kernel yet.
+    /// The kernel was not asked yet.
     Unknown,
     /// The kernel has no such family.
     Absent,

@@ -12,8 +12,8 @@ mod socket;
 
 pub use answers::{Answers, State};
 pub use attributes::{
-    DecodeError, NESTED, Writer, attributes, parse_i8, parse_i32, parse_mac, parse_u8, parse_u16, parse_u32,
-    parse_u64, text,
+    DecodeError, NESTED, Writer, attributes, parse_i8, parse_i32, parse_mac, parse_u16, parse_u32, parse_u64,
+    text,
 };
 pub use family::{Family, answer, decode_family};
 pub use message::{ACK, CREATE, DUMP, ERROR, EXCLUSIVE, Message, REPLACE, REQUEST, message, messages};

@@ -24,13 +24,13 @@ const HEADER: usize = 16;
 /// A message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Message<'a> {
-    /// What it is: below 16 the same in all protocols, otherwise by protocol. In generic netlink, the family's number.
+    /// Its type: below 16 the same in all protocols, otherwise by protocol. In generic netlink, the family's number.
     pub kind: u16,
     /// `NLM_F_*`.
     pub flags: u16,
-    /// The number of the request that it is, or answers. Messages that nobody asked for have 0.
+    /// The number of the request that it is, or answers. Unsolicited messages have 0.
     pub sequence: u32,
-    /// What follows the header.
+    /// Bytes behind the header.
     pub body: &'a [u8],
 }
 

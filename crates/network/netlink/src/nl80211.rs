@@ -67,7 +67,7 @@ pub mod interface_type {
     pub const P2P_GO: u32 = 9;
 }
 
-/// How a transmit power is set (`enum nl80211_tx_power_setting`).
+/// Ways to set a transmit power (`enum nl80211_tx_power_setting`).
 pub mod power_setting {
     /// `NL80211_TX_POWER_AUTOMATIC`.
     pub const AUTOMATIC: u32 = 0;

@@ -28,7 +28,7 @@ pub struct Netlink {
     sequence: u32,
 }
 
-/// What the kernel returned.
+/// The kernel's answer.
 #[derive(Debug)]
 struct Response<T> {
     answers: Answers<T>,
@@ -90,7 +90,7 @@ impl Netlink {
         body: &[u8],
         decode: &impl Fn(&[u8]) -> Result<Option<T>, DecodeError>,
     ) -> io::Result<Response<T>> {
-        // It comes back only if it can be used again: answers that nobody read would be in the way of the next ones.
+        // It comes back only if it can be used again: unread answers would precede the next ones.
         let socket = self.socket.take().map_or_else(|| self.open(), Ok)?;
         self.sequence = self.sequence.wrapping_add(1);
         socket.send(&message(kind, flags | REQUEST, self.sequence, body), 0)?;

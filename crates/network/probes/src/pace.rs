@@ -1,4 +1,4 @@
-//! How often links are probed, and what their probes tell.
+//! Rate of probes of links, and their results.
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
 //! The WLAN Access Information Service of ETSI GS MEC 028 v2.3.1: the testbed's radio state in the standard's terms,
-//! for MEC applications that use it already. docs/wais.md has the mapping.
+//! for MEC applications that use it already. docs/reference/wais.md has the mapping.
 //!
 //! [`Wais`] is a state machine: surveys and requests go in with the time, answers and notifications come out.
 //! [`http`] owns sockets and waits.

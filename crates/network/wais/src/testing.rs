@@ -3,9 +3,9 @@
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use cotorra_graph::{
-    Attachment, Dbm, NodeId, Pose, PoseSource, RadioContext, RobotContext, SensorData, StationContext,
-    Testbed, Timestamp, Velocity,
+    Attachment, Dbm, NodeId, Pose, PoseSource, RadioContext, RobotContext, StationContext, Testbed, Timestamp,
 };
+use cotorra_graph_testing as base;
 
 use crate::survey::{Scope, Site, Survey};
 
@@ -67,26 +67,8 @@ pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f
             signal: Some(Dbm(-50.0 - 10.0 * i as f64)),
             age: None,
         });
-        let sensors = SensorData {
-            pose,
-            odometry: pose,
-            velocity: Velocity::default(),
-            bumper: false,
-            nearest_obstacle_m: None,
-        };
         let attachments = attachments.collect();
-        (
-            id(robot),
-            RobotContext {
-                robot: id(robot),
-                attachments,
-                sensors,
-                waypoint: 0,
-                health: Vec::new(),
-                speed_limit_mps: None,
-                localization_error_m: None,
-            },
-        )
+        (id(robot), RobotContext { robot: id(robot), attachments, ..base::robot_context("robot", pose) })
     });
     let at = Timestamp::from_secs_f64(at);
     site.survey(at, &radio.into_iter().collect(), &robots.collect(), &BTreeMap::new())

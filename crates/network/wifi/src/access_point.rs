@@ -16,7 +16,7 @@ use crate::{
 pub struct AccessPoint {
     /// The radio's interface.
     pub interface: InterfaceName,
-    /// What carries its frames.
+    /// Driver that carries its frames.
     pub driver: AccessPointDriver,
     /// The settings of its radio.
     pub radio: Radio,
@@ -26,7 +26,7 @@ pub struct AccessPoint {
     pub virtual_aps: Vec<(InterfaceName, Bss)>,
 }
 
-/// What carries an access point's frames.
+/// Driver that carries an access point's frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AccessPointDriver {

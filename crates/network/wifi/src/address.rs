@@ -7,7 +7,7 @@ use std::{fmt, str::FromStr};
 pub struct MacAddress(pub [u8; 6]);
 
 impl MacAddress {
-    /// Whether it names one device, i.e. neither a group nor nobody.
+    /// Whether it names one device, i.e. neither a group nor zero.
     pub fn is_unicast(self) -> bool {
         self.0[0] & 1 == 0 && self.0 != [0; 6]
     }

@@ -23,7 +23,7 @@ const MOST_NETWORKS: usize = 10_000;
 /// A request that failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ControlError {
-    /// Nobody listens at the socket: the program ended, or was never started.
+    /// No program listens at the socket: it ended, or was never started.
     #[error("nobody listens at {path}: the program has ended or was not started")]
     Gone {
         /// The program's socket.
@@ -71,10 +71,11 @@ impl Client {
     pub const TIMEOUT: Duration = Duration::from_secs(10);
 
     /// Connects to a program's socket, such as `/run/hostapd/wlan0`. The own socket is a file in the folder `own`, which the
-    /// program's user must be able to enter. Nobody but the program can write to it. It is removed with the client.
+    /// program's user must be able to enter. Only the program can write to it. It is removed with the client.
     ///
     /// # Errors
-    /// [`ControlError::Gone`] if nobody listens there; [`ControlError::System`], e.g. without the right to write to the socket.
+    /// [`ControlError::Gone`] if no program listens there; [`ControlError::System`], e.g. without the right to write to
+    /// the socket.
     pub fn connect(program: &Path, own: &Path) -> Result<Self, ControlError> {
         Ok(Self { socket: Socket::connect(program, own)?, timeout: Self::TIMEOUT })
     }
@@ -181,7 +182,7 @@ impl Events {
                 return Ok(Some(message));
             }
         }
-        // The kernel tells of the end of a program only to those who send.
+        // The kernel reports the end of a program only to senders.
         self.socket.send("PING", Duration::ZERO)?;
         Ok(None)
     }
@@ -193,7 +194,7 @@ impl AsFd for Events {
     }
 }
 
-/// A socket that is connected to a program's. The kernel lets nobody but the program write to it.
+/// A socket that is connected to a program's. The kernel lets only the program write to it.
 #[derive(Debug)]
 struct Socket {
     socket: UnixDatagram,

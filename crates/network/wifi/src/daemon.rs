@@ -80,7 +80,7 @@ pub enum StartError {
     /// A file cannot be written, or the program cannot be started.
     #[error("cannot {action}: {source}")]
     System {
-        /// What was tried.
+        /// The attempt.
         action: String,
         /// The reason.
         source: io::Error,
@@ -90,7 +90,7 @@ pub enum StartError {
     Ended {
         /// The program.
         program: &'static str,
-        /// How it ended.
+        /// Its exit status.
         status: ExitStatus,
         /// The end of its log.
         log: String,
@@ -278,8 +278,8 @@ impl Daemon {
         self.process.try_wait()
     }
 
-    /// Ends the program: stations are told, and interfaces that it made are removed. It is killed if it takes longer than 3 s.
-    /// Its folder is removed. Dropping it does the same.
+    /// Ends the program: stations are notified, and interfaces that it made are removed. It is killed if it takes longer
+    /// than 3 s. Its folder is removed. Dropping it does the same.
     pub fn stop(self) {}
 
     #[allow(
@@ -391,7 +391,7 @@ pub(crate) fn clear(path: &Path) -> Result<(), StartError> {
         && let Ok(mut events) = client.events()
     {
         _ = client.request(&terminate());
-        // It has ended when nobody listens any more.
+        // It has ended when its socket is closed.
         _ = (0..STOP_CHECKS).find(|_| events.next(CHECK_INTERVAL).is_err());
     }
     fs::remove_dir_all(path).map_err(system(format!("remove {}", path.display())))

@@ -1,4 +1,4 @@
-//! What a machine's owner does with a Wi-Fi interface, noted so that it can be put back.
+//! An owner's use of a Wi-Fi interface, noted so that it can be put back.
 
 use std::{
     fs, io,
@@ -89,7 +89,7 @@ pub enum TakeoverError {
     /// The system refused.
     #[error("cannot {action} `{interface}`: {source}")]
     System {
-        /// What was tried.
+        /// The attempt.
         action: &'static str,
         /// The interface.
         interface: InterfaceName,

@@ -16,7 +16,7 @@ use crate::names::InterfaceName;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Power {
-    /// What the driver and the regulatory domain choose.
+    /// Power that the driver and the regulatory domain choose.
     Automatic,
     /// At most this much, in hundredths of dBm.
     AtMost(i32),

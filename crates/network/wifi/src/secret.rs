@@ -70,7 +70,7 @@ impl fmt::Debug for Passphrase {
     }
 }
 
-/// The key with which the units of a mobility domain encrypt what they tell each other about stations' keys (802.11r).
+/// The key with which the units of a mobility domain encrypt stations' keys for each other (802.11r).
 #[derive(Clone, PartialEq, Eq)]
 pub struct DomainKey([u8; 32]);
 

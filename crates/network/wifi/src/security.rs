@@ -1,4 +1,4 @@
-//! How stations prove who they are, and how frames are protected.
+//! Authentication of stations, and protection of frames.
 
 use std::{fmt, str::FromStr};
 
@@ -18,7 +18,7 @@ pub enum Security {
     Open,
     /// WPA2-PSK, with AES-CCMP.
     Wpa2 {
-        /// What stations have to know.
+        /// Secret that stations need.
         passphrase: Passphrase,
         /// Protection of management frames.
         protection: Protection,
@@ -27,7 +27,7 @@ pub enum Security {
     },
     /// WPA3-SAE, with AES-CCMP. Management frames are always protected.
     Wpa3 {
-        /// What stations have to know.
+        /// Secret that stations need.
         passphrase: Passphrase,
         /// Fast transition (FT-SAE, 802.11r). The keys of each association differ, so the units must exchange them.
         fast_transition: Option<(FastTransition, KeyExchange)>,
@@ -88,7 +88,7 @@ impl FromStr for KeyHolder {
     }
 }
 
-/// How the units of a mobility domain exchange keys. They reach each other through the bridges of their BSSs.
+/// Exchange of keys between the units of a mobility domain. They reach each other through the bridges of their BSSs.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyExchange {
     /// The key of all units.
@@ -196,7 +196,7 @@ impl Protection {
     }
 }
 
-/// What a station needs to join a network.
+/// Secrets that a station needs to join a network.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Credentials {

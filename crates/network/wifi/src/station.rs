@@ -16,7 +16,7 @@ use crate::{
 pub struct Station {
     /// The interface.
     pub interface: InterfaceName,
-    /// What carries its frames.
+    /// Driver that carries its frames.
     pub driver: StationDriver,
     /// The country; `None` leaves the kernel's regulatory domain as it is.
     pub country: Option<CountryCode>,
@@ -24,7 +24,7 @@ pub struct Station {
     pub networks: Vec<Network>,
 }
 
-/// What carries a station's frames.
+/// Driver that carries a station's frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum StationDriver {
     /// Linux's cfg80211, through nl80211.
@@ -52,7 +52,7 @@ impl StationDriver {
 pub struct Network {
     /// Its name.
     pub ssid: Ssid,
-    /// What is needed to join.
+    /// Secrets to join.
     pub credentials: Credentials,
     /// The only access point to join; `None` takes the best.
     pub bssid: Option<MacAddress>,
@@ -72,7 +72,7 @@ impl Network {
 /// Scans of a connected station, from which it decides whether to roam.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct BackgroundScan {
-    /// Which channels are scanned.
+    /// Channels to scan.
     pub method: BackgroundScanMethod,
     /// Signal below which it scans at the short interval, in dBm.
     pub threshold_dbm: i8,

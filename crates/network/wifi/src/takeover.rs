@@ -1,8 +1,8 @@
 //! Wi-Fi interfaces of a machine's owner, taken over for a while.
 //!
-//! hostapd does not tell its passphrases, so settings that are changed could not be put back. A takeover therefore leaves the
-//! owner's hostapd as it is, and disables it: a hostapd of its own serves meanwhile. wpa_supplicant gets one network more, and
-//! is told to join that.
+//! hostapd does not reveal its passphrases, so settings that are changed could not be put back. A takeover therefore
+//! leaves the owner's hostapd as it is, and disables it: a hostapd of its own serves meanwhile. wpa_supplicant gets one
+//! network more, and is told to join that.
 
 use std::path::{Path, PathBuf};
 
@@ -26,7 +26,7 @@ use crate::{
 /// Beacons that announce another channel.
 const ANNOUNCEMENTS: u8 = 5;
 
-/// What an access point is to be, on whichever interface.
+/// Settings of an access point, for any interface.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccessPointSettings {
@@ -38,11 +38,11 @@ pub struct AccessPointSettings {
     pub virtual_aps: Vec<(InterfaceName, Bss)>,
     /// The most power; `None` leaves it as it was found.
     pub power: Option<Power>,
-    /// Access points that stations are told about (802.11k).
+    /// Access points that are announced to stations (802.11k).
     pub neighbours: Vec<Neighbour>,
 }
 
-/// What a station is to be, on whichever interface.
+/// Settings of a station, for any interface.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StationSettings {
@@ -63,7 +63,7 @@ pub struct Taken {
     programs: u64,
 }
 
-/// What a taken interface does.
+/// Role of a taken interface.
 #[derive(Debug)]
 enum OnAir {
     AccessPoint { daemon: Daemon, settings: Box<AccessPointSettings> },

@@ -19,7 +19,7 @@ use cotorra_wifi::{
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 
 const ROBOT: MacAddress = MacAddress([2, 0, 0, 0, 0, 0]);
-/// What nothing here needs, not even scans of all channels.
+/// Longer than anything here needs, even scans of all channels.
 const LONG: Duration = Duration::from_secs(60);
 
 fn sh(script: &str) {
@@ -53,7 +53,7 @@ fn radios() -> bool {
     })
 }
 
-/// Where the output of a radio's program goes.
+/// File of the output of a radio's program.
 fn log(radio: u8) -> String {
     format!("/run/u{radio}.log")
 }
@@ -182,7 +182,7 @@ fn scan(robot: &mut Running) -> Vec<wpa_supplicant::Heard> {
     robot.client.request(&wpa_supplicant::scan_results()).expect("results")
 }
 
-/// Where the robot is, and where it is not.
+/// Radio units with and without the robot.
 fn place(robot: &mut Running) -> (u8, u8) {
     let status = robot.client.request(&wpa_supplicant::status()).expect("a status");
     assert_eq!(status.state, wpa_supplicant::State::Completed);

@@ -15,7 +15,7 @@ use cotorra_wifi::{
 };
 
 const ROBOT: MacAddress = MacAddress([2, 0, 0, 0, 0, 0]);
-/// What nothing here needs, not even scans of all channels.
+/// Longer than anything here needs, even scans of all channels.
 const LONG: Duration = Duration::from_secs(60);
 const HOSTAPD: &str = "interface=wlan1
 driver=nl80211
@@ -305,7 +305,7 @@ fn the_power_of_a_station_that_never_joined_is_put_back() {
     robot.join(&corridor()).expect("it looks for its network");
     std::mem::forget(robot);
     note.put_back(folder.as_ref()).expect("it is put back");
-    // The kernel tells the power of a station that has joined.
+    // The kernel reports the power of a station that has joined.
     let _home = Owners::hostapd();
     let mut owner = Owners::supplicant();
     while owner.station().state != wpa_supplicant::State::Completed {

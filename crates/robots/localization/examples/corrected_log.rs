@@ -10,7 +10,7 @@
 //!
 //! Parameters were tuned on every second log in alphabetical order, from the first: acapulco, belgioioso, edmonton,
 //! freiburg-079, freiburg-campus, intel and seattle. The others are for testing: aces, csail, fhw, freiburg-101,
-//! infinite-corridor and orebro. Three of these revealed defects that were fixed; docs/localization.md names them.
+//! infinite-corridor and orebro. Three of these revealed defects that were fixed; docs/use/localization.md names them.
 
 use std::{env, error::Error, fmt, fs::File, io::BufReader, ops::Range, path::Path, sync::Arc, thread};
 

@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Weighing {
     /// The log-likelihood Σ ωᵢ ln pᵢ. Each beam has a share ωᵢ of a vote, so that beams that hit the same stretch of wall
-    /// count as one. docs/localization.md gives the sources.
+    /// count as one. docs/use/localization.md gives the sources.
     Likelihood {
         /// Distance between the ends of two beams from which their errors are independent, metres.
         correlation_length: f64,

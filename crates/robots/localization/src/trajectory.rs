@@ -28,7 +28,7 @@ impl Trajectory {
     /// quotes. Lines that begin with `#`, a header line and a byte order mark are skipped.
     ///
     /// # Errors
-    /// [`LogError`] at the first line in none of these formats.
+    /// [`LogError`] at the first line in another format.
     pub fn read(source: impl BufRead) -> Result<Self, LogError> {
         let mut text = String::new();
         let mut source = source;

@@ -5,10 +5,8 @@
 
 use std::{path::Path, sync::Arc, time::Duration};
 
-use cotorra_graph::{
-    Capacity, Cell, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
-    RobotModel, Timestamp, Velocity,
-};
+use cotorra_graph::{Cell, Node, NodeKind, OccupancyGrid, Position, Robot, Timestamp, Velocity};
+use cotorra_graph_testing as base;
 use cotorra_localization::{
     Estimate, LikelihoodField, LocalizationError, Localizer, Parameters, Pose2, Scan, trajectory::Errors,
 };
@@ -57,23 +55,9 @@ struct Drive {
 impl Drive {
     fn new(world: &Arc<World>, seed: u64, places: &[(f64, f64)]) -> Self {
         let heading = (places[1].1 - places[0].1).atan2(places[1].0 - places[0].0);
-        let robot = Robot {
-            capacity: Capacity { cpus: 2.0, memory_bytes: 8 << 30 },
-            model: RobotModel::Turtlebot2,
-            network: "air".to_owned(),
-            tx_power: Dbm(15.0),
-            heading,
-            roaming: Roaming::Instructed,
-            driver: Driver::default(),
-            sensors: Vec::new(),
-            radio: None,
-        };
-        let node = Node {
-            id: NodeId::new("robot").unwrap(),
-            domain: DomainId::new("main").unwrap(),
-            position: Some(Position::new(places[0].0, places[0].1)),
-            kind: NodeKind::Robot(robot),
-        };
+        let robot = NodeKind::Robot(Robot { heading, ..base::robot("air") });
+        let position = Some(Position::new(places[0].0, places[0].1));
+        let node = Node { position, ..base::node("robot", robot) };
         let robot = SimulatedRobot::new(&node, None, Arc::clone(world), seed).unwrap();
         let back = places.iter().rev().skip(1);
         let places = places.iter().chain(back).copied().collect();

@@ -3,9 +3,10 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Camera, Capacity, Cell, DataFormat, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid,
-    Position, Roaming, Robot, RobotModel, Sensor, SensorId, SensorKind, Timestamp, Velocity,
+    Camera, Cell, DataFormat, Node, NodeId, NodeKind, OccupancyGrid, Position, Sensor, SensorId, SensorKind,
+    Timestamp, Velocity,
 };
+use cotorra_graph_testing as base;
 use cotorra_plugin::{
     convert::{to_pose, to_twist},
     wire::{NavigationPacket, PositionPacket},
@@ -36,23 +37,8 @@ fn hall() -> OccupancyGrid {
 }
 
 fn robot(world: Arc<World>) -> SimulatedRobot {
-    let robot = Robot {
-        capacity: Capacity { cpus: 2.0, memory_bytes: 8 << 30 },
-        model: RobotModel::Turtlebot2,
-        network: "corridor".to_owned(),
-        tx_power: Dbm(15.0),
-        heading: 0.0,
-        roaming: Roaming::Instructed,
-        driver: Driver::default(),
-        sensors: Vec::new(),
-        radio: None,
-    };
-    let node = Node {
-        id: NodeId::new("robot1").expect("a name"),
-        domain: DomainId::new("main").expect("a name"),
-        position: Some(Position::new(10.0, 20.0)),
-        kind: NodeKind::Robot(robot),
-    };
+    let robot = NodeKind::Robot(base::robot("corridor"));
+    let node = Node { position: Some(Position::new(10.0, 20.0)), ..base::node("robot1", robot) };
     SimulatedRobot::new(&node, None, world, 1).expect("a robot with a place")
 }
 

@@ -95,7 +95,7 @@ pub trait RobotDriver: Send {
         None
     }
 
-    /// Returns the true pose as of the last advance or command; `None` where nobody knows it. It is for the radio model and
+    /// Returns the true pose as of the last advance or command; `None` where it is unknown. It is for the radio model and
     /// for reports only; nothing that makes decisions may see it.
     fn truth(&self) -> Option<Pose> {
         None

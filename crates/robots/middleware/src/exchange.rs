@@ -1,4 +1,4 @@
-//! Requests of a service and their answers: tells which answers are accepted, and measures service times.
+//! Requests of a service and their answers: decides which answers are accepted, and measures service times.
 
 use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
@@ -121,7 +121,7 @@ impl<N> Exchange<N> {
         }
     }
 
-    /// Receives an answer. Returns the service time of its request, and the note. `is_valid` tells whether the answer's
+    /// Receives an answer. Returns the service time of its request, and the note. `is_valid` says whether the answer's
     /// content fits the note.
     ///
     /// # Errors

@@ -5,10 +5,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{
-    Capacity, Cell, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
-    RobotModel, Walk,
-};
+use cotorra_graph::{Cell, Node, NodeId, NodeKind, OccupancyGrid, Position, Walk};
+use cotorra_graph_testing as base;
 
 /// Side of a cell, metres.
 pub const CELL: f64 = 0.05;
@@ -32,18 +30,7 @@ pub fn id(name: &str) -> NodeId {
 }
 
 pub fn robot(name: &str, position: Option<Position>) -> Node {
-    let robot = Robot {
-        capacity: Capacity { cpus: 2.0, memory_bytes: 8 << 30 },
-        model: RobotModel::Turtlebot2,
-        network: "corridor".to_owned(),
-        tx_power: Dbm(15.0),
-        heading: 0.0,
-        roaming: Roaming::Instructed,
-        driver: Driver::default(),
-        sensors: Vec::new(),
-        radio: None,
-    };
-    Node { id: id(name), domain: DomainId::new("main").unwrap(), position, kind: NodeKind::Robot(robot) }
+    Node { position, ..base::node(name, NodeKind::Robot(base::robot("corridor"))) }
 }
 
 /// A walk at 0.3 m/s that emits five position packets a second.

@@ -5,13 +5,10 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, Pose};
+use cotorra_graph::{NodeId, Pose, wrapped_angle};
 use cotorra_numbers::Draws;
 
-use crate::{
-    kobuki::{GYRO_BIAS, GYRO_WALK},
-    planar::normalised,
-};
+use crate::kobuki::{GYRO_BIAS, GYRO_WALK};
 
 /// m/s².
 const GRAVITY: f64 = 9.81;
@@ -61,7 +58,7 @@ impl Imu {
         let moved = [pose.x - before.x, pose.y - before.y, pose.z - before.z].map(|way| way / seconds);
         let changed = [0, 1, 2].map(|axis| (moved[axis] - velocity[axis]) / seconds);
         self.acceleration = felt(pose, [changed[0], changed[1], changed[2] + GRAVITY]);
-        let rate = |now: f64, before: f64| normalised(now - before) / seconds;
+        let rate = |now: f64, before: f64| wrapped_angle(now - before) / seconds;
         let (roll, pitch) = (rate(pose.roll, before.roll), rate(pose.pitch, before.pitch));
         let yaw = rate(pose.heading, before.heading);
         let ((sin_roll, cos_roll), (sin_pitch, cos_pitch)) = (pose.roll.sin_cos(), pose.pitch.sin_cos());
@@ -130,7 +127,7 @@ mod tests {
         // 2 m/s at 0.5 rad/s: 1 m/s² to the left.
         let circle = |step: i32| {
             let angle = 0.01 * f64::from(step);
-            pose(4.0 * angle.sin(), 4.0 - 4.0 * angle.cos(), normalised(angle))
+            pose(4.0 * angle.sin(), 4.0 - 4.0 * angle.cos(), wrapped_angle(angle))
         };
         let imu = after(&(0..400).map(circle).collect::<Vec<_>>());
         assert_close(imu.angular, [0.0, 0.0, 0.5], 1e-9);

@@ -4,12 +4,12 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
+use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity, wrapped_angle};
 use cotorra_numbers::Draws;
 pub(crate) use cotorra_turtlebot::kobuki::limited;
 pub use cotorra_turtlebot::kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, METRES_PER_TICK, WHEEL_BASE};
 
-use crate::{planar::normalised, world::World};
+use crate::world::World;
 
 /// Radius of the body, metres.
 pub const RADIUS: f64 = RobotModel::Turtlebot2.radius();
@@ -42,7 +42,7 @@ pub(crate) struct Motion {
 
 impl Base {
     pub fn new(position: Position, heading: f64) -> Self {
-        Self { position, heading: normalised(heading), velocity: Velocity::default(), bumper: false }
+        Self { position, heading: wrapped_angle(heading), velocity: Velocity::default(), bumper: false }
     }
 
     /// Returns the true pose.
@@ -67,7 +67,7 @@ impl Base {
             self.velocity.linear = 0.0;
         }
         self.position = self.after(motion);
-        self.heading = normalised(self.heading + motion.turned);
+        self.heading = wrapped_angle(self.heading + motion.turned);
         let reach = RADIUS + BUMPER_RELEASE;
         self.bumper = blocked || (self.bumper && world.distance(self.position, reach) < reach);
         motion
@@ -180,7 +180,7 @@ impl Odometer {
         let (sin, cos) = (self.heading + turned / 2.0).sin_cos();
         let Position { x, y, .. } = self.position;
         self.position = Position { x: x + forward * cos, y: y + forward * sin, ..self.position };
-        self.heading = normalised(self.heading + turned);
+        self.heading = wrapped_angle(self.heading + turned);
         self.velocity = Velocity::planar(forward / seconds, turned / seconds);
         self.way += forward.abs();
         self.elapsed += if moving { seconds } else { 0.0 };

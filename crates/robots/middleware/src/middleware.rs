@@ -106,7 +106,7 @@ pub struct Walker {
     pub robot: NodeId,
     /// Index of the next waypoint.
     pub waypoint: u32,
-    /// Where it is, really, as far as anyone knows.
+    /// Its true pose, if it is known.
     pub position: Position,
     /// Radio unit that it is attached to.
     pub radio_unit: Option<NodeId>,
@@ -301,7 +301,7 @@ impl RobotMiddleware {
         let (navigated, localization, due) = (None, None, None);
         let (flagged, halted, speed_limit) = (false, false, None);
         let rejected = RejectedAnswers::none(&robot);
-        // Until servers are known, nobody answers.
+        // Until servers are known, no server answers.
         let nobody = || vec![(robot.clone(), None)];
         let servers = Servers { navigation: nobody(), localization: nobody() };
         let managed = Managed {
@@ -358,7 +358,7 @@ impl RobotMiddleware {
         Some(managed.sensors())
     }
 
-    /// Where the robots are, now: really, as far as anyone knows.
+    /// The robots' true poses now, as far as they are known.
     pub fn positions(&mut self) -> impl Iterator<Item = (&NodeId, Position)> {
         let now = self.now;
         self.robots.iter_mut().map(move |(robot, managed)| {
@@ -491,7 +491,7 @@ impl RobotMiddleware {
         let (pose, route) = (managed.sensors().pose, managed.route(&managed.servers.navigation));
         managed.miss(now, &route, &mut self.events);
         let Some(service) = &mut managed.service else { return };
-        // Nobody knows the place of a robot with a fault, and it would not follow the answer.
+        // The place of a robot with a fault is unknown, and it would not follow the answer.
         if !managed.driver.health().is_empty() {
             service.skip(now);
         } else if let Some(request) = service.emit(now, &pose, route, &mut self.nonces) {
@@ -784,7 +784,7 @@ impl Managed {
         }
     }
 
-    /// Reports the position packets that were due before now and not sent, because nobody ran this middleware.
+    /// Reports the position packets that were due before now and not sent, because this middleware was not run.
     fn miss(&mut self, now: Timestamp, route: &Route, events: &mut VecDeque<Stamped>) {
         let is_well = self.driver.health().is_empty();
         let Some(service) = self.service.as_mut().filter(|_| is_well) else { return };
@@ -914,7 +914,7 @@ impl Managed {
     }
 }
 
-/// Returns the reason for which a robot of this model can never be at a place, as far as the map tells without planning.
+/// Returns the reason for which a robot of this model can never be at a place, as far as the map shows without planning.
 fn unreachable(
     goal: Position,
     model: RobotModel,

@@ -12,12 +12,12 @@ enum Source {
 }
 
 impl Nonces {
-    /// Nonces from the system's random number generator, which nobody can guess.
+    /// Nonces from the system's random number generator, which cannot be guessed.
     pub fn unpredictable() -> Self {
         Self(Source::System)
     }
 
-    /// Nonces from a seed, for virtual time, where nobody else sends packets.
+    /// Nonces from a seed, for virtual time, where no other program sends packets.
     pub fn seeded(seed: u64) -> Self {
         Self(Source::Seeded(Draws::new(seed, "nonces")))
     }

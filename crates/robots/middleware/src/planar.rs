@@ -1,6 +1,6 @@
 //! Transforms between level frames, by which poses in a robot's own frames are mapped onto the map.
 
-use cotorra_graph::Pose;
+use cotorra_graph::{Pose, wrapped_angle};
 
 /// Pose of one frame in another.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +24,7 @@ impl Planar {
             x: self.x + inner.x * cos - inner.y * sin,
             y: self.y + inner.x * sin + inner.y * cos,
             z: self.z + inner.z,
-            heading: normalised(self.heading + inner.heading),
+            heading: wrapped_angle(self.heading + inner.heading),
         }
     }
 
@@ -35,7 +35,7 @@ impl Planar {
             x: -self.x * cos - self.y * sin,
             y: self.x * sin - self.y * cos,
             z: -self.z,
-            heading: normalised(-self.heading),
+            heading: wrapped_angle(-self.heading),
         }
     }
 
@@ -54,13 +54,6 @@ impl Planar {
     }
 }
 
-/// Wraps an angle into (-π, π].
-pub(crate) fn normalised(angle: f64) -> f64 {
-    use std::f64::consts::PI;
-    let turned = angle.rem_euclid(2.0 * PI);
-    if turned > PI { turned - 2.0 * PI } else { turned }
-}
-
 #[cfg(test)]
 mod tests {
     use std::f64::consts::PI;
@@ -76,7 +69,7 @@ mod tests {
 
     fn near(a: Planar, b: Planar) -> bool {
         let apart = (a.x - b.x).abs().max((a.y - b.y).abs()).max((a.z - b.z).abs());
-        apart < 1e-6 && normalised(a.heading - b.heading).abs() < 1e-9
+        apart < 1e-6 && wrapped_angle(a.heading - b.heading).abs() < 1e-9
     }
 
     proptest! {

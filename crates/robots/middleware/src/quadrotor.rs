@@ -6,10 +6,10 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
+use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity, wrapped_angle};
 use cotorra_numbers::Draws;
 
-use crate::{planar::normalised, world::World};
+use crate::world::World;
 
 /// Radius of the outline with propellers, metres.
 const RADIUS: f64 = RobotModel::Quadrotor.radius();
@@ -65,7 +65,7 @@ impl Airframe {
     pub fn new(position: Position, heading: f64) -> Self {
         Self {
             position,
-            heading: normalised(heading),
+            heading: wrapped_angle(heading),
             roll: 0.0,
             pitch: 0.0,
             velocity: [0.0; 3],
@@ -122,7 +122,7 @@ impl Airframe {
         }
         self.position = Position { x: self.position.x + way[0], y: self.position.y + way[1], z: z.max(0.0) };
         let turned = self.turn * seconds;
-        self.heading = normalised(self.heading + turned);
+        self.heading = wrapped_angle(self.heading + turned);
         Flown { way, turned }
     }
 
@@ -189,7 +189,7 @@ impl FlightOdometer {
             z: (truth.position.z + height).max(0.0),
             roll,
             pitch,
-            heading: normalised(truth.heading + self.off),
+            heading: wrapped_angle(truth.heading + self.off),
             ..self.pose
         };
         self.velocity = Velocity { angular: flown.turned / seconds, ..truth.velocity() };

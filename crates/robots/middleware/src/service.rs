@@ -46,7 +46,7 @@ pub(crate) struct ServiceEndpoint {
     followed: Option<u32>,
 }
 
-/// What a position packet was sent for.
+/// Purpose of a position packet.
 #[derive(Debug, Clone, Copy)]
 struct Purpose {
     /// Number of goal changes at the emission.

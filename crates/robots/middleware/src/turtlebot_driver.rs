@@ -19,7 +19,7 @@ use crate::{
     planar::Planar,
 };
 
-/// Number of corrupt frames or answers at which users are told. A few come when the port is opened.
+/// Number of corrupt frames or answers at which users are warned. A few come when the port is opened.
 const CORRUPT: u64 = 10;
 
 /// Drives a TurtleBot 2, wherever its ports are.
@@ -43,7 +43,7 @@ pub struct TurtlebotDriver {
     told: Told,
 }
 
-/// What users were told.
+/// Warnings that users have had.
 #[derive(Default)]
 struct Told {
     firmware: bool,
@@ -149,7 +149,7 @@ fn placed(start: Planar, odometry: &Odometry) -> Pose {
 }
 
 /// Returns a turn as seen from the middle of the robot, a ray per degree, in the order in which the lidar measured. A ray
-/// has the smallest range of its samples, and NaN if none of them hit anything: the lidar does not tell why.
+/// has the smallest range of its samples, and NaN if none of them hit anything: the lidar gives no reason.
 fn scan(turn: &Turn, mount: Planar) -> Scan {
     let step = std::f64::consts::TAU / RAYS as f64;
     let mut ranges = vec![f32::NAN; RAYS];

@@ -2,7 +2,7 @@
 //! serves them live to Foxglove.
 //!
 //! [`Recording`] records a run; [`Export`] converts a history. Both use one encoder, which turns events and scans into
-//! messages on topics for a [`Sink`]. `docs/recording.md` lists the topics.
+//! messages on topics for a [`Sink`]. `docs/use/recording.md` lists the topics.
 #![forbid(unsafe_code)]
 
 mod channel;

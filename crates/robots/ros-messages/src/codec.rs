@@ -196,7 +196,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Takes a count of elements that have `least` bytes each, at least. Rejects a count that the remaining bytes
-    /// cannot hold, so that nobody allocates for it.
+    /// cannot hold, so that it is not allocated for.
     pub(crate) fn take_count(&mut self, least: usize) -> Result<usize, DecodeError> {
         let count = u32::from_le_bytes(self.take_number()?) as usize;
         let left = self.left();

@@ -47,7 +47,7 @@ pub struct MasterServer {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What the threads of a master share.
+/// State that the threads of a master share.
 #[derive(Debug)]
 struct State {
     registry: Mutex<Registry>,

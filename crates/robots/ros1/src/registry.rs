@@ -367,7 +367,7 @@ impl Registry {
         Ok(answer)
     }
 
-    /// Notes the address of a node. A node of the same name at another address is told to shut down.
+    /// Notes the address of a node. A node of the same name at another address gets a request to shut down.
     fn meet(&mut self, by: IpAddr, node: &str, api: &str, notices: &mut Vec<Notice>) {
         if self.is_at(node, api) {
             return;

@@ -102,7 +102,7 @@ pub struct FrameReader {
     /// Received bytes that were not taken.
     filled: Range<usize>,
     limit: usize,
-    /// What the buffer counts as.
+    /// Size that the buffer counts as.
     held: Buffers,
 }
 

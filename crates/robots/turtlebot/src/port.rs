@@ -30,14 +30,14 @@ pub struct PortSettings {
 pub enum PortError {
     /// There is no such file.
     #[error(
-        "there is no `{}`: plug the device in, and let a udev rule give it this name (docs/turtlebot.md)",
+        "there is no `{}`: plug the device in, and let a udev rule give it this name (docs/use/turtlebot.md)",
         .0.display()
     )]
     Missing(PathBuf),
     /// The user may not open it.
     #[error(
         "no permission to open `{}`: add your user to the group `dialout` and log in anew, or write a udev rule \
-         (docs/turtlebot.md)",
+         (docs/use/turtlebot.md)",
         .0.display()
     )]
     Denied(PathBuf),

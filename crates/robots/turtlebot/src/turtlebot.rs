@@ -20,7 +20,7 @@ const FARTHEST: f64 = 1e7;
 /// Bound of speeds, m/s and rad/s: beyond those that the base's clock of milliseconds makes of one jump of its encoders.
 const FASTEST: f64 = 1e5;
 
-/// What a robot's base and lidar say, but for the lidar's turns.
+/// Reports of a robot's base and lidar, but for the lidar's turns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Readings {

@@ -62,7 +62,7 @@ fn base_whose_driver_says_nothing_more_is_stopped() {
     let (emulated, clock) = (emulated(&folder), clock());
     let device = Device::open("base", port(emulated.base()), Base::default(), Arc::clone(&clock)).unwrap();
     moves(&device, &emulated, &clock);
-    // Nobody calls it; its thread sees to it.
+    // Its thread does it without a call.
     until("it stands", || emulated.state().kobuki.velocity() == (0.0, 0.0));
     assert!(device.is_connected());
 }

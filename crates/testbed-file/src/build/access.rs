@@ -3,8 +3,8 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
-    Edca, Interferer, InterfererKind, Node, NodeKind, PowerSave, Presence, Probability, RateControl,
-    WifiStandard, WirelessNetwork,
+    Access, Contention, Edca, Interferer, InterfererKind, Node, NodeKind, PowerSave, Presence, Probability,
+    RateControl, WifiStandard, WirelessNetwork,
 };
 
 use super::builder::{Builder, each};
@@ -20,7 +20,15 @@ use crate::{
 const AIRTIMES: [Duration; 2] = [Duration::from_micros(100), Duration::from_secs(1)];
 
 impl Builder<'_> {
-    pub(super) fn access(&mut self, record: &WirelessRecord) -> Option<Edca> {
+    pub(super) fn access(&mut self, ssid: &Spanned<String>, record: &WirelessRecord) -> Option<Access> {
+        let edca = self.edca(record);
+        let interference = self.interference(ssid, record)?;
+        let software = self.software(record)?;
+        let contention = edca.map(|edca| Contention { edca, interference, software });
+        Some(contention.map_or(Access::Turns, Access::Contention))
+    }
+
+    fn edca(&mut self, record: &WirelessRecord) -> Option<Edca> {
         let can_aggregate = matches!(record.standard, WifiStandard::N | WifiStandard::Ac);
         match &record.access.value {
             Either::Short(AccessWord::Turns) => None,
@@ -64,11 +72,7 @@ impl Builder<'_> {
         Some(PowerSave { idle, dtim_period: record.dtim_period.value })
     }
 
-    pub(super) fn interference(
-        &mut self,
-        ssid: &Spanned<String>,
-        record: &WirelessRecord,
-    ) -> Option<Vec<Interferer>> {
+    fn interference(&mut self, ssid: &Spanned<String>, record: &WirelessRecord) -> Option<Vec<Interferer>> {
         let first = record.interference.0.first();
         if let (Some((name, _)), Either::Short(AccessWord::Turns)) = (first, &record.access.value) {
             self.sink
@@ -173,7 +177,7 @@ impl Builder<'_> {
         for node in nodes {
             let NodeKind::RadioUnit(unit) = &node.kind else { continue };
             let Some(network) = wireless.get(&unit.network) else { continue };
-            let contends = network.access.is_some();
+            let contends = network.access.contends();
             let frequency_mhz = network.standard.frequency_mhz(unit.channel);
             let (before, other) =
                 *contention_by_channel.entry(frequency_mhz).or_insert((contends, unit.network.as_str()));

@@ -94,9 +94,7 @@ impl Builder<'_> {
                 frames: self.frames(record)?,
             },
             gap: record.gap,
-            access: self.access(record),
-            interference: self.interference(ssid, record)?,
-            software: self.software(record)?,
+            access: self.access(ssid, record)?,
         })
     }
 

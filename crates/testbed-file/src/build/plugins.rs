@@ -77,7 +77,7 @@ impl Builder<'_> {
             Some(domain) if matches!(program, Some(PluginProgram::Command(_))) => {
                 self.sink
                     .error(&domain.span, "a program is bound to a domain by the token that it shows")
-                    .help("leave out `domain`, and give the program that domain's token: docs/federation.md");
+                    .help("leave out `domain`, and give the program that domain's token: docs/use/federation.md");
                 None
             }
             Some(domain) => self.domain(Some(domain)).map(Some),

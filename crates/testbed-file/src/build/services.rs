@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use cotorra_graph::{
-    Granted, Kpis, NodeId, Nodes, Program, Requests, Rights, Service, ServiceId, VirtualLink, Vnf, VnfId,
+    Granted, Kpis, NodeId, Nodes, Probability, Program, Requests, Rights, Service, ServiceId, VirtualLink,
+    Vnf, VnfId,
 };
 
 use super::builder::{Builder, each};
@@ -40,11 +41,12 @@ impl Builder<'_> {
         });
         let kpis = Kpis {
             service_time: record.kpis.service_time.value,
-            kept: record.kpis.kept.as_ref().map(|kept| kept.value),
+            kept: record.kpis.kept.as_ref().map(|kept| as_written(kept.value)),
             reliability: record.kpis.reliability.as_ref().map(|r| r.value.get()),
             area: record.kpis.area.as_ref().map(|a| a.value.clone()),
             radio: record.kpis.radio.as_ref().map(|r| r.value),
             flow: self.flow(record)?,
+            require: record.kpis.require.iter().map(|bound| bound.value.clone()).collect(),
         };
         let mut vnfs = vnfs?;
         vnfs.extend(composed?);
@@ -229,4 +231,9 @@ impl Builder<'_> {
         let confined = Rights::Confined(Granted { capabilities: capabilities.value.clone(), readable });
         well.then_some(if trusted.value { Rights::Trusted } else { confined })
     }
+}
+
+/// Returns the share that is nearest to a percentage as it was written: 99.9 % is 0.999, so that 999 of 1000 samples keep it.
+fn as_written(share: Probability) -> Probability {
+    Probability::new((share.get() * 1e12).round() / 1e12).unwrap_or(share)
 }

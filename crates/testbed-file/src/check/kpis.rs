@@ -1,9 +1,13 @@
 //! KPIs: some placement can keep each.
 
-use cotorra_graph::{Edge, Node, NodeId, NodeKind, Service, Testbed, Topology, Vnf, WifiStandard};
+use cotorra_graph::{Bound, Edge, Figure, Measure, Node, NodeId, NodeKind, Service, Testbed, Topology, Vnf};
 
 use super::services::carries;
-use crate::{records::ServiceRecord, yaml::Sink};
+use crate::{
+    bound::report,
+    records::ServiceRecord,
+    yaml::{Sink, decode::Spanned},
+};
 
 /// KPIs that some placement can keep.
 pub(super) fn kpis(
@@ -21,10 +25,10 @@ pub(super) fn kpis(
         graph.radio_units().filter(|(_, unit)| unit.network == *ssid).map(|(node, _)| &node.id).collect();
     let kpis = &record.kpis;
     if let Some(radio) = kpis.radio.as_ref().filter(|radio| radio.value != network.standard) {
-        sink.error(&radio.span, format!("this service needs {}", described(radio.value))).help(format!(
+        sink.error(&radio.span, format!("this service needs {}", radio.value.described())).help(format!(
             "the wireless network of `{}` has {}: change one of them",
             service.robot,
-            described(network.standard)
+            network.standard.described()
         ));
     }
     if let Some(kept) = kpis.kept.as_ref().filter(|kept| kept.value.get() <= 0.0) {
@@ -34,6 +38,9 @@ pub(super) fn kpis(
     if let Some(area) = kpis.area.as_ref().filter(|area| area.value.len() < 3) {
         sink.error(&area.span, format!("an area of {} corners", area.value.len()))
             .help("write 3 places or more, such as `[[0, 0], [5, 0], [5, 5]]`");
+    }
+    for bound in &kpis.require {
+        subjects(bound, service, testbed, sink);
     }
     let target = &kpis.service_time;
     // How the requests of another node go through the VNFs, nobody says.
@@ -58,12 +65,38 @@ pub(super) fn kpis(
     }
 }
 
-pub(super) fn described(standard: WifiStandard) -> &'static str {
-    match standard {
-        WifiStandard::G => "802.11g at 2.4 GHz",
-        WifiStandard::A => "802.11a at 5 GHz",
-        WifiStandard::N => "802.11n at 2.4 GHz",
-        WifiStandard::Ac => "802.11ac at 5 GHz",
+/// Subjects of a bounded figure are complete, and are there.
+fn subjects(bound: &Spanned<Bound>, service: &Service, testbed: &Testbed, sink: &mut Sink) {
+    let graph = &testbed.graph;
+    let figure = match bound.value.measure(&service.id, &service.robot) {
+        Ok(Measure::Of(figure, _)) => figure,
+        Ok(Measure::Total(_)) => return,
+        Err(wrong) => return report(&wrong, &bound.span, sink),
+    };
+    let nodes = match &figure {
+        Figure::Link(link, ..) => {
+            // A wireless link has the names of its robot and its radio unit.
+            let is_wireless = link.as_str().split_once('~').is_some_and(|(robot, unit)| {
+                graph.nodes.iter().any(|node| node.id.as_str() == robot)
+                    && graph.radio_units().any(|(node, _)| node.id.as_str() == unit)
+            });
+            if graph.link(link).is_none() && !is_wireless {
+                let links = graph.links.iter().map(|link| link.id.as_str());
+                sink.unknown_name(&bound.span, "link named", link.as_str(), links);
+            }
+            return;
+        }
+        Figure::Robot(node, _) | Figure::Load(node) | Figure::Machine(node, _) => vec![node],
+        Figure::Signal { robot, radio_unit } => vec![robot, radio_unit],
+        Figure::Sensor { robot, .. } => vec![robot],
+        Figure::ServiceTime { robot, .. }
+        | Figure::TimePart { robot, .. }
+        | Figure::HandoverGap { robot } => robot.iter().collect(),
+        Figure::Lateness(_) => return,
+    };
+    for node in nodes.into_iter().filter(|node| graph.node(node).is_none()) {
+        let known = graph.nodes.iter().map(|node| node.id.as_str());
+        sink.unknown_name(&bound.span, "node named", node.as_str(), known);
     }
 }
 
@@ -93,11 +126,11 @@ fn fastest_ns(
         let mut at = vec![(start, 0)];
         for stage in &stages {
             let reached = topology.shortest(&at, Edge::delay_ns);
-            at = stage.iter().filter_map(|&host| Some((host, reached[host]?.cost))).collect();
+            at = stage.iter().filter_map(|&host| Some((host, reached[host]?))).collect();
         }
         let back = topology.shortest(&at, Edge::delay_ns)[start];
         topology.detach(&service.robot);
-        best = best.into_iter().chain(back.map(|back| back.cost)).min();
+        best = best.into_iter().chain(back).min();
         if best.is_some_and(|best| u128::from(best) <= enough_ns) {
             break;
         }
@@ -127,7 +160,7 @@ fn most_reliable(
             NodeKind::Server(server) => cost(server.reliability),
             _ => 0,
         };
-        reached[i].map(|path| path.cost + own)
+        reached[i].map(|path| path + own)
     };
     let best = |vnf: &Vnf| candidates(vnf, testbed).into_iter().filter_map(host).min();
     let worst = service.vnfs.iter().filter_map(best).max().unwrap_or(0);

@@ -38,7 +38,7 @@ use super::{
 };
 pub(super) use mec::openapi;
 
-use crate::{event_stream::Received, live::Snapshot};
+use crate::events::{live::Snapshot, stream::Received};
 
 /// Returns the paths of both interfaces, and the tasks that follow the testbed and send notifications.
 pub(super) fn serve(context: &Context, gate: Gate) -> (Router, [Task; 2]) {

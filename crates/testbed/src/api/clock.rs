@@ -13,8 +13,8 @@ use super::{
     types::{Body, Failure},
 };
 use crate::{
-    message::Message,
-    time_control::{Speed, TimeChange, TimeState},
+    core::message::Message,
+    virtual_time::time_control::{Speed, TimeChange, TimeState},
 };
 
 /// Longest step, milliseconds: a day.

@@ -13,7 +13,11 @@ use cotorra_mec::{Allowed, Epoch};
 
 use super::types::Failure;
 use crate::{
-    capture::Wiretap, clock::Clock, event_stream::EventStream, keeping::Keeper, live::Live, message::Message,
+    capture::Wiretap,
+    clock::Clock,
+    core::message::Message,
+    events::{live::Live, stream::EventStream},
+    history::keeping::Keeper,
     report::Fidelity,
 };
 

@@ -14,7 +14,7 @@ use super::{
         Path, TestbedBody, ThroughputTestBody,
     },
 };
-use crate::message::Message;
+use crate::core::message::Message;
 
 /// Returns the testbed: graph, services, walks and plug-ins.
 #[utoipa::path(get, path = "/api/v1/testbed", tag = "network",

@@ -20,9 +20,11 @@ use super::{
     types::{Done, Failure, Path, Query},
 };
 use crate::{
-    event_stream::Received,
-    follower::{EventFilter, Follower, PluginMessage},
-    message::Message,
+    core::message::Message,
+    events::{
+        follower::{EventFilter, Follower, PluginMessage},
+        stream::Received,
+    },
 };
 
 /// A selection of events.

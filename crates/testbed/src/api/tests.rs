@@ -22,7 +22,11 @@ use cotorra_robot_middleware::{Content, SensedData};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::{event_stream::EventStream, keeping::Keeper, live::Live, message::Message};
+use crate::{
+    core::message::Message,
+    events::{live::Live, stream::EventStream},
+    history::keeping::Keeper,
+};
 
 /// A served history without a running testbed.
 struct Served {

@@ -24,8 +24,8 @@ use parking_lot::Mutex;
 
 use super::message::{self, Message, State};
 use crate::{
+    core::message::Message as CoreMessage,
     error::{RunError, system},
-    message::Message as CoreMessage,
 };
 
 /// First UDP port of visitors in their nodes, and in the border's node; each visitor has its own.

@@ -9,7 +9,7 @@ use cotorra_graph::{HostAddress, ServiceTime};
 use cotorra_plugin::wire::{self, NavigationPacket, PositionPacket};
 
 use super::*;
-use crate::{robots::simulated, simulate::VirtualNetwork};
+use crate::{real::robots::simulated, virtual_time::VirtualNetwork};
 
 /// The robot is the first host.
 const ROBOT: PortId = PortId(0);

@@ -1,9 +1,10 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    Attachment, ConditionChange, Dbm, LinkTime, LostCause, Pose, PoseSource, SensorData, ServiceTime,
-    TimeParts, Timestamp, Velocity, Vnf,
+    Attachment, ConditionChange, Dbm, LinkTime, LostCause, Pose, PoseSource, ServiceTime, TimeParts,
+    Timestamp, Velocity, Vnf,
 };
+use cotorra_graph_testing as base;
 
 use super::*;
 
@@ -74,32 +75,13 @@ fn a_domain_sees_its_own_part_of_the_testbed() {
 }
 
 fn machine(node: &str) -> cotorra_graph::MachineContext {
-    cotorra_graph::MachineContext {
-        node: id(node),
-        reading: None,
-        cpu: None,
-        load_average: None,
-        memory: None,
-        interfaces: Vec::new(),
-        interfaces_left_out: 0,
-        wifi: Vec::new(),
-        wifi_left_out: 0,
-    }
+    cotorra_graph::MachineContext { node: id(node), ..base::machine_context("machine") }
 }
 
 #[test]
 fn events_of_other_domains_are_not_seen() {
-    let sample = ServiceTime {
-        service: id("n1"),
-        robot: id("r1"),
-        sequence: 0,
-        emitted: Timestamp::ZERO,
-        took: None,
-        attachment: None,
-        server: id("s1"),
-        parts: None,
-        lost_at: None,
-    };
+    let sample =
+        ServiceTime { service: id("n1"), robot: id("r1"), ..base::service_time("s1", Timestamp::ZERO, None) };
     for event in [
         Event::ServiceTime(sample),
         Event::Scanned { robot: id("r1") },
@@ -149,13 +131,8 @@ fn the_time_on_links_of_others_is_unknown_to_a_domain() {
         Event::ServiceTime(ServiceTime {
             service: id("n1"),
             robot: id("r1"),
-            sequence: 0,
-            emitted: Timestamp::ZERO,
-            took,
-            attachment: None,
-            server: id("s1"),
             parts: Some(Box::new(parts)),
-            lost_at: None,
+            ..base::service_time("s1", Timestamp::ZERO, took)
         })
     };
     let own = TimeParts { unknown: ms(6), links: vec![on("A-s1")], ..TimeParts::default() };
@@ -169,13 +146,8 @@ fn what_links_of_others_lost_is_unknown_to_a_domain() {
         Event::ServiceTime(ServiceTime {
             service: id("n1"),
             robot: id("r1"),
-            sequence: 0,
-            emitted: Timestamp::ZERO,
-            took: None,
-            attachment: None,
-            server: id("s1"),
-            parts: None,
             lost_at: link.map(at).map(Box::new),
+            ..base::service_time("s1", Timestamp::ZERO, None)
         })
     };
     assert_eq!(seen_by_domains(lost(Some("A-s1"))), [Some(lost(Some("A-s1"))), None]);
@@ -205,21 +177,7 @@ fn a_robots_context_has_the_other_domains_radio_units_that_it_hears() {
         signal: signal.map(Dbm),
         age: None,
     };
-    let context = |attachments| RobotContext {
-        robot: id("r1"),
-        attachments,
-        sensors: SensorData {
-            pose,
-            odometry: pose,
-            velocity: Velocity::default(),
-            bumper: false,
-            nearest_obstacle_m: None,
-        },
-        waypoint: 0,
-        health: Vec::new(),
-        speed_limit_mps: None,
-        localization_error_m: None,
-    };
+    let context = |attachments| RobotContext { attachments, ..base::robot_context("r1", pose) };
     let [one, two] = seen_by_domains(Event::Robot(context(vec![
         attachment("A", true, Some(-50.0)),
         attachment("B", false, None),

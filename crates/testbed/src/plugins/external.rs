@@ -2,14 +2,9 @@
 //! host's order. Time waits for them, so their instructions depend on the events alone, not on their speed. This shell
 //! waits for them in real time.
 
-use std::{
-    collections::BTreeMap,
-    path::Path,
-    sync::{Arc, mpsc},
-    time::Duration,
-};
+use std::{collections::BTreeMap, path::Path, sync::mpsc, time::Duration};
 
-use cotorra_graph::{Instruction, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
+use cotorra_graph::{Instruction, PluginId, PluginProgram, Testbed, Timestamp};
 use cotorra_network_control::InstructionError;
 
 use super::{
@@ -20,10 +15,8 @@ use super::{
 use crate::{
     api::{self, ApiError, Dashboard, Listener, Server, Tokens},
     clock::Clock,
-    event_stream::EventStream,
-    live::Live,
-    message::Message,
-    time_control::TimeControl,
+    core::message::Message,
+    virtual_time::time_control::TimeControl,
 };
 
 /// Interval at which an awaited program is checked for its end.
@@ -41,14 +34,13 @@ pub(crate) trait Stage {
     /// Applies an instruction. Its events are published before the instruction is answered.
     fn instruct(
         &mut self,
-        programs: &mut ExternalPlugins,
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
     ) -> Result<(), InstructionError>;
 
     /// Cuts a program off, and publishes the event.
-    fn cut_off(&mut self, programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault);
+    fn cut_off(&mut self, plugin: &PluginId, fault: &Fault);
 
     /// Returns how time passes.
     fn time_control(&mut self) -> &mut TimeControl;
@@ -73,8 +65,6 @@ pub(crate) struct ExternalPlugins {
     server: Server,
     processes: BTreeMap<PluginId, Process>,
     inbox: mpsc::Receiver<Message>,
-    live: Live,
-    stream: EventStream,
     wall: Clock,
 }
 
@@ -83,14 +73,11 @@ impl ExternalPlugins {
         listener: Listener,
         tokens: Tokens,
         wall: Clock,
-        context: impl FnOnce(EventStream, mpsc::Sender<Message>) -> api::Context,
+        context: impl FnOnce(mpsc::Sender<Message>) -> api::Context,
     ) -> Result<Self, ApiError> {
         let (core, inbox) = mpsc::channel();
-        let stream = EventStream::default();
-        let context = context(stream.clone(), core);
-        let live = context.live.clone();
-        let server = Server::start(listener, context, tokens)?;
-        Ok(Self { server, processes: BTreeMap::new(), inbox, live, stream, wall })
+        let server = Server::start(listener, context(core), tokens)?;
+        Ok(Self { server, processes: BTreeMap::new(), inbox, wall })
     }
 
     /// Starts the programs of a testbed. Time waits for them from now on.
@@ -113,13 +100,6 @@ impl ExternalPlugins {
     /// Returns the dashboard, whose address is the API's.
     pub(crate) fn dashboard(&self) -> &Dashboard {
         self.server.dashboard()
-    }
-
-    /// Publishes an event to programs and to other readers of the API's stream.
-    pub(crate) fn publish(&self, event: &Arc<Stamped>, host: &mut PluginHost) {
-        self.live.absorb(event);
-        host.publish(event);
-        self.stream.send(Arc::clone(event));
     }
 
     /// Lets the programs handle all events up to now and give their instructions. Returns false to stop.
@@ -202,7 +182,7 @@ impl ExternalPlugins {
                 stage.host().done(&plugin, mark, wake_at).then_some(plugin)
             }
             Message::Instruct { plugin, instruction, reason, reply } => {
-                let done = stage.instruct(self, plugin.clone(), instruction, reason);
+                let done = stage.instruct(plugin.clone(), instruction, reason);
                 self.end_cut_off(stage);
                 if let Some(reply) = reply {
                     reply(done);
@@ -219,7 +199,7 @@ impl ExternalPlugins {
     }
 
     fn cut_off(&mut self, program: &PluginId, fault: &Fault, stage: &mut impl Stage) {
-        stage.cut_off(self, program, fault);
+        stage.cut_off(program, fault);
         self.end_cut_off(stage);
     }
 

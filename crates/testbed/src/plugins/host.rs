@@ -15,7 +15,7 @@ use cotorra_graph::{
 use cotorra_network_control::{InstructionError, vim::MOST_ADDED};
 use cotorra_plugin::Actions;
 
-use crate::follower::{Follower, PluginMessage};
+use crate::events::follower::{Follower, PluginMessage};
 
 /// VNFs that a plug-in may add per second. Each starts programs.
 const VNFS_PER_SECOND: f64 = 10.0;
@@ -494,10 +494,11 @@ impl PluginHost {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Program, Rights, Vnf};
+    use cotorra_graph::{Program, Vnf};
+    use cotorra_graph_testing as base;
 
     use super::*;
-    use crate::follower::EventFilter;
+    use crate::events::follower::EventFilter;
 
     /// Applies every instruction, and records faults.
     #[derive(Default)]
@@ -662,16 +663,10 @@ mod tests {
         let mut host = PluginHost::new([plugin.clone(), other.clone()], Duration::from_secs(1));
         let mut testbed = Obedient::default();
         let vnf = Vnf {
-            id: "new".parse().unwrap(),
             program: Program::Command(vec!["serve".to_owned()]),
-            cpus: 1.0,
             memory_bytes: 1,
-            pinned_to: None,
             node: "edge".parse::<NodeId>().unwrap().into(),
-            env: Vec::new(),
-            rights: Rights::default(),
-            keep: false,
-            image: None,
+            ..base::vnf("new", "server")
         };
         let mut add = |seconds: f64, plugin: &PluginId| {
             let now = Timestamp::from_secs_f64(seconds);

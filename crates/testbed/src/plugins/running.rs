@@ -28,9 +28,9 @@ use super::{
 use crate::{
     api::Server,
     clock::Clock,
+    core::message::Message,
     domain::{self, DomainView, Domains},
-    message::Message,
-    previous_run::PreviousRun,
+    history::previous_run::PreviousRun,
 };
 
 /// Longest duration of a call. A longer one counts as hung.
@@ -283,7 +283,8 @@ impl Guard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cotorra_graph::{Event, HardwareGraph, NodeId};
+    use cotorra_graph::{Event, NodeId};
+    use cotorra_graph_testing as base;
 
     struct Scripted(fn(&mut Actions));
 
@@ -314,30 +315,7 @@ mod tests {
     }
 
     fn testbed() -> Arc<Testbed> {
-        Arc::new(Testbed {
-            name: "test".into(),
-            description: String::new(),
-            folder: Default::default(),
-            graph: HardwareGraph {
-                domains: Vec::new(),
-                nodes: Vec::new(),
-                links: Vec::new(),
-                wireless: BTreeMap::new(),
-            },
-            services: Vec::new(),
-            map: None,
-            walks: Vec::new(),
-            plugins: Vec::new(),
-            wais: Default::default(),
-            seed: 1,
-            emulation: Default::default(),
-            script: Default::default(),
-            probes: None,
-            retention: Default::default(),
-            border: None,
-            without_port_security: Vec::new(),
-            containers: Default::default(),
-        })
+        Arc::new(base::testbed(base::graph(Vec::new(), Vec::new())))
     }
 
     fn id() -> PluginId {

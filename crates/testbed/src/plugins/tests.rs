@@ -23,17 +23,12 @@ use super::{host::PluginHost, lockstep::Guarded, running::RunningPlugins};
 use crate::{
     api::{Operator, Tokens},
     clock::{Clock, wall_clock},
-    core::Core,
-    core_loop::{CoreLoop, EventSinks},
-    event_stream::EventStream,
-    live::Live,
-    message::Message,
+    core::{Core, message::Message, script::Script},
+    events::{fanout::Fanout, live::Live, stream::EventStream},
+    real::{core_loop::CoreLoop, robots::simulated},
     replay::{Played, Replay, ReplayEnd, ReplayOptions},
     report::Report,
-    robots::simulated,
-    script::Script,
-    simulate::{Serving, Simulation, Stretch, VirtualEngine, VirtualNetwork},
-    time_control::Speed,
+    virtual_time::{Serving, Simulation, Stretch, VirtualEngine, VirtualNetwork, time_control::Speed},
 };
 
 const TESTBED: &str = "name: hall
@@ -159,22 +154,23 @@ impl Misdeed {
             Core::new(Arc::clone(&testbed), 1, Nonces::seeded(1), network, engine, script, simulated)
                 .unwrap();
         core.start(now());
-        let history = History::in_memory().unwrap();
-        let run = history.begin_run(&info()).unwrap();
         let stream = EventStream::default();
         let mut events = stream.subscribe();
-        let sinks = EventSinks {
-            live: Live::default(),
-            recorder: history.recorder(run).unwrap(),
-            report: Report::new(&testbed, 1),
-            stream,
-            plugins,
-            tap: None,
-            keeper: None,
-        };
+        let fanout = Fanout { api: Some((Live::default(), stream)), ..Fanout::default() };
         let (sockets, until) = (BTreeMap::new(), None);
-        let core =
-            CoreLoop { core, sinks, inbox, sockets, images: None, now, until, history: Default::default() };
+        let report = Report::new(&testbed, 1);
+        let core = CoreLoop {
+            core,
+            report,
+            plugins,
+            fanout,
+            inbox,
+            sockets,
+            images: None,
+            now,
+            until,
+            history: Default::default(),
+        };
         let core = thread::spawn(move || core.run());
         let (mut recorded, mut is_cut_off) = (Vec::new(), false);
         loop {

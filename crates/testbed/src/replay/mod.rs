@@ -17,14 +17,17 @@ use cotorra_graph::{
 use cotorra_measurements::{GraphState, History, PageRequest, RunId, Sample};
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::runs::Runs;
-use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
+use cotorra_recording::{Pace, Recording, RecordingError, Wanted};
 
 use crate::{
     api::{self, ApiError, Dashboard, Encryption, Listener, Lockstep as Waiting, Tokens},
     clock::{Clock, wall_clock},
     domain::Domains,
-    keeping::Keeper,
-    live::Live,
+    events::{fanout::Fanout, live::Live, stream::EventStream},
+    history::{
+        keeping::Keeper,
+        run_info::{about, epoch},
+    },
     plugins::{
         Bundled, PluginError,
         external::{ExternalPlugins, Stage, Waited},
@@ -33,8 +36,7 @@ use crate::{
         programs,
     },
     report::Fidelity,
-    run_info::{about, epoch},
-    time_control::{Speed, TimeControl},
+    virtual_time::time_control::{Speed, TimeControl},
 };
 
 /// Interval between questions whether to go on.
@@ -102,7 +104,7 @@ pub struct Replay {
     run: RunId,
     options: ReplayOptions,
     watched: Option<Recording>,
-    tap: Option<Tap>,
+    fanout: Fanout,
 }
 
 /// The plug-ins that a run is played to.
@@ -237,10 +239,11 @@ impl Replay {
         let watched = Recording::begin(&wanted, Path::new(""), &testbed, about(&info), Pace::Live)?;
         let tap = watched.as_ref().map(Recording::tap);
         let waits = options.speed == Some(Speed::Max);
-        let live = Live::default();
+        let (live, events) = (Live::default(), EventStream::default());
+        let mut fanout = Fanout { api: Some((live.clone(), events.clone())), tap, ..Fanout::default() };
         let before = Timestamp::from_nanos(options.from.as_nanos().saturating_sub(1));
         if options.from > Timestamp::ZERO {
-            know(&live, tap.as_ref(), history.state_at(run, before)?);
+            know(&mut fanout, history.state_at(run, before)?);
             live.reach(before);
         }
         // Others choose whether to follow: in a replay, the user starts plug-ins that are programs.
@@ -249,10 +252,10 @@ impl Replay {
         } else {
             Default::default()
         };
-        let context = |events, core| api::Context {
+        let context = |core| api::Context {
             hosted: Arc::new(hosted),
             testbed,
-            live: live.clone(),
+            live,
             history: Arc::clone(&history),
             run,
             events,
@@ -270,7 +273,7 @@ impl Replay {
         };
         let programs = ExternalPlugins::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;
         let audience = Guarded::new(audience, Arc::clone(&wall));
-        Ok(Self { programs, audience, wall, history, run, options, watched, tap })
+        Ok(Self { programs, audience, wall, history, run, options, watched, fanout })
     }
 
     /// Adds a plug-in in process.
@@ -308,9 +311,9 @@ impl Replay {
     /// # Errors
     /// Errors of the history.
     pub fn play(self, report: impl FnMut(Played<'_>) -> bool) -> Result<ReplayEnd, ReplayError> {
-        let Self { mut programs, audience, wall, history, run, options, watched: _watched, tap } = self;
+        let Self { mut programs, audience, wall, history, run, options, watched: _watched, fanout } = self;
         let time = TimeControl::new(options.speed.unwrap_or(Speed::Max), options.from, wall);
-        let mut playing = Playing { audience, time, tap, report, stopped: false };
+        let mut playing = Playing { audience, time, fanout, report, stopped: false };
         let awaited = options.followers;
         while options.speed.is_none() || playing.host().followers() < awaited {
             if !programs.listen(LOOK, &mut playing) {
@@ -336,7 +339,7 @@ impl Replay {
                 }
                 playing.audience.now = next;
                 while let Some(event) = moment.pop_front_if(|event| event.at <= next) {
-                    playing.publish(&Arc::new(event), &programs);
+                    playing.publish(Arc::new(event));
                 }
                 if !playing.settle(&mut programs) {
                     return Ok(ReplayEnd::Stopped);
@@ -355,19 +358,19 @@ impl Replay {
 struct Playing<T> {
     audience: Guarded<Audience>,
     time: TimeControl,
-    tap: Option<Tap>,
+    fanout: Fanout,
     report: T,
     /// Set once the caller returned false, because it may not do so again.
     stopped: bool,
 }
 
 impl<T: FnMut(Played<'_>) -> bool> Playing<T> {
-    fn publish(&mut self, event: &Arc<Stamped>, programs: &ExternalPlugins) {
-        programs.publish(event, &mut self.audience.host);
-        self.audience.locals.publish(event);
-        if let Some(tap) = &self.tap {
-            tap.event(Arc::clone(event));
-        }
+    fn publish(&mut self, event: Arc<Stamped>) {
+        let Self { audience, fanout, .. } = self;
+        fanout.publish(event, |event| {
+            audience.host.publish(event);
+            audience.locals.publish(event);
+        });
     }
 
     /// Lets plug-ins handle all events up to now, first those in process. Returns whether to go on.
@@ -408,7 +411,6 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
 
     fn instruct(
         &mut self,
-        _programs: &mut ExternalPlugins,
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
@@ -419,7 +421,7 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
         done
     }
 
-    fn cut_off(&mut self, _programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault) {
+    fn cut_off(&mut self, plugin: &PluginId, fault: &Fault) {
         let audience = &mut *self.audience;
         audience.host.cut_off(audience.now, plugin, fault, &mut audience.record);
         self.tell_decisions();
@@ -437,25 +439,19 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
 }
 
 /// Publishes a state as the last known one.
-fn know(live: &Live, tap: Option<&Tap>, state: GraphState) {
-    let publish = |event: Stamped| {
-        live.absorb(&event);
-        if let Some(tap) = tap {
-            tap.event(Arc::new(event));
-        }
-    };
-    fn each<T>(publish: impl Fn(Stamped), samples: Vec<Sample<T>>, event: impl Fn(T) -> Event) {
+fn know(fanout: &mut Fanout, state: GraphState) {
+    fn each<T>(fanout: &mut Fanout, samples: Vec<Sample<T>>, event: impl Fn(T) -> Event) {
         for Sample { at, value } in samples {
-            publish(Stamped { at, event: event(value) });
+            fanout.publish(Arc::new(Stamped { at, event: event(value) }), |_| {});
         }
     }
-    each(publish, state.placements, Event::Placement);
-    each(publish, state.virtual_links, Event::VirtualLink);
-    each(publish, state.robots, Event::Robot);
-    each(publish, state.radio_units, Event::Radio);
-    each(publish, state.links, Event::Link);
-    each(publish, state.sensors, Event::Sensor);
-    each(publish, state.machines, Event::Machine);
+    each(fanout, state.placements, Event::Placement);
+    each(fanout, state.virtual_links, Event::VirtualLink);
+    each(fanout, state.robots, Event::Robot);
+    each(fanout, state.radio_units, Event::Radio);
+    each(fanout, state.links, Event::Link);
+    each(fanout, state.sensors, Event::Sensor);
+    each(fanout, state.machines, Event::Machine);
 }
 
 /// Error of playing a run.

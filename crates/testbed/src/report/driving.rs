@@ -119,6 +119,7 @@ impl Driven {
 #[cfg(test)]
 mod tests {
     use cotorra_graph::ServiceTime;
+    use cotorra_graph_testing as base;
 
     use super::*;
 
@@ -153,13 +154,7 @@ walks: { robot: { waypoints: [[0, 0], [1, 0]] } }
             let sample = ServiceTime {
                 service: service.parse().unwrap(),
                 robot: robot.clone(),
-                sequence: 0,
-                emitted: at(90),
-                took: Some(Duration::from_millis(10)),
-                attachment: None,
-                server: "edge".parse().unwrap(),
-                parts: None,
-                lost_at: None,
+                ..base::service_time("edge", at(90), Some(Duration::from_millis(10)))
             };
             driving.absorb(&Stamped { at: at(100), event: Event::ServiceTime(sample) });
             driving.robots[&robot].answered

@@ -246,6 +246,7 @@ mod tests {
     use std::{path::Path, time::Duration};
 
     use cotorra_graph::{Event, ServiceTime, Stamped, Timestamp};
+    use cotorra_graph_testing as base;
 
     use super::*;
     use crate::report::Losses;
@@ -263,12 +264,12 @@ mod tests {
                 service: service.parse().unwrap(),
                 robot: robot.parse().unwrap(),
                 sequence: second,
-                emitted,
-                took: (second % 7 > 0).then(|| Duration::from_millis(10 + u64::from(second % 3))),
                 attachment: Some(unit.parse().unwrap()),
-                server: "cloud".parse().unwrap(),
-                parts: None,
-                lost_at: None,
+                ..base::service_time(
+                    "cloud",
+                    emitted,
+                    (second % 7 > 0).then(|| Duration::from_millis(10 + u64::from(second % 3))),
+                )
             });
             report.absorb(&Stamped { at: emitted, event });
         }
@@ -337,12 +338,12 @@ mod tests {
                     service: format!("navigation-{i}").parse().unwrap(),
                     robot: format!("R{i}").parse().unwrap(),
                     sequence: second,
-                    emitted,
-                    took: Some(Duration::from_millis(if second < above { 20 } else { 10 })),
                     attachment: Some("unit".parse().unwrap()),
-                    server: "edge".parse().unwrap(),
-                    parts: None,
-                    lost_at: None,
+                    ..base::service_time(
+                        "edge",
+                        emitted,
+                        Some(Duration::from_millis(if second < above { 20 } else { 10 })),
+                    )
                 });
                 report.absorb(&Stamped { at: emitted, event });
             }

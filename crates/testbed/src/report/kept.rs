@@ -25,6 +25,7 @@ pub struct Kept {
     /// Share that the testbed file demands; `None` if any will do.
     pub keep: Option<f64>,
     /// The verdict, by the measured share alone; `None` if any share will do. Without samples, nothing was kept.
+    #[serde(skip)]
     pub verdict: Option<Verdict>,
     /// Whether the interval excludes the demanded share, so that there are enough samples for the verdict. `None` without a
     /// verdict.

@@ -15,7 +15,7 @@ use super::{
     services,
     summary::{Report, Summary, service_time_ms},
 };
-use crate::manifest::Manifest;
+use crate::folder::manifest::Manifest;
 
 /// Bytes of the disk that are reserved for it at the run's start. A run that fills the disk still leaves its summary.
 const SUMMARY_ROOM: usize = 256 << 10;

@@ -166,21 +166,17 @@ impl<T: Ord + Clone> Names<T> {
 
 #[cfg(test)]
 mod tests {
+    use cotorra_graph_testing as base;
     use proptest::{collection::vec, option, prelude::*};
 
     use super::*;
 
     fn sample(number: u32, emitted: u64, took: Option<u64>) -> ServiceTime {
         ServiceTime {
-            service: "navigation".parse().unwrap(),
             robot: format!("robot{}", number % 3).parse().unwrap(),
             sequence: number,
-            emitted: Timestamp::from_nanos(emitted),
-            took: took.map(Duration::from_nanos),
             attachment: (!number.is_multiple_of(4)).then(|| format!("R{}", number % 4).parse().unwrap()),
-            server: "cloud".parse().unwrap(),
-            parts: None,
-            lost_at: None,
+            ..base::service_time("cloud", Timestamp::from_nanos(emitted), took.map(Duration::from_nanos))
         }
     }
 

@@ -31,9 +31,9 @@ pub(super) fn exact(services: &[ServiceSummary]) -> DataTable {
         let names = [its.robot.to_string(), its.service.to_string(), its.service_time_target_ms.to_string()];
         let counts = [its.samples.to_string(), its.unanswered.to_string(), or_empty(its.above_target)];
         let times = quantiles(its.service_time_ms).map(or_empty);
-        let Kept { kept, kept_low, kept_high, keep, verdict, sure } = its.kept;
+        let Kept { kept, kept_low, kept_high, keep, sure, .. } = its.kept;
         let shares = [kept, kept_low, kept_high, keep].map(or_empty);
-        let judged = [verdict.map(|verdict| verdict.to_string()), sure.map(|sure| sure.to_string())];
+        let judged = [its.verdict.map(|verdict| verdict.to_string()), sure.map(|sure| sure.to_string())];
         let judged = judged.map(Option::unwrap_or_default);
         table.row(names.into_iter().chain(counts).chain(times).chain(shares).chain(judged));
     }
@@ -96,6 +96,7 @@ fn or_empty(figure: Option<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::kept::Verdict;
 
     fn services() -> [ServiceSummary; 2] {
         let service = |robot: &str, samples: usize| ServiceSummary {
@@ -107,6 +108,8 @@ mod tests {
             service_time_target_ms: 15.0,
             above_target: (samples > 0).then_some(0.25),
             kept: Kept::of(samples * 3 / 4, samples, (robot == "r1").then_some(0.5)),
+            verdict: (robot == "r1").then_some(Verdict::Pass),
+            kpis: Vec::new(),
             service_time_ms: Quantiles::of(vec![10.0; samples]),
         };
         [service("r1", 4), service("r2", 0)]

@@ -22,6 +22,7 @@ use super::{
     forged::ForgedSummary,
     gateways::GatewaySummary,
     instructed::{Instructed, PluginSummary},
+    judged::{Judge, Judged},
     kept::{Kept, Verdict},
     measured_frames::MeasuredFrames,
     samples::Samples,
@@ -58,7 +59,7 @@ pub struct Summary {
     pub service_time_target_ms: Option<f64>,
     /// Share of samples above the target of their service. Unanswered ones count as above it.
     pub above_target: Option<f64>,
-    /// Verdict on all services of which the testbed file demands a share of samples within the target; `None` without any.
+    /// Verdict on all services of which the testbed file demands more than a target; `None` without any.
     pub verdict: Option<Verdict>,
     /// Service times of all answered samples, milliseconds.
     pub service_time_ms: Option<Quantiles>,
@@ -106,7 +107,8 @@ pub struct RobotSummary {
     pub unanswered: usize,
     /// Share of samples above the target of their service. Unanswered ones count as above it.
     pub above_target: Option<f64>,
-    /// Verdict on all of its services of which the testbed file demands a share, those apart from the total included.
+    /// Verdict on all of its services of which the testbed file demands more than a target, those apart from the total
+    /// included.
     pub verdict: Option<Verdict>,
     /// Number of changes of attachment.
     pub handovers: usize,
@@ -154,9 +156,14 @@ pub struct ServiceSummary {
     pub service_time_target_ms: f64,
     /// Share of samples above the target. Unanswered ones count as above it.
     pub above_target: Option<f64>,
-    /// The rest, and the verdict on it.
+    /// The rest.
     #[serde(flatten)]
     pub kept: Kept,
+    /// Verdict on all of its KPIs; `None` if nothing is demanded beside the target.
+    pub verdict: Option<Verdict>,
+    /// Its KPIs beside the target.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub kpis: Vec<Judged>,
     /// Service times of all answered samples, milliseconds.
     pub service_time_ms: Option<Quantiles>,
 }
@@ -300,6 +307,7 @@ pub struct Report {
     /// All robots.
     robot_ids: Vec<NodeId>,
     services: Vec<Served>,
+    judge: Judge,
     /// Services whose requests go to all instances.
     asking_all: Vec<ServiceId>,
     samples: Samples,
@@ -360,6 +368,7 @@ impl Report {
             },
             robot_ids: testbed.graph.robots().map(|(node, _)| node.id.clone()).collect(),
             services: Served::all(testbed),
+            judge: Judge::new(testbed),
             asking_all: testbed
                 .services
                 .iter()
@@ -419,6 +428,7 @@ impl Report {
     /// Adds an event.
     pub fn absorb(&mut self, stamped: &Stamped) {
         self.driving.absorb(stamped);
+        self.judge.absorb(stamped);
         self.notices.extend(self.doubts.absorb(stamped));
         let Stamped { at, event } = stamped;
         if let Event::Decision(decision) = event {
@@ -573,16 +583,21 @@ impl Report {
     }
 
     fn summarize(&self, by_service: Vec<Times>) -> Vec<ServiceSummary> {
-        let summary = |(its, times): (&Served, Times)| ServiceSummary {
-            robot: its.robot.clone(),
-            service: its.service.clone(),
-            in_total: its.in_total,
-            samples: times.samples,
-            unanswered: times.unanswered(),
-            service_time_target_ms: its.target_ms,
-            above_target: times.above_target(),
-            kept: its.kept(&times),
-            service_time_ms: Quantiles::of(times.answered),
+        let summary = |(its, times): (&Served, Times)| {
+            let kept = its.kept(&times);
+            ServiceSummary {
+                robot: its.robot.clone(),
+                service: its.service.clone(),
+                in_total: its.in_total,
+                samples: times.samples,
+                unanswered: times.unanswered(),
+                service_time_target_ms: its.target_ms,
+                above_target: times.above_target(),
+                kept,
+                verdict: kept.verdict,
+                kpis: Vec::new(),
+                service_time_ms: Quantiles::of(times.answered),
+            }
         };
         self.services.iter().zip(by_service).map(summary).collect()
     }
@@ -595,7 +610,6 @@ impl Report {
 
     fn robots(&self, by_service: &[Times], end: Timestamp) -> Vec<RobotSummary> {
         let summary = |robot: &NodeId| {
-            let services = self.services.iter().zip(by_service).filter(|(its, _)| its.robot == *robot);
             let times = self.merged(by_service, |its| its.robot == *robot);
             let gaps = self.handovers.iter().filter(|handover| handover.robot == *robot);
             let gaps: Vec<_> = gaps.map(|handover| handover.gap_ms).collect();
@@ -604,7 +618,7 @@ impl Report {
                 samples: times.samples,
                 unanswered: times.unanswered(),
                 above_target: times.above_target(),
-                verdict: Verdict::of_all(services.map(|(its, times)| its.kept(times).verdict)),
+                verdict: None,
                 handovers: gaps.len(),
                 handover_gap_ms: Quantiles::of(gaps),
                 detached_ms: self.detached.get(robot).map_or(0.0, |its| millis::of(its.until(end))),
@@ -632,7 +646,7 @@ impl Report {
             unanswered: whole.unanswered(),
             service_time_target_ms: self.service_time_target_ms(),
             above_target: whole.above_target(),
-            verdict: Verdict::of_all(services.iter().map(|its| its.kept.verdict)),
+            verdict: None,
             service_time_ms: Quantiles::of(whole.answered),
             robots,
             services,
@@ -665,6 +679,7 @@ impl Report {
             history_dropped: losses.history_dropped,
         };
         summary.void = self.doubts.void(&summary, end);
+        self.judge.judge(&mut summary);
         summary
     }
 
@@ -726,6 +741,7 @@ mod tests {
     use std::{path::Path, time::Duration};
 
     use cotorra_graph::Handover;
+    use cotorra_graph_testing as base;
     use proptest::{collection::vec, option, prelude::*};
 
     use super::*;
@@ -733,15 +749,9 @@ mod tests {
     fn sample(sequence: u32, attachment: &str, service_time_ms: Option<u64>) -> Stamped {
         let emitted = Timestamp::from_secs_f64(f64::from(sequence));
         let event = Event::ServiceTime(ServiceTime {
-            service: "navigation".parse().unwrap(),
-            robot: "robot".parse().unwrap(),
             sequence,
-            emitted,
-            took: service_time_ms.map(Duration::from_millis),
             attachment: Some(attachment.parse().unwrap()),
-            server: "cloud".parse().unwrap(),
-            parts: None,
-            lost_at: None,
+            ..base::service_time("cloud", emitted, service_time_ms.map(Duration::from_millis))
         });
         Stamped { at: emitted, event }
     }

@@ -351,6 +351,7 @@ mod tests {
 
     use cotorra_engine::ProcessorWaits;
     use cotorra_graph::{Direction, LinkTime, LostCause, Timestamp};
+    use cotorra_graph_testing as base;
     use proptest::{collection::vec, prelude::*};
 
     use super::*;
@@ -399,16 +400,12 @@ services:
         let links =
             vec![on("r~A", false, 0, air), on("A-s", false, queueing, wire), on("A-s", true, 0, back)];
         let parts = TimeParts { vnf: ms(vnf), links, ..TimeParts::default() };
+        let took = Some(parts.total());
         ServiceTime {
             service: "n".parse().unwrap(),
             robot: "r".parse().unwrap(),
-            sequence: 0,
-            emitted: Timestamp::ZERO,
-            took: Some(parts.total()),
-            attachment: None,
-            server: "s".parse().unwrap(),
             parts: Some(Box::new(parts)),
-            lost_at: None,
+            ..base::service_time("s", Timestamp::ZERO, took)
         }
     }
 

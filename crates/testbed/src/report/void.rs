@@ -16,7 +16,7 @@ use super::{
 /// Duration of a run after which each service has a sample.
 const DUE: Duration = Duration::from_secs(10);
 /// Size of the longest `summary.json` that is read, bytes.
-const LONGEST_SUMMARY: u64 = 64 << 20;
+pub(super) const LONGEST_SUMMARY: u64 = 64 << 20;
 
 impl Fidelity {
     /// Reads the verdict on a run from its folder. It is not valid if anything speaks against the run's figures.
@@ -91,6 +91,7 @@ impl Doubts {
 #[cfg(test)]
 mod tests {
     use cotorra_graph::{Event, NodeId, Placement, ServiceTime, Stamped, Testbed, VnfEvent, VnfState};
+    use cotorra_graph_testing as base;
 
     use super::*;
     use crate::report::{Losses, Report};
@@ -139,13 +140,8 @@ plugins:
             Event::ServiceTime(ServiceTime {
                 service: service.parse().unwrap(),
                 robot,
-                sequence: 0,
-                emitted: Timestamp::ZERO,
-                took: None,
-                attachment: None,
                 server,
-                parts: None,
-                lost_at: None,
+                ..base::service_time("server", Timestamp::ZERO, None)
             }),
         )
     }

@@ -18,8 +18,10 @@ use cotorra_wifi::{
 use parking_lot::Mutex;
 
 use super::{
+    Begun,
     figures::{Figures, Read},
     manager::{Action, Change, Configuration, Input, Manager, Program, Refused, Request},
+    next_message,
     plan::{Plan, PlanError, interface_of},
 };
 use crate::clock::Clock;
@@ -194,8 +196,8 @@ impl AtAgents {
     }
 
     /// Carries out actions until [`Message::Stop`]. Reports once that all is up, or why not.
-    pub(super) fn run(mut self, inbox: &mpsc::Receiver<Message>, begun: &mpsc::Sender<Result<(), String>>) {
-        let mut is_begun = false;
+    pub(super) fn run(mut self, inbox: &mpsc::Receiver<Message>, begun: &Begun) {
+        let mut begun = Some(begun);
         let mut ahead = self.send_robots_ahead();
         let until = (self.outlets.now)() + AHEAD;
         while !ahead.is_empty() {
@@ -215,21 +217,7 @@ impl AtAgents {
             let now = (self.outlets.now)();
             self.manager.lock().advance(now);
             self.act(now);
-            let (outcome, deadline) = {
-                let manager = self.manager.lock();
-                let failed = manager.failure().map(|reason| Err(reason.to_owned()));
-                (failed.or_else(|| manager.is_up().then_some(Ok(()))), manager.deadline())
-            };
-            if let Some(outcome) = outcome.filter(|_| !is_begun) {
-                is_begun = true;
-                // Nobody waits any more after a time.
-                _ = begun.send(outcome);
-            }
-            let message = match deadline {
-                Some(deadline) => inbox.recv_timeout(deadline.since((self.outlets.now)())),
-                None => inbox.recv().map_err(|_| mpsc::RecvTimeoutError::Disconnected),
-            };
-            match message {
+            match next_message(&self.manager, &self.outlets.now, inbox, &mut begun) {
                 Err(mpsc::RecvTimeoutError::Timeout) | Ok(Message::Wake) => {}
                 Err(mpsc::RecvTimeoutError::Disconnected) | Ok(Message::Stop) => break,
                 Ok(Message::News(news)) => self.take(news),

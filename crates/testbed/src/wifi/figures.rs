@@ -8,7 +8,7 @@ use cotorra_graph::{
 use cotorra_wifi::{MacAddress, wpa_supplicant::Heard};
 use parking_lot::Mutex;
 
-use crate::radio_figures::RadioFigures;
+use crate::real::radio_figures::RadioFigures;
 
 /// The newest figures of each real radio.
 #[derive(Debug)]

@@ -35,7 +35,7 @@ pub(crate) use self::{
     programs::Surroundings,
 };
 use self::{manager::Manager, programs::Programs};
-use crate::{clock::Clock, radio_figures::RadioFigures};
+use crate::{clock::Clock, real::radio_figures::RadioFigures};
 
 /// Beginning of the names of folders for Wi-Fi programs, in the folder for temporary files. The process's id follows, and a number.
 pub const WIFI_FOLDERS: &str = "cotorra-wifi-";
@@ -162,15 +162,8 @@ impl Wifi {
             .name("wifi".to_owned())
             .spawn(move || programs.run(&progress))
             .map_err(system("start the thread of the Wi-Fi programs"))?;
-        let signal = |message: fn() -> programs::Message| -> Signal {
-            let inbox = inbox.clone();
-            // Fails only if the thread has ended.
-            Arc::new(move || {
-                _ = inbox.send(message());
-            })
-        };
-        let handle = Handle { manager, wake: signal(|| programs::Message::Wake), now };
-        let stop = signal(|| programs::Message::Stop);
+        let handle = Handle { manager, wake: signal(&inbox, || programs::Message::Wake), now };
+        let stop = signal(&inbox, || programs::Message::Stop);
         Self { handle, stop, thread: Some(thread), _folder: Some(folder) }.begun(&begun)
     }
 
@@ -210,14 +203,8 @@ impl Wifi {
             .name("radios".to_owned())
             .spawn(move || radios.run(&inbox, &progress))
             .map_err(system("start the thread of the real radios"))?;
-        let signal = |message: fn() -> AtAgentsMessage| -> Signal {
-            let sender = sender.clone();
-            Arc::new(move || {
-                _ = sender.send(message());
-            })
-        };
-        let handle = Handle { manager, wake: signal(|| AtAgentsMessage::Wake), now };
-        let stop = signal(|| AtAgentsMessage::Stop);
+        let handle = Handle { manager, wake: signal(&sender, || AtAgentsMessage::Wake), now };
+        let stop = signal(&sender, || AtAgentsMessage::Stop);
         let wifi = Self { handle, stop, thread: Some(thread), _folder: None }.begun(&begun)?;
         let figures: Arc<dyn RadioFigures> = figures;
         Ok(Some((wifi, figures)))
@@ -243,6 +230,43 @@ impl Wifi {
     /// Returns access for the core.
     pub(crate) fn handle(&self) -> Handle {
         self.handle.clone()
+    }
+}
+
+/// Makes a signal that sends a message to a thread.
+fn signal<M: Send + 'static>(inbox: &mpsc::Sender<M>, message: fn() -> M) -> Signal {
+    let inbox = inbox.clone();
+    // Fails only if the thread has ended.
+    Arc::new(move || {
+        _ = inbox.send(message());
+    })
+}
+
+/// Receives that all is up, or why not.
+type Begun = mpsc::Sender<Result<(), String>>;
+
+/// Waits for the next message of a thread that carries out a manager's actions, up to the manager's deadline. Takes `begun` and
+/// reports there once that all is up, or why not.
+fn next_message<M>(
+    manager: &Mutex<Manager>,
+    now: &Clock,
+    inbox: &mpsc::Receiver<M>,
+    begun: &mut Option<&Begun>,
+) -> Result<M, mpsc::RecvTimeoutError> {
+    let (outcome, deadline) = {
+        let manager = manager.lock();
+        let failed = manager.failure().map(|reason| Err(reason.to_owned()));
+        (failed.or_else(|| manager.is_up().then_some(Ok(()))), manager.deadline())
+    };
+    if let Some(outcome) = outcome
+        && let Some(begun) = begun.take()
+    {
+        // Nobody waits any more after a time.
+        _ = begun.send(outcome);
+    }
+    match deadline {
+        Some(deadline) => inbox.recv_timeout(deadline.since(now())),
+        None => inbox.recv().map_err(|_| mpsc::RecvTimeoutError::Disconnected),
     }
 }
 

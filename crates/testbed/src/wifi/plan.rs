@@ -118,7 +118,7 @@ impl Plan {
     ) -> Result<Option<Self>, PlanError> {
         let mut plan = Self { units: BTreeMap::new(), robots: BTreeMap::new() };
         let networks = graph.wireless.iter().filter_map(|(name, network)| {
-            let software = network.software.as_ref().filter(|software| software.radios == radios)?;
+            let software = network.access.software().filter(|software| software.radios == radios)?;
             Some(PlannedNetwork { graph, name, network, software, address, key })
         });
         for network in networks.clone() {

@@ -19,7 +19,11 @@ use cotorra_wifi::{
 };
 use parking_lot::Mutex;
 
-use super::manager::{Action, Change, Configuration, Input, Manager, Program, Refused, Request};
+use super::{
+    Begun,
+    manager::{Action, Change, Configuration, Input, Manager, Program, Refused, Request},
+    next_message,
+};
 use crate::clock::Clock;
 
 /// Time that a program has for an answer. Others wait meanwhile.
@@ -116,26 +120,12 @@ impl Programs {
     }
 
     /// Carries out actions until [`Message::Stop`]. Reports once that all is up, or why not.
-    pub(super) fn run(mut self, begun: &mpsc::Sender<Result<(), String>>) {
-        let mut is_begun = false;
+    pub(super) fn run(mut self, begun: &Begun) {
+        let mut begun = Some(begun);
         loop {
             self.manager.lock().advance((self.surroundings.now)());
             self.act();
-            let (outcome, deadline) = {
-                let manager = self.manager.lock();
-                let failed = manager.failure().map(|reason| Err(reason.to_owned()));
-                (failed.or_else(|| manager.is_up().then_some(Ok(()))), manager.deadline())
-            };
-            if let Some(outcome) = outcome.filter(|_| !is_begun) {
-                is_begun = true;
-                // Nobody waits any more after a time.
-                _ = begun.send(outcome);
-            }
-            let message = match deadline {
-                Some(deadline) => self.messages.recv_timeout(deadline.since((self.surroundings.now)())),
-                None => self.messages.recv().map_err(|_| mpsc::RecvTimeoutError::Disconnected),
-            };
-            match message {
+            match next_message(&self.manager, &self.surroundings.now, &self.messages, &mut begun) {
                 Err(mpsc::RecvTimeoutError::Timeout) | Ok(Message::Wake) => {}
                 Err(mpsc::RecvTimeoutError::Disconnected) | Ok(Message::Stop) => break,
                 Ok(message) => self.take(message),

@@ -5,9 +5,8 @@ pub mod exact;
 
 use std::time::Duration;
 
-use cotorra_graph::{
-    Attachment, Event, LinkId, NodeId, Pose, PoseSource, RobotContext, SensorData, Velocity, VnfId,
-};
+use cotorra_graph::{Event, LinkId, NodeId, RobotContext, VnfId};
+use cotorra_graph_testing as base;
 use cotorra_numbers::seed;
 use cotorra_okpi::{Chain, Infrastructure, Link, Node, Vnf};
 use serde_json::{Map, Value, json};
@@ -32,28 +31,12 @@ pub fn survey() -> Map<String, Value> {
 
 /// Returns κ of the robot at a place, attached to a radio unit.
 pub fn context((x, y): (f64, f64), attached: &str) -> Event {
-    let pose = Pose::planar(x, y, 0.0, [0.0; 9], PoseSource::Simulator);
+    let pose = base::pose(x, y, 0.0);
     Event::Robot(RobotContext {
-        robot: node_id("robot"),
         attachments: ["R1", "R2", "R3", "R4", "R5", "R6"]
-            .map(|unit| Attachment {
-                radio_unit: node_id(unit),
-                attached: unit == attached,
-                signal: None,
-                age: None,
-            })
+            .map(|unit| base::attachment(unit, unit == attached, None))
             .into(),
-        sensors: SensorData {
-            pose,
-            odometry: pose,
-            velocity: Velocity::default(),
-            bumper: false,
-            nearest_obstacle_m: None,
-        },
-        waypoint: 0,
-        health: Vec::new(),
-        speed_limit_mps: None,
-        localization_error_m: None,
+        ..base::robot_context("robot", pose)
     })
 }
 

@@ -14,7 +14,8 @@ use std::{
 
 use cotorra_agent_protocol::{ControllerEvent, WantedInstance};
 use cotorra_engine::InstanceId;
-use cotorra_graph::{NodeId, Program, Rights, Vnf, VnfId};
+use cotorra_graph::{NodeId, Program, Vnf};
+use cotorra_graph_testing as base;
 
 use crate::{
     core::{self, Command},
@@ -108,16 +109,9 @@ fn held(words: &[String]) -> Child {
 fn wanted(words: &[String]) -> WantedInstance {
     let node = NodeId::new("machine").unwrap();
     let vnf = Vnf {
-        id: VnfId::new("program").unwrap(),
         program: Program::Command(words.to_vec()),
-        cpus: 1.0,
-        memory_bytes: 64 << 20,
-        pinned_to: None,
         node: node.clone().into(),
-        env: Vec::new(),
-        rights: Rights::default(),
-        keep: false,
-        image: None,
+        ..base::vnf("program", "server")
     };
     WantedInstance { vnf, replica: 0, node, environment: Default::default(), keep: false }
 }

@@ -22,6 +22,7 @@ use cotorra_graph::{
     BitRate, CpuContext, InterfaceContext, InterfaceTraffic, LoadAverage, MachineContext, MemoryContext,
     NodeId, Probability,
 };
+use cotorra_graph_testing as base;
 
 use crate::{
     lab::Lab,
@@ -44,7 +45,7 @@ const LATE: Duration = Duration::from_secs(2);
 const WAITING: &str = "waiting";
 pub const COUNTED: &str = "counted";
 
-/// What a core used.
+/// Resources that a core used.
 struct Usage {
     cpu_percent: f64,
     rss_mb: f64,
@@ -235,7 +236,6 @@ fn context(node: &str) -> MachineContext {
     };
     MachineContext {
         node: NodeId::new(node).unwrap(),
-        reading: None,
         cpu: Some(CpuContext { cpus: 4, busy: Probability::new(0.25) }),
         load_average: Some(LoadAverage { one_minute: 0.51, five_minutes: 0.32, fifteen_minutes: 0.2 }),
         memory: Some(MemoryContext { memory_bytes: 8_123_000_000, available_bytes: 2_123_000_000 }),
@@ -248,8 +248,6 @@ fn context(node: &str) -> MachineContext {
             received: traffic(12_345_678),
             sent: traffic(2_345_678),
         }],
-        interfaces_left_out: 0,
-        wifi: Vec::new(),
-        wifi_left_out: 0,
+        ..base::machine_context("machine")
     }
 }

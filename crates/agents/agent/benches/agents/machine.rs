@@ -2,7 +2,7 @@
 
 use std::{fs, hint::black_box, thread, time::Instant};
 
-/// Steps of a computation that depend on each other, whose time tells the speed of a core.
+/// Steps of a computation that depend on each other, whose time gives the speed of a core.
 const STEPS: u32 = 200_000_000;
 
 pub fn describe() -> String {

@@ -205,7 +205,7 @@ impl Worker {
         let Some(client) = taken.client()? else { return Ok(()) };
         let mut client = client.with_timeout(ANSWER);
         let events = client.events()?;
-        // What it had done before its events could be read.
+        // An event from before its events could be read.
         let before = match wanted {
             WantedRadio::AccessPoint(_) => {
                 let state = client.request(&hostapd::status())?.state;
@@ -266,7 +266,7 @@ impl Worker {
             heard.truncate(MOST_HEARD);
             self.tell(Reported::Heard(self.interface.clone(), heard));
         }
-        // What only people understand stays here.
+        // Events for people alone stay here.
         if !matches!(event, Event::Other(_)) {
             self.tell(Reported::Happened(self.interface.clone(), event));
         }

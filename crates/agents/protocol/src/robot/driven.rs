@@ -1,4 +1,4 @@
-//! The agent's end: drives a robot as the core says, and tells what the robot says.
+//! The agent's end: drives a robot as the core orders, and passes its reports on.
 
 use std::{collections::VecDeque, time::Duration};
 

@@ -44,7 +44,7 @@ pub struct RobotSession {
     pub opening: u64,
 }
 
-/// What a robot says.
+/// Readings of a robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotReading {
@@ -55,7 +55,7 @@ pub struct RobotReading {
     pub readings: Readings,
 }
 
-/// What the core says to a robot's agent.
+/// Message of the core to a robot's agent.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotCommand {
@@ -64,11 +64,11 @@ pub struct RobotCommand {
     pub sequence: u64,
     /// Time of sending of the newest reading that arrived, on the agent's clock, nanoseconds.
     pub heard_ns: u64,
-    /// What the robot shall do from now on, if that is said anew.
+    /// The robot's new orders, if there are any.
     pub motion: Option<Motion>,
 }
 
-/// What a robot shall do.
+/// Orders of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Motion {

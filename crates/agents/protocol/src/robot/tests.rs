@@ -35,7 +35,7 @@ impl<M> Way<M> {
     }
 }
 
-/// What happens to a message: the delays of its copies, milliseconds. Without one it is lost.
+/// Fate of a message: the delays of its copies, milliseconds. Without one it is lost.
 type Fate = Vec<u64>;
 
 /// A core and an agent with a robot, in virtual time. `ms` is the agent's clock.

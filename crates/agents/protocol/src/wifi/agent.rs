@@ -14,7 +14,7 @@ use crate::{action::Action, message::short};
 /// The Wi-Fi interfaces of an agent's machine.
 #[derive(Debug, Default)]
 pub(crate) struct AgentWifi {
-    /// What the shell was told last.
+    /// The last orders to the shell.
     told: BTreeMap<InterfaceName, WantedRadio>,
     states: BTreeMap<InterfaceName, RadioState>,
     /// States of the wanted requests, and those that the shell has not been told.
@@ -26,7 +26,7 @@ pub(crate) struct AgentWifi {
 }
 
 impl AgentWifi {
-    /// Requests that an earlier process had are not carried out: nobody knows whether it did so.
+    /// Requests that an earlier process had are not carried out: it is unknown whether it did so.
     pub(crate) fn after_a_restart(saved: &WantedWifi) -> Self {
         let refused = RequestState::Refused("its agent was restarted".to_owned());
         let requests = saved.requests.keys().map(|number| (*number, refused.clone())).collect();

@@ -12,7 +12,7 @@ use tokio::{
 
 use super::*;
 
-/// What an engine sends upon a request such as `GET /version`, each part after a delay. It hangs after the last one.
+/// An engine's answer to a request such as `GET /version`, each part after a delay. It hangs after the last one.
 pub(crate) type Answer = Vec<(Duration, String)>;
 
 /// Returns an answer that comes at once.

@@ -1,23 +1,18 @@
 //! The engine's daemon dies and comes back.
 
 use cotorra_engine::{Engine, EngineEvent, InstanceId, Outcome, contract::Subject as _};
-use cotorra_graph::{EngineKind, Image, NodeId, Program, Rights, Vnf};
+use cotorra_graph::{EngineKind, Image, NodeId, Program, Vnf};
+use cotorra_graph_testing as base;
 
 use crate::lab::Lab;
 
 pub(crate) fn vnf(lab: &Lab, script: &str) -> Vnf {
     let [node, _] = lab.nodes();
     Vnf {
-        id: "service".parse().unwrap(),
         program: Program::Command(["sh", "-c", script].map(str::to_owned).to_vec()),
-        cpus: 1.0,
-        memory_bytes: 64 << 20,
-        pinned_to: None,
         node: node.into(),
-        env: Vec::new(),
-        rights: Rights::default(),
-        keep: false,
         image: lab.image().map(Box::<Image>::new),
+        ..base::vnf("service", "server")
     }
 }
 
@@ -104,7 +99,7 @@ fn vnfs_run_again_once_docker_is_back() {
     assert_eq!(start(&lab, &mut engine, 1, "while true; do sleep 1; done"), Outcome::Ready);
     lab.containers.kill();
     lab.containers.resume();
-    // Docker ends the containers of a killed daemon when it starts again, unless it is told to keep them.
+    // Docker ends the containers of a killed daemon when it starts again, unless it is set to keep them.
     assert!(matches!(next(&lab, &mut engine).outcome, Outcome::Died(_)));
     assert_eq!(start(&lab, &mut engine, 2, "while true; do sleep 1; done"), Outcome::Ready);
     engine.shut_down();

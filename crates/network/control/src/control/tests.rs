@@ -1,6 +1,7 @@
 use std::path::Path as FilePath;
 
 use cotorra_graph::{ConditionChange, Image, Loss, Probability, Program, Vnf};
+use cotorra_graph_testing as base;
 
 use super::*;
 use cotorra_engine::InMemoryEngine;
@@ -294,16 +295,12 @@ fn a_node_that_is_a_container_is_managed_there_and_takes_no_room() {
     let mut testbed =
         cotorra_testbed_file::parse("x", TESTBED, FilePath::new("")).unwrap_or_else(|e| panic!("{e}"));
     testbed.containers.hosts.push(Vnf {
-        id: VnfId::new("one").unwrap(),
         program: Program::Host(Vec::new()),
         cpus: 4.0,
         memory_bytes: 8_000_000_000,
         pinned_to: Some(node("one")),
-        node: node("one").into(),
-        env: Vec::new(),
-        rights: Default::default(),
-        keep: false,
         image: Some(Box::new(Image { reference: "router:1".to_owned(), ..Image::default() })),
+        ..base::vnf("one", "one")
     });
     let network = Here::new(&testbed.graph);
     let mut lab = Lab(NetworkControl::new(&testbed, network, InMemoryEngine::default()));

@@ -196,7 +196,7 @@ impl<E: Engine> Vim<E> {
             return Err(VimError::StillStopping(id.clone()));
         }
         let is_access_point = self.graph.radio_units().any(|(node, _)| AccessPoint::vnf(&node.id) == *id);
-        // Their logs have their names, which not every file system tells apart by case.
+        // Their logs have their names, which not every file system distinguishes by case.
         let is_alike = |group: &Group| group.vnf.id.as_str().eq_ignore_ascii_case(id.as_str());
         if self.groups.iter().any(is_alike) || is_access_point {
             return Err(VimError::Taken(id.clone()));

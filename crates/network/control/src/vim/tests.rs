@@ -1,38 +1,23 @@
-use std::collections::BTreeMap;
-
 use cotorra_engine::InMemoryEngine;
-use cotorra_graph::{Capacity, DomainId, Node, NodeKind, Server, Tier};
+use cotorra_graph::{Capacity, Node, NodeKind, Server};
+use cotorra_graph_testing as base;
 
 use super::*;
 
 fn server(id: &str, cpus: f64) -> Node {
-    Node {
-        id: NodeId::new(id).unwrap(),
-        domain: DomainId::new("d").unwrap(),
-        position: None,
-        kind: NodeKind::Server(Server {
-            tier: Tier::Edge,
-            capacity: Capacity { cpus, memory_bytes: 8 << 30 },
-            cost: 1.0,
-            reliability: 1.0,
-            real: None,
-        }),
-    }
+    let capacity = Capacity { cpus, memory_bytes: 8 << 30 };
+    base::node(id, NodeKind::Server(Server { capacity, ..base::server() }))
 }
 
 fn vnf(id: &str, node: &str, pinned: bool) -> Vnf {
     let node = NodeId::new(node).unwrap();
     Vnf {
         id: VnfId::new(id).unwrap(),
-        program: Program::Navigation,
         cpus: 4.0,
         memory_bytes: 1 << 30,
         pinned_to: pinned.then(|| node.clone()),
         node: node.into(),
-        env: Vec::new(),
-        rights: Default::default(),
-        keep: false,
-        image: None,
+        ..base::vnf("vnf", "server")
     }
 }
 
@@ -44,12 +29,7 @@ fn vim() -> Vim<InMemoryEngine> {
 
 /// Returns a manager of these servers with these VNFs, all ready.
 fn vim_of(nodes: Vec<Node>, vnfs: Vec<Vnf>) -> Vim<InMemoryEngine> {
-    let graph = HardwareGraph {
-        domains: vec![DomainId::new("d").unwrap()],
-        nodes,
-        links: Vec::new(),
-        wireless: BTreeMap::new(),
-    };
+    let graph = base::graph(nodes, Vec::new());
     let mut vim = Vim::new(graph, &vnfs, InMemoryEngine::default());
     vim.start(Timestamp::ZERO);
     vim.poll(Timestamp::ZERO);

@@ -10,7 +10,7 @@ pub enum GatewayError {
     Namespace { path: PathBuf, source: io::Error },
     /// There is no such interface.
     #[error(
-        "there is no interface `{0}` there: `ip link` lists them, and docs/gateway.md makes a virtual one"
+        "there is no interface `{0}` there: `ip link` lists them, and docs/use/gateway.md makes a virtual one"
     )]
     Missing(String),
     /// It is down.
@@ -33,7 +33,7 @@ pub enum GatewayError {
     /// Another run has it.
     #[error("`{0}` is in use by another run")]
     Held(String),
-    /// The kernel does not tell its routes.
+    /// The kernel does not list its routes.
     #[error(transparent)]
     Routes(#[from] cotorra_netem::Error),
     /// The kernel rejected the socket.

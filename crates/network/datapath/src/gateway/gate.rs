@@ -26,7 +26,7 @@ const MOST_GROUP_FRAMES: f64 = 1000.0;
 /// Most MAC addresses behind a gateway: those of its machines, and of cards that take their place.
 const MOST_ADDRESSES: usize = 4 * Gateway::MAX_MACHINES;
 
-/// What passed a gateway so far.
+/// Counters of a gateway's frames.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Passed {
     /// Frames from outside that went on to the emulated network.
@@ -183,7 +183,7 @@ impl Gate {
             return self.learnt.contains(&destination).then_some(destination);
         }
         let to = match (target, &self.groups) {
-            // Who has the address? Only an answer tells its MAC address.
+            // Who has the address? Only an answer has its MAC address.
             (Some(target), _) => self.machines.contains(&target).then_some(destination)?,
             (None, Groups::Group) => destination,
             (None, Groups::Machine(last)) => (*last)?,

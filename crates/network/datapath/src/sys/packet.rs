@@ -71,15 +71,15 @@ pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<O
 /// BPF accepts, each behind its `virtio_net_hdr`. Its own frames take the way of all others through the interface's queueing
 /// discipline. [`read_frame_with_age`] returns the age of frames.
 ///
-/// The interface also receives frames to `addresses`, promiscuously if it cannot tell them apart, and all multicast, until
-/// the socket is closed.
+/// The interface also receives frames to `addresses`, promiscuously if it cannot distinguish them, and all multicast,
+/// until the socket is closed.
 pub(crate) fn bind_filtered(
     socket: &OwnedFd,
     interface: u32,
     filter: &[libc::sock_filter],
     addresses: impl ExactSizeIterator<Item = [u8; 6]>,
 ) -> io::Result<()> {
-    /// Network cards tell few addresses apart.
+    /// Network cards distinguish few addresses.
     const MOST_ADDRESSES: usize = 64;
     let on: c_int = 1;
     set_option(socket, libc::SOL_PACKET, libc::PACKET_VNET_HDR, &on)?;
@@ -174,7 +174,7 @@ pub(crate) fn read_with_age(fd: BorrowedFd<'_>, buffer: &mut [u8]) -> io::Result
     unsafe { receive_with_age(fd, &mut parts, None) }
 }
 
-/// Lets [`read_datagram_with_age`] tell the age of a socket's datagrams.
+/// Lets [`read_datagram_with_age`] read the age of a socket's datagrams.
 pub(crate) fn stamp_arrivals(socket: BorrowedFd<'_>) -> io::Result<()> {
     let on: c_int = 1;
     set_option(&socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, &on)
@@ -215,7 +215,7 @@ pub(crate) fn read_frame_with_age(
 /// Receives a frame or a datagram into the parts, and returns its length and its age. `from` becomes the sender of a datagram.
 ///
 /// # Safety
-/// The parts are live memory of the lengths stated, which nobody else uses.
+/// The parts are live memory of the lengths stated, which no other code uses.
 unsafe fn receive_with_age(
     fd: BorrowedFd<'_>,
     parts: &mut [libc::iovec],

@@ -32,7 +32,7 @@ use cotorra_wifi::{
     MobilityDomain, Network, Protection, Radio, Security, Station, Width, hostapd, wpa_supplicant,
 };
 
-/// What nothing here needs.
+/// Longer than anything here needs.
 const LONG: Duration = Duration::from_secs(60);
 /// Makes the process a helper of a test.
 const HELPER: &str = "COTORRA_TEST_RADIOS";
@@ -205,7 +205,7 @@ impl Floor {
         self.graph.address(&id(node)).unwrap()
     }
 
-    /// Waits until the robot is connected to an access point, and tells the fabric.
+    /// Waits until the robot is connected to an access point, and informs the fabric.
     fn await_association(&mut self, unit: usize, fast: bool) {
         let name = format!("ap{unit}");
         let bssid = MacAddress(self.address(&name).mac);

@@ -359,7 +359,7 @@ pub const WAYS: &[(&str, Harm, Way)] = &[
             })
     }),
     ("type into a terminal", Harm::None, |_| {
-        // SAFETY: the pointer is to a live byte. Nobody reads the terminal.
+        // SAFETY: the pointer is to a live byte. The terminal is not read.
         let typed = unsafe { libc::ioctl(0, libc::TIOCSTI, c"x".as_ptr()) };
         got_through(typed.into()) || File::open("/dev/tty").is_ok()
     }),

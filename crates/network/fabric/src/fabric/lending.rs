@@ -1,4 +1,4 @@
-//! Radios that are none of the fabric's, at the antennas of its robots and radio units.
+//! Radios that are not the fabric's, at the antennas of its robots and radio units.
 
 use cotorra_graph::{NodeId, Timestamp};
 
@@ -12,10 +12,10 @@ use crate::{
 };
 
 impl Fabric {
-    /// Lends the antenna of a robot or a radio unit to a radio that is none of the fabric's, for good. The fabric's own radio
+    /// Lends the antenna of a robot or a radio unit to a radio that is not the fabric's, for good. The fabric's own radio
     /// there is silent from then on: it attaches to nothing, and nothing attaches to it.
     ///
-    /// What the radios carry in their frames is none of the fabric's business. A program that bridges a radio unit's radio to
+    /// The fabric does not read the frames of the radios. A program that bridges a radio unit's radio to
     /// its port brings the robot's packets there. A packet that comes to the port of a radio unit whose antenna is lent, from
     /// the address of a robot whose antenna is lent, is the robot's. Packets to the robot leave at the port at which its own
     /// came in last, or of the radio unit that it was [associated](Self::associate) with since.
@@ -33,7 +33,8 @@ impl Fabric {
     }
 
     /// Records that a robot is associated with a radio unit, both of which have lent antennas: the event `Handover` reports it.
-    /// The robot counts as attached to it in all that the fabric tells. Does nothing if it is associated with it already.
+    /// The robot counts as attached to it in all that the fabric reports. Does nothing if it is associated with it
+    /// already.
     ///
     /// # Errors
     /// [`FabricError`] for an unknown robot or radio unit, antennas that are not lent, or two networks.

@@ -12,7 +12,7 @@ pub struct ForgedSources {
     pub node: NodeId,
     /// Whether they were delivered, because the host has no [port security](Fabric::disable_port_security).
     pub allowed: bool,
-    /// How many.
+    /// Their number.
     pub frames: ForgedFrames,
 }
 

@@ -20,7 +20,7 @@ pub(super) struct Codel {
     last_count: u32,
 }
 
-/// How many intervals after dropping ended it may go on at about the rate that it had (RFC 8289, section 5).
+/// Intervals after the end of dropping in which it may go on at about the rate that it had (RFC 8289, section 5).
 const RECENT_INTERVALS: u32 = 16;
 
 impl Codel {

@@ -21,7 +21,7 @@ use self::{codel::Codel, fifo::Fifo, fq_codel::FqCodel, pie::Pie, red::Red};
 /// Bytes of a full Ethernet frame without FCS.
 const FULL_FRAME: u64 = 1514;
 
-/// What a queue has to know of a packet, and may do to it.
+/// A queue's view of a packet.
 pub(crate) trait Queued {
     /// Returns when it came to the link.
     fn entered(&self) -> Timestamp;

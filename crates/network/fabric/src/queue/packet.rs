@@ -1,4 +1,4 @@
-//! What queues need of Ethernet frames: their flow, and marks of congestion in their IP headers.
+//! Properties of Ethernet frames that queues need: their flow, and marks of congestion in their IP headers.
 
 use cotorra_flows::{
     checksum::fold,

@@ -1,4 +1,4 @@
-//! Associations of radios that are none of the fabric's. Their own software decides and reports them; here they count as
+//! Associations of radios that are not the fabric's. Their own software decides and reports them; here they count as
 //! attachments do: in φ, ι and events.
 
 use cotorra_graph::{Event, Handover, NodeId, Timestamp};
@@ -6,7 +6,7 @@ use cotorra_graph::{Event, Handover, NodeId, Timestamp};
 use super::{Radio, RadioUnitIndex};
 use crate::settings::FabricError;
 
-/// How a robot came to a radio unit.
+/// A robot's way to a radio unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Association {
     /// When it could not send or receive data any more: the beginning of the gap.

@@ -8,6 +8,6 @@ pub(super) enum Emitter {
     Robot(StationIndex),
     Unit(RadioUnitIndex),
     Interference(usize),
-    /// A radio that is none of the fabric's.
+    /// A radio that is not the fabric's.
     Foreign(usize),
 }

@@ -17,7 +17,7 @@ use super::{
     foreign::{Antenna, RateTries, Receiver, Report, Transmission},
 };
 
-/// Tries of a management frame: those that Linux's simulated radios are told to make.
+/// Tries of a management frame: as many as Linux orders of its simulated radios.
 const TRIES: u32 = 11;
 /// Check sequence of a frame, bytes.
 const FCS: u32 = 4;
@@ -74,7 +74,7 @@ impl Message {
     }
 }
 
-/// What became of a frame of a handover.
+/// Fate of a frame of a handover.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fate {
     /// Its receiver has it.
@@ -148,7 +148,7 @@ impl Radio {
     /// that, but a request at the lowest rate is in their way.
     pub(super) fn agree(&mut self, now: Timestamp, Path { robot, unit, direction }: Path) {
         let spec = &self.networks[self.units[unit].network].spec;
-        let aggregates = spec.access.as_ref().is_some_and(|access| access.aggregation);
+        let aggregates = spec.access.edca().is_some_and(|edca| edca.aggregation);
         if aggregates && spec.handover.frames.is_some() && self.link(robot, unit).agrees(direction) {
             self.send_message(now, robot, unit, Message::Agree(direction));
         }

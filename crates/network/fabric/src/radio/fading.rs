@@ -15,7 +15,7 @@ const TICKS: f64 = 100.0;
 /// Speed of light, m/s.
 const LIGHT: f64 = 299_792_458.0;
 
-/// Where a robot is, and the tick of its surroundings. In the same moment, a link has the same fading.
+/// Place of a robot, and the tick of its surroundings. In the same moment, a link has the same fading.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Moment {
     pub(super) place: Position,

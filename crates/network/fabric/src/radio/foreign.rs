@@ -1,4 +1,4 @@
-//! Radios that are none of the fabric's, such as those of a kernel, at the antennas of robots and radio units. Their frames
+//! Radios that are not the fabric's, such as those of a kernel, at the antennas of robots and radio units. Their frames
 //! cross the same air as all others: they [contend](super::edca), fade, collide and interfere. What is in them, which rates
 //! they are tried with, and who is attached to whom, is their senders' business.
 
@@ -9,7 +9,7 @@ use cotorra_graph::{Dbm, Direction, NodeId, Timestamp};
 use super::{Path, PhyRate, Radio, RadioUnitIndex, StationIndex, edca::category::Category, emitter::Emitter};
 use crate::settings::FabricError;
 
-/// An antenna that is lent to a radio that is none of the fabric's.
+/// An antenna that is lent to a radio that is not the fabric's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Antenna(pub(super) usize);
 
@@ -24,7 +24,7 @@ pub struct Transmission {
     pub psdu_bytes: u32,
     /// Its access category.
     pub category: Category,
-    /// Who it is for.
+    /// Its receiver.
     pub to: Receiver,
     /// Length of the packet that it carries, as an Ethernet frame without check sequence; `None` if it carries none. Packets
     /// between a robot and a radio unit of its network count on their wireless link.
@@ -32,7 +32,7 @@ pub struct Transmission {
     /// Whether it may go in one A-MPDU with frames behind it: its receiver has agreed to block acknowledgements, and puts them in
     /// order.
     pub aggregates: bool,
-    /// Rates to try, in this order, until it is acknowledged. A frame that nobody acknowledges is tried once.
+    /// Rates to try, in this order, until it is acknowledged. A frame without acknowledgement is tried once.
     pub rates: Vec<RateTries>,
 }
 
@@ -47,16 +47,16 @@ pub struct RateTries {
     pub rts: bool,
 }
 
-/// Who a frame is for.
+/// Receiver of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Receiver {
-    /// All other radios. Nobody acknowledges it.
+    /// All other radios. It is not acknowledged.
     All,
     /// One radio, which acknowledges it.
     One(Antenna),
     /// One radio, which does not acknowledge it.
     OneWithoutAnswer(Antenna),
-    /// None that is there: nobody acknowledges it, although the sender waits for that.
+    /// An absent radio: the sender waits in vain for an acknowledgement.
     Nobody,
 }
 
@@ -67,7 +67,7 @@ impl Receiver {
     }
 }
 
-/// What happened to a frame.
+/// Fate of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Report {
     /// A radio received it. Whether the radio listens on that channel is for the caller to know, if it was for

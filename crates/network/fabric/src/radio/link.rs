@@ -100,7 +100,7 @@ impl WirelessLink {
         frequency_mhz: u16,
         seed: u64,
     ) -> Self {
-        let rates = |direction: &str| match network.access.as_ref().map(|access| access.rate_control) {
+        let rates = |direction: &str| match network.access.edca().map(|edca| edca.rate_control) {
             None | Some(cotorra_graph::RateControl::Ideal) => RateControl::Ideal,
             Some(cotorra_graph::RateControl::Minstrel) => {
                 RateControl::minstrel(Draws::new(seed, &format!("rates {id} {direction}")))

@@ -290,7 +290,7 @@ impl Radio {
         let edca = networks.iter().any(Network::contends).then(|| {
             let mut interference = Vec::new();
             for (index, network) in networks.iter().enumerate() {
-                for source in &network.spec.interference {
+                for source in network.spec.access.interference() {
                     let frequency_mhz = network.spec.standard.frequency_mhz(source.channel);
                     if let Ok(channel) = channels.binary_search(&frequency_mhz) {
                         let place = [index, channel];
@@ -302,7 +302,7 @@ impl Radio {
             let units = units.iter().map(|unit| (channel(unit), networks[unit.network].phy.sifs()));
             let stations = robots.iter().map(|robot| {
                 let Network { phy, spec, .. } = &networks[robot.network];
-                (phy.sifs(), spec.access.and_then(|access| access.power_save))
+                (phy.sifs(), spec.access.edca().and_then(|edca| edca.power_save))
             });
             Edca::new(seed, units, stations, interference)
         });
@@ -800,7 +800,7 @@ impl Path {
 impl Network {
     /// Whether its stations contend for the channel; otherwise they take turns.
     fn contends(&self) -> bool {
-        self.spec.access.is_some()
+        self.spec.access.contends()
     }
 
     fn new(ssid: &str, spec: &WirelessNetwork) -> Result<Self, FabricError> {

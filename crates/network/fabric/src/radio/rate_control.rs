@@ -8,7 +8,7 @@ use super::{
     phy::{ATTEMPTS, Phy, Reception},
 };
 
-/// How an attempt is sent.
+/// Parameters of an attempt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Attempt {
     pub(super) mode: usize,

@@ -53,7 +53,7 @@ enum Stage {
     Handshake,
 }
 
-/// What a station does in a handover whose frames are on the air.
+/// Phase of a station in a handover whose frames are on the air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Exchange {
     /// The frame to send when the phase ends: the next one, or once more the one without an answer.
@@ -411,7 +411,7 @@ fn next_tick(now: Timestamp, Frames { tick }: Frames) -> Timestamp {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Dbm, GapPolicy, Loss, PathLoss, Shadowing, WifiStandard};
+    use cotorra_graph_testing as base;
 
     use super::*;
 
@@ -424,34 +424,8 @@ mod tests {
     }
 
     fn station(fast_transition: bool, variation: f64) -> Station {
-        let network = WirelessNetwork {
-            standard: WifiStandard::N,
-            delay: ms(1),
-            rate: None,
-            loss: Loss::None,
-            fast_transition,
-            mobility_domain: 1,
-            path_loss: PathLoss::FreeSpace,
-            walls: None,
-            access: None,
-            interference: Vec::new(),
-            software: None,
-            shadowing: Shadowing { deviation_db: 0.0, correlation_m: 1.0 },
-            fading: None,
-            noise_floor: Dbm(-95.0),
-            hysteresis_db: 0.0,
-            time_to_trigger: Duration::ZERO,
-            handover: HandoverTimes {
-                scan: ms(100),
-                visits: None,
-                authenticate: ms(10),
-                reassociate: ms(20),
-                handshake: ms(40),
-                variation,
-                frames: None,
-            },
-            gap: GapPolicy::Hold,
-        };
+        let handover = HandoverTimes { variation, ..base::wireless().handover };
+        let network = WirelessNetwork { fast_transition, handover, ..base::wireless() };
         let mut station = Station::new(&network, Draws::new(1, "r"));
         station.begin_attached(0);
         station

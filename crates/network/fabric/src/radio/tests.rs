@@ -6,10 +6,11 @@ mod foreign;
 mod supplicant;
 
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, Driver, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss,
-    Node, NodeKind, PathLoss, PowerSave, Probability, QueueDiscipline, RadioUnit, Rate, RateControl, Roaming,
-    Robot, RobotModel, ScanVisits, Server, Shadowing, Tier, WifiStandard,
+    Access, BitRate, Conditions, Edca, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss, Node,
+    NodeKind, PathLoss, PowerSave, Probability, QueueDiscipline, RadioUnit, Rate, RateControl, Roaming,
+    Robot, ScanVisits, Shadowing, WifiStandard,
 };
+use cotorra_graph_testing as base;
 use proptest::prelude::*;
 
 use super::*;
@@ -33,68 +34,20 @@ fn mbps(rate: f64) -> BitRate {
 
 /// A network without randomness: no shadowing, no variation, 1 ms and 8 Mbit/s.
 fn network() -> WirelessNetwork {
-    WirelessNetwork {
-        standard: WifiStandard::N,
-        delay: ms(1),
-        rate: Some(mbps(8.0)),
-        loss: Loss::None,
-        fast_transition: true,
-        mobility_domain: 1,
-        path_loss: PathLoss::LogDistance { exponent: 3.0 },
-        walls: None,
-        access: None,
-        interference: Vec::new(),
-        software: None,
-        shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
-        fading: None,
-        noise_floor: Dbm(-95.0),
-        hysteresis_db: 4.0,
-        time_to_trigger: ms(500),
-        handover: HandoverTimes {
-            scan: ms(100),
-            visits: None,
-            authenticate: ms(10),
-            reassociate: ms(20),
-            handshake: ms(40),
-            variation: 0.0,
-            frames: None,
-        },
-        gap: GapPolicy::Hold,
-    }
+    WirelessNetwork { rate: Some(mbps(8.0)), ..base::wireless() }
 }
 
 fn node(name: &str, x: f64, kind: NodeKind) -> Node {
-    Node { id: id(name), domain: DomainId::new("d").unwrap(), position: Some(Position::new(x, 0.0)), kind }
+    Node { position: Some(Position::new(x, 0.0)), ..base::node(name, kind) }
 }
 
-const CAPACITY: Capacity = Capacity { cpus: 1.0, memory_bytes: 1 };
-
 fn unit(name: &str, x: f64, channel: u8) -> Node {
-    let unit = RadioUnit {
-        capacity: CAPACITY,
-        network: "lab".into(),
-        channel,
-        tx_power: Dbm(20.0),
-        serving: true,
-        deployment: Duration::ZERO,
-        agent: None,
-        radio: None,
-    };
+    let unit = RadioUnit { channel, ..base::radio_unit("lab") };
     node(name, x, NodeKind::RadioUnit(unit))
 }
 
 fn robot(name: &str, x: f64, roaming: Roaming) -> Node {
-    let robot = Robot {
-        capacity: CAPACITY,
-        model: RobotModel::Turtlebot2,
-        network: "lab".into(),
-        tx_power: Dbm(20.0),
-        heading: 0.0,
-        roaming,
-        driver: Driver::default(),
-        sensors: Vec::new(),
-        radio: None,
-    };
+    let robot = Robot { roaming, ..base::robot("lab") };
     node(name, x, NodeKind::Robot(robot))
 }
 
@@ -113,12 +66,8 @@ impl World {
 
     fn seeded(network: WirelessNetwork, nodes: Vec<Node>, seed: u64) -> Self {
         let other = WirelessNetwork { gap: GapPolicy::Hold, ..network.clone() };
-        let graph = HardwareGraph {
-            domains: vec![DomainId::new("d").unwrap()],
-            nodes,
-            links: Vec::new(),
-            wireless: [("lab".to_owned(), network), ("other".to_owned(), other)].into(),
-        };
+        let wireless = [("lab".to_owned(), network), ("other".to_owned(), other)].into();
+        let graph = HardwareGraph { wireless, ..base::graph(nodes, Vec::new()) };
         let ports = graph.hosts().enumerate().map(|(i, n)| (n.id.clone(), PortId(i))).collect();
         Self { radio: Radio::new(&graph, seed).unwrap(), ports, arrived: Vec::new(), pushed: 0 }
     }
@@ -720,31 +669,19 @@ fn runs_depend_only_on_the_seed() {
 
 #[test]
 fn frames_follow_the_robot_through_the_fabric() {
-    let server = Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0, real: None };
     let wire = |unit: &str, delay: Duration| {
         let conditions = Conditions { delay, ..Conditions::default() };
-        Link {
-            id: LinkId::new(&format!("{unit}-s")).unwrap(),
-            ends: [id(unit), id("s")],
-            forward: conditions.clone(),
-            backward: conditions,
-            scales: Default::default(),
-            medium: mbps(10_000.0),
-            medium_delay: Duration::ZERO,
-            reliability: 1.0,
-        }
+        Link { medium: mbps(10_000.0), ..base::link(unit, "s", conditions) }
     };
-    let graph = HardwareGraph {
-        domains: vec![DomainId::new("d").unwrap()],
-        nodes: vec![
-            robot("r", 5.0, Roaming::Instructed),
-            unit("R1", 0.0, 1),
-            unit("R2", 30.0, 6),
-            node("s", 0.0, NodeKind::Server(server)),
-        ],
-        links: vec![wire("R1", ms(2)), wire("R2", ms(5))],
-        wireless: [("lab".to_owned(), network())].into(),
-    };
+    let nodes = vec![
+        robot("r", 5.0, Roaming::Instructed),
+        unit("R1", 0.0, 1),
+        unit("R2", 30.0, 6),
+        node("s", 0.0, NodeKind::Server(base::server())),
+    ];
+    let links = vec![wire("R1", ms(2)), wire("R2", ms(5))];
+    let wireless = [("lab".to_owned(), network())].into();
+    let graph = HardwareGraph { wireless, ..base::graph(nodes, links) };
     let mut fabric = Fabric::new(&graph, 1).unwrap();
     let (r, s) = (PortId(0), PortId(3));
     let frame = |from: PortId, to: PortId| {
@@ -824,6 +761,7 @@ proptest! {
         let nodes = (0..3).map(|i| robot(robots[i], 10.0 * i as f64, roaming[i]))
             .chain((0..3).map(|i| unit(units[i], 30.0 * i as f64, if i == 2 { 11 } else { 1 })))
             .collect();
+        let access = access.map_or(Access::Turns, Access::from);
         let mut world = World::seeded(WirelessNetwork { gap, shadowing, handover, access, ..network() }, nodes, seed);
         let groups = operations.iter().any(|(_, o)| matches!(o, Operation::Group(..)));
         let mut now = Timestamp::ZERO;

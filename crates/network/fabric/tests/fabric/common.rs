@@ -4,10 +4,9 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, Dbm, Driver, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link,
-    LinkContext, Loss, Node, NodeKind, PathLoss, Position, RadioUnit, Rate, Roaming, Robot, RobotModel,
-    Server, Shadowing, Tier, Timestamp, WifiStandard, WirelessNetwork,
+    BitRate, Conditions, HardwareGraph, HostAddress, LinkContext, Node, NodeKind, Position, Rate, Timestamp,
 };
+use cotorra_graph_testing as base;
 
 /// A builder of networks.
 pub struct Network(HardwareGraph);
@@ -15,80 +14,28 @@ pub struct Network(HardwareGraph);
 impl Network {
     /// No nodes, and a wireless network `air` without randomness: 1 ms of delay, and the standard's rate.
     pub fn new() -> Self {
-        let air = WirelessNetwork {
-            standard: WifiStandard::N,
-            delay: Duration::from_millis(1),
-            rate: None,
-            loss: Loss::None,
-            fast_transition: true,
-            mobility_domain: 1,
-            path_loss: PathLoss::LogDistance { exponent: 3.0 },
-            walls: None,
-            access: None,
-            interference: Vec::new(),
-            software: None,
-            shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
-            fading: None,
-            noise_floor: Dbm(-95.0),
-            hysteresis_db: 4.0,
-            time_to_trigger: Duration::from_millis(500),
-            handover: HandoverTimes {
-                scan: Duration::from_millis(100),
-                visits: None,
-                authenticate: Duration::from_millis(10),
-                reassociate: Duration::from_millis(20),
-                handshake: Duration::from_millis(40),
-                variation: 0.0,
-                frames: None,
-            },
-            gap: GapPolicy::Hold,
-        };
-        let domains = vec!["home".parse().unwrap()];
-        let wireless = BTreeMap::from([("air".to_owned(), air)]);
-        Self(HardwareGraph { domains, nodes: vec![], links: vec![], wireless })
+        let wireless = BTreeMap::from([("air".to_owned(), base::wireless())]);
+        Self(HardwareGraph { domains: vec![base::id("home")], wireless, ..base::graph(vec![], vec![]) })
     }
 
     fn node(mut self, name: &str, x: f64, kind: NodeKind) -> Self {
-        let domain = self.0.domains[0].clone();
         let position = Some(Position::new(x, 0.0));
-        self.0.nodes.push(Node { id: name.parse().unwrap(), domain, position, kind });
+        self.0.nodes.push(Node { position, ..base::node(name, kind) });
         self
     }
 
     pub fn server(self, name: &str) -> Self {
-        let server = Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0, real: None };
-        self.node(name, 0.0, NodeKind::Server(server))
+        self.node(name, 0.0, NodeKind::Server(base::server()))
     }
 
     /// Adds a radio unit, `x` metres to the east.
     pub fn radio_unit(self, name: &str, x: f64) -> Self {
-        let unit = RadioUnit {
-            capacity: CAPACITY,
-            network: "air".into(),
-            channel: 1,
-            tx_power: Dbm(20.0),
-            serving: true,
-            deployment: Duration::ZERO,
-            agent: None,
-            radio: None,
-        };
-        self.node(name, x, NodeKind::RadioUnit(unit))
+        self.node(name, x, NodeKind::RadioUnit(base::radio_unit("air")))
     }
 
     /// Adds a robot, `x` metres to the east, that roams by instruction only.
     pub fn robot(self, name: &str, x: f64) -> Self {
-        let robot = Robot {
-            capacity: CAPACITY,
-            model: RobotModel::Turtlebot2,
-            network: "air".into(),
-            tx_power: Dbm(20.0),
-            heading: 0.0,
-            roaming: Roaming::Instructed,
-            driver: Driver::default(),
-            sensors: Vec::new(),
-            radio: None,
-        };
-        self.node(name, x, NodeKind::Robot(robot))
+        self.node(name, x, NodeKind::Robot(base::robot("air")))
     }
 
     pub fn servers(self, names: &[&str]) -> Self {
@@ -101,16 +48,7 @@ impl Network {
 
     /// Adds a link `<a>-<b>` over a medium of 100 Gbit/s, with the same conditions in both directions.
     pub fn link(mut self, a: &str, b: &str, conditions: Conditions) -> Self {
-        self.0.links.push(Link {
-            id: format!("{a}-{b}").parse().unwrap(),
-            ends: [a.parse().unwrap(), b.parse().unwrap()],
-            forward: conditions.clone(),
-            backward: conditions,
-            medium: BitRate::from_mbps(100_000.0).unwrap(),
-            medium_delay: Duration::ZERO,
-            scales: Default::default(),
-            reliability: 1.0,
-        });
+        self.0.links.push(base::link(a, b, conditions));
         self
     }
 
@@ -122,8 +60,6 @@ impl Network {
         Fabric::new(&self.0, seed).unwrap()
     }
 }
-
-const CAPACITY: Capacity = Capacity { cpus: 4.0, memory_bytes: 8 << 30 };
 
 /// Two servers `a` and `b` and the link `a-b`.
 pub fn pair(conditions: Conditions, seed: u64) -> Fabric {

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use cotorra_fabric::{Fabric, PortId};
-use cotorra_graph::{Edca, Fading, HardwareGraph, NodeId, Position, RateControl, Timestamp};
+use cotorra_graph::{Access, Edca, Fading, HardwareGraph, NodeId, Position, RateControl, Timestamp};
 
 use crate::common::{Delivery, Network, frame, frame_to, ms, run};
 
@@ -21,8 +21,8 @@ fn floor(fading: Option<Fading>, metres: f64) -> HardwareGraph {
 }
 
 /// Returns contention of stations that never sleep.
-fn contention(aggregation: bool, rate_control: RateControl) -> Edca {
-    Edca { aggregation, rate_control, power_save: None }
+fn contention(aggregation: bool, rate_control: RateControl) -> Access {
+    Edca { aggregation, rate_control, power_save: None }.into()
 }
 
 fn id(name: &str) -> NodeId {
@@ -37,9 +37,9 @@ fn airtime(fabric: &mut Fabric, now: Timestamp, from: PortId, to: PortId) -> Opt
 }
 
 /// Sends a frame to the robot and one from it every 20 ms, while it drives for 2 s.
-fn drive(fading: Option<Fading>, access: Option<Edca>) -> Vec<Delivery> {
+fn drive(fading: Option<Fading>, access: &Access) -> Vec<Delivery> {
     let mut graph = floor(fading, 50.0);
-    graph.wireless.get_mut("air").unwrap().access = access;
+    graph.wireless.get_mut("air").unwrap().access = access.clone();
     let mut fabric = Fabric::new(&graph, 1).unwrap();
     let mut out = Vec::new();
     for i in 0..100 {
@@ -54,18 +54,18 @@ fn drive(fading: Option<Fading>, access: Option<Edca>) -> Vec<Delivery> {
 
 #[test]
 fn an_overwhelming_line_of_sight_is_no_fading() {
-    for access in [None, Some(contention(true, RateControl::Ideal))] {
-        let without = drive(None, access);
+    for access in [Access::Turns, contention(true, RateControl::Ideal)] {
+        let without = drive(None, &access);
         assert_eq!(without.len(), 200);
-        assert_eq!(drive(Some(Fading { k_factor_db: Some(200.0), motion_mps: 1.0 }), access), without);
-        assert_ne!(drive(RAYLEIGH, access), without);
+        assert_eq!(drive(Some(Fading { k_factor_db: Some(200.0), motion_mps: 1.0 }), &access), without);
+        assert_ne!(drive(RAYLEIGH, &access), without);
     }
 }
 
 #[test]
 fn a_run_with_fading_repeats_by_its_seed() {
     let fading = Some(Fading { k_factor_db: Some(3.0), motion_mps: 0.5 });
-    assert_eq!(drive(fading, None), drive(fading, None));
+    assert_eq!(drive(fading, &Access::Turns), drive(fading, &Access::Turns));
 }
 
 #[test]
@@ -120,9 +120,9 @@ fn only_motion_changes_the_signal_of_a_standing_robot() {
 }
 
 /// Returns the share of group frames that are lost at 100 m, with or without contention.
-fn lost(k_factor_db: Option<f64>, access: Option<Edca>) -> f64 {
+fn lost(k_factor_db: Option<f64>, access: &Access) -> f64 {
     let mut graph = floor(Some(Fading { k_factor_db, motion_mps: 5.0 }), 100.0);
-    graph.wireless.get_mut("air").unwrap().access = access;
+    graph.wireless.get_mut("air").unwrap().access = access.clone();
     let mut fabric = Fabric::new(&graph, 1).unwrap();
     let mut received = 0;
     for i in 0..4000 {
@@ -137,9 +137,9 @@ fn lost(k_factor_db: Option<f64>, access: Option<Edca>) -> f64 {
 fn group_frames_are_lost_in_deep_fades() {
     // At 100 m the mean SNR is 15 dB. The slowest rate needs 3.3 to 3.9 dB, which is 11.1 to 11.7 dB less. A share of
     // 1 - exp(-10^(-1.17)) to 1 - exp(-10^(-1.11)) of Rayleigh fading is below, and 1 % of Rician fading with 6 dB.
-    for access in [None, Some(contention(false, RateControl::Ideal))] {
+    for access in [Access::Turns, contention(false, RateControl::Ideal)] {
         let [rayleigh, rician, none] =
-            [None, Some(6.0), Some(100.0)].map(|k_factor_db| lost(k_factor_db, access));
+            [None, Some(6.0), Some(100.0)].map(|k_factor_db| lost(k_factor_db, &access));
         assert!((0.055..0.085).contains(&rayleigh), "{rayleigh}");
         assert!((0.003..0.02).contains(&rician), "{rician}");
         assert_eq!(none, 0.0);
@@ -149,7 +149,7 @@ fn group_frames_are_lost_in_deep_fades() {
 /// Returns the frames of 1000 bytes that a robot with a mean SNR of 24 dB gets in 2 s, on a channel that is always busy.
 fn carried(fading: Option<Fading>, rate_control: RateControl) -> usize {
     let mut graph = floor(fading, 50.0);
-    graph.wireless.get_mut("air").unwrap().access = Some(contention(false, rate_control));
+    graph.wireless.get_mut("air").unwrap().access = contention(false, rate_control);
     let mut fabric = Fabric::new(&graph, 1).unwrap();
     let mut received = 0;
     for i in 0..200 {

@@ -243,6 +243,7 @@ fn flow_of_a(protocol: FlowProtocol) -> Service {
         area: None,
         radio: None,
         flow: Some(flow),
+        require: Vec::new(),
     };
     Service {
         id: "walk".parse().unwrap(),

@@ -35,7 +35,7 @@ fn lent_but(own: &[&str]) -> Fabric {
         .fold(network.robot("p", 2.0), |network, end| network.link(end, "s", Conditions::default()));
     let mut graph = network.graph();
     graph.wireless.get_mut("air").unwrap().access =
-        Some(Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None });
+        Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }.into();
     let mut fabric = Fabric::new(&graph, 1).unwrap();
     for node in ["p", "R1", "R2"].into_iter().filter(|node| !own.contains(node)) {
         fabric.lend_antenna(ms(0.0), &node.parse().unwrap()).unwrap();
@@ -290,12 +290,12 @@ fn rates_of_a_station_are_those_that_its_radio_and_the_radio_units_chose() {
             rates,
         };
         fabric.transmit(ms(at), from, transmission);
-        // Reports that nobody takes stay due.
+        // Reports that are not taken stay due.
         fabric.poll(ms(at + 50.0), &mut |_, _| {});
         while fabric.next_report().is_some() {}
     };
     let modelled = rates(&fabric, 0.0);
-    // The station has sent nothing, so nobody knows that it listens.
+    // The station has sent nothing, so no other knows that it listens.
     send(&mut fabric, 100.0, [unit, station], Some(100), 12);
     assert_eq!(rates(&fabric, 150.0), modelled);
     send(&mut fabric, 200.0, [station, unit], Some(100), 24);

@@ -19,7 +19,7 @@ fn other() -> HostAddress {
     HostAddress::of(B.0)
 }
 
-/// A host that is none of the graph's.
+/// A host that is not in the graph.
 fn stranger() -> HostAddress {
     HostAddress::of(7)
 }

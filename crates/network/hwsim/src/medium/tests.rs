@@ -38,7 +38,7 @@ impl World {
         let mut world = Self { fabric, medium, now: Timestamp::ZERO, sent: Vec::new() };
         for from in [AP, STATION] {
             world.handle(&Message::AddAddress(Alias { radio: from, address: from }));
-            // What a radio sends first says where it listens.
+            // A radio's first frame says where it listens.
             world.send(from, BROADCAST, CHANNEL_36);
         }
         world.run();
@@ -258,7 +258,7 @@ fn categories_are_those_of_the_user_priority() {
 fn frames_that_the_kernel_would_aggregate_arrive_together() {
     for (aggregates, times) in [(false, 3), (true, 1)] {
         let mut world = World::new(5.0);
-        // Encrypted QoS data, as with protected management frames, whose agreement nobody can read.
+        // Encrypted QoS data, as with protected management frames, whose agreement cannot be read.
         let frame = [&[0x88, 0x41, 0, 0][..], &AP.0, &STATION.0, &AP.0, &[0; 200]].concat();
         for cookie in 1..=3 {
             world.handle(&Message::Frame(Frame {

@@ -64,9 +64,9 @@ fn radios_of_two_namespaces_talk_over_the_fabrics_air() {
         assert!((signal - (power - loss)).abs() <= 0.5, "{signal} dBm, not {}", power - loss);
     }
 
-    // Out of reach, nothing arrives, and nobody acknowledges.
+    // Out of reach, nothing arrives or is acknowledged.
     air.walk_to(10_000.0);
-    // What was on its way before still arrives.
+    // Frames that were on their way still arrive.
     air.run_until(Duration::from_secs(1), || false);
     assert!(!air.reaches(&there, &here, Duration::from_secs(3)));
     air.walk_to(10.0);

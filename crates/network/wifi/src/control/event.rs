@@ -16,7 +16,7 @@ pub struct Message {
     pub interface: Option<InterfaceName>,
     /// Its level: 0 and 1 are for debugging, 2 is information, 3 is what programs want, 4 a warning, 5 an error.
     pub level: u8,
-    /// What happened.
+    /// The event.
     pub event: Event,
 }
 
@@ -146,7 +146,7 @@ pub enum Event {
         station: MacAddress,
         /// The status (IEEE 802.11-2020, table 9-428): 0 if it moves.
         status: u8,
-        /// Where it moves to.
+        /// Access point to which it moves.
         target: Option<MacAddress>,
     },
     /// The interface is up.
@@ -194,7 +194,7 @@ impl Event {
         Self::known(text).unwrap_or_else(|| Self::Other(text.chars().take(LONGEST_TEXT).collect()))
     }
 
-    /// Reads an event; `None` if it is none of the known ones, or lacks what those have.
+    /// Reads an event; `None` if it is unknown or incomplete.
     fn known(text: &str) -> Option<Self> {
         const AUTHENTICATING: &str = "SME: Trying to authenticate with ";
         const ASSOCIATING: &str = "Trying to associate with ";

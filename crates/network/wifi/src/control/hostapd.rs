@@ -36,7 +36,7 @@ pub struct Status {
     pub bss: Vec<BssStatus>,
 }
 
-/// What an access point is about.
+/// Phase of an access point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum State {
     /// It serves.
@@ -118,14 +118,14 @@ fn read_channel(frequency_mhz: u32, fields: &Fields<'_>) -> Option<Channel> {
     Channel::at_frequency(frequency_mhz, width).ok().filter(|channel| channel.secondary() == secondary)
 }
 
-/// What a BSS is configured to.
+/// Configuration of a BSS.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Configuration {
     /// Its address.
     pub bssid: MacAddress,
     /// Its name; `None` if hostapd's text cannot be read.
     pub ssid: Option<Ssid>,
-    /// How stations prove who they are, such as `WPA-PSK FT-PSK`; `None` if they need not.
+    /// Key management of stations, such as `WPA-PSK FT-PSK`; `None` if they need not.
     pub key_management: Option<String>,
 }
 
@@ -150,7 +150,7 @@ pub struct Station {
     pub authorized: bool,
     /// Whether its management frames are protected.
     pub protected: bool,
-    /// How it proved who it is, as a suite selector, e.g. `00-0f-ac-4` for FT-PSK (IEEE 802.11-2020, table 9-151).
+    /// Its key management, as a suite selector, e.g. `00-0f-ac-4` for FT-PSK (IEEE 802.11-2020, table 9-151).
     pub key_management: Option<String>,
     /// Signal of the last frame from it, in dBm.
     pub signal_dbm: Option<i32>,
@@ -207,7 +207,7 @@ fn read_station(text: &str) -> Result<Option<Station>, AnswerError> {
     }))
 }
 
-/// Returns the request to disconnect a station, with a reason (IEEE 802.11-2020, table 9-49) that it is told.
+/// Returns the request to disconnect a station, with a reason (IEEE 802.11-2020, table 9-49) that it receives.
 pub fn deauthenticate(station: MacAddress, reason: u16) -> Request<()> {
     Request::new(format!("DEAUTHENTICATE {station} reason={reason}"), done)
 }
@@ -227,7 +227,7 @@ pub fn switch_channel(channel: Channel, beacons: u8) -> Request<()> {
     Request::new(format!("CHAN_SWITCH {beacons} {}", channel.switch_parameters()), done)
 }
 
-/// Returns the request to add or change a neighbour that stations are told about when they ask.
+/// Returns the request to add or change a neighbour that is announced to stations when they ask.
 pub fn set_neighbour(neighbour: &Neighbour) -> Request<()> {
     let Neighbour { bssid, ssid, .. } = neighbour;
     let element = hex::encode(&neighbour.element());
@@ -239,7 +239,7 @@ pub fn remove_neighbour(bssid: MacAddress, ssid: &Ssid) -> Request<()> {
     Request::new(format!("REMOVE_NEIGHBOR {bssid} ssid={}", ssid.hex()), done)
 }
 
-/// What a station is asked for (802.11v).
+/// A request to a station (802.11v).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Urgency {

@@ -1,4 +1,4 @@
-//! Neighbours of an access point, as stations are told about them.
+//! Neighbours of an access point, as it announces them to stations.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,7 @@ use crate::{
     names::Ssid,
 };
 
-/// A BSS that stations are told about, to roam to (802.11k and 802.11v).
+/// A BSS that is announced to stations, to roam to (802.11k and 802.11v).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Neighbour {
     /// Its address.
@@ -18,7 +18,7 @@ pub struct Neighbour {
     pub ssid: Ssid,
     /// Its channel.
     pub channel: Channel,
-    /// Whether it is in the mobility domain of the BSS that tells.
+    /// Whether it is in the mobility domain of the BSS that announces it.
     pub same_domain: bool,
     /// The newest generation of Wi-Fi that it offers.
     pub generation: Generation,

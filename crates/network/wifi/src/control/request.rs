@@ -7,7 +7,7 @@ use crate::{
     names::InterfaceName,
 };
 
-/// How an answer is read.
+/// Format of an answer.
 type Reader<A> = fn(Result<&str, AnswerError>) -> Result<A, AnswerError>;
 
 /// A request, and how its answer is read. `Debug` only shows its command, because the rest may be secret.

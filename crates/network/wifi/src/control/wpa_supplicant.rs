@@ -17,7 +17,7 @@ use crate::{
 /// State of a station.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Status {
-    /// What it is about.
+    /// Its phase.
     pub state: State,
     /// Its own address.
     pub address: Option<MacAddress>,
@@ -29,11 +29,11 @@ pub struct Status {
     pub network: Option<u32>,
     /// Centre of the primary channel, in MHz.
     pub frequency_mhz: Option<u32>,
-    /// How it proved who it is, such as `FT-PSK`, `WPA2-PSK`, `SAE` or `NONE`.
+    /// Its key management, such as `FT-PSK`, `WPA2-PSK`, `SAE` or `NONE`.
     pub key_management: Option<String>,
 }
 
-/// What a station is about.
+/// Phase of a station.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum State {
     /// It is not connected and does not look for a network.
@@ -108,7 +108,7 @@ pub struct Heard {
     pub frequency_mhz: u32,
     /// Its signal, in dBm.
     pub signal_dbm: i32,
-    /// What it has, in brackets, such as `[WPA2-PSK+FT/PSK-CCMP][ESS]`.
+    /// Its capabilities, in brackets, such as `[WPA2-PSK+FT/PSK-CCMP][ESS]`.
     pub flags: String,
     /// Its name; `None` if it hides it.
     pub ssid: Option<Ssid>,
@@ -157,7 +157,7 @@ pub struct Signal {
 
 /// Returns the request for the link's signal. wpa_supplicant refuses it without a link.
 pub fn signal() -> Request<Signal> {
-    // What wpa_supplicant reports if the driver has no noise.
+    // wpa_supplicant reports this if the driver has no noise.
     const UNKNOWN: i32 = 9999;
     Request::new("SIGNAL_POLL", |answer| {
         let fields = Fields::of(answer?);

@@ -16,7 +16,7 @@ fn instance(number: u8) -> (NodeId, SocketAddrV4) {
     (id(&format!("server-{number}")), SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, number), 7711))
 }
 
-/// What happens next.
+/// The next event.
 #[derive(Debug, Clone)]
 enum Step {
     /// A request is sent to this many instances, beginning with that one. One of number 0 cannot be reached.

@@ -42,7 +42,7 @@ fn constant_velocities_drive_a_circle() {
         // From heading north, counter-clockwise: the centre lies to the west.
         let expected = Position::new(1.0 - radius + radius * turned.cos(), 2.0 + radius * turned.sin());
         assert!(base.position.distance(expected) < 1e-9);
-        assert!((base.heading - normalised(PI / 2.0 + turned)).abs() < 1e-9);
+        assert!((base.heading - wrapped_angle(PI / 2.0 + turned)).abs() < 1e-9);
     }
 }
 
@@ -91,10 +91,10 @@ fn base_inside_a_wall_can_only_leave_it() {
 
 #[test]
 fn headings_stay_in_one_turn() {
-    assert_eq!(normalised(PI), PI);
-    assert_eq!(normalised(-PI), PI);
-    assert!((normalised(7.0) - (7.0 - 2.0 * PI)).abs() < 1e-12);
-    assert!((normalised(-4.0) - (2.0 * PI - 4.0)).abs() < 1e-12);
+    assert_eq!(wrapped_angle(PI), PI);
+    assert_eq!(wrapped_angle(-PI), PI);
+    assert!((wrapped_angle(7.0) - (7.0 - 2.0 * PI)).abs() < 1e-12);
+    assert!((wrapped_angle(-4.0) - (2.0 * PI - 4.0)).abs() < 1e-12);
 }
 
 fn straight(seed: u64, metres: f64) -> Odometer {
@@ -156,7 +156,7 @@ fn the_covariance_bounds_the_error() {
             odometer.advance(motion, STEP);
         }
         let pose = odometer.pose();
-        let heading = normalised(pose.heading - base.heading);
+        let heading = wrapped_angle(pose.heading - base.heading);
         for (error, variance) in [
             (pose.x - base.position.x, pose.covariance[0]),
             (pose.y - base.position.y, pose.covariance[4]),

@@ -1,6 +1,7 @@
 use std::{collections::VecDeque, net::SocketAddrV4, sync::Arc, time::Duration};
 
-use cotorra_graph::{DomainId, HardwareGraph, Node, NodeId, PoseSource, Testbed, Timestamp, Velocity};
+use cotorra_graph::{Node, NodeId, PoseSource, Testbed, Timestamp, Velocity};
+use cotorra_graph_testing as base;
 use cotorra_plugin::wire::{PosePacket, ScanPacket};
 
 use super::*;
@@ -22,15 +23,8 @@ fn at(ms: u64) -> Timestamp {
 
 /// A testbed with a robot in a room, without navigation.
 fn testbed() -> Testbed {
-    let graph = HardwareGraph {
-        domains: vec![DomainId::new("main").unwrap()],
-        nodes: vec![robot("robot1", None)],
-        links: Vec::new(),
-        wireless: Default::default(),
-    };
-    let text = "name: test\nnodes: { a: { kind: switch } }\n";
-    let empty = cotorra_testbed_file::parse("test.yaml", text, std::path::Path::new("")).unwrap();
-    Testbed { graph, map: Some(room(6.0, 4.0)), ..empty }
+    let graph = base::graph(vec![robot("robot1", None)], Vec::new());
+    Testbed { map: Some(room(6.0, 4.0)), ..base::testbed(graph) }
 }
 
 fn vnf() -> LocalizationVnf {

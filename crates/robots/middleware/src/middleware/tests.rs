@@ -1,9 +1,7 @@
 use std::collections::BTreeMap;
 
-use cotorra_graph::{
-    BitRate, DomainId, HardwareGraph, Kpis, Pose, PoseSource, Service, ServiceId, ServiceTime, VirtualLink,
-    Vnf, VnfId,
-};
+use cotorra_graph::{BitRate, Pose, PoseSource, Service, ServiceId, ServiceTime, VirtualLink, Vnf, VnfId};
+use cotorra_graph_testing as base;
 
 use cotorra_plugin::{
     convert::{from_pose, to_pose, to_twist},
@@ -25,57 +23,21 @@ fn testbed() -> Testbed {
     let vnf = |name: &str, program| Vnf {
         id: VnfId::new(name).unwrap(),
         program,
-        cpus: 1.0,
         memory_bytes: 1 << 20,
-        pinned_to: None,
-        node: NodeId::new("robot1").unwrap().into(),
-        env: Vec::new(),
-        rights: Default::default(),
-        keep: false,
-        image: None,
+        ..base::vnf("vnf", "robot1")
     };
-    let service = Service {
-        id: ServiceId::new("navigation").unwrap(),
-        robot: id("robot1"),
-        vnfs: vec![vnf("driver", Program::RobotDriver), vnf("brain", Program::Navigation)],
-        virtual_links: vec![VirtualLink {
-            from: VnfId::new("driver").unwrap(),
-            to: VnfId::new("brain").unwrap(),
-            rate: BitRate::from_bits_per_second(6_000_000).unwrap(),
-        }],
-        kpis: Kpis {
-            service_time: ms(15),
-            kept: None,
-            reliability: None,
-            area: None,
-            radio: None,
-            flow: None,
-        },
-        requests: Default::default(),
-    };
+    let vnfs = vec![vnf("driver", Program::RobotDriver), vnf("brain", Program::Navigation)];
+    let virtual_links = vec![VirtualLink {
+        from: base::id("driver"),
+        to: base::id("brain"),
+        rate: BitRate::from_bits_per_second(6_000_000).unwrap(),
+    }];
+    let nodes = vec![robot("robot1", None), robot("idle", Some(Position::new(1.0, 3.0)))];
     Testbed {
-        name: "room".to_owned(),
-        description: String::new(),
-        folder: Default::default(),
-        graph: HardwareGraph {
-            domains: vec![DomainId::new("main").unwrap()],
-            nodes: vec![robot("robot1", None), robot("idle", Some(Position::new(1.0, 3.0)))],
-            links: Vec::new(),
-            wireless: BTreeMap::new(),
-        },
-        services: vec![service],
+        services: vec![Service { virtual_links, ..base::service("robot1", vnfs) }],
         map: Some(room(6.0, 4.0)),
         walks: vec![walk("robot1", &[(1.0, 1.0), (3.0, 1.0), (5.0, 1.0)])],
-        plugins: Vec::new(),
-        wais: Default::default(),
-        emulation: Default::default(),
-        seed: 1,
-        script: Default::default(),
-        probes: None,
-        retention: Default::default(),
-        border: None,
-        without_port_security: Vec::new(),
-        containers: Default::default(),
+        ..base::testbed(base::graph(nodes, Vec::new()))
     }
 }
 
@@ -280,7 +242,7 @@ fn a_middleware_that_nobody_ran_reports_the_packets_that_its_robots_missed() {
     assert_eq!(missed.len() as u32, second.sequence - first.sequence);
     assert!(missed.len() >= 14 && missed.iter().all(|sample| sample.took.is_none()), "{missed:?}");
     assert_eq!(missed[1].attachment, Some(id("R1")));
-    // The run ends while nobody runs it.
+    // The run ends while it is not run.
     middleware.finish(at(5200));
     assert!(samples(&mut middleware).len() >= 8);
 }
@@ -669,7 +631,7 @@ fn localized_robot_reports_its_estimate_and_the_radio_uses_its_true_position() {
     assert!(farthest > 0.0);
     let (unanswered, answered): (Vec<_>, Vec<_>) = measured.iter().partition(|time| time.took.is_none());
     assert!(answered.len() > 30 && answered.iter().all(|time| time.service.as_str() == "navigation"));
-    // Nobody answers scans. Those of the last three seconds are under way.
+    // Scans get no answers. Those of the last three seconds are under way.
     let given_up: Vec<_> = scans.iter().filter(|scan| scan.emitted <= at(4950)).collect();
     assert!(unanswered.iter().all(|time| time.service.as_str() == "localization"));
     let emitted: Vec<_> = unanswered.iter().map(|time| (time.sequence, time.emitted)).collect();

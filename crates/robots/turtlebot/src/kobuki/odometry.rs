@@ -1,11 +1,8 @@
 //! Odometry: distances by the encoders, and the heading by the gyro, as in Kobuki's own node.
 
-use std::{
-    f64::consts::{PI, TAU},
-    time::Duration,
-};
+use std::{f64::consts::PI, time::Duration};
 
-use cotorra_graph::{Timestamp, Velocity};
+use cotorra_graph::{Timestamp, Velocity, wrapped_angle};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -50,7 +47,7 @@ impl Odometry {
         let ((x, y), (forward, left)) = (before.position, self.position);
         Self {
             position: (x + forward * cos - left * sin, y + forward * sin + left * cos),
-            heading: normalised(before.heading + self.heading),
+            heading: wrapped_angle(before.heading + self.heading),
             velocity: self.velocity,
             way: before.way + self.way,
             moved: before.moved.saturating_add(self.moved),
@@ -75,12 +72,12 @@ impl Odometry {
         }
         let forward = (left + right) / 2.0;
         let turn = match (inertia, turned) {
-            (Some(now), Some(before)) => normalised(hundredths(now.angle) - hundredths(before.angle)),
+            (Some(now), Some(before)) => wrapped_angle(hundredths(now.angle) - hundredths(before.angle)),
             _ => (right - left) / WHEEL_BASE,
         };
         let (sin, cos) = (self.heading + turn / 2.0).sin_cos();
         self.position = (self.position.0 + forward * cos, self.position.1 + forward * sin);
-        self.heading = normalised(self.heading + turn);
+        self.heading = wrapped_angle(self.heading + turn);
         self.way += forward.abs();
         if left != 0.0 || right != 0.0 {
             self.moved += elapsed;
@@ -95,12 +92,6 @@ impl Odometry {
 /// Returns hundredths of degrees in radians.
 fn hundredths(degrees: i16) -> f64 {
     f64::from(degrees) / 100.0 * PI / 180.0
-}
-
-/// Wraps an angle into (-π, π].
-fn normalised(angle: f64) -> f64 {
-    let turned = angle.rem_euclid(TAU);
-    if turned > PI { turned - TAU } else { turned }
 }
 
 #[cfg(test)]
@@ -144,7 +135,7 @@ mod tests {
         odometry.update(at(20), basic(20, 0, 0), inertia(-17_950));
         assert!((odometry.heading - 1_f64.to_radians()).abs() < 1e-9, "{odometry:?}");
         assert!((odometry.velocity.angular - PI / 4.0).abs() < 1e-12);
-        // Without a gyro, the wheels tell it.
+        // Without a gyro, it follows from the wheels.
         odometry.update(at(40), basic(40, 0, 100), None);
         let turned = 100.0 * METRES_PER_TICK / WHEEL_BASE;
         assert!((odometry.heading - 1_f64.to_radians() - turned).abs() < 1e-9);

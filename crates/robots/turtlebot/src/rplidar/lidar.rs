@@ -65,7 +65,7 @@ pub struct Lidar {
 enum Stage {
     /// There is no port.
     Absent,
-    /// What arrives is ignored until then.
+    /// Until then, input is ignored.
     Quiet(Timestamp),
     /// This was asked, with a time limit.
     Asked(Request, Timestamp),

@@ -68,7 +68,7 @@ pub(super) fn router(served: Served, gate: Gate) -> Router {
 
 async fn not_served() -> Rejected {
     let reason = "this is not served here: of fog05 v0.2 there are nodes, networks and FDUs, which are defined, \
-                  configured, started, migrated, stopped, cleaned and undefined; see docs/lifecycle.md";
+                  configured, started, migrated, stopped, cleaned and undefined; see docs/use/lifecycle.md";
     Rejected { status: StatusCode::NOT_FOUND, reason: reason.to_owned() }
 }
 

@@ -54,7 +54,8 @@ impl World {
             let passphrase = "correct horse".to_owned();
             let management_frames = graph::Protection::Optional;
             let security = Security::Wpa2 { passphrase, management_frames, over_ds: false };
-            network.software = Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security });
+            network.access.contention_mut().unwrap().software =
+                Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security });
         }
         change(&mut graph);
         let plan = Plan::new(&graph, &DomainKey::new([1; 32])).unwrap().unwrap();
@@ -426,7 +427,8 @@ fn fast_transitions_over_the_distribution_system_stay_in_a_mobility_domain() {
     let over_ds = |graph: &mut graph::HardwareGraph| {
         for network in graph.wireless.values_mut() {
             let security = Security::Wpa3 { passphrase: "correct horse".to_owned(), over_ds: true };
-            network.software = Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security });
+            network.access.contention_mut().unwrap().software =
+                Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security });
         }
     };
     let mut world = World::with(over_ds);
@@ -643,7 +645,17 @@ fn strange_access_points_with_the_networks_name_are_reported_once() {
 #[test]
 fn an_access_point_of_another_network_with_the_same_ssid_is_a_stranger() {
     let mut world = World::with(|graph| {
-        graph.wireless.get_mut("other").unwrap().software.as_mut().unwrap().ssid = Some("lab".to_owned());
+        graph
+            .wireless
+            .get_mut("other")
+            .unwrap()
+            .access
+            .contention_mut()
+            .unwrap()
+            .software
+            .as_mut()
+            .unwrap()
+            .ssid = Some("lab".to_owned());
     });
     world.serve_all();
     world.run("r1");
@@ -745,7 +757,10 @@ fn an_access_point_with_a_key_takes_only_robots_that_have_it() {
 fn keys_need_the_passphrase_of_wpa2() {
     let open = |graph: &mut graph::HardwareGraph| {
         let software = WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security: Security::Open };
-        graph.wireless.values_mut().for_each(|network| network.software = Some(software.clone()));
+        graph
+            .wireless
+            .values_mut()
+            .for_each(|network| network.access.contention_mut().unwrap().software = Some(software.clone()));
     };
     let world = World::with(open);
     let rejected = world.manager.check_switch_on(&id("C"), &with_key(1)).unwrap_err();

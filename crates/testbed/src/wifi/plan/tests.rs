@@ -31,7 +31,7 @@ fn wpa2(passphrase: &str) -> graph::Security {
 
 fn plan(network: &str, security: graph::Security) -> Result<Option<Plan>, PlanError> {
     let mut graph = testbed().graph;
-    graph.wireless.get_mut(network).unwrap().software =
+    graph.wireless.get_mut(network).unwrap().access.contention_mut().unwrap().software =
         Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security });
     Plan::new(&graph, &DomainKey::new([1; 32]))
 }
@@ -121,7 +121,7 @@ fn impossible_networks_are_rejected() {
         "the passphrase of wireless network `lab` is none: a passphrase has 8 to 63 characters, not 5"
     );
     let mut graph = testbed().graph;
-    graph.wireless.get_mut("guests").unwrap().software =
+    graph.wireless.get_mut("guests").unwrap().access.contention_mut().unwrap().software =
         Some(WifiSoftware { radios: RadioKind::Hwsim, ssid: None, security: graph::Security::Open });
     for node in &mut graph.nodes {
         if let graph::NodeKind::RadioUnit(unit) = &mut node.kind {

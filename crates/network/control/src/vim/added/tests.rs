@@ -1,10 +1,9 @@
-use std::collections::BTreeMap;
-
 use cotorra_engine::InMemoryEngine;
 use cotorra_graph::{
-    Capacity, DomainId, Granted, HardwareGraph, Image, LinuxCapability, ListenPort, Node, NodeId, NodeKind,
-    Nodes, Server, Tier, Transport, Volume,
+    Capacity, Granted, Image, LinuxCapability, ListenPort, Node, NodeId, NodeKind, Nodes, Server, Transport,
+    Volume,
 };
+use cotorra_graph_testing as base;
 use proptest::prelude::*;
 
 use super::{
@@ -13,18 +12,8 @@ use super::{
 };
 
 fn server(id: &str, cpus: f64) -> Node {
-    Node {
-        id: NodeId::new(id).unwrap(),
-        domain: DomainId::new("d").unwrap(),
-        position: None,
-        kind: NodeKind::Server(Server {
-            tier: Tier::Edge,
-            capacity: Capacity { cpus, memory_bytes: 8 << 30 },
-            cost: 1.0,
-            reliability: 1.0,
-            real: None,
-        }),
-    }
+    let capacity = Capacity { cpus, memory_bytes: 8 << 30 };
+    base::node(id, NodeKind::Server(Server { capacity, ..base::server() }))
 }
 
 fn vnf(id: &str, nodes: &str) -> Vnf {
@@ -33,12 +22,9 @@ fn vnf(id: &str, nodes: &str) -> Vnf {
         program: Program::Command(vec!["serve".to_owned()]),
         cpus: 2.0,
         memory_bytes: 1 << 30,
-        pinned_to: None,
         node: on(nodes),
         env: vec!["LEVEL=3".to_owned()],
-        rights: Rights::default(),
-        keep: false,
-        image: None,
+        ..base::vnf("vnf", "server")
     }
 }
 
@@ -52,12 +38,7 @@ fn id(name: &str) -> VnfId {
 
 /// Two servers with room for two VNFs each, and `fixed` of the testbed file on the first.
 fn vim() -> Vim<InMemoryEngine> {
-    let graph = HardwareGraph {
-        domains: vec![DomainId::new("d").unwrap()],
-        nodes: vec![server("a", 4.0), server("b", 4.0)],
-        links: Vec::new(),
-        wireless: BTreeMap::new(),
-    };
+    let graph = base::graph(vec![server("a", 4.0), server("b", 4.0)], Vec::new());
     let mut vim = Vim::new(graph, &[vnf("fixed", "a")], InMemoryEngine::default());
     vim.start(Timestamp::ZERO);
     vim.poll(Timestamp::ZERO);

@@ -1,5 +1,5 @@
 //! Contention of one access category of one station: it senses the channel, counts down its backoff, and doubles its
-//! window when nobody answers.
+//! window when no answer comes.
 
 use std::time::Duration;
 
@@ -64,7 +64,7 @@ impl Backoff {
         }
     }
 
-    /// Returns when it sends, if nobody else sends before.
+    /// Returns when it sends, if no other sends before.
     pub(super) fn access(&self) -> Timestamp {
         let begins = self.idle_from + self.aifs;
         let slots = self.ready.since(begins).as_nanos().div_ceil(SLOT.as_nanos()) as u64;

@@ -1,4 +1,4 @@
-//! What is known of whoever sends on a channel.
+//! Networks, places and antennas of all senders of a channel.
 
 use cotorra_graph::{Dbm, Position};
 
@@ -45,7 +45,7 @@ impl Radio {
 
     /// Whether an emitter aggregates frames.
     pub(super) fn aggregates(&self, emitter: Emitter) -> bool {
-        self.networks[self.network_of(emitter)].spec.access.as_ref().is_some_and(|access| access.aggregation)
+        self.networks[self.network_of(emitter)].spec.access.edca().is_some_and(|edca| edca.aggregation)
     }
 
     /// Whether stations recognise an emitter's frames, and wait for them even if they are weak.

@@ -1,5 +1,5 @@
-//! Frames of radios that are none of the fabric's, such as those of a kernel. They contend, collide and fade as all others do.
-//! Their senders choose the rates and the number of tries; the air decides when each try is made and who receives it.
+//! Frames of radios that are not the fabric's, such as those of a kernel. They contend, collide and fade as all others
+//! do. Their senders choose the rates and the number of tries; the air decides when each try is made and who receives it.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -8,7 +8,7 @@ use cotorra_numbers::Draws;
 
 use super::{
     Category, Channel, Edca, Emitter, Node,
-    transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, Try, milliwatts},
+    transmission::{AGGREGATED_FRAMES, LONGEST_AGGREGATE, Load, OnAir, Protected, Try},
 };
 use crate::radio::{
     Path, Radio,
@@ -22,11 +22,11 @@ const MOST_WAITING: usize = 96;
 /// Bytes of the delimiter before a frame of an A-MPDU (IEEE 802.11-2020, 9.7.1). Frames are padded to a multiple of four.
 const DELIMITER: u64 = 4;
 
-/// A radio that is none of the fabric's, at the antenna of a robot or a radio unit.
+/// A radio that is not the fabric's, at the antenna of a robot or a radio unit.
 #[derive(Debug)]
 pub(super) struct Foreign {
     pub(super) node: Node,
-    /// Whose antenna it has.
+    /// The owner of its antenna.
     pub(super) place: Emitter,
     /// Whether it is the fabric's after all, for the frames of handovers.
     is_own: bool,
@@ -496,8 +496,8 @@ impl Radio {
         let signal = self.signal_foreign(sent.start, sent.emitter, receiver);
         let noise_floor = self.networks[self.network_of(receiver)].spec.noise_floor;
         let disturbing: f64 =
-            sent.overlaps.iter().map(|other| milliwatts(self.power(*other, receiver))).sum();
-        let noise_db = 10.0 * (milliwatts(noise_floor) + disturbing).log10();
+            sent.overlaps.iter().map(|other| self.power(*other, receiver).milliwatts()).sum();
+        let noise_db = 10.0 * (noise_floor.milliwatts() + disturbing).log10();
         let lost = lost(signal.0 - noise_db);
         (self.edca().foreign[to].rng.unit() >= lost).then_some(signal)
     }

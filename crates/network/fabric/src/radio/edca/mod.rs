@@ -76,7 +76,7 @@ impl Node {
         Self { contentions, burst: None }
     }
 
-    /// Returns when a category sends, if nobody else sends before; `None` if it has nothing to send.
+    /// Returns when a category sends, if no other sends before; `None` if it has nothing to send.
     fn access(&self, category: usize) -> Option<Timestamp> {
         let contention = &self.contentions[category];
         match self.burst {
@@ -98,7 +98,7 @@ impl Node {
 /// A channel on which stations contend.
 #[derive(Debug, Default)]
 struct Channel {
-    /// Who contends on it now.
+    /// Senders that contend on it now.
     members: Vec<Emitter>,
     on_air: Vec<OnAir>,
     /// End of all transmissions so far.

@@ -65,7 +65,7 @@ pub(super) struct Batch {
 pub(super) struct Stream {
     queue: Queue,
     window: VecDeque<Sent>,
-    /// How often its receiver has changed.
+    /// Number of changes of its receiver.
     epoch: u32,
 }
 

@@ -21,7 +21,7 @@ use crate::{
 
 /// Power from which a channel is busy whatever is on it: 20 dB above the least sensitivity (IEEE 802.11-2020, 17.3.10.6).
 const ENERGY_DETECTION: Dbm = Dbm(-62.0);
-/// How a group frame is sent: once, at the lowest basic rate.
+/// Attempt of a group frame: once, at the lowest basic rate.
 const GROUP: Attempt = Attempt { mode: 0, rts: false, alone: true, most: 1 };
 /// A frame by itself.
 const SINGLE: Batch = Batch { frames: 1, cost: 0 };
@@ -53,11 +53,11 @@ pub(super) struct Try {
     pub(super) rate: PhyRate,
     /// End of the transmission opportunity.
     pub(super) until: Timestamp,
-    /// What follows if this is an RTS.
+    /// The frames that follow an RTS.
     pub(super) protects: Option<Protected>,
 }
 
-/// What a transmission carries.
+/// Content of a transmission.
 #[derive(Debug)]
 pub(super) enum Load {
     Interference,
@@ -75,7 +75,7 @@ pub(super) struct Content {
     attempt: Attempt,
     /// End of the transmission opportunity.
     until: Timestamp,
-    /// What follows if this is an RTS.
+    /// The frames that follow an RTS.
     protects: Option<Protected>,
 }
 
@@ -295,7 +295,7 @@ impl Radio {
         }
     }
 
-    /// Ends a group frame, which nobody acknowledges.
+    /// Ends a group frame, which is not acknowledged.
     fn end_group(&mut self, ended: &OnAir, content: &Content) {
         let &Content { flow, category, .. } = content;
         let now = ended.data_ends;
@@ -341,8 +341,8 @@ impl Radio {
         let fading_db = self.fading_db(path, moment);
         let signal = self.signals(path.robot, path.unit)[path.direction as usize];
         let network = &self.networks[self.units[path.unit].network];
-        let disturbing: f64 = others.iter().map(|other| milliwatts(self.power(*other, receiver))).sum();
-        let noise_db = 10.0 * (milliwatts(network.spec.noise_floor) + disturbing).log10();
+        let disturbing: f64 = others.iter().map(|other| self.power(*other, receiver).milliwatts()).sum();
+        let noise_db = 10.0 * (network.spec.noise_floor.milliwatts() + disturbing).log10();
         Some(Reception::new(network.phy, signal.0 + fading_db - noise_db))
     }
 
@@ -387,8 +387,4 @@ impl Radio {
     pub(super) fn is_one_network(&self, robot: usize, unit: RadioUnitIndex) -> bool {
         self.robots[robot].network == self.units[unit].network
     }
-}
-
-pub(super) fn milliwatts(power: Dbm) -> f64 {
-    10f64.powf(power.0 / 10.0)
 }

@@ -144,7 +144,8 @@ fn a_new_station_finds_the_mode_with_the_highest_goodput() {
 
 #[test]
 fn adaptation_takes_the_documented_time() {
-    // SNR before and after, dB; median and longest time for single frames, and for aggregates of 16, s (docs/radio.md).
+    // SNR before and after, dB; median and longest time for single frames, and for aggregates of 16, s
+    // (docs/reference/radio.md).
     let golden = [
         (None, 18.0, [0.30, 0.41], [0.23, 0.44]),
         (None, 30.0, [0.10, 0.20], [0.13, 0.29]),

@@ -50,7 +50,7 @@ const VHT_FROM: [(i32, i32); 10] = [
 ];
 const HT_FROM: &[(i32, i32)] = VHT_FROM.split_at(9).0;
 
-/// What the decision knows beside the two signals.
+/// Facts for the decision, beside the two signals.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rules {
     pub(super) standard: WifiStandard,

@@ -10,7 +10,7 @@ pub(super) fn contending() -> WirelessNetwork {
         standard: WifiStandard::A,
         delay: Duration::ZERO,
         rate: None,
-        access: Some(Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }),
+        access: Edca { aggregation: false, rate_control: RateControl::Ideal, power_save: None }.into(),
         ..network()
     }
 }
@@ -51,7 +51,7 @@ pub(super) fn bianchi(senders: i32, busy_us: f64) -> f64 {
 #[test]
 fn saturation_throughput_is_that_of_bianchi_within_2_percent() {
     for senders in [1, 2, 5, 10, 20] {
-        // As many places at one distance as there are robots, so that nobody captures the radio unit.
+        // As many places at one distance as there are robots, so that no robot captures the radio unit.
         let places: Vec<_> = (0..senders).map(|i| if i % 2 == 0 { 5.0 } else { -5.0 }).collect();
         let mut world = stations(contending(), &places);
         let seconds = f64::min(0.3 * f64::from(senders), 2.0);
@@ -115,7 +115,7 @@ fn hidden_nodes_lose_throughput_and_frames() {
 fn aggregation_raises_the_throughput_to_what_its_overhead_allows() {
     let ht = |aggregation| WirelessNetwork {
         standard: WifiStandard::N,
-        access: Some(Edca { aggregation, rate_control: RateControl::Ideal, power_save: None }),
+        access: Edca { aggregation, rate_control: RateControl::Ideal, power_save: None }.into(),
         ..contending()
     };
     let rate = |aggregation, until: u64| {
@@ -163,7 +163,9 @@ fn interferer(kind: InterfererKind, x: f64) -> Interferer {
 
 /// Returns the delays of single frames that are sent every 10 ms, in µs, with the channel's load.
 fn delays(interference: Vec<Interferer>) -> (Vec<u64>, f64) {
-    let mut world = stations(WirelessNetwork { interference, ..contending() }, &[5.0]);
+    let mut network = contending();
+    network.access.contention_mut().unwrap().interference = interference;
+    let mut world = stations(network, &[5.0]);
     (0..1000).for_each(|i| world.up(at(10 * i), "r0", 1000));
     world.run(at(10_000));
     let load = world.radio.contexts(at(10_000))[0].load.unwrap();
@@ -214,7 +216,7 @@ fn held_frames_follow_a_contending_station_in_order() {
     for aggregation in [false, true] {
         let network = WirelessNetwork {
             standard: WifiStandard::N,
-            access: Some(Edca { aggregation, rate_control: RateControl::Ideal, power_save: None }),
+            access: Edca { aggregation, rate_control: RateControl::Ideal, power_save: None }.into(),
             ..contending()
         };
         let mut world = corridor(network, Roaming::Instructed);
@@ -238,7 +240,7 @@ fn the_rate_control_of_linux_comes_near_to_the_ideal_rate() {
     let arrived = |rate_control, x: f64| {
         let network = WirelessNetwork {
             standard: WifiStandard::N,
-            access: Some(Edca { aggregation: true, rate_control, power_save: None }),
+            access: Edca { aggregation: true, rate_control, power_save: None }.into(),
             ..contending()
         };
         let mut world = stations(network, &[x]);
@@ -272,7 +274,7 @@ fn delays_to_sleeper(world: &mut World) -> Vec<u64> {
 fn sleeping() -> WirelessNetwork {
     let power_save = Some(PowerSave { idle: ms(100), dtim_period: 2 });
     let access = Edca { aggregation: false, rate_control: RateControl::Ideal, power_save };
-    WirelessNetwork { access: Some(access), ..contending() }
+    WirelessNetwork { access: access.into(), ..contending() }
 }
 
 #[test]

@@ -11,7 +11,7 @@ fn us(us: u64) -> Duration {
 fn by_frames(fast_transition: bool) -> WirelessNetwork {
     let frames = Some(Frames { tick: ms(4) });
     WirelessNetwork {
-        access: Some(Edca { aggregation: true, rate_control: RateControl::Minstrel, power_save: None }),
+        access: Edca { aggregation: true, rate_control: RateControl::Minstrel, power_save: None }.into(),
         fast_transition,
         handover: HandoverTimes { frames, ..network().handover },
         ..network()
@@ -70,7 +70,7 @@ fn without_fast_transition_the_key_handshake_follows() {
 fn a_robot_out_of_reach_gives_up_and_looks_for_another_radio_unit() {
     let mut world = corridor(by_frames(true), Roaming::Instructed);
     world.radio.attach(at(1000), &id("r"), &id("R2")).unwrap();
-    // Nobody hears it there.
+    // No radio hears it there.
     world.radio.move_robot(at(1000), &id("r"), Position::new(100_000.0, 0.0)).unwrap();
     world.run(at(3000));
     let events = world.events();
@@ -128,5 +128,5 @@ fn first_data_of_each_direction_bring_a_request_to_aggregate_and_its_answer() {
     };
     assert_eq!(asked(by_frames(true)), [0, 2, 2, 4]);
     let alone = Edca { aggregation: false, rate_control: RateControl::Minstrel, power_save: None };
-    assert_eq!(asked(WirelessNetwork { access: Some(alone), ..by_frames(true) }), [0; 4]);
+    assert_eq!(asked(WirelessNetwork { access: alone.into(), ..by_frames(true) }), [0; 4]);
 }

@@ -1,4 +1,4 @@
-//! Radios that are none of the fabric's, at lent antennas: timing, tries, losses, and the channel that they share with all
+//! Radios that are not the fabric's, at lent antennas: timing, tries, losses, and the channel that they share with all
 //! others.
 
 use cotorra_graph::Fading;
@@ -75,7 +75,7 @@ impl Air {
         self.sent
     }
 
-    /// Makes all antennas listen on channel 36, by a frame for nobody in particular.
+    /// Makes all antennas listen on channel 36, by a frame without a receiver.
     fn tune_all(&mut self, now: Timestamp) {
         for from in 0..self.antennas.len() {
             self.send_on(now, from, Receiver::All, &[legacy(540, 1)], CHANNEL_36);

@@ -1,0 +1,5 @@
+//! Calibrations, and what their intervals hold.
+
+mod coverage;
+mod emulated;
+mod whole;

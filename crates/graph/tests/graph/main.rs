@@ -1,0 +1,4 @@
+//! Graphs of testbed files.
+
+mod mean_signal;
+mod routing;
