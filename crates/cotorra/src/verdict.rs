@@ -127,7 +127,9 @@ fn judged(kept: &Kept) -> Option<[String; 2]> {
 fn kpi_sentence(Judged { kpi, measured, verdict, reason, .. }: &Judged, name: &str) -> String {
     match (verdict, measured) {
         (Some(verdict), Some(measured)) => format!("{verdict}: {name} has {kpi}: {measured}."),
-        (Some(verdict), None) => format!("{verdict}: {name} has {kpi}: not measured."),
+        (Some(verdict), None) => {
+            format!("{verdict}: {name} has {kpi}: {}.", reason.as_deref().unwrap_or("not measured"))
+        }
         (None, _) => {
             format!("{name} has the KPI {kpi}, not judged: {}.", reason.as_deref().unwrap_or("unknown"))
         }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, de::Error as _};
 use super::{
     Figure,
     declared::{Better, Declared, FIGURES, FigureKind, Total},
+    statistic::Statistic,
     unit::Unit,
 };
 use crate::id::{NodeId, ServiceId};
@@ -35,45 +36,11 @@ pub enum Measure {
     Total(Total),
 }
 
-/// A statistic of samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Statistic {
-    /// Mean.
-    Mean,
-    /// Least.
-    Min,
-    /// Median.
-    P50,
-    /// 95th percentile.
-    P95,
-    /// 99th percentile.
-    P99,
-    /// Greatest.
-    Max,
-}
-
 /// The side of a limit on which a value must be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Comparison {
     AtMost,
     AtLeast,
-}
-
-impl Statistic {
-    /// All statistics.
-    pub const ALL: [Self; 6] = [Self::Mean, Self::Min, Self::P50, Self::P95, Self::P99, Self::Max];
-
-    /// Returns its name.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Mean => "mean",
-            Self::Min => "min",
-            Self::P50 => "p50",
-            Self::P95 => "p95",
-            Self::P99 => "p99",
-            Self::Max => "max",
-        }
-    }
 }
 
 impl Comparison {

@@ -1,6 +1,6 @@
 //! The registry of figures: each is declared here once, with its unit and its name in files.
 
-use super::{bound::Statistic, unit::Unit};
+use super::{statistic::Statistic, unit::Unit};
 
 /// The declaration of a figure.
 #[derive(Debug, PartialEq, Eq)]

@@ -2,6 +2,7 @@
 
 mod bound;
 mod declared;
+mod statistic;
 mod unit;
 
 use std::{fmt, str::FromStr};
@@ -10,11 +11,12 @@ use serde::{Deserialize, Serialize};
 
 use self::declared::OtherQuantity;
 pub use self::{
-    bound::{Bound, InvalidBound, Measure, Statistic},
+    bound::{Bound, InvalidBound, Measure},
     declared::{
         Better, Declared, FIGURES, FigureKind, LatenessQuantity, LinkQuantity, MachineQuantity,
         RobotQuantity, Total,
     },
+    statistic::Statistic,
     unit::Unit,
 };
 use crate::{

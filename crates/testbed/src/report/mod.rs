@@ -24,6 +24,7 @@ mod summary;
 mod table;
 mod time_parts;
 mod times;
+mod verdicts;
 mod vnf_waits;
 mod void;
 

@@ -8,6 +8,7 @@ use cotorra_numbers::Gathered;
 pub(super) struct Stream {
     values: Gathered,
     sum: f64,
+    unanswered: u64,
 }
 
 impl Stream {
@@ -18,11 +19,29 @@ impl Stream {
         }
     }
 
-    /// Returns a statistic; `None` without values. Of more than a million values, quantiles are approximate.
+    /// Adds a sample without an answer, which is greater than any value.
+    pub(super) fn add_unanswered(&mut self) {
+        self.unanswered += 1;
+    }
+
+    /// Returns the number of samples without an answer, and that of all samples.
+    pub(super) fn unanswered(&self) -> (u64, u64) {
+        (self.unanswered, self.unanswered + self.values.count())
+    }
+
+    /// Returns a statistic; `None` without values, and if samples without an answer make it greater than any value. Of more
+    /// than a million values, quantiles are approximate.
     pub(super) fn of(&self, statistic: Statistic) -> Option<f64> {
         let sorted = self.values.sorted()?;
-        let at = |share| Some(sorted.quantile(share).value);
+        let (unanswered, all) = self.unanswered();
+        let last = self.values.count() - 1;
+        let at = |share: f64| match share * (all - 1) as f64 {
+            rank if rank > last as f64 => None,
+            _ if last == 0 => Some(sorted.quantile(0.0).value),
+            rank => Some(sorted.quantile(rank / last as f64).value),
+        };
         match statistic {
+            Statistic::Mean if unanswered > 0 => None,
             Statistic::Mean => Some(self.sum / self.values.count() as f64),
             Statistic::Min => at(0.0),
             Statistic::P50 => at(0.5),
@@ -45,5 +64,21 @@ mod tests {
         let all = Statistic::ALL.map(|statistic| stream.of(statistic).unwrap());
         assert_eq!((all[0], all[1], all[2], all[5]), (4.0, 1.0, 3.0, 8.0));
         assert!(all[3] < all[4] && all[4] < all[5], "{all:?}");
+    }
+
+    #[test]
+    fn a_sample_without_an_answer_is_greater_than_any_value() {
+        let mut stream = Stream::default();
+        (0..=18).for_each(|value| stream.add(f64::from(value)));
+        assert_eq!(stream.of(Statistic::Max), Some(18.0));
+        stream.add_unanswered();
+        assert_eq!(stream.unanswered(), (1, 20));
+        // By the definition of the quantile, over 0, 1, … 18 and infinity.
+        let all = Statistic::ALL.map(|statistic| stream.of(statistic));
+        assert_eq!(all, [None, Some(0.0), Some(9.5), None, None, None]);
+        let mut one = Stream::default();
+        one.add(4.0);
+        one.add_unanswered();
+        assert_eq!((one.of(Statistic::Min), one.of(Statistic::P50)), (Some(4.0), None));
     }
 }
