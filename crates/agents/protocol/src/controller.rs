@@ -17,7 +17,7 @@ use crate::{
     robot::{RobotState, WantedRobot},
     run::Run,
     shipped::Shipped,
-    wifi::{RemoteWifi, WantedRadio, WantedRequest},
+    wifi::{Origin, RemoteWifi, WantedRadio, WantedRequest},
 };
 
 /// Beats in each lease, so that some can be lost.
@@ -267,8 +267,9 @@ impl Controller {
             let state = remote.robot_state.clone().filter(|_| remote.robot.is_some());
             self.events.extend(state.map(|state| ControllerEvent::Robot(agent.clone(), state)));
         }
-        let mut has_ended =
-            remote.wifi.receive(agent, (report.boot, report.generation), report.wifi, &mut self.events);
+        let answered = report.echo.map(|echo| Timestamp::from_nanos(echo.sent_ns));
+        let origin = Origin { boot: report.boot, generation: report.generation, answered };
+        let mut has_ended = remote.wifi.receive(now, agent, origin, report.wifi, &mut self.events);
         let events = &mut self.events;
         remote.instances.retain(|id, known| {
             let mut tell = |outcome| {

@@ -16,7 +16,10 @@ use cotorra_wifi::{
 };
 use serde::{Deserialize, Serialize};
 
-pub(crate) use self::{agent::AgentWifi, controller::RemoteWifi};
+pub(crate) use self::{
+    agent::AgentWifi,
+    controller::{Origin, RemoteWifi},
+};
 use crate::encoding::MessageError;
 
 /// Most interfaces of one machine.

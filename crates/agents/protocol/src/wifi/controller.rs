@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use cotorra_graph::AgentId;
+use cotorra_graph::{AgentId, Timestamp};
 use cotorra_wifi::InterfaceName;
 
 use super::{
@@ -24,6 +24,17 @@ struct Known<W> {
     state: Option<RadioState>,
 }
 
+/// What a report comes from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Origin {
+    /// The agent's process.
+    pub boot: u64,
+    /// The generation that it follows.
+    pub generation: u64,
+    /// Time at which the beat that it answers was sent; `None` if it answers none.
+    pub answered: Option<Timestamp>,
+}
+
 /// The Wi-Fi interfaces of an agent.
 #[derive(Debug, Default)]
 pub(crate) struct RemoteWifi {
@@ -33,8 +44,8 @@ pub(crate) struct RemoteWifi {
     reported: usize,
     /// The last event of the agent's process.
     last_event: Option<LastEvent>,
-    /// Earlier processes of the agent, whose reports can still arrive.
-    earlier: VecDeque<u64>,
+    /// Earlier processes of the agent, whose reports can still arrive: their last events, and since when another one reports.
+    earlier: VecDeque<(LastEvent, Timestamp)>,
 }
 
 impl RemoteWifi {
@@ -84,17 +95,30 @@ impl RemoteWifi {
         self.last_event
     }
 
-    /// Returns the events that are new.
-    fn new_events(&mut self, boot: u64, events: Vec<RadioEvent>) -> Vec<RadioEvent> {
-        if self.earlier.contains(&boot) {
-            return Vec::new();
+    /// Returns the events that are new in a report, which answers a beat that was sent at `answered`.
+    fn new_events(
+        &mut self,
+        now: Timestamp,
+        boot: u64,
+        answered: Option<Timestamp>,
+        events: Vec<RadioEvent>,
+    ) -> Vec<RadioEvent> {
+        let mut before = self.last_event.filter(|last| last.boot == boot);
+        if let Some(place) = self.earlier.iter().position(|(last, _)| last.boot == boot) {
+            // A process that is over answers no beat that was sent after another one reported. One that does is there, and the
+            // report of the other came late.
+            let (last, since) = self.earlier[place];
+            if answered.is_none_or(|sent| sent <= since) {
+                return Vec::new();
+            }
+            self.earlier.remove(place);
+            before = Some(last);
         }
-        let before = self.last_event.filter(|last| last.boot == boot);
-        if let Some(last) = self.last_event.filter(|_| before.is_none()) {
+        if let Some(last) = self.last_event.filter(|last| last.boot != boot) {
             if self.earlier.len() == MOST_EARLIER {
                 self.earlier.pop_front();
             }
-            self.earlier.push_back(last.boot);
+            self.earlier.push_back((last, now));
         }
         let mut last = before.map_or(0, |before| before.number);
         let mut new = Vec::new();
@@ -108,16 +132,17 @@ impl RemoteWifi {
         new
     }
 
-    /// Takes a report of the agent's process `boot`, on this generation. Returns whether requests have ended.
+    /// Takes the Wi-Fi of a report. Returns whether requests have ended.
     pub(crate) fn receive(
         &mut self,
+        now: Timestamp,
         agent: &AgentId,
-        (boot, generation): (u64, u64),
+        Origin { boot, generation, answered }: Origin,
         report: WifiReport,
         events: &mut VecDeque<ControllerEvent>,
     ) -> bool {
         self.reported = report.radios.len();
-        let new = self.new_events(boot, report.events);
+        let new = self.new_events(now, boot, answered, report.events);
         events.extend(new.into_iter().map(|event| ControllerEvent::Wifi(agent.clone(), event)));
         // Before that generation, the report is on something else.
         for (interface, known) in self.radios.iter_mut().filter(|(_, known)| generation >= known.since) {

@@ -333,6 +333,20 @@ fn events_arrive_once_although_reports_and_beats_are_lost() {
 }
 
 #[test]
+fn late_reports_of_a_killed_process_hide_no_events_of_the_next() {
+    // The last report of the first process arrives after the first report of the second.
+    let mut world = World::new(Carrier::with(vec![0, 2, 2, 7]));
+    world.steps(6);
+    world.machine.agent = None;
+    world.start_agent();
+    world.network.heal();
+    world.settle();
+    world.happen();
+    world.settle();
+    assert_eq!(world.events, [1]);
+}
+
+#[test]
 fn an_agent_that_is_away_takes_no_request() {
     let mut world = World::new(Carrier::sound());
     assert!(world.controller.request(&name(), roam()).unwrap_err().contains("not connected"));
