@@ -588,9 +588,11 @@ fn config() -> ureq::config::ConfigBuilder<ureq::typestate::AgentScope> {
 type Response = ureq::http::Response<ureq::Body>;
 
 fn read<T: DeserializeOwned>(url: &str, mut response: Response) -> Result<T, ClientError> {
-    let body = response.body_mut().with_config().limit(LARGEST_ANSWER);
-    body.read_json()
-        .map_err(|error| ClientError::Malformed { url: url.to_owned(), reason: error.to_string() })
+    let malformed = |reason: String| ClientError::Malformed { url: url.to_owned(), reason };
+    let body = response.body_mut().with_config().limit(LARGEST_ANSWER).read_to_vec();
+    // From bytes, as all JSON is read: each kind of source would be compiled by itself.
+    serde_json::from_slice(&body.map_err(|error| malformed(error.to_string()))?)
+        .map_err(|error| malformed(error.to_string()))
 }
 
 impl Part {

@@ -48,28 +48,7 @@ pub(crate) trait Record: Sized {
 
 impl<T: Record> Decode for T {
     fn schema() -> Json {
-        let fields = T::fields();
-        let required: Vec<_> = fields.iter().filter(|f| f.required).map(|f| f.key).collect();
-        let properties: serde_json::Map<_, _> = fields
-            .into_iter()
-            .map(|f| {
-                let mut schema = described(f.schema, f.doc);
-                if let Some(default) = f.default {
-                    schema["default"] = default;
-                }
-                (f.key.to_owned(), schema)
-            })
-            .collect();
-        let mut schema = json!({
-            "type": "object",
-            "description": sentence(T::DOC),
-            "properties": properties,
-            "additionalProperties": false,
-        });
-        if !required.is_empty() {
-            schema["required"] = json!(required);
-        }
-        schema
+        record_schema(T::DOC, T::fields())
     }
 
     fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
@@ -78,6 +57,31 @@ impl<T: Record> Decode for T {
         fields.finish(sink);
         value
     }
+}
+
+/// The schema of a record with this documentation and these keys.
+fn record_schema(doc: &str, fields: Vec<Field>) -> Json {
+    let required: Vec<_> = fields.iter().filter(|f| f.required).map(|f| f.key).collect();
+    let properties: serde_json::Map<_, _> = fields
+        .into_iter()
+        .map(|f| {
+            let mut schema = described(f.schema, f.doc);
+            if let Some(default) = f.default {
+                schema["default"] = default;
+            }
+            (f.key.to_owned(), schema)
+        })
+        .collect();
+    let mut schema = json!({
+        "type": "object",
+        "description": sentence(doc),
+        "properties": properties,
+        "additionalProperties": false,
+    });
+    if !required.is_empty() {
+        schema["required"] = json!(required);
+    }
+    schema
 }
 
 fn sentence(doc: &str) -> String {
@@ -118,18 +122,21 @@ impl<'a> Fields<'a> {
         default: Option<Json>,
         sink: &mut Sink,
     ) -> Option<T> {
-        match self.take_node(key) {
-            Some(node) => T::decode(node, sink),
-            None => match default {
-                Some(default) => T::decode(&Node::from_json(&default), sink),
-                None => T::absent().or_else(|| {
-                    sink.error(self.span, format!("`{key}` is missing"))
-                        .label("here")
-                        .help(format!("add `{key}: {}`", example(&T::schema())));
-                    None
-                }),
-            },
+        let default = default.as_ref().map(Node::from_json);
+        if let Some(node) = self.take_node(key).or(default.as_ref()) {
+            return T::decode(node, sink);
         }
+        let absent = T::absent();
+        if absent.is_none() {
+            self.report_missing(key, &T::schema(), sink);
+        }
+        absent
+    }
+
+    fn report_missing(&self, key: &str, schema: &Json, sink: &mut Sink) {
+        sink.error(self.span, format!("`{key}` is missing"))
+            .label("here")
+            .help(format!("add `{key}: {}`", example(schema)));
     }
 
     /// Takes one key's value out as it stands.
