@@ -54,7 +54,7 @@ fn external_programs_get_no_secrets_of_the_run() {
         ("COTORRA_HISTORY_PASSWORD", "secret"),
         ("AWS_SECRET_ACCESS_KEY", "secret"),
     ];
-    let run = Run::start_with(&file, &["--until", "5min"], |command| {
+    let run = Run::start_beside_with(&file, &["--until", "5min"], |command| {
         command.envs(secrets).env("COTORRA_TOKEN", "operator-of-sixteen-characters");
         command.env("NAMED", "by the file").env("ROS_DOMAIN_ID", "7").env("TZ", "UTC");
     });
@@ -115,7 +115,7 @@ fn external_vnfs_are_confined_unless_trusted() {
     let file = with_vnfs(&vnfs, "", place.path());
     let runtime = place.path().join("runtime");
     fs::create_dir(&runtime).unwrap();
-    let run = Run::start_with(&file, &["--until", "5min"], |command| {
+    let run = Run::start_beside_with(&file, &["--until", "5min"], |command| {
         command.env("COTORRA_TOKEN", TOKEN).env("XDG_RUNTIME_DIR", &runtime);
     });
     assert_eq!(fs::read_dir(runtime.join("cotorra")).unwrap().count(), 2, "its entry and its socket");

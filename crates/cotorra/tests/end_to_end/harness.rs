@@ -80,7 +80,7 @@ pub struct Run {
     pub notes: Vec<String>,
     pub folder: PathBuf,
     out: TempDir,
-    /// `None` if another run of the same test holds the lock.
+    /// `None` if another run of the same test holds the lock, or the test does not need it.
     _alone: Option<Alone>,
 }
 
@@ -95,9 +95,19 @@ impl Run {
         Self::launch(testbed, arguments, change, Access::Open, Some(alone()))
     }
 
+    /// Does the same as [`Self::start`] beside runs of other tests, for a test that holds however late packets are.
+    pub fn start_beside(testbed: &Path, arguments: &[&str]) -> Self {
+        Self::start_beside_with(testbed, arguments, |_| {})
+    }
+
+    /// Does the same as [`Self::start_beside`] after `change` to the command.
+    pub fn start_beside_with(testbed: &Path, arguments: &[&str], change: impl FnOnce(&mut Command)) -> Self {
+        Self::launch(testbed, arguments, change, Access::Open, None)
+    }
+
     /// Starts `cotorra run` as a user does: its API is this user's alone.
     pub fn start_private(testbed: &Path, arguments: &[&str]) -> Self {
-        Self::launch(testbed, arguments, |_| {}, Access::OfUser, Some(alone()))
+        Self::launch(testbed, arguments, |_| {}, Access::OfUser, None)
     }
 
     /// Starts `cotorra run` beside this run.

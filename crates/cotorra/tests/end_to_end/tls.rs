@@ -43,7 +43,7 @@ impl Network {
         let folder = TempDir::new().unwrap();
         let authority = folder.path().join("agents");
         let authority = ["--authority", authority.to_str().unwrap(), "--api", api, "--until", "5min"];
-        let run = Run::start_with(&corridor(), &[&authority[..], arguments].concat(), |command| {
+        let run = Run::start_beside_with(&corridor(), &[&authority[..], arguments].concat(), |command| {
             command.env("COTORRA_TOKEN", TOKEN);
         });
         let url =
