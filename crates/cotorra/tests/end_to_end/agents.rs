@@ -58,7 +58,7 @@ pub fn agent() -> PathBuf {
 
 /// Kills of each kind in a row.
 fn kills() -> u32 {
-    if env::var_os("COTORRA_FULL").is_some() { 50 } else { 5 }
+    if env::var_os("COTORRA_FULL").is_some() { 50 } else { 2 }
 }
 
 /// Runs a script with an enrolled agent on each server, none of which is started yet.
@@ -154,7 +154,7 @@ fn corridor_is_served_by_agents_on_its_fog_edge_and_cloud() {
             start --seed 1 "$@"
             for server in cloud edge fog; do
                 [ $server = cloud ] || place $server
-                until [ $(samples | grep -c "\"navigation\".*\"server\":\"$server\"") -ge 100 ]; do
+                until [ $(samples | grep -c "\"navigation\".*\"server\":\"$server\"") -ge 20 ]; do
                     kill -0 $run; sleep 0.2
                 done
                 for name in $SERVERS; do
