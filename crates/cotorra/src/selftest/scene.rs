@@ -57,6 +57,11 @@ impl Scene {
         check: |_| Vec::new(),
     };
 
+    /// Whether other runs would disturb it, or it them.
+    pub fn is_alone(&self) -> bool {
+        matches!(self.dies, Dies::Stopped | Dies::EitherWay)
+    }
+
     /// Writes its files into a folder. Returns the path of the testbed file.
     ///
     /// # Errors
