@@ -173,11 +173,6 @@ impl Run {
         (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
     }
 
-    /// Waits until the links have been observed, which the API is there before.
-    pub fn wait_for_links(&self, token: Option<&str>) {
-        wait_until(|| !self.ask("/api/v1/network/links", token).1.as_array().unwrap().is_empty());
-    }
-
     /// Gets the bytes at a path of the API, and a function that returns the value of a header.
     pub fn bytes(&self, path: &str) -> (Vec<u8>, impl Fn(&str) -> String + use<>) {
         let mut answer = agent().get(format!("{}{path}", self.api)).call().unwrap();

@@ -115,7 +115,6 @@ fn packets_that_a_stopped_run_did_not_send_are_samples_without_an_answer() {
 #[test]
 fn frames_that_wait_in_the_port_of_a_stopped_run_are_late() {
     let mut run = Run::start(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"]);
-    run.wait_for_links(None);
     let packets = || {
         let links = run.get("/api/v1/network/links");
         let is_it = |context: &&Value| context["link"] == "left-lan" && context["direction"] == "forward";

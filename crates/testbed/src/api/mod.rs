@@ -158,10 +158,11 @@ pub fn openapi() -> String {
     include_str!("../../../../docs/openapi.json").to_owned()
 }
 
-/// A served API; ends when it is dropped.
+/// An API, which answers once it is open. Ends when it is dropped.
 pub(crate) struct Server {
     dashboard: Dashboard,
     plugins: PluginTokens,
+    open: Option<oneshot::Sender<()>>,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
     announced: Option<Announced>,
@@ -255,13 +256,13 @@ fn on_loopback(address: SocketAddr) -> SocketAddr {
 }
 
 impl Server {
-    /// Serves the API on a thread of its own.
+    /// Starts a thread that serves the API once it is open. Connections wait until then.
     pub(crate) fn start(listener: Listener, context: Context, tokens: Tokens) -> Result<Self, ApiError> {
         let open_files = cotorra_datapath::raise_open_files().map_err(ApiError::OpenFiles)?;
         Self::start_within(listener, context, tokens, Limits::of(open_files), Patience::default())
     }
 
-    /// Serves the API with other limits.
+    /// Does the same with other limits.
     fn start_within(
         listener: Listener,
         context: Context,
@@ -292,6 +293,7 @@ impl Server {
             .max_blocking_threads(BLOCKING_THREADS)
             .build()
             .map_err(ApiError::Start)?;
+        let (open, opened) = oneshot::channel();
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
         let (wais, mut senders) = wais::serve(&context, gate.clone());
@@ -332,6 +334,9 @@ impl Server {
                         Ok(listeners) => listeners,
                         Err(error) => return tracing::error!("the API is not served: {error}"),
                     };
+                    if opened.await.is_err() {
+                        return;
+                    }
                     let places = |limits| Arc::new(Mutex::new(Connections::new(limits)));
                     let of_ports = places(limits);
                     let to_user = async {
@@ -364,11 +369,19 @@ impl Server {
         Ok(Self {
             dashboard,
             plugins,
+            open: Some(open),
             stop: Some(stop),
             thread: Some(thread),
             announced,
             _delivery: delivery,
         })
+    }
+
+    /// Answers requests from now on.
+    pub(crate) fn open(&mut self) {
+        if let Some(open) = self.open.take() {
+            let _ = open.send(());
+        }
     }
 
     pub(crate) fn dashboard(&self) -> &Dashboard {
@@ -385,6 +398,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         // Dropped first, so that nobody finds a run that does not answer any more.
         self.announced = None;
+        self.open = None;
         if let Some(stop) = self.stop.take() {
             let _ = stop.send(());
         }

@@ -128,16 +128,9 @@ links: [{ ends: [left, ap] }]
     let tokens = Tokens::new(operator, BTreeMap::new()).unwrap();
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens, &Encryption::Off).unwrap();
     let listener = listener.announced(found_in, "served", "/runs/served");
-    Served {
-        server: Server::start_within(listener, context, tokens, limits, patience).unwrap(),
-        history,
-        events,
-        runs,
-        live,
-        keeper,
-        fabric,
-        _folder: folder,
-    }
+    let mut server = Server::start_within(listener, context, tokens, limits, patience).unwrap();
+    server.open();
+    Served { server, history, events, runs, live, keeper, fabric, _folder: folder }
 }
 
 /// Reads the head of an answer.
@@ -410,6 +403,12 @@ impl Domains {
     }
 
     fn serve_found_in(found_in: Option<&Runs>) -> Self {
+        let mut served = Self::prepare(found_in);
+        served.server.open();
+        served
+    }
+
+    fn prepare(found_in: Option<&Runs>) -> Self {
         let text = "
 name: served
 domains: [one, two]
@@ -762,6 +761,20 @@ fn until_closed(mut stream: TcpStream) -> String {
     let mut said = Vec::new();
     let _ = stream.read_to_end(&mut said);
     String::from_utf8(said).unwrap()
+}
+
+#[test]
+fn requests_wait_until_the_api_is_open() {
+    let early =
+        |served: &Domains| say(&served.server, "GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let never_open = Domains::prepare(None);
+    let request = early(&never_open);
+    drop(never_open);
+    assert_eq!(until_closed(request), "");
+    let mut served = Domains::prepare(None);
+    let request = early(&served);
+    served.server.open();
+    assert_eq!(answer(request).0, 200);
 }
 
 #[test]

@@ -76,7 +76,8 @@ impl ExternalPlugins {
         context: impl FnOnce(mpsc::Sender<Message>) -> api::Context,
     ) -> Result<Self, ApiError> {
         let (core, inbox) = mpsc::channel();
-        let server = Server::start(listener, context(core), tokens)?;
+        let mut server = Server::start(listener, context(core), tokens)?;
+        server.open();
         Ok(Self { server, processes: BTreeMap::new(), inbox, wall })
     }
 
