@@ -44,10 +44,10 @@ pub use history::{
     recorded::{Recorded, RecordedError},
     run_info::about,
 };
-pub use options::{HistoryLimit, Options};
+pub use options::{AgentOptions, HistoryLimit, Options};
 pub use plugins::{PluginError, panic_text};
 pub use real::{
-    agents::{AgentOptions, AgentsError},
+    agents::AgentsError,
     cpus::missing_cpus,
     leftovers::{Leftovers, clean, leftovers},
     links::{InterfacePlan, RealLinkError},

@@ -1,6 +1,11 @@
 //! Options of a run.
 
-use std::{fmt, net::SocketAddr, time::Duration};
+use std::{
+    fmt,
+    net::{Ipv4Addr, SocketAddr},
+    path::PathBuf,
+    time::Duration,
+};
 
 use cotorra_graph::IpNetwork;
 use cotorra_measurements::Location;
@@ -52,7 +57,27 @@ pub struct Options {
     /// Notes of the run that this one continues, in real time.
     pub after: Option<PreviousRun>,
     /// Where agents of real servers connect.
-    pub agents: crate::real::agents::AgentOptions,
+    pub agents: AgentOptions,
+}
+
+/// Where agents connect to a run.
+#[derive(Debug, Clone)]
+pub struct AgentOptions {
+    /// Address at which the core listens.
+    pub listen: SocketAddr,
+    /// Folder of the authority with which agents are enrolled.
+    pub authority: Option<PathBuf>,
+}
+
+impl AgentOptions {
+    /// Port at which the core listens.
+    pub const PORT: u16 = 7448;
+}
+
+impl Default for AgentOptions {
+    fn default() -> Self {
+        Self { listen: SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), Self::PORT), authority: None }
+    }
 }
 
 /// Largest size of a history in a file.

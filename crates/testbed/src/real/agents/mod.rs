@@ -9,7 +9,6 @@ mod contract_tests;
 pub(crate) mod error;
 mod link;
 mod links;
-mod options;
 mod robot;
 mod shipped;
 
@@ -25,16 +24,17 @@ use cotorra_enrolment::Authority;
 use cotorra_graph::{AgentId, LinkContext, Node, NodeId, Testbed, Vnf};
 use cotorra_plugin::wire;
 
+pub use self::error::AgentsError;
 use self::{
     command::Command,
     link::Link,
     links::{LinkReports, LinksAtAgents},
     robot::Robots,
 };
-pub use self::{error::AgentsError, options::AgentOptions};
 use crate::{
     clock::Clock,
     core::message::Message,
+    options::AgentOptions,
     real::{network::AgentLinks, robots::AtAgents},
     report::RunFolder,
     wifi::{AtAgentsMessage, Place, Wish, Wishes},
