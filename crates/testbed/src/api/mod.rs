@@ -62,7 +62,7 @@ pub use auth::{Operator, Tokens, TokensError};
 pub(crate) use context::{Context, Lockstep, WaisOptions};
 pub use editor::{Checked, Edited, Editor, Mistake};
 pub use sign_in::Dashboard;
-pub use tls::{Encryption, Identity, NetworkApi, TlsError};
+pub use tls::{Encryption, NetworkApi, TlsError};
 pub use token::Token;
 
 #[cfg(test)]

@@ -254,11 +254,6 @@ impl Summary {
         self.ended == End::NoProgress.as_str()
     }
 
-    /// Whether the run ended because its history reached its limit.
-    pub fn is_cut_short(&self) -> bool {
-        self.ended == End::HistoryFull.as_str()
-    }
-
     /// Whether the figures are valid: the emulation did what the testbed file demands, and everything that takes part did.
     pub fn is_valid(&self) -> bool {
         self.void.is_empty()
