@@ -15,6 +15,7 @@ mod error;
 mod events;
 mod finished;
 mod folder;
+mod given;
 mod history;
 mod options;
 mod plugins;
@@ -39,6 +40,7 @@ pub use folder::{
     manifest::{Digest, Inputs, Machine, Made, Manifest, ManifestError, Origin, Repeat, Time},
     whole::{ManyInputs, put_all},
 };
+pub use given::Given;
 pub use history::{
     previous_run::{CannotGoOn, PreviousRun, orchestrators},
     recorded::{Recorded, RecordedError},

@@ -25,6 +25,7 @@ use super::*;
 use crate::{
     core::message::Message,
     events::{live::Live, stream::EventStream},
+    given::Given,
     history::keeping::Keeper,
 };
 
@@ -562,7 +563,9 @@ fn a_domain_gives_instructions_to_its_own_nodes_and_under_its_own_name() {
     assert!(served.core.try_recv().is_err(), "the core heard of neither");
     let core = std::mem::replace(&mut served.core, mpsc::channel().1);
     let answers = std::thread::spawn(move || {
-        let Ok(Message::Instruct { plugin, reply, .. }) = core.recv() else { panic!("no instruction") };
+        let Ok(Message::Instruct { given: Given { plugin, .. }, reply }) = core.recv() else {
+            panic!("no instruction")
+        };
         (reply.expect("the API waits for an answer"))(Ok(()));
         plugin
     });
@@ -627,7 +630,7 @@ fn vnfs_are_added_listed_and_removed() {
     // A core that applies everything.
     let obedient = std::thread::spawn(move || {
         let mut heard = Vec::new();
-        while let Ok(Message::Instruct { plugin, instruction, reply, .. }) = core.recv() {
+        while let Ok(Message::Instruct { given: Given { plugin, instruction, .. }, reply }) = core.recv() {
             heard.push(format!("{plugin} {}", instruction.name()));
             let decision = cotorra_graph::Decision { plugin, instruction, reason: None, refused: None };
             live.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Decision(decision) });
@@ -713,7 +716,9 @@ fn no_caller_can_pose_as_a_plugin_of_the_run() {
     let core = std::mem::replace(&mut served.core, mpsc::channel().1);
     let names = std::thread::spawn(move || {
         let answer = |message| {
-            let Message::Instruct { plugin, reply, .. } = message else { panic!("no instruction") };
+            let Message::Instruct { given: Given { plugin, .. }, reply } = message else {
+                panic!("no instruction")
+            };
             (reply.expect("the API waits for an answer"))(Ok(()));
             plugin.to_string()
         };

@@ -144,9 +144,8 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             Message::Datagram { robot, from, at, bytes, _waiting } => {
                 self.core.receive(at, &robot, from, &bytes);
             }
-            Message::Instruct { plugin, instruction, reason, reply } => {
-                let core = &mut self.core;
-                let done = self.plugins.instruct(now, plugin, instruction, reason, core);
+            Message::Instruct { given, reply } => {
+                let done = self.plugins.instruct(now, given, &mut self.core);
                 if let Some(reply) = reply {
                     // The instruction's events come before its reply.
                     self.publish();

@@ -11,9 +11,7 @@ use std::{
 };
 
 use cotorra_federation::Ledgers;
-use cotorra_graph::{
-    Decision, Event, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
-};
+use cotorra_graph::{Event, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{GraphState, History, PageRequest, RunId, Sample};
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::runs::Runs;
@@ -24,6 +22,7 @@ use crate::{
     clock::{Clock, wall_clock},
     domain::Domains,
     events::{fanout::Fanout, live::Live, stream::EventStream},
+    given::Given,
     history::{
         keeping::Keeper,
         run_info::{about, epoch},
@@ -125,16 +124,8 @@ struct Record {
 }
 
 impl Controlled for Record {
-    fn instruct(
-        &mut self,
-        now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
-        let refused = Some(REFUSAL.to_owned());
-        let event = Event::Decision(Decision { plugin, instruction, reason, refused });
-        self.events.push_back(Stamped { at: now, event });
+    fn instruct(&mut self, now: Timestamp, given: Given) -> Result<(), InstructionError> {
+        self.events.push_back(Stamped { at: now, event: given.decided(Some(REFUSAL.to_owned())) });
         Err(InstructionError(REFUSAL.to_owned()))
     }
 
@@ -409,14 +400,9 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
         &mut self.audience.host
     }
 
-    fn instruct(
-        &mut self,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
+    fn instruct(&mut self, given: Given) -> Result<(), InstructionError> {
         let audience = &mut *self.audience;
-        let done = audience.host.instruct(audience.now, plugin, instruction, reason, &mut audience.record);
+        let done = audience.host.instruct(audience.now, given, &mut audience.record);
         self.tell_decisions();
         done
     }

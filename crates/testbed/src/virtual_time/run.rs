@@ -7,7 +7,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Instruction, PluginId, Stamped, Testbed, Timestamp};
+use cotorra_graph::{PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{PacedRecorder, RunInfo};
 use cotorra_network_control::InstructionError;
 use cotorra_recording::{Pace, Recording};
@@ -21,6 +21,7 @@ use crate::{
     events::{fanout::Fanout, live::Live, stream::EventStream},
     finished::Finished,
     folder::{manifest::Time, whole},
+    given::Given,
     history::{bound::HistoryBound, keeping::Keeping, recorded::Recorded, run_info::about},
     options::Options,
     plugins::{
@@ -333,13 +334,8 @@ impl<G: FnMut(Timestamp) -> bool> Stage for RecordedSimulation<'_, G> {
         self.simulation.host()
     }
 
-    fn instruct(
-        &mut self,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
-        let done = self.simulation.instruct(plugin, instruction, reason);
+    fn instruct(&mut self, given: Given) -> Result<(), InstructionError> {
+        let done = self.simulation.instruct(given);
         self.advance(Stretch::Settle);
         done
     }
