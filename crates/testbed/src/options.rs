@@ -24,7 +24,7 @@ use crate::{
 /// Options of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// What starts the run, for its manifest.
+    /// Origin of the run, for its manifest.
     pub origin: Origin,
     /// Replaces the testbed file's seed.
     pub seed: Option<u64>,
@@ -38,7 +38,7 @@ pub struct Options {
     pub runs: Option<Runs>,
     /// Tokens of the API's callers: the operator, and orchestrators of domains.
     pub tokens: Tokens,
-    /// What protects the API on an address beyond loopback.
+    /// Protection of the API on an address beyond loopback.
     pub encryption: Encryption,
     /// Whether idle cores may sleep. Packets then wait for cores to wake, and are later.
     pub save_power: bool,
@@ -56,11 +56,11 @@ pub struct Options {
     pub captures: Vec<CapturePlan>,
     /// Notes of the run that this one continues, in real time.
     pub after: Option<PreviousRun>,
-    /// Where agents of real servers connect.
+    /// Address and authority for agents.
     pub agents: AgentOptions,
 }
 
-/// Where agents connect to a run.
+/// Address and authority of a run for its agents.
 #[derive(Debug, Clone)]
 pub struct AgentOptions {
     /// Address at which the core listens.

@@ -37,7 +37,7 @@ pub(crate) struct Context {
     pub(crate) events: EventStream,
     pub(crate) core: mpsc::Sender<Message>,
     pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
-    /// The plug-ins of this run, in process or started by it. Nobody else can use their names.
+    /// The plug-ins of this run, in process or started by it. No other caller can use their names.
     pub(crate) hosted: Arc<BTreeSet<PluginId>>,
     /// Set in virtual time only.
     pub(crate) lockstep: Option<Lockstep>,

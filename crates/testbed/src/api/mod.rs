@@ -178,7 +178,7 @@ const BACKLOG: i32 = 4096;
 /// A reserved address, where nothing is served yet.
 pub(crate) struct Listener {
     tcp: std::net::TcpListener,
-    /// Where this machine reaches a run with TLS on an address that is not loopback.
+    /// Port at which this machine reaches a run with TLS on an address that is not loopback.
     loopback: Option<std::net::TcpListener>,
     tls: Option<Arc<ServerConfig>>,
     network: Option<NetworkApi>,
@@ -396,7 +396,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // Dropped first, so that nobody finds a run that does not answer any more.
+        // Dropped first, so that tools find no run that does not answer any more.
         self.announced = None;
         self.open = None;
         if let Some(stop) = self.stop.take() {

@@ -1,4 +1,4 @@
-//! The API over a socket, as a caller uses it: its answers equal the history's, and slow readers harm nobody.
+//! The API over a socket, as a caller uses it: its answers equal the history's, and slow readers harm no others.
 
 mod applications;
 mod bounds;

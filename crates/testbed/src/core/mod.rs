@@ -48,7 +48,7 @@ use crate::{
     real::robots::RobotError,
 };
 
-/// The discard port, at which nobody listens (RFC 863).
+/// The discard port, at which no program listens (RFC 863).
 const DISCARD: u16 = 9;
 
 /// Interval of ι, d and λ.
@@ -64,7 +64,7 @@ pub(crate) struct Core<N, E> {
     domains: Domains,
     middleware: RobotMiddleware,
     control: NetworkControl<N, E>,
-    /// Where it meets other cores, in real time only.
+    /// Meeting point with other cores, in real time only.
     border: Option<Border>,
     /// Navigation VNF of each robot.
     navigators: BTreeMap<NodeId, Answerer>,
@@ -264,7 +264,7 @@ impl<N: Network, E: Engine> Core<N, E> {
                 };
                 of.asked(&self.control).into_iter().map(socket).collect()
             };
-            // Without a VNF the robot talks to itself, and nobody answers.
+            // Without a VNF the robot sends to itself, and gets no answer.
             let itself = || vec![(robot.clone(), address(&testbed, robot, DISCARD))];
             let servers = Servers {
                 navigation: self.navigators.get(robot).map_or_else(itself, servers),

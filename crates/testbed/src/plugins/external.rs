@@ -45,7 +45,7 @@ pub(crate) trait Stage {
     fn goes_on(&mut self) -> bool;
 }
 
-/// What became of a wait for a time of the run.
+/// Outcome of a wait for a time of the run.
 pub(crate) enum Waited {
     /// The time has come.
     Due,

@@ -1,4 +1,4 @@
-//! Plug-ins in real time, which waits for nobody. Each bundled plug-in has a thread; the others are processes.
+//! Plug-ins in real time, which never waits. Each bundled plug-in has a thread; the others are processes.
 
 use std::{
     collections::BTreeMap,
@@ -225,7 +225,7 @@ impl RunningPlugins {
     }
 }
 
-/// Calls a plug-in so that its faults affect nobody else.
+/// Calls a plug-in so that its faults affect no other.
 struct Guard {
     id: PluginId,
     now: Clock,

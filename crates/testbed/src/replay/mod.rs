@@ -53,7 +53,7 @@ pub struct ReplayOptions {
     pub known: Option<(Runs, String)>,
     /// Tokens of the API's callers.
     pub tokens: Tokens,
-    /// What protects the API on an address beyond loopback.
+    /// Protection of the API on an address beyond loopback.
     pub encryption: Encryption,
     /// The run's folder with large data of its sensors; `None` if unknown.
     pub folder: Option<PathBuf>,

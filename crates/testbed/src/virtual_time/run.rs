@@ -91,7 +91,7 @@ fn simulate_for(
     simulate_with(Arc::new(testbed), text, options, conduct, go_on).map(|(finished, _)| finished)
 }
 
-/// How a run is conducted.
+/// Conduct of a run.
 pub(super) struct Conduct<'a, 'w> {
     /// Longest wait for plug-ins.
     pub(super) patience: Duration,
@@ -101,7 +101,7 @@ pub(super) struct Conduct<'a, 'w> {
     pub(super) altered: &'a Altered,
     /// Called with each event.
     pub(super) observe: &'a mut dyn FnMut(&Stamped),
-    /// Who watches, if somebody does.
+    /// The viewer, if there is one.
     pub(super) watched: Option<Watched<'w>>,
 }
 

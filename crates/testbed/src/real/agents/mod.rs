@@ -82,7 +82,7 @@ pub(crate) struct AgentEngine {
     robots: Robots,
     links: LinkReports,
     events: mpsc::Receiver<EngineEvent>,
-    /// Where news of real radios go and arrive, until somebody takes them.
+    /// Channel of news of real radios, until it is taken.
     radios: Option<(mpsc::Sender<AtAgentsMessage>, mpsc::Receiver<AtAgentsMessage>)>,
     thread: Option<thread::JoinHandle<()>>,
 }

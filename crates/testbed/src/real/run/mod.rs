@@ -81,7 +81,7 @@ pub struct Run {
     /// Real Wi-Fi software. Before the datapath: it is stopped while packets still pass.
     wifi: Vec<Wifi>,
     datapath: Arc<Datapath>,
-    /// How long datagrams to robots waited in their sockets.
+    /// Waits of datagrams in robots' sockets.
     receptions: Receptions,
     recording: Option<Recording>,
     keeping: Option<Keeping>,
