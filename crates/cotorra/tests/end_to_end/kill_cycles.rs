@@ -6,8 +6,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    env, fs,
-    hash::{BuildHasher, RandomState},
+    env, fs, iter,
     net::TcpStream,
     path::{Path, PathBuf},
 };
@@ -21,8 +20,11 @@ use crate::{
     one_robot::testbed,
 };
 
-/// The environment variable with the seed of an earlier draw, to repeat it.
+/// The environment variable with the seed of the first round. Without it, each commit is tested with the same draws.
 const SEED: &str = "COTORRA_KILL_SEED";
+
+/// The environment variable with the victims' names, separated by spaces. Without it, each victim is killed.
+const VICTIMS: &str = "COTORRA_KILL_VICTIMS";
 
 /// Environment variables for cotorra, with folders of the test's own.
 const FOLDERS: [(&str, &str); 4] =
@@ -40,14 +42,22 @@ enum Victim {
     Anvil,
 }
 
+/// Returns the victims that the environment names, or all.
+fn victims() -> Vec<Victim> {
+    let all = vec![Victim::Core, Victim::Plugin, Victim::Vnf, Victim::MariaDb, Victim::Anvil];
+    let Ok(names) = env::var(VICTIMS) else { return all };
+    let named = |name| all.iter().copied().find(|victim| format!("{victim:?}") == name);
+    names.split(' ').map(|name| named(name).unwrap_or_else(|| panic!("{name} is none of {all:?}"))).collect()
+}
+
 /// Random numbers from a seed.
 struct Draw(u64);
 
 impl Draw {
-    /// Takes the seed from the environment, or a random one.
-    fn new() -> Self {
-        let seed = env::var(SEED).map(|seed| seed.parse().unwrap());
-        Self(seed.unwrap_or_else(|_| RandomState::new().hash_one(0)))
+    /// Returns the draws of the rounds. Any round's seed starts with that round again.
+    fn rounds() -> impl Iterator<Item = Self> {
+        let first = env::var(SEED).map_or(1, |seed| seed.parse().unwrap());
+        iter::successors(Some(first), |seed| Some(cotorra_numbers::seed::split(*seed, "round"))).map(Self)
     }
 
     /// Draws a number below `bound`.
@@ -113,9 +123,9 @@ struct Kept {
 }
 
 impl Site {
-    fn new() -> Self {
+    fn new(has_server: bool) -> Self {
         let place = TempDir::new().unwrap();
-        let server = MariaDb::start();
+        let server = has_server.then(MariaDb::start).flatten();
         let url = server.as_ref().map(MariaDb::fresh).unwrap_or_default();
         for (_, folder) in FOLDERS {
             fs::create_dir(place.path().join(folder)).unwrap();
@@ -556,12 +566,12 @@ impl Site {
 #[test]
 fn whatever_is_killed_nothing_acknowledged_is_lost_and_the_next_run_starts() {
     let rounds = if env::var_os("COTORRA_FULL").is_some() { 20 } else { 1 };
-    let mut draw = Draw::new();
-    eprintln!("{SEED}={} repeats this draw", draw.0);
-    let mut site = Site::new();
+    let victims = victims();
+    let mut site = Site::new(victims.contains(&Victim::MariaDb));
     let mut killed = [0; 5];
-    for _ in 0..rounds {
-        let mut victims = [Victim::Core, Victim::Plugin, Victim::Vnf, Victim::MariaDb, Victim::Anvil];
+    for mut draw in Draw::rounds().take(rounds) {
+        eprintln!("{SEED}={} repeats this round", draw.0);
+        let mut victims = victims.clone();
         draw.shuffle(&mut victims);
         for victim in victims {
             let told = match victim {
