@@ -11,6 +11,7 @@
 
 pub mod browser;
 pub mod containers;
+pub mod lab;
 pub mod mariadb;
 pub mod placement;
 pub mod process;

@@ -19,6 +19,7 @@ use std::{
     time::Duration,
 };
 
+use cotorra_testing::lab::Lab;
 pub use cotorra_testing::{project_file, stderr, stdout};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -382,25 +383,5 @@ pub fn corridor_ending_in(end: &str, folder: &Path) -> PathBuf {
 
 /// Returns a testbed of a robot between two radio units, with this walk. Its signal depends on the seed.
 pub fn between_two_units(walk: &str) -> String {
-    const LAB: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 4 dB } } }
-nodes:
-  robot: { kind: robot, roaming: signal }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  B: { kind: radio_unit, position: [9, 1], channel: 6 }
-  lan: { kind: switch }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [lan, [A, B]], delay: 1 ms }
-  - { ends: [lan, edge], delay: 2 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-";
-    format!("{LAB}  robot: {walk}\n")
+    Lab { shadowing_db: 4, walk, ..Lab::default() }.to_string()
 }
