@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 use crate::{
     harness::{Run, cotorra, stderr, wait_until},
-    one_robot::testbed,
+    one_robot::{navigated, testbed},
 };
 
 const ROBOT: &str = "{ kind: robot }";
@@ -21,20 +21,7 @@ fn with_vnfs(vnfs: &[(&str, &str)], rest: &str, folder: &Path) -> PathBuf {
         .iter()
         .map(|(name, keys)| format!("      {name}: {{ node: cloud, cpus: 0.5, {keys} }}\n"))
         .collect();
-    let services = format!(
-        "
-services:
-  navigation:
-    robot: tb
-    kpis: {{ service_time: 50 ms }}
-    vnfs:
-      robot-driver: {{ program: robot_driver, pinned_to: tb }}
-      navigation: {{ program: navigation, node: cloud }}
-{vnfs}walks:
-  tb: {{ waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }}
-{rest}"
-    );
-    testbed(folder, "confined", ROBOT, &services)
+    testbed(folder, "confined", ROBOT, &navigated(&vnfs, rest))
 }
 
 #[test]

@@ -45,6 +45,21 @@ pub fn output<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output
     cotorra(arguments).output().unwrap()
 }
 
+/// Returns the events of these kinds in a run's history.
+pub fn events(folder: &Path, kinds: &str) -> Vec<Value> {
+    let folder = folder.to_str().unwrap();
+    let listed = output(["history", "events", folder, "--kinds", kinds, "--limit", "1000000", "--json"]);
+    assert!(listed.status.success(), "{}", stderr(&listed));
+    stdout(&listed).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// Returns the agent's program, which is built beside cotorra's.
+pub fn agent_program() -> PathBuf {
+    let program = PathBuf::from(cotorra([""; 0]).get_program()).with_file_name("cotorra-agent");
+    assert!(program.exists(), "{} is missing: build the workspace", program.display());
+    program
+}
+
 /// Lock of the one test whose run has the machine for itself. Concurrent runs would make each other late.
 pub struct Alone {
     _lock: File,

@@ -15,9 +15,11 @@ use cotorra_testing::mariadb::MariaDb;
 use serde_json::Value;
 use tempfile::TempDir;
 
+#[cfg(feature = "ethereum")]
+use crate::chain::STEPS;
 use crate::{
     harness::{Run, are_held, cotorra, kill, project_file, stderr, stdout, wait_until},
-    one_robot::testbed,
+    one_robot::{navigated, testbed},
 };
 
 /// The environment variable with the seed of the first round. Without it, each commit is tested with the same draws.
@@ -134,21 +136,9 @@ impl Site {
         fs::write(&script, INSTRUCTS).unwrap();
         let (client, answered) = (project_file("clients/python"), place.path().join("answered"));
         let plugin = [script, client, answered].map(|path| path.display().to_string()).join(", ");
-        let rest = format!(
-            "
-services:
-  navigation:
-    robot: tb
-    kpis: {{ service_time: 50 ms }}
-    vnfs:
-      robot-driver: {{ program: robot_driver, pinned_to: tb }}
-      navigation: {{ program: navigation, node: cloud }}
-      other: {{ command: [sleep, '86399'], node: cloud, cpus: 0.5 }}
-walks:
-  tb: {{ waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }}
-plugins:
-  - {{ id: mine, command: [python3, {plugin}] }}
-"
+        let rest = navigated(
+            "      other: { command: [sleep, '86399'], node: cloud, cpus: 0.5 }\n",
+            &format!("plugins:\n  - {{ id: mine, command: [python3, {plugin}] }}\n"),
         );
         let folder = place.path().join("testbed");
         fs::create_dir(&folder).unwrap();
@@ -479,23 +469,6 @@ impl Site {
         format!("away for {away} events, {then}, {} instructions kept", kept.instructions.len())
     }
 }
-
-/// Steps of a federation in their order. The ledger may be killed after each of them.
-#[cfg(feature = "ethereum")]
-const STEPS: [&str; 12] = [
-    "announced",
-    "announcement received",
-    "bid sent",
-    "bid received",
-    "winner chosen",
-    "winner received",
-    "deployment started",
-    "deployment finished",
-    "confirmation sent",
-    "confirmation received",
-    "attached",
-    "in use",
-];
 
 #[cfg(feature = "ethereum")]
 impl Site {

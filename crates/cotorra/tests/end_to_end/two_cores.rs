@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use crate::{
     chain::Chain,
-    harness::{Run, output, project_file, stderr, stdout, wait_until},
+    harness::{Run, events, output, project_file, stderr, stdout, wait_until},
 };
 
 /// The address at which both machines reach the ledger's node.
@@ -135,14 +135,6 @@ fn offer(port: u16) -> String {
         }
     });
     url
-}
-
-/// Returns the events of these kinds in a run's history.
-fn events(folder: &Path, kinds: &str) -> Vec<Value> {
-    let folder = folder.to_str().unwrap();
-    let done = output(["history", "events", folder, "--kinds", kinds, "--json", "--limit", "1000000"]);
-    assert!(done.status.success(), "{}", stderr(&done));
-    stdout(&done).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
 /// Returns the steps that a run's orchestrator noted.
