@@ -173,7 +173,7 @@ fn a_plug_in_that_fails_at_its_first_import_makes_its_cell_void() {
     let swept = both(lab.path(), &["--out", "out"]);
     assert_eq!(swept.status.code(), Some(3), "{}", stderr(&swept));
     let text = stdout(&swept);
-    let reason = "plug-in mine: its program ended: exit status: 1";
+    let reason = "plug-in mine was cut off: its program ended: exit status: 1";
     assert!(text.starts_with("2 of 2 runs, 1 of them void\n"), "{text}");
     let cell = text.lines().find(|line| line.trim_start().starts_with("mine ")).unwrap();
     assert!(cell.contains(&format!("void: {reason}")), "{text}");
@@ -206,7 +206,11 @@ fn a_shard_with_a_void_run_is_merged_as_void() {
     }
     let merged = cotorra(["sweep", "merge", "out"]).current_dir(lab.path()).output().unwrap();
     assert_eq!(merged.status.code(), Some(3), "{}", stderr(&merged));
-    assert!(stdout(&merged).contains("void: plug-in mine: its program ended"), "{}", stdout(&merged));
+    assert!(
+        stdout(&merged).contains("void: plug-in mine was cut off: its program ended"),
+        "{}",
+        stdout(&merged)
+    );
     assert!(
         lab.path().join("out/shard-1-of-2/logs").exists()
             || lab.path().join("out/shard-2-of-2/logs").exists()

@@ -6,7 +6,7 @@ use crate::sweep::Sweep;
 const JOBS: NonZero<usize> = NonZero::new(2).unwrap();
 
 /// A robot between two radio units. A service time is 8 ms and the time that frames take, and 15 ms are allowed.
-pub(super) const LAB: &str = "name: lab
+pub(crate) const LAB: &str = "name: lab
 wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
 nodes:
   robot: { kind: robot, roaming: signal }
@@ -275,7 +275,7 @@ fn a_search_without_its_plug_in_finds_nothing() {
     let margin = Margin::new("lab.yaml", testbed, text, options(&[Kind::Down])).unwrap();
     let journal = Journal::open(&place.path().join("out")).unwrap();
     let error = margin.run(&journal, JOBS, |_, _| true).unwrap_err().to_string();
-    assert!(error.contains("plug-in mine: ") && error.contains("its log is in "), "{error}");
+    assert!(error.contains("plug-in mine was cut off: ") && error.contains("its log is in "), "{error}");
     let logs: Vec<_> = fs::read_dir(journal.path().join("logs")).unwrap().flatten().collect();
     let log = fs::read_to_string(logs[0].path().join("plugins/mine.log")).unwrap();
     assert_eq!((logs.len(), log.as_str()), (1, "I am gone\n"));

@@ -2,11 +2,11 @@
 
 use cotorra_graph::{NodeId, ServiceId};
 use cotorra_numbers::{self as numbers, FEWEST, Mean, share_over_runs};
-use cotorra_testbed::Verdict;
+use cotorra_testbed::{Verdict, Void};
 use serde::Serialize;
 
 use super::measured::{Measured, MeasuredService};
-use crate::outcome::{Outcome, Void};
+use crate::outcome::Outcome;
 
 /// A combination of values, and the statistics over its runs. If any of them is void, so is the cell: it has no figures.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]

@@ -1,6 +1,6 @@
 //! Tables of a sweep: tidy ones for programs, and a rounded one for readers.
 
-use cotorra_testbed::{DataTable, Judged, name_of_total};
+use cotorra_testbed::{DataTable, Judged, Void, name_of_total};
 
 use super::{
     Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts,
@@ -8,7 +8,7 @@ use super::{
     runs::Done,
     time_parts::{MeasuredLoss, MeasuredPart},
 };
-use crate::{cell::number, outcome::Void};
+use crate::cell::number;
 
 /// Last column of all tables for programs: the reason for which a run or a cell has no figures.
 const VOID: &str = "void";

@@ -235,7 +235,7 @@ fn a_run_without_its_plug_in_is_void_in_every_table_and_made_again() {
     let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
     runs.write(&folder).unwrap();
     assert_eq!((runs.void(), runs.done[1].outcome.void()), (1, None));
-    let reason = "plug-in gone: its program ended: exit status: 0";
+    let reason = "plug-in gone was cut off: its program ended: exit status: 0";
     assert_eq!(runs.done[0].outcome.void().unwrap().reason(), reason);
     let cells = runs.cells();
     assert_eq!((cells[0].above_target, cells[0].duration_ms, &cells[0].services[..]), (None, None, &[][..]));
@@ -263,6 +263,25 @@ fn a_run_without_its_plug_in_is_void_in_every_table_and_made_again() {
     let again = sweep.run(&folder, JOBS, |_, _| true).unwrap();
     assert_eq!((again.resumed, again.void()), (1, 1));
     assert_eq!(again.again.to_string(), "void before: 1 run again\n");
+}
+
+#[test]
+fn a_run_without_samples_is_void_as_it_is_alone() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = Journal::open(&out.path().join("sweep")).unwrap();
+    let text =
+        crate::margin::tests::LAB.replace("  B: { kind: radio_unit, position: [9, 1], channel: 6 }\n", "");
+    let sweep = Sweep::new("lab.yaml", text.replace("[A, B]", "A"), Path::new(""));
+    let sweep = sweep.axis("nodes.A.position=[0, 1],[90000, 1]".parse().unwrap());
+    let runs = sweep.until(Some(Duration::from_secs(12))).run(&folder, JOBS, |_, _| true).unwrap();
+    let cells = runs.cells();
+    assert_eq!((runs.void(), &cells[0].void), (1, &None));
+    let void = cells[1].void.as_ref().unwrap().to_string();
+    assert_eq!(
+        void,
+        "void: service navigation of robot has no sample: no packet of its robot was due or sent"
+    );
+    assert!(cells[1].duration_ms.is_none() && !folder.path().join("logs").exists(), "{cells:?}");
 }
 
 /// A folder with a testbed whose plug-in is a program, which sets the delay of a link that its module names.

@@ -51,3 +51,4 @@ pub use table::DataTable;
 pub use time_parts::{LostSummary, MeanParts, PartSummary, ServiceParts};
 pub use times::Quantiles;
 pub use vnf_waits::VnfWaits;
+pub use void::Void;
