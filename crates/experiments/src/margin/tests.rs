@@ -262,7 +262,7 @@ fn a_search_is_made_again_if_the_testbed_or_the_limit_changes() {
         shorter.resumed == 0 && shorter.again.to_string().starts_with("--until and lab.yaml changed: "),
         "{shorter:?}"
     );
-    // What it had before is there, too.
+    // Earlier runs are there, too.
     assert_eq!(search(LAB, &options).resumed, first.runs);
 }
 

@@ -2,7 +2,7 @@
 //!
 //! The run is repeated in virtual time with the same seed. At a decision it takes an alternative, and goes on with the same
 //! random streams. Both are compared by the samples that were sent from the decision on. With several seeds, the differences
-//! of each pair of runs tell whether an alternative is better by more than chance.
+//! of each pair of runs show whether an alternative is better by more than chance.
 
 mod compared;
 mod decided;

@@ -25,6 +25,7 @@
 
 mod axis;
 mod cells;
+mod column;
 mod differences;
 mod figure;
 mod folder;
