@@ -33,9 +33,9 @@ use check::Check;
 use observed::{Observed, World};
 use scene::{Dies, Scene};
 
-/// How often a run with real packets is made, if the machine was too slow for it.
+/// Number of tries of a run with real packets, if the machine was too slow for it.
 const ATTEMPTS: usize = 3;
-/// How long a run is stopped, and how long it runs before.
+/// Duration of a stop, and of the run before it.
 const STOPPED: Duration = Duration::from_secs(2);
 
 /// Run small testbeds whose right answers are known, and compare
@@ -96,7 +96,7 @@ enum Error {
     Stopped,
 }
 
-/// What became of a scene in one kind of time.
+/// Outcome of a scene in one kind of time.
 #[derive(Debug)]
 enum Outcome {
     /// Its figures, which may be wrong.
