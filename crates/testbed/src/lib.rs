@@ -60,9 +60,9 @@ pub use real::{
 pub use report::{
     AwaySummary, DataTable, DecisionRecord, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary,
     HandoverRecord, Judged, Kept, LatenessSummary, LocalizationSummary, LostSummary, MeanParts, PartSummary,
-    Place, PlacementRecord, PluginSummary, Quantiles, RegionSummary, Report, RobotSummary, ServiceParts,
-    ServiceSummary, Summary, Verdict, VnfWaits, Void, WORST_ROBOTS, by_service, name_of_total, panels,
-    robots_by_name, sampled_services, service_time_ms, write_file, write_samples,
+    Place, PlacementRecord, PluginSummary, Quantiles, RegionSummary, Report, RobotSummary, ServiceKpis,
+    ServiceParts, ServiceSummary, Summary, Verdict, VnfWaits, Void, WORST_ROBOTS, by_service, name_of_total,
+    panels, robots_by_name, sampled_services, service_time_ms, write_file, write_samples,
 };
 pub use virtual_time::{
     Altered, Fork, Mood, Serving, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,

@@ -113,7 +113,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 35] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 36] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/clock", get(clock::clock).post(clock::control)),
@@ -147,6 +147,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 35] {
         ("/api/v1/measurements/retained", get(measurements::retained)),
         ("/api/v1/measurements/runs", get(measurements::runs)),
         ("/api/v1/measurements/verdict", get(measurements::verdict)),
+        ("/api/v1/measurements/kpis", get(measurements::kpis)),
         ("/api/v1/measurements/difference", get(measurements::difference)),
         ("/api/v1/events", get(stream::events)),
         ("/api/v1/marks/{number}", post(stream::done)),

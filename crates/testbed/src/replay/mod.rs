@@ -35,7 +35,7 @@ use crate::{
         lockstep::{Call, Guarded, Locals, Lockstep, PATIENCE, Returned},
         programs,
     },
-    report::Fidelity,
+    report::{Fidelity, ServiceKpis},
     virtual_time::time_control::{Speed, TimeControl},
 };
 
@@ -266,6 +266,11 @@ impl Replay {
             paced: options.speed.is_some(),
             // A run that was killed has none.
             verdict: options.folder.as_deref().and_then(|folder| Fidelity::of_folder(folder).ok()),
+            kpis: options
+                .folder
+                .as_deref()
+                .and_then(|folder| ServiceKpis::of_folder(folder).ok())
+                .unwrap_or_default(),
             keeper: options.folder.as_ref().map(|folder| Keeper::of_folder(folder, Pace::Live)),
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
             logs: None,

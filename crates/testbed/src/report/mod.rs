@@ -39,7 +39,7 @@ pub use folder::{FolderError, Place, write_file};
 pub use forged::ForgedSummary;
 pub use gateways::GatewaySummary;
 pub use instructed::PluginSummary;
-pub use judged::Judged;
+pub use judged::{Judged, ServiceKpis};
 pub use kept::{Kept, Verdict};
 pub use run_folder::{RunFolder, write_figure, write_samples};
 pub use services::{by_service, name_of_total};

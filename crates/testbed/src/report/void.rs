@@ -196,7 +196,7 @@ links:
 services:
   n:
     robot: r
-    kpis: { service_time: 15 ms }
+    kpis: { service_time: 15 ms, radio: n }
     vnfs:
       driver: { program: robot_driver, pinned_to: r }
       navigation: { program: navigation, node: s }
@@ -300,6 +300,22 @@ plugins:
         assert_eq!(void(20, End::Until, &without("n")).len(), 1);
         assert_eq!(void(9, End::Until, &without("n")), [""; 0]);
         assert_eq!(void(9, End::Walked, &without("n")).len(), 1);
+    }
+
+    #[test]
+    fn a_radio_that_no_sample_crossed_is_not_kept() {
+        let of = |attachment: Option<&str>| {
+            let mut events = well();
+            for event in &mut events {
+                if let Event::ServiceTime(sample) = &mut event.event {
+                    sample.attachment = attachment.map(|unit| unit.parse().unwrap());
+                }
+            }
+            let kpi = &summary(Report::new(&testbed(), 1), 20, End::Until, &events).services[0].kpis[0];
+            (kpi.verdict.unwrap().to_string(), kpi.reason.clone())
+        };
+        assert_eq!(of(Some("A")), ("PASS".to_owned(), None));
+        assert_eq!(of(None), ("FAIL".to_owned(), Some("no sample crossed a radio unit".to_owned())));
     }
 
     #[test]

@@ -180,6 +180,7 @@ pub(super) fn simulate_with(
             replay: false,
             paced: true,
             verdict: None,
+            kpis: Vec::new(),
             keeper,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
             logs: None,

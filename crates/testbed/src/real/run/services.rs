@@ -49,6 +49,7 @@ impl ServicesUp {
             replay: false,
             paced: false,
             verdict: None,
+            kpis: Vec::new(),
             keeper: prepared.keeping.as_ref().map(Keeping::keeper),
             wais: api::WaisOptions {
                 clock: Some(Arc::clone(&network.now)),
