@@ -266,7 +266,7 @@ fn a_run_without_its_plug_in_is_void_in_every_table_and_made_again() {
 }
 
 #[test]
-fn a_run_without_samples_is_void_as_it_is_alone() {
+fn a_run_without_frames_is_void_as_it_is_alone() {
     let out = tempfile::tempdir().unwrap();
     let folder = Journal::open(&out.path().join("sweep")).unwrap();
     let text =
