@@ -202,6 +202,10 @@ class Client:
         """Whether the emulation of a recorded run did what its testbed file demands, and why; None before its end."""
         return self._ask("measurements/verdict")
 
+    def kpis(self) -> JSON:
+        """The KPIs of a recorded run's services and the verdicts on them; none before its end."""
+        return self._ask("measurements/kpis")
+
     def difference(self, a: int, b: Optional[int] = None) -> JSON:
         """Two runs of this history side by side; this one, if the second is left out."""
         return self._ask("measurements/difference", a=a, b=b)

@@ -45,7 +45,7 @@ pub struct Kind {
 }
 
 impl Kind {
-    /// Returns the walks that it can have. Nobody knows where a robot roams by itself that is not emulated.
+    /// Returns the walks that it can have. It is unknown where a robot that is not emulated roams by itself.
     pub const fn walks(self) -> &'static [Walk] {
         if self.is_emulated { &Walk::ALL } else { &[Walk::Sent] }
     }

@@ -49,7 +49,7 @@ pub struct NotApproved {
     wishes: Wishes,
 }
 
-/// What a testbed file wants beyond its emulated network and its folder.
+/// Wishes of a testbed file beyond its emulated network and its folder.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 struct Wishes(Vec<String>);
 
@@ -143,7 +143,7 @@ fn is_outside(path: &Path, folder: &Path) -> bool {
         canonical(if folder == Path::new("") { Path::new(".") } else { folder }),
     ) {
         (Ok(path), Ok(folder)) => !path.starts_with(folder),
-        // What is not there cannot be read either.
+        // A missing file cannot be read either.
         _ => false,
     }
 }

@@ -6,7 +6,7 @@ use clap::Args;
 use cotorra_testbed::AgentOptions;
 use cotorra_testbed::{Dashboard, Encryption};
 
-/// Who may use the API and the dashboard, and what protects them on the network.
+/// Access to the API and the dashboard, and their protection on the network.
 #[derive(Debug, Clone, Default, Args)]
 pub struct AccessArgs {
     /// Let every user and every program of this machine use the API and the dashboard

@@ -75,7 +75,7 @@ pub fn edit(args: &EditArgs) -> miette::Result<ExitCode> {
     let page = editor.page().into_diagnostic()?;
     note!("Editor of {}: open {} in a browser; Ctrl-C ends it", args.file.display(), page.file.display());
     opener.open(|| Ok(page));
-    // Fails only if the sender is gone, and then nobody can end the editor in order.
+    // Fails only if the sender is gone, which then cannot end the editor in order.
     let _ = interrupts.recv();
     Ok(ExitCode::SUCCESS)
 }

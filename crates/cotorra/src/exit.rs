@@ -24,7 +24,7 @@ pub enum Status {
 }
 
 impl Status {
-    /// Returns the number that the system is told.
+    /// Returns the number of the exit status.
     pub const fn number(self) -> u8 {
         match self {
             Self::Done => 0,

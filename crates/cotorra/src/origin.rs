@@ -1,4 +1,4 @@
-//! What started runs, for the manifests of their folders: the command line without secrets, and the words that repeat it.
+//! Notes how runs started, for the manifests of their folders: the command line without secrets, and the words that repeat it.
 
 use std::{env, ffi::OsString, path::Path};
 

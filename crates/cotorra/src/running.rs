@@ -90,7 +90,7 @@ impl WhichRun {
         .map_err(Error::NotFound)
     }
 
-    /// Finds the run. Returns it with a client that shows `token` to nobody else.
+    /// Finds the run. Returns it with a client that shows `token` to it alone.
     pub fn find(&self, runs: &Runs, token: Option<String>) -> Result<(RunEntry, Client), Error> {
         let run = self.entry(runs)?;
         let client = with_token(Client::of(&run).map_err(Error::Failed)?, token);
@@ -163,7 +163,7 @@ pub mod tests {
             self.0.local_addr().unwrap()
         }
 
-        /// Asserts that nobody connected.
+        /// Asserts that there was no connection.
         pub fn received_nothing(&self) {
             let received = self.0.accept().map(|(_, from)| from).map_err(|error| error.kind());
             assert_eq!(received, Err(ErrorKind::WouldBlock));

@@ -26,7 +26,7 @@ impl TemporaryFolder {
     }
 
     pub fn within(base: &Path) -> Result<Self, FolderError> {
-        // New and for this user alone, so that nobody else has put a file there.
+        // New and for this user alone, so that no other user has put a file there.
         let make = |folder: &PathBuf| DirBuilder::new().mode(0o700).create(folder);
         let mut refused = None;
         let mut names = (0..MOST).map(|n| base.join(format!("{STEM}{}-{n}", process::id())));
@@ -52,7 +52,7 @@ impl TemporaryFolder {
 
 impl Drop for TemporaryFolder {
     fn drop(&mut self) {
-        // A file that stays in the folder for temporary files harms nobody.
+        // A file that stays in the folder for temporary files does no harm.
         let _ = fs::remove_dir_all(&self.0);
     }
 }

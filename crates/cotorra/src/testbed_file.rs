@@ -18,7 +18,7 @@ use crate::words::count;
 pub struct Loaded {
     pub testbed: Testbed,
     pub text: String,
-    /// What to check before its results are trusted.
+    /// Checks to make before its results are trusted.
     pub warnings: Vec<Mistake>,
 }
 

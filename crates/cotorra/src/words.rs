@@ -37,7 +37,7 @@ pub fn percent(share: f64) -> String {
     format!("{percent:.1} %")
 }
 
-/// `98.96 %`: a share with the digits that tell it from another one.
+/// `98.96 %`: a share with the digits that distinguish it from another one.
 pub fn percent_apart(share: f64, other: f64) -> String {
     let with = |digits: usize, share: f64| format!("{:.digits$} %", share * 100.0);
     let digits = (1..=6).find(|digits| with(*digits, share) != with(*digits, other));

@@ -68,6 +68,7 @@ const empty = { items: [], next: null };
 const answers = {
     "/api/v1/testbed": testbed,
     "/api/v1/measurements/verdict": null,
+    "/api/v1/measurements/kpis": [],
     "/api/v1/clock": { at_ns: 0, controllable: false, paused: false, speed: 1 },
     "/api/v1/measurements/events": empty,
     "/api/v1/measurements/state": { at_ns: 0, robots: [], radio_units: [], links: [], placements: [], virtual_links: [] },

@@ -7,6 +7,7 @@ import { CoverageButton } from "./coverage.js";
 import { Details } from "./detail.js";
 import { byId, element, rarely, setText } from "./dom.js";
 import { clock, figure } from "./format.js";
+import { judged } from "./kept.js";
 import { MapView } from "./map.js";
 import { Moment } from "./moment.js";
 import { palette } from "./palette.js";
@@ -18,6 +19,7 @@ import { TimeAxis } from "./time_axis.js";
 import { TimeControl } from "./time_control.js";
 import { Timeline } from "./timeline.js";
 import { Topology } from "./topology.js";
+import { UNITS } from "./units.js";
 
 /** @typedef {import("#api").components["schemas"]} Schemas */
 /** @typedef {import("./state.js").Stamped} Stamped */
@@ -72,7 +74,7 @@ function changed() {
 }
 
 /**
- * How long the last frames took, in milliseconds, with the events before each. For the benchmark, and for whoever wonders:
+ * Durations of the last frames, in milliseconds, with the events before each. For the benchmark and for users:
  * `cotorraFrames` in the console.
  */
 const frames = {
@@ -122,7 +124,7 @@ function render() {
     const fidelity = byId("fidelity");
     if (model.lateness) {
         fidelity.hidden = false;
-        setText(fidelity, `late by ${figure(model.lateness.p99_us, "µs")} (p99)`);
+        setText(fidelity, `late by ${figure(model.lateness.p99_us, UNITS.lateness_p99)} (p99)`);
     }
     for (const button of byId("spans").querySelectorAll("button")) {
         const { span } = button.dataset;
@@ -152,10 +154,11 @@ function setFocus(robot) {
  * @param {AbortSignal} signal
  */
 async function load(signal) {
-    const [testbed, grid, verdict, clock] = await Promise.all([
+    const [testbed, grid, verdict, kpis, clock] = await Promise.all([
         /** @type {Promise<Schemas["TestbedBody"]>} */ (api.get("testbed", {}, signal)),
         readMap(signal),
         /** @type {Promise<Schemas["Fidelity"] | null>} */ (api.get("measurements/verdict", {}, signal)),
+        /** @type {Promise<Schemas["ServiceKpis"][]>} */ (api.get("measurements/kpis", {}, signal)),
         /** @type {Promise<Schemas["ClockBody"]>} */ (api.get("clock", {}, signal)),
     ]);
     /** @type {Schemas["GraphState"]} */
@@ -168,6 +171,7 @@ async function load(signal) {
     if (compared > 0) await recallOther(model, state, compared, signal);
     model.begin(state);
     showVerdict(verdict);
+    showKpis(judged(testbed.services, kpis));
     time.show(clock);
     return { model, grid };
 }
@@ -181,6 +185,16 @@ function showVerdict(verdict) {
     const [heading, reason] = place.children;
     setText(heading, verdict.exact ? "Exact by construction" : verdict.valid ? "Valid" : "Not valid");
     setText(reason, `The emulation was ${verdict.valid ? "as" : "not as"} the testbed file demands: ${verdict.reason}.`);
+}
+
+/** @param {ReturnType<typeof judged>} kpis */
+function showKpis({ verdict, sentences }) {
+    const place = byId("kpis");
+    place.hidden = sentences.length === 0;
+    place.dataset.valid = verdict ? String(verdict === "PASS") : "";
+    const [heading, list] = place.children;
+    setText(heading, `KPIs: ${verdict ?? "not judged yet"}`);
+    setText(list, sentences.join(" "));
 }
 
 /**

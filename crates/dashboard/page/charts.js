@@ -7,6 +7,7 @@ import { element, rarely, save, setText } from "./dom.js";
 import { other, PARTS } from "./state.js";
 import { clock, figure } from "./format.js";
 import { kept } from "./kept.js";
+import { UNITS } from "./units.js";
 
 /** @typedef {import("./state.js").Model} Model */
 /** @typedef {import("./time_axis.js").TimeAxis} TimeAxis */
@@ -46,7 +47,7 @@ export function subjects(model) {
     /** @type {Subject[]} */
     const all = [...byTarget].map(([target, services]) => ({
         title: services.length === 1 ? `Service time of ${services[0]}` : "Service times",
-        unit: "ms",
+        unit: UNITS.service_time,
         target,
         fromZero: true,
         longestGap: 5,
@@ -54,18 +55,18 @@ export function subjects(model) {
     }));
     if (model.testbed.services.length > 0) {
         all.push({
-            title: "Split of service time", unit: "ms", target: null, fromZero: true, longestGap: 5, isOptional: true,
+            title: "Split of service time", unit: UNITS.time_part, target: null, fromZero: true, longestGap: 5, isOptional: true,
             figures: (focus) => {
                 const its = model.testbed.services.find(({ robot }) => robot === focus) ?? model.testbed.services[0];
                 return PARTS.map((name) => ({ figure: `split:${its.id}:${name}`, name }));
             },
         });
     }
-    const links = { title: "Delay of links in use", unit: "ms", target: null, fromZero: true, longestGap: 3 };
+    const links = { title: "Delay of links in use", unit: UNITS.delay, target: null, fromZero: true, longestGap: 3 };
     all.push({ ...links, figures: () => usedLinks(model).map((name) => ({ figure: `delay:${name}`, name: named(name) })) });
     if (model.units.length > 0 && model.robots.size > 0) {
         all.push({
-            title: "Signal of radio units", unit: "dBm", target: null, fromZero: false, longestGap: 30,
+            title: "Signal of radio units", unit: UNITS.signal, target: null, fromZero: false, longestGap: 30,
             figures: (focus) => {
                 const robot = focus ?? [...model.robots.keys()][0];
                 return model.units.slice(0, MOST_LINES).map((unit) => ({ figure: `signal:${robot}:${unit}`, name: unit }));
@@ -74,7 +75,7 @@ export function subjects(model) {
     }
     if (model.robots.size > 0) {
         all.push({
-            title: "Localization error", unit: "m", target: null, fromZero: true, longestGap: 30, isOptional: true,
+            title: "Localization error", unit: UNITS.localization_error, target: null, fromZero: true, longestGap: 30, isOptional: true,
             figures: (focus) => {
                 const robot = focus ?? [...model.robots.keys()][0];
                 return [{ figure: `localization_error:${robot}`, name: robot }];
@@ -84,8 +85,8 @@ export function subjects(model) {
     const machines = (/** @type {string} */ kind) => () =>
         [...model.machines.keys()].slice(0, MOST_LINES).map((name) => ({ figure: `${kind}:${name}`, name }));
     const ofMachines = { target: null, fromZero: true, longestGap: 10, isOptional: true };
-    all.push({ ...ofMachines, title: "Busy CPUs", unit: "", figures: machines("cpu") });
-    all.push({ ...ofMachines, title: "Available memory", unit: "bytes", figures: machines("available_memory") });
+    all.push({ ...ofMachines, title: "Busy CPUs", unit: UNITS.cpu, figures: machines("cpu") });
+    all.push({ ...ofMachines, title: "Available memory", unit: UNITS.available_memory, figures: machines("available_memory") });
     return all;
 }
 
@@ -161,7 +162,7 @@ export class Charts {
 }
 
 class Chart {
-    /** What was drawn last, so that nothing is drawn twice. */
+    /** Key of the last drawing, so that nothing is drawn twice. */
     #drawn = "";
     /** The samples that were drawn last. */
     #samples = "";

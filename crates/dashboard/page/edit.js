@@ -32,7 +32,7 @@ let file = { name: "", text: "", version: 0, schema: {} };
 let mistakes = [];
 /** @type {{ map: MapView, topology: Topology } | null} */
 let views = null;
-/** What the views show, as JSON. */
+/** The testbed in the views, as JSON. */
 let shown = "";
 let wanted = false;
 

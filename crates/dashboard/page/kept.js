@@ -1,5 +1,7 @@
 // Verdicts on services whose testbed file demands a share of samples within the target.
 
+/** @typedef {import("#api").components["schemas"]} Schemas */
+
 /** The 97.5th percentile of the normal distribution. */
 const Z = 1.959963984540054;
 
@@ -14,6 +16,22 @@ export function kept({ within, samples }, keep) {
     const [low, high] = wilson(within, samples);
     const sure = keep < low || keep > high ? "" : ", too few to be sure";
     return `${share}: ${within / samples >= keep ? "PASS" : "FAIL"} (${figure(keep)} demanded${sure})`;
+}
+
+/**
+ * Describes the KPIs of services beside their targets: as a recorded run judged them, or else as the testbed file has them.
+ * @param {Pick<Schemas["Service"], "id" | "kpis">[]} services
+ * @param {Schemas["ServiceKpis"][]} recorded
+ */
+export function judged(services, recorded) {
+    const all = recorded.flatMap(({ service, kpis }) => (kpis ?? []).map((kpi) => ({ service, ...kpi })));
+    if (all.length === 0) {
+        return { verdict: null, sentences: services.flatMap(({ id, kpis }) => (kpis.require ?? []).map((bound) => `${id}: ${bound}.`)) };
+    }
+    const verdicts = all.flatMap(({ verdict }) => verdict ?? []);
+    const sentences = all.map(({ service, kpi, verdict, measured, reason }) =>
+        `${service}: ${kpi}: ${[verdict ?? "not judged", measured ?? reason ?? "not measured"].join(", ")}.`);
+    return { verdict: verdicts.includes("FAIL") ? "FAIL" : (verdicts[0] ?? null), sentences };
 }
 
 /**

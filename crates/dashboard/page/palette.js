@@ -1,4 +1,4 @@
-// The colours of all figures of cotorra: those of Okabe and Ito, which colour-blind readers can tell apart. On a dark page
+// The colours of all figures of cotorra: those of Okabe and Ito, which colour-blind readers can distinguish. On a dark page
 // the dark ones are lighter.
 
 const BLUE = "#0072b2";

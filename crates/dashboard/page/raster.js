@@ -109,7 +109,7 @@ export function spans({ xs, values, length }, tops, bottoms) {
         const [x, y] = [xs[i], values[i]];
         const column = Math.floor(x);
         if (!Number.isNaN(beforeY) && !Number.isNaN(y)) {
-            // Where the line crosses from a column to the next, both have the place.
+            // At a crossing from a column to the next, both have the place.
             const slope = (y - beforeY) / (x - beforeX);
             for (let edge = Math.max(0, Math.floor(beforeX) + 1); edge <= Math.min(column, width); edge++) {
                 const at = beforeY + slope * (edge - beforeX);

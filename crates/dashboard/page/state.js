@@ -75,7 +75,7 @@ export class Robot {
         /** κ, as of the last event. @type {Schemas["RobotContext"] | null} */
         this.context = null;
         this.at = -Infinity;
-        /** Where it was attached, in order. @type {Region[]} */
+        /** Its attachments, in order. @type {Region[]} */
         this.regions = [];
         /** Places that it passed: x, y and time. @type {{x: number, y: number, at: number}[]} */
         this.trail = [];

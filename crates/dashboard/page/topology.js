@@ -162,7 +162,7 @@ export class Topology {
     #tellSoon = rarely(() => this.#tell());
     /** Nodes as they were drawn last. @type {Map<string, Box>} */
     #boxes = new Map();
-    /** What their places follow from. */
+    /** Key of the graph that their places follow from. */
     #placed = "";
 
     /**

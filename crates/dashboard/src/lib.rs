@@ -86,6 +86,7 @@ fn with_modules(page: &'static [u8]) -> Vec<File> {
         "time_control.js",
         "timeline.js",
         "topology.js",
+        "units.js",
     ];
     std::iter::once(File { path: "/", bytes: page }).chain(modules).collect()
 }

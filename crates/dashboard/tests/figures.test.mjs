@@ -6,7 +6,7 @@ import { test } from "node:test";
 import { EventParser } from "../page/api.js";
 import { csv } from "../page/charts.js";
 import { clock, figure, ticks, timeTicks } from "../page/format.js";
-import { kept, wilson } from "../page/kept.js";
+import { judged, kept, wilson } from "../page/kept.js";
 import { ellipse } from "../page/map.js";
 import { palette } from "../page/palette.js";
 import { read } from "../page/pgm.js";
@@ -62,6 +62,23 @@ test("a demanded share passes or fails, and few samples are said not to be enoug
     assert.equal(of(98996, 100000, 0.99).slice(0, 8), "98.996 %", "it does not look like 99 %");
     assert.equal(of(9999, 10000).slice(0, 6), "99.9 %", "it does not look like all");
     assert.deepEqual(wilson(81, 263).map((bound) => bound.toFixed(4)), ["0.2553", "0.3662"]);
+});
+
+test("KPIs have the verdicts of a recorded run, and none before its end", () => {
+    const services = [{ id: "navigation", kpis: { require: ["cost <= 3"] } }, { id: "other", kpis: {} }];
+    assert.deepEqual(judged(services, []), { verdict: null, sentences: ["navigation: cost <= 3."] });
+    const kpis = [
+        { kpi: "cost <= 3", value: 2, verdict: "PASS", measured: "2" },
+        { kpi: "service_time p95 <= 15 ms", value: null, verdict: "FAIL", reason: "4 of 9 samples have no answer" },
+        { kpi: "area", value: null, verdict: null, reason: "a run shows no area" },
+    ];
+    const { verdict, sentences } = judged(services, [{ service: "navigation", kpis }]);
+    assert.equal(verdict, "FAIL");
+    assert.deepEqual(sentences, [
+        "navigation: cost <= 3: PASS, 2.",
+        "navigation: service_time p95 <= 15 ms: FAIL, 4 of 9 samples have no answer.",
+        "navigation: area: not judged, a run shows no area.",
+    ]);
 });
 
 const plot = (values, options = {}) => {

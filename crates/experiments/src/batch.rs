@@ -15,13 +15,15 @@ use std::{
 
 use cotorra_graph::{Stamped, Testbed};
 use cotorra_numbers::seed;
-use cotorra_testbed::{FolderError, RunError, Unrecorded, UnrecordedRun, panic_text, simulate_unrecorded};
+use cotorra_testbed::{
+    FolderError, RunError, Unrecorded, UnrecordedRun, Void, panic_text, simulate_unrecorded,
+};
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
     journal::{Found, Journal},
     key::{Key, Keys, Listed},
-    outcome::{Outcome, Void},
+    outcome::Outcome,
 };
 
 /// Folder with the output of programs whose runs are void, in the folder of a journal.
@@ -132,6 +134,8 @@ impl fmt::Display for Again {
 pub(crate) struct Maker<'a> {
     pub(crate) journal: &'a Journal,
     pub(crate) keys: &'a Keys,
+    /// Returns the reasons for which a run does not count.
+    pub(crate) judge: fn(&Void) -> Option<Void>,
 }
 
 impl Maker<'_> {
@@ -152,7 +156,7 @@ impl Maker<'_> {
         if !changed.is_empty() {
             return Err(BatchError::Changed { run: name(), changed });
         }
-        let void = Void::of(&ended.summary);
+        let void = (self.judge)(&ended.summary.void);
         keep_logs(self.journal, run.folder, &wanted.name, void.is_some())?;
         Ok(Some(void.map_or(Outcome::Measured(ended), Outcome::Void)))
     }
@@ -166,7 +170,7 @@ fn keep_logs(journal: &Journal, folder: &Path, name: &str, is_void: bool) -> Res
         _ => Ok(()),
     };
     absent(fs::remove_dir_all(&to))?;
-    if is_void {
+    if is_void && folder.join(LOGS).exists() {
         fs::create_dir_all(journal.path().join(LOGS)).map_err(|e| FolderError::new(&to, e))?;
         absent(fs::rename(folder.join(LOGS), &to))?;
         absent(fs::remove_dir_all(folder))?;
@@ -192,7 +196,7 @@ pub(crate) fn sound(
 ) -> Result<Option<UnrecordedRun>, BatchError> {
     let ended = simulate_unrecorded(testbed, run, observe, go_on);
     let ended = ended.map_err(|source| BatchError::Run { run: name.to_owned(), source })?;
-    match ended.as_ref().and_then(|ended| Void::of(&ended.summary)) {
+    match ended.as_ref().and_then(|ended| ended.summary.void.wrong()) {
         None => Ok(ended),
         Some(void) => Err(BatchError::void(name, &void, &run.folder.join(LOGS))),
     }

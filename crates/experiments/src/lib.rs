@@ -18,4 +18,4 @@ pub mod repeat;
 pub mod sweep;
 
 pub use batch::{Again, BatchError, LOGS};
-pub use outcome::{Outcome, Void};
+pub use outcome::Outcome;

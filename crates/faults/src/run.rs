@@ -14,7 +14,7 @@ use std::{
 
 use cotorra_graph::{PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{Error as HistoryError, History, PacedRecorder, RunId, RunInfo};
-use cotorra_testbed::{Mood, Simulation, panic_text};
+use cotorra_testbed::{Given, Mood, Simulation, panic_text};
 
 use super::{
     error::FaultTestError,
@@ -196,7 +196,11 @@ impl<'a> Run<'a> {
             Fault::Instruct { instruction, .. } => {
                 let (who, number) = (PluginId::new(OURS).expect("a valid name"), self.given);
                 self.given += 1;
-                let told = simulation.instruct(who.clone(), instruction.clone(), Some(number.to_string()));
+                let told = simulation.instruct(Given {
+                    plugin: who.clone(),
+                    instruction: instruction.clone(),
+                    reason: Some(number.to_string()),
+                });
                 self.watch.decided.given(&who, number, told.err().map(|refused| refused.0));
             }
             Fault::Kill(vnf) => simulation.serving().kill(vnf),

@@ -1,4 +1,4 @@
-//! Bounds of what instructions hold. An instruction is checked wherever it is read, so that nobody can give one that takes
+//! Bounds of what instructions hold. An instruction is checked wherever it is read, so that no caller can give one that takes
 //! much memory.
 
 use std::{path::Path, time::Duration};

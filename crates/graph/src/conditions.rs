@@ -137,7 +137,7 @@ impl Rate {
     }
 }
 
-/// What is known of a trace without its opportunities.
+/// Facts of a trace without its opportunities.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct TraceName {
     /// Name of its file; `None` for one that is in no file.

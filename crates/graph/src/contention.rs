@@ -9,7 +9,7 @@ use crate::{
     wifi_software::WifiSoftware,
 };
 
-/// How the senders of a wireless network share its channels.
+/// Sharing of a wireless network's channels by its senders.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(into = "AccessFields", try_from = "AccessFields")]
 pub enum Access {
@@ -23,22 +23,22 @@ pub enum Access {
 /// Contention for the channels of a network. Only stations that contend can sense others, or be real software.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contention {
-    /// How stations contend.
+    /// Contention of stations.
     pub edca: Edca,
-    /// What else sends on the network's channels.
+    /// Other senders on the network's channels.
     pub interference: Vec<Interferer>,
     /// Real Wi-Fi software. Without it, stations are modelled.
     pub software: Option<WifiSoftware>,
 }
 
-/// How the senders of a wireless network share its channels, and what only stations that contend have.
+/// Sharing of a wireless network's channels by its senders, and what only stations that contend have.
 #[derive(Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = Access)]
 pub(crate) struct AccessFields {
     /// Contention for the channel. Without it, senders take turns and never collide.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     access: Option<Edca>,
-    /// What else sends on its channels. Only where stations contend.
+    /// Other senders on its channels. Only where stations contend.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     interference: Vec<Interferer>,
     /// Real Wi-Fi software. Without it, stations are modelled. Only where stations contend.
@@ -120,9 +120,9 @@ impl TryFrom<AccessFields> for Access {
 pub struct Edca {
     /// Whether frames for one receiver are sent together as A-MPDU, and acknowledged together. 802.11n and ac can.
     pub aggregation: bool,
-    /// How stations choose their rates.
+    /// Stations' choice of rates.
     pub rate_control: RateControl,
-    /// How stations sleep. Without it, they never do.
+    /// Sleep of stations. Without it, they never sleep.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub power_save: Option<PowerSave>,
 }
@@ -138,7 +138,7 @@ pub struct PowerSave {
     pub dtim_period: u8,
 }
 
-/// How stations choose their rates.
+/// Stations' choice of rates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RateControl {
@@ -160,7 +160,7 @@ pub struct Interferer {
     /// Transmission power.
     #[serde(rename = "tx_power_dbm")]
     pub tx_power: Dbm,
-    /// What it sends.
+    /// Its frames.
     #[serde(flatten)]
     pub kind: InterfererKind,
     /// When it is there; always, if absent.
@@ -168,7 +168,7 @@ pub struct Interferer {
     pub presence: Option<Presence>,
 }
 
-/// What an interferer sends.
+/// Frames of an interferer.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum InterfererKind {

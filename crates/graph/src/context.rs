@@ -126,7 +126,7 @@ pub struct Attachment {
     /// Received signal at the last scan or frame; `None` before the first.
     #[serde(rename = "signal_dbm")]
     pub signal: Option<Dbm>,
-    /// Time since the signal was received; `None` without a signal, or if nobody knows.
+    /// Time since the signal was received; `None` without a signal, or if that is unknown.
     #[serde(
         rename = "signal_age_ms",
         default,
@@ -299,7 +299,7 @@ pub struct StationContext {
     pub downlink_bps: f64,
     /// PHY rate from it, bit/s.
     pub uplink_bps: f64,
-    /// What the radio unit's kernel counts of it.
+    /// Counters of the radio unit's kernel for it.
     #[serde(flatten)]
     pub counted: StationCounts,
 }
@@ -488,7 +488,7 @@ pub struct ServiceTime {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<TimeParts>)]
     pub parts: Option<Box<TimeParts>>,
-    /// Where its packets ended, of one without an answer; `None` if that is unknown.
+    /// Place at which its packets ended, of one without an answer; `None` if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<LostAt>)]
     pub lost_at: Option<Box<LostAt>>,

@@ -84,7 +84,7 @@ impl Record for Decision {
 
     fn bytes(&self) -> usize {
         let Self { plugin, instruction, reason, refused } = self;
-        // What is beyond a bound was never applied, and is counted as the most.
+        // An instruction beyond a bound was never applied, and is counted as the most.
         let instruction = instruction.measure().unwrap_or(Instruction::LONGEST);
         let texts = [reason, refused].into_iter().flatten().map(String::len).sum::<usize>();
         plugin.as_str().len() + instruction + texts

@@ -38,7 +38,7 @@ impl Driver {
 }
 
 impl Default for Driver {
-    /// Simulated, and nobody else's.
+    /// Simulated, by this testbed alone.
     fn default() -> Self {
         Self::Simulated { offer: None }
     }

@@ -1,6 +1,7 @@
 //! Events of a run, each reported once and declared once, in `events!`. The terminal, the recorder, the API's stream
 //! and the report read events and nothing else. Plug-ins receive them as their contexts, and answer with instructions.
 
+mod figures;
 mod text;
 
 use std::str::FromStr;

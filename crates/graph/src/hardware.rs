@@ -450,7 +450,7 @@ pub struct WirelessNetwork {
     pub handover: HandoverTimes,
     /// Treatment of frames for a station that is off its channel.
     pub gap: GapPolicy,
-    /// How its senders share the channel.
+    /// Sharing of the channel by its senders.
     #[serde(flatten)]
     #[schema(value_type = crate::contention::AccessFields)]
     pub access: Access,

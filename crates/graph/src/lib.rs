@@ -1,4 +1,4 @@
-//! The hardware graph G, its embeddings, services and KPIs, the events that tell what happens to them, and the
+//! The hardware graph G, its embeddings, services and KPIs, the events that happen to them, and the
 //! testbed file that describes it all. Pure data: no clock, no sockets, nothing asynchronous.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]

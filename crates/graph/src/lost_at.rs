@@ -32,7 +32,7 @@ pub enum LostCause {
     NoAttachment,
     /// No path led to its receiver.
     NoRoute,
-    /// It left for the core of another domain, where nobody followed it.
+    /// It left for the core of another domain, which did not follow it.
     OtherCore,
     /// The VNF had it and did not answer in time.
     NoAnswer,
@@ -40,7 +40,7 @@ pub enum LostCause {
     Late,
     /// The answer came, and the robot rejected it.
     Rejected,
-    /// It was due and not sent, because nobody ran the core then.
+    /// It was due and not sent, because the core did not run then.
     NotSent,
 }
 

@@ -9,7 +9,7 @@ use crate::{
     units::{BitRate, Dbm, Probability, Timestamp, millis},
 };
 
-/// What a real machine reports of itself. A part is `None` or empty if the machine does not offer it.
+/// Report of a real machine on itself. A part is `None` or empty if the machine does not offer it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct MachineContext {
     /// The machine.
@@ -119,7 +119,7 @@ pub struct LoadAverage {
 pub struct MemoryContext {
     /// All of it.
     pub memory_bytes: u64,
-    /// What new programs can use without swapping.
+    /// Memory that new programs can use without swapping.
     pub available_bytes: u64,
 }
 

@@ -9,7 +9,7 @@ pub enum Cell {
     Free,
     /// Something is there.
     Occupied,
-    /// Nobody looked.
+    /// Unknown.
     Unknown,
 }
 

@@ -17,6 +17,6 @@ pub enum Part<'a> {
     Vnf(&'a VnfId),
     /// A plug-in.
     Plugin(&'a PluginId),
-    /// The emulator, which is nobody's.
+    /// The emulator, which no domain owns.
     Emulator,
 }

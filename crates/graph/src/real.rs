@@ -1,4 +1,4 @@
-//! What of G is real: its real servers, gateways, and links over interfaces of this machine.
+//! The real part of G: its real servers, gateways, and links over interfaces of this machine.
 
 use std::{collections::HashMap, net::Ipv4Addr};
 
@@ -27,7 +27,7 @@ pub struct RealPort<'a> {
 pub struct RealLink<'a> {
     /// The link.
     pub link: &'a Link,
-    /// Whose interface it is, and the address of the other machine.
+    /// Owner of the interface, and the address of the other machine.
     pub reached: &'a Reached,
     /// The direction in which packets leave by the interface; in the other one they arrive.
     pub leaving: Direction,

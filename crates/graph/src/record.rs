@@ -1,5 +1,5 @@
-//! How events are kept in tables: an event is a row, and its list is child rows. Databases, exports and files of bytes
-//! take [`Value`]s and bring a [`Source`]; this module knows none of them. What was written once stays readable: columns
+//! Events in tables: an event is a row, and its list is child rows. Databases, exports and files of bytes
+//! take [`Value`]s and bring a [`Source`]; this module does not know them. All that was written stays readable: columns
 //! are only added, at the end.
 
 mod conditions;

@@ -1,4 +1,4 @@
-//! Sensors that a robot has beside what its base tells: what is declared of them, and what they read. All of them, and
+//! Sensors of a robot beside those of its base: their declarations and readings. All of them, and
 //! the base's, are σ(r).
 
 use std::{collections::BTreeMap, time::Duration};

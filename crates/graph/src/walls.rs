@@ -29,7 +29,7 @@ pub struct WallLoss {
 /// the map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Walls {
-    /// What they take of a signal.
+    /// Loss of a signal in them.
     pub loss: WallLoss,
     /// The map, whose occupied cells are the walls.
     pub map: Arc<OccupancyGrid>,

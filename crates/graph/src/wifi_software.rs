@@ -27,7 +27,7 @@ pub enum RadioKind {
     Hardware,
 }
 
-/// How stations prove who they are, and how frames are protected. The passphrase is neither serialized nor printed.
+/// Authentication of stations, and protection of frames. The passphrase is neither serialized nor printed.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "method")]
 pub enum Security {

@@ -99,7 +99,7 @@ pub(crate) struct Gathered {
     sum: f64,
     last: f64,
     samples: numbers::Gathered,
-    /// The samples at their least and at their greatest, as far as summaries tell; `None` if nothing was rolled up.
+    /// The samples at their least and at their greatest, as far as summaries have them; `None` if nothing was rolled up.
     bounds: Option<Box<[numbers::Gathered; 2]>>,
 }
 

@@ -29,7 +29,7 @@ pub enum Error {
     Foreign {
         /// File of the history.
         history: Arc<str>,
-        /// What it holds.
+        /// Its content.
         detail: String,
     },
     /// The history was written by a newer cotorra, or by one from before the first release, whose schema had versions

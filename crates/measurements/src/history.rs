@@ -203,20 +203,6 @@ impl History {
         self.select(run, &Selection::Series(Series::new(Kind::Robot, robot, ())), range, page)
     }
 
-    /// Returns ι(R) over a range of time.
-    ///
-    /// # Errors
-    /// See [`History`].
-    pub fn radio_series(
-        &self,
-        run: RunId,
-        radio_unit: &NodeId,
-        range: impl RangeBounds<Timestamp>,
-        page: PageRequest,
-    ) -> Result<Page<Sample<RadioContext>>> {
-        self.select(run, &Selection::Series(Series::new(Kind::Radio, radio_unit, ())), range, page)
-    }
-
     /// Returns d, λ, ψ, δ of one direction of a link over a range of time.
     ///
     /// # Errors

@@ -76,7 +76,7 @@ impl Heard {
         self.push(self.latest, end);
         let (mut time, mut intervals) = (end - span.from, self.samples);
         let holes = i64::try_from(self.holes.len()).unwrap_or(i64::MAX);
-        // A slow service has holes only, which then tell what is usual.
+        // A slow service has holes only, which are then its usual intervals.
         if holes * 2 < self.samples {
             time -= self.holes.iter().map(|(from, until)| until - from).sum::<i64>();
             intervals -= holes;

@@ -131,7 +131,7 @@ impl Sqlite {
     }
 }
 
-/// Rejects a path at which there is something other than a file, such as a pipe, which nobody may ever write to.
+/// Rejects a path at which there is something other than a file, such as a pipe, which may never get a writer.
 fn check_file(path: &Path, history: &Arc<str>) -> Result<()> {
     let is_other = std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir());
     if is_other { Err(Error::NotAHistory { history: history.clone() }) } else { Ok(()) }

@@ -35,7 +35,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const SILENCE: Duration = Duration::from_secs(60);
 /// Status of a testbed whose run has ended.
 const ENDED: u16 = 503;
-/// What to do about an API that is not known.
+/// Advice about an unknown API.
 const HINT: &str = "let COTORRA_CA name a copy of the file that the run printed";
 /// The largest answer that is read, bytes: 10,000 contexts of a testbed with a few hundred radio units.
 const LARGEST_ANSWER: u64 = 256 << 20;
@@ -105,7 +105,7 @@ pub enum ClientError {
     /// The plug-in's settings cannot be read.
     #[error("COTORRA_SETTINGS is not a JSON object: {0}")]
     Settings(#[source] serde_json::Error),
-    /// Nobody answers there.
+    /// There is no answer.
     #[error("the API at {url} cannot be reached: {source}")]
     Unreachable {
         /// URL of the request.
@@ -302,7 +302,7 @@ impl Client {
         Ok(Self { agent: config.into(), api, token: None, plugin: None })
     }
 
-    /// The client of a run of this user on this machine, over its Unix socket, where nobody else can listen.
+    /// The client of a run of this user on this machine, over its Unix socket, where no other user can listen.
     ///
     /// # Errors
     /// [`ClientError::Address`] if the run's address can be none.

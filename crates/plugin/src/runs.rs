@@ -1,14 +1,14 @@
 //! The runs of this user on this machine, and the socket on which each serves its API beside its TCP address.
 //!
 //! Any user can listen on a TCP port, and a run whose port is taken moves to another. So a run also listens on a Unix
-//! socket in a folder that only its user may enter, and writes its address into an entry beside it. Nobody else can put a
+//! socket in a folder that only its user may enter, and writes its address into an entry beside it. No other user can put a
 //! socket there: a tool that finds a run ([`Runs::find`]) and connects to its socket
 //! ([`Client::of`](crate::client::Client::of)) talks to that run. No nonce is needed: the kernel decides who listens there.
 //!
 //! A run holds a lock on its entry. The kernel releases it when the process ends, also by SIGKILL: an entry without a lock
 //! is that of a dead process, and the next run removes it.
 //!
-//! A folder is opened once, checked, and then used through `/proc/self/fd`. So nobody can exchange it after the check, and
+//! A folder is opened once, checked, and then used through `/proc/self/fd`. So no other user can exchange it after the check, and
 //! a socket's path is never too long.
 
 use std::{
@@ -155,7 +155,7 @@ impl fmt::Display for RunEntry {
     }
 }
 
-/// Parses `127.0.0.1:7700` or `http://localhost:7700/`. Looks up no other name of a host: nobody is asked for it.
+/// Parses `127.0.0.1:7700` or `http://localhost:7700/`. Looks up no other name of a host.
 fn address(text: &str) -> Option<SocketAddr> {
     let host = text.strip_prefix("http://").unwrap_or(text).trim_end_matches('/');
     match host.strip_prefix("localhost:") {
@@ -181,7 +181,7 @@ impl RunEntry {
     /// Connects to its socket.
     ///
     /// # Errors
-    /// What the system says, as when the run ended.
+    /// Error of the system, as when the run ended.
     pub fn connect(&self) -> io::Result<UnixStream> {
         UnixStream::connect(self.folder.file(&self.stem, SOCKET))
     }
@@ -304,7 +304,7 @@ impl Runs {
     /// [`RunsError`] where nothing can be put, or others might read or replace it.
     pub fn announce(&self, api: SocketAddr, name: &str, what: &str) -> Result<Announced, RunsError> {
         let folder = Folder::make(self.folders.first().expect("there is one"))?;
-        // So nobody takes the entry for that of a dead process before it is locked.
+        // So no process takes the entry for that of a dead one before it is locked.
         let _alone = folder.lock()?;
         folder.remove_dead()?;
         let process = process::id();
@@ -510,7 +510,7 @@ impl Folder {
 
     /// Stems of runs whose process is gone.
     fn dead(&self) -> Result<Vec<String>, RunsError> {
-        // An entry that is refused stays; `Runs::find` tells why.
+        // A refused entry stays; `Runs::find` says why.
         Ok(self.stems()?.into_iter().filter(|stem| matches!(self.living(stem), Ok(None))).collect())
     }
 

@@ -12,7 +12,7 @@ use std::{
 /// the buffer held, or says why there is none, which goes to standard error now and then.
 ///
 /// # Errors
-/// What the socket cannot recover from.
+/// Failure that the socket cannot recover from.
 pub fn serve<E: Display>(
     socket: &UdpSocket,
     mut answer: impl FnMut(&[u8], &mut Vec<u8>) -> Result<(), E>,

@@ -113,7 +113,7 @@ pub struct PositionPacket {
     pub sequence: u32,
     /// Time of emission, on the robot's clock.
     pub emitted: Timestamp,
-    /// A number that nobody can guess who did not receive the packet.
+    /// A number that only a receiver of the packet knows.
     pub nonce: u64,
     /// The next waypoint of the robot's walk, from 0.
     pub waypoint: u32,

@@ -40,7 +40,7 @@ pub struct Carried {
 pub struct CarriedFile {
     /// Path from the new folder.
     pub to: PathBuf,
-    /// What is to be there.
+    /// Its contents.
     pub contents: Contents,
 }
 
@@ -94,7 +94,7 @@ pub(crate) enum Kind {
     Key,
 }
 
-/// What a file is to the command that names it.
+/// Role of a file for the command that names it.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Role {
     /// The program itself.

@@ -41,7 +41,7 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     let broken = !sink.is_empty();
     services::vnfs(record, testbed, sink);
     walks(record, testbed, sink);
-    // What follows from paths would only repeat what is wrong with them.
+    // Checks that follow from paths would only repeat their mistakes.
     let mut topology = Topology::new(&testbed.graph);
     if !broken && reach(record, &testbed.graph, &topology, sink) {
         for ((_, r), service) in record.services.0.iter().zip(&testbed.services) {

@@ -1,4 +1,4 @@
-//! What runs of a testbed file depend on: its values, and the files that it names.
+//! Dependencies of a testbed file's runs: its values, and the files that it names.
 
 use std::{
     fmt::Write,
@@ -15,7 +15,7 @@ use crate::{
     },
 };
 
-/// What the results of a testbed file's runs depend on, beside the seed and the duration.
+/// Dependencies of the results of a testbed file's runs, beside the seed and the duration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Dependencies {
     /// The file's keys and values, as its settings make them. Comments and disabled plug-ins are left out.

@@ -114,7 +114,7 @@ fn is_digest(digest: &str) -> bool {
         && hex.bytes().all(|b| b.is_ascii_hexdigit())
 }
 
-/// How a volume's short form reads.
+/// Short form of a volume.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Dialect {
     /// That of a testbed file: each source is a path, read-only without a word.
@@ -392,7 +392,7 @@ mod tests {
     }
 
     proptest! {
-        /// What is accepted cannot be taken for an option, and has no more than one word.
+        /// An accepted name cannot be taken for an option, and has no more than one word.
         #[test]
         fn other_texts_are_no_references(text in "\\PC{0,20}|[a-zA-Z0-9./:@_-]{1,30}") {
             if let Some(Reference(text)) = read(&text) {

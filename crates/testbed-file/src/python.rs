@@ -101,7 +101,7 @@ struct Import {
     /// Number of dots before the module; 0 if it is absolute.
     level: usize,
     module: String,
-    /// What it takes from the module, which may be modules, too.
+    /// Names that it takes from the module, which may be modules, too.
     names: Vec<String>,
 }
 

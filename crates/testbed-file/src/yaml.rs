@@ -1,4 +1,4 @@
-//! YAML files read so that every mistake in them is told in place: a tree that knows where each value stands, and
+//! YAML files read so that every mistake in them is reported in place: a tree that knows where each value stands, and
 //! decoders that go on after an error, so that one look shows them all. A file's record is declared once, and gives
 //! both its decoder and its JSON Schema.
 

@@ -91,7 +91,7 @@ pub enum RunError {
         vnf: cotorra_graph::VnfId,
         /// Its node.
         node: NodeId,
-        /// What is missing.
+        /// The missing thing.
         source: cotorra_containers::NoEngine,
     },
     /// Agents of real servers.

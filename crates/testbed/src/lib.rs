@@ -15,6 +15,7 @@ mod error;
 mod events;
 mod finished;
 mod folder;
+mod given;
 mod history;
 mod options;
 mod plugins;
@@ -26,10 +27,10 @@ mod wifi;
 
 pub use self::core::script::{Rehearsal, ScriptError, replayed_conditions};
 pub use api::{
-    ApiError, Checked, Dashboard, Edited, Editor, Encryption, Identity, Mistake, NetworkApi, Operator,
-    TlsError, Token, Tokens, TokensError, app_lcm_openapi, openapi,
+    ApiError, Checked, Dashboard, Edited, Editor, Encryption, Mistake, NetworkApi, Operator, Token, Tokens,
+    TokensError, app_lcm_openapi, openapi,
 };
-pub use capture::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
+pub use capture::{CaptureError, CapturePlan, create_capture};
 pub use cotorra_containers::guard as guard_containers;
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use error::RunError;
@@ -39,33 +40,30 @@ pub use folder::{
     manifest::{Digest, Inputs, Machine, Made, Manifest, ManifestError, Origin, Repeat, Time},
     whole::{ManyInputs, put_all},
 };
+pub use given::Given;
 pub use history::{
     previous_run::{CannotGoOn, PreviousRun, orchestrators},
     recorded::{Recorded, RecordedError},
     run_info::about,
 };
-pub use options::{HistoryLimit, Options};
+pub use options::{AgentOptions, HistoryLimit, Options};
 pub use plugins::{PluginError, panic_text};
 pub use real::{
-    agents::{AgentOptions, AgentsError},
     cpus::missing_cpus,
     leftovers::{Leftovers, clean, leftovers},
     links::{InterfacePlan, RealLinkError},
-    places::NotForNetem,
-    reflectors::ReflectorError,
     rehearse::{interface_plans, rehearse},
-    robots::RobotError,
-    run::{Run, Stopper},
+    run::Run,
 };
 pub use report::{
-    AwaySummary, DataTable, DecisionRecord, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary,
-    HandoverRecord, Judged, Kept, LatenessSummary, LocalizationSummary, LostSummary, MeanParts, PartSummary,
-    Place, PlacementRecord, PluginSummary, Quantiles, RegionSummary, Report, RobotSummary, ServiceParts,
-    ServiceSummary, Summary, Verdict, VnfWaits, WORST_ROBOTS, by_service, name_of_total, panels,
-    robots_by_name, sampled_services, service_time_ms, write_file, write_samples,
+    DataTable, FEW_ROBOTS, Fidelity, FolderError, ForgedSummary, GatewaySummary, Judged, Kept,
+    LocalizationSummary, LostSummary, MeanParts, PartSummary, Place, Quantiles, RegionSummary, Report,
+    RobotSummary, ServiceKpis, ServiceParts, ServiceSummary, Summary, Verdict, Void, WORST_ROBOTS,
+    by_service, name_of_total, panels, robots_by_name, sampled_services, service_time_ms, write_file,
+    write_samples,
 };
 pub use virtual_time::{
     Altered, Fork, Mood, Serving, Simulation, Unrecorded, UnrecordedRun, Watched, is_same_subject, simulate,
     simulate_unrecorded, simulate_watched, time_control::Speed,
 };
-pub use wifi::{PlanError as WifiPlanError, WIFI_FOLDERS, WifiError, wifi_programs};
+pub use wifi::{WIFI_FOLDERS, wifi_programs};

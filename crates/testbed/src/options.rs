@@ -1,6 +1,11 @@
 //! Options of a run.
 
-use std::{fmt, net::SocketAddr, time::Duration};
+use std::{
+    fmt,
+    net::{Ipv4Addr, SocketAddr},
+    path::PathBuf,
+    time::Duration,
+};
 
 use cotorra_graph::IpNetwork;
 use cotorra_measurements::Location;
@@ -19,7 +24,7 @@ use crate::{
 /// Options of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// What starts the run, for its manifest.
+    /// Origin of the run, for its manifest.
     pub origin: Origin,
     /// Replaces the testbed file's seed.
     pub seed: Option<u64>,
@@ -33,7 +38,7 @@ pub struct Options {
     pub runs: Option<Runs>,
     /// Tokens of the API's callers: the operator, and orchestrators of domains.
     pub tokens: Tokens,
-    /// What protects the API on an address beyond loopback.
+    /// Protection of the API on an address beyond loopback.
     pub encryption: Encryption,
     /// Whether idle cores may sleep. Packets then wait for cores to wake, and are later.
     pub save_power: bool,
@@ -51,8 +56,28 @@ pub struct Options {
     pub captures: Vec<CapturePlan>,
     /// Notes of the run that this one continues, in real time.
     pub after: Option<PreviousRun>,
-    /// Where agents of real servers connect.
-    pub agents: crate::real::agents::AgentOptions,
+    /// Address and authority for agents.
+    pub agents: AgentOptions,
+}
+
+/// Address and authority of a run for its agents.
+#[derive(Debug, Clone)]
+pub struct AgentOptions {
+    /// Address at which the core listens.
+    pub listen: SocketAddr,
+    /// Folder of the authority with which agents are enrolled.
+    pub authority: Option<PathBuf>,
+}
+
+impl AgentOptions {
+    /// Port at which the core listens.
+    pub const PORT: u16 = 7448;
+}
+
+impl Default for AgentOptions {
+    fn default() -> Self {
+        Self { listen: SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), Self::PORT), authority: None }
+    }
 }
 
 /// Largest size of a history in a file.

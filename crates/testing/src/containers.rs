@@ -166,7 +166,10 @@ impl Drop for Containers {
         }
         let Ok(listed) = self.client().args(["ps", "-aq"]).output() else { return };
         let ids = String::from_utf8_lossy(&listed.stdout).into_owned();
-        let _ = self.client().args(["rm", "-f"]).args(ids.split_whitespace()).output();
+        // Killed first, because podman's `rm -f` waits ten seconds for an orderly end.
+        for words in [&["kill"][..], &["rm", "-f"]] {
+            let _ = self.client().args(words).args(ids.split_whitespace()).output();
+        }
         if let Some(mut daemon) = self.daemon.lock().take() {
             let process = rustix::process::Pid::from_child(&daemon);
             let _ = rustix::process::kill_process(process, rustix::process::Signal::TERM);

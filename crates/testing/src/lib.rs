@@ -1,4 +1,4 @@
-//! Fixtures that tests and benchmarks of several crates share: servers, peers, testbeds and graphs.
+//! Fixtures that tests and benchmarks of several crates share: servers, peers, machines with radios, testbeds and graphs.
 //!
 //! Only ever a dev-dependency. Unit tests of a crate that this one depends on would see two copies of that crate's types;
 //! its integration tests and benchmarks see one.
@@ -11,9 +11,11 @@
 
 pub mod browser;
 pub mod containers;
+pub mod lab;
 pub mod mariadb;
 pub mod placement;
 pub mod process;
+pub mod radios;
 pub mod robot;
 pub mod ros1;
 pub mod ros2;

@@ -3,8 +3,7 @@
 use std::{fs, path::Path};
 
 use cotorra::note_origin;
-use cotorra_experiments::Void;
-use cotorra_testbed::{Finished, FolderError, Made, ManyInputs, Repeat};
+use cotorra_testbed::{Finished, FolderError, Made, ManyInputs, Repeat, Void};
 use miette::IntoDiagnostic;
 
 use super::args::WalkArgs;
@@ -46,12 +45,13 @@ pub struct VoidRun {
     void: Void,
 }
 
-/// Returns a run unless it is void.
+/// Returns a run unless it is void. One that was only too late in real time stays: it is shown as not valid.
 ///
 /// # Errors
 /// [`VoidRun`].
 pub fn sound(finished: Finished) -> Result<Finished, VoidRun> {
-    match Void::of(&finished.summary) {
+    let summary = &finished.summary;
+    match summary.void.void().filter(|_| summary.fidelity.valid || !summary.plugin_faults.is_empty()) {
         None => Ok(finished),
         Some(void) => Err(VoidRun { folder: finished.folder.display().to_string(), void }),
     }

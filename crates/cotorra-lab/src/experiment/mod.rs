@@ -20,7 +20,7 @@ use bundled::Bundled;
 /// Says what is wrong with a run of an experiment.
 fn tell_faults(name: &str, finished: &Finished) {
     let Finished { summary, unrecorded, .. } = finished;
-    summary.void.iter().for_each(|reason| note!("{name}: NOT VALID: {reason}"));
+    summary.void.reasons().for_each(|reason| note!("{name}: NOT VALID: {reason}"));
     summary.no_progress.iter().for_each(|stand| note!("{name}: {}: {stand}", summary.ended));
     unrecorded.iter().for_each(|what| note!("{name}: not recorded: {what}"));
 }

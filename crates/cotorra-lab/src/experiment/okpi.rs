@@ -228,7 +228,7 @@ fn describe(
     let mut text = comparison.to_markdown(how) + "\n";
     for Done { name, walk: Finished { summary, .. }, .. } in walks {
         let samples = count(summary.samples, "sample");
-        text += &match &summary.void[..] {
+        text += &match &summary.void.reasons().collect::<Vec<_>>()[..] {
             [] => format!("{name}: {samples}, {}: {}\n", summary.fidelity.word(), summary.fidelity.reason),
             void => format!("{name}: {samples}, NOT VALID: {}\n", void.join("; ")),
         };

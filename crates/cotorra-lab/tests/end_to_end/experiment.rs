@@ -194,7 +194,7 @@ fn an_experiment_with_a_void_run_has_the_status_of_void_figures() {
     let done = experiment.output().unwrap();
     assert_eq!(done.status.code(), Some(3), "{}", stderr(&done));
     let said = stderr(&done).replace("\n  │ ", " ");
-    assert!(said.contains("is void: plug-in gone: its program ended: exit status: 0"), "{said}");
+    assert!(said.contains("is void: plug-in gone was cut off: its program ended: exit status: 0"), "{said}");
 }
 
 /// Uses the network that `COTORRA_LEDGER` names, which scripts/ledger-network starts.

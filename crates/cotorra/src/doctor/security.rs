@@ -1,4 +1,4 @@
-//! What of [SECURITY.md] holds on this machine, as this user.
+//! Checks which promises of [SECURITY.md] hold on this machine, as this user.
 //!
 //! [SECURITY.md]: ../../../../SECURITY.md
 
@@ -169,12 +169,12 @@ mod tests {
         fs::set_permissions(&below, fs::Permissions::from_mode(0o777)).unwrap();
         let error = owned(&folder, user).unwrap_err().to_string();
         assert!(error.contains("below can be written by others"), "{error}");
-        // As in /tmp: nobody exchanges what is in it, but anybody can add to it.
+        // As in /tmp: users can add files, but not exchange those of others.
         fs::set_permissions(&below, fs::Permissions::from_mode(0o1777)).unwrap();
         owned(&folder, user).unwrap();
         assert!(owned(&below, user).is_err());
         if user != 0 {
-            // What is root's, is everybody's risk alike.
+            // Files of root are a risk of all users alike.
             let error = owned(&folder, user + 1).unwrap_err().to_string();
             assert!(error.contains("belongs to another user"), "{error}");
         }

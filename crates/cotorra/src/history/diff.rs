@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use cotorra_graph::ServiceId;
+use cotorra_graph::{Declared, Figure, LatenessQuantity, LinkQuantity, ServiceId, Total};
 use cotorra_measurements::{
     Difference, Values,
     difference::{Entry, Links, Services},
@@ -112,12 +112,16 @@ fn describe(difference: &Difference, verdicts: &[String; 2], keep: &[BTreeMap<Se
         difference.runs[i].ended.map_or_else(|| format!("at least {lost}"), |_| lost.to_string())
     }));
     runs.row(both("lateness p99", &|i| {
-        difference.doubts[i].lateness_p99_us.map_or("-".to_owned(), |us| format!("{us:.1} µs"))
+        difference.doubts[i].lateness_p99_us.map_or("-".to_owned(), |us| {
+            format!("{us:.1} {}", LatenessQuantity::P99.declared().unit.symbol())
+        })
     }));
     section("Runs", runs, 1);
 
     let mut kept = Table::new("<>>>>>>");
-    kept.row(["service", "samples", "", "unanswered", "", "kept", ""]);
+    let [samples_of, unanswered, share_of] =
+        [Total::Samples, Total::Unanswered, Total::Kept].map(Total::as_str);
+    kept.row(["service", samples_of, "", unanswered, "", share_of, ""]);
     for Entry { of, runs } in difference.services.iter().take(ROWS) {
         let show = |of: &dyn Fn(usize, &Services) -> String| {
             [0, 1].map(|i| runs[i].as_ref().map_or("-".to_owned(), |its| of(i, its)))
@@ -133,12 +137,13 @@ fn describe(difference: &Difference, verdicts: &[String; 2], keep: &[BTreeMap<Se
     }
     section("Samples within the target", kept, difference.services.len());
 
+    let of_service = Figure::ServiceTime { service: None, robot: None }.declared();
     let services = difference
         .services
         .iter()
         .map(|entry| (format!("{} of {}", entry.of.service, entry.of.robot), samples(&entry.runs)));
     section(
-        "Service time of answered samples, ms",
+        &titled("of answered samples", of_service),
         figures("service", services.take(ROWS)),
         difference.services.len(),
     );
@@ -149,7 +154,7 @@ fn describe(difference: &Difference, verdicts: &[String; 2], keep: &[BTreeMap<Se
         (format!("{of} by {attachment}, {}", entry.of.server), samples(&entry.runs))
     });
     section(
-        "Service time of answered samples by region, ms",
+        &titled("of answered samples by region", of_service),
         figures("region", regions.take(ROWS)),
         difference.regions.len(),
     );
@@ -161,7 +166,11 @@ fn describe(difference: &Difference, verdicts: &[String; 2], keep: &[BTreeMap<Se
         let direction = format!("{:?}", entry.of.direction).to_lowercase();
         (format!("{} {direction}", entry.of.link), delays(&entry.runs))
     });
-    section("Delay of links, ms", figures("link", links.take(ROWS)), used.len());
+    section(
+        &titled("of links", LinkQuantity::Delay.declared()),
+        figures("link", links.take(ROWS)),
+        used.len(),
+    );
 
     let handovers = difference.handovers.iter().map(|entry| {
         let from = entry.of.from.as_ref().map_or("none", |id| id.as_str());
@@ -169,7 +178,12 @@ fn describe(difference: &Difference, verdicts: &[String; 2], keep: &[BTreeMap<Se
         let gaps = gaps.map(|gaps| gaps.as_ref()?.gap_ms.as_ref().map(Samples::all_answered));
         (format!("{} from {from} to {}", entry.of.robot, entry.of.to), gaps)
     });
-    section("Handovers, gap in ms", figures("handover", handovers.take(ROWS)), difference.handovers.len());
+    let gap = Figure::HandoverGap { robot: None }.declared().unit.symbol();
+    section(
+        &format!("Handovers, gap in {gap}"),
+        figures("handover", handovers.take(ROWS)),
+        difference.handovers.len(),
+    );
 
     let mut placements = Table::new("<>>");
     placements.row(["VNF on node", "s, first", "s, second"]);
@@ -199,6 +213,13 @@ fn describe(difference: &Difference, verdicts: &[String; 2], keep: &[BTreeMap<Se
         );
     }
     text
+}
+
+/// Returns the title of a section: the figure's name, whose samples they are, and the unit.
+fn titled(whose: &str, figure: &Declared) -> String {
+    let name = figure.name.replace('_', " ");
+    let (first, rest) = name.split_at(1);
+    format!("{}{rest} {whose}, {}", first.to_uppercase(), figure.unit.symbol())
 }
 
 /// Returns the share of samples within the target, and the verdict on it.

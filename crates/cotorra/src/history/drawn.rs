@@ -19,7 +19,7 @@ pub fn draw(run: &str, curve: &Curve) -> Figure {
         _ => (1.0, ""),
     };
     let figure = curve.figure.to_string();
-    let name = figure.split(':').next().unwrap_or(&figure).replace('_', " ");
+    let name = curve.figure.declared().name.replace('_', " ");
     let label = if curve.unit.is_empty() { name } else { format!("{name} ({prefix}{})", curve.unit) };
     // The line goes on over intervals without samples, unless events were lost there.
     let parts = curve.points.chunk_by(|_, next| !next.gap).map(|part| {

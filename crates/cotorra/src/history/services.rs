@@ -4,7 +4,7 @@ use std::ops::Bound;
 
 use cotorra_graph::{Event, ServiceId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::PageRequest;
-use cotorra_testbed::{Report, ServiceParts, ServiceSummary, by_service};
+use cotorra_testbed::{Judged, Report, ServiceParts, ServiceSummary, Verdict, by_service};
 use cotorra_testbed_file::Diagnostics;
 
 use super::source::{Error, Source};
@@ -37,7 +37,7 @@ pub fn testbed(source: &Source) -> Result<Testbed, Diagnostics> {
     testbed_file::recorded(&info.testbed, &info.name, &source.base(None), None)
 }
 
-/// Describes the services of a run in a range of time. A plot describes the figures of a single one.
+/// Describes the services of a run in a range of time, with the verdicts that the whole run got for its KPIs. A plot describes the figures of a single one.
 pub fn services(source: &Source, range: (Bound<Timestamp>, Bound<Timestamp>)) -> Result<String, Error> {
     let testbed = match testbed(source) {
         Ok(testbed) => testbed,
@@ -53,7 +53,17 @@ pub fn services(source: &Source, range: (Bound<Timestamp>, Bound<Timestamp>)) ->
         let Some(next) = page.next else { break };
         request = PageRequest::after(next, PageRequest::MAX);
     }
-    Ok(describe(&report.services(), &report.time_parts()))
+    let (mut services, mut kpis) = (report.services(), source.kpis());
+    let is_whole = range == (Bound::Unbounded, Bound::Unbounded);
+    for its in &mut services {
+        its.kpis = kpis.remove(&its.service).unwrap_or_default();
+        if !is_whole {
+            its.kpis.iter_mut().for_each(Judged::of_whole_run);
+        }
+        let verdicts = its.kpis.iter().map(|kpi| kpi.verdict);
+        its.verdict = Verdict::of_all(verdicts.chain([its.verdict]));
+    }
+    Ok(describe(&services, &report.time_parts()))
 }
 
 fn describe(services: &[ServiceSummary], parts: &[ServiceParts]) -> String {

@@ -8,7 +8,7 @@ use std::{
 
 use cotorra_graph::ServiceId;
 use cotorra_measurements::{History, Location, Run, RunId};
-use cotorra_testbed::{Fidelity, Judged, Recorded, RecordedError};
+use cotorra_testbed::{Fidelity, Judged, Recorded, RecordedError, ServiceKpis};
 
 use super::args::HistoryPlace;
 use super::place::{HISTORY_VARIABLE, WrongPlace, location};
@@ -93,7 +93,8 @@ impl Source {
 
     /// Returns the KPIs of the run's services; none without its folder, or if the run was killed before it judged them.
     pub fn kpis(&self) -> BTreeMap<ServiceId, Vec<Judged>> {
-        self.folder.as_deref().and_then(|folder| Judged::of_folder(folder).ok()).unwrap_or_default()
+        let all = self.folder.as_deref().and_then(|folder| ServiceKpis::of_folder(folder).ok());
+        all.into_iter().flatten().map(|its| (its.service, its.kpis)).collect()
     }
 
     /// Returns the folder that relative paths in the run's testbed file start from, unless the user named one.

@@ -26,7 +26,7 @@ use crate::{
 ///
 /// With --decision, it repeats one run instead, takes each alternative at a decision of a plug-in (another radio unit in
 /// range, another node, or no change), and goes on with the same random streams. The regret is what the best alternative
-/// keeps, less what the decision kept. One seed does not tell whether that is chance. With --seeds, the differences of
+/// keeps, less what the decision kept. One seed does not show whether that is chance. With --seeds, the differences of
 /// several seeds have intervals, and probabilities that are corrected for the number of alternatives.
 ///
 /// Each run is saved as soon as it is done. If the command is stopped, the same command resumes it. It leaves margins.csv

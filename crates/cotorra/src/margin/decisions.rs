@@ -19,7 +19,7 @@ use crate::{
     words::{self, count, of_them},
 };
 
-/// What a single seed does not tell.
+/// Limit of a single seed.
 const ONE_SEED: &str =
     "One seed does not tell whether a difference is more than chance: --seeds 10 gives intervals.\n";
 /// Maximum number of decisions that the terminal lists.

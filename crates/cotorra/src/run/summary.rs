@@ -39,7 +39,7 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         clock(summary.duration_ms / 1e3),
         summary.ended,
     );
-    for reason in &summary.void {
+    for reason in summary.void.reasons() {
         text += &wrap(&format!("{}: {reason}", style("NOT VALID").red().bold()), "  ", columns());
     }
     if let Some(stand) = &summary.no_progress {

@@ -23,11 +23,11 @@ const REFRESHES_PER_FRAME: u32 = 6;
 #[derive(Debug)]
 pub struct Places<'a> {
     pub api: SocketAddr,
-    /// How other machines reach the API.
+    /// Address of the API for other machines.
     pub network: Option<&'a NetworkApi>,
     pub foxglove: Option<SocketAddr>,
     pub folder: &'a Path,
-    /// Which radio units of real Wi-Fi software serve, and which robots have joined.
+    /// Serving radio units of real Wi-Fi software, and joined robots.
     pub wifi: Option<String>,
 }
 

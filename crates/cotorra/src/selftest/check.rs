@@ -11,7 +11,7 @@ const KOLMOGOROV: f64 = 1.95;
 /// A figure, and where it must lie.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Check {
-    /// What is compared, with its unit.
+    /// Name of the compared figure, with its unit.
     pub figure: &'static str,
     /// The right value.
     pub expected: f64,

@@ -33,20 +33,22 @@ use check::Check;
 use observed::{Observed, World};
 use scene::{Dies, Scene};
 
-/// How often a run with real packets is made, if the machine was too slow for it.
+/// Number of tries of a run with real packets, if the machine was too slow for it.
 const ATTEMPTS: usize = 3;
-/// How long a run is stopped, and how long it runs before.
+/// Number of runs at the same time. They wait for packets most of the time.
+const TOGETHER: usize = 2;
+/// Duration of a stop, and of the run before it.
 const STOPPED: Duration = Duration::from_secs(2);
 
 /// Run small testbeds whose right answers are known, and compare
 ///
 /// Each scene is run in virtual time and with real packets, by this program, as `cotorra run` does it. Its figures are compared
 /// with closed forms: sums of delays, binomial intervals, queues, traces, phases of handovers. So you know whether to trust this
-/// program on this machine. With real packets it takes about four minutes.
+/// program on this machine. Two runs go on at the same time. With real packets it takes about two minutes.
 ///
 /// Random figures are right within four standard deviations. Times of real packets may be as late as a valid run can be. A run
-/// that says itself that it is not valid is made again, three times at most; after that, the machine is too slow or too busy, and
-/// the scene is neither right nor wrong.
+/// that says itself that it is not valid is made again by itself, three times at most; after that, the machine is too slow or too
+/// busy, and the scene is neither right nor wrong.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -96,7 +98,7 @@ enum Error {
     Stopped,
 }
 
-/// What became of a scene in one kind of time.
+/// Outcome of a scene in one kind of time.
 #[derive(Debug)]
 enum Outcome {
     /// Its figures, which may be wrong.
@@ -154,11 +156,12 @@ pub fn selftest(args: &SelftestArgs) -> miette::Result<ExitCode> {
     let mut progress = Progress::new(args.headless);
     let mut outcomes = Vec::new();
     let mut repeated = 0;
-    for (done, &(scene, world)) in planned.iter().enumerate() {
-        progress.show(done, planned.len());
-        let (outcome, attempts) = program.outcome(scene, world)?;
-        repeated += attempts - 1;
-        outcomes.push((scene, world, outcome));
+    for group in groups(&planned) {
+        progress.show(outcomes.len(), planned.len());
+        for (&(scene, world), (outcome, attempts)) in group.iter().zip(program.outcomes(group)?) {
+            repeated += attempts - 1;
+            outcomes.push((scene, world, outcome));
+        }
     }
     progress.close();
     output::print(&describe(&scenes, &outcomes, repeated))?;
@@ -183,6 +186,13 @@ fn choose(all: Vec<Scene>, names: &[String]) -> Result<Vec<Scene>, Error> {
         .collect())
 }
 
+/// Divides runs into those that are made at the same time.
+fn groups<'a, 'b>(planned: &'a [(&'b Scene, World)]) -> impl Iterator<Item = &'a [(&'b Scene, World)]> {
+    planned
+        .chunk_by(|a, b| a.1 == b.1 && !a.0.is_alone() && !b.0.is_alone())
+        .flat_map(|of| of.chunks(TOGETHER))
+}
+
 /// This program, and where its runs leave their folders.
 struct Program {
     path: PathBuf,
@@ -191,20 +201,24 @@ struct Program {
 }
 
 impl Program {
-    /// Runs a scene, and again if the machine was too slow. Returns how often, too.
-    fn outcome(&self, scene: &Scene, world: World) -> Result<(Outcome, usize), Error> {
-        let most = if world == World::Real { ATTEMPTS } else { 1 };
-        let mut attempt = 1;
-        loop {
-            let outcome = self.attempt(scene, world, attempt)?;
-            if !matches!(outcome, Outcome::TooSlow(_)) || attempt == most {
-                return Ok((outcome, attempt));
+    /// Runs scenes at the same time, and one again by itself if the machine was too slow. Returns how often each ran, too.
+    fn outcomes(&self, group: &[(&Scene, World)]) -> Result<Vec<(Outcome, usize)>, Error> {
+        let started = group.iter().map(|(scene, world)| self.start(scene, *world, 1));
+        let started = started.collect::<Result<Vec<_>, _>>()?;
+        let first =
+            started.into_iter().map(|running| self.outcome(running)).collect::<Result<Vec<_>, _>>()?;
+        let again = group.iter().zip(first).map(|(&(scene, world), mut outcome)| {
+            let (mut attempt, most) = (1, if world == World::Real { ATTEMPTS } else { 1 });
+            while matches!(outcome, Outcome::TooSlow(_)) && attempt < most {
+                attempt += 1;
+                outcome = self.outcome(self.start(scene, world, attempt)?)?;
             }
-            attempt += 1;
-        }
+            Ok((outcome, attempt))
+        });
+        again.collect()
     }
 
-    fn attempt(&self, scene: &Scene, world: World, attempt: usize) -> Result<Outcome, Error> {
+    fn start<'a>(&self, scene: &'a Scene, world: World, attempt: usize) -> Result<Running<'a>, Error> {
         let name = match world {
             World::Virtual => format!("{}-virtual", scene.name),
             World::Real => format!("{}-real-{attempt}", scene.name),
@@ -235,12 +249,17 @@ impl Program {
         let errors = log.try_clone().map_err(cannot)?;
         let child =
             command.stdin(Stdio::null()).stdout(log).stderr(errors).spawn().map_err(Error::Program)?;
-        let status = self.wait(child, scene.dies)?;
+        Ok(Running { scene, world, folder, child })
+    }
+
+    fn outcome(&self, mut running: Running<'_>) -> Result<Outcome, Error> {
+        let status = self.wait(&mut running)?;
+        let Running { scene, world, folder, .. } = &running;
         let output = || fs::read_to_string(folder.join("output.txt")).unwrap_or_default();
         let Some(run) = run_folder(&folder.join("runs")) else {
             return Ok(Outcome::Failed(output().trim().to_owned()));
         };
-        let observed = match Observed::read(world, status.code(), &run) {
+        let observed = match Observed::read(*world, status.code(), &run) {
             Ok(observed) => observed,
             Err(error) => return Ok(Outcome::Failed(format!("{error}\n{}", output().trim()))),
         };
@@ -253,35 +272,47 @@ impl Program {
     }
 
     /// Waits for the end of a run, and stops its process meanwhile if the scene wants that.
-    fn wait(&self, mut child: Child, dies: Dies) -> Result<ExitStatus, Error> {
-        if dies == Dies::Stopped {
-            let id = Pid::from_child(&child);
-            self.pause(&mut child, STOPPED)?;
+    fn wait(&self, running: &mut Running<'_>) -> Result<ExitStatus, Error> {
+        if running.scene.dies == Dies::Stopped {
+            let id = Pid::from_child(&running.child);
+            self.pause(STOPPED)?;
             let signal = |signal| kill_process(id, signal).map_err(|error| Error::Program(error.into()));
             signal(Signal::STOP)?;
-            let paused = self.pause(&mut child, STOPPED);
+            let paused = self.pause(STOPPED);
             signal(Signal::CONT)?;
             paused?;
         }
         loop {
-            if let Some(status) = child.try_wait().map_err(Error::Program)? {
+            if let Some(status) = running.child.try_wait().map_err(Error::Program)? {
                 return Ok(status);
             }
-            self.pause(&mut child, Duration::from_millis(20))?;
+            self.pause(Duration::from_millis(20))?;
         }
     }
 
     /// Waits, unless a user stops it.
-    fn pause(&self, child: &mut Child, time: Duration) -> Result<(), Error> {
+    fn pause(&self, time: Duration) -> Result<(), Error> {
         match self.interrupts.recv_timeout(time) {
             Err(std::sync::mpsc::RecvTimeoutError::Timeout) => Ok(()),
-            _ => {
-                // It got the same signal, if that came from a terminal.
-                let _ = kill_process(Pid::from_child(child), Signal::CONT);
-                let _ = kill_process(Pid::from_child(child), Signal::TERM);
-                let _ = child.wait();
-                Err(Error::Stopped)
-            }
+            _ => Err(Error::Stopped),
+        }
+    }
+}
+
+/// A run of a scene, which is ended on drop.
+struct Running<'a> {
+    scene: &'a Scene,
+    world: World,
+    folder: PathBuf,
+    child: Child,
+}
+
+impl Drop for Running<'_> {
+    fn drop(&mut self) {
+        // A run that a user stops got the same signal, if that came from a terminal.
+        if matches!(self.child.try_wait(), Ok(None)) {
+            let _ = kill_process(Pid::from_child(&self.child), Signal::TERM);
+            let _ = self.child.wait();
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What a run of a scene left.
+//! Results of a run of a scene.
 
 use std::{
     fs, io,
@@ -66,7 +66,7 @@ pub struct Judged {
     pub reason: String,
 }
 
-/// What a run of a scene left.
+/// Results of a run of a scene.
 #[derive(Debug)]
 pub struct Observed {
     pub world: World,

@@ -1,6 +1,6 @@
 //! A program of the scene `mesh`: asks all other hosts, each once, and answers them.
 //!
-//! Nobody asks before all listen, because a lost request is not repeated: hosts say hello to the first one until it has heard them
+//! Hosts ask after all listen, because a lost request is not repeated: hosts say hello to the first one until it has heard them
 //! all.
 
 use std::{

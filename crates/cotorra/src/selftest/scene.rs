@@ -13,7 +13,7 @@ use super::{check::Check, observed::Observed};
 pub struct Scene {
     /// Its name on the command line.
     pub name: &'static str,
-    /// What it shows, in a sentence.
+    /// Its purpose, in a sentence.
     pub promise: &'static str,
     /// The testbed file.
     pub testbed: String,
@@ -23,13 +23,13 @@ pub struct Scene {
     pub seconds: u32,
     /// Duration in virtual time, s; `None` if virtual time lacks what it shows.
     pub virtual_seconds: Option<u32>,
-    /// How a run of it must fail.
+    /// The failure that a run of it must have.
     pub dies: Dies,
     /// Compares what a run left with what is right.
     pub check: fn(&Observed) -> Vec<Check>,
 }
 
-/// How a run must end.
+/// The end that a run must have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dies {
     /// In order.
@@ -56,6 +56,11 @@ impl Scene {
         dies: Dies::Not,
         check: |_| Vec::new(),
     };
+
+    /// Whether other runs would disturb it, or it them.
+    pub fn is_alone(&self) -> bool {
+        matches!(self.dies, Dies::Stopped | Dies::EitherWay)
+    }
 
     /// Writes its files into a folder. Returns the path of the testbed file.
     ///

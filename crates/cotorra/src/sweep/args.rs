@@ -104,7 +104,7 @@ pub struct SweepArgs {
     pub given: Vec<String>,
 }
 
-/// What a sweep keeps of each run.
+/// Parts of each run that a sweep keeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Keep {
     /// Every service time

@@ -13,7 +13,7 @@ use crate::exit::Status;
 /// Exit status of a merge with void runs.
 const NOT_VALID: u8 = Status::NotValid.number();
 
-/// What runs a job file.
+/// Programs that run job files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Scheduler {
     /// A shell script that submits an array of tasks, and a job that depends on them

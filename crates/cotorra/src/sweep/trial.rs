@@ -15,7 +15,7 @@ const AIM: f64 = 120.0;
 /// Maximum number of shards that is chosen. Slurm's arrays have no more tasks, as it is configured by default.
 const MOST: usize = 1000;
 
-/// What the runs of a sweep take.
+/// Measured durations of a few runs of a sweep.
 pub struct Trial {
     runs: usize,
     /// Number of runs of a shard at a time.

@@ -3,14 +3,13 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     env,
-    path::PathBuf,
     process::Output,
 };
 
 use serde_json::Value;
 
 use crate::{
-    harness::{corridor, cotorra, project_file, stderr},
+    harness::{agent_program, corridor, project_file, stderr},
     netem_links::lines,
     real_servers::{behind_a_bridge, has_bridges, json},
 };
@@ -49,16 +48,9 @@ walks:
   robot: { waypoints: WALK, speed_limit: 0.5 m/s }
 ";
 
-/// The agent's program, which is built beside cotorra's.
-pub fn agent() -> PathBuf {
-    let program = PathBuf::from(cotorra([""; 0]).get_program()).with_file_name("cotorra-agent");
-    assert!(program.exists(), "{} is missing: build the workspace", program.display());
-    program
-}
-
 /// Kills of each kind in a row.
 fn kills() -> u32 {
-    if env::var_os("COTORRA_FULL").is_some() { 50 } else { 5 }
+    if env::var_os("COTORRA_FULL").is_some() { 50 } else { 2 }
 }
 
 /// Runs a script with an enrolled agent on each server, none of which is started yet.
@@ -107,7 +99,7 @@ pub fn with_agents_in(testbed: &str, script: &str) -> Output {
 body = json.dumps({{'instruction': {{'instruction': 'place', 'vnf': 'navigation', 'node': '$1'}}}}).encode()
 r.urlopen(r.Request('http://$api/api/v1/instructions', body, {{'Content-Type': 'application/json'}}))"; }}
         {script}"#,
-        agent().display()
+        agent_program().display()
     );
     behind_a_bridge(testbed, &set_up)
 }
@@ -154,7 +146,7 @@ fn corridor_is_served_by_agents_on_its_fog_edge_and_cloud() {
             start --seed 1 "$@"
             for server in cloud edge fog; do
                 [ $server = cloud ] || place $server
-                until [ $(samples | grep -c "\"navigation\".*\"server\":\"$server\"") -ge 100 ]; do
+                until [ $(samples | grep -c "\"navigation\".*\"server\":\"$server\"") -ge 20 ]; do
                     kill -0 $run; sleep 0.2
                 done
                 for name in $SERVERS; do

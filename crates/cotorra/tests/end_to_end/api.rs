@@ -15,7 +15,7 @@ const INSTRUCTIONS: &str = "/api/v1/instructions";
 
 #[test]
 fn the_api_serves_the_state_and_rejects_invalid_requests() {
-    let run = Run::start(&corridor(), &["--until", "5min"]);
+    let run = Run::start_beside(&corridor(), &["--until", "5min"]);
     run.wait_for_service();
     let robot = run.get("/api/v1/robots/robot");
     assert!(robot["sensors"]["pose"]["x"].is_number(), "{robot:#}");
@@ -87,7 +87,7 @@ fn by_default_a_run_is_its_users_alone() {
 #[test]
 fn requests_without_the_token_are_rejected() {
     const TOKEN: &str = "a-secret-of-some-length";
-    let run = Run::start_with(&corridor(), &["--until", "5min"], |command| {
+    let run = Run::start_beside_with(&corridor(), &["--until", "5min"], |command| {
         command.env("COTORRA_TOKEN", TOKEN);
     });
     for wrong in [None, Some("a-secret-of-some-lengths"), Some("")] {

@@ -37,7 +37,7 @@ fn crc32(bytes: &[u8]) -> u32 {
 
 #[test]
 fn a_program_receives_whole_images_while_the_robot_is_navigated() {
-    let mut run = Run::start(&project_file("testbeds/camera.yaml"), &["--until", "5min"]);
+    let mut run = Run::start_beside(&project_file("testbeds/camera.yaml"), &["--until", "5min"]);
     wait_until(|| received(&run).len() >= 30);
     let images = received(&run);
     assert!(images.is_sorted_by(|a, b| a.0 < b.0), "{images:?}");

@@ -19,6 +19,22 @@ use crate::harness::project_file;
 
 const DOMAINS: [&str; 4] = ["domain-1", "domain-2", "domain-3", "domain-4"];
 
+/// Steps of a federation, in their order.
+pub const STEPS: [&str; 12] = [
+    "announced",
+    "announcement received",
+    "bid sent",
+    "bid received",
+    "winner chosen",
+    "winner received",
+    "deployment started",
+    "deployment finished",
+    "confirmation sent",
+    "confirmation received",
+    "attached",
+    "in use",
+];
+
 /// An anvil node that makes a block each second.
 pub struct Chain {
     place: TempDir,

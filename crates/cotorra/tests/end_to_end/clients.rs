@@ -42,7 +42,7 @@ fn generated_clients_work_against_a_run() {
         let printed = run(&program("openapi-python-client"), arguments, OsStr::new(""));
         assert!(!printed.contains("Warning"), "all of the document becomes a client:\n{printed}");
     }
-    let run_of_hall = Run::start(&project_file("testbeds/hall.yaml"), &[]);
+    let run_of_hall = Run::start_beside(&project_file("testbeds/hall.yaml"), &[]);
     run_of_hall.wait_for_service();
     let packages = env::join_paths([path("operator"), path("wais")]).unwrap();
     let script = project_file("crates/cotorra/tests/end_to_end/generated_client.py");

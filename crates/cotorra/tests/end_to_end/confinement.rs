@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 use crate::{
     harness::{Run, cotorra, stderr, wait_until},
-    one_robot::testbed,
+    one_robot::{navigated, testbed},
 };
 
 const ROBOT: &str = "{ kind: robot }";
@@ -21,20 +21,7 @@ fn with_vnfs(vnfs: &[(&str, &str)], rest: &str, folder: &Path) -> PathBuf {
         .iter()
         .map(|(name, keys)| format!("      {name}: {{ node: cloud, cpus: 0.5, {keys} }}\n"))
         .collect();
-    let services = format!(
-        "
-services:
-  navigation:
-    robot: tb
-    kpis: {{ service_time: 50 ms }}
-    vnfs:
-      robot-driver: {{ program: robot_driver, pinned_to: tb }}
-      navigation: {{ program: navigation, node: cloud }}
-{vnfs}walks:
-  tb: {{ waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }}
-{rest}"
-    );
-    testbed(folder, "confined", ROBOT, &services)
+    testbed(folder, "confined", ROBOT, &navigated(&vnfs, rest))
 }
 
 #[test]
@@ -54,7 +41,7 @@ fn external_programs_get_no_secrets_of_the_run() {
         ("COTORRA_HISTORY_PASSWORD", "secret"),
         ("AWS_SECRET_ACCESS_KEY", "secret"),
     ];
-    let run = Run::start_with(&file, &["--until", "5min"], |command| {
+    let run = Run::start_beside_with(&file, &["--until", "5min"], |command| {
         command.envs(secrets).env("COTORRA_TOKEN", "operator-of-sixteen-characters");
         command.env("NAMED", "by the file").env("ROS_DOMAIN_ID", "7").env("TZ", "UTC");
     });
@@ -115,7 +102,7 @@ fn external_vnfs_are_confined_unless_trusted() {
     let file = with_vnfs(&vnfs, "", place.path());
     let runtime = place.path().join("runtime");
     fs::create_dir(&runtime).unwrap();
-    let run = Run::start_with(&file, &["--until", "5min"], |command| {
+    let run = Run::start_beside_with(&file, &["--until", "5min"], |command| {
         command.env("COTORRA_TOKEN", TOKEN).env("XDG_RUNTIME_DIR", &runtime);
     });
     assert_eq!(fs::read_dir(runtime.join("cotorra")).unwrap().count(), 2, "its entry and its socket");

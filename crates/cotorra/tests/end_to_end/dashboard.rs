@@ -116,7 +116,7 @@ fn a_run_is_shown_live_with_its_handovers() {
     let folder = tempfile::tempdir().unwrap();
     let file = corridor_ending_in("", folder.path());
     let Some(browser) = Browser::start(1440, 900) else { return };
-    let run = Run::start(&file, &["--set", "nodes.robot.sensors={ front: { kind: lidar } }"]);
+    let run = Run::start_beside(&file, &["--set", "nodes.robot.sensors={ front: { kind: lidar } }"]);
     run.wait_for_service();
     wait_until(|| run.get("/api/v1/robots/robot/sensors")[0]["last"].is_object());
     browser.open(&run.api);
@@ -291,10 +291,14 @@ fn serve_page(html: String) -> u16 {
     let port = listener.local_addr().unwrap().port();
     thread::spawn(move || {
         for stream in listener.incoming().map_while(Result::ok) {
-            let mut request = BufReader::new(&stream).lines().map_while(Result::ok);
-            request.by_ref().take_while(|line| !line.is_empty()).for_each(drop);
-            let head = "HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nConnection: close\r\n";
-            let _ = write!(&stream, "{head}Content-Length: {}\r\n\r\n{html}", html.len());
+            let html = html.clone();
+            // A browser also opens connections on which it asks for nothing, and keeps them for a minute.
+            thread::spawn(move || {
+                let mut request = BufReader::new(&stream).lines().map_while(Result::ok);
+                request.by_ref().take_while(|line| !line.is_empty()).for_each(drop);
+                let head = "HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nConnection: close\r\n";
+                let _ = write!(&stream, "{head}Content-Length: {}\r\n\r\n{html}", html.len());
+            });
         }
     });
     port

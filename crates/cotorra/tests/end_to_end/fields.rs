@@ -279,6 +279,23 @@ fn every_figure_is_documented_with_its_unit() {
     assert!(idle.is_empty(), "nothing has the names {idle:?} of docs/reference/fields.md");
 }
 
+/// The dashboard has the units of figures as they are declared. `BLESS=1` writes them anew.
+#[test]
+fn the_dashboard_has_units_as_they_are_declared() {
+    let path = project_file("crates/dashboard/page/units.js");
+    let units = FIGURES.iter().map(|figure| format!("    {}: \"{}\",\n", figure.name, figure.unit.symbol()));
+    let expected = format!(
+        "// Units of figures, as cotorra-graph declares them. A test writes this file by BLESS=1.\n\nexport const UNITS = {{\n{}}};\n",
+        units.collect::<String>()
+    );
+    if std::env::var_os("BLESS").is_some() {
+        fs::write(path, expected).unwrap();
+    } else {
+        let page = fs::read_to_string(path).unwrap();
+        assert!(page == expected, "the units are not what the code says: write them by BLESS=1");
+    }
+}
+
 /// Figures that can be bounded are in the page as they are declared. `BLESS=1` writes the table anew.
 #[test]
 fn figures_and_kpis_are_documented_as_they_are_declared() {

@@ -97,7 +97,7 @@ else:
         s.send(frame)
 "#;
 
-/// Runs a script where a real machine, `far`, has the route to hosts, and `node` runs a program in a host.
+/// Runs a script where a real machine, `far`, has the route to hosts.
 fn at_a_gateway(testbed: &str, lines: &str) -> std::process::Output {
     let peer = format!("cat >peer.py <<'EOF'{PEER}EOF");
     on_a_wire(
@@ -105,7 +105,6 @@ fn at_a_gateway(testbed: &str, lines: &str) -> std::process::Output {
         &format!(
             "{peer}
          far ip route add 10.77.0.0/16 dev vb
-         node() {{ it=$1; shift; $COTORRA exec $it --run $api -- \"$@\"; }}
          joined() {{ ip -d link show va | grep -o 'promiscuity [0-9]*'; }}
          # Serves on the side that `$3` names, and asks from the side that `$4` names.
          transfer() {{ : >served.txt
@@ -122,11 +121,6 @@ fn least_ms(line: &str) -> f64 {
     line.parse().unwrap_or_else(|_| panic!("not a round trip: {line}"))
 }
 
-/// Prints the least round trip of a few pings in milliseconds. The words before are those that start ping. It tries again
-/// without an answer, because a robot has no radio unit at first, until the run ends.
-const PING: &str = "pinged() { until \"$@\" >ping.txt; do kill -0 $run; done
-            sed -n 's,.*= \\([0-9.]*\\)/.*,\\1,p' ping.txt; }";
-
 #[test]
 fn real_and_emulated_machines_reach_each_other_through_a_gateway() {
     if !has_namespaces() {
@@ -134,9 +128,7 @@ fn real_and_emulated_machines_reach_each_other_through_a_gateway() {
     }
     let done = at_a_gateway(
         TESTBED,
-        &format!(
-            "{PING}
-         joined
+        "joined
          start
          pinged far ping -q -c 5 -i 0.2 10.77.0.3
          pinged node edge ping -q -c 5 -i 0.2 10.9.0.2
@@ -152,8 +144,7 @@ fn real_and_emulated_machines_reach_each_other_through_a_gateway() {
          ls runs | wc -l
          kill -INT $run; ends
          joined
-         cat runs/*/summary.json | tr -d '\\n'"
-        ),
+         cat runs/*/summary.json | tr -d '\\n'",
     );
     let said = lines(&done);
     assert_eq!(said[0], "promiscuity 0", "{said:?}");
@@ -187,17 +178,14 @@ fn hostile_frames_do_not_disturb_the_emulated_network() {
     }
     let done = at_a_gateway(
         TESTBED,
-        &format!(
-            "{PING}
-         ip link set va mtu 9000; far ip link set vb mtu 9000
+        "ip link set va mtu 9000; far ip link set vb mtu 9000
          start
          pinged far ping -q -c 2 -i 0.2 10.77.0.3
-         far python3 peer.py attack $(far cat /sys/class/net/vb/address || far ip -br link show vb | awk '{{print $3}}')
+         far python3 peer.py attack $(far cat /sys/class/net/vb/address || far ip -br link show vb | awk '{print $3}')
          pinged far ping -q -c 2 -i 0.2 10.77.0.3
          pinged node robot ping -q -c 2 -i 0.2 edge
          kill -INT $run; ends
-         cat runs/*/summary.json | tr -d '\\n'"
-        ),
+         cat runs/*/summary.json | tr -d '\\n'",
     );
     let said = lines(&done);
     assert!(least_ms(&said[0]) >= 22.0 && least_ms(&said[1]) >= 22.0, "{said:?}");
@@ -218,15 +206,12 @@ fn nothing_of_a_gateway_is_left_after_kill_9() {
     }
     let done = at_a_gateway(
         TESTBED,
-        &format!(
-            "{PING}
-         start; pinged far ping -q -c 2 -i 0.2 10.77.0.3
+        "start; pinged far ping -q -c 2 -i 0.2 10.77.0.3
          kill -9 $run; ends
          joined
          start; pinged far ping -q -c 2 -i 0.2 10.77.0.3
          kill -INT $run; ends
-         joined"
-        ),
+         joined",
     );
     let said = lines(&done);
     assert!(least_ms(&said[0]) >= 22.0 && least_ms(&said[2]) >= 22.0, "{said:?}");
@@ -243,15 +228,12 @@ fn a_gateway_uses_an_interface_of_another_namespace() {
         TESTBED.replace("va, machines: { plc: 10.9.0.2 }", "vb, netns: FAR, machines: { plc: 10.9.0.1 }");
     let done = at_a_gateway(
         &testbed,
-        &format!(
-            "{PING}
-         sed -i s,FAR,/proc/$far/ns/net, $FILE
+        "sed -i s,FAR,/proc/$far/ns/net, $FILE
          ip route add 10.77.0.0/16 dev va
          start
          pinged ping -q -c 2 -i 0.2 10.77.0.3
          pinged node robot ping -q -c 2 -i 0.2 plc
-         kill -INT $run; ends"
-        ),
+         kill -INT $run; ends",
     );
     let said = lines(&done);
     assert!(said.iter().all(|line| least_ms(line) >= 22.0) && said.len() == 2, "{said:?}");
@@ -265,14 +247,11 @@ fn a_gateway_uses_bridges_and_macvlan_interfaces_in_passthru() {
     }
     let done = at_a_gateway(
         &TESTBED.replace("interface: va", "interface: gate0"),
-        &format!(
-            "{PING}
-         used() {{ ip link set gate0 up; start; echo $1; pinged far ping -q -c 2 -i 0.2 10.77.0.3
-            kill -INT $run; ends; ip link delete gate0; joined; }}
+        "used() { ip link set gate0 up; start; echo $1; pinged far ping -q -c 2 -i 0.2 10.77.0.3
+            kill -INT $run; ends; ip link delete gate0; joined; }
          ip address flush dev va
          if ip link add gate0 type bridge; then ip link set va master gate0; used bridge; fi
-         if ip link add link va name gate0 type macvlan mode passthru; then used macvlan; fi"
-        ),
+         if ip link add link va name gate0 type macvlan mode passthru; then used macvlan; fi",
     );
     for used in lines(&done).chunks(3) {
         assert!(least_ms(&used[1]) >= 22.0 && used[2] == "promiscuity 0", "{used:?}");

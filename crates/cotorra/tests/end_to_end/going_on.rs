@@ -95,8 +95,8 @@ mod on_a_ledger {
     use serde_json::Value;
 
     use crate::{
-        chain::Chain,
-        harness::{Run, output, project_file, stderr, stdout, wait_until},
+        chain::{Chain, STEPS},
+        harness::{Run, events, project_file, wait_until},
     };
 
     /// A note: plug-in, service, step, reason, and time in seconds of the run, negative before it.
@@ -104,12 +104,7 @@ mod on_a_ledger {
 
     /// Returns the notes in the history of a run, in their order.
     fn notes(folder: &Path) -> Vec<Note> {
-        let folder = folder.to_str().unwrap();
-        let events =
-            output(["history", "events", folder, "--kinds", "decision", "--json", "--limit", "1000"]);
-        assert!(events.status.success(), "{}", stderr(&events));
-        let note = |line: &str| {
-            let event: Value = serde_json::from_str(line).unwrap();
+        let note = |event: Value| {
             let text = |value: &Value| value.as_str().map(str::to_owned);
             let (decision, note) = (&event, &event["instruction"]);
             let process = text(&note["process"])?;
@@ -117,7 +112,7 @@ mod on_a_ledger {
             let at_s = event["at_ns"].as_f64().unwrap() / 1e9 - ago_s;
             Some((text(&decision["plugin"])?, process, text(&note["step"])?, text(&decision["reason"]), at_s))
         };
-        stdout(&events).lines().filter_map(note).collect()
+        events(folder, "decision").into_iter().filter_map(note).collect()
     }
 
     #[test]
@@ -173,21 +168,7 @@ mod on_a_ledger {
             let noted = timeline.iter().filter(|note| note.2 == step).map(|note| note.4);
             noted.reduce(f64::min).unwrap_or_else(|| panic!("{step} is missing: {told}"))
         };
-        let steps = [
-            "announced",
-            "announcement received",
-            "bid sent",
-            "bid received",
-            "winner chosen",
-            "winner received",
-            "deployment started",
-            "deployment finished",
-            "confirmation sent",
-            "confirmation received",
-            "attached",
-            "in use",
-        ];
-        assert!(steps.map(first).is_sorted(), "{told}");
+        assert!(STEPS.map(first).is_sorted(), "{told}");
         assert!(first("winner chosen") < 0.0 && first("attached") > 0.0, "{told}");
     }
 }

@@ -19,6 +19,7 @@ use std::{
     time::Duration,
 };
 
+use cotorra_testing::lab::Lab;
 pub use cotorra_testing::{project_file, stderr, stdout};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -42,6 +43,21 @@ pub fn path_with_cotorra() -> OsString {
 /// Runs the program to its end, and returns its output.
 pub fn output<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
     cotorra(arguments).output().unwrap()
+}
+
+/// Returns the events of these kinds in a run's history.
+pub fn events(folder: &Path, kinds: &str) -> Vec<Value> {
+    let folder = folder.to_str().unwrap();
+    let listed = output(["history", "events", folder, "--kinds", kinds, "--limit", "1000000", "--json"]);
+    assert!(listed.status.success(), "{}", stderr(&listed));
+    stdout(&listed).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// Returns the agent's program, which is built beside cotorra's.
+pub fn agent_program() -> PathBuf {
+    let program = PathBuf::from(cotorra([""; 0]).get_program()).with_file_name("cotorra-agent");
+    assert!(program.exists(), "{} is missing: build the workspace", program.display());
+    program
 }
 
 /// Lock of the one test whose run has the machine for itself. Concurrent runs would make each other late.
@@ -80,7 +96,7 @@ pub struct Run {
     pub notes: Vec<String>,
     pub folder: PathBuf,
     out: TempDir,
-    /// `None` if another run of the same test holds the lock.
+    /// `None` if another run of the same test holds the lock, or the test does not need it.
     _alone: Option<Alone>,
 }
 
@@ -95,9 +111,19 @@ impl Run {
         Self::launch(testbed, arguments, change, Access::Open, Some(alone()))
     }
 
+    /// Does the same as [`Self::start`] beside runs of other tests, for a test that holds however late packets are.
+    pub fn start_beside(testbed: &Path, arguments: &[&str]) -> Self {
+        Self::start_beside_with(testbed, arguments, |_| {})
+    }
+
+    /// Does the same as [`Self::start_beside`] after `change` to the command.
+    pub fn start_beside_with(testbed: &Path, arguments: &[&str], change: impl FnOnce(&mut Command)) -> Self {
+        Self::launch(testbed, arguments, change, Access::Open, None)
+    }
+
     /// Starts `cotorra run` as a user does: its API is this user's alone.
     pub fn start_private(testbed: &Path, arguments: &[&str]) -> Self {
-        Self::launch(testbed, arguments, |_| {}, Access::OfUser, Some(alone()))
+        Self::launch(testbed, arguments, |_| {}, Access::OfUser, None)
     }
 
     /// Starts `cotorra run` beside this run.
@@ -171,11 +197,6 @@ impl Run {
         }
         let mut answer = request.call().unwrap();
         (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
-    }
-
-    /// Waits until the links have been observed, which the API is there before.
-    pub fn wait_for_links(&self, token: Option<&str>) {
-        wait_until(|| !self.ask("/api/v1/network/links", token).1.as_array().unwrap().is_empty());
     }
 
     /// Gets the bytes at a path of the API, and a function that returns the value of a header.
@@ -382,25 +403,5 @@ pub fn corridor_ending_in(end: &str, folder: &Path) -> PathBuf {
 
 /// Returns a testbed of a robot between two radio units, with this walk. Its signal depends on the seed.
 pub fn between_two_units(walk: &str) -> String {
-    const LAB: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 4 dB } } }
-nodes:
-  robot: { kind: robot, roaming: signal }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  B: { kind: radio_unit, position: [9, 1], channel: 6 }
-  lan: { kind: switch }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [lan, [A, B]], delay: 1 ms }
-  - { ends: [lan, edge], delay: 2 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-";
-    format!("{LAB}  robot: {walk}\n")
+    Lab { shadowing_db: 4, walk, ..Lab::default() }.to_string()
 }

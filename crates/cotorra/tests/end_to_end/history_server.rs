@@ -96,7 +96,7 @@ fn a_real_run_is_kept_in_a_server_whose_password_its_programs_do_not_get() {
     let change = |command: &mut std::process::Command| {
         command.env("COTORRA_HISTORY_PASSWORD", password).env("COTORRA_HISTORY", &without);
     };
-    let mut run = Run::start_with(&testbed, &[], change);
+    let mut run = Run::start_beside_with(&testbed, &[], change);
     run.wait_for_service();
     wait_until(|| environment.exists() && fs::read_to_string(&environment).unwrap().contains("COTORRA_API"));
     for pid in run.processes() {

@@ -7,10 +7,7 @@ use cotorra_graph::EngineKind;
 use cotorra_testing::containers::Containers;
 use tempfile::TempDir;
 
-use crate::{
-    agents::agent,
-    harness::{cotorra, stderr, stdout},
-};
+use crate::harness::{agent_program, cotorra, stderr, stdout};
 
 /// A server whose machine is at the far end of the wire `va`. Its agent runs an image.
 const AT_AN_AGENT: &str = r#"
@@ -77,7 +74,7 @@ fn an_image_runs_at_the_agent_of_a_real_server() {
     command.args(["--net", "sh", "-ec", script]).current_dir(folder.path()).process_group(0);
     // Served by the agent's own guard, as where nobody serves podman.
     command.envs(engine.settings()).env_remove(engine.variable().0).env("XDG_RUNTIME_DIR", folder.path());
-    command.env("COTORRA", cotorra::<&str>([]).get_program()).env("AGENT", agent());
+    command.env("COTORRA", cotorra::<&str>([]).get_program()).env("AGENT", agent_program());
     let done = command.env("TMPDIR", folder.path()).env("NO_COLOR", "1").output().unwrap();
     assert!(done.status.success(), "{}{}", stdout(&done), stderr(&done));
     assert_eq!(stdout(&done), "hello from edge\nhello from edge\n1\n", "{}", stderr(&done));

@@ -6,8 +6,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    env, fs,
-    hash::{BuildHasher, RandomState},
+    env, fs, iter,
     net::TcpStream,
     path::{Path, PathBuf},
 };
@@ -16,13 +15,18 @@ use cotorra_testing::mariadb::MariaDb;
 use serde_json::Value;
 use tempfile::TempDir;
 
+#[cfg(feature = "ethereum")]
+use crate::chain::STEPS;
 use crate::{
     harness::{Run, are_held, cotorra, kill, project_file, stderr, stdout, wait_until},
-    one_robot::testbed,
+    one_robot::{navigated, testbed},
 };
 
-/// The environment variable with the seed of an earlier draw, to repeat it.
+/// The environment variable with the seed of the first round. Without it, each commit is tested with the same draws.
 const SEED: &str = "COTORRA_KILL_SEED";
+
+/// The environment variable with the victims' names, separated by spaces. Without it, each victim is killed.
+const VICTIMS: &str = "COTORRA_KILL_VICTIMS";
 
 /// Environment variables for cotorra, with folders of the test's own.
 const FOLDERS: [(&str, &str); 4] =
@@ -40,14 +44,22 @@ enum Victim {
     Anvil,
 }
 
+/// Returns the victims that the environment names, or all.
+fn victims() -> Vec<Victim> {
+    let all = vec![Victim::Core, Victim::Plugin, Victim::Vnf, Victim::MariaDb, Victim::Anvil];
+    let Ok(names) = env::var(VICTIMS) else { return all };
+    let named = |name| all.iter().copied().find(|victim| format!("{victim:?}") == name);
+    names.split(' ').map(|name| named(name).unwrap_or_else(|| panic!("{name} is none of {all:?}"))).collect()
+}
+
 /// Random numbers from a seed.
 struct Draw(u64);
 
 impl Draw {
-    /// Takes the seed from the environment, or a random one.
-    fn new() -> Self {
-        let seed = env::var(SEED).map(|seed| seed.parse().unwrap());
-        Self(seed.unwrap_or_else(|_| RandomState::new().hash_one(0)))
+    /// Returns the draws of the rounds. Any round's seed starts with that round again.
+    fn rounds() -> impl Iterator<Item = Self> {
+        let first = env::var(SEED).map_or(1, |seed| seed.parse().unwrap());
+        iter::successors(Some(first), |seed| Some(cotorra_numbers::seed::split(*seed, "round"))).map(Self)
     }
 
     /// Draws a number below `bound`.
@@ -113,9 +125,9 @@ struct Kept {
 }
 
 impl Site {
-    fn new() -> Self {
+    fn new(has_server: bool) -> Self {
         let place = TempDir::new().unwrap();
-        let server = MariaDb::start();
+        let server = has_server.then(MariaDb::start).flatten();
         let url = server.as_ref().map(MariaDb::fresh).unwrap_or_default();
         for (_, folder) in FOLDERS {
             fs::create_dir(place.path().join(folder)).unwrap();
@@ -124,21 +136,9 @@ impl Site {
         fs::write(&script, INSTRUCTS).unwrap();
         let (client, answered) = (project_file("clients/python"), place.path().join("answered"));
         let plugin = [script, client, answered].map(|path| path.display().to_string()).join(", ");
-        let rest = format!(
-            "
-services:
-  navigation:
-    robot: tb
-    kpis: {{ service_time: 50 ms }}
-    vnfs:
-      robot-driver: {{ program: robot_driver, pinned_to: tb }}
-      navigation: {{ program: navigation, node: cloud }}
-      other: {{ command: [sleep, '86399'], node: cloud, cpus: 0.5 }}
-walks:
-  tb: {{ waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }}
-plugins:
-  - {{ id: mine, command: [python3, {plugin}] }}
-"
+        let rest = navigated(
+            "      other: { command: [sleep, '86399'], node: cloud, cpus: 0.5 }\n",
+            &format!("plugins:\n  - {{ id: mine, command: [python3, {plugin}] }}\n"),
         );
         let folder = place.path().join("testbed");
         fs::create_dir(&folder).unwrap();
@@ -470,23 +470,6 @@ impl Site {
     }
 }
 
-/// Steps of a federation in their order. The ledger may be killed after each of them.
-#[cfg(feature = "ethereum")]
-const STEPS: [&str; 12] = [
-    "announced",
-    "announcement received",
-    "bid sent",
-    "bid received",
-    "winner chosen",
-    "winner received",
-    "deployment started",
-    "deployment finished",
-    "confirmation sent",
-    "confirmation received",
-    "attached",
-    "in use",
-];
-
 #[cfg(feature = "ethereum")]
 impl Site {
     /// Kills the ledger while a robot walks out of its domain. If the ledger returns, the robot is handed over; otherwise
@@ -556,12 +539,12 @@ impl Site {
 #[test]
 fn whatever_is_killed_nothing_acknowledged_is_lost_and_the_next_run_starts() {
     let rounds = if env::var_os("COTORRA_FULL").is_some() { 20 } else { 1 };
-    let mut draw = Draw::new();
-    eprintln!("{SEED}={} repeats this draw", draw.0);
-    let mut site = Site::new();
+    let victims = victims();
+    let mut site = Site::new(victims.contains(&Victim::MariaDb));
     let mut killed = [0; 5];
-    for _ in 0..rounds {
-        let mut victims = [Victim::Core, Victim::Plugin, Victim::Vnf, Victim::MariaDb, Victim::Anvil];
+    for mut draw in Draw::rounds().take(rounds) {
+        eprintln!("{SEED}={} repeats this round", draw.0);
+        let mut victims = victims.clone();
         draw.shuffle(&mut victims);
         for victim in victims {
             let told = match victim {

@@ -72,7 +72,7 @@ impl Script {
 fn an_added_vnf_runs_until_it_is_removed_and_is_confined() {
     let folder = TempDir::new().unwrap();
     let file = testbed(folder.path(), "lifecycle", "{ kind: robot }", NAVIGATED);
-    let run = Run::start_with(&file, &["--until", "5min"], |command| {
+    let run = Run::start_beside_with(&file, &["--until", "5min"], |command| {
         command.env("AWS_SECRET_ACCESS_KEY", "secret-of-the-machine");
     });
     run.wait_for_service();
@@ -115,7 +115,7 @@ fn an_added_vnf_runs_until_it_is_removed_and_is_confined() {
 fn a_script_of_fog05_deploys_an_fdu_after_changing_one_import() {
     let folder = TempDir::new().unwrap();
     let file = testbed(folder.path(), "fog", "{ kind: robot }", NAVIGATED);
-    let run = Run::start(&file, &["--until", "5min"]);
+    let run = Run::start_beside(&file, &["--until", "5min"]);
     run.wait_for_service();
     let fdu = json!({
         "id": "helloworld_fdu", "name": "helloworld",
@@ -161,7 +161,7 @@ links:
 ";
     fs::write(&file, nodes).unwrap();
     fs::write(folder.path().join("plan-of-ours.txt"), "secret of ours").unwrap();
-    let run = Run::start_with(&file, &["--until", "5min"], |command| {
+    let run = Run::start_beside_with(&file, &["--until", "5min"], |command| {
         command.env("COTORRA_TOKEN", "token-of-the-operator");
         command.env("COTORRA_DOMAIN_TOKENS", format!("theirs={TOKEN}"));
     });
@@ -223,7 +223,7 @@ fn a_script_of_fog05_connects_two_fdus_by_a_network_after_changing_one_import() 
     let link = "links:\n  - { ends: [R1, edge], delay: 1 ms }";
     let text = fs::read_to_string(&file).unwrap();
     fs::write(&file, text.replacen("\n  tb:", edge, 1).replacen("links:", link, 1)).unwrap();
-    let run = Run::start(&file, &["--until", "5min"]);
+    let run = Run::start_beside(&file, &["--until", "5min"]);
     run.wait_for_service();
     let network = "6cc2aa30-1dcf-4c93-a57e-433fd0bd498e";
     let fdu = |name: &str, program: &str| {

@@ -42,7 +42,7 @@ fn carried(run: &Run, link: &str) -> u64 {
 #[test]
 fn a_mapped_path_keeps_the_target_that_the_shortest_misses() {
     const TARGET_MS: f64 = 100.0;
-    let mut run = Run::start(&project_file("testbeds/two-paths.yaml"), &["--until", "600s"]);
+    let mut run = Run::start_beside(&project_file("testbeds/two-paths.yaml"), &["--until", "600s"]);
     let slow = service_times(&run, 0, 8);
     // The rate of 10 kbit/s alone takes twice the target.
     assert!(slow[slow.len() / 2] > TARGET_MS, "{slow:?}");

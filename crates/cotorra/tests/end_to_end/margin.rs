@@ -8,45 +8,28 @@ use std::{
     process::{Command, Stdio},
 };
 
+use cotorra_testing::lab::Lab;
 use serde_json::Value;
 
 use crate::harness::{cotorra, project_file, stderr, stdout};
 
-/// A robot that goes from A to B, where `probing` attaches it in the meantime. B's link is the slower one.
-const LAB: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
-nodes:
-  robot: { kind: robot, roaming: instructed }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  B: { kind: radio_unit, position: [8, 1], channel: 6 }
-  lan: { kind: switch }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [lan, A], delay: 1 ms }
-  - { ends: [lan, B], delay: 2 ms }
-  - { ends: [lan, edge], delay: 1 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-  robot: { waypoints: [[0, 0], [8, 0]], speed_limit: 0.7 m/s, position_interval: 50 ms }
-plugins:
-  - { bundled: probing, settings: { interval: 3 s } }
-";
-
-/// The plug-in of [`LAB`].
-const PLUGIN: &str = "  - { bundled: probing, settings: { interval: 3 s } }\n";
-
-/// Writes [`LAB`] with a program as its plug-in.
-fn with_program(folder: &Path, command: &str) -> PathBuf {
-    let file = folder.join("program.yaml");
-    assert!(LAB.contains(PLUGIN));
-    fs::write(&file, LAB.replace(PLUGIN, &format!("  - {{ id: mine, command: [{command}] }}\n"))).unwrap();
+/// Writes a testbed with a robot that goes from A to B, whose link is the slower one.
+fn write(file: PathBuf, plugin: &str) -> PathBuf {
+    let lab = Lab {
+        roaming: "instructed",
+        b: Some(8),
+        links: &[("lan, A", "1 ms"), ("lan, B", "2 ms"), ("lan, edge", "1 ms")],
+        walk: "{ waypoints: [[0, 0], [8, 0]], speed_limit: 0.7 m/s, position_interval: 50 ms }",
+        rest: &format!("plugins:\n  - {{ {plugin} }}\n"),
+        ..Lab::default()
+    };
+    fs::write(&file, lab.to_string()).unwrap();
     file
+}
+
+/// Writes it with a program as its plug-in.
+fn with_program(folder: &Path, command: &str) -> PathBuf {
+    write(folder.join("program.yaml"), &format!("id: mine, command: [{command}]"))
 }
 
 /// The Python example, which scans every second and attaches to the strongest radio unit.
@@ -54,10 +37,9 @@ fn strongest_signal() -> String {
     format!("python3, {}, '1'", project_file("examples/strongest_signal.py").display())
 }
 
+/// Writes it with `probing`, which attaches the robot to B in the meantime.
 fn lab(folder: &Path) -> PathBuf {
-    let file = folder.join("lab.yaml");
-    fs::write(&file, LAB).unwrap();
-    file
+    write(folder.join("lab.yaml"), "bundled: probing, settings: { interval: 3 s }")
 }
 
 fn margin(folder: &Path, out: &str) -> Command {

@@ -49,6 +49,10 @@ pub fn on_a_wire(testbed: &str, lines: &str) -> Output {
             until grep -q '^API on' run.txt; do kill -0 $run || { cat run.txt; exit 1; }; sleep 0.1; done; }
         ends() { wait $run || true; run=; }
         rtt() { ping -q -c 3 -i 0.2 $1 | sed -n 's,.*mdev = \\([0-9.]*\\)/.*,\\1,p'; }
+        node() { it=$1; shift; $COTORRA exec $it --run $api -- \"$@\"; }
+        # Repeats, because a robot has no radio unit at first. Prints the least round trip.
+        pinged() { until \"$@\" >ping.txt; do kill -0 $run; done
+            sed -n 's,.*= \\([0-9.]*\\)/.*,\\1,p' ping.txt; }
         qdiscs() { tc qdisc show dev va; ip -brief link show type ifb; }
 ";
     script(&format!("FILE={}\n{set_up}\n{lines}", file.display()))

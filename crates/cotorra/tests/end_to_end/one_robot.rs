@@ -33,6 +33,11 @@ walks:
   tb: { waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }
 ";
 
+/// Returns [`NAVIGATED`] with lines of further VNFs, and `rest` at its end.
+pub fn navigated(vnfs: &str, rest: &str) -> String {
+    NAVIGATED.replace("walks:", &format!("{vnfs}walks:")) + rest
+}
+
 /// Writes a testbed file with the node `robot` as `tb`, and with `rest` at its end.
 pub fn testbed(folder: &Path, name: &str, robot: &str, rest: &str) -> PathBuf {
     let file = folder.join(format!("{name}.yaml"));

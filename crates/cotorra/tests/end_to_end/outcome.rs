@@ -129,7 +129,7 @@ fn a_plugin_whose_program_ends_voids_a_run_with_real_packets() {
     let go = out.path().join("go");
     let script = format!("import os, time\nwhile not os.path.exists({:?}): time.sleep(0.01)\n", go.display());
     let testbed = corridor_with(&script, "", out.path());
-    let mut run = Run::start(&testbed, &[]);
+    let mut run = Run::start_beside(&testbed, &[]);
     let mut faults = run.follow_only("?kinds=plugin_fault");
     fs::write(&go, "").unwrap();
     assert!(faults.next().is_some());

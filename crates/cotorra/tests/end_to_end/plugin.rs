@@ -15,7 +15,7 @@ use crate::harness::{Run, corridor, corridor_ending_in, cotorra, output, project
 fn the_python_example_runs_against_a_live_testbed() {
     let script = project_file("examples/strongest_signal.py");
     assert!(fs::read_to_string(&script).unwrap().lines().count() <= 60);
-    let run = Run::start(&corridor(), &["--until", "5min"]);
+    let run = Run::start_beside(&corridor(), &["--until", "5min"]);
     run.wait_for_service();
     let mut python = Command::new("python3");
     python.arg(script).env("COTORRA_API", &run.api).env("COTORRA_PLUGIN", "strongest-signal");
@@ -48,15 +48,15 @@ fn corridor_with(script: &str, folder: &Path) -> PathBuf {
 #[test]
 fn virtual_time_waits_for_a_python_script_and_repeats_to_the_byte() {
     let out = TempDir::new().unwrap();
-    for (script, servers) in [
-        ("examples/strongest_signal.py", &["cloud"][..]),
+    for (script, until, servers) in [
+        ("examples/strongest_signal.py", "50s", &["cloud"][..]),
         // On the way to R2 the cloud is too far; the other servers are near enough everywhere.
-        ("examples/cheapest_in_time.py", &["cloud", "edge"]),
+        ("examples/cheapest_in_time.py", "80s", &["cloud", "edge"]),
     ] {
         let testbed = corridor_with(script, out.path());
         let simulate = |name: &str| {
             let folder = out.path().join(Path::new(script).file_stem().unwrap()).join(name);
-            let run = ["run", "--simulate", "--headless", "--until", "100s", "--out"].map(Path::new);
+            let run = ["run", "--simulate", "--headless", "--until", until, "--out"].map(Path::new);
             let done = output(run.into_iter().chain([&*folder, &*testbed]));
             assert!(done.status.success(), "{}", stderr(&done));
             fs::read_dir(&folder).unwrap().next().unwrap().unwrap().path()

@@ -89,7 +89,7 @@ walks:";
     let file: PathBuf = testbed(place.path(), "forged", &robot, &NAVIGATED.replace("walks:", vnfs));
     let text = fs::read_to_string(&file).unwrap();
     fs::write(&file, text.replace("links:\n", "links:\n  - { ends: [R1, edge], delay: 1 ms }\n")).unwrap();
-    let mut run = Run::start(&file, &["--until", "5min"]);
+    let mut run = Run::start_beside(&file, &["--until", "5min"]);
     let log =
         |name: &str| fs::read_to_string(run.folder.join(format!("logs/vnfs/{name}.log"))).unwrap_or_default();
     wait_until(|| log("forger").contains("done"));

@@ -66,7 +66,7 @@ else:
 "#;
 
 /// Runs a script on a machine with the bridge `br0`, behind which are the servers, and `other`, a machine that the testbed
-/// does not name. `on NAME` runs a program on one of them, `node` in an emulated host.
+/// does not name. `on NAME` runs a program on one of them.
 pub fn behind_a_bridge(testbed: &str, lines: &str) -> Output {
     let peer = format!("cat >peer.py <<'EOF'{PEER}EOF");
     on_a_wire(
@@ -81,10 +81,6 @@ pub fn behind_a_bridge(testbed: &str, lines: &str) -> Output {
             on $1 sh -ec \"ip address add $2/24 dev eth0; ip link set eth0 up; ip route add 10.77.0.0/16 dev eth0\"; }}
          on() {{ it=$(eval echo \\$pid_$1); shift; nsenter --net=/proc/$it/ns/net \"$@\"; }}
          machine fog 10.9.1.2; machine edge 10.9.1.3; machine cloud 10.9.1.4; machine other 10.9.1.9
-         node() {{ it=$1; shift; $COTORRA exec $it --run $api -- \"$@\"; }}
-         # Repeats, because a robot has no radio unit at first. Prints the least round trip.
-         pinged() {{ until \"$@\" >ping.txt; do kill -0 $run; done
-            sed -n 's,.*= \\([0-9.]*\\)/.*,\\1,p' ping.txt; }}
          serves() {{ it=$(eval echo \\$pid_$1); : >$1.txt
             nsenter --net=/proc/$it/ns/net python3 peer.py serve $2 >$1.txt &
             until grep -q ready $1.txt; do kill -0 $!; done; }}

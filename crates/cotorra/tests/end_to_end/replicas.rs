@@ -39,7 +39,7 @@ fn the_robot_goes_on_when_one_of_two_brains_is_killed() {
     let text = fs::read_to_string(&file).unwrap();
     fs::write(&file, text.replace("navigation, node: cloud", "navigation, node: [edge, fog], replicas: 2"))
         .unwrap();
-    let run = Run::start(&file, &["--until", "10min"]);
+    let run = Run::start_beside(&file, &["--until", "10min"]);
     let mut events = run.follow();
     wait_for_answers(&mut events, "edge");
     assert_eq!(["edge", "fog"].map(|node| brains(&run, node)[0].1.clone()), ["0", "1"]);

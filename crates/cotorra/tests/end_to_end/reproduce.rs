@@ -233,7 +233,7 @@ fn margins_and_decisions_are_reproduced_after_their_testbed_is_gone() {
 
 #[test]
 fn a_real_run_is_compared_by_distribution() {
-    let mut run = Run::start(&corridor(), &["--until", "20s"]);
+    let mut run = Run::start(&corridor(), &["--until", "6s"]);
     run.wait_for_service();
     run.report();
     let done = reproduce(&run.folder, &[]);

@@ -22,8 +22,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::{
-    agents::agent,
-    harness::{Run, cotorra, kill, output, stderr, stdout, wait_until},
+    harness::{Run, agent_program, cotorra, events, kill, stderr, stdout, wait_until},
     one_robot::{NAVIGATED, robot, testbed},
     turtlebot::{CORRIDOR, LOCALIZED, map, node},
 };
@@ -147,7 +146,7 @@ impl Lab {
 
     fn start_agent(&mut self) {
         let log = File::options().create(true).append(true).open(self.path("agent.txt")).unwrap();
-        let mut command = Command::new(agent());
+        let mut command = Command::new(agent_program());
         command.arg("run").arg(self.path("r1.agent")).arg("--state").arg(self.path("state"));
         self.agent = Some(command.stdout(Stdio::null()).stderr(log).spawn().unwrap());
     }
@@ -229,14 +228,6 @@ impl Drop for Lab {
     }
 }
 
-/// Returns the lines of events of these kinds in a run's history.
-fn history(run: &Run, kinds: &str) -> Vec<Value> {
-    let folder = run.folder.to_str().unwrap();
-    let listed = output(["history", "events", folder, "--kinds", kinds, "--limit", "10000", "--json"]);
-    assert!(listed.status.success(), "{}", stderr(&listed));
-    stdout(&listed).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
-}
-
 #[test]
 fn robot_at_an_agent_walks_to_its_goal_and_its_pose_and_scans_are_kept() {
     let mut lab = Lab::new(room(CORRIDOR.0, CORRIDOR.1), Place { x: 1.0, y: 1.0, heading: 0.0 });
@@ -257,11 +248,11 @@ fn robot_at_an_agent_walks_to_its_goal_and_its_pose_and_scans_are_kept() {
     run.report();
     let place = lab.emulated.state().kobuki.place;
     assert!((place.x - 4.0).hypot(place.y - 1.0) < 0.4, "it is at its last waypoint: {place:?}");
-    let robots = history(&run, "robot");
+    let robots = events(&run.folder, "robot");
     let x = |event: &Value| event.pointer("/sensors/pose/x").and_then(Value::as_f64);
     let far = robots.iter().filter_map(x).fold(0.0, f64::max);
     assert!(far > 3.0, "{far} {:?}", robots.last());
-    assert!(history(&run, "sensor").iter().any(|event| event["sensor"] == "turns"));
+    assert!(events(&run.folder, "sensor").iter().any(|event| event["sensor"] == "turns"));
     // The run leaves both devices at rest.
     lab.wait_for_closed_ports();
     assert!(!lab.moves());
@@ -353,7 +344,7 @@ fn missing_port_at_an_agent_is_reported_with_its_remedy_and_used_once_it_is_ther
     let run = lab.run(&lab.testbed("position: [2, 3]", NAVIGATED));
     let port = lab.emulated.base().display().to_string();
     let remedy = format!("robot tb: agent `r1`: there is no `{port}`: plug the device in");
-    wait_until(|| history(&run, "notice").iter().any(|event| event.to_string().contains(&remedy)));
+    wait_until(|| events(&run.folder, "notice").iter().any(|event| event.to_string().contains(&remedy)));
     wait_until(|| robot(&run)["health"] == json!(["absent"]));
     assert!(lab.log().contains(&format!("there is no `{port}`: plug the device in")), "{}", lab.log());
     lab.emulated.plug_base();

@@ -144,15 +144,14 @@ fn unmodified_ros_programs_communicate_across_the_emulated_network() {
 #[test]
 fn virtual_time_refuses_robots_in_ros() {
     let folder = TempDir::new().unwrap();
-    for robot in
-        ["{ kind: robot, position: [0, 0], driver: ros1 }", "{ kind: robot, position: [0, 0], offer: ros1 }"]
-    {
-        let file = testbed(folder.path(), "virtual", robot, "");
+    for ros in ["driver: ros1", "offer: ros1", "driver: ros2", "offer: ros2"] {
+        let robot = format!("{{ kind: robot, position: [0, 0], {ros} }}");
+        let file = testbed(folder.path(), "virtual", &robot, "");
         let out = folder.path().join("runs");
         let arguments = ["run", "--simulate", "--headless", "--until", "1s", "--out"].map(Path::new);
         let refused = output(arguments.into_iter().chain([&*out, &*file]));
-        assert!(!refused.status.success());
-        assert!(stderr(&refused).contains("robot `tb` speaks ROS"), "{}", stderr(&refused));
-        assert!(!out.exists(), "nothing is left");
+        assert!(!refused.status.success(), "{ros}");
+        assert!(stderr(&refused).contains("robot `tb` speaks ROS"), "{ros}: {}", stderr(&refused));
+        assert!(!out.exists(), "{ros}: something is left");
     }
 }

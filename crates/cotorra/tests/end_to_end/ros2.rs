@@ -2,13 +2,11 @@
 //! it and drives it, on this machine and across the emulated network.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
-use std::path::Path;
-
 use serde_json::json;
 use tempfile::TempDir;
 
 use crate::{
-    harness::{Run, cotorra, output, stderr, wait_until},
+    harness::{Run, cotorra, wait_until},
     one_robot::{NAVIGATED, robot, testbed},
 };
 use cotorra_testing::ros2::Meeting;
@@ -87,20 +85,5 @@ fn programs_in_another_node_find_an_offered_robot_across_the_emulated_network() 
         let (_, after) = said.split_once("sec=").unwrap();
         let seconds: u32 = after.split_once(',').unwrap().0.parse().unwrap();
         assert!(seconds < 1000, "{seconds}");
-    }
-}
-
-#[test]
-fn virtual_time_refuses_robots_in_ros_2() {
-    let folder = TempDir::new().unwrap();
-    for robot in
-        ["{ kind: robot, position: [0, 0], driver: ros2 }", "{ kind: robot, position: [0, 0], offer: ros2 }"]
-    {
-        let file = testbed(folder.path(), "virtual", robot, "");
-        let out = folder.path().join("runs");
-        let arguments = ["run", "--simulate", "--headless", "--until", "1s", "--out"].map(Path::new);
-        let refused = output(arguments.into_iter().chain([&*out, &*file]));
-        assert!(!refused.status.success());
-        assert!(stderr(&refused).contains("robot `tb` speaks ROS"), "{}", stderr(&refused));
     }
 }

@@ -41,7 +41,7 @@ links:
 services:
 ";
     fs::write(&file, format!("{place}{}", flows.iter().map(service).collect::<String>())).unwrap();
-    Run::start(&file, &["--until", "5min"])
+    Run::start_beside(&file, &["--until", "5min"])
 }
 
 /// Returns a command that runs its arguments in a node.
@@ -172,7 +172,7 @@ services:
     kpis: { service_time: 50 ms, flow: { protocol: ros2, request: /tb2/scan, answer: /tb2/cmd_vel } }
     vnfs: {}
 ";
-    let run = Run::start(&testbed(folder.path(), "offered", &offered, rest), &[]);
+    let run = Run::start_beside(&testbed(folder.path(), "offered", &offered, rest), &[]);
     let _follower = cyclone(&python, &run, &meeting, "cloud", "follow");
     let took = || {
         let page = run.get("/api/v1/measurements/service-times?limit=10000");

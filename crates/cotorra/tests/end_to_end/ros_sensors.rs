@@ -26,7 +26,7 @@ fn driven(folder: &Path, driver: &str) -> Run {
       nobody: { kind: imu, topic: nobody }";
     let robot = format!("\n    kind: robot\n    driver: {driver}\n    sensors:{sensors}");
     let walk = "walks: { tb: { waypoints: [[2, 3], [5, 3]] } }\n";
-    Run::start(&testbed(folder, "sensing", &robot, walk), &[])
+    Run::start_beside(&testbed(folder, "sensing", &robot, walk), &[])
 }
 
 /// Returns the last reading of a sensor, or null if there is none.

@@ -17,14 +17,14 @@ const THEORY_MS: f64 = 11.0;
 
 #[test]
 fn the_corridor_is_walked_and_measured() {
-    let mut run = Run::start(&corridor(), &["--until", "20s", "--seed", "7"]);
+    let mut run = Run::start(&corridor(), &["--until", "10s", "--seed", "7"]);
     let (summary, printed) = run.report();
     assert_eq!(summary["seed"], 7);
     assert_eq!(summary["service_time_target_ms"], 15.0);
     assert_eq!(summary["pose_source"], "localization");
     let localization = &summary["localization"][0];
     assert_eq!(localization["robot"], "robot");
-    assert!(localization["samples"].as_u64().unwrap() > 100, "{localization:#}");
+    assert!(localization["samples"].as_u64().unwrap() > 50, "{localization:#}");
     assert!(localization["error_m"]["p95"].as_f64().unwrap() < 0.3, "{localization:#}");
     assert!(summary["samples"].as_u64().unwrap() > 50, "{summary:#}");
     assert!(summary["above_target"].as_f64().is_some());
@@ -59,7 +59,7 @@ fn the_corridor_is_walked_and_measured() {
         (&of_localization["service"], &of_localization["in_total"]),
         (&"localization".into(), &false.into())
     );
-    assert!(rows("localization") > 10);
+    assert!(rows("localization") > 4);
     assert_eq!(of_localization["samples"], rows("localization"));
     assert!(printed.contains("localization of robot kept 200 ms in "), "{printed}");
     assert!(csv.starts_with("emitted_ns,"), "{csv:.100}");
@@ -103,7 +103,7 @@ fn report_of_an_invalid(run: &mut Run) -> (Value, String) {
 
 #[test]
 fn packets_that_a_stopped_run_did_not_send_are_samples_without_an_answer() {
-    let mut run = Run::start(&corridor(), &["--until", "15s", "--seed", "7"]);
+    let mut run = Run::start(&corridor(), &["--until", "9s", "--seed", "7"]);
     run.wait_for_service();
     stop_for_a_while(&run);
     let (summary, printed) = report_of_an_invalid(&mut run);
@@ -115,7 +115,6 @@ fn packets_that_a_stopped_run_did_not_send_are_samples_without_an_answer() {
 #[test]
 fn frames_that_wait_in_the_port_of_a_stopped_run_are_late() {
     let mut run = Run::start(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"]);
-    run.wait_for_links(None);
     let packets = || {
         let links = run.get("/api/v1/network/links");
         let is_it = |context: &&Value| context["link"] == "left-lan" && context["direction"] == "forward";
@@ -139,7 +138,7 @@ fn frames_that_wait_in_the_port_of_a_stopped_run_are_late() {
 
 #[test]
 fn localization_moves_to_another_server_while_the_robot_walks() {
-    let mut run = Run::start(&corridor(), &["--until", "30s", "--seed", "7"]);
+    let mut run = Run::start(&corridor(), &["--until", "10s", "--seed", "7"]);
     run.wait_for_service();
     let place = r#"{ "instruction": { "instruction": "place", "vnf": "localization", "node": "fog" } }"#;
     let (status, body) = run.post("/api/v1/instructions", place);
@@ -154,7 +153,7 @@ fn localization_moves_to_another_server_while_the_robot_walks() {
     let scans: Vec<_> = scans.iter().filter(|row| row[2] == "localization").collect();
     // Each scan has one sample, in order of emission.
     let numbers: Vec<_> = scans.iter().map(|row| row[3].parse::<usize>().unwrap()).collect();
-    assert!(numbers.len() > 20 && numbers.iter().copied().eq(0..numbers.len()), "{numbers:?}");
+    assert!(numbers.len() > 5 && numbers.iter().copied().eq(0..numbers.len()), "{numbers:?}");
     let mut servers: Vec<_> = scans.iter().map(|row| row[6]).collect();
     servers.dedup();
     assert_eq!(servers, ["edge", "fog"]);
@@ -221,7 +220,7 @@ services:\n{services}\nwalks:\n{walks}",
 
 #[test]
 fn nodes_answer_a_ping_by_name_over_the_emulated_links() {
-    let run = Run::start(&corridor(), &["--until", "5min"]);
+    let run = Run::start_beside(&corridor(), &["--until", "5min"]);
     run.wait_for_service();
     let exec = |node: &str, words: &[&str]| {
         cotorra(["exec", "--api", run.address(), node, "--"]).args(words).output().unwrap()
@@ -243,7 +242,7 @@ fn nodes_answer_a_ping_by_name_over_the_emulated_links() {
 
 #[test]
 fn programs_in_nodes_are_in_them_as_a_whole_and_end_with_the_run() {
-    let run = Run::start(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"]);
+    let run = Run::start_beside(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"]);
     let exec = |script: &str| {
         let mut command = cotorra(["exec", "--api", run.address(), "left", "--", "sh", "-c", script]);
         command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
@@ -280,7 +279,7 @@ for sequence in range(2000):
 
 #[test]
 fn a_robot_counts_forged_answers_and_follows_none() {
-    let run = Run::start(&corridor(), &["--until", "5min"]);
+    let run = Run::start_beside(&corridor(), &["--until", "5min"]);
     run.wait_for_service();
     let exec = |node: &str, words: &[&str]| {
         let done = cotorra(["exec", "--api", run.address(), node, "--"]).args(words).output().unwrap();
@@ -308,7 +307,7 @@ fn a_robot_counts_forged_answers_and_follows_none() {
 
 #[test]
 fn a_second_run_gets_its_own_folder_and_port() {
-    let run = Run::start(&corridor(), &["--until", "5min"]);
+    let run = Run::start_beside(&corridor(), &["--until", "5min"]);
     let out = tempfile::tempdir().unwrap();
     let second = |api: &[&str]| {
         let mut command: Command = cotorra(["run", "--headless", "--until", "1s", "--out"]);
@@ -338,7 +337,7 @@ fn tools_talk_to_the_run_and_not_to_a_program_on_its_port() {
         as_user(&mut command);
         command.output().unwrap()
     };
-    let run = Run::start_with(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"], as_user);
+    let run = Run::start_beside_with(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"], as_user);
     for words in [&["exec", "left", "--api", &taken, "--", "true"][..], &["link", "show", "--api", &taken]] {
         let refused = told(words);
         assert_eq!(refused.status.code(), Some(1), "{words:?}: {}", stderr(&refused));
@@ -375,7 +374,7 @@ fn commands_change_and_stop_only_the_run_that_is_meant() {
     let as_user = |command: &mut Command| {
         command.envs(["XDG_RUNTIME_DIR", "TMPDIR"].map(|name| (name, runtime.path())));
     };
-    let one = Run::start_with(&file, &["--until", "600s"], as_user);
+    let one = Run::start_beside_with(&file, &["--until", "600s"], as_user);
     let mut two = one.another_with(&file, &["--until", "600s"], as_user);
     let told = |words: &[&str], api: &str| {
         let mut command = cotorra(words);
@@ -430,7 +429,7 @@ fn commands_change_and_stop_only_the_run_that_is_meant() {
 
 #[test]
 fn a_quadrotor_takes_off_with_real_packets() {
-    let mut run = Run::start(&project_file("testbeds/hall.yaml"), &["--seed", "7"]);
+    let mut run = Run::start_beside(&project_file("testbeds/hall.yaml"), &["--seed", "7"]);
     run.wait_for_service();
     let height = || run.get("/api/v1/robots/uav")["sensors"]["pose"]["z"].as_f64();
     wait_until(|| height().is_some_and(|height| height > 1.0));

@@ -29,7 +29,7 @@ fn testbed(folder: &tempfile::TempDir, sensors: &str) -> PathBuf {
 #[test]
 fn sensors_are_read_followed_and_reported_over_the_api_and_kept() {
     let folder = tempfile::tempdir().unwrap();
-    let mut run = Run::start(&testbed(&folder, SENSORS), &["--until", "600s"]);
+    let mut run = Run::start_beside(&testbed(&folder, SENSORS), &["--until", "600s"]);
     let last = |sensor: &str| {
         let all = run.get("/api/v1/robots/robot/sensors");
         all.as_array().unwrap().iter().find(|one| one["declared"]["sensor"] == sensor).unwrap()["last"]
@@ -146,12 +146,12 @@ fn scans_of_a_lidar_are_followed_fetched_and_kept_within_their_bound() {
     const KEEP: u64 = 40_000;
     let place = tempfile::tempdir().unwrap();
     let sensors = format!("{SENSORS}, front: {{ kind: lidar, keep: 40 kB }}");
-    let mut run = Run::start(&testbed(&place, &sensors), &["--until", "600s"]);
+    let mut run = Run::start_beside(&testbed(&place, &sensors), &["--until", "600s"]);
     let folder = run.folder.join("sensors/robot/front");
     let path = |reading: &str| format!("/api/v1/robots/robot/sensors/front/{reading}");
     let mut fetched = Vec::new();
     let mut before = None;
-    for event in run.follow_only("?kinds=sensor&sensors=front").take(60) {
+    for event in run.follow_only("?kinds=sensor&sensors=front").take(35) {
         let (sensor, data) = (event["sensor"].as_str().unwrap(), &event["data"]);
         let sequence = data["sequence"].as_u64().unwrap();
         assert_eq!((sensor, data["format"].as_str(), &data["bytes"]), ("front", Some("scan"), &json!(1500)));

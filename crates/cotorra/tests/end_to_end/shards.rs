@@ -24,11 +24,19 @@ struct Lab {
 
 impl Lab {
     fn new() -> Self {
+        Self::with_walk("[[0, 0], [9, 0]], speed_limit: 0.7 m/s, position_interval: 50 ms")
+    }
+
+    /// A lab whose runs take long enough to be killed.
+    fn with_long_runs() -> Self {
+        Self::with_walk("[[0, 0], [9, 0], [0, 0], [9, 0]], speed_limit: 0.5 m/s, position_interval: 20 ms")
+    }
+
+    fn with_walk(walk: &str) -> Self {
         let lab = Self { parent: tempfile::tempdir().unwrap() };
         fs::create_dir(lab.folder()).unwrap();
-        let walk =
-            "{ waypoints: [[0, 0], [9, 0], [0, 0], [9, 0]], speed_limit: 0.5 m/s, position_interval: 20 ms }";
-        fs::write(lab.folder().join("the lab.yaml"), between_two_units(walk)).unwrap();
+        let testbed = between_two_units(&format!("{{ waypoints: {walk} }}"));
+        fs::write(lab.folder().join("the lab.yaml"), testbed).unwrap();
         lab
     }
 
@@ -114,7 +122,7 @@ fn lines(path: &Path) -> usize {
 
 #[test]
 fn shards_merge_into_the_bytes_of_the_whole_sweep_although_one_was_killed() {
-    let lab = Lab::new();
+    let lab = Lab::with_long_runs();
     let shard = |text: &str| lab.sweep("out", &["--headless", "--shard", text]);
     let mut child = shard("2/2").stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
     let mut progress = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
@@ -240,7 +248,7 @@ print(json.dumps(jobs))";
 #[test]
 fn a_slurm_cluster_that_loses_a_node_leaves_the_whole_sweep() {
     let Some(mut slurm) = Slurm::start(2) else { return };
-    let lab = Lab::new();
+    let lab = Lab::with_long_runs();
     let file = lab.emit("slurm", OUT);
     let submitted = done(slurm.command("sh").arg(file));
     let merge = stdout(&submitted);

@@ -17,7 +17,7 @@ fn is(run: &Run, condition: impl Fn(&Value) -> bool) -> bool {
 
 #[test]
 fn a_robot_is_slowed_and_sent_to_a_goal_over_the_api() {
-    let mut run = Run::start(&project_file("testbeds/two-paths.yaml"), &["--until", "600s"]);
+    let mut run = Run::start_beside(&project_file("testbeds/two-paths.yaml"), &["--until", "600s"]);
     let speed = |context: &Value| context["sensors"]["velocity"]["linear"].as_f64().unwrap();
     wait_until(|| is(&run, |context| speed(context) > 0.25));
     let limit =

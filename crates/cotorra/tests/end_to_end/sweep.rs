@@ -8,6 +8,7 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
+use cotorra_testing::lab::{Lab, SETS_DELAY};
 use tempfile::TempDir;
 
 use crate::harness::{corridor, cotorra, stderr, stdout};
@@ -59,45 +60,10 @@ fn a_sweep_stopped_by_ctrl_c_is_resumed() {
     );
 }
 
-/// A robot at one radio unit, with a plug-in that is a program, and a bundled one that is not enabled.
-const LAB: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
-nodes:
-  robot: { kind: robot, roaming: signal }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [A, edge], delay: 2 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-  robot: { waypoints: [[0, 0], [2, 0]], speed_limit: 0.5 m/s, position_interval: 50 ms }
-plugins:
-  - { bundled: probing, enabled: false }
-  - { id: mine, command: [python3, mine.py] }
-";
-
-/// A plug-in that sets the delay of the link from its own file.
-const PROGRAM: &str = "import json, os
-from urllib import request
-HEADERS = {'Content-Type': 'application/json', 'Authorization': 'Bearer ' + os.environ['COTORRA_TOKEN']}
-def ask(path, body=None):
-    data = None if body is None else json.dumps(body).encode()
-    return request.urlopen(request.Request(os.environ['COTORRA_API'] + '/api/v1/' + path, data, HEADERS))
-first = True
-for line in ask('events?kinds=robot'):
-    if line.startswith(b'id: '):
-        if first:
-            change = {'instruction': 'condition', 'link': 'A-edge', 'change': {'delay_ms': 2}}
-            ask('instructions', {'instruction': change, 'reason': ''})
-        first = False
-        ask('marks/%d' % int(line[4:]), {})
-";
+/// Returns a plug-in that sets the delay of the link.
+fn sets_delay(ms: u32) -> String {
+    SETS_DELAY.replace("AMOUNT_MS", &ms.to_string())
+}
 
 /// Runs the sweep of both plug-ins in a folder.
 fn both(lab: &Path, more: &[&str]) -> Output {
@@ -107,8 +73,8 @@ fn both(lab: &Path, more: &[&str]) -> Output {
 
 fn lab() -> TempDir {
     let lab = tempfile::tempdir().unwrap();
-    fs::write(lab.path().join("lab.yaml"), LAB).unwrap();
-    fs::write(lab.path().join("mine.py"), PROGRAM).unwrap();
+    fs::write(lab.path().join("lab.yaml"), Lab::with_program()).unwrap();
+    fs::write(lab.path().join("mine.py"), sets_delay(2)).unwrap();
     lab
 }
 
@@ -124,7 +90,7 @@ fn an_edit_of_the_file_the_program_or_the_limit_gives_new_figures_and_says_so() 
     let lab = lab();
     // With and without a folder of its own.
     for out in [&["--out", "out"][..], &[]] {
-        fs::write(lab.path().join("mine.py"), PROGRAM).unwrap();
+        fs::write(lab.path().join("mine.py"), sets_delay(2)).unwrap();
         let sweep = |more: &[&str]| {
             let done = both(lab.path(), &[out, more].concat());
             assert!(done.status.success(), "{}", stderr(&done));
@@ -138,7 +104,7 @@ fn an_edit_of_the_file_the_program_or_the_limit_gives_new_figures_and_says_so() 
         assert_eq!(medians, [6.0, 6.0]);
         assert!(sweep(&[]).0.starts_with("2 of 2 runs, 2 of them from before\n\n"));
 
-        fs::write(lab.path().join("mine.py"), PROGRAM.replace("'delay_ms': 2", "'delay_ms': 5")).unwrap();
+        fs::write(lab.path().join("mine.py"), sets_delay(5)).unwrap();
         let (edited, medians) = sweep(&[]);
         let said = "2 of 2 runs, 1 of them from before\nmine.py changed: 1 run again\n";
         assert!(edited.starts_with(said), "{edited}");
@@ -158,7 +124,8 @@ fn an_edit_of_the_file_the_program_or_the_limit_gives_new_figures_and_says_so() 
     assert_eq!(took(), ["2000", "2000"]);
     assert_ne!(whole, took());
 
-    fs::write(lab.path().join("lab.yaml"), LAB.replace("delay: 2 ms", "delay: 7 ms")).unwrap();
+    fs::write(lab.path().join("lab.yaml"), Lab::with_program().replace("delay: 2 ms", "delay: 7 ms"))
+        .unwrap();
     let edited = both(lab.path(), &out);
     assert!(stdout(&edited).starts_with("2 of 2 runs\n--until and lab.yaml changed: 2 runs again\n"));
     let medians = column(&table, "service_time_p50_ms");
@@ -173,7 +140,7 @@ fn a_plug_in_that_fails_at_its_first_import_makes_its_cell_void() {
     let swept = both(lab.path(), &["--out", "out"]);
     assert_eq!(swept.status.code(), Some(3), "{}", stderr(&swept));
     let text = stdout(&swept);
-    let reason = "plug-in mine: its program ended: exit status: 1";
+    let reason = "plug-in mine was cut off: its program ended: exit status: 1";
     assert!(text.starts_with("2 of 2 runs, 1 of them void\n"), "{text}");
     let cell = text.lines().find(|line| line.trim_start().starts_with("mine ")).unwrap();
     assert!(cell.contains(&format!("void: {reason}")), "{text}");
@@ -188,7 +155,7 @@ fn a_plug_in_that_fails_at_its_first_import_makes_its_cell_void() {
     assert!(log.contains("starting") && log.contains("No module named 'no_such_module'"), "{log}");
 
     // With the module that it lacked, it is made again.
-    fs::write(lab.path().join("no_such_module.py"), PROGRAM).unwrap();
+    fs::write(lab.path().join("no_such_module.py"), sets_delay(2)).unwrap();
     let mended = both(lab.path(), &["--out", "out"]);
     assert!(mended.status.success(), "{}", stderr(&mended));
     let said = "2 of 2 runs, 1 of them from before\nno_such_module.py changed: 1 run again\n";
@@ -206,14 +173,18 @@ fn a_shard_with_a_void_run_is_merged_as_void() {
     }
     let merged = cotorra(["sweep", "merge", "out"]).current_dir(lab.path()).output().unwrap();
     assert_eq!(merged.status.code(), Some(3), "{}", stderr(&merged));
-    assert!(stdout(&merged).contains("void: plug-in mine: its program ended"), "{}", stdout(&merged));
+    assert!(
+        stdout(&merged).contains("void: plug-in mine was cut off: its program ended"),
+        "{}",
+        stdout(&merged)
+    );
     assert!(
         lab.path().join("out/shard-1-of-2/logs").exists()
             || lab.path().join("out/shard-2-of-2/logs").exists()
     );
 
     // One that was edited since is not merged with the other.
-    fs::write(lab.path().join("mine.py"), PROGRAM).unwrap();
+    fs::write(lab.path().join("mine.py"), sets_delay(2)).unwrap();
     let done = both(lab.path(), &["--out", "out", "--shard", "1/2"]);
     assert!(stdout(&done).contains("mine.py changed: 1 run again\n"), "{}", stdout(&done));
     let refused = cotorra(["sweep", "merge", "out"]).current_dir(lab.path()).output().unwrap();

@@ -35,7 +35,7 @@ fn checked(sample: &Value) -> BTreeMap<(String, bool), f64> {
 
 #[test]
 fn parts_of_real_packets_add_up_and_name_the_slow_link() {
-    let slow = ["--set", "links.R1-cloud.delay=20 ms", "--until", "8s"];
+    let slow = ["--set", "links.R1-cloud.delay=20 ms", "--until", "5s"];
     let mut run = Run::start(&corridor(), &slow);
     wait_until(|| answered(&run, "navigation").len() > 40);
     for sample in &answered(&run, "navigation") {

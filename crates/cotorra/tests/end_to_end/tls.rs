@@ -43,14 +43,13 @@ impl Network {
         let folder = TempDir::new().unwrap();
         let authority = folder.path().join("agents");
         let authority = ["--authority", authority.to_str().unwrap(), "--api", api, "--until", "5min"];
-        let run = Run::start_with(&corridor(), &[&authority[..], arguments].concat(), |command| {
+        let run = Run::start_beside_with(&corridor(), &[&authority[..], arguments].concat(), |command| {
             command.env("COTORRA_TOKEN", TOKEN);
         });
         let url =
             run.notes.iter().find_map(|note| note.strip_prefix("Network on ")?.split([' ', ',']).next());
         let url = url.unwrap_or_else(|| panic!("{:?}", run.notes)).to_owned();
         let ca = folder.path().join("agents/ca.pem");
-        run.wait_for_links(Some(TOKEN));
         Self { run, url, ca, folder }
     }
 

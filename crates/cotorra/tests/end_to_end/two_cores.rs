@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use crate::{
     chain::Chain,
-    harness::{Run, output, project_file, stderr, stdout, wait_until},
+    harness::{Run, events, output, project_file, stderr, stdout, wait_until},
 };
 
 /// The address at which both machines reach the ledger's node.
@@ -137,14 +137,6 @@ fn offer(port: u16) -> String {
     url
 }
 
-/// Returns the events of these kinds in a run's history.
-fn events(folder: &Path, kinds: &str) -> Vec<Value> {
-    let folder = folder.to_str().unwrap();
-    let done = output(["history", "events", folder, "--kinds", kinds, "--json", "--limit", "1000000"]);
-    assert!(done.status.success(), "{}", stderr(&done));
-    stdout(&done).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
-}
-
 /// Returns the steps that a run's orchestrator noted.
 fn steps(folder: &Path) -> Vec<String> {
     let step = |event: Value| Some(event["instruction"]["step"].as_str()?.to_owned());
@@ -159,8 +151,8 @@ fn ms(event: &Value) -> f64 {
 fn start(chain: &Chain, machines: &Machines) -> [Run; 2] {
     let [first, second, ..] = chain.settings_at(&offer(chain.port()), 0);
     let testbed = |name: &str| project_file("testbeds/two-cores").join(format!("{name}.yaml"));
-    // The robot leaves its domain's coverage after 12 s, and is back in it after 29 s.
-    let walk = "walks.robot.waypoints=[[20, 0], [26.2, 0]]";
+    // The robot leaves its domain's coverage after 7 s, and is back in it after 24 s.
+    let walk = "walks.robot.waypoints=[[21.5, 0], [26.2, 0]]";
     // So that it can be seen who carries the packets.
     let slow = "links.sw2-border.delay=20 ms";
     let visited = Run::start_with(&testbed("domain-2"), &["--set", &second, "--set", slow], |command| {

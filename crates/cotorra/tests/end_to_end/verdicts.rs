@@ -208,6 +208,14 @@ fn each_bound_on_a_figure_is_judged_and_what_is_not_measured_fails() {
     let diff = unwrapped(&stdout(&diff));
     let measured = answered["measured"].as_str().unwrap();
     assert!(diff.contains(&format!("n2 answered >= 99 % {measured} FAIL {measured} FAIL")), "{diff}");
+    let series = |more: &[&str]| {
+        let run = ["history", "series", run.to_str().unwrap(), "service"];
+        unwrapped(&stdout(&lab.cotorra(&[&run, more].concat())))
+    };
+    let (whole, part) = (series(&[]), series(&["--from", "1s"]));
+    assert!(whole.contains(&format!("FAIL: r2 has answered >= 99 %: {measured}.")), "{whole}");
+    let unjudged = "r2 has the KPI answered >= 99 %, not judged: it is FAIL over the whole run.";
+    assert!(part.contains(unjudged), "{part}");
 
     let lab = Lab::with([String::new(), ", require: [localization_error p95 <= 0.1 m]".to_owned()]);
     let run = lab.run();

@@ -2,7 +2,7 @@
 //! it and the testbed's own API.
 
 use std::{
-    fs,
+    env, fs,
     path::Path,
     process::{Command, Stdio},
 };
@@ -17,7 +17,9 @@ fn a_mec_application_hands_a_robot_over_by_wais_alone() {
     let folder = TempDir::new().unwrap();
     let testbed =
         corridor_ending_in("wais: { origin: { latitude: 41.5, longitude: 2.25 } }\n", folder.path());
-    let run = Run::start(&testbed, &["--until", "5min"]);
+    // It begins where another radio unit is about to be the strongest.
+    let walk = "walks.robot.waypoints=[[25.8, -21.6], [26.4, -18.7], [27.3, -15.6]]";
+    let run = Run::start_beside(&testbed, &["--until", "5min", "--set", walk]);
     run.wait_for_service();
     let mut python = Command::new("python3");
     python.arg(project_file("examples/wais_handover.py")).env("COTORRA_API", &run.api);
@@ -50,7 +52,7 @@ fn a_mec_application_hands_a_robot_over_by_wais_alone() {
 #[test]
 fn a_missing_token_is_reported_as_a_problem_of_the_standard() {
     const TOKEN: &str = "a-secret-of-some-length";
-    let run = Run::start_with(&corridor(), &["--until", "5min"], |command| {
+    let run = Run::start_beside_with(&corridor(), &["--until", "5min"], |command| {
         command.env("COTORRA_TOKEN", TOKEN);
     });
     let path = "/wai/v2/queries/ap/ap_information";
@@ -69,7 +71,8 @@ fn no_request_breaks_the_apis() {
     let Some(python) = cotorra_testing::peers("schemathesis") else { return };
     let tester = Path::new(&python).with_file_name("schemathesis");
     let folder = TempDir::new().unwrap();
-    let run = Run::start(&corridor(), &["--until", "10min"]);
+    let examples = if env::var_os("COTORRA_FULL").is_some() { "15" } else { "5" };
+    let run = Run::start_beside(&corridor(), &["--until", "10min"]);
     run.wait_for_service();
     for (document, url, more) in [
         (&["openapi", "--wais"][..], format!("{}/wai/v2", run.api), &[][..]),
@@ -85,7 +88,7 @@ fn no_request_breaks_the_apis() {
         fs::write(&file, stdout(&output(document))).unwrap();
         let mut command = Command::new(&tester);
         command.arg("run").arg(&file).args(["--url", &url, "--no-color", "--continue-on-failure"]).args(more);
-        command.args(["--generation-deterministic", "--max-examples", "15"]);
+        command.args(["--generation-deterministic", "--max-examples", examples]);
         command.args([
             "--checks",
             "not_a_server_error,status_code_conformance,content_type_conformance,response_headers_conformance,\

@@ -63,8 +63,7 @@ fn sent<'a>(comparison: &'a Value, kind: &str) -> &'a Value {
 
 #[test]
 fn gaps_of_the_model_are_beside_those_of_real_software() {
-    if env::var_os("COTORRA_RADIOS").is_none() {
-        eprintln!("skipped: COTORRA_RADIOS promises no radios");
+    if !cotorra_testing::radios::are_promised() {
         return;
     }
     let comparison = compare(FLOOR, &["--until", "12s"]);
@@ -89,7 +88,9 @@ fn gaps_of_the_model_are_beside_those_of_real_software() {
 /// With `COTORRA_FULL` alone: other tests have each kind for itself.
 #[test]
 fn one_file_is_walked_on_all_three_kinds() {
-    use crate::machines::{AUTHORITY, CORE, Machines};
+    use cotorra_testing::radios::CORE;
+
+    use crate::machines::{AUTHORITY, Machines};
 
     /// Most of a gap: IEEE 802.11r aims at 50 ms.
     const MOST_MS: f64 = 50.0;

@@ -1,15 +1,12 @@
 //! A run with real radios (`wifi: hardware`), at machines with real agents. In the end, all is as their owners had it.
 
-use std::{
-    fs,
-    process::{Child, Command},
-    time::Duration,
-};
+use std::time::Duration;
 
+use cotorra_testing::radios::{self, CORE, Ping, sh};
 use serde_json::{Value, json};
 
 use crate::{
-    machines::{AUTHORITY, CORE, Machines, robot_power_is, sh, start_agent},
+    machines::{AUTHORITY, Machines, robot_power_is, start_agent},
     rig::{Rig, is},
 };
 
@@ -27,28 +24,6 @@ nodes:
 links:
   - { ends: [lan, [A, B]] }
 ";
-
-/// Pings the core from the robot over its radio, each millisecond.
-struct Ping(Child);
-
-impl Ping {
-    fn start() -> Self {
-        let log = fs::File::create("/run/ping.log").unwrap();
-        let arguments = "netns exec u0 ping -n -D -i 0.001 10.8.0.1".split(' ');
-        Self(Command::new("ip").args(arguments).stdout(log).spawn().unwrap())
-    }
-
-    /// Returns the longest time between two answers, in ms.
-    fn longest_gap(mut self) -> f64 {
-        sh(&format!("kill {}", self.0.id()));
-        self.0.wait().unwrap();
-        let log = fs::read_to_string("/run/ping.log").unwrap();
-        let answer = |line: &str| line.strip_prefix('[')?.split_once("] 64 bytes")?.0.parse::<f64>().ok();
-        let answers: Vec<_> = log.lines().filter_map(answer).collect();
-        assert!(answers.len() > 100, "{log}");
-        answers.windows(2).map(|two| two[1] - two[0]).fold(0.0, f64::max) * 1e3
-    }
-}
 
 /// Returns the signals of a robot's attachments that have one, by their radio units.
 fn signals(rig: &Rig) -> Vec<(String, f64)> {
@@ -71,8 +46,7 @@ fn wait_for(rig: &Rig, what: &str, holds: impl Fn() -> bool) {
 
 #[test]
 fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
-    if std::env::var_os("COTORRA_RADIOS").is_none() {
-        eprintln!("skipped: COTORRA_RADIOS promises no radios");
+    if !radios::are_promised() {
         return;
     }
     let mut machines = Machines::start(true);
@@ -88,7 +62,8 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
         rig.attach("r1", unit).unwrap();
         let handover = rig.wait_for_handover("r1", unit);
         rig.wait(Duration::from_millis(200));
-        let (by_frames, by_packets) = (handover["gap_ms"].as_f64().unwrap(), ping.longest_gap());
+        let by_packets = ping.longest_gap().as_secs_f64() * 1e3;
+        let by_frames = handover["gap_ms"].as_f64().unwrap();
         println!(
             "real radios, roam to {unit}: gap by frames {by_frames:.2} ms, by packets {by_packets:.2} ms"
         );
@@ -141,8 +116,7 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
 
 #[test]
 fn a_robot_without_a_cable_reports_over_the_radio_that_roams() {
-    if std::env::var_os("COTORRA_RADIOS").is_none() {
-        eprintln!("skipped: COTORRA_RADIOS promises no radios");
+    if !radios::are_promised() {
         return;
     }
     let machines = Machines::start(false);

@@ -6,7 +6,7 @@
 
 use std::{
     collections::BTreeSet,
-    env, fs,
+    fs,
     fs::File,
     os::{fd::AsFd, unix::fs::MetadataExt},
     process::Command,
@@ -106,8 +106,7 @@ impl Rig {
 
     /// Starts a testbed with further arguments of `cotorra run`.
     pub fn start_with(testbed: &str, arguments: &[&str]) -> Option<Self> {
-        if env::var_os("COTORRA_RADIOS").is_none() {
-            eprintln!("skipped: COTORRA_RADIOS promises no radios");
+        if !cotorra_testing::radios::are_promised() {
             return None;
         }
         wait_for_the_second();

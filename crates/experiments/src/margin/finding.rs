@@ -1,9 +1,10 @@
 //! Results of searches.
 
 use cotorra_graph::{NodeId, ServiceId};
+use cotorra_testbed::Void;
 use serde::Serialize;
 
-use crate::{batch::Again, outcome::Void};
+use crate::batch::Again;
 
 /// The result of a search.
 #[derive(Debug, Clone, PartialEq, Serialize)]

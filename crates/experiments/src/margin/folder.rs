@@ -1,9 +1,9 @@
 //! The tables of a search.
 
-use cotorra_testbed::{DataTable, FolderError, write_file};
+use cotorra_testbed::{DataTable, FolderError, Void, write_file};
 
 use super::finding::{Finding, Margins};
-use crate::{cell::number, journal::Journal, outcome::Void};
+use crate::{cell::number, journal::Journal};
 
 /// Files that [`Margins::write`] makes: a row per search, and everything.
 pub const FILES: [&str; 2] = ["margins.csv", "margins.json"];

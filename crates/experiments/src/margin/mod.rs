@@ -20,7 +20,7 @@ use std::{
 
 use cotorra_graph::{NodeId, ServiceId, Testbed};
 use cotorra_numbers::seed;
-use cotorra_testbed::{Unrecorded, UnrecordedRun};
+use cotorra_testbed::{Unrecorded, UnrecordedRun, Void};
 
 pub use self::{
     bisection::Grid,
@@ -323,7 +323,7 @@ impl Margin {
             samples: None,
         };
         let wanted: Vec<_> = (0..changes.len() * seeds).map(want).collect();
-        let maker = Maker { journal: runs.journal, keys: &self.keys };
+        let maker = Maker { journal: runs.journal, keys: &self.keys, judge: Void::wrong };
         let limits = &runs.limits;
         let measure = |place: usize, stop: &AtomicBool| {
             let mut testbed = Testbed::clone(&self.testbed);

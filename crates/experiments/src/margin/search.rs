@@ -1,13 +1,13 @@
 //! One search: a bisection, or the test of a radio unit that is down.
 
 use cotorra_graph::NodeId;
+use cotorra_testbed::Void;
 
 use super::{
     bisection::{Bisection, Grid},
     change::{Change, Dimension, Kind, LOSS_UNITS},
     finding::{Finding, ServiceKept},
 };
-use crate::outcome::Void;
 
 /// One search.
 pub(super) struct Search {

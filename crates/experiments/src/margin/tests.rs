@@ -1,32 +1,15 @@
 use std::fs;
 
+use cotorra_testing::lab::Lab;
+
 use super::*;
 use crate::sweep::Sweep;
 
 const JOBS: NonZero<usize> = NonZero::new(2).unwrap();
 
-/// A robot between two radio units. A service time is 8 ms and the time that frames take, and 15 ms are allowed.
-pub(super) const LAB: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
-nodes:
-  robot: { kind: robot, roaming: signal }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  B: { kind: radio_unit, position: [9, 1], channel: 6 }
-  lan: { kind: switch }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [lan, [A, B]], delay: 1 ms }
-  - { ends: [lan, edge], delay: 2 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-  robot: { waypoints: [[0, 0], [3, 0]], speed_limit: 0.5 m/s, position_interval: 50 ms }
-";
+fn lab() -> String {
+    Lab::default().to_string()
+}
 
 fn options(kinds: &[Kind]) -> Options {
     Options {
@@ -66,7 +49,7 @@ fn of<'a>(margins: &'a Margins, change: Kind, on: Option<&str>, down: Option<&st
 
 #[test]
 fn a_margin_is_where_a_sweep_over_the_same_axis_breaks() {
-    let margins = run(&margin(LAB, Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));
+    let margins = run(&margin(&lab(), Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));
     assert!(margins.complete && margins.findings.len() == 1, "{margins:?}");
     let finding = of(&margins, Kind::Delay, Some("lan-edge"), None);
     let (survives, breaks) = (finding.survives_ms.unwrap(), finding.breaks_ms.unwrap());
@@ -75,7 +58,7 @@ fn a_margin_is_where_a_sweep_over_the_same_axis_breaks() {
     assert!((2.5..3.6).contains(&breaks), "{breaks}");
 
     let axis = format!("links.lan-edge.delay={} ms,{} ms", 2.0 + survives, 2.0 + breaks);
-    let sweep = Sweep::new("lab.yaml", LAB.to_owned(), Path::new("")).axis(axis.parse().unwrap());
+    let sweep = Sweep::new("lab.yaml", lab(), Path::new("")).axis(axis.parse().unwrap());
     let out = tempfile::tempdir().unwrap();
     let runs = sweep.run(&Journal::open(out.path()).unwrap(), JOBS, |_, _| true).unwrap();
     let above: Vec<_> =
@@ -87,7 +70,7 @@ fn a_margin_is_where_a_sweep_over_the_same_axis_breaks() {
 #[test]
 fn a_margin_and_a_sweep_go_by_any_figure_that_the_file_bounds() {
     let kpi = "service_time p95 <= 12 ms";
-    let text = LAB.replace("service_time: 15 ms", &format!("service_time: 15 ms, require: [{kpi}]"));
+    let text = lab().replace("service_time: 15 ms", &format!("service_time: 15 ms, require: [{kpi}]"));
     let margins = run(&margin(&text, Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));
     let finding = of(&margins, Kind::Delay, Some("lan-edge"), None);
     let breaks = finding.breaks_ms.unwrap();
@@ -118,8 +101,8 @@ fn a_margin_and_a_sweep_go_by_any_figure_that_the_file_bounds() {
 
 #[test]
 fn a_slow_server_has_the_margin_of_both_directions_of_its_link() {
-    let margins = run(&margin(LAB, Options { on: vec!["edge".into()], ..options(&[Kind::Answers]) }));
-    let of_link = run(&margin(LAB, Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));
+    let margins = run(&margin(&lab(), Options { on: vec!["edge".into()], ..options(&[Kind::Answers]) }));
+    let of_link = run(&margin(&lab(), Options { on: vec!["lan-edge".into()], ..options(&[Kind::Delay]) }));
     let answers = of(&margins, Kind::Answers, Some("edge"), None).breaks_ms.unwrap();
     let delay = of(&of_link, Kind::Delay, Some("lan-edge"), None).breaks_ms.unwrap();
     assert!((answers - 2.0 * delay).abs() <= 0.21, "{answers} {delay}");
@@ -127,7 +110,7 @@ fn a_slow_server_has_the_margin_of_both_directions_of_its_link() {
 
 #[test]
 fn delays_are_searched_again_with_each_radio_unit_that_is_survived() {
-    let margins = run(&margin(LAB, options(&[Kind::Delay, Kind::Down])));
+    let margins = run(&margin(&lab(), options(&[Kind::Delay, Kind::Down])));
     assert!(!of(&margins, Kind::Down, None, Some("A")).breaks);
     assert!(!of(&margins, Kind::Down, None, Some("B")).breaks);
     // The robot is at A. Without A, it is at B.
@@ -135,7 +118,7 @@ fn delays_are_searched_again_with_each_radio_unit_that_is_survived() {
     assert_eq!((delay("lan-B", None).survives_ms, delay("lan-B", None).breaks_ms), (Some(20.0), None));
     assert!(delay("lan-B", Some("A")).breaks && !delay("lan-A", Some("A")).breaks);
     assert!(delay("lan-A", None).breaks && delay("w", None).breaks);
-    let without = run(&margin(LAB, Options { pairs: false, ..options(&[Kind::Delay, Kind::Down]) }));
+    let without = run(&margin(&lab(), Options { pairs: false, ..options(&[Kind::Delay, Kind::Down]) }));
     assert_eq!(without.findings, margins.findings[..without.findings.len()]);
     assert!(without.findings.iter().all(|finding| finding.on.is_none() || finding.down.is_none()));
 }
@@ -143,7 +126,7 @@ fn delays_are_searched_again_with_each_radio_unit_that_is_survived() {
 #[test]
 fn a_walk_that_does_not_end_without_a_radio_unit_is_broken() {
     let alone =
-        LAB.replace("  B: { kind: radio_unit, position: [9, 1], channel: 6 }\n", "").replace("[A, B]", "A");
+        lab().replace("  B: { kind: radio_unit, position: [9, 1], channel: 6 }\n", "").replace("[A, B]", "A");
     let margins = run(&margin(&alone, options(&[Kind::Down, Kind::Delay])));
     assert!(of(&margins, Kind::Down, None, Some("A")).breaks);
     assert!(margins.findings.iter().all(|finding| finding.on.is_none() || finding.down.is_none()));
@@ -152,7 +135,7 @@ fn a_walk_that_does_not_end_without_a_radio_unit_is_broken() {
 #[test]
 fn loss_breaks_where_too_few_round_trips_survive() {
     let on = vec!["lan-edge".into()];
-    let margins = run(&margin(LAB, Options { on, seeds: 4, ..options(&[Kind::Loss]) }));
+    let margins = run(&margin(&lab(), Options { on, seeds: 4, ..options(&[Kind::Loss]) }));
     let finding = of(&margins, Kind::Loss, Some("lan-edge"), None);
     let (survives, breaks) = (finding.survives_loss.unwrap(), finding.breaks_loss.unwrap());
     // 0.95² is 0.9.
@@ -186,7 +169,7 @@ fn localization_counts_by_name_and_has_a_margin_of_its_own() {
 fn a_stopped_search_continues_and_ends_with_the_same_bytes() {
     let out = tempfile::tempdir().unwrap();
     let open = |name: &str| Journal::open(&out.path().join(name)).unwrap();
-    let margin = margin(LAB, Options { seeds: 2, ..options(&[Kind::Delay, Kind::Answers, Kind::Down]) });
+    let margin = margin(&lab(), Options { seeds: 2, ..options(&[Kind::Delay, Kind::Answers, Kind::Down]) });
     let files = |journal: &Journal| FILES.map(|name| fs::read_to_string(journal.path().join(name)).unwrap());
     let whole = open("whole");
     let all = margin.run(&whole, JOBS, |_, _| true).unwrap();
@@ -215,7 +198,7 @@ fn a_stopped_search_continues_and_ends_with_the_same_bytes() {
 
 #[test]
 fn a_target_that_is_broken_before_has_no_margin() {
-    let strict = LAB.replace("service_time: 15 ms", "service_time: 5 ms");
+    let strict = lab().replace("service_time: 15 ms", "service_time: 5 ms");
     let out = tempfile::tempdir().unwrap();
     let journal = Journal::open(out.path()).unwrap();
     let broken = margin(&strict, options(&[Kind::Delay])).run(&journal, JOBS, |_, _| true).unwrap_err();
@@ -225,8 +208,8 @@ fn a_target_that_is_broken_before_has_no_margin() {
 #[test]
 fn unknown_names_list_the_known_ones() {
     let prepare = |options| {
-        let testbed = cotorra_testbed_file::parse("lab.yaml", LAB, Path::new("")).unwrap();
-        Margin::new("lab.yaml", testbed, LAB.to_owned(), options).unwrap_err().to_string()
+        let testbed = cotorra_testbed_file::parse("lab.yaml", &lab(), Path::new("")).unwrap();
+        Margin::new("lab.yaml", testbed, lab(), options).unwrap_err().to_string()
     };
     let wrong = prepare(Options { services: vec!["x".into()], ..options(&[Kind::Delay]) });
     assert_eq!(wrong, "there is no service `x` in the testbed file; its services: navigation");
@@ -245,37 +228,37 @@ fn a_search_is_made_again_if_the_testbed_or_the_limit_changes() {
     let search = |text: &str, options: &Options| {
         margin(text, options.clone()).run(&journal, JOBS, |_, _| true).unwrap()
     };
-    let first = search(LAB, &options);
+    let first = search(&lab(), &options);
     assert_eq!((first.resumed, first.again.to_string()), (0, String::new()));
-    let same = search(&LAB.replace("name: lab", "name: lab # the same"), &options);
+    let same = search(&lab().replace("name: lab", "name: lab # the same"), &options);
     assert_eq!((same.resumed, &same.findings), (first.runs, &first.findings));
 
-    let slower = search(&LAB.replace("delay: 2 ms", "delay: 3 ms"), &options);
+    let slower = search(&lab().replace("delay: 2 ms", "delay: 3 ms"), &options);
     let breaks = |margins: &Margins| margins.findings[0].breaks_ms.unwrap();
     assert!((breaks(&first) - breaks(&slower) - 1.0).abs() < 0.05, "{slower:?}");
     assert_eq!(slower.resumed, 0);
     assert!(slower.again.to_string().starts_with("lab.yaml changed: "), "{}", slower.again);
 
     let until = Options { until: Some(Duration::from_secs(4)), ..options.clone() };
-    let shorter = search(LAB, &until);
+    let shorter = search(&lab(), &until);
     assert!(
         shorter.resumed == 0 && shorter.again.to_string().starts_with("--until and lab.yaml changed: "),
         "{shorter:?}"
     );
-    // What it had before is there, too.
-    assert_eq!(search(LAB, &options).resumed, first.runs);
+    // Earlier runs are there, too.
+    assert_eq!(search(&lab(), &options).resumed, first.runs);
 }
 
 #[test]
 fn a_search_without_its_plug_in_finds_nothing() {
     let place = tempfile::tempdir().unwrap();
     fs::write(place.path().join("mine.sh"), "echo I am gone; exit 1\n").unwrap();
-    let text = format!("{LAB}{PROGRAM}");
+    let text = lab() + PROGRAM;
     let testbed = cotorra_testbed_file::parse("lab.yaml", &text, place.path()).unwrap();
     let margin = Margin::new("lab.yaml", testbed, text, options(&[Kind::Down])).unwrap();
     let journal = Journal::open(&place.path().join("out")).unwrap();
     let error = margin.run(&journal, JOBS, |_, _| true).unwrap_err().to_string();
-    assert!(error.contains("plug-in mine: ") && error.contains("its log is in "), "{error}");
+    assert!(error.contains("plug-in mine was cut off: ") && error.contains("its log is in "), "{error}");
     let logs: Vec<_> = fs::read_dir(journal.path().join("logs")).unwrap().flatten().collect();
     let log = fs::read_to_string(logs[0].path().join("plugins/mine.log")).unwrap();
     assert_eq!((logs.len(), log.as_str()), (1, "I am gone\n"));

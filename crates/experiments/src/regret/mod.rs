@@ -2,7 +2,7 @@
 //!
 //! The run is repeated in virtual time with the same seed. At a decision it takes an alternative, and goes on with the same
 //! random streams. Both are compared by the samples that were sent from the decision on. With several seeds, the differences
-//! of each pair of runs tell whether an alternative is better by more than chance.
+//! of each pair of runs show whether an alternative is better by more than chance.
 
 mod compared;
 mod decided;
@@ -17,7 +17,7 @@ use std::{
 
 use cotorra_graph::{ServiceId, Testbed, Timestamp, millis};
 use cotorra_numbers::{median, seed};
-use cotorra_testbed::{Altered, Fork, Unrecorded};
+use cotorra_testbed::{Altered, Fork, Unrecorded, Void};
 use serde::{Deserialize, Serialize};
 
 use self::decided::{Observer, Sample, Taken};
@@ -32,7 +32,7 @@ use crate::{
     journal::Journal,
     kept,
     key::Keys,
-    outcome::{Outcome, Void},
+    outcome::Outcome,
 };
 
 /// Longest run with an alternative and without an own limit, as a multiple of the run as it was.
@@ -287,7 +287,7 @@ impl Regret {
         let key = self.keys.key(journal.version(), &self.testbed, &self.text, self.until);
         let want = |tried| Wanted { name: name(tried), key: key.clone(), samples: None };
         let wanted: Vec<_> = tries.iter().map(want).collect();
-        let maker = Maker { journal, keys: &self.keys };
+        let maker = Maker { journal, keys: &self.keys, judge: Void::wrong };
         let fork = |place: usize, stop: &AtomicBool| {
             let (run, decided, alternative) = tries[place];
             let fork = Fork {

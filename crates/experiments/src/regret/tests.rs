@@ -1,35 +1,22 @@
 use std::fs;
 
+use cotorra_testing::lab::Lab;
+
 use super::*;
 
 const JOBS: NonZero<usize> = NonZero::new(2).unwrap();
 
-/// A robot that goes from A to B. `probing` attaches it to B, whose link to the server has the delay DELAY.
-const LAB: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
-nodes:
-  robot: { kind: robot, roaming: instructed }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  B: { kind: radio_unit, position: [10, 1], channel: 6 }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [A, edge], delay: 3 ms }
-  - { ends: [B, edge], delay: DELAY }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-  robot: { waypoints: [[0, 0], [10, 0]], speed_limit: 0.7 m/s, position_interval: 50 ms }
-plugins:
-  - { bundled: probing, settings: { interval: 2 s } }
-";
-
+/// A robot that goes from A to B. `probing` attaches it to B, whose link to the server has this delay.
 fn regret(delay: &str) -> Regret {
-    let text = LAB.replace("DELAY", delay);
+    let lab = Lab {
+        roaming: "instructed",
+        b: Some(10),
+        links: &[("A, edge", "3 ms"), ("B, edge", delay)],
+        walk: "{ waypoints: [[0, 0], [10, 0]], speed_limit: 0.7 m/s, position_interval: 50 ms }",
+        rest: "plugins:\n  - { bundled: probing, settings: { interval: 2 s } }\n",
+        ..Lab::default()
+    };
+    let text = lab.to_string();
     let testbed = cotorra_testbed_file::parse("lab.yaml", &text, Path::new(""));
     let testbed = testbed.unwrap_or_else(|wrong| panic!("{wrong}"));
     Regret::new(("lab.yaml", testbed, text), &[], 1, None).unwrap()

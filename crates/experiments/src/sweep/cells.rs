@@ -1,12 +1,15 @@
 //! Statistics over the runs of one combination.
 
-use cotorra_graph::{NodeId, ServiceId};
+use cotorra_graph::{NodeId, ServiceId, Statistic, Total};
 use cotorra_numbers::{self as numbers, FEWEST, Mean, share_over_runs};
-use cotorra_testbed::Verdict;
+use cotorra_testbed::{Verdict, Void};
 use serde::Serialize;
 
-use super::measured::{Measured, MeasuredService};
-use crate::outcome::{Outcome, Void};
+use super::{
+    column::{self, Column, service_time, total},
+    measured::{Measured, MeasuredService},
+};
+use crate::outcome::Outcome;
 
 /// A combination of values, and the statistics over its runs. If any of them is void, so is the cell: it has no figures.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -165,16 +168,16 @@ impl Cell {
     }
 
     /// Returns the intervals by the names of the table's columns.
-    pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 8] {
+    pub(crate) fn intervals(&self) -> [Column<Option<Interval>>; 8] {
         [
-            ("service_time_p50_ms", self.service_time_p50_ms),
-            ("service_time_p95_ms", self.service_time_p95_ms),
-            ("service_time_p99_ms", self.service_time_p99_ms),
-            ("above_target", self.above_target),
-            ("handovers", self.handovers),
-            ("duration_ms", self.duration_ms),
-            ("blind_m", self.blind_m),
-            ("longest_blind_m", self.longest_blind_m),
+            service_time(Statistic::P50, self.service_time_p50_ms),
+            service_time(Statistic::P95, self.service_time_p95_ms),
+            service_time(Statistic::P99, self.service_time_p99_ms),
+            column::above_target(self.above_target),
+            total(Total::Handovers, self.handovers),
+            total(Total::Duration, self.duration_ms),
+            total(Total::Blind, self.blind_m),
+            total(Total::LongestBlind, self.longest_blind_m),
         ]
     }
 }
@@ -217,13 +220,13 @@ impl ServiceCell {
     }
 
     /// Returns the intervals by the names of the table's columns.
-    pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 5] {
+    pub(crate) fn intervals(&self) -> [Column<Option<Interval>>; 5] {
         [
-            ("service_time_p50_ms", self.service_time_p50_ms),
-            ("service_time_p95_ms", self.service_time_p95_ms),
-            ("service_time_p99_ms", self.service_time_p99_ms),
-            ("above_target", self.above_target),
-            ("unanswered", self.unanswered),
+            service_time(Statistic::P50, self.service_time_p50_ms),
+            service_time(Statistic::P95, self.service_time_p95_ms),
+            service_time(Statistic::P99, self.service_time_p99_ms),
+            column::above_target(self.above_target),
+            total(Total::Unanswered, self.unanswered),
         ]
     }
 }

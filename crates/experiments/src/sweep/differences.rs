@@ -2,11 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use cotorra_graph::{Bound, Unit};
+use cotorra_graph::{Bound, Statistic, Total, Unit};
 use cotorra_numbers::{self as numbers, FEWEST, Mean, holm};
 use serde::Serialize;
 
-use super::{measured::Measured, runs::Runs};
+use super::{
+    column::{Column, above_target, service_time, total},
+    measured::Measured,
+    runs::Runs,
+};
 
 /// A figure of a combination, less that of the first combination with the same seed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -47,17 +51,19 @@ impl Difference {
     }
 }
 
-/// Figures of a run that are compared, beside its KPIs.
-const COMPARED: [&str; 8] = [
-    "service_time_p50_ms",
-    "service_time_p95_ms",
-    "service_time_p99_ms",
-    "above_target",
-    "handovers",
-    "migrations",
-    "duration_ms",
-    "blind_m",
-];
+/// Returns the figures of a run that are compared, beside its KPIs, and whether each is a share.
+fn compared() -> [Column<bool>; 8] {
+    [
+        service_time(Statistic::P50, false),
+        service_time(Statistic::P95, false),
+        service_time(Statistic::P99, false),
+        above_target(true),
+        total(Total::Handovers, false),
+        total(Total::Migrations, false),
+        total(Total::Duration, false),
+        total(Total::Blind, false),
+    ]
+}
 
 /// The values of a combination, and the figures of its runs by seed.
 type Contender<'a> = (&'a [String], BTreeMap<u64, Vec<Compared>>);
@@ -79,7 +85,7 @@ impl Compared {
         };
         let figures = run.figures();
         let named = |name: &str| figures.iter().find(|(its, _)| *its == name).and_then(|(_, value)| *value);
-        let figures = COMPARED.map(|name| of(name.to_owned(), name == "above_target", named(name)));
+        let figures = compared().map(|(name, is_share)| of(name.clone(), is_share, named(&name)));
         let kpis = run.services.iter().flat_map(|its| its.kpis.iter().map(move |kpi| (its, kpi)));
         let bounds = kpis.filter_map(|(its, judged)| {
             let bound = judged.kpi.parse::<Bound>().ok()?;

@@ -1,10 +1,13 @@
 //! Results of one run of a sweep.
 
-use cotorra_graph::{NodeId, PluginId, ServiceId, Timestamp};
+use cotorra_graph::{NodeId, PluginId, ServiceId, Statistic, Timestamp, Total};
 use cotorra_testbed::{Judged, Kept, Quantiles, RegionSummary, ServiceSummary, Summary, Verdict};
 use serde::{Deserialize, Serialize};
 
-use super::time_parts::{MeasuredLoss, MeasuredPart};
+use super::{
+    column::{Column, above_target, handover_gap, other, service_time, total},
+    time_parts::{MeasuredLoss, MeasuredPart},
+};
 
 /// The results of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -171,29 +174,29 @@ impl Measured {
     }
 
     /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
-    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 20] {
+    pub(crate) fn figures(&self) -> [Column<Option<f64>>; 20] {
         let count = |n: usize| Some(n as f64);
         [
-            ("duration_ms", Some(self.duration_ms)),
-            ("walked", count(usize::from(self.walked))),
-            ("samples", count(self.samples)),
-            ("unanswered", count(self.unanswered)),
-            ("above_target", self.above_target),
-            ("service_time_p50_ms", self.service_time_p50_ms),
-            ("service_time_p95_ms", self.service_time_p95_ms),
-            ("service_time_p99_ms", self.service_time_p99_ms),
-            ("service_time_max_ms", self.service_time_max_ms),
-            ("handovers", count(self.handovers)),
-            ("handover_gap_p50_ms", self.handover_gap_p50_ms),
-            ("handover_gap_max_ms", self.handover_gap_max_ms),
-            ("migrations", count(self.migrations)),
-            ("plugin_faults", count(self.plugin_faults)),
-            ("applied", count(self.applied)),
-            ("refused", count(self.refused)),
-            ("driven_m", Some(self.driven_m)),
-            ("blind_m", Some(self.blind_m)),
-            ("longest_blind_m", Some(self.longest_blind_m)),
-            ("passed", passed(self.verdict())),
+            total(Total::Duration, Some(self.duration_ms)),
+            other("walked", count(usize::from(self.walked))),
+            total(Total::Samples, count(self.samples)),
+            total(Total::Unanswered, count(self.unanswered)),
+            above_target(self.above_target),
+            service_time(Statistic::P50, self.service_time_p50_ms),
+            service_time(Statistic::P95, self.service_time_p95_ms),
+            service_time(Statistic::P99, self.service_time_p99_ms),
+            service_time(Statistic::Max, self.service_time_max_ms),
+            total(Total::Handovers, count(self.handovers)),
+            handover_gap(Statistic::P50, self.handover_gap_p50_ms),
+            handover_gap(Statistic::Max, self.handover_gap_max_ms),
+            total(Total::Migrations, count(self.migrations)),
+            total(Total::PluginFaults, count(self.plugin_faults)),
+            total(Total::Applied, count(self.applied)),
+            total(Total::Refused, count(self.refused)),
+            total(Total::Driven, Some(self.driven_m)),
+            total(Total::Blind, Some(self.blind_m)),
+            total(Total::LongestBlind, Some(self.longest_blind_m)),
+            other("passed", passed(self.verdict())),
         ]
     }
 }
@@ -229,22 +232,22 @@ impl MeasuredService {
     }
 
     /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
-    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 13] {
+    pub(crate) fn figures(&self) -> [Column<Option<f64>>; 13] {
         let Kept { kept, kept_low, kept_high, keep, .. } = self.kept();
         [
-            ("service_time_target_ms", Some(self.service_time_target_ms)),
-            ("samples", Some(self.samples as f64)),
-            ("unanswered", Some(self.unanswered as f64)),
-            ("above_target", self.above_target),
-            ("service_time_p50_ms", self.service_time_p50_ms),
-            ("service_time_p95_ms", self.service_time_p95_ms),
-            ("service_time_p99_ms", self.service_time_p99_ms),
-            ("service_time_max_ms", self.service_time_max_ms),
-            ("kept", kept),
-            ("kept_low", kept_low),
-            ("kept_high", kept_high),
-            ("keep", keep),
-            ("passed", passed(self.verdict())),
+            other("service_time_target_ms", Some(self.service_time_target_ms)),
+            total(Total::Samples, Some(self.samples as f64)),
+            total(Total::Unanswered, Some(self.unanswered as f64)),
+            above_target(self.above_target),
+            service_time(Statistic::P50, self.service_time_p50_ms),
+            service_time(Statistic::P95, self.service_time_p95_ms),
+            service_time(Statistic::P99, self.service_time_p99_ms),
+            service_time(Statistic::Max, self.service_time_max_ms),
+            total(Total::Kept, kept),
+            other("kept_low", kept_low),
+            other("kept_high", kept_high),
+            other("keep", keep),
+            other("passed", passed(self.verdict())),
         ]
     }
 }
@@ -256,7 +259,7 @@ pub(super) fn passed(verdict: Option<Verdict>) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{FIGURES, FigureKind, Statistic};
+    use cotorra_graph::{FIGURES, FigureKind};
 
     use super::*;
 
@@ -271,7 +274,7 @@ mod tests {
             .figures()
             .into_iter()
             .map(|(name, _)| name)
-            .filter(|name| !declared.iter().any(|declared| declared == name))
+            .filter(|name| !declared.contains(name))
             .collect();
         assert_eq!(others, ["walked", "above_target", "passed"], "words and a complement of `kept`");
     }

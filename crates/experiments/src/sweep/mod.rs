@@ -25,6 +25,7 @@
 
 mod axis;
 mod cells;
+mod column;
 mod differences;
 mod figure;
 mod folder;
@@ -50,7 +51,7 @@ use std::{
 
 use cotorra_graph::{Event, Stamped, Testbed};
 use cotorra_numbers::seed;
-use cotorra_testbed::{Altered, Report, Unrecorded, UnrecordedRun, simulate_unrecorded};
+use cotorra_testbed::{Altered, Report, Unrecorded, UnrecordedRun, Void, simulate_unrecorded};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
@@ -257,7 +258,7 @@ impl Sweep {
             }),
         };
         let wanted: Vec<_> = places.iter().map(want).collect();
-        let maker = Maker { journal, keys: &self.keys };
+        let maker = Maker { journal, keys: &self.keys, judge: Void::void };
         let measure = |i: usize, stop: &AtomicBool| {
             let place = places[i];
             let (testbed, text) = self.of(&all[place])?;

@@ -1,14 +1,15 @@
 //! Tables of a sweep: tidy ones for programs, and a rounded one for readers.
 
-use cotorra_testbed::{DataTable, Judged, name_of_total};
+use cotorra_testbed::{DataTable, Judged, Void, name_of_total};
 
 use super::{
     Axis, Cell, Difference, Interval, Measured, MeasuredService, Region, Runs, ServiceCell, Verdicts,
+    column::Column,
     measured::passed,
     runs::Done,
     time_parts::{MeasuredLoss, MeasuredPart},
 };
-use crate::{cell::number, outcome::Void};
+use crate::cell::number;
 
 /// Last column of all tables for programs: the reason for which a run or a cell has no figures.
 const VOID: &str = "void";
@@ -240,13 +241,13 @@ fn of(values: &[String]) -> impl Iterator<Item = String> + '_ {
     values.iter().cloned()
 }
 
-fn names<const N: usize>(figures: [(&str, Option<f64>); N]) -> [String; N] {
-    figures.map(|(name, _)| name.to_owned())
+fn names<const N: usize>(figures: [Column<Option<f64>>; N]) -> [String; N] {
+    figures.map(|(name, _)| name)
 }
 
 /// Returns the names of the columns of intervals.
-fn bounds<const N: usize>(intervals: [(&'static str, Option<Interval>); N]) -> impl Iterator<Item = String> {
-    let names = |(name, _): (&str, _)| [name.to_owned(), format!("{name}_low"), format!("{name}_high")];
+fn bounds<const N: usize>(intervals: [Column<Option<Interval>>; N]) -> impl Iterator<Item = String> {
+    let names = |(name, _): Column<_>| [name.clone(), name.clone() + "_low", name + "_high"];
     intervals.into_iter().flat_map(names)
 }
 

@@ -1,5 +1,7 @@
 use std::{fs, path::PathBuf};
 
+use cotorra_testing::lab;
+
 use super::*;
 use crate::Outcome;
 
@@ -137,10 +139,10 @@ fn samples_are_kept_for_each_run_of_the_tables() {
     assert_eq!(lines.len() - 1, measured.done[0].outcome.measured().unwrap().samples);
 
     // After an edit, the samples of the runs before it are gone. After it is undone, they are made again.
-    lab.write("lab.yaml", &Lab::FILE.replace("delay: 2 ms", "delay: 4 ms"));
+    lab.write("lab.yaml", &Lab::file().replace("delay: 2 ms", "delay: 4 ms"));
     assert_eq!(run(sweep(2).keep_samples()), (0, "lab.yaml changed: 4 runs again\n".to_owned(), 4));
     assert!(samples(folder.path()) != kept);
-    lab.write("lab.yaml", Lab::FILE);
+    lab.write("lab.yaml", &Lab::file());
     assert_eq!(run(sweep(2)), (4, String::new(), 0));
     assert_eq!(samples(folder.path()), []);
     assert_eq!(run(sweep(2).keep_samples()).1, "samples not kept before: 4 runs again\n");
@@ -235,7 +237,7 @@ fn a_run_without_its_plug_in_is_void_in_every_table_and_made_again() {
     let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
     runs.write(&folder).unwrap();
     assert_eq!((runs.void(), runs.done[1].outcome.void()), (1, None));
-    let reason = "plug-in gone: its program ended: exit status: 0";
+    let reason = "plug-in gone was cut off: its program ended: exit status: 0";
     assert_eq!(runs.done[0].outcome.void().unwrap().reason(), reason);
     let cells = runs.cells();
     assert_eq!((cells[0].above_target, cells[0].duration_ms, &cells[0].services[..]), (None, None, &[][..]));
@@ -265,52 +267,41 @@ fn a_run_without_its_plug_in_is_void_in_every_table_and_made_again() {
     assert_eq!(again.again.to_string(), "void before: 1 run again\n");
 }
 
+#[test]
+fn a_run_without_frames_is_void_as_it_is_alone() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = Journal::open(&out.path().join("sweep")).unwrap();
+    let links = &[("lan, A", "1 ms"), ("lan, edge", "2 ms")];
+    let text = lab::Lab { b: None, links, ..lab::Lab::default() }.to_string();
+    let sweep = Sweep::new("lab.yaml", text.replace("[A, B]", "A"), Path::new(""));
+    let sweep = sweep.axis("nodes.A.position=[0, 1],[90000, 1]".parse().unwrap());
+    let runs = sweep.until(Some(Duration::from_secs(12))).run(&folder, JOBS, |_, _| true).unwrap();
+    let cells = runs.cells();
+    assert_eq!((runs.void(), &cells[0].void), (1, &None));
+    let void = cells[1].void.as_ref().unwrap().to_string();
+    assert_eq!(
+        void,
+        "void: service navigation of robot has no sample: no packet of its robot was due or sent"
+    );
+    assert!(cells[1].duration_ms.is_none() && !folder.path().join("logs").exists(), "{cells:?}");
+}
+
 /// A folder with a testbed whose plug-in is a program, which sets the delay of a link that its module names.
 struct Lab(tempfile::TempDir);
 
 impl Lab {
-    const FILE: &str = "name: lab
-wireless: { w: { delay: 1 ms, fast_transition: true, shadowing: { deviation: 0 dB } } }
-nodes:
-  robot: { kind: robot, roaming: signal }
-  A: { kind: radio_unit, position: [0, 1], channel: 1 }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links:
-  - { ends: [A, edge], delay: 2 ms }
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge }
-walks:
-  robot: { waypoints: [[0, 0], [2, 0]], speed_limit: 0.5 m/s, position_interval: 50 ms }
-plugins:
-  - { bundled: probing, enabled: false }
-  - { id: mine, command: [python3, mine.py] }
-";
-    const PROGRAM: &str = "import json, os
-from urllib import request
-from amount import AMOUNT_MS
-HEADERS = {'Content-Type': 'application/json', 'Authorization': 'Bearer ' + os.environ['COTORRA_TOKEN']}
-def ask(path, body=None):
-    data = None if body is None else json.dumps(body).encode()
-    return request.urlopen(request.Request(os.environ['COTORRA_API'] + '/api/v1/' + path, data, HEADERS))
-first = True
-for line in ask('events?kinds=robot'):
-    if line.startswith(b'id: '):
-        if first:
-            change = {'instruction': 'condition', 'link': 'A-edge', 'change': {'delay_ms': AMOUNT_MS}}
-            ask('instructions', {'instruction': change, 'reason': ''})
-        first = False
-        ask('marks/%d' % int(line[4:]), {})
-";
+    fn file() -> String {
+        lab::Lab::with_program()
+    }
+
+    fn program() -> String {
+        format!("from amount import AMOUNT_MS\n{}", lab::SETS_DELAY)
+    }
 
     fn new() -> Self {
         let lab = Self(tempfile::tempdir().unwrap());
-        lab.write("lab.yaml", Self::FILE);
-        lab.write("mine.py", Self::PROGRAM);
+        lab.write("lab.yaml", &Self::file());
+        lab.write("mine.py", &Self::program());
         lab.write("amount.py", "AMOUNT_MS = 2\n");
         lab
     }
@@ -351,20 +342,20 @@ fn runs_are_made_again_only_where_something_that_they_depend_on_changed() {
     assert_eq!(edited.again.to_string(), "amount.py changed: 1 run again\n");
     assert_eq!((edited.resumed, medians), (1, vec![12.0, 6.0]));
 
-    lab.write("lab.yaml", &Lab::FILE.replace("delay: 2 ms", "delay: 4 ms"));
+    lab.write("lab.yaml", &Lab::file().replace("delay: 2 ms", "delay: 4 ms"));
     let (edited, medians) = run();
     assert_eq!(edited.again.to_string(), "lab.yaml changed: 2 runs again\n");
     assert_eq!((edited.resumed, medians), (0, vec![12.0, 10.0]));
 
-    lab.write("mine.py", &(Lab::PROGRAM.to_owned() + "# The end.\n"));
+    lab.write("mine.py", &(Lab::program() + "# The end.\n"));
     lab.write("amount.py", "AMOUNT_MS = 3.00\n");
     let (edited, medians) = run();
     assert_eq!(edited.again.to_string(), "amount.py and mine.py changed: 1 run again\n");
     assert_eq!((edited.resumed, medians), (1, vec![8.0, 10.0]));
 
     // As it was in the beginning.
-    lab.write("lab.yaml", Lab::FILE);
-    lab.write("mine.py", Lab::PROGRAM);
+    lab.write("lab.yaml", &Lab::file());
+    lab.write("mine.py", &Lab::program());
     lab.write("amount.py", "AMOUNT_MS = 2\n");
     assert_eq!((run().0.resumed, run().1), (2, vec![6.0, 6.0]));
 }

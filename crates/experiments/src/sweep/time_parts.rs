@@ -4,6 +4,8 @@ use cotorra_graph::{LostAt, ServiceId};
 use cotorra_testbed::{LostSummary, PartSummary, Summary};
 use serde::{Deserialize, Serialize};
 
+use super::column::{Column, other};
+
 /// A link or host, and what it added to the samples above the target.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MeasuredPart {
@@ -73,12 +75,12 @@ impl MeasuredPart {
     }
 
     /// Returns the figures with their names.
-    pub(super) fn figures(&self) -> [(&'static str, Option<f64>); 4] {
+    pub(super) fn figures(&self) -> [Column<Option<f64>>; 4] {
         [
-            ("within_p50_ms", self.within_p50_ms),
-            ("above_p95_ms", self.above_p95_ms),
-            ("added_p95_ms", self.added_p95_ms),
-            ("explains", self.explains),
+            other("within_p50_ms", self.within_p50_ms),
+            other("above_p95_ms", self.above_p95_ms),
+            other("added_p95_ms", self.added_p95_ms),
+            other("explains", self.explains),
         ]
     }
 }

@@ -335,7 +335,7 @@ impl Record for SensorReading {
                 height: row.take()?,
                 bytes: row.take()?,
             }),
-            // Readings without large data have none of its columns.
+            // Readings without large data have no such columns.
             None => {
                 row.0.text()?;
                 for _ in 0..3 {

@@ -18,7 +18,7 @@ use crate::{
 /// The columns of an instruction.
 #[derive(Debug, Default)]
 pub(crate) struct Slots<'a> {
-    /// What it is about, such as a robot, a VNF or a link.
+    /// Its subject, such as a robot, a VNF or a link.
     pub(crate) subject: &'a str,
     /// The radio unit or node that this shall get.
     pub(crate) object: Option<&'a str>,

@@ -21,7 +21,7 @@ pub struct Tables {
     events: u64,
 }
 
-/// What several events refer to, by id.
+/// Rows that several events refer to, by id.
 #[derive(Default)]
 struct Shared {
     conditions: HashMap<i64, Conditions>,

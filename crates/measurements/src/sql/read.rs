@@ -431,7 +431,7 @@ impl<S: Session> Reader<S> {
         let from = stretch * STRETCH;
         let mut before = Cursor { t: at.min(from.saturating_add(STRETCH - 1)), seq: i64::MAX };
         while !wanted.is_empty() {
-            // Where all series are observed at the same times, this is all of them.
+            // If all series are observed at the same times, this is all of them.
             let limit = wanted.len() as i64 + 16;
             let rows = self.rows(&sql, &integers([run.0, from, before.t, before.t, before.seq, limit]))?;
             let last = (rows.len() as i64) < limit;

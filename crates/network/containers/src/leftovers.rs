@@ -165,6 +165,8 @@ async fn connect_to_service(socket: &Path) -> Result<Daemon, DaemonError> {
 pub(crate) async fn remove_all(daemon: &Daemon, run: &str) -> Result<usize, DaemonError> {
     let containers = daemon.containers_of(run).await?;
     for container in &containers {
+        // Otherwise podman waits ten seconds for an orderly end. It may have ended by itself.
+        let _ = daemon.signal(container, "SIGKILL").await;
         daemon.remove(container).await?;
     }
     Ok(containers.len())

@@ -89,8 +89,6 @@ pub struct Fabric {
     departures: VecDeque<Departure>,
     pool: Pool,
     lateness: Histogram,
-    /// Lateness of frames that crossed the air, by sender and receiver.
-    air_lateness: HashMap<[PortId; 2], Histogram>,
     drops: Drops,
     /// Packets of hosts that were sent, delivered and stranded.
     balance: Balance,
@@ -297,7 +295,6 @@ impl Fabric {
             departures: VecDeque::new(),
             pool: Pool::default(),
             lateness: Histogram::default(),
-            air_lateness: HashMap::new(),
             drops: Drops::default(),
             balance: Balance::default(),
             observers: None,
@@ -592,22 +589,6 @@ impl Fabric {
         self.lateness.summary()
     }
 
-    /// Returns how late frames left one direction of a link. For all but the last link of a frame's path, this is only how
-    /// late a poll noticed it. `None` for an unknown link, or a wireless one that no frame crossed.
-    pub fn link_lateness(&self, link: &LinkId, direction: Direction) -> Option<Lateness> {
-        if let Some(&index) = self.link_by_name.get(link) {
-            return Some(self.pipes[edge(index, direction)].lateness().summary());
-        }
-        let is_it = |[from, at]: &[PortId; 2]| {
-            let [robot, unit] = match direction {
-                Direction::Forward => [from, at],
-                Direction::Backward => [at, from],
-            };
-            LinkId::wireless(&self.ports[robot.0].node, &self.ports[unit.0].node) == *link
-        };
-        self.air_lateness.iter().find(|(ends, _)| is_it(ends)).map(|(_, histogram)| histogram.summary())
-    }
-
     /// Returns the frames that the fabric could not forward.
     pub fn drops(&self) -> Drops {
         self.drops
@@ -714,7 +695,7 @@ impl Fabric {
     }
 
     fn poll_pipe(&mut self, at: Timestamp, edge: usize) {
-        while let Some(packet) = self.pipes[edge].poll(at, self.now, &mut self.pool) {
+        while let Some(packet) = self.pipes[edge].poll(at, &mut self.pool) {
             self.crossed(at, edge, packet);
             self.settle(at);
         }
@@ -730,7 +711,6 @@ impl Fabric {
             }
             let Arrival { due, from, at, frame, path: Path { robot, unit, direction }, is_probe, .. } =
                 arrival;
-            self.air_lateness.entry([from, at]).or_default().record(self.now.since(due));
             if is_probe {
                 self.receive_probe(due, ProbeTarget::Air(robot, unit), direction, frame);
                 continue;

@@ -10,7 +10,6 @@ use crate::{
     balance::Balance,
     frame::Frame,
     impairment::{Impairments, jittered},
-    lateness::Histogram,
     meter::Meter,
     pool::Pool,
     queue::Queue,
@@ -85,7 +84,6 @@ pub(crate) struct Pipe {
     needs_packets: bool,
     impaired: bool,
     meter: Meter,
-    lateness: Histogram,
     /// Buffer for the packets that a super-packet is cut into.
     cut: Vec<Packet>,
 }
@@ -104,7 +102,6 @@ impl Pipe {
             needs_packets: needs_packets(conditions),
             impaired: is_impaired(conditions),
             meter: Meter::default(),
-            lateness: Histogram::default(),
             cut: Vec::new(),
             settings,
         }
@@ -113,11 +110,6 @@ impl Pipe {
     /// Returns its settings.
     pub(crate) fn settings(&self) -> &Settings {
         &self.settings
-    }
-
-    /// Returns how late packets left it.
-    pub(crate) fn lateness(&self) -> &Histogram {
-        &self.lateness
     }
 
     /// Returns the counters since the run began.
@@ -161,7 +153,6 @@ impl Pipe {
     pub(crate) fn push(&mut self, now: Timestamp, mut packet: Packet, pool: &mut Pool) -> Option<Packet> {
         if self.clear && self.line.is_empty() {
             self.count_crossing(&packet, now);
-            self.lateness.record(Duration::ZERO);
             return Some(packet);
         }
         (packet.entered, packet.began) = (now, now);
@@ -183,8 +174,8 @@ impl Pipe {
         }
     }
 
-    /// Takes the next packet that has crossed by the deadline `at`. `now` is the time of the poll.
-    pub(crate) fn poll(&mut self, at: Timestamp, now: Timestamp, pool: &mut Pool) -> Option<Packet> {
+    /// Takes the next packet that has crossed by the deadline `at`.
+    pub(crate) fn poll(&mut self, at: Timestamp, pool: &mut Pool) -> Option<Packet> {
         while let Some((packet, sent)) = self.transmitter.finish(at) {
             self.depart(sent, packet, pool);
             self.send_queued(sent, pool);
@@ -194,7 +185,6 @@ impl Pipe {
         }
         let InFlight { due, packet, .. } = self.line.pop_front()?;
         self.count_crossing(&packet, due);
-        self.lateness.record(now.since(due));
         Some(packet)
     }
 

@@ -6,13 +6,6 @@ use std::{fmt, str::FromStr};
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MacAddress(pub [u8; 6]);
 
-impl MacAddress {
-    /// Whether it names one device, i.e. neither a group nor zero.
-    pub fn is_unicast(self) -> bool {
-        self.0[0] & 1 == 0 && self.0 != [0; 6]
-    }
-}
-
 impl fmt::Display for MacAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [a, b, c, d, e, g] = self.0;
@@ -67,13 +60,6 @@ mod tests {
         ] {
             assert_eq!(wrong.parse::<MacAddress>(), Err(MacAddressError), "{wrong}");
         }
-    }
-
-    #[test]
-    fn groups_and_nobody_are_not_unicast() {
-        assert!(MacAddress([2, 0, 0, 0, 1, 0]).is_unicast());
-        assert!(!MacAddress([0xff; 6]).is_unicast());
-        assert!(!MacAddress([0; 6]).is_unicast());
     }
 
     proptest! {

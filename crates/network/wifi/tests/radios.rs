@@ -7,9 +7,10 @@
 #[allow(dead_code, reason = "other tests use the rest")]
 mod fixture;
 
-use std::{env, io, os::fd::AsFd, process::Command, sync::OnceLock, thread, time::Duration};
+use std::{io, os::fd::AsFd, process::Command, sync::OnceLock, thread, time::Duration};
 
 use cotorra_engine::Process;
+use cotorra_testing::radios::{are_promised, sh};
 use cotorra_wifi::{
     AccessPoint, AccessPointDriver, Band, Bss, Channel, Client, Credentials, Daemon, DisabledReason,
     DomainKey, Event, Events, FastTransition, Generation, KeyExchange, MacAddress, MobilityDomain, Network,
@@ -19,20 +20,12 @@ use cotorra_wifi::{
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 
 const ROBOT: MacAddress = MacAddress([2, 0, 0, 0, 0, 0]);
-/// Longer than anything here needs, even scans of all channels.
-const LONG: Duration = Duration::from_secs(60);
-
-fn sh(script: &str) {
-    let status = Command::new("sh").args(["-ec", script]).status().expect("there is a shell");
-    assert!(status.success(), "{script}");
-}
 
 /// Whether there are radios. They are in their namespaces then.
 fn radios() -> bool {
     static READY: OnceLock<bool> = OnceLock::new();
     *READY.get_or_init(|| {
-        if env::var_os("COTORRA_RADIOS").is_none() {
-            eprintln!("skipped: COTORRA_RADIOS promises no radios");
+        if !are_promised() {
             return false;
         }
         sh("for n in 0 1 2; do
@@ -88,14 +81,7 @@ impl Running {
 
     /// Waits for an event. Returns those before it, too.
     fn wait(&mut self, wanted: impl Fn(&Event) -> bool) -> Vec<Event> {
-        let mut seen = Vec::new();
-        while !seen.last().is_some_and(&wanted) {
-            match self.events.next(LONG).expect("it runs") {
-                Some(message) => seen.push(message.event),
-                None => panic!("only {seen:?}"),
-            }
-        }
-        seen
+        fixture::wait(&mut self.events, wanted)
     }
 }
 
@@ -114,9 +100,7 @@ fn unit_of(access_point: AccessPoint) -> Running {
     let daemon =
         Daemon::hostapd(&access_point, folder.as_ref(), &mut inside(number)).expect("hostapd starts");
     let mut running = Running::new(daemon);
-    while running.client.request(&hostapd::status()).expect("a status").state != hostapd::State::Enabled {
-        running.wait(|event| *event == Event::AccessPointEnabled);
-    }
+    fixture::wait_until_it_serves(&mut running.client, &mut running.events);
     running
 }
 
@@ -180,6 +164,24 @@ fn scan(robot: &mut Running) -> Vec<wpa_supplicant::Heard> {
     robot.client.request(&wpa_supplicant::scan(&[])).expect("it scans");
     robot.wait(|event| *event == Event::ScanResults);
     robot.client.request(&wpa_supplicant::scan_results()).expect("results")
+}
+
+/// Starts a unit with WPA2 and the robot, which joins it.
+fn joined() -> (Running, Running) {
+    let security = wpa2(fixture::passphrase(), None);
+    let unit = unit(1, security.clone());
+    let mut robot = robot(security.credentials());
+    robot.wait(connected);
+    (unit, robot)
+}
+
+/// Starts both units and the robot, which joins one of them and knows both.
+fn between_units(security: impl Fn(u8) -> Security) -> ([Running; 2], Running) {
+    let units = [1, 2].map(|number| unit(number, security(number)));
+    let mut robot = robot(security(1).credentials());
+    robot.wait(connected);
+    scan(&mut robot);
+    (units, robot)
 }
 
 /// Radio units with and without the robot.
@@ -246,8 +248,6 @@ fn wrong_keys_are_refused_and_reported() {
 
 /// Roams there and back by fast transition: over the air, and over the distribution system.
 fn roam_fast(mut robot: Running, method: &str) {
-    robot.wait(connected);
-    scan(&mut robot);
     for over_ds in [false, true] {
         for _ in 0..2 {
             let (_, there) = place(&mut robot);
@@ -277,8 +277,8 @@ fn robot_roams_by_ft_psk() {
         return;
     }
     let security = |unit| wpa2(fixture::passphrase(), Some(unit));
-    let _units = [1, 2].map(|number| unit(number, security(number)));
-    roam_fast(robot(security(1).credentials()), "FT-PSK");
+    let (_units, robot) = between_units(security);
+    roam_fast(robot, "FT-PSK");
 }
 
 #[test]
@@ -288,8 +288,8 @@ fn robot_roams_by_ft_sae_between_listed_units() {
     }
     let holder = |unit: u8| (bssid(unit), format!("unit{unit}").parse().expect("a key holder"));
     let security = |unit| ft_sae(unit, Units::These([1, 2].map(holder).to_vec()));
-    let _units = [1, 2].map(|number| unit(number, security(number)));
-    roam_fast(robot(security(1).credentials()), "FT-SAE");
+    let (_units, robot) = between_units(security);
+    roam_fast(robot, "FT-SAE");
 }
 
 #[test]
@@ -298,8 +298,8 @@ fn robot_roams_by_ft_sae_between_units_that_find_each_other() {
         return;
     }
     let security = |unit| ft_sae(unit, Units::Any);
-    let _units = [1, 2].map(|number| unit(number, security(number)));
-    roam_fast(robot(security(1).credentials()), "FT-SAE");
+    let (_units, robot) = between_units(security);
+    roam_fast(robot, "FT-SAE");
 }
 
 #[test]
@@ -315,10 +315,7 @@ fn another_mobility_domain_refuses_the_robot_and_reports_it() {
             fast_transition: Some(FastTransition { domain, ..fast_transition(unit) }),
         }
     };
-    let _units = [1, 2].map(|number| unit(number, security(number)));
-    let mut robot = robot(security(1).credentials());
-    robot.wait(connected);
-    scan(&mut robot);
+    let (_units, mut robot) = between_units(security);
     let (here, there) = place(&mut robot);
     robot.client.request(&wpa_supplicant::roam(bssid(there))).expect("it tries");
     // The status is: invalid PMKID.
@@ -331,10 +328,7 @@ fn a_disconnected_robot_comes_back() {
     if !radios() {
         return;
     }
-    let security = wpa2(fixture::passphrase(), None);
-    let mut unit = unit(1, security.clone());
-    let mut robot = robot(security.credentials());
-    robot.wait(connected);
+    let (mut unit, mut robot) = joined();
     unit.wait(|event| *event == Event::StationConnected { station: ROBOT });
     // The reason is: unspecified.
     unit.client.request(&hostapd::deauthenticate(ROBOT, 1)).expect("it is disconnected");
@@ -350,10 +344,7 @@ fn robot_follows_a_suggestion_to_move() {
         return;
     }
     let security = |unit| wpa2(fixture::passphrase(), Some(unit));
-    let mut units = [1, 2].map(|number| unit(number, security(number)));
-    let mut robot = robot(security(1).credentials());
-    robot.wait(connected);
-    scan(&mut robot);
+    let (mut units, mut robot) = between_units(security);
     let (here, there) = place(&mut robot);
     let access_point = access_point(there, security(there));
     let neighbour = hostapd::Neighbour::new(bssid(there), &access_point.bss, &access_point.radio);
@@ -376,10 +367,7 @@ fn robot_follows_its_unit_to_another_channel() {
     if !radios() {
         return;
     }
-    let security = wpa2(fixture::passphrase(), None);
-    let mut unit = unit(1, security.clone());
-    let mut robot = robot(security.credentials());
-    robot.wait(connected);
+    let (mut unit, mut robot) = joined();
     let channel = fixture::channel(Band::Ghz2, 11, Width::Mhz20);
     unit.client.request(&hostapd::switch_channel(channel, 5)).expect("it switches");
     unit.wait(|event| *event == Event::ChannelSwitched { frequency_mhz: 2462 });
@@ -412,10 +400,7 @@ fn power_is_changed_and_put_back() {
     if !radios() {
         return;
     }
-    let security = wpa2(fixture::passphrase(), None);
-    let _unit = unit(1, security.clone());
-    let mut robot = robot(security.credentials());
-    robot.wait(connected);
+    let _joined = joined();
     let open = || within(0, || TransmitPower::of(&"wlan0".parse().expect("a name")).expect("a radio"));
     let before = open().read().expect("a power").expect("it is up");
     let mut power = open();
@@ -475,17 +460,14 @@ fn robot_comes_back_to_a_unit_that_was_killed() {
     if !radios() {
         return;
     }
-    let security = wpa2(fixture::passphrase(), None);
-    let mut unit = unit(1, security.clone());
-    let mut robot = robot(security.credentials());
-    robot.wait(connected);
+    let (mut unit, mut robot) = joined();
     unit.wait(|event| *event == Event::StationConnected { station: ROBOT });
     sh("kill -9 $(ip netns pids u1)");
     while unit.events.next(Duration::from_millis(10)).is_ok() {}
     let ended = std::iter::repeat_with(|| unit.daemon.ended().expect("it is watched")).flatten().next();
     assert!(ended.is_some_and(|status| !status.success()));
     drop(unit);
-    let _unit = self::unit(1, security);
+    let _unit = self::unit(1, wpa2(fixture::passphrase(), None));
     robot.wait(connected);
 }
 

@@ -6,56 +6,25 @@
 #[allow(dead_code, reason = "other tests use the rest")]
 mod fixture;
 
-use std::{env, fs, path::Path, process::Command, time::Duration};
+use std::{fs, path::Path, process::Command, time::Duration};
 
+use cotorra_testing::radios::{HOSTAPD, SUPPLICANT, are_promised, sh};
 use cotorra_wifi::{
     AccessPointSettings, Band, Bss, Channel, Client, Event, Events, FastTransition, InterfaceName,
     MacAddress, MobilityDomain, Network, Owner, Power, Protection, Radio, Security, StationSettings, Taken,
     TakeoverError, Width, hostapd, launch_here, wpa_supplicant,
 };
 
+use fixture::{wait, wait_until_it_serves};
+
 const ROBOT: MacAddress = MacAddress([2, 0, 0, 0, 0, 0]);
-/// Longer than anything here needs, even scans of all channels.
-const LONG: Duration = Duration::from_secs(60);
-const HOSTAPD: &str = "interface=wlan1
-driver=nl80211
-bridge=br0
-ctrl_interface=/run/hostapd
-ssid=home
-hw_mode=g
-channel=11
-wpa=2
-wpa_key_mgmt=WPA-PSK
-rsn_pairwise=CCMP
-wpa_passphrase=the owner's secret
-";
-const SUPPLICANT: &str = "ctrl_interface=/run/wpa_supplicant
-network={
- ssid=\"home\"
- key_mgmt=WPA-PSK
- psk=\"the owner's secret\"
- scan_freq=2412 2437 2462
-}
-network={
+/// Another network of the owner's station.
+const OTHER: &str = "network={
  ssid=\"other\"
  key_mgmt=NONE
  disabled=1
 }
 ";
-
-fn radios() -> bool {
-    let promised = env::var_os("COTORRA_RADIOS").is_some();
-    if !promised {
-        eprintln!("skipped: COTORRA_RADIOS promises no radios");
-    }
-    promised
-}
-
-fn sh(script: &str) -> String {
-    let output = Command::new("sh").args(["-ec", script]).output().expect("there is a shell");
-    assert!(output.status.success(), "{script}: {output:?}");
-    String::from_utf8(output.stdout).expect("text")
-}
 
 /// An owner's program, which ends with this.
 struct Owners(Box<dyn cotorra_engine::Process>, Events, Client);
@@ -81,14 +50,17 @@ impl Owners {
     fn hostapd() -> Self {
         sh("ip link show br0 >/dev/null 2>&1 || ip link add br0 type bridge; ip link set br0 up");
         let mut hostapd = Self::start("hostapd", "", HOSTAPD, "/run/hostapd/wlan1");
-        while hostapd.status().state != hostapd::State::Enabled {
-            wait(&mut hostapd.1, |event| *event == Event::AccessPointEnabled);
-        }
+        wait_until_it_serves(&mut hostapd.2, &mut hostapd.1);
         hostapd
     }
 
     fn supplicant() -> Self {
-        Self::start("wpa_supplicant", "-i wlan0 -D nl80211 -c", SUPPLICANT, "/run/wpa_supplicant/wlan0")
+        Self::start(
+            "wpa_supplicant",
+            "-i wlan0 -D nl80211 -c",
+            &format!("{SUPPLICANT}{OTHER}"),
+            "/run/wpa_supplicant/wlan0",
+        )
     }
 
     fn status(&mut self) -> hostapd::Status {
@@ -106,17 +78,6 @@ impl Drop for Owners {
         while self.1.next(Duration::from_millis(10)).is_ok() {}
         self.0.kill();
     }
-}
-
-fn wait(events: &mut Events, wanted: impl Fn(&Event) -> bool) -> Vec<Event> {
-    let mut seen = Vec::new();
-    while !seen.last().is_some_and(&wanted) {
-        match events.next(LONG).expect("it runs") {
-            Some(message) => seen.push(message.event),
-            None => panic!("only {seen:?}"),
-        }
-    }
-    seen
 }
 
 fn name(interface: &str) -> InterfaceName {
@@ -177,9 +138,7 @@ fn events(taken: &Taken) -> Events {
 fn serving(taken: &Taken) -> Events {
     let mut events = events(taken);
     let mut client = taken.client().expect("a client").expect("it is on the air");
-    while client.request(&hostapd::status()).expect("a status").state != hostapd::State::Enabled {
-        wait(&mut events, |event| *event == Event::AccessPointEnabled);
-    }
+    wait_until_it_serves(&mut client, &mut events);
     events
 }
 
@@ -192,9 +151,7 @@ fn iw(interface: &str) -> String {
 }
 
 fn is_home(owner: &mut Owners) {
-    while owner.status().state != hostapd::State::Enabled {
-        wait(&mut owner.1, |event| *event == Event::AccessPointEnabled);
-    }
+    wait_until_it_serves(&mut owner.2, &mut owner.1);
     let info = iw("wlan1");
     assert!(info.contains("ssid home") && info.contains("channel 11"), "{info}");
     assert!(info.contains("txpower 20.00 dBm"), "{info}");
@@ -204,7 +161,7 @@ fn is_home(owner: &mut Owners) {
 
 #[test]
 fn an_owners_access_point_is_back_after_a_takeover() {
-    if !radios() {
+    if !are_promised() {
         return;
     }
     let mut owner = Owners::hostapd();
@@ -240,7 +197,7 @@ fn an_owners_access_point_is_back_after_a_takeover() {
 
 #[test]
 fn a_takeover_that_was_killed_is_put_back_by_its_note() {
-    if !radios() {
+    if !are_promised() {
         return;
     }
     let mut owner = Owners::hostapd();
@@ -259,7 +216,7 @@ fn a_takeover_that_was_killed_is_put_back_by_its_note() {
 
 #[test]
 fn an_owners_station_returns_to_its_network() {
-    if !radios() {
+    if !are_promised() {
         return;
     }
     let _home = Owners::hostapd();
@@ -297,7 +254,7 @@ fn an_owners_station_returns_to_its_network() {
 
 #[test]
 fn the_power_of_a_station_that_never_joined_is_put_back() {
-    if !radios() {
+    if !are_promised() {
         return;
     }
     let (folder, note) = find("wlan0");
@@ -316,7 +273,7 @@ fn the_power_of_a_station_that_never_joined_is_put_back() {
 
 #[test]
 fn radios_in_other_use_are_refused() {
-    if !radios() {
+    if !are_promised() {
         return;
     }
     let mut home = Owners::hostapd();

@@ -51,7 +51,7 @@ impl Events {
         loop {
             self.line.clear();
             if self.lines.read_until(b'\n', &mut self.line)? == 0 {
-                // What was not finished is void.
+                // An unfinished event is void.
                 return Ok(None);
             }
             let line = String::from_utf8_lossy(&self.line);

@@ -29,7 +29,7 @@ impl Client {
         let mut events = self.events(&[])?;
         let testbed = self.testbed()?;
         let (sender, inbox) = sync_channel(WAITING);
-        // Ends with the stream, or with the first event that nobody takes any more.
+        // Ends with the stream, or with the first event that is not taken any more.
         thread::spawn(move || while events.next_message().is_some_and(|told| sender.send(told).is_ok()) {});
         let ran = match inbox.recv() {
             Ok(Ok(StreamMessage::Event(first))) => self.run_in_real_time(plugin, &testbed, first, &inbox),
@@ -128,7 +128,7 @@ fn wait(inbox: &Inbox, deadline: Option<Timestamp>, clock: &Clock) -> Result<Nex
         };
         return match received {
             Ok(Ok(StreamMessage::Event(event))) => Ok(Next::Event(event)),
-            // Real time waits for nobody, and has none.
+            // Real time never waits, and has none.
             Ok(Ok(StreamMessage::Mark { .. })) => continue,
             Ok(Err(error)) => Err(error),
             Err(RecvTimeoutError::Timeout) => Ok(Next::Deadline),
@@ -137,7 +137,7 @@ fn wait(inbox: &Inbox, deadline: Option<Timestamp>, clock: &Clock) -> Result<Nex
     }
 }
 
-/// The testbed's time as its events tell it, and this machine's clock between them.
+/// The testbed's time as its events give it, and this machine's clock between them.
 struct Clock {
     #[allow(clippy::disallowed_types, reason = "the shell of a plug-in that runs apart owns its clock")]
     read: std::time::Instant,

@@ -20,7 +20,7 @@ struct Request {
     body: String,
 }
 
-/// A peer that answers the n-th connection with the n-th of these, closes it, and tells what it was asked.
+/// A peer that answers the n-th connection with the n-th of these, closes it, and returns its request.
 fn server<A: AsRef<[u8]> + Send + 'static>(answers: Vec<A>) -> (Client, mpsc::Receiver<Request>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let client = Client::new(&format!("http://{}/", listener.local_addr().unwrap())).unwrap();

@@ -10,7 +10,7 @@ use ureq::{
 
 use super::ClientError;
 
-/// Returns a configuration that trusts the authorities in a file of PEM, and nobody else.
+/// Returns a configuration that trusts the authorities in a file of PEM, and no other.
 pub(super) fn authority(path: &Path) -> Result<TlsConfig, ClientError> {
     let wrong = |reason: String| ClientError::Authority { path: path.to_owned(), reason };
     let text = fs::read(path).map_err(|error| wrong(error.to_string()))?;

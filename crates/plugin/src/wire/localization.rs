@@ -27,7 +27,7 @@ pub struct ScanPacket {
     pub sequence: u32,
     /// Time of emission, on the robot's clock.
     pub emitted: Timestamp,
-    /// A number that nobody can guess who did not receive the packet.
+    /// A number that only a receiver of the packet knows.
     pub nonce: u64,
     /// The robot.
     pub robot: NodeId,

@@ -57,12 +57,6 @@ impl Default for Quaternion {
 }
 
 impl Quaternion {
-    /// The rotation about z by `heading` radians.
-    pub fn from_heading(heading: f64) -> Self {
-        let (z, w) = (heading / 2.0).sin_cos();
-        Self { x: 0.0, y: 0.0, z, w }
-    }
-
     /// The heading (yaw) of the rotated x axis, in (-π, π].
     pub fn heading(&self) -> f64 {
         let Self { x, y, z, w } = self;

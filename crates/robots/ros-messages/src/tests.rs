@@ -403,7 +403,7 @@ fn only_ros1_accepts_text_that_is_not_utf_8() {
 
 #[test]
 fn headings_are_rotations_about_z() {
-    let quarter = Quaternion::from_heading(PI / 2.0);
+    let quarter = Quaternion::from_angles(0.0, 0.0, PI / 2.0);
     assert!((quarter.z - 0.5f64.sqrt()).abs() < 1e-15 && (quarter.w - 0.5f64.sqrt()).abs() < 1e-15);
     assert_eq!(Quaternion::default().heading(), 0.0);
 }

@@ -1,4 +1,4 @@
-//! How the senders of a wireless network share its channels, and what disturbs them.
+//! Sharing of a wireless network's channels by its senders, and what disturbs them.
 
 use std::{collections::BTreeMap, time::Duration};
 

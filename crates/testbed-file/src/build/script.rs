@@ -59,7 +59,7 @@ fn scheduled(
     for link in named {
         named_well &= is_there(builder, link, links);
     }
-    // What may not be faster than a medium that is not known is told with what is wrong with the links.
+    // A condition that may not be faster than an unknown medium is reported with the links' mistakes.
     let wired = links.unwrap_or_default().iter().filter(|link| named.iter().any(|n| n.value == link.id));
     let medium = wired.clone().map(|link| link.medium).min();
     let set = change(builder, &record.set, medium.unwrap_or(UNBOUNDED));

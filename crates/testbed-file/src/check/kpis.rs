@@ -43,7 +43,7 @@ pub(super) fn kpis(
         subjects(bound, service, testbed, sink);
     }
     let target = &kpis.service_time;
-    // How the requests of another node go through the VNFs, nobody says.
+    // The way of another node's requests through the VNFs is not declared.
     let is_elsewhere = service.kpis.flow.as_ref().is_some_and(|flow| flow.from != service.robot);
     match fastest_ns(service, &units, testbed, topology, target.value.as_nanos()) {
         Some(best) if u128::from(best) > target.value.as_nanos() && !is_elsewhere => {

@@ -136,7 +136,7 @@ fn files(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
     }
     let mut of_plugins = Alike::new(HELP);
     for entry in &record.plugins {
-        // What is bundled has no log of its own.
+        // A bundled program has no log of its own.
         let Either::Long(PluginRecord { id: Some(id), command: Some(_), .. }) = &entry.value else {
             continue;
         };

@@ -294,7 +294,7 @@ impl Decode for Capability {
     }
 }
 
-/// What cotorra does anyway: it starts again what ends.
+/// Done by cotorra anyway: it starts again what ends.
 #[derive(Debug)]
 pub(crate) struct Restart;
 

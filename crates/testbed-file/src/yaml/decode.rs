@@ -272,7 +272,7 @@ macro_rules! key {
     };
 }
 
-/// Declares a record of several kinds, which the value of one key tells apart.
+/// Declares a record of several kinds, by the value of one key.
 macro_rules! tagged {
     (
         $(#[doc = $doc:literal])*

@@ -22,7 +22,7 @@ pub struct Diagnostic {
     pub column: usize,
 }
 
-/// Bytes of a line that is shown with a mistake in it. Nobody finds the place in a longer one.
+/// Bytes of a line that is shown with a mistake in it. The place is lost in a longer one.
 const MAX_LINE: usize = 1000;
 
 /// All mistakes of a file, or all its warnings, in the file's order; never empty.
@@ -77,14 +77,14 @@ impl fmt::Display for Diagnostics {
 #[derive(Debug, Default)]
 pub(crate) struct Sink {
     found: Vec<Diagnostic>,
-    /// What is valid, but to be checked before results are trusted.
+    /// Valid settings to check before results are trusted.
     warnings: Vec<Diagnostic>,
     /// The last of those that were too many to keep.
     excess: Option<Diagnostic>,
 }
 
 impl Sink {
-    /// Nobody reads more at once; the rest shows when these are mended.
+    /// More are not read at once; the rest shows when these are mended.
     pub const AT_MOST: usize = 100;
     /// Mistakes, and warnings, that are kept until they are sorted. A file can have millions.
     const KEPT: usize = 10_000;

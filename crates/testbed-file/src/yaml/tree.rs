@@ -339,7 +339,7 @@ impl Builder<'_> {
             Value::Sequence(items) => items.push(node),
             Value::Mapping(entries) => match open.key.take() {
                 Some((key, key_span)) if open.keys.insert(key.clone()) => {
-                    // What is wrong with a collection as a whole, or with a value that is missing, shows at its key.
+                    // A mistake of a collection as a whole, or of a missing value, shows at its key.
                     if !matches!(node.value, Value::Scalar { .. }) || node.is_null() {
                         node.span = key_span.clone();
                     }

@@ -22,10 +22,10 @@ use cotorra_graph::{DomainId, PluginId};
 use super::{connections::Whose, serve::Place, signed_in::SignIns, token::Token, types::Failure};
 use crate::domain::{DomainView, Domains};
 
-/// Who is the operator, who sees and changes everything.
+/// The operator, who sees and changes everything.
 #[derive(Debug, Clone, Default)]
 pub enum Operator {
-    /// The run's user, by the run's socket, which nobody else can open, and pages that this user signed in.
+    /// The run's user, by the run's socket, which no other user can open, and pages that this user signed in.
     #[default]
     User,
     /// Whoever shows this token, and pages that were signed in with it.
@@ -81,7 +81,7 @@ impl Tokens {
 }
 
 /// The tokens of the plug-ins that a run starts as programs. Each plug-in finds its own in its environment. The token
-/// implies the plug-in's name, which nobody else can use.
+/// implies the plug-in's name, which no other caller can use.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct PluginTokens(BTreeMap<PluginId, Token>);
 
@@ -148,7 +148,7 @@ impl Caller {
         }
     }
 
-    /// Returns the name that the caller gives instructions under. It may choose one (`named`) that belongs to nobody else.
+    /// Returns the name that the caller gives instructions under. It may choose one (`named`) that belongs to no other.
     /// `hosted` are the plug-ins of this run. A caller with a domain's token can use the name of one of its plug-ins
     /// elsewhere, or the domain's name.
     pub(super) fn name(
@@ -234,7 +234,7 @@ impl Gate {
     }
 }
 
-/// Where a browser's request comes from, which no page can choose (Fetch Metadata).
+/// Origin of a browser's request, which no page can choose (Fetch Metadata).
 const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
 /// Returns a header's text.

@@ -20,7 +20,7 @@ use crate::{
 /// Longest step, milliseconds: a day.
 const LONGEST_STEP_MS: f64 = 86_400_000.0;
 
-/// How the run's time passes.
+/// Course of the run's time.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct ClockBody {
     /// Time of the run.

@@ -18,7 +18,7 @@ use crate::{
     core::message::Message,
     events::{live::Live, stream::EventStream},
     history::keeping::Keeper,
-    report::Fidelity,
+    report::{Fidelity, ServiceKpis},
 };
 
 /// Threads that read files and the history; [`super::turns`] shares them out.
@@ -37,7 +37,7 @@ pub(crate) struct Context {
     pub(crate) events: EventStream,
     pub(crate) core: mpsc::Sender<Message>,
     pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
-    /// The plug-ins of this run, in process or started by it. Nobody else can use their names.
+    /// The plug-ins of this run, in process or started by it. No other caller can use their names.
     pub(crate) hosted: Arc<BTreeSet<PluginId>>,
     /// Set in virtual time only.
     pub(crate) lockstep: Option<Lockstep>,
@@ -47,6 +47,8 @@ pub(crate) struct Context {
     pub(crate) paced: bool,
     /// The verdict on a recorded run, if its folder has one.
     pub(crate) verdict: Option<Fidelity>,
+    /// The KPIs of a recorded run's services, as its folder has them.
+    pub(crate) kpis: Vec<ServiceKpis>,
     /// Large data of sensors, if any sensor has such.
     pub(crate) keeper: Option<Keeper>,
     pub(crate) wais: WaisOptions,

@@ -1,4 +1,4 @@
-//! Where radio units are heard.
+//! Places at which radio units are heard.
 
 use axum::{Extension, Json, extract::State};
 use cotorra_graph::{Dbm, HardwareGraph, Node, NodeId, RadioUnit};

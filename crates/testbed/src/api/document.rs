@@ -49,6 +49,7 @@ use super::{capture, clock, coverage, map, measurements, routes, sensors, stream
         measurements::retained,
         measurements::runs,
         measurements::verdict,
+        measurements::kpis,
         measurements::difference,
         stream::events,
         stream::done

@@ -64,14 +64,14 @@ pub struct Checked {
 /// A mistake in a text.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Mistake {
-    /// Where it begins, in UTF-16 code units, which browsers count.
+    /// Its beginning, in UTF-16 code units, which browsers count.
     pub start: usize,
-    /// Where it ends.
+    /// Its end.
     pub end: usize,
     /// Line, from 1.
     pub line: usize,
     pub message: String,
-    /// How `cotorra check` shows it.
+    /// Text of `cotorra check`.
     pub shown: String,
 }
 

@@ -22,7 +22,7 @@ use super::{
     turns::TURNS,
     types::{Failure, GapBody, Path, Query, RunBody},
 };
-use crate::report::Fidelity;
+use crate::report::{Fidelity, ServiceKpis};
 
 /// A part of the history.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
@@ -223,6 +223,17 @@ pub(super) async fn verdict(
     Extension(caller): Extension<Caller>,
 ) -> Json<Option<Fidelity>> {
     Json(context.verdict.filter(|_| caller.operator().is_ok()))
+}
+
+/// Returns the KPIs of a recorded run's services and the verdicts on them. There are none if the run is not over, was killed, or
+/// the token is a domain's.
+#[utoipa::path(get, path = "/api/v1/measurements/kpis", tag = "measurements",
+    responses((status = 200, body = Vec<ServiceKpis>)))]
+pub(super) async fn kpis(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<Vec<ServiceKpis>> {
+    Json(if caller.operator().is_ok() { context.kpis } else { Vec::new() })
 }
 
 /// A run.

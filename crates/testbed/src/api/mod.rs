@@ -62,7 +62,7 @@ pub use auth::{Operator, Tokens, TokensError};
 pub(crate) use context::{Context, Lockstep, WaisOptions};
 pub use editor::{Checked, Edited, Editor, Mistake};
 pub use sign_in::Dashboard;
-pub use tls::{Encryption, Identity, NetworkApi, TlsError};
+pub use tls::{Encryption, NetworkApi, TlsError};
 pub use token::Token;
 
 #[cfg(test)]
@@ -113,7 +113,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 /// Returns all paths with their handlers. [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 35] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 36] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/clock", get(clock::clock).post(clock::control)),
@@ -147,6 +147,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 35] {
         ("/api/v1/measurements/retained", get(measurements::retained)),
         ("/api/v1/measurements/runs", get(measurements::runs)),
         ("/api/v1/measurements/verdict", get(measurements::verdict)),
+        ("/api/v1/measurements/kpis", get(measurements::kpis)),
         ("/api/v1/measurements/difference", get(measurements::difference)),
         ("/api/v1/events", get(stream::events)),
         ("/api/v1/marks/{number}", post(stream::done)),
@@ -158,10 +159,11 @@ pub fn openapi() -> String {
     include_str!("../../../../docs/openapi.json").to_owned()
 }
 
-/// A served API; ends when it is dropped.
+/// An API, which answers once it is open. Ends when it is dropped.
 pub(crate) struct Server {
     dashboard: Dashboard,
     plugins: PluginTokens,
+    open: Option<oneshot::Sender<()>>,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
     announced: Option<Announced>,
@@ -177,7 +179,7 @@ const BACKLOG: i32 = 4096;
 /// A reserved address, where nothing is served yet.
 pub(crate) struct Listener {
     tcp: std::net::TcpListener,
-    /// Where this machine reaches a run with TLS on an address that is not loopback.
+    /// Port at which this machine reaches a run with TLS on an address that is not loopback.
     loopback: Option<std::net::TcpListener>,
     tls: Option<Arc<ServerConfig>>,
     network: Option<NetworkApi>,
@@ -255,13 +257,13 @@ fn on_loopback(address: SocketAddr) -> SocketAddr {
 }
 
 impl Server {
-    /// Serves the API on a thread of its own.
+    /// Starts a thread that serves the API once it is open. Connections wait until then.
     pub(crate) fn start(listener: Listener, context: Context, tokens: Tokens) -> Result<Self, ApiError> {
         let open_files = cotorra_datapath::raise_open_files().map_err(ApiError::OpenFiles)?;
         Self::start_within(listener, context, tokens, Limits::of(open_files), Patience::default())
     }
 
-    /// Serves the API with other limits.
+    /// Does the same with other limits.
     fn start_within(
         listener: Listener,
         context: Context,
@@ -292,6 +294,7 @@ impl Server {
             .max_blocking_threads(BLOCKING_THREADS)
             .build()
             .map_err(ApiError::Start)?;
+        let (open, opened) = oneshot::channel();
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
         let (wais, mut senders) = wais::serve(&context, gate.clone());
@@ -332,6 +335,9 @@ impl Server {
                         Ok(listeners) => listeners,
                         Err(error) => return tracing::error!("the API is not served: {error}"),
                     };
+                    if opened.await.is_err() {
+                        return;
+                    }
                     let places = |limits| Arc::new(Mutex::new(Connections::new(limits)));
                     let of_ports = places(limits);
                     let to_user = async {
@@ -364,11 +370,19 @@ impl Server {
         Ok(Self {
             dashboard,
             plugins,
+            open: Some(open),
             stop: Some(stop),
             thread: Some(thread),
             announced,
             _delivery: delivery,
         })
+    }
+
+    /// Answers requests from now on.
+    pub(crate) fn open(&mut self) {
+        if let Some(open) = self.open.take() {
+            let _ = open.send(());
+        }
     }
 
     pub(crate) fn dashboard(&self) -> &Dashboard {
@@ -383,8 +397,9 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // Dropped first, so that nobody finds a run that does not answer any more.
+        // Dropped first, so that tools find no run that does not answer any more.
         self.announced = None;
+        self.open = None;
         if let Some(stop) = self.stop.take() {
             let _ = stop.send(());
         }

@@ -14,7 +14,7 @@ use super::{
         Path, TestbedBody, ThroughputTestBody,
     },
 };
-use crate::core::message::Message;
+use crate::{core::message::Message, given::Given};
 
 /// Returns the testbed: graph, services, walks and plug-ins.
 #[utoipa::path(get, path = "/api/v1/testbed", tag = "network",
@@ -271,10 +271,9 @@ pub(super) async fn give(
     let plugin =
         plugin(context, caller, headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a valid name"));
     let (reply, answer) = tokio::sync::oneshot::channel();
+    let InstructionBody { instruction, reason } = body;
     let message = Message::Instruct {
-        plugin,
-        instruction: body.instruction,
-        reason: body.reason,
+        given: Given { plugin, instruction, reason },
         reply: Some(Box::new(move |done| drop(reply.send(done)))),
     };
     context.core.send(message).map_err(|_| Failure::ended())?;

@@ -33,7 +33,7 @@ use super::{
 /// sent.
 const GIVEN: usize = 4;
 
-/// The callers' turns. Nobody takes those of another.
+/// The callers' turns. No caller takes those of another.
 static READINGS: Mutex<BTreeMap<Whose, Arc<Semaphore>>> = Mutex::new(BTreeMap::new());
 
 /// A sensor and its last reading.

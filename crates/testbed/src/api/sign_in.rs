@@ -53,7 +53,7 @@ impl Dashboard {
     }
 }
 
-/// Returns the path at which a page shows its code. Nobody needs a token there.
+/// Returns the path at which a page shows its code. It needs no token.
 pub(super) fn router<S: Clone + Send + Sync + 'static>(pages: Arc<SignIns>) -> Router<S> {
     Router::new().route("/api/v1/sign-in", post(move |place, request| sign_in(pages, place, request)))
 }

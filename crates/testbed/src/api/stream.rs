@@ -38,7 +38,7 @@ pub(super) struct Which {
     sensors: Option<String>,
 }
 
-/// Streams events as they happen. A reader that is more than 4096 events or 16 MiB behind loses the oldest, and slows nobody down. An
+/// Streams events as they happen. A reader that is more than 4096 events or 16 MiB behind loses the oldest, and slows no other. An
 /// event named `missed` has the number of lost events, of all kinds, as its data.
 ///
 /// In virtual time, a plug-in that the testbed started, identified by its token, loses no events. Its stream has an event
@@ -90,7 +90,7 @@ pub(super) struct Wake {
 }
 
 /// Returns a mark: the plug-in has handled all events before it, and has given its instructions. Virtual time goes on. In
-/// real time, which waits for nobody, this does nothing.
+/// real time, which never waits, this does nothing.
 #[utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events",
     params(("number" = u64, Path), ("X-Cotorra-Plugin" = Option<String>, Header), Wake),
     responses((status = 200, body = Done)))]

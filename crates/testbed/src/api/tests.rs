@@ -1,4 +1,4 @@
-//! The API over a socket, as a caller uses it: its answers equal the history's, and slow readers harm nobody.
+//! The API over a socket, as a caller uses it: its answers equal the history's, and slow readers harm no others.
 
 mod applications;
 mod bounds;
@@ -25,6 +25,7 @@ use super::*;
 use crate::{
     core::message::Message,
     events::{live::Live, stream::EventStream},
+    given::Given,
     history::keeping::Keeper,
 };
 
@@ -120,6 +121,7 @@ links: [{ ends: [left, ap] }]
         replay,
         paced: false,
         verdict: None,
+        kpis: Vec::new(),
         keeper: Some(keeper.clone()),
         wais: WaisOptions::default(),
         logs: None,
@@ -128,16 +130,9 @@ links: [{ ends: [left, ap] }]
     let tokens = Tokens::new(operator, BTreeMap::new()).unwrap();
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens, &Encryption::Off).unwrap();
     let listener = listener.announced(found_in, "served", "/runs/served");
-    Served {
-        server: Server::start_within(listener, context, tokens, limits, patience).unwrap(),
-        history,
-        events,
-        runs,
-        live,
-        keeper,
-        fabric,
-        _folder: folder,
-    }
+    let mut server = Server::start_within(listener, context, tokens, limits, patience).unwrap();
+    server.open();
+    Served { server, history, events, runs, live, keeper, fabric, _folder: folder }
 }
 
 /// Reads the head of an answer.
@@ -410,6 +405,12 @@ impl Domains {
     }
 
     fn serve_found_in(found_in: Option<&Runs>) -> Self {
+        let mut served = Self::prepare(found_in);
+        served.server.open();
+        served
+    }
+
+    fn prepare(found_in: Option<&Runs>) -> Self {
         let text = "
 name: served
 domains: [one, two]
@@ -455,6 +456,7 @@ plugins:
             replay: false,
             paced: false,
             verdict: None,
+            kpis: Vec::new(),
             keeper: None,
             wais: WaisOptions::default(),
             logs: Some(logs.path().to_owned()),
@@ -563,7 +565,9 @@ fn a_domain_gives_instructions_to_its_own_nodes_and_under_its_own_name() {
     assert!(served.core.try_recv().is_err(), "the core heard of neither");
     let core = std::mem::replace(&mut served.core, mpsc::channel().1);
     let answers = std::thread::spawn(move || {
-        let Ok(Message::Instruct { plugin, reply, .. }) = core.recv() else { panic!("no instruction") };
+        let Ok(Message::Instruct { given: Given { plugin, .. }, reply }) = core.recv() else {
+            panic!("no instruction")
+        };
         (reply.expect("the API waits for an answer"))(Ok(()));
         plugin
     });
@@ -628,7 +632,7 @@ fn vnfs_are_added_listed_and_removed() {
     // A core that applies everything.
     let obedient = std::thread::spawn(move || {
         let mut heard = Vec::new();
-        while let Ok(Message::Instruct { plugin, instruction, reply, .. }) = core.recv() {
+        while let Ok(Message::Instruct { given: Given { plugin, instruction, .. }, reply }) = core.recv() {
             heard.push(format!("{plugin} {}", instruction.name()));
             let decision = cotorra_graph::Decision { plugin, instruction, reason: None, refused: None };
             live.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Decision(decision) });
@@ -714,7 +718,9 @@ fn no_caller_can_pose_as_a_plugin_of_the_run() {
     let core = std::mem::replace(&mut served.core, mpsc::channel().1);
     let names = std::thread::spawn(move || {
         let answer = |message| {
-            let Message::Instruct { plugin, reply, .. } = message else { panic!("no instruction") };
+            let Message::Instruct { given: Given { plugin, .. }, reply } = message else {
+                panic!("no instruction")
+            };
             (reply.expect("the API waits for an answer"))(Ok(()));
             plugin.to_string()
         };
@@ -762,6 +768,20 @@ fn until_closed(mut stream: TcpStream) -> String {
     let mut said = Vec::new();
     let _ = stream.read_to_end(&mut said);
     String::from_utf8(said).unwrap()
+}
+
+#[test]
+fn requests_wait_until_the_api_is_open() {
+    let early =
+        |served: &Domains| say(&served.server, "GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let never_open = Domains::prepare(None);
+    let request = early(&never_open);
+    drop(never_open);
+    assert_eq!(until_closed(request), "");
+    let mut served = Domains::prepare(None);
+    let request = early(&served);
+    served.server.open();
+    assert_eq!(answer(request).0, 200);
 }
 
 #[test]

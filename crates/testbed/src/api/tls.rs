@@ -31,7 +31,7 @@ const MOST_HOSTS: usize = 256;
 /// Scope of addresses in `/proc/net/if_inet6` that lead beyond their network.
 const GLOBAL: &str = "00";
 
-/// What protects the API on an address beyond loopback.
+/// Protection of the API on an address beyond loopback.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Encryption {
     /// TLS with a certificate by the authority in this folder, or else in the user's folder. Both are made if they are
@@ -81,16 +81,16 @@ fn advice(error: &EnrolmentError) -> String {
     error.help().map(|help| format!("; {help}")).unwrap_or_default()
 }
 
-/// How other machines reach the API.
+/// Address and identity of the API for other machines.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NetworkApi {
     /// URL of the API.
     pub url: String,
-    /// How clients know the API; `None` without TLS.
+    /// Identity of the API; `None` without TLS.
     pub identity: Option<Identity>,
 }
 
-/// How clients know the API.
+/// Identity of the API for clients.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Identity {
     /// Certificate of the authority, for clients; `None` if the certificate is the user's own.

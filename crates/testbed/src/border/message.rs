@@ -30,7 +30,7 @@ pub(super) enum Message {
     State(State),
 }
 
-/// What one core wants or reports.
+/// Wish or report of one core.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum State {
     Home(HomeState),

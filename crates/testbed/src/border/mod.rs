@@ -8,7 +8,7 @@
 //! **At the visited core**, a visitor stands for the robot: a robot of its graph, whose radio is subject to all its
 //! conditions. It is silent until its robot attaches.
 //!
-//! Each core tells its state at each κ. A core that hears nothing for the lease counts the other one as gone.
+//! Each core sends its state at each κ. A core that hears nothing for the lease counts the other one as gone.
 
 mod message;
 mod tunnels;

@@ -38,7 +38,7 @@ const ROOM: Duration = Duration::from_millis(1);
 const LARGEST: usize = 2048;
 /// Most datagrams a second of one tunnel. More are lost before they are opened.
 const MOST_DATAGRAMS: f64 = 10_000.0;
-/// Most states a second of one tunnel. Cores tell ten.
+/// Most states a second of one tunnel. Cores send ten.
 const MOST_STATES: f64 = 50.0;
 const _: () = assert!(message::LONGEST + Tunnel::OVERHEAD <= LARGEST);
 

@@ -6,7 +6,7 @@ use cotorra_graph::{NodeId, Pose, PoseSource, Position, SensorData, Timestamp, V
 use cotorra_robot_middleware::{CommandError, RobotDriver, Scan};
 use parking_lot::Mutex;
 
-/// Where visitors are.
+/// Places of visitors.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Places(Arc<Mutex<BTreeMap<NodeId, Position>>>);
 

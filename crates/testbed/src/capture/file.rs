@@ -231,7 +231,7 @@ links: [{ ends: [left, right] }]
         let error = CaptureFile::begin_all(&plans, &wiretap(&fabric)).unwrap_err().to_string();
         assert_eq!(error, "cannot capture: there is no link or node `nothing`");
         assert!(plans.iter().all(|plan| !plan.file.exists()));
-        // What others wrote stays.
+        // Files of others stay.
         std::fs::write(&plans[1].file, "others").unwrap();
         let error = CaptureFile::begin_all(&plans, &wiretap(&fabric)).unwrap_err().to_string();
         assert!(error.contains("right exists already"), "{error}");

@@ -19,7 +19,7 @@ use cotorra_fabric::{TapError, TapReader};
 use tokio::sync::mpsc::{Receiver, channel};
 use tokio_stream::Stream;
 
-pub use self::file::{CaptureError, CapturePlan, InvalidCapturePlan, create_capture};
+pub use self::file::{CaptureError, CapturePlan, create_capture};
 use self::pcapng::{Captured, Writer};
 pub(crate) use self::{file::CaptureFile, filter::Filter};
 

@@ -2,13 +2,14 @@
 
 use std::{net::SocketAddrV4, sync::Arc};
 
-use cotorra_graph::{Instruction, NodeId, PluginId, Stamped, Timestamp};
+use cotorra_graph::{NodeId, PluginId, Stamped, Timestamp};
 use cotorra_ledger::tunnel::TunnelId;
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::Actions;
 
 use crate::{
     events::follower::Follower,
+    given::Given,
     plugins::host::Fault,
     virtual_time::time_control::{TimeChange, TimeState},
 };
@@ -30,9 +31,7 @@ pub(crate) enum Message {
     },
     /// A plug-in, or a caller of the API, gives an instruction.
     Instruct {
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
+        given: Given,
         /// Receives the outcome.
         reply: Option<Reply>,
     },

@@ -18,8 +18,8 @@ use std::{
 
 use cotorra_engine::{Engine, InstanceWaits};
 use cotorra_graph::{
-    Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, RobotContext, SensorId,
-    Stamped, Testbed, Timestamp, VnfEvent, VnfId, VnfState,
+    Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, RobotContext, SensorId, Stamped,
+    Testbed, Timestamp, VnfEvent, VnfId, VnfState,
 };
 use cotorra_ledger::tunnel::TunnelId;
 use cotorra_localization::trajectory::Errors;
@@ -43,11 +43,12 @@ use self::{
 use crate::{
     border::{self, Border},
     domain::Domains,
+    given::Given,
     plugins::host::{Controlled, Fault},
     real::robots::RobotError,
 };
 
-/// The discard port, at which nobody listens (RFC 863).
+/// The discard port, at which no program listens (RFC 863).
 const DISCARD: u16 = 9;
 
 /// Interval of ι, d and λ.
@@ -63,7 +64,7 @@ pub(crate) struct Core<N, E> {
     domains: Domains,
     middleware: RobotMiddleware,
     control: NetworkControl<N, E>,
-    /// Where it meets other cores, in real time only.
+    /// Meeting point with other cores, in real time only.
     border: Option<Border>,
     /// Navigation VNF of each robot.
     navigators: BTreeMap<NodeId, Answerer>,
@@ -206,9 +207,10 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     /// Applies a scripted change.
     fn change(&mut self, now: Timestamp, change: Change) {
-        let schedule = PluginId::new(SCHEDULE).expect("it is a name");
+        let plugin = PluginId::new(SCHEDULE).expect("it is a name");
+        let (instruction, reason) = (change.instruction(), Some(change.reason));
         // The decision reports a rejection.
-        let _ = self.instruct(now, schedule, change.instruction(), Some(change.reason));
+        let _ = self.instruct(now, Given { plugin, instruction, reason });
     }
 
     /// Passes the robots' positions to the network, and φ from there to the middleware.
@@ -262,7 +264,7 @@ impl<N: Network, E: Engine> Core<N, E> {
                 };
                 of.asked(&self.control).into_iter().map(socket).collect()
             };
-            // Without a VNF the robot talks to itself, and nobody answers.
+            // Without a VNF the robot sends to itself, and gets no answer.
             let itself = || vec![(robot.clone(), address(&testbed, robot, DISCARD))];
             let servers = Servers {
                 navigation: self.navigators.get(robot).map_or_else(itself, servers),
@@ -427,16 +429,11 @@ impl<N: Network, E: Engine> Core<N, E> {
 }
 
 impl<N: Network, E: Engine> Controlled for Core<N, E> {
-    fn instruct(
-        &mut self,
-        now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
+    fn instruct(&mut self, now: Timestamp, given: Given) -> Result<(), InstructionError> {
         let added = |vnf: &VnfId| Some(self.control.nodes_of_added(vnf)?.cloned().collect());
-        let own = self.domains.of_plugin(&plugin).map_or(Ok(()), |view| view.check(&instruction, added));
-        let done = match &instruction {
+        let Given { plugin, instruction, .. } = &given;
+        let own = self.domains.of_plugin(plugin).map_or(Ok(()), |view| view.check(instruction, added));
+        let done = match instruction {
             _ if own.is_err() => {
                 own.map(|()| Vec::new()).map_err(|reason| InstructionError(reason.to_string()))
             }
@@ -463,7 +460,7 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
             }
             _ => {
                 self.stale_servers = true;
-                border::instruct(self.border.as_mut(), now, &instruction, &mut self.control)
+                border::instruct(self.border.as_mut(), now, instruction, &mut self.control)
             }
         };
         if done.is_ok() && matches!(instruction, Instruction::Deploy { .. } | Instruction::Provision { .. }) {
@@ -471,9 +468,8 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
             self.progress.excuse(now);
         }
         let refused = done.as_ref().err().map(ToString::to_string);
-        let instruction = instruction.public();
-        let decision = Event::Decision(Decision { plugin, instruction, reason, refused });
-        self.report(now, vec![decision]);
+        let given = Given { instruction: instruction.public(), ..given };
+        self.report(now, vec![given.decided(refused)]);
         self.report(now, done?);
         Ok(())
     }

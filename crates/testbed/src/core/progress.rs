@@ -16,7 +16,7 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 /// Longest time without progress while that may be intended: a robot is halted or at a goal, or VNFs start for the first time,
 /// which can be a pull of their images.
 const LONG_PATIENCE: Duration = Duration::from_secs(600);
-/// Edge of the places that are told apart, metres.
+/// Edge of distinct places, metres.
 const PLACE: f64 = 0.5;
 /// Most robots that a sentence describes.
 const DESCRIBED: usize = 8;
@@ -31,7 +31,7 @@ pub(crate) struct Progress {
     walkers: Vec<Walker>,
 }
 
-/// Where a robot has been since its last waypoint.
+/// Places of a robot since its last waypoint.
 #[derive(Debug, Default)]
 struct Leg {
     waypoint: u32,
@@ -104,7 +104,7 @@ mod tests {
         Walker { robot: "r1".parse().unwrap(), waypoint, position, radio_unit: None, is_held: false }
     }
 
-    /// Returns the second at which nobody has made progress for too long, of 2000.
+    /// Returns the second at which no robot has made progress for too long, of 2000.
     fn over(walker: impl Fn(f64) -> Vec<Walker>) -> Option<u32> {
         let mut progress = Progress::default();
         (0..2000).find(|s| {

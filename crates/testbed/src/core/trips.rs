@@ -1,4 +1,4 @@
-//! What became of position packets and scans, which the fabric follows: the parts of service times, and the places at which
+//! Outcomes of position packets and scans, which the fabric follows: the parts of service times, and the places at which
 //! the packets of samples without an answer ended.
 
 use std::{
@@ -16,16 +16,16 @@ const MOST_NEWS: usize = 8192;
 /// Most packets whose samples have not ended. The oldest are forgotten.
 const MOST: usize = 4096;
 
-/// What became of packets, by their nonce.
+/// Outcomes of packets, by their nonce.
 pub(crate) struct Trips {
-    /// The fabric tells each piece of news before it hands out the packet that it is about.
+    /// The fabric reports each piece of news before it hands out the packet that it is about.
     inbox: Receiver<Followed>,
     states: HashMap<u64, State>,
     /// Nonces, the oldest first.
     order: VecDeque<u64>,
 }
 
-/// How far a packet came.
+/// Progress of a packet.
 enum State {
     Under(Progress),
     Answered(Box<RoundTrip>),
@@ -37,7 +37,7 @@ impl Trips {
         let datagrams = |(from, port)| Datagrams { from, port, id_at: NONCE_AT };
         let followed: Vec<_> = ports.into_iter().map(datagrams).collect();
         let (outbox, inbox) = sync_channel(MOST_NEWS);
-        // Fails once the network is gone. Nobody waits for a round trip then.
+        // Fails once the network is gone. A round trip is of no use then.
         let _ = network.with(move |fabric, _| {
             // The fabric must not wait.
             fabric.follow(&followed, Box::new(move |news| drop(outbox.try_send(news))));

@@ -9,7 +9,7 @@ use cotorra_robot_middleware::{SensedData, SensedScan};
 use super::{live::Live, stream::EventStream};
 use crate::history::keeping::Keeper;
 
-/// The receivers of a run's events and data. None of them can hold the others up: each says itself what it missed.
+/// The receivers of a run's events and data. No receiver can hold the others up: each says itself what it missed.
 #[derive(Default)]
 pub(crate) struct Fanout {
     /// The state and the streams of the API, if it is served.
@@ -23,7 +23,7 @@ pub(crate) struct Fanout {
 }
 
 impl Fanout {
-    /// Passes an event on to each receiver once. `tell` passes it to those that belong to the kind of run, such as plug-ins,
+    /// Passes an event on to each receiver once. `tell` gives it to those that belong to the kind of run, such as plug-ins,
     /// which find it in the API's state already.
     pub(crate) fn publish(&mut self, event: Arc<Stamped>, tell: impl FnOnce(&Arc<Stamped>)) {
         if let Some((live, _)) = &self.api {

@@ -98,7 +98,7 @@ pub(crate) struct EventReader {
     next: Option<Arc<Stamped>>,
 }
 
-/// What a reader receives.
+/// Item of a reader's stream.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Received {
     Event(Arc<Stamped>),

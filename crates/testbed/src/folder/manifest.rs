@@ -1,4 +1,4 @@
-//! How a folder of results came to be, for people and for `cotorra reproduce`: `manifest.json`.
+//! Origin of a folder of results, for people and for `cotorra reproduce`: `manifest.json`.
 
 use std::{
     collections::BTreeMap,
@@ -31,12 +31,12 @@ const LONGEST: u64 = 16 << 20;
 /// Maximum bytes of a file outside of the folder whose digest is taken.
 const MAX_OUTSIDE: u64 = 64 << 20;
 
-/// How a folder of results came to be. It is written when the first run begins, and completed when the results are there.
+/// Origin of a folder of results. It is written when the first run begins, and completed when the results are there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// The command line, without secrets; empty if there was none.
     pub command: Vec<String>,
-    /// How the results are made again.
+    /// Way to make the results again.
     pub repeat: Repeat,
     /// Version of cotorra.
     pub version: String,
@@ -52,14 +52,14 @@ pub struct Manifest {
     pub started_at: String,
     /// Digests of the files that the runs need, by their path in the folder.
     pub carried: BTreeMap<PathBuf, Digest>,
-    /// What the runs need and the folder does not have: programs of the machine, and what is too large to be carried. Folders,
+    /// Inputs of the runs that the folder does not have: programs of the machine, and files too large to be carried. Folders,
     /// large files, and those that not everybody can read have no digest. Keys and passwords are not listed.
     pub outside: BTreeMap<PathBuf, Option<Digest>>,
     /// Digests of the results, by their path in the folder; empty until they are there.
     pub produced: BTreeMap<PathBuf, Digest>,
 }
 
-/// How results are made again.
+/// Way to make results again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Repeat {
@@ -95,14 +95,14 @@ pub struct Machine {
 #[serde(transparent)]
 pub struct Digest(String);
 
-/// What started runs.
+/// Origin of runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
     /// The command line, without secrets.
     pub command: Vec<String>,
     /// The commit that the program was built from.
     pub commit: String,
-    /// How the results are made again.
+    /// Way to make the results again.
     pub repeat: Repeat,
 }
 
@@ -114,7 +114,7 @@ pub struct Made {
     pub until: Option<Duration>,
 }
 
-/// What runs need.
+/// Inputs of runs.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inputs {
     /// Files in the folder, by their path there.
@@ -210,7 +210,7 @@ impl Manifest {
         let with_digest = |file: &PathBuf| Ok((file.clone(), digest(&folder.join(file))?));
         let carried: Result<_, FolderError> = inputs.files.iter().map(with_digest).collect();
         let outside = inputs.outside.iter().map(|path| {
-            // A digest of a file that is not for everybody may tell a password.
+            // A digest of a private file may reveal a password.
             let is_public = |about: &fs::Metadata| about.permissions().mode() & 0o004 != 0;
             let is_known =
                 |about: fs::Metadata| about.is_file() && about.len() <= MAX_OUTSIDE && is_public(&about);

@@ -44,7 +44,7 @@ pub(crate) fn create(
     Ok((folder, text))
 }
 
-/// What many runs of a testbed file need, in their folder.
+/// Inputs of many runs of a testbed file, in their folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ManyInputs {
     /// The files, for their manifest.

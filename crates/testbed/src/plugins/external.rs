@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeMap, path::Path, sync::mpsc, time::Duration};
 
-use cotorra_graph::{Instruction, PluginId, PluginProgram, Testbed, Timestamp};
+use cotorra_graph::{PluginId, PluginProgram, Testbed, Timestamp};
 use cotorra_network_control::InstructionError;
 
 use super::{
@@ -16,6 +16,7 @@ use crate::{
     api::{self, ApiError, Dashboard, Listener, Server, Tokens},
     clock::Clock,
     core::message::Message,
+    given::Given,
     virtual_time::time_control::TimeControl,
 };
 
@@ -32,12 +33,7 @@ pub(crate) trait Stage {
     fn host(&mut self) -> &mut PluginHost;
 
     /// Applies an instruction. Its events are published before the instruction is answered.
-    fn instruct(
-        &mut self,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError>;
+    fn instruct(&mut self, given: Given) -> Result<(), InstructionError>;
 
     /// Cuts a program off, and publishes the event.
     fn cut_off(&mut self, plugin: &PluginId, fault: &Fault);
@@ -49,7 +45,7 @@ pub(crate) trait Stage {
     fn goes_on(&mut self) -> bool;
 }
 
-/// What became of a wait for a time of the run.
+/// Outcome of a wait for a time of the run.
 pub(crate) enum Waited {
     /// The time has come.
     Due,
@@ -76,7 +72,8 @@ impl ExternalPlugins {
         context: impl FnOnce(mpsc::Sender<Message>) -> api::Context,
     ) -> Result<Self, ApiError> {
         let (core, inbox) = mpsc::channel();
-        let server = Server::start(listener, context(core), tokens)?;
+        let mut server = Server::start(listener, context(core), tokens)?;
+        server.open();
         Ok(Self { server, processes: BTreeMap::new(), inbox, wall })
     }
 
@@ -181,8 +178,9 @@ impl ExternalPlugins {
             Message::Done { plugin, mark, wake_at } => {
                 stage.host().done(&plugin, mark, wake_at).then_some(plugin)
             }
-            Message::Instruct { plugin, instruction, reason, reply } => {
-                let done = stage.instruct(plugin.clone(), instruction, reason);
+            Message::Instruct { given, reply } => {
+                let plugin = given.plugin.clone();
+                let done = stage.instruct(given);
                 self.end_cut_off(stage);
                 if let Some(reply) = reply {
                     reply(done);

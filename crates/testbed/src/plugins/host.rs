@@ -15,7 +15,10 @@ use cotorra_graph::{
 use cotorra_network_control::{InstructionError, vim::MOST_ADDED};
 use cotorra_plugin::Actions;
 
-use crate::events::follower::{Follower, PluginMessage};
+use crate::{
+    events::follower::{Follower, PluginMessage},
+    given::Given,
+};
 
 /// VNFs that a plug-in may add per second. Each starts programs.
 const VNFS_PER_SECOND: f64 = 10.0;
@@ -75,13 +78,7 @@ enum NotTriedError {
 /// The object of plug-ins' instructions: a testbed, or a recorded run, which rejects them all.
 pub(crate) trait Controlled {
     /// Applies an instruction, and publishes the decision.
-    fn instruct(
-        &mut self,
-        now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError>;
+    fn instruct(&mut self, now: Timestamp, given: Given) -> Result<(), InstructionError>;
 
     /// Stops the robots that a plug-in moved, and publishes the reason for which the plug-in is cut off.
     fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]);
@@ -244,15 +241,14 @@ impl PluginHost {
     pub(crate) fn instruct(
         &mut self,
         now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
+        given: Given,
         controlled: &mut impl Controlled,
     ) -> Result<(), InstructionError> {
-        if let Err(refusal) = self.admit(now, &plugin) {
+        let Given { plugin, instruction, reason } = &given;
+        if let Err(refusal) = self.admit(now, plugin) {
             let refused = InstructionError(refusal.to_string());
             if let NotTriedError::Fault(fault) = refusal {
-                self.cut_off(now, &plugin, &fault, controlled);
+                self.cut_off(now, plugin, &fault, controlled);
             }
             return Err(refused);
         }
@@ -262,24 +258,24 @@ impl PluginHost {
             let longest = Instruction::LONGEST_REASON;
             return Err(InstructionError(format!("its reason has {of_reason} bytes, more than {longest}")));
         }
-        self.admit_bytes(now, &plugin, bytes + of_reason)
+        self.admit_bytes(now, plugin, bytes + of_reason)
             .map_err(|error| InstructionError(error.to_string()))?;
         if matches!(instruction, Instruction::AddVnf { .. }) {
-            self.admit_vnf(now, &plugin).map_err(|error| InstructionError(error.to_string()))?;
+            self.admit_vnf(now, plugin).map_err(|error| InstructionError(error.to_string()))?;
         }
-        let moved = match &instruction {
-            Instruction::Move { robot, .. } if self.movers.get(robot) != Some(&plugin) => {
+        let moved = match instruction {
+            Instruction::Move { robot, .. } if self.movers.get(robot) != Some(plugin) => {
                 Some((robot.clone(), plugin.clone()))
             }
             _ => None,
         };
-        let whose = self.whose(&plugin);
-        let vnf = match &instruction {
+        let whose = self.whose(plugin);
+        let vnf = match instruction {
             Instruction::AddVnf { vnf } => Some((vnf.id.clone(), true)),
             Instruction::RemoveVnf { vnf } => Some((vnf.clone(), false)),
             _ => None,
         };
-        controlled.instruct(now, plugin, instruction, reason)?;
+        controlled.instruct(now, given)?;
         match (vnf, whose) {
             (Some((vnf, true)), Some(whose)) => self.added.push(Added { whose, vnf, removed: None }),
             (Some((vnf, false)), _) => {
@@ -310,7 +306,7 @@ impl PluginHost {
                 return;
             }
             // A rejection is part of the published decision.
-            let _ = self.instruct(now, plugin.clone(), instruction, reason, controlled);
+            let _ = self.instruct(now, Given { plugin: plugin.clone(), instruction, reason }, controlled);
         }
     }
 
@@ -508,13 +504,7 @@ mod tests {
     }
 
     impl Controlled for Obedient {
-        fn instruct(
-            &mut self,
-            _now: Timestamp,
-            _plugin: PluginId,
-            _instruction: Instruction,
-            _reason: Option<String>,
-        ) -> Result<(), InstructionError> {
+        fn instruct(&mut self, _now: Timestamp, _given: Given) -> Result<(), InstructionError> {
             self.done += 1;
             Ok(())
         }
@@ -536,7 +526,7 @@ mod tests {
         let mut testbed = Obedient::default();
         let now = Timestamp::from_secs_f64(1.0);
         let mut ask = |now, who: &PluginId, testbed: &mut Obedient| {
-            host.instruct(now, who.clone(), move_robot(), None, testbed).map_err(|refused| refused.0)
+            host.instruct(now, Given::new(who.clone(), move_robot()), testbed).map_err(|refused| refused.0)
         };
         for _ in 0..1000 {
             ask(now, &flooding, &mut testbed).unwrap();
@@ -574,7 +564,8 @@ mod tests {
         let mut testbed = Obedient::default();
         let now = Timestamp::from_secs_f64(1.0);
         let mut done = |who: &PluginId| {
-            let ask = |_: &i32| host.instruct(now, who.clone(), move_robot(), None, &mut testbed).is_ok();
+            let ask =
+                |_: &i32| host.instruct(now, Given::new(who.clone(), move_robot()), &mut testbed).is_ok();
             (0..5000).filter(ask).count()
         };
         let [few, many] = specs.each_ref().map(|spec| done(&spec.id));
@@ -597,7 +588,7 @@ mod tests {
         for second in 0..seconds {
             for _ in 0..1000 {
                 let now = Timestamp::from_secs_f64(f64::from(second));
-                let _ = host.instruct(now, "one".parse().unwrap(), longest.clone(), None, &mut testbed);
+                let _ = host.instruct(now, Given::new("one".parse().unwrap(), longest.clone()), &mut testbed);
             }
         }
         let most = BYTES_AT_ONCE + f64::from(seconds) * 1000.0 * BYTES_PER_INSTRUCTION;
@@ -606,7 +597,7 @@ mod tests {
         // Another caller has its own share, and one beyond a bound is rejected at once.
         let now = Timestamp::from_secs_f64(f64::from(seconds - 1));
         let mut give = |instruction, reason| {
-            host.instruct(now, "api".parse().unwrap(), instruction, reason, &mut testbed)
+            host.instruct(now, Given { plugin: "api".parse().unwrap(), instruction, reason }, &mut testbed)
         };
         give(longest.clone(), None).unwrap();
         let Instruction::Map { from, to, mut links } = longest else { unreachable!() };
@@ -622,7 +613,8 @@ mod tests {
         let mut testbed = Obedient::default();
         let mut ask = |bytes: usize, testbed: &mut Obedient| {
             let reason = Some("x".repeat(bytes));
-            host.instruct(Timestamp::ZERO, plugin.clone(), move_robot(), reason, testbed)
+            let given = Given { plugin: plugin.clone(), instruction: move_robot(), reason };
+            host.instruct(Timestamp::ZERO, given, testbed)
         };
         assert_eq!(ask(Instruction::LONGEST_REASON, &mut testbed), Ok(()));
         let refused = ask(Instruction::LONGEST_REASON + 1, &mut testbed).unwrap_err();
@@ -650,7 +642,8 @@ mod tests {
             PluginHost::new([name("member".into())], Duration::from_secs(1)).with_domains(&[domain]);
         let mut testbed = Obedient::default();
         let now = Timestamp::from_secs_f64(1.0);
-        let mut ask = |who: String| host.instruct(now, name(who), move_robot(), None, &mut testbed).is_ok();
+        let mut ask =
+            |who: String| host.instruct(now, Given::new(name(who), move_robot()), &mut testbed).is_ok();
         let done = (0..3000).filter(|i| ask(format!("invented-{i}"))).count();
         assert_eq!(done, 1000);
         assert!(ask("member".into()) && ask("lab".into()), "these have their own");
@@ -671,7 +664,7 @@ mod tests {
         let mut add = |seconds: f64, plugin: &PluginId| {
             let now = Timestamp::from_secs_f64(seconds);
             let instruction = Instruction::AddVnf { vnf: Box::new(vnf.clone()) };
-            host.instruct(now, plugin.clone(), instruction, None, &mut testbed)
+            host.instruct(now, Given::new(plugin.clone(), instruction), &mut testbed)
         };
         assert_eq!((0..200).filter(|_| add(1.0, &plugin).is_ok()).count(), 64);
         assert_eq!(
@@ -699,7 +692,7 @@ mod tests {
         let mut seconds = 0.0;
         let mut give = |who: &str, instruction: Instruction, pause: f64| {
             seconds += pause;
-            host.instruct(Timestamp::from_secs_f64(seconds), name(who), instruction, None, &mut testbed)
+            host.instruct(Timestamp::from_secs_f64(seconds), Given::new(name(who), instruction), &mut testbed)
         };
         let add = |number| Instruction::AddVnf { vnf: Box::new(vnf(number)) };
         let mut others = 0;
@@ -727,7 +720,8 @@ mod tests {
         host.domains.insert(name("elsewhere"), name("one"));
         let mut testbed = Obedient::default();
         let now = Timestamp::from_secs_f64(1.0);
-        let mut ask = |who: &str| host.instruct(now, name(who), move_robot(), None, &mut testbed).is_ok();
+        let mut ask =
+            |who: &str| host.instruct(now, Given::new(name(who), move_robot()), &mut testbed).is_ok();
         assert_eq!((0..3000).filter(|n| ask(if n % 2 == 0 { "one" } else { "elsewhere" })).count(), 1000);
         assert!(ask("api"), "the operator has its own");
     }

@@ -1,4 +1,4 @@
-//! Plug-ins in real time, which waits for nobody. Each bundled plug-in has a thread; the others are processes.
+//! Plug-ins in real time, which never waits. Each bundled plug-in has a thread; the others are processes.
 
 use std::{
     collections::BTreeMap,
@@ -13,7 +13,7 @@ use std::{
 };
 
 use cotorra_federation::Ledgers;
-use cotorra_graph::{Instruction, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
+use cotorra_graph::{PluginId, PluginProgram, Stamped, Testbed, Timestamp};
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::{Actions, Plugin};
 
@@ -30,6 +30,7 @@ use crate::{
     clock::Clock,
     core::message::Message,
     domain::{self, DomainView, Domains},
+    given::Given,
     history::previous_run::PreviousRun,
 };
 
@@ -176,12 +177,10 @@ impl RunningPlugins {
     pub(crate) fn instruct(
         &mut self,
         now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
+        given: Given,
         core: &mut impl Controlled,
     ) -> Result<(), InstructionError> {
-        let done = self.host.instruct(now, plugin, instruction, reason, core);
+        let done = self.host.instruct(now, given, core);
         self.end_cut_off();
         done
     }
@@ -226,7 +225,7 @@ impl RunningPlugins {
     }
 }
 
-/// Calls a plug-in so that its faults affect nobody else.
+/// Calls a plug-in so that its faults affect no other.
 struct Guard {
     id: PluginId,
     now: Clock,
@@ -283,7 +282,7 @@ impl Guard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cotorra_graph::{Event, NodeId};
+    use cotorra_graph::{Event, Instruction, NodeId};
     use cotorra_graph_testing as base;
 
     struct Scripted(fn(&mut Actions));
@@ -299,13 +298,7 @@ mod tests {
     struct Faults(Vec<(PluginId, String)>);
 
     impl Controlled for Faults {
-        fn instruct(
-            &mut self,
-            _now: Timestamp,
-            _plugin: PluginId,
-            _instruction: Instruction,
-            _reason: Option<String>,
-        ) -> Result<(), InstructionError> {
+        fn instruct(&mut self, _now: Timestamp, _given: Given) -> Result<(), InstructionError> {
             Ok(())
         }
 
@@ -376,7 +369,7 @@ mod tests {
             told.0
         );
         let scan = Instruction::Scan { robot: "robot".parse().unwrap() };
-        let refused = plugins.instruct(Timestamp::from_secs_f64(3.2), id(), scan, None, &mut told);
+        let refused = plugins.instruct(Timestamp::from_secs_f64(3.2), Given::new(id(), scan), &mut told);
         assert_eq!(refused, Err(InstructionError("this plug-in was cut off".to_owned())));
     }
 }

@@ -43,6 +43,13 @@ pub(crate) struct CoreLoop<N, E> {
 }
 
 impl<N: Network, E: Engine> CoreLoop<N, E> {
+    /// Observes the network for the first time, and publishes that: who asks the API first gets all contexts.
+    pub(crate) fn observe(&mut self) {
+        // If the network is gone, the next attempt ends the run.
+        let _ = self.core.advance((self.now)());
+        self.publish();
+    }
+
     /// Runs until the end. Returns the report, and the time and reason of the end.
     pub(crate) fn run(mut self) -> (Report, Timestamp, End) {
         let mut next_check = Timestamp::ZERO;
@@ -137,9 +144,8 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             Message::Datagram { robot, from, at, bytes, _waiting } => {
                 self.core.receive(at, &robot, from, &bytes);
             }
-            Message::Instruct { plugin, instruction, reason, reply } => {
-                let core = &mut self.core;
-                let done = self.plugins.instruct(now, plugin, instruction, reason, core);
+            Message::Instruct { given, reply } => {
+                let done = self.plugins.instruct(now, given, &mut self.core);
                 if let Some(reply) = reply {
                     // The instruction's events come before its reply.
                     self.publish();

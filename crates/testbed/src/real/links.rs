@@ -1,5 +1,5 @@
 //! Links over interfaces of this machine. NetEm works on the interface itself, for the packets of any program. The fabric
-//! keeps the state of these links as of all others, but carries none of their packets.
+//! keeps the state of these links as of all others, but does not carry their packets.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -58,12 +58,12 @@ fn rules<'a>(graph: &'a HardwareGraph, contexts: &[LinkContext]) -> Result<Rules
     Ok(rules)
 }
 
-/// What a run would do to an interface.
+/// Changes of an interface by a run.
 #[derive(Debug)]
 pub enum InterfacePlan {
     /// Changes of an interface of this machine.
     Here(Plan),
-    /// An agent gives an interface of its machine these rules. Nobody asks it before the run.
+    /// An agent gives an interface of its machine these rules. It is not asked before the run.
     AtAgent(AgentId, Vec<Rule>),
 }
 

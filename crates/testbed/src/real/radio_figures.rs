@@ -1,4 +1,4 @@
-//! Figures of radios that are none of the fabric's.
+//! Figures of radios outside of the fabric.
 
 use cotorra_graph::{Attachment, NodeId, RadioContext, Timestamp};
 

@@ -11,9 +11,7 @@ use std::{
 };
 
 use cotorra_federation::Ledgers;
-use cotorra_graph::{
-    Decision, Event, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
-};
+use cotorra_graph::{Event, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{GraphState, History, PageRequest, RunId, Sample};
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::runs::Runs;
@@ -24,6 +22,7 @@ use crate::{
     clock::{Clock, wall_clock},
     domain::Domains,
     events::{fanout::Fanout, live::Live, stream::EventStream},
+    given::Given,
     history::{
         keeping::Keeper,
         run_info::{about, epoch},
@@ -35,7 +34,7 @@ use crate::{
         lockstep::{Call, Guarded, Locals, Lockstep, PATIENCE, Returned},
         programs,
     },
-    report::Fidelity,
+    report::{Fidelity, ServiceKpis},
     virtual_time::time_control::{Speed, TimeControl},
 };
 
@@ -54,7 +53,7 @@ pub struct ReplayOptions {
     pub known: Option<(Runs, String)>,
     /// Tokens of the API's callers.
     pub tokens: Tokens,
-    /// What protects the API on an address beyond loopback.
+    /// Protection of the API on an address beyond loopback.
     pub encryption: Encryption,
     /// The run's folder with large data of its sensors; `None` if unknown.
     pub folder: Option<PathBuf>,
@@ -125,16 +124,8 @@ struct Record {
 }
 
 impl Controlled for Record {
-    fn instruct(
-        &mut self,
-        now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
-        let refused = Some(REFUSAL.to_owned());
-        let event = Event::Decision(Decision { plugin, instruction, reason, refused });
-        self.events.push_back(Stamped { at: now, event });
+    fn instruct(&mut self, now: Timestamp, given: Given) -> Result<(), InstructionError> {
+        self.events.push_back(Stamped { at: now, event: given.decided(Some(REFUSAL.to_owned())) });
         Err(InstructionError(REFUSAL.to_owned()))
     }
 
@@ -266,6 +257,11 @@ impl Replay {
             paced: options.speed.is_some(),
             // A run that was killed has none.
             verdict: options.folder.as_deref().and_then(|folder| Fidelity::of_folder(folder).ok()),
+            kpis: options
+                .folder
+                .as_deref()
+                .and_then(|folder| ServiceKpis::of_folder(folder).ok())
+                .unwrap_or_default(),
             keeper: options.folder.as_ref().map(|folder| Keeper::of_folder(folder, Pace::Live)),
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
             logs: None,
@@ -409,14 +405,9 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
         &mut self.audience.host
     }
 
-    fn instruct(
-        &mut self,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
+    fn instruct(&mut self, given: Given) -> Result<(), InstructionError> {
         let audience = &mut *self.audience;
-        let done = audience.host.instruct(audience.now, plugin, instruction, reason, &mut audience.record);
+        let done = audience.host.instruct(audience.now, given, &mut audience.record);
         self.tell_decisions();
         done
     }

@@ -19,7 +19,8 @@ const SHORT_LIVES: u32 = 3;
 #[derive(Debug, Default)]
 pub(super) struct Doubts {
     plugins: BTreeMap<PluginId, Plugin>,
-    pub(super) cut_off: Vec<String>,
+    /// Plug-ins that were cut off, and their logs in the run's folder.
+    pub(super) cut_off: Vec<(String, Option<String>)>,
     /// VNFs of the testbed file that have not served so far.
     pub(super) unserved: BTreeSet<VnfId>,
     pub(super) lives: BTreeMap<(VnfId, NodeId), Life>,
@@ -133,12 +134,12 @@ impl Doubts {
         match event {
             Event::PluginFault { plugin, reason } => {
                 let known = self.plugins.get(plugin);
-                let log = known.filter(|its| its.is_program).map(|_| format!(" (logs/plugins/{plugin}.log)"));
-                let log = log.unwrap_or_default();
+                let log = known.filter(|its| its.is_program).map(|_| format!("logs/plugins/{plugin}.log"));
                 if known.is_some_and(|its| its.is_optional) {
+                    let log = log.map(|log| format!(" ({log})")).unwrap_or_default();
                     return Some(format!("optional plug-in {plugin} was cut off: {reason}{log}"));
                 }
-                self.cut_off.push(format!("plug-in {plugin} was cut off: {reason}{log}"));
+                self.cut_off.push((format!("plug-in {plugin} was cut off: {reason}"), log));
             }
             Event::Machine(context) => drop(self.absent.remove(&context.node)),
             Event::Robot(context) => match context.health.first() {
@@ -164,7 +165,7 @@ impl Doubts {
     /// Takes the number of events that plug-ins in process missed.
     pub(super) fn missed(&mut self, events: u64) {
         let what = format!("bundled plug-ins were too slow, and missed {events} events");
-        self.cut_off.extend((events > 0).then_some(what));
+        self.cut_off.extend((events > 0).then_some((what, None)));
     }
 
     /// Whether a plug-in's fault leaves the figures valid.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{in_use::InUse, kept::Verdict, stream::Stream};
 
 /// A KPI and the verdict on it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Judged {
     /// The KPI, such as `service_time p95 <= 15 ms`.
     pub kpi: String,
@@ -25,6 +25,15 @@ pub struct Judged {
     /// The reason for which there is no verdict, or no value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+}
+
+/// The KPIs of a service in a recorded run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct ServiceKpis {
+    pub service: ServiceId,
+    /// Its KPIs beside the target.
+    #[serde(default)]
+    pub kpis: Vec<Judged>,
 }
 
 /// The KPIs of all services, and the values so far of the figures that they bound.

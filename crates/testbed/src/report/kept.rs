@@ -6,7 +6,7 @@ use cotorra_numbers::wilson;
 use serde::{Deserialize, Serialize};
 
 /// Whether a service kept its target as often as demanded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum Verdict {
     Pass,

@@ -28,26 +28,24 @@ mod verdicts;
 mod vnf_waits;
 mod void;
 
-pub use away::AwaySummary;
 pub use doubts::sampled_services;
 pub(crate) use end::End;
-pub use fidelity::{Fidelity, LatenessSummary};
+pub use fidelity::Fidelity;
 pub use figure::panels;
 pub use fleet::{FEW_ROBOTS, WORST_ROBOTS, robots_by_name};
 pub(crate) use folder::read_file;
 pub use folder::{FolderError, Place, write_file};
 pub use forged::ForgedSummary;
 pub use gateways::GatewaySummary;
-pub use instructed::PluginSummary;
-pub use judged::Judged;
+pub use judged::{Judged, ServiceKpis};
 pub use kept::{Kept, Verdict};
 pub use run_folder::{RunFolder, write_figure, write_samples};
 pub use services::{by_service, name_of_total};
 pub use summary::{
-    DecisionRecord, HandoverRecord, LocalizationSummary, Losses, PlacementRecord, RegionSummary, Report,
-    RobotSummary, ServiceSummary, Summary, service_time_ms,
+    LocalizationSummary, Losses, RegionSummary, Report, RobotSummary, ServiceSummary, Summary,
+    service_time_ms,
 };
 pub use table::DataTable;
 pub use time_parts::{LostSummary, MeanParts, PartSummary, ServiceParts};
 pub use times::Quantiles;
-pub use vnf_waits::VnfWaits;
+pub use void::Void;

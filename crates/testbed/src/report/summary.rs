@@ -29,6 +29,7 @@ use super::{
     time_parts::{ServiceParts, TimePartsReport},
     times::{Quantiles, Times},
     vnf_waits::VnfWaits,
+    void::Void,
 };
 
 /// Maximum number of notices.
@@ -50,7 +51,8 @@ pub struct Summary {
     /// Where the robots stood, if none of them made progress any more.
     pub no_progress: Option<String>,
     /// Reasons for which the figures are not valid; none if they are.
-    pub void: Vec<String>,
+    #[serde(serialize_with = "Void::list")]
+    pub void: Void,
     /// Number of service times, unanswered ones included.
     pub samples: usize,
     /// Number of service times without an answer within the robot's command timeout.
@@ -254,21 +256,16 @@ impl Summary {
         self.ended == End::NoProgress.as_str()
     }
 
-    /// Whether the run ended because its history reached its limit.
-    pub fn is_cut_short(&self) -> bool {
-        self.ended == End::HistoryFull.as_str()
-    }
-
     /// Whether the figures are valid: the emulation did what the testbed file demands, and everything that takes part did.
     pub fn is_valid(&self) -> bool {
-        self.void.is_empty()
+        self.void.is_valid()
     }
 
     /// Returns the verdict as notices at the end of the run, for its history.
     pub(crate) fn last_words(&self, end: Timestamp) -> impl Iterator<Item = Stamped> {
         let stuck = self.no_progress.iter().map(|stand| format!("{}: {stand}", self.ended));
         let forged = self.forged_sources.iter().map(ForgedSummary::sentence);
-        let void = self.void.iter().map(|reason| format!("the figures are not valid: {reason}"));
+        let void = self.void.reasons().map(|reason| format!("the figures are not valid: {reason}"));
         stuck
             .chain(void)
             .chain(forged)
@@ -641,7 +638,7 @@ impl Report {
             duration_ms: millis::of(duration),
             ended,
             no_progress: self.no_progress.clone(),
-            void: Vec::new(),
+            void: Void::default(),
             samples: whole.samples,
             unanswered: whole.unanswered(),
             service_time_target_ms: self.service_time_target_ms(),

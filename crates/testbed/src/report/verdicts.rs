@@ -1,15 +1,15 @@
 //! Verdicts on the KPIs of a summary.
 
-use std::{collections::BTreeMap, io, path::Path};
+use std::{io, path::Path};
 
-use cotorra_graph::{Bound, Measure, NodeId, ServiceId, Timestamp, Total};
+use cotorra_graph::{Bound, Measure, NodeId, Timestamp, Total};
 use serde::Deserialize;
 
 use super::{
     folder::{SUMMARY, read_file},
-    judged::{Judge, Judged, Kpi},
+    judged::{Judge, Judged, Kpi, ServiceKpis},
     kept::Verdict,
-    summary::{ServiceSummary, Summary},
+    summary::{RegionSummary, ServiceSummary, Summary},
     void::LONGEST_SUMMARY,
 };
 
@@ -50,11 +50,19 @@ impl Judge {
                     reason: if value.is_none() { self.reason(measure) } else { None },
                 }
             }
-            Kpi::Radio(standard) => Judged {
-                verdict: Some(Verdict::Pass),
-                measured: Some("that of the robot's network".to_owned()),
-                ..Judged::without_value(format!("radio {}", standard.described()))
-            },
+            Kpi::Radio(standard) => {
+                // The check of the testbed file compared the standard, which is the same at all radio units of a network.
+                let is_its =
+                    |region: &&RegionSummary| region.robot == its.robot && region.attachment.is_some();
+                let used =
+                    summary.regions.iter().find(is_its).map(|_| "that of the robot's network".to_owned());
+                Judged {
+                    verdict: Some(if used.is_some() { Verdict::Pass } else { Verdict::Fail }),
+                    reason: used.is_none().then(|| "no sample crossed a radio unit".to_owned()),
+                    measured: used,
+                    ..Judged::without_value(format!("radio {}", standard.described()))
+                }
+            }
             Kpi::Area => Judged {
                 reason: Some("a run shows the places that its robot visits only".to_owned()),
                 ..Judged::without_value("area".to_owned())
@@ -81,24 +89,27 @@ impl Judge {
     }
 }
 
-impl Judged {
+impl ServiceKpis {
     /// Reads the KPIs of all services from a run's folder.
     ///
     /// # Errors
     /// That of the system, if the folder has no `summary.json`; `InvalidData` if the file is not that of a run.
-    pub fn of_folder(folder: &Path) -> io::Result<BTreeMap<ServiceId, Vec<Self>>> {
+    pub fn of_folder(folder: &Path) -> io::Result<Vec<Self>> {
         #[derive(Deserialize)]
         struct Run {
-            services: Vec<Service>,
-        }
-        #[derive(Deserialize)]
-        struct Service {
-            service: ServiceId,
-            #[serde(default)]
-            kpis: Vec<Judged>,
+            services: Vec<ServiceKpis>,
         }
         let run: Run = serde_json::from_slice(&read_file(&folder.join(SUMMARY), LONGEST_SUMMARY)?)?;
-        Ok(run.services.into_iter().map(|its| (its.service, its.kpis)).collect())
+        Ok(run.services)
+    }
+}
+
+impl Judged {
+    /// Turns the verdict on a whole run into the reason for which a part of the run has none.
+    pub fn of_whole_run(&mut self) {
+        if let Some(verdict) = self.verdict.take() {
+            self.reason = Some(format!("it is {verdict} over the whole run"));
+        }
     }
 
     fn without_value(kpi: String) -> Self {

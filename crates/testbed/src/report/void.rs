@@ -1,9 +1,9 @@
 //! Judges a run as a whole: why its figures are not valid, whatever each of them says.
 
-use std::{io, path::Path, time::Duration};
+use std::{fmt, io, path::Path, time::Duration};
 
 use cotorra_graph::Timestamp;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize, Serializer};
 
 use super::{
     doubts::{Doubts, Samples},
@@ -17,6 +17,89 @@ use super::{
 const DUE: Duration = Duration::from_secs(10);
 /// Size of the longest `summary.json` that is read, bytes.
 pub(super) const LONGEST_SUMMARY: u64 = 64 << 20;
+
+/// The reasons for which the figures of a run are not valid; none if they are. As JSON, the first reason.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "String", from = "String")]
+pub struct Void(Vec<Reason>);
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Reason {
+    text: String,
+    /// Place of the log of a plug-in, in the run's folder.
+    log: Option<String>,
+    /// Whether figures are missing, and the others are not wrong.
+    is_missing: bool,
+}
+
+impl Void {
+    /// Returns itself unless the figures are valid.
+    pub fn void(&self) -> Option<Self> {
+        (!self.is_valid()).then(|| self.clone())
+    }
+
+    /// Returns the reasons for which figures are wrong; `None` if some are missing at most.
+    ///
+    /// Where an earlier run had all figures, missing ones are the effect of what changed since.
+    pub fn wrong(&self) -> Option<Self> {
+        Self(self.0.iter().filter(|reason| !reason.is_missing).cloned().collect()).void()
+    }
+
+    /// Whether the figures are valid.
+    pub fn is_valid(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Returns the reason for one of several runs.
+    pub fn among(&self, void: usize, runs: usize) -> Self {
+        if runs > 1 { format!("{} ({void} of {runs} runs)", self.reason()).into() } else { self.clone() }
+    }
+
+    /// Returns the first reason; empty without any.
+    pub fn reason(&self) -> &str {
+        self.0.first().map_or("", |reason| &reason.text)
+    }
+
+    /// Returns all reasons, with the places of logs in the run's folder.
+    pub fn reasons(&self) -> impl Iterator<Item = String> {
+        let of = |Reason { text, log, .. }: &Reason| match log {
+            Some(log) => format!("{text} ({log})"),
+            None => text.clone(),
+        };
+        self.0.iter().map(of)
+    }
+
+    /// Serializes all reasons as a list.
+    pub(super) fn list<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.reasons())
+    }
+
+    fn wrong_by(&mut self, texts: impl IntoIterator<Item = String>) {
+        self.0.extend(texts.into_iter().map(|text| Reason { text, log: None, is_missing: false }));
+    }
+
+    fn missing(&mut self, texts: impl IntoIterator<Item = String>) {
+        self.0.extend(texts.into_iter().map(|text| Reason { text, log: None, is_missing: true }));
+    }
+}
+
+impl fmt::Display for Void {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "void: {}", self.reason())
+    }
+}
+
+impl From<String> for Void {
+    fn from(text: String) -> Self {
+        Self(vec![Reason { text, log: None, is_missing: false }])
+    }
+}
+
+impl From<Void> for String {
+    fn from(void: Void) -> Self {
+        void.reason().to_owned()
+    }
+}
 
 impl Fidelity {
     /// Reads the verdict on a run from its folder. It is not valid if anything speaks against the run's figures.
@@ -42,29 +125,34 @@ impl Fidelity {
 }
 
 impl Doubts {
-    /// Returns the reasons for which the figures of a summary are not valid; none if they are.
-    pub(super) fn void(&self, summary: &Summary, end: Timestamp) -> Vec<String> {
-        let mut void = Vec::new();
+    /// Judges the figures of a summary.
+    pub(super) fn void(&self, summary: &Summary, end: Timestamp) -> Void {
+        let mut void = Void::default();
         if summary.ended == End::Broken.as_str() {
-            void.push(End::Broken.as_str().to_owned());
+            void.wrong_by([End::Broken.as_str().to_owned()]);
         }
-        void.extend(self.cut_off.iter().cloned());
-        void.extend(self.lives.iter().filter_map(|((vnf, node), life)| {
+        let cut_off = self.cut_off.iter().cloned();
+        void.0.extend(cut_off.map(|(text, log)| Reason { text, log, is_missing: false }));
+        void.wrong_by(self.lives.iter().filter_map(|((vnf, node), life)| {
             life.fault(end).map(|fault| format!("VNF {vnf} on {node} {fault}"))
         }));
         if end.since(Timestamp::ZERO) >= DUE || summary.is_walked() {
-            void.extend(self.unserved.iter().map(|vnf| format!("VNF {vnf} never served")));
+            void.missing(self.unserved.iter().map(|vnf| format!("VNF {vnf} never served")));
             let absent = self.absent.iter();
-            void.extend(absent.map(|(node, agent)| format!("agent {agent} of {node} never reported")));
+            void.wrong_by(absent.map(|(node, agent)| format!("agent {agent} of {node} never reported")));
             let faulty = self.faulty.iter().filter_map(|(robot, fault)| Some((robot, fault.as_ref()?)));
-            void.extend(faulty.map(|(robot, fault)| format!("robot {robot} never worked: {fault}")));
-            void.extend(self.unmeasured(summary));
+            void.wrong_by(faulty.map(|(robot, fault)| format!("robot {robot} never worked: {fault}")));
+            void.missing(self.unmeasured(summary));
         }
         // Robots that stood out of reach sent nothing, which the end of the run says.
         let is_silent = summary.is_stuck() && summary.fidelity.frames == 0;
         let is_excused = is_silent && summary.fidelity.frames_dropped == 0;
         if !summary.fidelity.valid && !is_excused {
-            void.push(summary.fidelity.reason.clone());
+            let reason = [summary.fidelity.reason.clone()];
+            match (summary.fidelity.frames, summary.fidelity.frames_dropped) {
+                (0, 0) => void.missing(reason),
+                _ => void.wrong_by(reason),
+            }
         }
         void
     }
@@ -108,7 +196,7 @@ links:
 services:
   n:
     robot: r
-    kpis: { service_time: 15 ms }
+    kpis: { service_time: 15 ms, radio: n }
     vnfs:
       driver: { program: robot_driver, pinned_to: r }
       navigation: { program: navigation, node: s }
@@ -178,7 +266,11 @@ plugins:
     }
 
     fn void(seconds: u64, end: End, events: &[Stamped]) -> Vec<String> {
-        summary(Report::new(&testbed(), 1), seconds, end, events).void
+        reasons(&summary(Report::new(&testbed(), 1), seconds, end, events))
+    }
+
+    fn reasons(summary: &Summary) -> Vec<String> {
+        summary.void.reasons().collect()
     }
 
     #[test]
@@ -187,7 +279,7 @@ plugins:
             summary(Report::new(&testbed(), 1), 20, End::Until, &[well(), vec![fault("deciding")]].concat());
         let reason =
             "plug-in deciding was cut off: its program ended: exit status: 1 (logs/plugins/deciding.log)";
-        assert_eq!((cut_off.void, cut_off.plugin_faults.len()), (vec![reason.to_owned()], 1));
+        assert_eq!((reasons(&cut_off), cut_off.plugin_faults.len()), (vec![reason.to_owned()], 1));
         let optional =
             summary(Report::new(&testbed(), 1), 20, End::Until, &[well(), vec![fault("logging")]].concat());
         assert!(optional.is_valid() && optional.plugin_faults.is_empty());
@@ -211,6 +303,38 @@ plugins:
     }
 
     #[test]
+    fn a_radio_that_no_sample_crossed_is_not_kept() {
+        let of = |attachment: Option<&str>| {
+            let mut events = well();
+            for event in &mut events {
+                if let Event::ServiceTime(sample) = &mut event.event {
+                    sample.attachment = attachment.map(|unit| unit.parse().unwrap());
+                }
+            }
+            let kpi = &summary(Report::new(&testbed(), 1), 20, End::Until, &events).services[0].kpis[0];
+            (kpi.verdict.unwrap().to_string(), kpi.reason.clone())
+        };
+        assert_eq!(of(Some("A")), ("PASS".to_owned(), None));
+        assert_eq!(of(None), ("FAIL".to_owned(), Some("no sample crossed a radio unit".to_owned())));
+    }
+
+    #[test]
+    fn missing_figures_are_not_wrong_ones() {
+        let of = |events: &[Stamped]| summary(Report::new(&testbed(), 1), 20, End::Until, events).void;
+        let silent: Vec<_> =
+            well().into_iter().filter(|its| matches!(its.event, Event::Placement(_))).skip(1).collect();
+        let (missing, both) = (of(&silent), of(&[silent.clone(), vec![fault("deciding")]].concat()));
+        assert_eq!((missing.reasons().count(), missing.void().is_some(), missing.wrong()), (3, true, None));
+        let wrong = both.wrong().unwrap();
+        assert_eq!(wrong.reason(), "plug-in deciding was cut off: its program ended: exit status: 1");
+        assert_eq!((both.reasons().count(), wrong.reasons().count()), (4, 1));
+        let json = serde_json::to_string(&wrong.among(2, 3)).unwrap();
+        assert_eq!(json, format!("\"{} (2 of 3 runs)\"", wrong.reason()));
+        assert_eq!(serde_json::from_str::<Void>(&json).unwrap(), wrong.among(2, 3));
+        assert!(of(&well()).is_valid() && of(&well()).void().is_none());
+    }
+
+    #[test]
     fn robots_that_never_got_on_need_no_samples_and_no_frames() {
         let placed: Vec<_> =
             well().into_iter().filter(|its| matches!(its.event, Event::Placement(_))).collect();
@@ -218,7 +342,7 @@ plugins:
         placed.iter().for_each(|event| report.absorb(event));
         let summary =
             report.summary(Timestamp::from_secs_f64(60.0), End::NoProgress.as_str(), Losses::default());
-        assert!(matches!(&summary.void[..], [f] if f.contains("service f")), "{:?}", summary.void);
+        assert!(matches!(&reasons(&summary)[..], [f] if f.contains("service f")), "{:?}", summary.void);
         assert!(void(60, End::NoProgress, &placed[1..]).iter().any(|its| its.contains("service n")));
     }
 
@@ -226,8 +350,8 @@ plugins:
     fn programs_are_not_expected_to_run_in_virtual_time_unless_nothing_else_is_measured() {
         let virtual_time = || Report::new(&testbed(), 1).in_virtual_time(&testbed());
         let bundled = [placed("driver"), placed("navigation"), sample("n")];
-        assert_eq!(summary(virtual_time(), 20, End::Until, &bundled).void, [""; 0]);
-        let nothing = summary(virtual_time(), 20, End::Until, &bundled[..2]).void;
+        assert_eq!(reasons(&summary(virtual_time(), 20, End::Until, &bundled)), [""; 0]);
+        let nothing = reasons(&summary(virtual_time(), 20, End::Until, &bundled[..2]));
         assert!(
             matches!(&nothing[..], [n, f] if n.contains("service n") && f.contains("do not run")),
             "{nothing:?}"

@@ -2,12 +2,13 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{Decision, Event, Instruction, NodeId, PluginId, Stamped, Timestamp, VnfId};
+use cotorra_graph::{Instruction, NodeId, PluginId, Stamped, Timestamp, VnfId};
 use cotorra_network_control::InstructionError;
 
 use super::{engine::VirtualEngine, network::VirtualNetwork};
 use crate::{
     core::Core,
+    given::Given,
     plugins::host::{Controlled, Fault},
 };
 
@@ -96,42 +97,30 @@ pub(super) struct Forked<'a> {
 
 impl Forked<'_> {
     /// Publishes that a decision was rejected.
-    fn reject(
-        &mut self,
-        at: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
+    fn reject(&mut self, at: Timestamp, given: Given) -> Result<(), InstructionError> {
         let refused = InstructionError("a fork tries an alternative".to_owned());
-        let decision = Decision { plugin, instruction, reason, refused: Some(refused.to_string()) };
-        self.core.observe(Stamped { at, event: Event::Decision(decision) });
+        self.core.observe(Stamped { at, event: given.decided(Some(refused.to_string())) });
         Err(refused)
     }
 }
 
 impl Controlled for Forked<'_> {
-    fn instruct(
-        &mut self,
-        now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
-        if self.forking.is_here(now, &instruction) {
-            let rejected = self.reject(now, plugin.clone(), instruction, reason);
-            let applied = self.forking.fork.instead.clone().map(|instead| {
+    fn instruct(&mut self, now: Timestamp, given: Given) -> Result<(), InstructionError> {
+        if self.forking.is_here(now, &given.instruction) {
+            let plugin = given.plugin.clone();
+            let rejected = self.reject(now, given);
+            let applied = self.forking.fork.instead.clone().map(|instruction| {
                 let reason = Some("an alternative to the plug-in's decision".to_owned());
-                self.core.instruct(now, plugin, instead, reason)
+                self.core.instruct(now, Given { plugin, instruction, reason })
             });
             self.forking.outcome = Some(applied.unwrap_or(Ok(())));
             return rejected;
         }
-        if self.forking.holds(now, &instruction) {
-            return self.reject(now, plugin, instruction, reason);
+        if self.forking.holds(now, &given.instruction) {
+            return self.reject(now, given);
         }
-        let is_decision = Subject::of(&instruction).is_some();
-        let done = self.core.instruct(now, plugin, instruction, reason);
+        let is_decision = Subject::of(&given.instruction).is_some();
+        let done = self.core.instruct(now, given);
         self.forking.applied += usize::from(is_decision && done.is_ok());
         done
     }

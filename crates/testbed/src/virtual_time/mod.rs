@@ -42,6 +42,7 @@ use crate::{
     core::{Core, script::Script},
     domain::Domains,
     error::RunError,
+    given::Given,
     history::previous_run::PreviousRun,
     plugins::{
         Bundled, PluginError,
@@ -319,19 +320,14 @@ impl Simulation {
     }
 
     /// Applies an instruction from outside now. The reactions of plug-ins in process follow in the next run.
-    pub fn instruct(
-        &mut self,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
+    pub fn instruct(&mut self, given: Given) -> Result<(), InstructionError> {
         let now = self.network.now();
         let done = match &mut self.forking {
             Some(forking) => {
                 let mut forked = Forked { core: &mut self.core, forking };
-                self.host.instruct(now, plugin, instruction, reason, &mut forked)
+                self.host.instruct(now, given, &mut forked)
             }
-            None => self.host.instruct(now, plugin, instruction, reason, &mut self.core),
+            None => self.host.instruct(now, given, &mut self.core),
         };
         // The caller may have used the name of a plug-in in process.
         self.locals.end_cut_off(&self.host);

@@ -7,7 +7,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Instruction, PluginId, Stamped, Testbed, Timestamp};
+use cotorra_graph::{PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{PacedRecorder, RunInfo};
 use cotorra_network_control::InstructionError;
 use cotorra_recording::{Pace, Recording};
@@ -21,6 +21,7 @@ use crate::{
     events::{fanout::Fanout, live::Live, stream::EventStream},
     finished::Finished,
     folder::{manifest::Time, whole},
+    given::Given,
     history::{bound::HistoryBound, keeping::Keeping, recorded::Recorded, run_info::about},
     options::Options,
     plugins::{
@@ -90,7 +91,7 @@ fn simulate_for(
     simulate_with(Arc::new(testbed), text, options, conduct, go_on).map(|(finished, _)| finished)
 }
 
-/// How a run is conducted.
+/// Conduct of a run.
 pub(super) struct Conduct<'a, 'w> {
     /// Longest wait for plug-ins.
     pub(super) patience: Duration,
@@ -100,7 +101,7 @@ pub(super) struct Conduct<'a, 'w> {
     pub(super) altered: &'a Altered,
     /// Called with each event.
     pub(super) observe: &'a mut dyn FnMut(&Stamped),
-    /// Who watches, if somebody does.
+    /// The viewer, if there is one.
     pub(super) watched: Option<Watched<'w>>,
 }
 
@@ -180,6 +181,7 @@ pub(super) fn simulate_with(
             replay: false,
             paced: true,
             verdict: None,
+            kpis: Vec::new(),
             keeper,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
             logs: None,
@@ -333,13 +335,8 @@ impl<G: FnMut(Timestamp) -> bool> Stage for RecordedSimulation<'_, G> {
         self.simulation.host()
     }
 
-    fn instruct(
-        &mut self,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), InstructionError> {
-        let done = self.simulation.instruct(plugin, instruction, reason);
+    fn instruct(&mut self, given: Given) -> Result<(), InstructionError> {
+        let done = self.simulation.instruct(given);
         self.advance(Stretch::Settle);
         done
     }

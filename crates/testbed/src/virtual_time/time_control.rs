@@ -32,7 +32,7 @@ pub(crate) struct TimeChange {
     pub(crate) step: Option<Duration>,
 }
 
-/// How time passes.
+/// Course of time.
 #[derive(Debug, PartialEq)]
 pub(crate) struct TimeState {
     /// The run's time.

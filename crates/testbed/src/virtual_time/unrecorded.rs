@@ -115,7 +115,7 @@ fn in_folder(
     let (patience, wall, altered) = (PATIENCE, wall_clock(), run.altered);
     let conduct = Conduct { patience, wall, altered, observe: &mut observe, watched: None };
     let (finished, forked) = simulate_with(testbed, run.text, &options, conduct, |_| go_on())?;
-    if finished.was_stopped() || finished.summary.plugin_faults.is_empty() {
+    if finished.was_stopped() || finished.summary.void.wrong().is_none() {
         // The folder is not needed any more; failing to remove it does no harm.
         let _ = fs::remove_dir_all(run.folder);
     }

@@ -1,7 +1,7 @@
 //! Wi-Fi programs at agents, which drive real radios.
 //!
 //! A thread carries out the [`Manager`]'s actions, as [`Programs`](super::programs::Programs) does in nodes of this machine.
-//! Agents start their programs anew by themselves, and tell what these do with times of their own.
+//! Agents start their programs anew by themselves, and report what these do with times of their own.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -50,13 +50,13 @@ pub(crate) type Wishes = Box<dyn FnMut(&Place, Wish) + Send>;
 /// Something that agents say of radios.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum News {
-    /// What was read of an agent's machine.
+    /// Readings of an agent's machine.
     Read(AgentId, Reading),
     /// A wanted interface has another state.
     State(Place, RadioState),
     /// A program reported an event, at this time.
     Event(Place, Timestamp, WifiEvent),
-    /// What became of a request.
+    /// Outcome of a request.
     Answered(u64, Result<(), RequestError>),
     /// A process of an agent reports, for the first time or again.
     Joined { agent: AgentId, boot: u64 },
@@ -64,14 +64,14 @@ pub(crate) enum News {
     Left(AgentId, String),
 }
 
-/// What was read of the Wi-Fi interfaces of a machine.
+/// Readings of a machine's Wi-Fi interfaces.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Reading {
     /// Addresses of those that its owner lends.
     pub(crate) addresses: BTreeMap<InterfaceName, MacAddress>,
-    /// What stations heard lately.
+    /// Access points that stations heard lately.
     pub(crate) heard: BTreeMap<InterfaceName, Vec<Heard>>,
-    /// What its kernel reports.
+    /// Its kernel's reports.
     pub(crate) wifi: Vec<WifiContext>,
 }
 
@@ -84,7 +84,7 @@ pub(crate) enum Message {
     News(News),
 }
 
-/// What becomes of what the programs do.
+/// Receivers of what the programs do.
 pub(crate) struct Outlets {
     /// The run's clock.
     pub(crate) now: Clock,
@@ -153,10 +153,10 @@ pub(super) fn await_addresses(
 /// Time that agents of robots have to answer, before radio units begin.
 const AHEAD: Duration = Duration::from_secs(2);
 
-/// What is known of a program at an agent.
+/// State of a program at an agent.
 #[derive(Debug, Default)]
 struct Remote {
-    /// What its agent was told to make of its interface; `None` leaves it to its owner.
+    /// Role that its agent was to give its interface; `None` leaves it to its owner.
     told: Option<WantedRadio>,
     /// Whether the manager wants it.
     is_wanted: bool,

@@ -1,4 +1,4 @@
-//! What real radios measure: φ(r,R) and ι(R) of robots and radio units at agents.
+//! Measurements of real radios: φ(r,R) and ι(R) of robots and radio units at agents.
 
 use std::collections::BTreeMap;
 
@@ -18,12 +18,12 @@ pub(super) struct Figures {
     read: Mutex<BTreeMap<NodeId, (Timestamp, Read)>>,
 }
 
-/// What the machine of a radio read.
+/// Readings of a radio's machine.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Read {
-    /// What its kernel reports of the interface; `None` if it has none.
+    /// Its kernel's report of the interface; `None` if it has none.
     pub(super) wifi: Option<WifiContext>,
-    /// What a station heard at its last scan.
+    /// Access points that a station heard at its last scan.
     pub(super) heard: Vec<Heard>,
 }
 

@@ -113,7 +113,7 @@ pub(super) enum Action {
     Report(Event),
 }
 
-/// What a program is to do.
+/// Action for a program.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Configuration {
     AccessPoint(Box<AccessPoint>),
@@ -133,9 +133,9 @@ pub(super) enum Request {
     SetPassphrase { ssid: Ssid, passphrase: Passphrase },
     /// To a robot: leave its access point, and join one.
     Rejoin,
-    /// To a robot: tell what was heard lately.
+    /// To a robot: report what was heard lately.
     ReadHeard,
-    /// To a radio unit: tell stations about a neighbour.
+    /// To a radio unit: announce a neighbour to stations.
     SetNeighbour(Box<Neighbour>),
     /// To a radio unit: suggest to a station that it moves to a neighbour.
     Suggest { station: MacAddress, to: Box<Neighbour> },
@@ -188,7 +188,7 @@ pub(crate) enum Rejected {
     },
 }
 
-/// How far the start is.
+/// Stage of the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Stage {
     /// Radio units begin to serve.

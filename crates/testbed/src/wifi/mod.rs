@@ -1,5 +1,5 @@
 //! Real Wi-Fi software in a run: starts hostapd in radio units and wpa_supplicant in robots, carries instructions out by them,
-//! and tells the emulated network and the core what they did.
+//! and reports to the emulated network and the core what they did.
 //!
 //! [`plan`] writes their configurations, and [`manager`] decides. [`programs`] has the processes and sockets of simulated radios;
 //! those of real radios are at agents.
@@ -261,7 +261,7 @@ fn next_message<M>(
     if let Some(outcome) = outcome
         && let Some(begun) = begun.take()
     {
-        // Nobody waits any more after a time.
+        // The caller gives up after a time.
         _ = begun.send(outcome);
     }
     match deadline {
@@ -304,7 +304,7 @@ impl Handle {
     /// Lets a robot's radio unit suggest another one. An event reports the robot's answer.
     ///
     /// # Errors
-    /// [`Rejected`]. Nobody was asked then.
+    /// [`Rejected`]. No station was asked then.
     pub(crate) fn suggest(&self, robot: &NodeId, radio_unit: &NodeId) -> Result<(), Rejected> {
         self.instruct(|manager| manager.suggest((self.now)(), robot, radio_unit))
     }

@@ -14,7 +14,7 @@ use cotorra_wifi::{
     Station, StationDriver, Units, Width, hostapd::Neighbour,
 };
 
-/// What the Wi-Fi programs of a testbed are to do.
+/// Tasks of a testbed's Wi-Fi programs.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
     /// The radio units.
@@ -44,7 +44,7 @@ pub(super) struct PlannedRobot {
     pub(super) address: MacAddress,
     /// Its wireless network in the graph.
     pub(super) network_name: String,
-    /// Whether it changes its radio unit only when it is told to.
+    /// Whether it changes its radio unit on instruction only.
     pub(super) is_instructed: bool,
     /// Its greatest power, dBm.
     pub(super) power_dbm: f64,
@@ -88,7 +88,7 @@ pub enum PlanError {
 }
 
 impl Plan {
-    /// Makes the plan of a graph's simulated radios; `None` if it has none. The units of mobility domains encrypt what they tell
+    /// Makes the plan of a graph's simulated radios; `None` if it has none. The units of mobility domains encrypt what they send
     /// each other by `key`.
     ///
     /// # Errors
@@ -163,7 +163,7 @@ impl Plan {
         self.units.iter().find(|(_, unit)| unit.bssid == bssid).map(|(id, _)| id)
     }
 
-    /// Returns the radio units that stations of a radio unit are told about: all others of its network.
+    /// Returns the neighbours that a radio unit announces to stations: all others of its network.
     pub(super) fn neighbours(&self, unit: &NodeId) -> Vec<Neighbour> {
         let Some(own) = self.units.get(unit) else { return Vec::new() };
         let others = self.units.iter();
@@ -182,7 +182,7 @@ impl PlannedUnit {
         &self.settings.ssid
     }
 
-    /// Returns what stations are told about it.
+    /// Returns its announcement to stations.
     pub(super) fn as_neighbour(&self) -> Neighbour {
         Neighbour::new(self.bssid, &self.access_point.bss, &self.access_point.radio)
     }

@@ -37,7 +37,7 @@ const NETWORK: u32 = 0;
 /// Starts a program in a node, and returns its process.
 pub(crate) type Launch = Arc<dyn Fn(&NodeId, Command) -> io::Result<Box<dyn Process>> + Send + Sync>;
 
-/// What the programs need of a run.
+/// Parts of a run that the programs need.
 pub(crate) struct Surroundings {
     /// The run's clock.
     pub(crate) now: Clock,
@@ -78,7 +78,7 @@ pub(super) struct Start {
 pub(super) struct Started {
     daemon: Daemon,
     client: Client,
-    /// What it had done before its events could be read.
+    /// Its deeds before its events could be read.
     before: Option<WifiEvent>,
 }
 
@@ -133,7 +133,7 @@ impl Programs {
         }
         self.manager.lock().stop();
         self.act();
-        // Those that are still being started find nobody who wants them, and stop.
+        // Programs that are still being started find no receiver, and stop.
         let Self { threads, messages, slots, .. } = self;
         drop((messages, slots));
         for thread in threads {

@@ -1,4 +1,4 @@
-//! What status and reason codes mean (IEEE 802.11-2020, tables 9-50 and 9-49). Only those that occur with the networks of
+//! Meaning of status and reason codes (IEEE 802.11-2020, tables 9-50 and 9-49). Only those that occur with the networks of
 //! testbeds; others are shown by their number.
 
 /// Returns the meaning of a status code, behind a comma; nothing for others.

@@ -63,7 +63,6 @@ impl Source {
             for segments in imports.chain(&module.paths) {
                 if let Some(Target::Item(file)) = self.resolve(path, segments, RE_EXPORTS)
                     && file != module.file
-                    && !self.is_inside(path, &file)
                 {
                     let name = segments.last().unwrap().clone();
                     arrows.entry((module.file.clone(), file)).or_default().insert(name);
@@ -73,9 +72,16 @@ impl Source {
         arrows
     }
 
-    /// Whether a module is inside of one of this file.
-    fn is_inside(&self, path: &[String], file: &Path) -> bool {
-        (0..path.len()).any(|depth| self.modules[&path[..depth]].file == file)
+    /// Whether a file's module is inside of that of another file.
+    pub fn is_inside(&self, file: &Path, outer: &Path) -> bool {
+        let is_below =
+            |path: &Segments| (0..path.len()).any(|depth| self.modules[&path[..depth]].file == outer);
+        file != outer && self.modules.iter().any(|(path, module)| module.file == file && is_below(path))
+    }
+
+    /// Returns the file of the crate itself.
+    pub fn root(&self) -> &Path {
+        &self.modules[&[][..]].file
     }
 
     /// `folder` is where the files of its child modules are.

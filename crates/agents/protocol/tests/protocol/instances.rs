@@ -1,6 +1,9 @@
 //! Instances run as the core wants them in the end, whatever is lost, doubled, delayed or killed.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
 
 use cotorra_agent_protocol::{
     Action, Agent, Beat, Controller, ControllerEvent, InstanceState, LEASE, Report, Run, Transmit, Wanted,
@@ -11,11 +14,7 @@ use cotorra_graph::{AgentId, Timestamp, Vnf};
 use cotorra_graph_testing as base;
 use proptest::prelude::*;
 
-use crate::rig::{Carrier, Message, STEP, settling, tell};
-
-fn name() -> AgentId {
-    AgentId::new("edge1").unwrap()
-}
+use crate::rig::{Carrier, Fault, Machine, World, fault, nothing};
 
 fn instance(keep: bool) -> WantedInstance {
     let node = cotorra_graph::NodeId::new("edge").unwrap();
@@ -23,151 +22,78 @@ fn instance(keep: bool) -> WantedInstance {
     WantedInstance { vnf, replica: 0, node, environment: BTreeMap::new(), keep }
 }
 
-/// The machine of an agent: its disk, its engine, and the agent's process if it lives.
-struct Machine {
-    saved: Option<Wanted>,
-    boots: u64,
-    agent: Option<Agent>,
-    /// The run whose instances run.
-    run: Run,
-    /// Running instances by their numbers, and whether they were reported.
+/// The machine of an agent that runs instances.
+#[derive(Default)]
+struct Server {
+    /// Running instances by their numbers, and whether they were reported. They end with the agent's process.
     running: BTreeMap<InstanceId, (WantedInstance, bool)>,
-}
-
-struct World {
-    now: Timestamp,
-    runs: u64,
-    controller: Controller,
-    machine: Machine,
-    network: Carrier,
     /// Outcomes of each instance of this run.
     outcomes: BTreeMap<u64, Vec<Outcome>>,
     wanted: BTreeSet<u64>,
     next: u64,
 }
 
-impl World {
-    fn new(network: Carrier) -> Self {
-        let mut world = Self {
-            now: Timestamp::ZERO,
-            runs: 0,
-            controller: Controller::new(Run(0), LEASE, Vec::new(), []),
-            machine: Machine { saved: None, boots: 0, agent: None, run: Run(0), running: BTreeMap::new() },
-            network,
-            outcomes: BTreeMap::new(),
-            wanted: BTreeSet::new(),
-            next: 0,
-        };
-        world.restart_core();
-        world.restart_agent();
-        world
-    }
+impl Machine for Server {
+    const AGENT: &str = "edge1";
 
-    /// Kills the core, and starts the next run.
     fn restart_core(&mut self) {
-        self.runs += 1;
-        self.controller = Controller::new(Run(self.runs), LEASE, Vec::new(), [name()]);
-        self.outcomes.clear();
-        self.wanted.clear();
         // Numbers are unique in a run only.
-        self.next = 0;
+        (self.outcomes, self.wanted, self.next) = Default::default();
     }
 
-    /// Kills the agent with what it runs, and starts it again.
     fn restart_agent(&mut self) {
-        let Machine { saved, boots, agent, run, running } = &mut self.machine;
-        *boots += 1;
-        running.clear();
-        *run = saved.as_ref().map_or(Run(0), |saved| saved.run);
-        *agent = Some(Agent::new(self.now, *boots, saved.clone()));
+        self.running.clear();
     }
 
+    fn learn(&mut self, _: Run, event: ControllerEvent) {
+        if let ControllerEvent::Instance(EngineEvent { instance, outcome }) = event {
+            if !matches!(outcome, Outcome::Ready) {
+                self.wanted.remove(&instance.0);
+            }
+            self.outcomes.entry(instance.0).or_default().push(outcome);
+        }
+    }
+
+    fn act(&mut self, _: Timestamp, _: &mut Agent, action: Action) {
+        match action {
+            Action::Start(id, wanted) => {
+                let twice = self.running.insert(id, (*wanted, false));
+                assert!(twice.is_none(), "started twice: {id:?}");
+            }
+            Action::Stop(id) => {
+                self.running.remove(&id).expect("only running instances are stopped");
+            }
+            action => panic!("nobody wants {action:?}"),
+        }
+    }
+
+    fn after(&mut self, now: Timestamp, agent: &mut Agent, run: Run, _: Duration) {
+        for (id, (_, is_told)) in &mut self.running {
+            if !std::mem::replace(is_told, true) {
+                let ready = EngineEvent { instance: *id, outcome: Outcome::Ready };
+                agent.outcome(now, run, ready);
+            }
+        }
+    }
+}
+
+impl World<Server> {
     fn start(&mut self, keep: bool) -> u64 {
-        self.next += 1;
-        self.wanted.insert(self.next);
-        self.controller.start(&name(), InstanceId(self.next), instance(keep)).unwrap();
-        self.next
+        self.machine.next += 1;
+        let id = self.machine.next;
+        self.machine.wanted.insert(id);
+        self.controller.start(&Self::name(), InstanceId(id), instance(keep)).unwrap();
+        id
     }
 
     fn stop(&mut self, id: u64) {
-        self.wanted.remove(&id);
+        self.machine.wanted.remove(&id);
         self.controller.stop(InstanceId(id));
-    }
-
-    fn step(&mut self) {
-        self.now = self.now + STEP;
-        let now = self.now;
-        for message in self.network.arrived(now) {
-            match message {
-                Message::ToAgent(transmit) => {
-                    if let Some(agent) = &mut self.machine.agent {
-                        tell(agent, now, transmit);
-                    }
-                }
-                Message::ToCore(report) => self.controller.receive(now, &name(), report),
-            }
-        }
-        self.controller.advance(now);
-        while let Some(event) = self.controller.poll_event() {
-            if let ControllerEvent::Instance(EngineEvent { instance, outcome }) = event {
-                if !matches!(outcome, Outcome::Ready) {
-                    self.wanted.remove(&instance.0);
-                }
-                self.outcomes.entry(instance.0).or_default().push(outcome);
-            }
-        }
-        while let Some(transmit) = self.controller.poll_transmit(now) {
-            self.network.send(now, Message::ToAgent(transmit));
-        }
-        self.run_agent();
-    }
-
-    fn run_agent(&mut self) {
-        let now = self.now;
-        let Some(mut agent) = self.machine.agent.take() else { return };
-        agent.advance(now);
-        let mut reports = Vec::new();
-        while let Some(action) = agent.poll(now) {
-            match action {
-                Action::Save(wanted) => {
-                    self.machine.run = wanted.run;
-                    self.machine.saved = Some(*wanted);
-                }
-                Action::Start(id, wanted) => {
-                    let twice = self.machine.running.insert(id, (*wanted, false));
-                    assert!(twice.is_none(), "started twice: {id:?}");
-                }
-                Action::Stop(id) => {
-                    self.machine.running.remove(&id).expect("only running instances are stopped");
-                }
-                Action::Report(report) => reports.push(report),
-                action @ (Action::Emulate(_) | Action::UseRadios(_) | Action::Request(..)) => {
-                    panic!("nobody wants {action:?}")
-                }
-            }
-        }
-        for (id, (_, is_told)) in &mut self.machine.running {
-            if !std::mem::replace(is_told, true) {
-                let ready = EngineEvent { instance: *id, outcome: Outcome::Ready };
-                agent.outcome(now, self.machine.run, ready);
-            }
-        }
-        self.machine.agent = Some(agent);
-        reports.into_iter().for_each(|report| self.network.send(now, Message::ToCore(report)));
-    }
-
-    fn steps(&mut self, count: u32) {
-        (0..count).for_each(|_| self.step());
-    }
-
-    /// Steps until a lease and what is under way have passed, several times over.
-    fn settle(&mut self) {
-        self.steps(settling());
     }
 
     /// Checks that instances have the outcomes that an engine promises.
     fn check_outcomes(&self) {
-        for (id, outcomes) in &self.outcomes {
+        for (id, outcomes) in &self.machine.outcomes {
             let is_right = matches!(
                 outcomes[..],
                 [Outcome::Ready]
@@ -184,11 +110,7 @@ enum Step {
     Start { keep: bool },
     Stop(u8),
     Die(u8),
-    RestartAgent,
-    RestartCore,
-    Cut,
-    Heal,
-    Wait(u8),
+    Fault(Fault),
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -196,11 +118,7 @@ fn step() -> impl Strategy<Value = Step> {
         3 => any::<bool>().prop_map(|keep| Step::Start { keep }),
         2 => any::<u8>().prop_map(Step::Stop),
         1 => any::<u8>().prop_map(Step::Die),
-        1 => Just(Step::RestartAgent),
-        1 => Just(Step::RestartCore),
-        1 => Just(Step::Cut),
-        1 => Just(Step::Heal),
-        6 => any::<u8>().prop_map(Step::Wait),
+        12 => fault().prop_map(Step::Fault),
     ]
 }
 
@@ -211,49 +129,44 @@ proptest! {
         steps in prop::collection::vec(step(), 1..60),
         faults in prop::collection::vec(any::<u8>(), 1..200),
     ) {
-        let mut world = World::new(Carrier::with(faults));
+        let mut world = World::<Server>::new(Carrier::with(faults));
         for step in steps {
             match step {
                 Step::Start { keep } => {
                     world.start(keep);
                 }
                 Step::Stop(which) => {
-                    let id = world.wanted.iter().nth(usize::from(which) % world.wanted.len().max(1)).copied();
+                    let wanted = &world.machine.wanted;
+                    let id = wanted.iter().nth(usize::from(which) % wanted.len().max(1)).copied();
                     id.into_iter().for_each(|id| world.stop(id));
                 }
                 Step::Die(which) => {
-                    let machine = &mut world.machine;
-                    let count = machine.running.len().max(1);
-                    let id = machine.running.keys().nth(usize::from(which) % count).copied();
-                    if let (Some(id), Some(agent)) = (id, machine.agent.as_mut()) {
-                        machine.running.remove(&id);
+                    let running = &mut world.machine.running;
+                    let count = running.len().max(1);
+                    let id = running.keys().nth(usize::from(which) % count).copied();
+                    if let (Some(id), Some(agent), Some(saved)) = (id, &mut world.agent, &world.saved) {
+                        running.remove(&id);
                         let died = EngineEvent { instance: id, outcome: Outcome::Died("x".into()) };
-                        agent.outcome(world.now, machine.run, died);
+                        agent.outcome(world.now, saved.run, died);
                     }
                 }
-                Step::RestartAgent => world.restart_agent(),
-                Step::RestartCore => world.restart_core(),
-                Step::Cut => world.network.is_cut = true,
-                Step::Heal => world.network.is_cut = false,
-                Step::Wait(steps) => world.steps(steps.into()),
+                Step::Fault(fault) => world.suffer(fault),
             }
             world.check_outcomes();
         }
-        world.network.heal();
-        world.settle();
+        world.recover();
         world.check_outcomes();
-        prop_assert!(world.controller.is_settled());
-        prop_assert_eq!(world.machine.running.len(), world.wanted.len());
+        prop_assert_eq!(world.machine.running.len(), world.machine.wanted.len());
         // All that is still wanted has been reported as ready.
-        for id in &world.wanted {
-            prop_assert_eq!(world.outcomes.get(id).map(Vec::as_slice), Some(&[Outcome::Ready][..]));
+        for id in &world.machine.wanted {
+            prop_assert_eq!(world.machine.outcomes.get(id).map(Vec::as_slice), Some(&[Outcome::Ready][..]));
         }
     }
 }
 
 /// A world without faults in which these instances run.
-fn running(keep: &[bool]) -> (World, Vec<u64>) {
-    let mut world = World::new(Carrier::sound());
+fn running(keep: &[bool]) -> (World<Server>, Vec<u64>) {
+    let mut world = World::<Server>::new(Carrier::sound());
     let ids = keep.iter().map(|keep| world.start(*keep)).collect();
     world.settle();
     assert_eq!(world.machine.running.len(), keep.len());
@@ -269,7 +182,7 @@ fn an_agent_without_its_core_stops_what_shall_not_go_on() {
     world.settle();
     let kept: Vec<_> = world.machine.running.values().map(|(wanted, _)| wanted.keep).collect();
     assert_eq!(kept, [true]);
-    assert!(world.machine.agent.as_ref().unwrap().is_alone());
+    assert!(world.agent().is_alone());
 }
 
 #[test]
@@ -277,11 +190,11 @@ fn a_core_counts_instances_of_a_lost_agent_as_dead_unless_they_go_on() {
     let (mut world, ids) = running(&[true, false]);
     world.network.is_cut = true;
     world.settle();
-    assert_eq!(world.outcomes[&ids[0]], [Outcome::Ready]);
-    assert!(matches!(world.outcomes[&ids[1]][..], [Outcome::Ready, Outcome::Died(_)]));
+    assert_eq!(world.machine.outcomes[&ids[0]], [Outcome::Ready]);
+    assert!(matches!(world.machine.outcomes[&ids[1]][..], [Outcome::Ready, Outcome::Died(_)]));
     world.network.is_cut = false;
     world.settle();
-    assert_eq!(world.outcomes[&ids[0]], [Outcome::Ready], "it went on");
+    assert_eq!(world.machine.outcomes[&ids[0]], [Outcome::Ready], "it went on");
     assert_eq!(world.machine.running.len(), 1);
 }
 
@@ -289,7 +202,7 @@ fn a_core_counts_instances_of_a_lost_agent_as_dead_unless_they_go_on() {
 fn a_restarted_agent_goes_on_with_what_it_saved_while_the_core_is_away() {
     let (mut world, _) = running(&[true, false]);
     world.network.is_cut = true;
-    world.restart_agent();
+    world.start_agent();
     world.settle();
     assert_eq!(world.machine.running.len(), 1);
 }
@@ -297,10 +210,10 @@ fn a_restarted_agent_goes_on_with_what_it_saved_while_the_core_is_away() {
 #[test]
 fn instances_of_a_restarted_agent_are_reported_as_dead() {
     let (mut world, ids) = running(&[true, false]);
-    world.restart_agent();
+    world.start_agent();
     world.settle();
     for id in ids {
-        assert!(matches!(world.outcomes[&id][..], [Outcome::Ready, Outcome::Died(_)]));
+        assert!(matches!(world.machine.outcomes[&id][..], [Outcome::Ready, Outcome::Died(_)]));
     }
     assert!(world.machine.running.is_empty());
 }
@@ -309,17 +222,7 @@ fn instances_of_a_restarted_agent_are_reported_as_dead() {
 fn instances_of_a_wanted_state_that_cannot_be_saved_fail() {
     let mut agent = Agent::new(Timestamp::ZERO, 1, None);
     let instances = (1..=2).map(|id| (id, instance(true))).collect();
-    let wanted = Wanted {
-        run: Run(1),
-        generation: 1,
-        lease_ms: 2000,
-        files: Vec::new(),
-        instances,
-        robot: None,
-        links: BTreeMap::new(),
-        wifi: Default::default(),
-    };
-    agent.want(Timestamp::ZERO, wanted);
+    agent.want(Timestamp::ZERO, Wanted { instances, ..nothing() });
     assert!(matches!(agent.poll(Timestamp::ZERO), Some(Action::Save(_))));
     agent.cannot_save(Timestamp::ZERO, "the disk is full");
     let Some(Action::Report(report)) = agent.poll(Timestamp::ZERO) else { panic!("it starts something") };
@@ -330,7 +233,7 @@ fn instances_of_a_wanted_state_that_cannot_be_saved_fail() {
 #[test]
 fn the_next_run_ends_what_the_last_one_left() {
     let (mut world, _) = running(&[true, true]);
-    world.restart_core();
+    world.start_core();
     world.settle();
     assert!(world.machine.running.is_empty());
 }
@@ -338,13 +241,13 @@ fn the_next_run_ends_what_the_last_one_left() {
 #[test]
 fn messages_of_an_earlier_run_are_ignored() {
     let (mut world, _) = running(&[true]);
-    let old = world.machine.saved.clone().unwrap();
-    world.restart_core();
+    let old = world.saved.clone().unwrap();
+    world.start_core();
     world.start(true);
     world.settle();
-    let agent = world.machine.agent.as_mut().unwrap();
     let late = Wanted { generation: old.generation + 100, instances: BTreeMap::new(), ..old };
-    agent.want(world.now, late);
+    let now = world.now;
+    world.agent().want(now, late);
     world.settle();
     assert_eq!(world.machine.running.len(), 1);
 }
@@ -362,18 +265,18 @@ fn a_change_is_sent_at_once() {
 #[test]
 fn only_the_connection_of_the_current_process_counts() {
     let (mut world, ids) = running(&[false]);
-    let boot = world.machine.boots;
-    world.controller.connection(world.now, &name(), boot - 1, false);
-    assert!(world.controller.is_present(&name()), "an earlier process");
-    world.controller.connection(world.now, &name(), boot, false);
-    assert!(!world.controller.is_present(&name()));
+    let boot = world.boots;
+    world.controller.connection(world.now, &World::<Server>::name(), boot - 1, false);
+    assert!(world.controller.is_present(&World::<Server>::name()), "an earlier process");
+    world.controller.connection(world.now, &World::<Server>::name(), boot, false);
+    assert!(!world.controller.is_present(&World::<Server>::name()));
     world.settle();
-    assert!(matches!(world.outcomes[&ids[0]][..], [Outcome::Ready, Outcome::Died(_)]));
+    assert!(matches!(world.machine.outcomes[&ids[0]][..], [Outcome::Ready, Outcome::Died(_)]));
 }
 
 #[test]
 fn an_unknown_agent_is_refused_and_its_reports_are_ignored() {
-    let mut controller = Controller::new(Run(1), LEASE, Vec::new(), [name()]);
+    let mut controller = Controller::new(Run(1), LEASE, Vec::new(), [World::<Server>::name()]);
     let other = AgentId::new("other").unwrap();
     assert!(controller.start(&other, InstanceId(1), instance(false)).unwrap_err().contains("`other`"));
     let report = Report {
@@ -407,25 +310,28 @@ fn messages_that_are_too_long_are_rejected() {
 #[test]
 fn events_of_an_earlier_run_are_ignored() {
     let (mut world, ids) = running(&[true]);
-    let (now, run) = (world.now, world.machine.run);
-    let agent = world.machine.agent.as_mut().unwrap();
+    let (now, run) = (world.now, world.saved.as_ref().unwrap().run);
+    let agent = world.agent();
     let died = || EngineEvent { instance: InstanceId(ids[0]), outcome: Outcome::Died("x".to_owned()) };
     agent.outcome(now, Run(run.0 - 1), died());
     world.settle();
-    assert_eq!(world.outcomes[&ids[0]], [Outcome::Ready]);
-    world.machine.agent.as_mut().unwrap().outcome(world.now, run, died());
+    assert_eq!(world.machine.outcomes[&ids[0]], [Outcome::Ready]);
+    let now = world.now;
+    world.agent().outcome(now, run, died());
     world.settle();
-    assert!(matches!(world.outcomes[&ids[0]][..], [Outcome::Ready, Outcome::Died(_)]));
+    assert!(matches!(world.machine.outcomes[&ids[0]][..], [Outcome::Ready, Outcome::Died(_)]));
 }
 
 #[test]
 fn an_agent_is_settled_once_what_it_stopped_has_ended() {
     let (mut world, ids) = running(&[true]);
     world.stop(ids[0]);
-    world.machine.agent.as_mut().unwrap().set_stopping(world.now, 1);
+    let now = world.now;
+    world.agent().set_stopping(now, 1);
     world.settle();
     assert!(world.machine.running.is_empty() && !world.controller.is_settled());
-    world.machine.agent.as_mut().unwrap().set_stopping(world.now, 0);
+    let now = world.now;
+    world.agent().set_stopping(now, 0);
     world.settle();
     assert!(world.controller.is_settled());
 }

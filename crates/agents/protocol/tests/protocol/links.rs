@@ -3,19 +3,14 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_agent_protocol::{
-    Action, Agent, Controller, ControllerEvent, LEASE, LinkState, Report, Run, Transmit, Wanted, WantedLink,
-    WantedProbes,
+    Action, Agent, ControllerEvent, LEASE, LinkState, Report, Run, Wanted, WantedLink, WantedProbes,
 };
-use cotorra_graph::{AgentId, Conditions, LinkId, Probing, Reached, Timestamp};
+use cotorra_graph::{Conditions, LinkId, Probing, Reached, Timestamp};
 use proptest::prelude::*;
 
-use crate::rig::{Carrier, Message, STEP, settling, tell};
+use crate::rig::{Carrier, Fault, Machine, World, fault, nothing};
 
 type Links = BTreeMap<LinkId, WantedLink>;
-
-fn name() -> AgentId {
-    AgentId::new("gate1").unwrap()
-}
 
 fn link(number: u8) -> LinkId {
     format!("gate-arm{number}").parse().unwrap()
@@ -32,172 +27,68 @@ fn wanted(delay_ms: u8) -> WantedLink {
     }
 }
 
-/// The machine of an agent: its disk, its kernel, and the agent's process if it lives.
-struct Machine {
-    saved: Option<Wanted>,
-    boots: u64,
-    agent: Option<Agent>,
+/// The machine of an agent that emulates links.
+#[derive(Default)]
+struct Gate {
     /// The conditions of interfaces, which outlive the agent's process.
     emulated: Links,
     /// The links that the process is to emulate.
-    wanted: Links,
+    to_emulate: Links,
     /// Whether the interface of a link is missing.
     is_missing: bool,
-    /// When a message of the newest run arrived last.
-    heard: Timestamp,
+    /// Wanted state now, and in each generation.
+    wanted: Links,
+    generations: BTreeMap<(Run, u64), Links>,
+    /// What the core learned of each link, in this run.
+    told: Vec<(LinkId, LinkState)>,
 }
 
-impl Machine {
+impl Machine for Gate {
+    const AGENT: &str = "gate1";
+
+    fn restart_core(&mut self) {
+        self.wanted.clear();
+        self.told.clear();
+    }
+
+    /// Restores what a killed process left.
+    fn restart_agent(&mut self) {
+        (self.emulated, self.to_emulate) = Default::default();
+    }
+
+    fn sent(&mut self, wanted: &Wanted) {
+        self.generations.insert((wanted.run, wanted.generation), wanted.links.clone());
+    }
+
+    fn learn(&mut self, _: Run, event: ControllerEvent) {
+        if let ControllerEvent::Link(agent, link, state) = event {
+            assert_eq!(agent, World::<Self>::name());
+            self.told.push((link, state));
+        }
+    }
+
     /// Does what the kernel allows, and reports the outcome.
-    fn emulate(&mut self) -> BTreeMap<LinkId, LinkState> {
+    fn before(&mut self, now: Timestamp, agent: &mut Agent) {
         let is_missing = |link: &LinkId| self.is_missing && *link == self::link(0);
-        self.emulated = self.wanted.clone();
+        self.emulated = self.to_emulate.clone();
         self.emulated.retain(|link, _| !is_missing(link));
         let state = |link| match is_missing(link) {
             true => LinkState::Failed("there is no interface `eth1`".to_owned()),
             false => LinkState::Applied,
         };
-        self.wanted.keys().map(|link| (link.clone(), state(link))).collect()
-    }
-}
-
-struct World {
-    now: Timestamp,
-    runs: u64,
-    controller: Controller,
-    /// Wanted state now, and in each generation.
-    wanted: Links,
-    generations: BTreeMap<(Run, u64), Links>,
-    machine: Machine,
-    network: Carrier,
-    /// What the core learned of each link, in this run.
-    told: Vec<(LinkId, LinkState)>,
-}
-
-impl World {
-    fn new(network: Carrier) -> Self {
-        let mut world = Self {
-            now: Timestamp::ZERO,
-            runs: 0,
-            controller: Controller::new(Run(0), LEASE, Vec::new(), []),
-            wanted: Links::new(),
-            generations: BTreeMap::new(),
-            machine: Machine {
-                saved: None,
-                boots: 0,
-                agent: None,
-                emulated: Links::new(),
-                wanted: Links::new(),
-                is_missing: false,
-                heard: Timestamp::ZERO,
-            },
-            network,
-            told: Vec::new(),
-        };
-        world.start_core();
-        world.start_agent();
-        world
-    }
-
-    /// Kills the core if it lives, and starts the next run.
-    fn start_core(&mut self) {
-        self.runs += 1;
-        self.controller = Controller::new(Run(self.runs), LEASE, Vec::new(), [name()]);
-        self.wanted.clear();
-        self.told.clear();
-    }
-
-    /// Kills the agent. The kernel keeps its conditions.
-    fn kill_agent(&mut self) {
-        self.machine.agent = None;
-    }
-
-    /// Starts the agent, which restores what a killed one left.
-    fn start_agent(&mut self) {
-        self.kill_agent();
-        let Machine { saved, boots, agent, emulated, wanted, .. } = &mut self.machine;
-        *boots += 1;
-        (*emulated, *wanted) = Default::default();
-        *agent = Some(Agent::new(self.now, *boots, saved.clone()));
-    }
-
-    fn want(&mut self, number: u8, delay_ms: u8) {
-        self.wanted.insert(link(number), wanted(delay_ms));
-        self.controller.emulate(&name(), link(number), wanted(delay_ms));
-    }
-
-    fn stop_all(&mut self) {
-        self.wanted.clear();
-        self.controller.stop_all();
-    }
-
-    fn step(&mut self) {
-        self.now = self.now + STEP;
-        let now = self.now;
-        for message in self.network.arrived(now) {
-            match message {
-                Message::ToAgent(transmit) => self.tell_agent(transmit),
-                Message::ToCore(report) => self.controller.receive(now, &name(), report),
-            }
-        }
-        self.controller.advance(now);
-        while let Some(event) = self.controller.poll_event() {
-            if let ControllerEvent::Link(agent, link, state) = event {
-                assert_eq!(agent, name());
-                self.told.push((link, state));
-            }
-        }
-        while let Some(transmit) = self.controller.poll_transmit(now) {
-            if let Transmit::Wanted(_, wanted) = &transmit {
-                let links = wanted.links.clone();
-                self.generations.insert((wanted.run, wanted.generation), links);
-            }
-            self.network.send(now, Message::ToAgent(transmit));
-        }
-        self.run_agent();
-    }
-
-    fn tell_agent(&mut self, transmit: Transmit) {
-        let now = self.now;
-        let Some(agent) = &mut self.machine.agent else { return };
-        let run = tell(agent, now, transmit);
-        if agent.run() == Some(run) {
-            self.machine.heard = now;
-        }
-    }
-
-    fn run_agent(&mut self) {
-        let now = self.now;
-        let Some(mut agent) = self.machine.agent.take() else { return };
-        agent.advance(now);
-        let states = self.machine.emulate();
+        let states = self.to_emulate.keys().map(|link| (link.clone(), state(link))).collect();
         agent.set_link_states(now, states);
-        let mut reports = Vec::new();
-        while let Some(action) = agent.poll(now) {
-            match action {
-                Action::Save(wanted) => self.machine.saved = Some(*wanted),
-                Action::Emulate(links) => {
-                    self.machine.wanted = links;
-                    let states = self.machine.emulate();
-                    agent.set_link_states(now, states);
-                }
-                Action::Report(report) => {
-                    self.check(&report);
-                    reports.push(report);
-                }
-                action => panic!("nobody wants {action:?}"),
-            }
-        }
-        if now >= self.machine.heard + LEASE {
-            assert_eq!(self.machine.emulated, Links::new(), "the core is away");
-        }
-        self.machine.agent = Some(agent);
-        reports.into_iter().for_each(|report| self.network.send(now, Message::ToCore(report)));
+    }
+
+    fn act(&mut self, now: Timestamp, agent: &mut Agent, action: Action) {
+        let Action::Emulate(links) = action else { panic!("nobody wants {action:?}") };
+        self.to_emulate = links;
+        self.before(now, agent);
     }
 
     /// A report says what is true when it is sent.
-    fn check(&self, report: &Report) {
-        let Machine { emulated, .. } = &self.machine;
+    fn examine(&self, report: &Report) {
+        let emulated = &self.emulated;
         let applied = report.links.iter().filter(|(_, state)| **state == LinkState::Applied);
         assert_eq!(applied.map(|(link, _)| link).collect::<Vec<_>>(), emulated.keys().collect::<Vec<_>>());
         if let Some(wanted) = self.generations.get(&(report.run, report.generation)) {
@@ -210,13 +101,20 @@ impl World {
         }
     }
 
-    fn steps(&mut self, count: u32) {
-        (0..count).for_each(|_| self.step());
+    fn after(&mut self, _: Timestamp, _: &mut Agent, _: Run, silence: Duration) {
+        assert!(silence < LEASE || self.emulated.is_empty(), "the core is away");
+    }
+}
+
+impl World<Gate> {
+    fn want(&mut self, number: u8, delay_ms: u8) {
+        self.machine.wanted.insert(link(number), wanted(delay_ms));
+        self.controller.emulate(&Self::name(), link(number), wanted(delay_ms));
     }
 
-    /// Steps until a lease and what is under way have passed, several times over.
-    fn settle(&mut self) {
-        self.steps(settling());
+    fn stop_all(&mut self) {
+        self.machine.wanted.clear();
+        self.controller.stop_all();
     }
 }
 
@@ -224,28 +122,18 @@ impl World {
 enum Step {
     Want(u8, u8),
     StopAll,
-    StartCore,
-    KillAgent,
-    StartAgent,
-    Cut,
-    Heal,
     Unplug,
     Plug,
-    Wait(u8),
+    Fault(Fault),
 }
 
 fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         5 => (0_u8..3, any::<u8>()).prop_map(|(number, delay)| Step::Want(number, delay)),
         1 => Just(Step::StopAll),
-        1 => Just(Step::StartCore),
-        1 => Just(Step::KillAgent),
-        2 => Just(Step::StartAgent),
-        1 => Just(Step::Cut),
-        1 => Just(Step::Heal),
         1 => Just(Step::Unplug),
         1 => Just(Step::Plug),
-        6 => any::<u8>().prop_map(Step::Wait),
+        12 => fault().prop_map(Step::Fault),
     ]
 }
 
@@ -256,43 +144,33 @@ proptest! {
         steps in prop::collection::vec(step(), 1..60),
         faults in prop::collection::vec(any::<u8>(), 1..200),
     ) {
-        let mut world = World::new(Carrier::with(faults));
+        let mut world = World::<Gate>::new(Carrier::with(faults));
         for step in steps {
             match step {
                 Step::Want(number, delay_ms) => world.want(number, delay_ms),
                 Step::StopAll => world.stop_all(),
-                Step::StartCore => world.start_core(),
-                Step::KillAgent => world.kill_agent(),
-                Step::StartAgent => world.start_agent(),
-                Step::Cut => world.network.is_cut = true,
-                Step::Heal => world.network.is_cut = false,
                 Step::Unplug => world.machine.is_missing = true,
                 Step::Plug => world.machine.is_missing = false,
-                Step::Wait(steps) => world.steps(steps.into()),
+                Step::Fault(fault) => world.suffer(fault),
             }
         }
-        if world.machine.agent.is_none() {
-            world.start_agent();
-        }
         world.machine.is_missing = false;
-        world.network.heal();
-        world.settle();
-        prop_assert!(world.controller.is_settled());
-        prop_assert_eq!(&world.machine.emulated, &world.wanted);
-        for link in world.wanted.keys() {
-            let last = world.told.iter().rfind(|(its, _)| its == link);
+        world.recover();
+        prop_assert_eq!(&world.machine.emulated, &world.machine.wanted);
+        for link in world.machine.wanted.keys() {
+            let last = world.machine.told.iter().rfind(|(its, _)| its == link);
             prop_assert_eq!(last.map(|(_, state)| state), Some(&LinkState::Applied));
         }
     }
 }
 
 /// A world without faults in which two links are emulated.
-fn emulating() -> World {
-    let mut world = World::new(Carrier::sound());
+fn emulating() -> World<Gate> {
+    let mut world = World::<Gate>::new(Carrier::sound());
     world.want(0, 20);
     world.want(1, 5);
     world.settle();
-    assert_eq!(world.machine.emulated, world.wanted);
+    assert_eq!(world.machine.emulated, world.machine.wanted);
     world
 }
 
@@ -304,7 +182,7 @@ fn links_lose_their_conditions_without_the_core_and_get_them_back_with_it() {
     assert_eq!(world.machine.emulated, Links::new());
     world.network.is_cut = false;
     world.settle();
-    assert_eq!(world.machine.emulated, world.wanted);
+    assert_eq!(world.machine.emulated, world.machine.wanted);
 }
 
 #[test]
@@ -329,26 +207,26 @@ fn a_restarted_agent_waits_for_the_core() {
     assert_eq!(world.machine.emulated, Links::new());
     world.network.is_cut = false;
     world.settle();
-    assert_eq!(world.machine.emulated, world.wanted);
+    assert_eq!(world.machine.emulated, world.machine.wanted);
 }
 
 #[test]
 fn a_failure_and_the_success_after_it_are_told_once() {
     let mut world = emulating();
     let applied = [0, 1].map(|number| (link(number), LinkState::Applied));
-    assert_eq!(world.told, applied);
+    assert_eq!(world.machine.told, applied);
     world.machine.is_missing = true;
     world.settle();
     world.want(0, 30);
     world.settle();
     let failed = LinkState::Failed("there is no interface `eth1`".to_owned());
-    assert_eq!(world.told[2..], [(link(0), failed)]);
+    assert_eq!(world.machine.told[2..], [(link(0), failed)]);
     world.machine.is_missing = false;
     world.settle();
-    assert_eq!(world.told[3..], [(link(0), LinkState::Applied)]);
+    assert_eq!(world.machine.told[3..], [(link(0), LinkState::Applied)]);
     world.want(0, 40);
     world.settle();
-    assert_eq!(world.told.len(), 4, "a change is no news");
+    assert_eq!(world.machine.told.len(), 4, "a change is no news");
 }
 
 /// A wanted state with so many links that are probed like this.
@@ -357,16 +235,7 @@ fn probed(count: usize, probing: Probing) -> Wanted {
         WantedProbes { reflector: [10, 0, 0, 7].into(), probing, medium_delay: Duration::from_micros(1500) };
     let link =
         |place| (format!("l{place}").parse().unwrap(), WantedLink { probes: Some(probes), ..wanted(1) });
-    Wanted {
-        run: Run(1),
-        generation: 1,
-        lease_ms: 2000,
-        files: Vec::new(),
-        instances: BTreeMap::new(),
-        robot: None,
-        links: (0..count).map(link).collect(),
-        wifi: Default::default(),
-    }
+    Wanted { links: (0..count).map(link).collect(), ..nothing() }
 }
 
 #[test]

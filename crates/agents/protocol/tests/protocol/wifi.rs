@@ -7,23 +7,19 @@ use std::{
 };
 
 use cotorra_agent_protocol::{
-    Action, Agent, Controller, ControllerEvent, LEASE, RADIOS_KEPT, RadioState, Report, Run, Transmit,
-    Wanted, WantedRadio, WantedRequest, WantedWifi, WifiRequest,
+    Action, Agent, Controller, ControllerEvent, LEASE, RADIOS_KEPT, RadioState, Report, Run, Wanted,
+    WantedRadio, WantedRequest, WantedWifi, WifiRequest,
 };
-use cotorra_graph::{AgentId, Timestamp};
+use cotorra_graph::Timestamp;
 use cotorra_wifi::{
     AccessPointSettings, Band, Bss, Channel, Credentials, Event, InterfaceName, MacAddress, Network, Power,
     Radio, Security, Ssid, StationSettings, Width,
 };
 use proptest::prelude::*;
 
-use crate::rig::{Carrier, Message, STEP, settling, steps_of, tell};
+use crate::rig::{Carrier, Fault, Machine, World, fault, nothing};
 
 type Radios = BTreeMap<InterfaceName, WantedRadio>;
-
-fn name() -> AgentId {
-    AgentId::new("ap1").unwrap()
-}
 
 fn interface(number: u8) -> InterfaceName {
     format!("wlan{number}").parse().unwrap()
@@ -61,26 +57,14 @@ fn event(number: u32) -> Event {
     Event::ChannelSwitched { frequency_mhz: number }
 }
 
-/// The machine of an agent: its disk, its radios, and the agent's process if it lives.
-struct Machine {
-    saved: Option<Wanted>,
-    boots: u64,
-    agent: Option<Agent>,
+/// The machine of an agent that controls Wi-Fi interfaces.
+#[derive(Default)]
+struct Unit {
     /// State of the radios, which outlives the agent's process.
     used: Radios,
     /// Numbers of the requests that were carried out, by run.
     carried_out: BTreeSet<(Run, u64)>,
-    /// When a message of the newest run arrived last.
-    heard: Timestamp,
-}
-
-struct World {
-    now: Timestamp,
-    runs: u64,
-    controller: Controller,
     wanted: Radios,
-    machine: Machine,
-    network: Carrier,
     /// The last state that the core learned of each interface in this run.
     told: BTreeMap<InterfaceName, RadioState>,
     /// Requests of this run, and whether each was taken.
@@ -90,95 +74,25 @@ struct World {
     events: Vec<u32>,
 }
 
-impl World {
-    fn new(network: Carrier) -> Self {
-        let machine = Machine {
-            saved: None,
-            boots: 0,
-            agent: None,
-            used: Radios::new(),
-            carried_out: BTreeSet::new(),
-            heard: Timestamp::ZERO,
-        };
-        let mut world = Self {
-            now: Timestamp::ZERO,
-            runs: 0,
-            controller: Controller::new(Run(0), LEASE, Vec::new(), []),
-            wanted: Radios::new(),
-            machine,
-            network,
-            told: BTreeMap::new(),
-            requests: BTreeMap::new(),
-            happened: 0,
-            events: Vec::new(),
-        };
-        world.start_core();
-        world.start_agent();
-        world
-    }
+impl Machine for Unit {
+    const AGENT: &str = "ap1";
 
-    fn start_core(&mut self) {
-        self.runs += 1;
-        self.controller = Controller::new(Run(self.runs), LEASE, Vec::new(), [name()]);
+    fn restart_core(&mut self) {
         (self.wanted, self.told, self.requests, self.events) = Default::default();
     }
 
-    /// Starts the agent, which puts back what a killed one left.
-    fn start_agent(&mut self) {
-        self.machine.boots += 1;
-        self.machine.used.clear();
-        self.machine.agent = Some(Agent::new(self.now, self.machine.boots, self.machine.saved.clone()));
+    /// Puts back what a killed process left.
+    fn restart_agent(&mut self) {
+        self.used.clear();
     }
 
-    fn want(&mut self, number: u8, on: u8) {
-        self.wanted.insert(interface(number), radio(on));
-        self.controller.use_radio(&name(), interface(number), radio(on));
-    }
-
-    fn release(&mut self, number: u8) {
-        self.wanted.remove(&interface(number));
-        self.controller.release_radio(&name(), &interface(number));
-    }
-
-    fn request(&mut self) {
-        if let Ok(number) = self.controller.request(&name(), roam()) {
-            assert_eq!(self.requests.insert(number, None), None);
-        }
-    }
-
-    fn happen(&mut self) {
-        self.happened += 1;
-        if let Some(agent) = &mut self.machine.agent {
-            agent.happened(self.now, interface(0), event(self.happened));
-        }
-    }
-
-    fn step(&mut self) {
-        self.now = self.now + STEP;
-        let now = self.now;
-        for message in self.network.arrived(now) {
-            match message {
-                Message::ToAgent(transmit) => self.tell_agent(transmit),
-                Message::ToCore(report) => self.controller.receive(now, &name(), report),
-            }
-        }
-        self.controller.advance(now);
-        while let Some(event) = self.controller.poll_event() {
-            self.learn(event);
-        }
-        while let Some(transmit) = self.controller.poll_transmit(now) {
-            self.network.send(now, Message::ToAgent(transmit));
-        }
-        self.run_agent();
-    }
-
-    fn learn(&mut self, event: ControllerEvent) {
+    fn learn(&mut self, run: Run, event: ControllerEvent) {
         match event {
             ControllerEvent::Radio(_, interface, state) => drop(self.told.insert(interface, state)),
             ControllerEvent::Request(_, number, answer) => {
                 let was_taken = answer.is_ok();
                 assert_eq!(self.requests.insert(number, Some(was_taken)), Some(None), "answered once");
-                let is_done = self.machine.carried_out.contains(&(Run(self.runs), number));
+                let is_done = self.carried_out.contains(&(run, number));
                 assert!(is_done || !was_taken);
             }
             ControllerEvent::Wifi(_, event) => {
@@ -190,56 +104,50 @@ impl World {
         }
     }
 
-    fn tell_agent(&mut self, transmit: Transmit) {
-        let now = self.now;
-        let Some(agent) = &mut self.machine.agent else { return };
-        let run = tell(agent, now, transmit);
-        if agent.run() == Some(run) {
-            self.machine.heard = now;
-        }
-    }
-
-    fn run_agent(&mut self) {
-        let now = self.now;
-        let Some(mut agent) = self.machine.agent.take() else { return };
-        agent.advance(now);
-        let mut reports = Vec::new();
-        while let Some(action) = agent.poll(now) {
-            match action {
-                Action::Save(wanted) => self.machine.saved = Some(*wanted),
-                Action::UseRadios(radios) => {
-                    self.machine.used = radios;
-                    let states = self.machine.used.keys().map(|its| (its.clone(), RadioState::Ready));
-                    agent.set_radio_states(now, states.collect());
-                }
-                Action::Request(number, request) => {
-                    assert_eq!(request, roam());
-                    let run = agent.run().unwrap();
-                    assert!(self.machine.carried_out.insert((run, number)), "carried out once");
-                    agent.answered(now, number, Ok(()));
-                }
-                Action::Report(report) => reports.push(report),
-                action => panic!("nobody wants {action:?}"),
+    fn act(&mut self, now: Timestamp, agent: &mut Agent, action: Action) {
+        match action {
+            Action::UseRadios(radios) => {
+                self.used = radios;
+                let states = self.used.keys().map(|its| (its.clone(), RadioState::Ready));
+                agent.set_radio_states(now, states.collect());
             }
+            Action::Request(number, request) => {
+                assert_eq!(request, roam());
+                let run = agent.run().unwrap();
+                assert!(self.carried_out.insert((run, number)), "carried out once");
+                agent.answered(now, number, Ok(()));
+            }
+            action => panic!("nobody wants {action:?}"),
         }
-        if now >= self.machine.heard + RADIOS_KEPT {
-            assert_eq!(self.machine.used, Radios::new(), "the core is away");
+    }
+
+    fn after(&mut self, _: Timestamp, _: &mut Agent, _: Run, silence: Duration) {
+        assert!(silence < RADIOS_KEPT || self.used.is_empty(), "the core is away");
+    }
+}
+
+impl World<Unit> {
+    fn want(&mut self, number: u8, on: u8) {
+        self.machine.wanted.insert(interface(number), radio(on));
+        self.controller.use_radio(&Self::name(), interface(number), radio(on));
+    }
+
+    fn release(&mut self, number: u8) {
+        self.machine.wanted.remove(&interface(number));
+        self.controller.release_radio(&Self::name(), &interface(number));
+    }
+
+    fn request(&mut self) {
+        if let Ok(number) = self.controller.request(&Self::name(), roam()) {
+            assert_eq!(self.machine.requests.insert(number, None), None);
         }
-        self.machine.agent = Some(agent);
-        reports.into_iter().for_each(|report| self.network.send(now, Message::ToCore(report)));
     }
 
-    fn steps(&mut self, count: u32) {
-        (0..count).for_each(|_| self.step());
-    }
-
-    /// Steps until a lease and what is under way have passed, several times over.
-    fn settle(&mut self) {
-        self.steps(settling());
-    }
-
-    fn pass(&mut self, time: Duration) {
-        self.steps(steps_of(time));
+    fn happen(&mut self) {
+        self.machine.happened += 1;
+        if let Some(agent) = &mut self.agent {
+            agent.happened(self.now, interface(0), event(self.machine.happened));
+        }
     }
 }
 
@@ -249,12 +157,7 @@ enum Step {
     Release(u8),
     Request,
     Happen,
-    StartCore,
-    KillAgent,
-    StartAgent,
-    Cut,
-    Heal,
-    Wait(u8),
+    Fault(Fault),
     Outlast,
 }
 
@@ -264,12 +167,7 @@ fn step() -> impl Strategy<Value = Step> {
         1 => (0_u8..3).prop_map(Step::Release),
         3 => Just(Step::Request),
         4 => Just(Step::Happen),
-        1 => Just(Step::StartCore),
-        1 => Just(Step::KillAgent),
-        2 => Just(Step::StartAgent),
-        1 => Just(Step::Cut),
-        1 => Just(Step::Heal),
-        6 => any::<u8>().prop_map(Step::Wait),
+        12 => fault().prop_map(Step::Fault),
         1 => Just(Step::Outlast),
     ]
 }
@@ -282,36 +180,26 @@ proptest! {
         steps in prop::collection::vec(step(), 1..60),
         faults in prop::collection::vec(any::<u8>(), 1..200),
     ) {
-        let mut world = World::new(Carrier::with(faults));
+        let mut world = World::<Unit>::new(Carrier::with(faults));
         for step in steps {
             match step {
                 Step::Want(number, on) => world.want(number, on),
                 Step::Release(number) => world.release(number),
                 Step::Request => world.request(),
                 Step::Happen => world.happen(),
-                Step::StartCore => world.start_core(),
-                Step::KillAgent => world.machine.agent = None,
-                Step::StartAgent => world.start_agent(),
-                Step::Cut => world.network.is_cut = true,
-                Step::Heal => world.network.is_cut = false,
-                Step::Wait(steps) => world.steps(steps.into()),
+                Step::Fault(fault) => world.suffer(fault),
                 Step::Outlast => world.pass(RADIOS_KEPT),
             }
         }
-        if world.machine.agent.is_none() {
-            world.start_agent();
+        world.recover();
+        prop_assert_eq!(&world.machine.used, &world.machine.wanted);
+        for interface in world.machine.wanted.keys() {
+            prop_assert_eq!(world.machine.told.get(interface), Some(&RadioState::Ready));
         }
-        world.network.heal();
-        world.settle();
-        prop_assert!(world.controller.is_settled());
-        prop_assert_eq!(&world.machine.used, &world.wanted);
-        for interface in world.wanted.keys() {
-            prop_assert_eq!(world.told.get(interface), Some(&RadioState::Ready));
-        }
-        prop_assert!(world.requests.values().all(Option::is_some));
+        prop_assert!(world.machine.requests.values().all(Option::is_some));
         world.happen();
         world.settle();
-        prop_assert_eq!(world.events.last(), Some(&world.happened));
+        prop_assert_eq!(world.machine.events.last(), Some(&world.machine.happened));
     }
 }
 
@@ -319,7 +207,7 @@ proptest! {
 fn events_arrive_once_although_reports_and_beats_are_lost() {
     let mut draw = 0;
     // Each third message is lost.
-    let mut world = World::new(Carrier::new(move || {
+    let mut world = World::<Unit>::new(Carrier::new(move || {
         draw = (draw + 1) % 3;
         draw
     }));
@@ -329,64 +217,54 @@ fn events_arrive_once_although_reports_and_beats_are_lost() {
         world.steps(3);
     }
     world.settle();
-    assert_eq!(world.events, (1..=50).collect::<Vec<_>>());
+    assert_eq!(world.machine.events, (1..=50).collect::<Vec<_>>());
 }
 
 #[test]
 fn late_reports_of_a_killed_process_hide_no_events_of_the_next() {
     // The last report of the first process arrives after the first report of the second.
-    let mut world = World::new(Carrier::with(vec![0, 2, 2, 7]));
+    let mut world = World::<Unit>::new(Carrier::with(vec![0, 2, 2, 7]));
     world.steps(6);
-    world.machine.agent = None;
     world.start_agent();
     world.network.heal();
     world.settle();
     world.happen();
     world.settle();
-    assert_eq!(world.events, [1]);
+    assert_eq!(world.machine.events, [1]);
 }
 
 #[test]
 fn an_agent_that_is_away_takes_no_request() {
-    let mut world = World::new(Carrier::sound());
-    assert!(world.controller.request(&name(), roam()).unwrap_err().contains("not connected"));
+    let mut world = World::<Unit>::new(Carrier::sound());
+    assert!(world.controller.request(&World::<Unit>::name(), roam()).unwrap_err().contains("not connected"));
     world.settle();
     world.request();
     world.settle();
-    assert_eq!(world.requests[&1], Some(true));
+    assert_eq!(world.machine.requests[&1], Some(true));
     world.network.cut();
     world.request();
     world.settle();
-    assert_eq!(world.requests[&2], Some(false));
+    assert_eq!(world.machine.requests[&2], Some(false));
 }
 
 #[test]
 fn radios_stay_with_a_core_that_is_silent_for_a_while() {
-    let mut world = World::new(Carrier::sound());
+    let mut world = World::<Unit>::new(Carrier::sound());
     world.want(1, 6);
     world.settle();
     world.network.cut();
     world.pass(RADIOS_KEPT - LEASE);
-    assert!(world.machine.agent.as_ref().unwrap().is_alone());
-    assert_eq!(world.machine.used, world.wanted);
+    assert!(world.agent().is_alone());
+    assert_eq!(world.machine.used, world.machine.wanted);
     world.pass(LEASE * 2);
     assert_eq!(world.machine.used, Radios::new());
     world.network.is_cut = false;
     world.settle();
-    assert_eq!(world.machine.used, world.wanted);
+    assert_eq!(world.machine.used, world.machine.wanted);
 }
 
 fn wanted(wifi: WantedWifi) -> Wanted {
-    Wanted {
-        run: Run(1),
-        generation: 1,
-        lease_ms: 2000,
-        files: Vec::new(),
-        instances: BTreeMap::new(),
-        robot: None,
-        links: BTreeMap::new(),
-        wifi,
-    }
+    Wanted { wifi, ..nothing() }
 }
 
 #[test]
@@ -462,8 +340,8 @@ proptest! {
             }
         }
         if let Ok(report) = Report::decode(&bytes) {
-            let mut controller = Controller::new(report.run, LEASE, Vec::new(), [name()]);
-            controller.receive(now, &name(), report);
+            let mut controller = Controller::new(report.run, LEASE, Vec::new(), [World::<Unit>::name()]);
+            controller.receive(now, &World::<Unit>::name(), report);
             while controller.poll_event().is_some() {}
         }
     }

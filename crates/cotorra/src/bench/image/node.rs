@@ -37,7 +37,7 @@ impl Interrupt {
     }
 }
 
-/// What a measurement waits for.
+/// Event that a measurement waits for.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Message {
     /// The engine has an event.

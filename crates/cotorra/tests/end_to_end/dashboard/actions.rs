@@ -126,7 +126,7 @@ impl Panel<'_> {
 fn start(folder: &tempfile::TempDir) -> Run {
     let file = folder.path().join("steered.yaml");
     fs::write(&file, TESTBED).unwrap();
-    Run::start_with(&file, &["--until", "30min"], |command| {
+    Run::start_beside_with(&file, &["--until", "30min"], |command| {
         command.env("COTORRA_TOKEN", OPERATOR).env("COTORRA_DOMAIN_TOKENS", format!("two={TWO}"));
     })
 }
@@ -370,7 +370,7 @@ links:
         wire.0.id()
     );
     fs::write(&file, text).unwrap();
-    let run = Run::start(&file, &["--until", "30min"]);
+    let run = Run::start_beside(&file, &["--until", "30min"]);
     let panel = Panel(&browser);
     browser.open(&run.api);
     panel.show();

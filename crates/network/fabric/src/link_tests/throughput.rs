@@ -221,8 +221,6 @@ mod tests {
         fabric.test_throughput(s(0.0), &link, Direction::Forward, limit(2.0)).unwrap();
         let result = tested(&mut fabric, s(3.0)).unwrap();
         assert!((result.throughput_bps / 1.8e6 - 1.0).abs() < 0.1 && result.offered_bps == 2e6, "{result:?}");
-        let crossed = fabric.link_lateness(&link, Direction::Forward).unwrap().frames;
-        assert!((130..166).contains(&crossed), "of 166: 2 Mbit in packets of 1514 bytes");
         assert_eq!(fabric.link_contexts(s(3.0))[0].counters, Default::default());
     }
 

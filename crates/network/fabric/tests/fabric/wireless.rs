@@ -1,7 +1,7 @@
 //! Robots on the fabric: frames over the air and between radio units.
 
 use cotorra_fabric::{Checksum, Frame, GraphError, Offload, PortId, Segmentation, SegmentationKind};
-use cotorra_graph::{Conditions, Direction, Event, HostAddress, Timestamp};
+use cotorra_graph::{Conditions, Event, HostAddress, Timestamp};
 
 use crate::common::{Network, delay, frame, frame_to, ms, number, run};
 
@@ -103,21 +103,6 @@ fn super_packets_are_cut_for_the_air() {
         let out = run(&mut fabric, ms(0.0), ms(100.0));
         assert_eq!(out.iter().map(|d| d.frame.len()).collect::<Vec<_>>(), [1054; 3]);
     }
-}
-
-#[test]
-fn lateness_on_the_air_is_reported_by_link() {
-    let mut fabric = floor().fabric(1);
-    let link = "p~R1".parse().unwrap();
-    assert_eq!(fabric.link_lateness(&link, Direction::Backward), None);
-    fabric.push(ms(0.0), R1, frame(R1, P, 1, 60));
-    let due = fabric.poll(ms(0.0), &mut |_, _| {}).unwrap();
-    let out = run(&mut fabric, due + std::time::Duration::from_millis(2), ms(100.0));
-    assert_eq!(out.len(), 1);
-    let lateness = fabric.link_lateness(&link, Direction::Backward).unwrap();
-    assert_eq!(lateness.frames, 1);
-    assert!(lateness.max_us > 1000.0);
-    assert_eq!(fabric.link_lateness(&link, Direction::Forward), None);
 }
 
 #[test]

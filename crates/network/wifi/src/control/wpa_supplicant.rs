@@ -204,12 +204,6 @@ pub fn reconfigure() -> Request<()> {
     Request::new("RECONFIGURE", done)
 }
 
-/// Returns the request for an [event](crate::Event) whenever the signal falls below a threshold or rises above it, both in dB
-/// or dBm. wpa_supplicant refuses while it scans in the background.
-pub fn watch_signal(threshold_dbm: i8, hysteresis_db: u8) -> Request<()> {
-    Request::new(format!("SIGNAL_MONITOR THRESHOLD={threshold_dbm} HYSTERESIS={hysteresis_db}"), done)
-}
-
 /// Returns the request to join this access point of a network only; the best one if there is none.
 pub fn pin(network: u32, to: Option<MacAddress>) -> Request<()> {
     let bssid = to.map_or_else(|| "any".to_owned(), |to| to.to_string());
@@ -399,7 +393,6 @@ mod tests {
             scan_only(&channels),
             roam(address(1)),
             roam_over_ds(address(1)),
-            watch_signal(-70, 4),
             pin(2, Some(address(1))),
             pin(2, None),
         ]
@@ -413,7 +406,6 @@ mod tests {
                 "SCAN TYPE=ONLY freq=2412,2437",
                 "ROAM 02:00:00:00:00:01",
                 "FT_DS 02:00:00:00:00:01",
-                "SIGNAL_MONITOR THRESHOLD=-70 HYSTERESIS=4",
                 "SET_NETWORK 2 bssid 02:00:00:00:00:01",
                 "SET_NETWORK 2 bssid any",
             ]

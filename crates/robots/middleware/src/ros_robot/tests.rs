@@ -18,7 +18,10 @@ fn header(ms: u64, frame: &str) -> Header {
 
 fn pose(x: f64, y: f64, heading: f64) -> PoseWithCovariance {
     PoseWithCovariance {
-        pose: RosPose { position: Point { x, y, z: 0.0 }, orientation: Quaternion::from_heading(heading) },
+        pose: RosPose {
+            position: Point { x, y, z: 0.0 },
+            orientation: Quaternion::from_angles(0.0, 0.0, heading),
+        },
         covariance: Covariance::from_planar(&[0.04, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.02]),
     }
 }
@@ -50,8 +53,10 @@ fn scan(ms: u64, rays: usize) -> LaserScan {
 }
 
 fn frame(ms: u64, frame_id: &str, child: &str, (x, y, heading): (f64, f64, f64)) -> TFMessage {
-    let transform =
-        Transform { translation: Vector3 { x, y, z: 0.0 }, rotation: Quaternion::from_heading(heading) };
+    let transform = Transform {
+        translation: Vector3 { x, y, z: 0.0 },
+        rotation: Quaternion::from_angles(0.0, 0.0, heading),
+    };
     let header = header(ms, frame_id);
     TFMessage { transforms: vec![TransformStamped { header, child_frame_id: child.to_owned(), transform }] }
 }
@@ -278,7 +283,7 @@ fn broken_pose(f: &[f64]) -> PoseWithCovariance {
             position: Point { x: f[0], y: f[1], z: f[2] },
             // Half of them are rotations.
             orientation: if f[3] > 0.0 {
-                Quaternion::from_heading(f[4].clamp(-3.0, 3.0))
+                Quaternion::from_angles(0.0, 0.0, f[4].clamp(-3.0, 3.0))
             } else {
                 Quaternion { x: f[3], y: f[4], z: f[5], w: f[6] }
             },

@@ -117,7 +117,7 @@ async fn onboard(State(served): State<Served>, asked: Asked, Path(fdu): Path<Str
     let mut descriptor = Descriptor::read(&body).map_err(LifecycleError::from)?;
     match &descriptor.uuid {
         None => {
-            // What reads the body also checks an identifier.
+            // The reader of the body also checks an identifier.
             descriptor.keys.insert("uuid".to_owned(), fdu.into());
             let text = Value::Object(descriptor.keys).to_string();
             descriptor = Descriptor::read(text.as_bytes()).map_err(LifecycleError::from)?;

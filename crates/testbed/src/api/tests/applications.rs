@@ -17,7 +17,7 @@ impl Applications {
         let live = served.live.clone();
         let heard = std::thread::spawn(move || {
             let mut heard = Vec::new();
-            while let Ok(Message::Instruct { instruction, reply, .. }) = core.recv() {
+            while let Ok(Message::Instruct { given: Given { instruction, .. }, reply }) = core.recv() {
                 let refused = match &instruction {
                     cotorra_graph::Instruction::AddVnf { vnf } if vnf.env.iter().any(|v| v == "REFUSE=1") => {
                         Some("the node is full".to_owned())

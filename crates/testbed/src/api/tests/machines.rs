@@ -5,7 +5,7 @@ use serde_json::json;
 
 use super::{notice, serve};
 
-/// What a node's machine reported in a second of the run.
+/// Report of a node's machine in a second of the run.
 pub(super) fn machine(node: &str, second: u64) -> Stamped {
     let traffic = json!({ "packets": 7, "bytes": 900, "errors": 0, "dropped": 1, "throughput_bps": 8e6 });
     let event = json!({

@@ -31,7 +31,7 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Longest time at the end of a run for agents that report that something still ends, as a container of a busy engine may.
 const LONGEST_END: Duration = Duration::from_secs(30);
 
-/// What the thread works with.
+/// State of the thread.
 pub(super) struct Parts {
     pub(super) run: Run,
     pub(super) lease: Duration,
@@ -79,7 +79,7 @@ impl Link {
         Ok(Self { parts, controller, requests: BTreeMap::new(), is_ending: false, granted, router })
     }
 
-    /// Runs until it is told to end, and what it runs has been stopped.
+    /// Runs until it has to end, and all that it runs has been stopped.
     pub(super) fn run(mut self, inbox: &mpsc::Receiver<Command>) {
         let mut next_look = (self.parts.now)() + LOOK;
         let mut ends_at = None;
@@ -167,7 +167,7 @@ impl Link {
     }
 
     fn tell_radios(&self, news: News) {
-        // Nobody waits in a testbed without real radios, or any more.
+        // There is no receiver in a testbed without real radios, or any more.
         _ = self.parts.radios.send(AtAgentsMessage::News(news));
     }
 

@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 use super::command::Command;
 use crate::real::{network::AgentLinks, places::Place};
 
-/// What agents report of their links. The agents' thread writes it, and the core's reads it.
+/// Reports of agents on their links. The agents' thread writes it, and the core's reads it.
 #[derive(Clone)]
 pub(super) struct LinkReports(Arc<Mutex<Reports>>);
 
@@ -25,7 +25,7 @@ struct Reports {
     links: BTreeMap<LinkId, Reported>,
 }
 
-/// What is known of a link.
+/// State of a link.
 struct Reported {
     agent: AgentId,
     /// The process that read the counters last, and when, on its clock.
@@ -124,7 +124,7 @@ impl LinkReports {
         } else {
             reports.present.remove(agent);
             let its = reports.links.values_mut().filter(|its| its.agent == *agent);
-            // What crosses a link while its agent is away is counted when it returns.
+            // Packets that cross a link while its agent is away are counted when it returns.
             for its in its {
                 (its.leaving.throughput_bps, its.arriving.throughput_bps, its.probed) = (0.0, 0.0, None);
             }
@@ -257,7 +257,7 @@ links:
         reports: LinkReports,
         links: LinksAtAgents,
         commands: mpsc::Receiver<Command>,
-        /// What agents say of probes.
+        /// Agents' reports on probes.
         probed: Option<[Probed; 2]>,
     }
 

@@ -9,7 +9,6 @@ mod contract_tests;
 pub(crate) mod error;
 mod link;
 mod links;
-mod options;
 mod robot;
 mod shipped;
 
@@ -25,16 +24,17 @@ use cotorra_enrolment::Authority;
 use cotorra_graph::{AgentId, LinkContext, Node, NodeId, Testbed, Vnf};
 use cotorra_plugin::wire;
 
+pub use self::error::AgentsError;
 use self::{
     command::Command,
     link::Link,
     links::{LinkReports, LinksAtAgents},
     robot::Robots,
 };
-pub use self::{error::AgentsError, options::AgentOptions};
 use crate::{
     clock::Clock,
     core::message::Message,
+    options::AgentOptions,
     real::{network::AgentLinks, robots::AtAgents},
     report::RunFolder,
     wifi::{AtAgentsMessage, Place, Wish, Wishes},
@@ -82,7 +82,7 @@ pub(crate) struct AgentEngine {
     robots: Robots,
     links: LinkReports,
     events: mpsc::Receiver<EngineEvent>,
-    /// Where news of real radios go and arrive, until somebody takes them.
+    /// Channel of news of real radios, until it is taken.
     radios: Option<(mpsc::Sender<AtAgentsMessage>, mpsc::Receiver<AtAgentsMessage>)>,
     thread: Option<thread::JoinHandle<()>>,
 }

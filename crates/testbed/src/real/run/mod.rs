@@ -81,7 +81,7 @@ pub struct Run {
     /// Real Wi-Fi software. Before the datapath: it is stopped while packets still pass.
     wifi: Vec<Wifi>,
     datapath: Arc<Datapath>,
-    /// How long datagrams to robots waited in their sockets.
+    /// Waits of datagrams in robots' sockets.
     receptions: Receptions,
     recording: Option<Recording>,
     keeping: Option<Keeping>,
@@ -124,7 +124,7 @@ impl Run {
         let Prepared { testbed, folder, history, run, recorder, recording, keeping, .. } = prepared;
         let NetworkUp { datapath, now, inbox, messages, is_probed, .. } = network;
         let NodesUp { mut core, masters, sockets, image_sockets, radios } = nodes;
-        let ServicesUp { live, stream, server, plugins } = services;
+        let ServicesUp { live, stream, mut server, plugins } = services;
         let tap = recording.as_ref().map(Recording::tap);
         if tap.is_some() {
             core.tap_scans();
@@ -150,6 +150,8 @@ impl Run {
             let notes = previous.notes_before(prepared.info.started_at_unix_ns);
             notes.for_each(|note| core_loop.publish_event(note));
         }
+        core_loop.observe();
+        server.open();
         let core = thread::Builder::new()
             .name("core".to_owned())
             .spawn(move || {

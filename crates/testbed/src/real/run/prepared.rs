@@ -43,7 +43,7 @@ pub(super) struct Prepared {
     pub(super) seed: u64,
     pub(super) testbed: Arc<Testbed>,
     pub(super) options: Options,
-    /// What real Wi-Fi software is to do, if there is any.
+    /// Tasks of real Wi-Fi software, if there is any.
     pub(super) wifi: Option<Plan>,
     /// Engines of containers, by their kind.
     pub(super) engines: super::containers::Addresses,

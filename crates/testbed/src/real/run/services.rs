@@ -1,4 +1,4 @@
-//! The fourth phase of a run: the API is served, and plug-ins run.
+//! The fourth phase of a run: clients of the API can connect, and plug-ins run.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ pub(super) struct ServicesUp {
 }
 
 impl ServicesUp {
-    /// Serves the API, and starts plug-ins.
+    /// Makes the API, which does not answer yet, and starts plug-ins.
     pub(super) fn start(
         prepared: &Prepared,
         network: &NetworkUp,
@@ -49,6 +49,7 @@ impl ServicesUp {
             replay: false,
             paced: false,
             verdict: None,
+            kpis: Vec::new(),
             keeper: prepared.keeping.as_ref().map(Keeping::keeper),
             wais: api::WaisOptions {
                 clock: Some(Arc::clone(&network.now)),

@@ -1,4 +1,4 @@
-//! What real Wi-Fi software of a run is to do.
+//! Tasks of a run's real Wi-Fi software.
 
 use cotorra_graph::Testbed;
 use cotorra_wifi::DomainKey;
@@ -20,7 +20,7 @@ pub(super) fn plan(testbed: &Testbed) -> Result<Option<Plan>, RunError> {
     Ok(plan)
 }
 
-/// Returns a key of mobility domains that nobody else has.
+/// Returns a key of mobility domains, for this run alone.
 pub(super) fn domain_key() -> DomainKey {
     let mut key = [0; 32];
     getrandom::fill(&mut key).expect("the system has random numbers");

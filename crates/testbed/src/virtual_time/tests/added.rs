@@ -62,7 +62,7 @@ impl Run {
     }
 
     fn instruct(&mut self, instruction: Instruction) -> Result<(), String> {
-        let done = self.simulation.instruct("test".parse().unwrap(), instruction, None);
+        let done = self.simulation.instruct(Given::new("test".parse().unwrap(), instruction));
         done.map_err(|refused| refused.0)
     }
 

@@ -84,7 +84,7 @@ fn samples(events: &[Stamped]) -> Vec<&ServiceTime> {
 fn place(simulation: &mut Simulation, vnf: &str, node: &str) {
     let node = Nodes::from(node.parse::<NodeId>().unwrap());
     let place = Instruction::Place { vnf: vnf.parse().unwrap(), node };
-    simulation.instruct("test".parse().unwrap(), place, None).unwrap();
+    simulation.instruct(Given::new("test".parse().unwrap(), place)).unwrap();
 }
 
 #[test]

@@ -24,7 +24,7 @@ fn changed(change: impl FnOnce(String) -> String) -> Arc<Testbed> {
 }
 
 fn instruct(simulation: &mut Simulation, instruction: Instruction) {
-    simulation.instruct("test".parse().unwrap(), instruction, None).unwrap();
+    simulation.instruct(Given::new("test".parse().unwrap(), instruction)).unwrap();
 }
 
 /// Changes the links between the robot's first two radio units and the edge.

@@ -36,7 +36,7 @@ fn node(name: &str) -> NodeId {
 }
 
 fn instruct(simulation: &mut Simulation, instruction: Instruction) {
-    simulation.instruct("test".parse().unwrap(), instruction, None).unwrap();
+    simulation.instruct(Given::new("test".parse().unwrap(), instruction)).unwrap();
 }
 
 fn place(simulation: &mut Simulation, nodes: &[&str]) {

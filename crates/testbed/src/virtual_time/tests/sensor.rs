@@ -56,11 +56,11 @@ fn events(testbed: Arc<Testbed>) -> Vec<Stamped> {
                 ("battery", &[1.0, 1.0], "is no vector"),
                 ("nose", &[1.0], "has no sensor `nose`"),
             ] {
-                let told = simulation.instruct(plugin(), report(sensor, values), None).unwrap_err();
+                let told = simulation.instruct(Given::new(plugin(), report(sensor, values))).unwrap_err();
                 assert!(told.to_string().contains(refused), "{told}");
             }
             for values in [[1.0, 1.0], [3.0, 4.0]] {
-                simulation.instruct(plugin(), report("gripper", &values), None).unwrap();
+                simulation.instruct(Given::new(plugin(), report("gripper", &values))).unwrap();
             }
         }
         events.extend(std::iter::from_fn(|| simulation.poll_event()));

@@ -40,7 +40,7 @@ fn bssid(node: &str) -> MacAddress {
     mac(NODES.into_iter().find(|(name, ..)| *name == node).unwrap().3)
 }
 
-/// What came out, in order.
+/// The output, in order.
 #[derive(Debug, Clone, PartialEq)]
 enum Out {
     Wish(Place, Wish),

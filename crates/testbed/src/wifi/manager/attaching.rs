@@ -6,7 +6,7 @@ use cotorra_graph::{NodeId, Timestamp};
 
 use super::{Change, Manager, PATIENCE, Program, Refused, Rejected, Request};
 
-/// Where a robot is sent.
+/// Destination of a robot.
 #[derive(Debug)]
 pub(super) struct Errand {
     to: NodeId,
@@ -59,7 +59,7 @@ impl Manager {
         let step = if state.is_attached() { Step::First } else { Step::Joining };
         state.errand = Some(Errand { to: unit.clone(), until: now + PATIENCE, step });
         if step == Step::First && self.needs_other_key(robot, unit) {
-            // What it hears now, it joins at once.
+            // It joins at once if it hears the unit now.
             self.look_for(robot);
         } else if step == Step::First {
             self.roam(now, robot);

@@ -19,11 +19,11 @@ pub(super) struct RobotState {
     joining: Option<Joining>,
     /// Whether it scans.
     pub(super) scans: bool,
-    /// Where it is sent.
+    /// Its destination.
     pub(super) errand: Option<Errand>,
     /// The radio unit that has keys for it since it last began to join one, and since when.
     pub(super) keys_at: Option<(NodeId, Timestamp)>,
-    /// What its radio unit suggested or is about to, and it has not answered.
+    /// Suggestion of its radio unit, sent or due, that it has not answered.
     pub(super) suggestion: Option<Suggestion>,
     /// Its keys of radio units, and the one that it uses in place of its network's passphrase.
     pub(super) keys: Keys,

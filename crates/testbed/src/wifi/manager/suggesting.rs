@@ -36,7 +36,7 @@ impl Manager {
     /// Lets a robot's radio unit suggest another one. An event reports the robot's answer. Does nothing if it is there.
     ///
     /// # Errors
-    /// [`Rejected`]. Nobody was asked then.
+    /// [`Rejected`]. No station was asked then.
     pub(crate) fn suggest(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) -> Result<(), Rejected> {
         self.check_takes(robot, unit)?;
         let state = self.running(robot)?;

@@ -519,7 +519,7 @@ fn a_robot_whose_supplicant_died_is_nowhere() {
     assert_eq!(actions[1..], expected);
     world.pass(100);
     assert_eq!(world.started(), [supplicant("r1")]);
-    // What an earlier process reported does not count.
+    // Reports of an earlier process do not count.
     world.join("r1", "A");
     assert_eq!(world.changes(), []);
 }

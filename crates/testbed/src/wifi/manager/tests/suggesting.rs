@@ -106,7 +106,7 @@ fn a_rejected_suggestion_is_reported_and_another_may_follow() {
     world.suggest("r1", "B").unwrap();
     world.answer("A", 7);
     assert_eq!(world.actions()[1..], [answered(7)]);
-    // An answer that nobody waits for is none to a suggestion.
+    // An unexpected answer belongs to no suggestion.
     world.answer("A", 0);
     assert_eq!(world.actions(), []);
     world.suggest("r1", "B").unwrap();
