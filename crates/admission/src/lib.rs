@@ -126,7 +126,7 @@ mod tests {
             arrive(&mut strangers, &format!("10.1.0.{i}"), 100 + i);
         }
         assert_eq!(handles(&strangers), [9, 197, 198, 199]);
-        // Where all are known, the oldest goes.
+        // If all are known, the oldest goes.
         for i in 0..4 {
             let address = format!("10.2.0.{i}");
             strangers.know(address.parse().unwrap());

@@ -48,8 +48,8 @@ impl Opener {
         Ok(Self(Some(child)))
     }
 
-    /// Opens a page by its file: an address would be an argument of the browser, which other users can see. Nobody waits
-    /// for the browser.
+    /// Opens a page by its file: an address would be an argument of the browser, which other users can see. The program
+    /// does not wait for the browser.
     pub fn open(self, prepare: impl FnOnce() -> io::Result<SignIn>) {
         let Some(stdin) = self.0.and_then(|child| child.stdin) else { return };
         if let Err(error) = prepare().and_then(|page| writeln!(&stdin, "{}", page.file.display())) {

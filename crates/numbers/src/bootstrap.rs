@@ -5,7 +5,7 @@ use crate::{draws::Draws, interval::Interval, quantile::quantile};
 /// Number of resamples for an interval.
 pub const RESAMPLES: usize = 1000;
 
-/// What of a series is drawn as a whole.
+/// The part of a series that is drawn as a whole.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Blocks {
     /// Each value, for values that do not depend on each other.

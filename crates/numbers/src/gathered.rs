@@ -17,7 +17,7 @@ const BLOCK: usize = 1 << 16;
 pub struct Gathered {
     /// Values that stand for 2^level samples each.
     levels: Vec<Vec<f64>>,
-    /// Which values of a level's next block are passed on.
+    /// The values of a level's next block that are passed on.
     odd: Vec<bool>,
     /// Most by which the rank of a value can be wrong.
     error: u64,

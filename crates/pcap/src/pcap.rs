@@ -25,7 +25,7 @@ pub(crate) fn read<'a, E: From<ReadError>>(
             _ => None,
         })
         .ok_or(ReadError::NoCapture)?;
-    // The upper half tells of checksums behind the frames.
+    // The upper half is about checksums behind the frames.
     let link_type = order.u32_at(bytes, 20).ok_or(ReadError::CutOff)? as u16;
     let mut rest = bytes.get(FILE_HEADER..).unwrap_or_default();
     let field = |rest: &[u8], at| order.u32_at(rest, at);

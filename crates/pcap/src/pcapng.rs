@@ -13,7 +13,7 @@ pub(crate) const PACKET: u32 = 6;
 pub(crate) const BYTE_ORDER_MAGIC: u32 = 0x1a2b_3c4d;
 /// Length of a block's type and both lengths.
 const LEAST_BLOCK: usize = 12;
-/// Where the options of an interface begin, and the bytes of a packet.
+/// Places at which the options of an interface and the bytes of a packet begin.
 const INTERFACE_OPTIONS: usize = 16;
 pub(crate) const PACKET_BYTES: usize = 28;
 /// Codes of options of an interface.

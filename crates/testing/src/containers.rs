@@ -130,7 +130,7 @@ impl Containers {
             command.args(["system", "service", "--time=0", &address]);
             command
         };
-        // What a killed one left would keep another from starting. Its containerd died with it.
+        // Leftovers of a killed one would keep another from starting. Its containerd died with it.
         for left in ["pid", "exec/containerd/containerd.pid", "exec/containerd/containerd.sock"] {
             let _ = fs::remove_file(folder.join(left));
         }

@@ -9,7 +9,7 @@ pub struct Lab<'a> {
     /// Deviation of shadowing, dB. Without one, the seed changes nothing.
     pub shadowing_db: u8,
     pub roaming: &'a str,
-    /// Where the radio unit `B` is on the x axis, m; `A` is at 0.
+    /// Place of the radio unit `B` on the x axis, m; `A` is at 0.
     pub b: Option<u8>,
     /// Ends of links with their delays. `lan` is a switch.
     pub links: &'a [(&'a str, &'a str)],

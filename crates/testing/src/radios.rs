@@ -11,7 +11,7 @@ use std::{
 
 /// Names of their agents.
 pub const AGENTS: [&str; 3] = ["robot1", "ap1", "ap2"];
-/// Where the core listens for agents.
+/// The address at which the core listens for agents.
 pub const CORE: &str = "10.9.0.1:7448";
 
 /// The owner's access point, `wlan1`.

@@ -13,7 +13,7 @@ pub use kobuki::Kobuki;
 pub use memory::Memory;
 pub use rplidar::Rplidar;
 
-/// Where the robot truly is.
+/// True place of the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Place {
     /// Metres.

@@ -1,6 +1,6 @@
 //! One robot's walk: which waypoint is next, which way leads there, and how to move now; or the same to a goal.
 //!
-//! What it answers depends on the robot's pose and next waypoint alone, never on what it saw before: so that an
+//! Its answers depend on the robot's pose and next waypoint alone, never on what it saw before: so that an
 //! instance on another server goes on where this one stopped. What it keeps between calls is only computed ahead. To a goal
 //! it keeps to the way that it planned; an instance on another server plans one from where the robot is then.
 

@@ -30,7 +30,7 @@ pub struct Settings {
     /// Time before a robot leaves coverage at which a service is announced.
     #[serde(deserialize_with = "duration")]
     pub lead: Duration,
-    /// Time before a robot leaves coverage at which it is halted if nobody else serves it.
+    /// Time before a robot leaves coverage at which it is halted if no other domain serves it.
     #[serde(deserialize_with = "duration")]
     pub stop: Duration,
     /// Time for collecting bids after the announcement was received. Defaults to one and a quarter block periods, or

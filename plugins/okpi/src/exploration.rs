@@ -352,7 +352,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         let last = before.map(|before| &self.labels[before]);
         let vnf = last.map_or(0, |label| label.vnf + 1);
         let after = &decision.after[vnf];
-        // What is used already fails only once: the reliability of the rest is unknown.
+        // A part in use fails only once: the reliability of the rest is unknown.
         let delay_ns = after.delay_ns.get(node).copied().unwrap_or(0);
         let to_come = Figures { delay_ns, failure: 0.0 };
         // A host counts once, however many VNFs it carries.

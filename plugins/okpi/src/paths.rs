@@ -49,7 +49,7 @@ impl By {
     }
 }
 
-/// What a path costs: the weight of its figures, then its hops.
+/// Cost of a path: the weight of its figures, then its hops.
 #[derive(Debug, Clone, Copy)]
 struct Cost {
     rank: ((u64, u64), u32),

@@ -26,7 +26,7 @@ pub fn place(
     if let Ok(placed) = seek(f64::from(search.gamma), [Kpi::Kept; 2], true) {
         return Ok(placed);
     }
-    // What can be reached at all does not depend on its cost, unless somebody is to pay it.
+    // Reach does not depend on cost, unless somebody is to pay it.
     let closest = match seek(EXACTLY, [Kpi::Relaxed; 2], search.relax) {
         Ok(closest) if search.relax => return Ok(closest),
         Ok(closest) => closest,

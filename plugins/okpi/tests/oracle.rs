@@ -73,7 +73,7 @@ proptest! {
                 prop_assert!(placed.cost >= optimum - 1e-9, "{} beats {optimum}", placed.cost);
             }
             Err(Infeasible::Resolution { .. }) => {}
-            // What is said to be out of reach is so; how rarely it is not with several VNFs is tested below.
+            // Parts that are called out of reach are so; how rarely it is not with several VNFs is tested below.
             Err(error) => prop_assert!(optimum.is_none() || service.vnfs.len() > 2, "{}", error),
         }
     }

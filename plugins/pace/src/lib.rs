@@ -1,7 +1,7 @@
 //! Slows robots where their radio is weak: radio units report the signal of each station, ι(R), and the Robot Middleware
 //! limits the robot's speed.
 //!
-//! What it gains is way, not time: a robot goes on with its last command while it waits for an answer, and a slow one goes
+//! It gains way, not time: a robot goes on with its last command while it waits for an answer, and a slow one goes
 //! less far meanwhile. docs/use/pace.md has figures.
 #![forbid(unsafe_code)]
 

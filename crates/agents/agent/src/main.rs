@@ -108,7 +108,7 @@ struct RunArgs {
     replace: bool,
     /// Lend a Wi-Fi interface to testbeds, which put their own access point or network there; can be repeated
     ///
-    /// What is there now is put back at the end of a run, when the core is lost, and by the next start after a kill.
+    /// The state from before is restored at the end of a run, when the core is lost, and by the next start after a kill.
     #[arg(long, value_name = "INTERFACE")]
     wifi: Vec<cotorra_wifi::InterfaceName>,
 }

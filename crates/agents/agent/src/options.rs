@@ -31,7 +31,7 @@ impl FromStr for User {
     }
 }
 
-/// What runs images.
+/// The engine for images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum ImageEngine {
     Podman,
@@ -58,9 +58,9 @@ pub(crate) struct Options {
     pub(crate) user: Option<User>,
     /// Whether commands can have the agent's own rights.
     pub(crate) allow_trusted: bool,
-    /// What runs images; `None` if the machine's owner does not permit any.
+    /// The engine for images; `None` if the machine's owner does not permit any.
     pub(crate) images: Option<ImageEngine>,
-    /// What the core may do to interfaces.
+    /// Changes to interfaces that the core may make.
     pub(crate) confirmed: Confirmed,
     /// Wi-Fi interfaces that the core may use.
     pub(crate) wifi: BTreeSet<InterfaceName>,

@@ -52,7 +52,7 @@ pub enum LinkState {
     Failed(String),
 }
 
-/// What crossed a link since its interface was given conditions, and the results of its probes.
+/// Counters of a link since its interface was given conditions, and the results of its probes.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkReading {

@@ -63,7 +63,7 @@ pub fn withdraw(folder: &Path) {
     let is_own = |entry: fs::DirEntry| ManyInputs::NAMES.iter().any(|name| entry.file_name() == *name);
     let is_new = fs::read_dir(folder).is_ok_and(|mut all| all.all(|entry| entry.is_ok_and(is_own)));
     if is_new {
-        // A folder that cannot be removed harms nobody.
+        // A folder that cannot be removed does no harm.
         let removed = fs::remove_dir_all(folder);
         let _ = removed.and_then(|()| folder.parent().map_or(Ok(()), fs::remove_dir));
     }

@@ -130,7 +130,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     Ok(worst.unwrap_or(Status::Done).into())
 }
 
-/// What all walks have in common.
+/// The common part of all walks.
 struct Conduct<'a> {
     args: &'a OkpiArgs,
     stage: &'a Stage,

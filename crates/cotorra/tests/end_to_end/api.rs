@@ -70,7 +70,7 @@ fn by_default_a_run_is_its_users_alone() {
     python.args(["-c", script]).env("PYTHONPATH", project_file("clients/python"));
     let counted = python.env("COTORRA_API", &run.api).env_remove("COTORRA_TOKEN").output().unwrap();
     assert!(counted.status.success() && stdout(&counted) != "0\n", "{}", stderr(&counted));
-    // Nobody else opens the socket.
+    // Another user cannot open the socket.
     let ask = |uid: Option<u32>| {
         let mut python = Command::new("python3");
         let connect = "import socket, sys; socket.socket(socket.AF_UNIX).connect(sys.argv[1])";

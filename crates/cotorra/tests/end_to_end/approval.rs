@@ -1,4 +1,4 @@
-//! Testbed files from elsewhere, whose commands nobody approved.
+//! Testbed files from elsewhere, with commands that were not approved.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{fs, path::Path, process::Output};

@@ -98,7 +98,7 @@ fn an_image_that_cannot_serve_is_reported_and_nothing_is_written() {
 fn ctrl_c_ends_the_wait_for_a_port_and_leaves_no_container() {
     let Some(engine) = Containers::start(EngineKind::Podman) else { return };
     let mut command = bench(&engine, &[BUSYBOX, "--port", "9000/udp", "--", "sleep", "1000000"]);
-    // Served by the benchmark's own guard, as where nobody serves podman.
+    // Served by the benchmark's own guard, as without a podman service.
     command.env_remove(engine.variable().0).envs(engine.settings());
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);

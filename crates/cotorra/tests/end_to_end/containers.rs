@@ -202,7 +202,7 @@ fn an_image_navigates_the_robot_and_moves_between_servers() {
     let Some(engine) = Containers::start(EngineKind::Podman) else { return };
     let folder = TempDir::new().unwrap();
     let file = corridor_navigated_by_an_image(&engine, folder.path(), "");
-    // Served by the run's own guard, as where nobody serves podman.
+    // Served by the run's own guard, as without a podman service.
     let settings = engine.settings();
     let mut run = Run::start_with(&file, &["--until", "10min"], |command| {
         command.envs(settings);

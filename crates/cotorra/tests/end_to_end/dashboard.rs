@@ -232,7 +232,7 @@ fn a_finished_run_is_shown_whole_on_every_screen() {
         browser.wait_for(&format!("{MAP}.includes('coverage of R1, R2, R3, R4, R5, R6') === {shows}"));
     }
 
-    // What was filtered out is gone, and comes back.
+    // Filtered rows are gone, and come back.
     browser.evaluate("document.querySelector('#timeline-tools [data-group=handover]').click();");
     browser.wait_for(&format!("!{TIMELINE}.includes('robot: R3 → R2')"));
     browser.evaluate("document.querySelector('#timeline-tools [data-group=handover]').click();");
@@ -334,7 +334,7 @@ fn pages_of_other_sites_can_neither_read_nor_steer() {
     let again = ask(&address, &format!("GET / HTTP/1.1\r\nHost: {address}\r\nIf-None-Match: {etag}"));
     assert!(again.starts_with("HTTP/1.1 304"), "{again}");
 
-    // What browsers send for a page of another origin, or of a name that leads here.
+    // Headers that browsers send for a page of another origin, or of a name that leads here.
     let robots = |headers: &str| ask(&address, &format!("GET /api/v1/robots HTTP/1.1\r\n{headers}"));
     let own = format!("Host: {address}\r\nOrigin: http://{address}\r\nSec-Fetch-Site: same-origin");
     assert!(robots(&own).starts_with("HTTP/1.1 200"));
@@ -388,7 +388,7 @@ fn the_browser_is_opened_on_request() {
         command.env("PATH", path(programs.path()));
     });
     wait_until(|| opened.exists());
-    // What other users can see of the browser's arguments is only where the file is.
+    // Other users see only the file's place in the browser's arguments.
     let arguments = fs::read_to_string(opened).unwrap();
     let file = Path::new(arguments.trim());
     assert_eq!(fs::metadata(file).unwrap().permissions().mode() & 0o777, 0o600);

@@ -75,7 +75,7 @@ fn alone() -> Alone {
     Alone { _lock: lock }
 }
 
-/// Who may use the API of a run.
+/// Access to the API of a run.
 #[derive(Clone, Copy, PartialEq)]
 enum Access {
     /// Every program of this machine, if the run has no token.

@@ -72,7 +72,7 @@ fn an_image_runs_at_the_agent_of_a_real_server() {
     "#;
     let mut command = Command::new("unshare");
     command.args(["--net", "sh", "-ec", script]).current_dir(folder.path()).process_group(0);
-    // Served by the agent's own guard, as where nobody serves podman.
+    // Served by the agent's own guard, as without a podman service.
     command.envs(engine.settings()).env_remove(engine.variable().0).env("XDG_RUNTIME_DIR", folder.path());
     command.env("COTORRA", cotorra::<&str>([]).get_program()).env("AGENT", agent_program());
     let done = command.env("TMPDIR", folder.path()).env("NO_COLOR", "1").output().unwrap();

@@ -1,4 +1,4 @@
-//! What a run says and exits with when its figures are not valid, or when it does not get on.
+//! Output and exit status of a run whose figures are not valid, or that does not get on.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{

@@ -1,4 +1,4 @@
-//! A TurtleBot 2 whose serial ports are at an agent. The emulated base goes on at its last speed when nobody commands it.
+//! A TurtleBot 2 whose serial ports are at an agent. The emulated base goes on at its last speed without commands.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{

@@ -136,7 +136,7 @@ fn robot_stops_when_the_network_its_cable_or_its_testbed_is_lost() {
     wait_until(|| robot(&run)["health"] == json!([]));
     wait_until(moves);
 
-    // The testbed is killed: nobody commands the base any more, and the next run stops it first.
+    // The testbed is killed: no more commands reach the base, and the next run stops it first.
     run.signal("KILL");
     run.wait();
     let settled = emulated.state().now;

@@ -114,7 +114,7 @@ fn each_robot_blames_its_own_link_for_samples_without_an_answer() {
     assert!(printed.contains(&format!(": {first} requests lost on A-edge.")), "{printed}");
     assert!(!printed.contains("PASS") && !printed.contains("FAIL"), "{printed}");
 
-    // The history tells the same.
+    // The history has the same.
     let run = lab.folder();
     let told = lab.cotorra(&["history", "series", run.to_str().unwrap(), "service"]);
     assert!(unwrapped(&stdout(&told)).contains(&sentence), "{}", stdout(&told));

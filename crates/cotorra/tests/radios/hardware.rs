@@ -101,7 +101,7 @@ fn machines_with_agents_serve_a_run_and_are_their_owners_again() {
     machines.agents[number] = start_agent(number);
     rig.wait_for(|event| is_now(event, "started"));
 
-    // An access point that nobody wants is its owner's meanwhile.
+    // An access point that the run does not want is its owner's meanwhile.
     rig.instruct(json!({ "instruction": "remove", "radio_unit": there })).unwrap();
     wait_for(&rig, "the other radio unit is its owner's", || {
         !sh(&format!("ip netns exec u{number} iw dev")).contains("ssid lab")

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::rig::{FLOOR, Rig};
 
-/// How far the same event of two runs may be apart: two ticks of the kernel and a little. Programs that wait for others do not
+/// Largest distance of the same event in two runs: two ticks of the kernel and a little. Programs that wait for others do not
 /// always read the clock equally often, and reading it takes time. mac80211 associates at a tick, so microseconds can become
 /// a tick.
 const APART: Duration = Duration::from_micros(8100);

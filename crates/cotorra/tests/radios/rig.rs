@@ -77,14 +77,14 @@ pub struct Rig {
     arriving: Receiver<Value>,
     /// Events that arrived, in order.
     seen: Vec<Value>,
-    /// How many of these [`Self::wait_for`] has passed.
+    /// Number of these that [`Self::wait_for`] has passed.
     passed: usize,
     _folder: TempDir,
 }
 
 /// A run that has ended.
 pub struct Ended {
-    /// What it says of itself in `summary.json`.
+    /// Its part of `summary.json`.
     pub summary: Value,
     /// The [`NEWS`] that it kept, in order.
     pub events: Vec<Value>,

@@ -33,7 +33,7 @@ struct Roams {
     down: Gaps,
     /// Of packets from the robot.
     up: Gaps,
-    /// How many had no handshake of keys.
+    /// Number of those without a handshake of keys.
     fast: usize,
 }
 
@@ -66,7 +66,7 @@ impl Roams {
     }
 }
 
-/// How many roams: a few, or as many as the figures of docs/use/wifi.md need.
+/// Number of roams: a few, or as many as the figures of docs/use/wifi.md need.
 fn number(few: usize, many: usize) -> usize {
     if env::var_os("COTORRA_FULL").is_some() { many } else { few }
 }

@@ -13,7 +13,7 @@ pub struct Declared {
     pub unit: Unit,
     /// Whether it has one number in a run or many.
     pub kind: FigureKind,
-    /// Which values are better.
+    /// The better side of its values.
     pub better: Better,
     /// Its name in tables and JSON, with the unit.
     pub field: &'static str,
@@ -30,7 +30,7 @@ pub enum FigureKind {
     Total,
 }
 
-/// Which values of a figure are better.
+/// The better side of a figure's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Better {
     /// Small ones.

@@ -292,7 +292,7 @@ pub fn switch_off_in_fabric<N: Network + ?Sized>(
     network.with(off).map_err(rejected)?.map_err(rejected)
 }
 
-/// Who takes the time of a vAP's deployment.
+/// The party that takes the time of a vAP's deployment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Deployment {
     /// It is emulated: the radio unit's deployment time passes before the vAP is switched on, and it serves at once.

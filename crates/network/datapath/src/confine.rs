@@ -193,7 +193,7 @@ fn user_of(home: &Path) -> u32 {
     FIRST_USER + (hash.finish() % USERS) as u32
 }
 
-/// What a program is shown of the outside. A folder is shown as a whole, with what is made in it later, unless it
+/// The part of the outside that a program sees. A folder is shown as a whole, with what is made in it later, unless it
 /// contains something hidden, or is a named one that other users may not enter. It is then shown by what is in it now.
 struct View<'a> {
     hidden: &'a [PathBuf],

@@ -274,7 +274,7 @@ impl Engine {
         let deadline = self.poll_fabric(now);
         let Some(air) = &mut self.air else { return Ok(deadline) };
         air.deliver(now, &mut self.fabric, &self.shared)?;
-        // What radios have refused or been given may have changed it.
+        // Refusals and frames of radios may have changed it.
         Ok(self.poll_fabric(now))
     }
 

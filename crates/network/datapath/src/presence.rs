@@ -41,7 +41,7 @@ impl Absence {
 /// Waits of frames in the ports, and absences of the fabric's thread.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PortWaits {
-    /// How long frames waited in their ports before the fabric had them. If the port reports no time of arrival, this is
+    /// Time that frames waited in their ports before the fabric had them. If the port reports no time of arrival, this is
     /// the longest possible wait.
     pub frames: Lateness,
     pub absence: Absence,

@@ -167,7 +167,7 @@ impl Routes {
         let steps = self.shortest(root, Sense::Away);
         let mut branches = BTreeSet::new();
         for vertex in (0..self.vertices.len()).filter(|vertex| self.vertices[*vertex].has_port) {
-            // Where a branch is known, so is the way to it from the root.
+            // A known branch has a known way from the root.
             let is_new = |(from, edge): &(usize, usize)| branches.insert((*from as u32, *edge as u32));
             steps_back(&steps, vertex).take_while(is_new).for_each(drop);
         }

@@ -19,7 +19,7 @@ pub enum Stage {
     Started(VnfId, Seen),
 }
 
-/// What is seen of the VNF of a started instance.
+/// The visible state of the VNF of a started instance.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Seen {
     /// It does not serve yet.
@@ -61,7 +61,7 @@ pub struct Application {
     /// Its stage.
     pub stage: Stage,
     pub(crate) owner: Option<DomainId>,
-    /// What its last start wrote.
+    /// The output of its last start.
     pub(crate) output: Option<Output>,
     /// Whether an operation is under way.
     pub(crate) is_busy: bool,

@@ -1,5 +1,5 @@
 //! The catalog of descriptors and the instances of applications, as a state machine. It says which VNF to add, move or
-//! remove, and is told the outcome.
+//! remove, and gets the outcome.
 
 use std::collections::BTreeMap;
 

@@ -102,7 +102,7 @@ enum Wanted {
     Terminate,
 }
 
-/// What an operation asks of the testbed.
+/// The request of an operation to the testbed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
     /// Start the instance.
@@ -120,7 +120,7 @@ pub struct Begun {
     pub number: u64,
     /// Its kind.
     pub operation: Operation,
-    /// What is to be done.
+    /// The work to do.
     pub task: Task,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! hostapd does not reveal its passphrases, so settings that are changed could not be put back. A takeover therefore
 //! leaves the owner's hostapd as it is, and disables it: a hostapd of its own serves meanwhile. wpa_supplicant gets one
-//! network more, and is told to join that.
+//! network more, and gets the order to join that.
 
 use std::path::{Path, PathBuf};
 

@@ -15,7 +15,7 @@ const HEALTHY_AFTER: Duration = Duration::from_secs(10);
 /// Number of short lives in a row after which a VNF does not work.
 const SHORT_LIVES: u32 = 3;
 
-/// What speaks against a run's figures beside its fidelity, as far as events tell.
+/// Events that speak against a run's figures, beside its fidelity.
 #[derive(Debug, Default)]
 pub(super) struct Doubts {
     plugins: BTreeMap<PluginId, Plugin>,
@@ -31,14 +31,14 @@ pub(super) struct Doubts {
     pub(super) samples: BTreeMap<cotorra_graph::ServiceId, Samples>,
 }
 
-/// What the testbed file says about a plug-in.
+/// The testbed file's settings of a plug-in.
 #[derive(Debug)]
 struct Plugin {
     is_optional: bool,
     is_program: bool,
 }
 
-/// Where the samples of a service come from.
+/// The source of a service's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Samples {
     /// Its robot's walk or localization.

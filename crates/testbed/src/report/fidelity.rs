@@ -173,7 +173,7 @@ impl Fidelity {
         }
     }
 
-    /// Extends the verdict to waits of VNFs: nobody asked for them.
+    /// Extends the verdict to waits of VNFs, which no testbed file asks for.
     pub(super) fn with_vnf_waits(self, vnf_waits: Vec<VnfWaits>) -> Self {
         let starved = vnf_waits.iter().find(|its| its.is_starved);
         let unknown = vnf_waits.iter().filter(|its| its.waited_ms.is_none());

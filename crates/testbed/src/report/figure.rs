@@ -19,7 +19,7 @@ const COLUMNS: f64 = 500.0;
 const TARGETS: f64 = 2.0;
 /// Room above the 99th percentile, as a factor.
 const ROOM: f64 = 1.25;
-/// Where the axis of distributions begins, as a share of the shortest service time.
+/// Start of the axis of distributions, as a share of the shortest service time.
 const BEFORE: f64 = 0.9;
 
 /// The samples of a robot and a service.

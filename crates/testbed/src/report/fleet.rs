@@ -1,4 +1,4 @@
-//! What is shown of many robots: a distribution over all of them, and the worst by name.
+//! The view of many robots: a distribution over all of them, and the worst by name.
 
 use std::cmp::Reverse;
 

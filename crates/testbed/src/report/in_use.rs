@@ -9,7 +9,7 @@ use cotorra_graph::{
     Event, HardwareGraph, LinkId, NodeId, NodeKind, Nodes, Service, Total, VirtualLinkMapping, VnfId,
 };
 
-/// What a service uses over a run, for the bounds on it.
+/// Parts that a service uses over a run, for the bounds on it.
 #[derive(Debug)]
 pub(super) struct InUse {
     graph: Arc<HardwareGraph>,
@@ -80,7 +80,7 @@ impl InUse {
         let taken =
             self.service.vnfs.iter().flat_map(|vnf| hosts(&vnf.id).iter().map(|node| (vnf.cpus, node)));
         let cost: f64 = taken.clone().filter_map(|(cpus, node)| Some(cpus * server(node)?.cost)).sum();
-        // What is used twice counts once: it works or it does not.
+        // A part that is used twice counts once: it works or it does not.
         let servers: BTreeSet<_> = taken.map(|(_, node)| node).collect();
         let servers = servers.into_iter().filter_map(|node| Some(server(node)?.reliability));
         let links = self.links(attachment);

@@ -64,7 +64,7 @@ impl RunFolder {
     pub fn create(place: &Place, name: &str, testbed_text: &str) -> Result<Self, FolderError> {
         let path = place.create(name)?;
         let logs = path.join("logs");
-        // What programs print may hold secrets.
+        // Output of programs may hold secrets.
         fs::DirBuilder::new().mode(0o700).create(&logs).map_err(|source| FolderError::new(&logs, source))?;
         let of_vnfs = logs.join(Self::VNFS);
         fs::create_dir(&of_vnfs).map_err(|source| FolderError::new(&of_vnfs, source))?;

@@ -48,7 +48,7 @@ pub struct Summary {
     pub duration_ms: f64,
     /// Reason for the end.
     pub ended: &'static str,
-    /// Where the robots stood, if none of them made progress any more.
+    /// Places of the robots, if none of them made progress any more.
     pub no_progress: Option<String>,
     /// Reasons for which the figures are not valid; none if they are.
     #[serde(serialize_with = "Void::list")]
@@ -120,7 +120,7 @@ pub struct RobotSummary {
     pub detached_ms: f64,
 }
 
-/// How long a robot had no radio unit, after it had lost one.
+/// Time that a robot had no radio unit, after it had lost one.
 #[derive(Debug, Clone, Copy, Default)]
 struct Detached {
     since: Option<Timestamp>,
@@ -487,7 +487,7 @@ impl Report {
         }
     }
 
-    /// Adds localization errors. They are in no event, because nobody who decides may know them.
+    /// Adds localization errors. They are in no event, because deciders may not know them.
     pub(crate) fn localized<'a>(&mut self, errors: impl Iterator<Item = (&'a NodeId, &'a Errors)>) {
         let summary = |(robot, errors): (&NodeId, &Errors)| {
             let error_m = Quantiles::gathered(errors.positions())?;

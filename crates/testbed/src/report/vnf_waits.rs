@@ -121,7 +121,7 @@ mod tests {
             unknown.reason.ends_with("how long VNF `a`, `boxed` waited for a processor is unknown"),
             "{unknown:?}"
         );
-        // What is known of others still counts.
+        // The others still count.
         assert!(!judged(&[instance("a", None), instance("b", Some((9000, 9)))], &[]).valid);
     }
 }

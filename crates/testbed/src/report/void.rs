@@ -40,7 +40,7 @@ impl Void {
 
     /// Returns the reasons for which figures are wrong; `None` if some are missing at most.
     ///
-    /// Where an earlier run had all figures, missing ones are the effect of what changed since.
+    /// If an earlier run had all figures, missing ones are the effect of the change since.
     pub fn wrong(&self) -> Option<Self> {
         Self(self.0.iter().filter(|reason| !reason.is_missing).cloned().collect()).void()
     }

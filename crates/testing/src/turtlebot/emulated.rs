@@ -46,7 +46,7 @@ impl Terminal {
     /// Reads what has arrived.
     pub fn read(&mut self) -> Vec<u8> {
         let mut piece = [0; 4096];
-        // Nobody has opened the other end, or nothing has arrived.
+        // The other end is not open, or nothing has arrived.
         let read = self.master.read(&mut piece).unwrap_or(0);
         piece[..read].to_vec()
     }

@@ -12,7 +12,7 @@ const TICKS_PER_METRE: f64 = 11_724.416_58;
 /// A Kobuki.
 #[derive(Debug, Clone, Default)]
 pub struct Kobuki {
-    /// Where it truly is.
+    /// Its true place.
     pub place: Place,
     /// Pressed bumpers, dropped wheels, and cliffs, as bits of the protocol.
     pub bumper: u8,

@@ -1,4 +1,4 @@
-//! What crates import, and what ARCHITECTURE.md allows.
+//! The imports of crates, and those that ARCHITECTURE.md allows.
 
 use std::{
     collections::BTreeMap,

@@ -13,7 +13,7 @@ use proc_macro2::{Delimiter, Group, TokenStream, TokenTree};
 /// Names that a file takes from another: by both files.
 pub type Arrows = BTreeMap<(PathBuf, PathBuf), BTreeSet<String>>;
 
-/// How many re-exports a name may pass. There are no more in any crate.
+/// Number of re-exports that a name may pass. There are no more in any crate.
 const RE_EXPORTS: usize = 20;
 
 type Segments = Vec<String>;
@@ -38,7 +38,7 @@ struct Module {
     words: BTreeSet<String>,
 }
 
-/// What a path leads to.
+/// The end of a path.
 enum Target {
     Module(Segments),
     Item(PathBuf),

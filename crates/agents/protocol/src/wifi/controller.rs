@@ -24,7 +24,7 @@ struct Known<W> {
     state: Option<RadioState>,
 }
 
-/// What a report comes from.
+/// The source of a report.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Origin {
     /// The agent's process.

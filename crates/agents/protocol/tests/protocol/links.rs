@@ -39,7 +39,7 @@ struct Gate {
     /// Wanted state now, and in each generation.
     wanted: Links,
     generations: BTreeMap<(Run, u64), Links>,
-    /// What the core learned of each link, in this run.
+    /// Reports of each link to the core, in this run.
     told: Vec<(LinkId, LinkState)>,
 }
 

@@ -97,7 +97,7 @@ pub fn nothing() -> Wanted {
     }
 }
 
-/// What an agent controls on its machine, and what the core learned of it.
+/// The machine that an agent controls, and the core's knowledge of it.
 pub trait Machine: Default {
     /// The agent's name.
     const AGENT: &str;
@@ -266,7 +266,7 @@ impl<M: Machine> World<M> {
     }
 }
 
-/// What happens to each world.
+/// Events of each world.
 #[derive(Debug, Clone)]
 pub enum Fault {
     StartCore,

@@ -225,7 +225,7 @@ fn every_action_is_done_from_the_page() {
     panel.act("halt", &limit(""), "limit", "Done: lift the speed limit of robot");
     wait_until(|| limited().is_null());
 
-    // What is rarely changed of a link, and the path over it in the topology as it is now.
+    // Rare changes of a link, and the path over it in the topology as it is now.
     let rare = json!({ "link": "lan-fog", "direction": "forward", "jitter_ms": "1", "delay_scale": "2" });
     panel.act("condition", &rare, "condition", "Done: change lan-fog forward: jitter 1 ms, ψ 2");
     wait_until(|| link(&run, "lan-fog", "forward")["scale"]["delay_scale"] == 2.0);
@@ -280,7 +280,7 @@ fn every_action_is_done_from_the_page() {
     );
     browser.evaluate("document.querySelector('#views button').click();");
 
-    // What the testbed rejects, in its own words.
+    // Rejections, in the testbed's own words.
     let wrong = json!({ "instruction": { "instruction": "condition", "link": "lan-fog", "change": { "delay_ms": -1.0 } } });
     panel.fill("condition", &json!({ "link": "lan-fog", "delay_ms": "-1" }));
     panel.press("condition");

@@ -142,7 +142,7 @@ fn catalog_and_instances_are_bounded() {
         all.onboard(None, descriptor("a")).unwrap();
     }
     assert!(matches!(all.onboard(None, descriptor("a")), Err(LifecycleError::Conflict(_))));
-    // Its own name does not tell which one is meant.
+    // Its own name is ambiguous.
     assert!(all.descriptor(None, "a").is_err());
     let first = all.made_first();
     for _ in 0..MOST_INSTANCES {
@@ -377,7 +377,7 @@ fn subscribers_are_notified_of_what_they_filter_for() {
     for subscription in &wanting {
         assert_eq!(kinds(&of(subscription)), ["STOPPED", "STARTED", "STOPPED", "STARTED"]);
     }
-    // All are told of the same change under the same identifier.
+    // All get the same change under the same identifier.
     assert_eq!(of(&wanting[0])[1]["id"], of(&wanting[3])[1]["id"]);
     silent.iter().for_each(|subscription| assert_eq!(of(subscription), Vec::<Value>::new()));
     assert_eq!(kinds(&of(&started)), ["STARTED", "STARTED"]);

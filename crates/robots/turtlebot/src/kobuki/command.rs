@@ -163,7 +163,7 @@ mod tests {
     }
 
     proptest! {
-        /// What the base makes of a command, by the specification, is the velocity that was wanted.
+        /// By the specification, the base makes of a command the velocity that was wanted.
         #[test]
         fn the_base_drives_the_wanted_velocity(linear in -0.7..0.7_f64, angular in -3.1..3.1_f64) {
             let (speed, radius) = drive(linear, angular);

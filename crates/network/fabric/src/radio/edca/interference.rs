@@ -1,4 +1,4 @@
-//! What else is on the channel: stations of other networks, which contend, and devices that send without listening. Both come
+//! Others on the channel: stations of other networks, which contend, and devices that send without listening. Both come
 //! and go.
 
 use std::time::Duration;
