@@ -224,7 +224,7 @@ fn a_program_that_fails_ends_a_search_with_its_log() {
         let failed = command.arg(&file).arg("--out").arg(&folder).args(more).output().unwrap();
         assert_eq!(failed.status.code(), Some(3));
         let text = stderr(&failed).replace("\n  │ ", " ");
-        assert!(text.contains("plug-in mine: ") && text.contains("its log is in"), "{text}");
+        assert!(text.contains("plug-in mine was cut off: ") && text.contains("its log is in"), "{text}");
         // That of the run as it was is in its own folder.
         let folders = [folder.join("logs"), folder.join("run-as-it-was")];
         let folders = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten();

@@ -27,6 +27,7 @@ mod times;
 mod verdicts;
 mod vnf_waits;
 mod void;
+mod whole;
 
 pub use doubts::sampled_services;
 pub(crate) use end::End;

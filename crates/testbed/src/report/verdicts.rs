@@ -10,7 +10,7 @@ use super::{
     judged::{Judge, Judged, Kpi, ServiceKpis},
     kept::Verdict,
     summary::{RegionSummary, ServiceSummary, Summary},
-    void::LONGEST_SUMMARY,
+    whole::LONGEST_SUMMARY,
 };
 
 impl Judge {
