@@ -151,8 +151,8 @@ fn ms(event: &Value) -> f64 {
 fn start(chain: &Chain, machines: &Machines) -> [Run; 2] {
     let [first, second, ..] = chain.settings_at(&offer(chain.port()), 0);
     let testbed = |name: &str| project_file("testbeds/two-cores").join(format!("{name}.yaml"));
-    // The robot leaves its domain's coverage after 7 s, and is back in it after 24 s.
-    let walk = "walks.robot.waypoints=[[21.5, 0], [26.2, 0]]";
+    // The robot leaves its domain's coverage after 12 s, and is back in it after 29 s.
+    let walk = "walks.robot.waypoints=[[20, 0], [26.2, 0]]";
     // So that it can be seen who carries the packets.
     let slow = "links.sw2-border.delay=20 ms";
     let visited = Run::start_with(&testbed("domain-2"), &["--set", &second, "--set", slow], |command| {
