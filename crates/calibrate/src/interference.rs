@@ -212,7 +212,7 @@ fn check_sharing(testbed: &Testbed, name: &str, network: &str, channel: u8) -> R
         None => Ok(()),
         Some(other) => Err(CalibrateError::unsuited(format!(
             "radio unit `{name}` is on channel {channel}, and its network `{network}` shares a channel with `{other}`: interference \
-             needs stations that sense the channel, so write `access: edca` for both"
+             needs stations that sense the channel, so leave `access: turns` out of both"
         ))),
     }
 }

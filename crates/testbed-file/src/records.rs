@@ -204,12 +204,12 @@ record! {
         handover: HandoverRecord = {},
         /// Treatment of frames for a station that is off its channel.
         gap: GapPolicy = "hold",
-        /// How senders share a channel: `turns`, `edca`, or a mapping with the settings of EDCA: docs/reference/radio.md.
-        access: Spanned<Either<AccessWord, AccessRecord>> = "turns",
-        /// What else sends on its channels, by name. It needs EDCA.
+        /// How senders share a channel: `edca`, a mapping with the settings of EDCA, or `turns`: docs/reference/radio.md.
+        access: Spanned<Either<AccessWord, AccessRecord>> = "edca",
+        /// What else sends on its channels, by name. Stations must contend.
         interference: Table<String, InterferenceRecord> = {},
-        /// Software of its stations: the model, or hostapd and wpa_supplicant, on simulated radios of Linux or on hardware. These
-        /// need EDCA.
+        /// Software of its stations: the model, or hostapd and wpa_supplicant, on simulated radios of Linux or on hardware, which
+        /// contend.
         wifi: Spanned<WifiWord> = "model",
         /// SSID of hostapd and wpa_supplicant, of 1 to 32 bytes. Without it: the network's name. The model has none.
         ssid: Option<Spanned<String>>,

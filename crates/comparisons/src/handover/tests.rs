@@ -10,7 +10,7 @@ use super::*;
 
 const TESTBED: &str = "
 name: small
-wireless: { lab: { access: edca, path_loss: { model: free_space } } }
+wireless: { lab: { path_loss: { model: free_space } } }
 nodes:
   robot: { kind: robot, roaming: instructed, tx_power: 12 dBm }
   A: { kind: radio_unit, position: [0, 1], channel: 1 }

@@ -219,7 +219,7 @@ pub struct HandoverArgs {
     /// Kinds of radio: model, hwsim, hardware; by default, all that this machine and the testbed file have
     #[arg(long = "kind", value_name = "KIND", value_delimiter = ',', value_parser = parse_kind)]
     pub kinds: Vec<Kind>,
-    /// The testbed file: a robot that walks past radio units with `access: edca`, and its navigation; where the default does
+    /// The testbed file: a robot that walks past radio units for which stations contend, and its navigation; where the default does
     /// not exist, it is bundled
     #[arg(long, value_name = "FILE", default_value = CORRIDOR_WIFI)]
     pub testbed: PathBuf,

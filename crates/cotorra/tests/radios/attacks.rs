@@ -14,7 +14,6 @@ fn floor_with_twin(passphrase: &str) -> String {
 name: intruders
 wireless:
   lab:
-    access: edca
     wifi: hwsim
     mobility_domain: 7
     security: {{ method: wpa2, passphrase: correct horse battery }}
@@ -22,7 +21,6 @@ wireless:
     shadowing: {{ deviation: 0 dB }}
   twin:
     ssid: lab
-    access: edca
     wifi: hwsim
     mobility_domain: 9
     security: {{ method: wpa2, passphrase: {passphrase} }}
@@ -48,13 +46,11 @@ const FLOOD: &str = "\
 name: flood
 wireless:
   guarded:
-    access: edca
     wifi: hwsim
     security: { method: wpa2, management_frames: required }
     path_loss: { model: log_distance, exponent: 3.0 }
     shadowing: { deviation: 0 dB }
   bare:
-    access: edca
     wifi: hwsim
     security: { method: wpa2, management_frames: off }
     path_loss: { model: log_distance, exponent: 3.0 }

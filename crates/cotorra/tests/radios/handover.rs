@@ -14,7 +14,6 @@ const AT_AGENTS: &str = "\
 name: agents
 wireless:
   lab:
-    access: edca
     security: { method: wpa2, passphrase: correct horse }
     path_loss: { model: log_distance, exponent: 3.0 }
     shadowing: { deviation: 0 dB }

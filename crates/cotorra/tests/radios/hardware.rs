@@ -15,7 +15,7 @@ const MOST_MS: f64 = 50.0;
 
 const FLOOR: &str = "\
 name: hardware
-wireless: { lab: { access: edca, wifi: hardware, security: { method: wpa2, passphrase: correct horse } } }
+wireless: { lab: { wifi: hardware, security: { method: wpa2, passphrase: correct horse } } }
 nodes:
   r1: { kind: robot, position: [4, 0], tx_power: 9 dBm, agent: robot1, interface: wlan0 }
   A: { kind: radio_unit, position: [0, 0], channel: 1, agent: ap1, interface: wlan1, bridge: br0 }

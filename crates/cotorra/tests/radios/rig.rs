@@ -37,7 +37,6 @@ pub const FLOOR: &str = "\
 name: rig
 wireless:
   lab:
-    access: edca
     wifi: hwsim
     fast_transition: true
     mobility_domain: 49266

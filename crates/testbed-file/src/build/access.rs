@@ -77,7 +77,7 @@ impl Builder<'_> {
         if let (Some((name, _)), Either::Short(AccessWord::Turns)) = (first, &record.access.value) {
             self.sink
                 .error(&name.span, "interference in a network whose senders take turns")
-                .help("add `access: edca` to the network, so that its stations sense the channel");
+                .help("leave `access: turns` out, so that its stations sense the channel");
         }
         each(&record.interference.0, |(name, record)| {
             let (emitter, kind) = match record {

@@ -109,7 +109,7 @@ impl Builder<'_> {
         if let Either::Short(AccessWord::Turns) = record.access.value {
             self.sink
                 .error(&exchange.span, "frames of handovers in a network whose senders take turns")
-                .help("add `access: edca` to the network, or write `exchange: times`");
+                .help("leave `access: turns` out, or write `exchange: times`");
             return None;
         }
         Some(Some(Frames { tick }))

@@ -29,7 +29,7 @@ impl Builder<'_> {
         if let Either::Short(AccessWord::Turns) = record.access.value {
             self.sink
                 .error(&record.wifi.span, "hostapd and wpa_supplicant in a network whose senders take turns")
-                .help("add `access: edca` to the network, so that its stations sense the channel");
+                .help("leave `access: turns` out, so that its stations sense the channel");
             return None;
         }
         Some(Some(WifiSoftware { radios, ssid, security }))
