@@ -319,7 +319,7 @@ fn channel_surveys_that_do_not_fit_are_refused() {
     assert!(refusal(&two, &["R", "S"], 100).starts_with("radio units `R` and `S` are both on channel 1"));
     let shared = two
         .replace("network: lab }", "network: hall }")
-        .replace("}   # to be fitted", "}\n  hall: {}")
+        .replace("}   # to be fitted", ", access: turns }\n  hall: { access: turns }")
         .replace("channel: 1, tx", "channel: 1, network: lab, tx")
         .replace("kind: robot,", "kind: robot, network: lab,");
     assert!(refusal(&shared, &["R"], 100).contains("its network `lab` shares a channel with `hall`"));

@@ -337,10 +337,15 @@ mod tests {
         fabric
     }
 
-    /// Returns name and mean delay of both directions of each wireless link in use.
-    fn on_air(fabric: &mut Fabric, now: Timestamp) -> Vec<(String, Option<Duration>)> {
+    /// Returns name and mean delay of both directions of each wireless link in use, ms.
+    fn on_air(fabric: &mut Fabric, now: Timestamp) -> Vec<(String, Option<u128>)> {
         let wireless = fabric.link_contexts(now).into_iter().filter(|context| context.link.as_str() != "A-B");
-        let told = |link: LinkContext| (link.link.to_string(), link.probed.and_then(|probed| probed.delay));
+        let told = |link: LinkContext| {
+            (
+                link.link.to_string(),
+                link.probed.and_then(|probed| probed.delay).map(|delay| delay.as_millis()),
+            )
+        };
         wireless.map(told).collect()
     }
 
@@ -348,8 +353,8 @@ mod tests {
     fn only_the_present_link_of_a_robot_is_probed() {
         let mut fabric = robots(1);
         let now = run(&mut fabric, Timestamp::ZERO, 5);
-        // The delay covers the airtime of such short frames.
-        let millisecond = Some(Duration::from_millis(1));
+        // The delay covers the airtime of such short frames. Waits for other frames are microseconds.
+        let millisecond = Some(1);
         let told = |link: &str, delay| vec![(link.to_owned(), delay); 2];
         assert_eq!(on_air(&mut fabric, now), told("r0~A", millisecond));
         let [robot, unit] = ["r0", "B"].map(|name| NodeId::new(name).unwrap());
